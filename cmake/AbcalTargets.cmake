@@ -1,0 +1,50 @@
+# One library per folder, one test program per folder; sources are listed, never globbed.
+
+set(ABCAL_WARNINGS -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wdouble-promotion -Wold-style-cast)
+if(ABCAL_WERROR)
+  list(APPEND ABCAL_WARNINGS -Werror)
+endif()
+
+if(ABCAL_SANITIZE)
+  add_compile_options(-fsanitize=${ABCAL_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
+  add_link_options(-fsanitize=${ABCAL_SANITIZE})
+endif()
+
+# Folder path = include path from the repository root. A result must not depend on the machine that printed
+# it: no -march=native, no contraction of a*b+c into fused operations, no -ffast-math.
+function(abcal_target_options target)
+  target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR})
+  target_compile_options(${target} PRIVATE ${ABCAL_WARNINGS} -ffp-contract=off)
+endfunction()
+
+# abcal_add_library(name SOURCES ... PUBLIC ... PRIVATE ...) makes abcal_name with alias abcal::name.
+function(abcal_add_library name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  if(ARG_SOURCES)
+    add_library(abcal_${name} STATIC ${ARG_SOURCES})
+    abcal_target_options(abcal_${name})
+    target_link_libraries(abcal_${name} PUBLIC ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
+  else()
+    add_library(abcal_${name} INTERFACE)
+    target_include_directories(abcal_${name} INTERFACE ${PROJECT_SOURCE_DIR})
+    target_link_libraries(abcal_${name} INTERFACE ${ARG_PUBLIC})
+  endif()
+  add_library(abcal::${name} ALIAS abcal_${name})
+endfunction()
+
+# abcal_add_test(name SOURCES ... LINK ...) makes test program name. Test suites whose name contains "Long"
+# carry the ctest label "long", all others "quick".
+function(abcal_add_test name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;LINK" ${ARGN})
+  add_executable(${name} ${ARG_SOURCES})
+  abcal_target_options(${name})
+  target_link_libraries(${name} PRIVATE ${ARG_LINK} GTest::gmock GTest::gtest_main)
+  target_compile_definitions(${name} PRIVATE
+    ABCAL_SOURCE_DIR="${PROJECT_SOURCE_DIR}" ABCAL_PROGRAM="$<TARGET_FILE:abcal>")
+  add_dependencies(${name} abcal)
+  include(GoogleTest)
+  gtest_discover_tests(${name} TEST_FILTER "-*Long*" DISCOVERY_TIMEOUT 60
+    PROPERTIES LABELS quick TIMEOUT 300)
+  gtest_discover_tests(${name} TEST_FILTER "*Long*" TEST_LIST ${name}_long DISCOVERY_TIMEOUT 60
+    PROPERTIES LABELS long TIMEOUT 3600)
+endfunction()

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+
+namespace abcal {
+
+/// What went wrong with an instrument. Two families that are never merged: it answered no (kRefused), and
+/// we do not know (all the others).
+enum class Fault {
+  kRefused,        ///< The instrument replied with its own error code.
+  kNoReply,        ///< The deadline passed with no complete reply.
+  kBadFrame,       ///< Bytes arrived, but failed framing, checksum or decoding.
+  kLinkLost,       ///< The port closed or vanished.
+  kCannotOpen,     ///< The port could not be opened: absent, not permitted, held by another program.
+  kWrongIdentity,  ///< Something else answers on this port.
+  kNotReady,       ///< Called before it was started, homed or configured.
+  kOutOfTravel,    ///< Target outside the travel of the stage or of the bench file.
+  kStalled,        ///< Answering, but still moving at the motion timeout, or stopped outside the window.
+  kImplausible,    ///< Readings that cannot be true: stuck, not finite, out of range.
+};
+
+/// The fault in a few words ("no reply"), for messages and records.
+std::string_view to_string(Fault fault);
+
+/// The one exception of all instruments: who, what, found, required. what() reads
+/// "<instrument>: <fault>: <detail>", e.g. "stage C-884 (SN 0412): refused: error 7 (position out of limits) to
+/// \"MOV 1 400\"".
+class InstrumentError : public std::runtime_error {
+ public:
+  InstrumentError(std::string_view instrument, Fault fault, std::string_view detail);
+
+  Fault fault() const { return fault_; }
+  const std::string& instrument() const { return instrument_; }
+  const std::string& detail() const { return detail_; }
+
+ private:
+  std::string instrument_;
+  Fault fault_;
+  std::string detail_;
+};
+
+}  // namespace abcal

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+
+#include "drivers/instrument/rotation_stage.h"
+
+namespace abcal {
+
+/// How one axis of the controller relates to the axis of the protocol, and how far it may go on this bench
+/// (`[stage.x]`, `[stage.z]`):  controller angle = zero + sign * protocol angle.
+struct AxisMounting {
+  Angle zero;                       ///< Controller angle at the default orientation of the protocol.
+  int sign = +1;                    ///< -1: the controller counts against the right-hand rule.
+  std::optional<Angle> travel_min;  ///< Narrower limits than the controller's own, in protocol angles.
+  std::optional<Angle> travel_max;
+};
+
+/// A stage seen in protocol angles (right-handed about X and Z, zero at the default orientation). Refuses any
+/// target outside the travel of controller and bench before a byte is sent.
+class MountedStage final : public RotationStage {
+ public:
+  MountedStage(std::unique_ptr<RotationStage> stage, std::array<AxisMounting, 2> mounting);
+
+  StageInfo identify() override;  ///< Travels are in protocol angles, narrowed to the bench's limits.
+  void home(StageAxis axis) override;
+  void move_to(StageAxis axis, Angle target) override;
+  MotionState motion_state(StageAxis axis) override;
+  Angle encoder_angle(StageAxis axis) override;
+  bool halt() noexcept override;
+
+ private:
+  std::unique_ptr<RotationStage> stage_;
+  std::array<AxisMounting, 2> mounting_;
+  std::optional<StageInfo> info_;  ///< As identified last, in protocol angles.
+};
+
+}  // namespace abcal

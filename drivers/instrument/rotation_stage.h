@@ -1,0 +1,70 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <string>
+#include <string_view>
+
+#include "drivers/instrument/angle.h"
+
+namespace abcal {
+
+/// The two rotation axes of the stage, named as in the paper: X (outer, horizontal) carries Z (inner).
+enum class StageAxis { kX, kZ };
+
+constexpr std::array<StageAxis, 2> kStageAxes{StageAxis::kX, StageAxis::kZ};
+constexpr std::size_t index(StageAxis axis) { return axis == StageAxis::kX ? 0 : 1; }
+constexpr std::string_view to_string(StageAxis axis) { return axis == StageAxis::kX ? "X" : "Z"; }
+
+/// As the controller said now. There is no "unknown": a controller that does not say makes the call throw.
+enum class MotionState { kMoving, kStopped };
+
+/// What the controller says of one axis, in its own coordinates.
+struct StageAxisInfo {
+  std::string stage_name;         ///< The positioner's name, e.g. "M-060.PD"; empty if it does not say.
+  Angle travel_min;               ///< Lowest target that is accepted.
+  Angle travel_max;               ///< Highest target that is accepted.
+  Angle resolution;               ///< Smallest step of the encoder; zero if it does not say.
+  double speed_deg_per_s = 0.0;   ///< Speed of moves; 0 if it does not say.
+  bool referenced = false;        ///< False: home() must be called before move_to().
+};
+
+struct StageInfo {
+  std::string maker;
+  std::string model;
+  std::string serial_number;
+  std::string firmware;
+  std::array<StageAxisInfo, 2> axes;  ///< By index(StageAxis).
+};
+
+/// A two-axis rotation stage. One owner at a time, except halt().
+///
+/// Every call either does what it says or throws InstrumentError within the driver's own reply deadline; a
+/// silent controller never reads as "stopped". Queries may be retried once by a driver; a move never is.
+class RotationStage {
+ public:
+  virtual ~RotationStage() = default;
+
+  /// Asks the controller what it is. Moves nothing, changes nothing.
+  /// @throws InstrumentError kWrongIdentity if it is not an instrument this driver knows.
+  virtual StageInfo identify() = 0;
+
+  /// Starts the search for the reference of an axis (and switches its servo on); returns once accepted. Poll
+  /// motion_state() until stopped, then identify().axes[..].referenced says whether it was found.
+  virtual void home(StageAxis axis) = 0;
+
+  /// Starts a move to an absolute angle (and switches the servo on); returns once the controller has accepted it.
+  /// @throws InstrumentError kOutOfTravel, kNotReady (not referenced), kRefused with the controller's own code.
+  virtual void move_to(StageAxis axis, Angle target) = 0;
+
+  virtual MotionState motion_state(StageAxis axis) = 0;
+
+  /// Where the encoder says the axis is: measured, not commanded.
+  virtual Angle encoder_angle(StageAxis axis) = 0;
+
+  /// Stops all axes. From any thread, also while another one waits for a reply; never throws.
+  /// @return false: the controller did not acknowledge; say so to the person.
+  virtual bool halt() noexcept = 0;
+};
+
+}  // namespace abcal
