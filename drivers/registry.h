@@ -22,7 +22,9 @@ struct StageDriver {
   std::string name;         ///< As in a bench file, e.g. "pi_gcs".
   std::string description;  ///< For lists and error messages.
   SerialDefaults serial;
-  std::function<std::unique_ptr<RotationStage>(std::unique_ptr<wire::ByteStream>, Clock&, const StageSettings&)> make;
+  std::function<std::unique_ptr<RotationStage>(std::unique_ptr<wire::ByteStream>, Clock&,
+                                               const StageSettings&)>
+      make;
 };
 
 struct AccelerometerDriver {

@@ -17,14 +17,14 @@ struct ErrorHarmonic {
   Angle cos_coefficient;
 };
 
-/// What one stage axis really does: actual angle = commanded angle + error(commanded angle). The error is a map
-/// of the physical pose (commanded angle modulo 360 degrees) and zero at 0, where the axis has its zero.
+/// What one stage axis really does: actual angle = commanded angle + error(commanded angle). The error is a
+/// map of the physical pose (commanded angle modulo 360 degrees) and zero at 0, where the axis has its zero.
 struct AxisTruth {
-  Angle mean_step_error;       ///< F_X or F_Z: added at every angle but 0 and -90 degrees.
-  Angle initial_turn_error;    ///< The error at -90 degrees (d2 on Z, d3 on X), in place of all the others.
-  Angle step_error_sd;         ///< Standard deviation of an error drawn once for each pose of both axes.
+  Angle mean_step_error;     ///< F_X or F_Z: added at every angle but 0 and -90 degrees.
+  Angle initial_turn_error;  ///< The error at -90 degrees (d2 on Z, d3 on X), in place of all the others.
+  Angle step_error_sd;       ///< Standard deviation of an error drawn once for each pose of both axes.
   std::vector<ErrorHarmonic> harmonics;  ///< Systematic part of the map.
-  Angle backlash;              ///< Lag of the actual angle when a move ends in the negative direction.
+  Angle backlash;  ///< Lag of the actual angle when a move ends in the negative direction.
   Angle travel_min = Angle::degrees(-360.0);
   Angle travel_max = Angle::degrees(360.0);
   double speed_deg_per_s = 20.0;
@@ -32,12 +32,14 @@ struct AxisTruth {
   Angle encoder_resolution = Angle::degrees(1e-4);
 };
 
-/// The truth of a simulated bench. A run never sees it. R is the response unit, g_loc the unit of acceleration.
+/// The truth of a simulated bench. A run never sees it. R is the response unit, g_loc the unit of
+/// acceleration.
 struct BenchTruth {
   std::uint64_t seed = 1;
 
   // Accelerometer under test.
-  /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (physics.md section 2), in R/g_loc.
+  /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (physics.md section 2), in
+  /// R/g_loc.
   Eigen::Matrix3d sensitivity_matrix = Eigen::Matrix3d::Identity();
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();           ///< R
   Eigen::Vector3d k2 = Eigen::Vector3d::Zero();               ///< 1/R: + k2 (l - O)^2, l the linear response.
@@ -55,9 +57,9 @@ struct BenchTruth {
   AxisTruth x, z;
 
   // Bench.
-  double ring_down_amplitude = 0.0;   ///< R per deg/s of the speed of the move that ended.
+  double ring_down_amplitude = 0.0;  ///< R per deg/s of the speed of the move that ended.
   double ring_down_frequency_hz = 25.0;
-  double ring_down_decay_s = 0.05;    ///< Time constant.
+  double ring_down_decay_s = 0.05;  ///< Time constant.
   double temperature_degc = 23.0;
   double temperature_per_hour = 0.0;  ///< degC/h
 };

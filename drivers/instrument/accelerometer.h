@@ -17,10 +17,10 @@ struct AccelerometerInfo {
   std::string model;
   std::string serial_number;
   std::string firmware;
-  std::string output_unit;            ///< Unit of Reading::output, e.g. "g", "m/s2", "V", "LSB": the response unit R.
-  std::optional<double> full_scale;   ///< Largest magnitude an output can show, in output_unit.
-  std::optional<double> resolution;   ///< Smallest step of the output, in output_unit.
-  double rate_hz = 0.0;               ///< Readings per second once started; 0: on demand.
+  std::string output_unit;  ///< Unit of Reading::output, e.g. "g", "m/s2", "V", "LSB": the response unit R.
+  std::optional<double> full_scale;  ///< Largest magnitude an output can show, in output_unit.
+  std::optional<double> resolution;  ///< Smallest step of the output, in output_unit.
+  double rate_hz = 0.0;              ///< Readings per second once started; 0: on demand.
 };
 
 /// One output triple.
@@ -36,10 +36,10 @@ struct Reading {
 
 /// What the stream has suffered since start(). Only ever grows.
 struct StreamHealth {
-  std::uint64_t readings = 0;        ///< Delivered or waiting.
-  std::uint64_t lost_readings = 0;   ///< Known to have been made and not received (gaps, full queue).
-  std::uint64_t bad_frames = 0;      ///< Framed, but with a wrong checksum or length: skipped.
-  std::uint64_t skipped_bytes = 0;   ///< Bytes that belong to no frame.
+  std::uint64_t readings = 0;       ///< Delivered or waiting.
+  std::uint64_t lost_readings = 0;  ///< Known to have been made and not received (gaps, full queue).
+  std::uint64_t bad_frames = 0;     ///< Framed, but with a wrong checksum or length: skipped.
+  std::uint64_t skipped_bytes = 0;  ///< Bytes that belong to no frame.
 };
 
 /// A triaxial accelerometer. One owner at a time.

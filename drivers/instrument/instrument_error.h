@@ -26,7 +26,8 @@ enum class Fault {
 std::string_view to_string(Fault fault);
 
 /// The one exception of all instruments: who, what, found, required. what() reads
-/// "<instrument>: <fault>: <detail>", e.g. "stage C-884 (SN 0412): refused: error 7 (position out of limits) to
+/// "<instrument>: <fault>: <detail>", e.g. "stage C-884 (SN 0412): refused: error 7 (position out of limits)
+/// to
 /// \"MOV 1 400\"".
 class InstrumentError : public std::runtime_error {
  public:

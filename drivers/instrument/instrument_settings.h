@@ -8,9 +8,9 @@ namespace abcal {
 
 /// What a bench file says of a stage, as far as a driver needs it.
 struct StageSettings {
-  std::array<std::string, 2> axis_names{"1", "2"};            ///< The controller's names of X and Z.
-  std::array<std::optional<double>, 2> speed_deg_per_s;       ///< Absent: as the controller has it.
-  std::string address;                                        ///< Of a controller in a daisy chain; empty: none.
+  std::array<std::string, 2> axis_names{"1", "2"};       ///< The controller's names of X and Z.
+  std::array<std::optional<double>, 2> speed_deg_per_s;  ///< Absent: as the controller has it.
+  std::string address;                                   ///< Of a controller in a daisy chain; empty: none.
 };
 
 /// What a bench file says of an accelerometer, as far as a driver needs it.

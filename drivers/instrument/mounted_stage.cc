@@ -28,7 +28,9 @@ StageInfo MountedStage::identify() {
   return info;
 }
 
-void MountedStage::home(StageAxis axis) { stage_->home(axis); }
+void MountedStage::home(StageAxis axis) {
+  stage_->home(axis);
+}
 
 void MountedStage::move_to(StageAxis axis, Angle target) {
   if (!info_) identify();
@@ -44,13 +46,17 @@ void MountedStage::move_to(StageAxis axis, Angle target) {
   stage_->move_to(axis, mounting.zero + target * mounting.sign);
 }
 
-MotionState MountedStage::motion_state(StageAxis axis) { return stage_->motion_state(axis); }
+MotionState MountedStage::motion_state(StageAxis axis) {
+  return stage_->motion_state(axis);
+}
 
 Angle MountedStage::encoder_angle(StageAxis axis) {
   const AxisMounting& mounting = mounting_[index(axis)];
   return (stage_->encoder_angle(axis) - mounting.zero) * mounting.sign;
 }
 
-bool MountedStage::halt() noexcept { return stage_->halt(); }
+bool MountedStage::halt() noexcept {
+  return stage_->halt();
+}
 
 }  // namespace abcal

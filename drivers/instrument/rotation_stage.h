@@ -13,20 +13,24 @@ namespace abcal {
 enum class StageAxis { kX, kZ };
 
 constexpr std::array<StageAxis, 2> kStageAxes{StageAxis::kX, StageAxis::kZ};
-constexpr std::size_t index(StageAxis axis) { return axis == StageAxis::kX ? 0 : 1; }
-constexpr std::string_view to_string(StageAxis axis) { return axis == StageAxis::kX ? "X" : "Z"; }
+constexpr std::size_t index(StageAxis axis) {
+  return axis == StageAxis::kX ? 0 : 1;
+}
+constexpr std::string_view to_string(StageAxis axis) {
+  return axis == StageAxis::kX ? "X" : "Z";
+}
 
 /// As the controller said now. There is no "unknown": a controller that does not say makes the call throw.
 enum class MotionState { kMoving, kStopped };
 
 /// What the controller says of one axis, in its own coordinates.
 struct StageAxisInfo {
-  std::string stage_name;         ///< The positioner's name, e.g. "M-060.PD"; empty if it does not say.
-  Angle travel_min;               ///< Lowest target that is accepted.
-  Angle travel_max;               ///< Highest target that is accepted.
-  Angle resolution;               ///< Smallest step of the encoder; zero if it does not say.
-  double speed_deg_per_s = 0.0;   ///< Speed of moves; 0 if it does not say.
-  bool referenced = false;        ///< False: home() must be called before move_to().
+  std::string stage_name;        ///< The positioner's name, e.g. "M-060.PD"; empty if it does not say.
+  Angle travel_min;              ///< Lowest target that is accepted.
+  Angle travel_max;              ///< Highest target that is accepted.
+  Angle resolution;              ///< Smallest step of the encoder; zero if it does not say.
+  double speed_deg_per_s = 0.0;  ///< Speed of moves; 0 if it does not say.
+  bool referenced = false;       ///< False: home() must be called before move_to().
 };
 
 struct StageInfo {
@@ -53,8 +57,10 @@ class RotationStage {
   /// motion_state() until stopped, then identify().axes[..].referenced says whether it was found.
   virtual void home(StageAxis axis) = 0;
 
-  /// Starts a move to an absolute angle (and switches the servo on); returns once the controller has accepted it.
-  /// @throws InstrumentError kOutOfTravel, kNotReady (not referenced), kRefused with the controller's own code.
+  /// Starts a move to an absolute angle (and switches the servo on); returns once the controller has accepted
+  /// it.
+  /// @throws InstrumentError kOutOfTravel, kNotReady (not referenced), kRefused with the controller's own
+  /// code.
   virtual void move_to(StageAxis axis, Angle target) = 0;
 
   virtual MotionState motion_state(StageAxis axis) = 0;

@@ -15,14 +15,14 @@ namespace abcal {
 /// What was noticed at one angle. Bits, so that a run file holds them in one column.
 enum DwellFlag : std::uint32_t {
   kFlagNone = 0,
-  kFlagNotQuiet = 1U << 0,        ///< The accelerometer had not become quiet at the longest wait.
-  kFlagLostReadings = 1U << 1,    ///< Readings were lost during the dwell.
-  kFlagClipped = 1U << 2,         ///< An output was at full scale, or the instrument said so.
-  kFlagStuck = 1U << 3,           ///< An output did not change at all during the dwell.
-  kFlagNotFinite = 1U << 4,       ///< Readings that were not finite were left out.
-  kFlagOutsideWindow = 1U << 5,   ///< The encoder left the position window during the dwell.
-  kFlagTemperature = 1U << 6,     ///< The temperature was outside its limit.
-  kFlagRepeated = 1U << 7,        ///< The dwell was repeated (vibration, replug, resume).
+  kFlagNotQuiet = 1U << 0,       ///< The accelerometer had not become quiet at the longest wait.
+  kFlagLostReadings = 1U << 1,   ///< Readings were lost during the dwell.
+  kFlagClipped = 1U << 2,        ///< An output was at full scale, or the instrument said so.
+  kFlagStuck = 1U << 3,          ///< An output did not change at all during the dwell.
+  kFlagNotFinite = 1U << 4,      ///< Readings that were not finite were left out.
+  kFlagOutsideWindow = 1U << 5,  ///< The encoder left the position window during the dwell.
+  kFlagTemperature = 1U << 6,    ///< The temperature was outside its limit.
+  kFlagRepeated = 1U << 7,       ///< The dwell was repeated (vibration, replug, resume).
 };
 
 /// The words for the flags of one dwell, in a fixed order ("not quiet, lost readings"); empty for none.
@@ -30,17 +30,18 @@ std::string describe_flags(std::uint32_t flags);
 
 /// One angle of one experiment: what was commanded, where the encoder was, and what the accelerometer said.
 struct DwellRecord {
-  int experiment = 0;   ///< 1, 2, 3 as in the paper.
-  int n = 0;            ///< 1..N, the paper's index of the desired angle alpha(n).
-  bool closing = false; ///< The extra angle alpha = 360 degrees that shows drift; not part of the fits.
-  Angle alpha;          ///< Desired rotation angle.
+  int experiment = 0;    ///< 1, 2, 3 as in the paper.
+  int n = 0;             ///< 1..N, the paper's index of the desired angle alpha(n).
+  bool closing = false;  ///< The extra angle alpha = 360 degrees that shows drift; not part of the fits.
+  Angle alpha;           ///< Desired rotation angle.
   Angle commanded_x, commanded_z;  ///< What the stage was told (alpha modulo 360 degrees, within the travel).
   std::optional<Angle> encoder_x, encoder_z;  ///< Where it said it was; absent for an imported CSV.
-  std::optional<double> time_s;    ///< Middle of the dwell, from the start of the run.
-  double settle_time_s = 0.0;      ///< From stopped to the first reading used.
-  std::int64_t count = 0;          ///< Readings averaged; 0: not known (CSV).
-  std::int64_t lost = 0;           ///< Readings known to be lost during the dwell.
-  Eigen::Vector3d mean = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());  ///< r_u, r_v, r_w (R).
+  std::optional<double> time_s;               ///< Middle of the dwell, from the start of the run.
+  double settle_time_s = 0.0;                 ///< From stopped to the first reading used.
+  std::int64_t count = 0;                     ///< Readings averaged; 0: not known (CSV).
+  std::int64_t lost = 0;                      ///< Readings known to be lost during the dwell.
+  Eigen::Vector3d mean =
+      Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());  ///< r_u, r_v, r_w (R).
   Eigen::Vector3d spread = Eigen::Vector3d::Zero();  ///< Standard deviation of single readings (R).
   /// Standard uncertainty of the mean (R), autocorrelation taken into account. Absent for a CSV without it.
   std::optional<Eigen::Vector3d> u_mean;
@@ -58,10 +59,10 @@ struct LocalGravity {
 
 /// Everything that the analysis may know of a run. A stored run, an imported CSV and a live run are all this.
 struct RunRecord {
-  std::string source;                ///< File it came from, for messages.
-  std::string response_unit = "R";   ///< Unit of the readings.
+  std::string source;               ///< File it came from, for messages.
+  std::string response_unit = "R";  ///< Unit of the readings.
   LocalGravity g_loc;
-  bool g_loc_known = false;          ///< False: a CSV without a bench file; results are per g_loc.
+  bool g_loc_known = false;  ///< False: a CSV without a bench file; results are per g_loc.
   Tolerances tolerances;
   Angle step = Angle::degrees(5.0);  ///< Desired rotation step D.
   int steps = 72;                    ///< N.

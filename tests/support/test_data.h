@@ -12,9 +12,9 @@ namespace abcal::test {
 /// ../shared/data beside the project. Nothing if it is absent: skip the test and say so.
 inline std::optional<std::filesystem::path> shared_data(std::string_view relative) {
   const char* named = std::getenv("ABCAL_TEST_DATA");
-  const std::filesystem::path root =
-      named != nullptr ? std::filesystem::path(named)
-                       : std::filesystem::path(ABCAL_SOURCE_DIR) / ".." / "shared" / "data";
+  const std::filesystem::path root = named != nullptr
+                                         ? std::filesystem::path(named)
+                                         : std::filesystem::path(ABCAL_SOURCE_DIR) / ".." / "shared" / "data";
   std::filesystem::path path = root / relative;
   if (!std::filesystem::exists(path)) return std::nullopt;
   return path;
@@ -23,8 +23,8 @@ inline std::optional<std::filesystem::path> shared_data(std::string_view relativ
 }  // namespace abcal::test
 
 /// Binds `path` to a file of the shared data set, or skips the test with the reason.
-#define ABCAL_SHARED_DATA_OR_SKIP(path, relative)                                                  \
-  const auto path##_found = ::abcal::test::shared_data(relative);                                  \
-  if (!path##_found)                                                                               \
+#define ABCAL_SHARED_DATA_OR_SKIP(path, relative)                                                         \
+  const auto path##_found = ::abcal::test::shared_data(relative);                                         \
+  if (!path##_found)                                                                                      \
     GTEST_SKIP() << "shared data file " << (relative) << " is absent; set ABCAL_TEST_DATA to its folder"; \
   const std::filesystem::path path = *path##_found

@@ -1,0 +1,155 @@
+#include "protocol/plan/rotation_plan.h"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <string>
+#include <utility>
+
+namespace abcal {
+namespace {
+
+constexpr Angle kTurn = Angle::degrees(360.0);
+constexpr Angle kInitialTurn = Angle::degrees(-90.0);  // paper, section 2.4
+constexpr std::size_t kX = 0;
+constexpr std::size_t kZ = 1;
+
+std::string number(double value) {
+  std::string text = std::to_string(value);
+  text.erase(text.find_last_not_of('0') + 1);
+  if (text.ends_with('.')) text.pop_back();
+  return text;
+}
+
+std::string describe(const AxisTravel& travel) {
+  return number(travel.min.deg()) + " to " + number(travel.max.deg()) + " deg";
+}
+
+/// `angle` moved by whole turns to the least value not below `lowest`; nothing if that is above `highest`.
+std::optional<Angle> representation(Angle angle, Angle lowest, Angle highest) {
+  const double turns = std::ceil((lowest.deg() - angle.deg()) / kTurn.deg());
+  const Angle moved = angle + kTurn * turns;
+  if (moved > highest) return std::nullopt;
+  return moved;
+}
+
+/// The angle at which an axis is held: as it stands if it is inside the travel, else moved by whole turns.
+std::optional<Angle> held(Angle angle, const AxisTravel& travel, Angle approach) {
+  const Angle lowest = travel.min + approach;
+  if (angle >= lowest && angle <= travel.max) return angle;
+  return representation(angle, lowest, travel.max);
+}
+
+struct SweepAngle {
+  int n;
+  Angle alpha;
+  Angle commanded;
+};
+
+/// The angles of one experiment by rising commanded angle, as near to alpha itself as the travel allows.
+std::vector<SweepAngle> sweep(const ProtocolConfig& config, const AxisTravel& travel, const std::string& axis,
+                              std::vector<Problem>& problems) {
+  const Angle lowest_possible = travel.min + config.approach;
+  const Angle last = config.step * (config.steps - 1);
+  const bool fits_as_is = Angle{} >= lowest_possible && last <= travel.max && last < kTurn;
+  const Angle lowest = fits_as_is ? Angle{} : lowest_possible;
+  std::vector<SweepAngle> angles;
+  std::string unreachable;
+  for (int n = 1; n <= config.steps; ++n) {
+    const Angle alpha = config.step * (n - 1);
+    if (const auto commanded = representation(alpha, lowest, travel.max)) {
+      angles.push_back({n, alpha, *commanded});
+    } else {
+      unreachable += (unreachable.empty() ? "" : ", ") + number(alpha.deg());
+    }
+  }
+  if (!unreachable.empty()) {
+    problems.push_back({"axis " + axis, "travel " + describe(travel),
+                        "a travel that reaches alpha = " + unreachable + " deg, coming from " +
+                            number(config.approach.deg()) + " deg below (approach_deg)"});
+  }
+  std::stable_sort(angles.begin(), angles.end(),
+                   [](const SweepAngle& a, const SweepAngle& b) { return a.commanded < b.commanded; });
+  return angles;
+}
+
+}  // namespace
+
+PlanError::PlanError(std::vector<Problem> problems)
+    : std::runtime_error([&] {
+        std::string text = "the rotation plan cannot be carried out";
+        for (const Problem& problem : problems) text += "\n  " + to_string(problem);
+        return text;
+      }()),
+      problems_(std::move(problems)) {}
+
+std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
+                                             const std::array<AxisTravel, 2>& travel) {
+  std::vector<Problem> problems;
+  const std::vector<SweepAngle> about_x = sweep(config, travel[kX], "X", problems);
+  const std::vector<SweepAngle> about_z = sweep(config, travel[kZ], "Z", problems);
+  const auto hold = [&](Angle angle, std::size_t axis) {
+    const auto at = held(angle, travel[axis], config.approach);
+    if (!at) {
+      problems.push_back({axis == kX ? "axis X" : "axis Z", "travel " + describe(travel[axis]),
+                          "a travel that holds the axis at " + number(angle.deg()) + " deg"});
+    }
+    return at.value_or(Angle{});
+  };
+  struct Experiment {
+    int number;
+    const std::vector<SweepAngle>& sweep;
+    bool turns_x;
+    Angle held_at;
+  };
+  const std::array<Experiment, 3> experiments{Experiment{1, about_x, true, hold(Angle{}, kZ)},
+                                              Experiment{2, about_x, true, hold(kInitialTurn, kZ)},
+                                              Experiment{3, about_z, false, hold(kInitialTurn, kX)}};
+  if (!problems.empty()) throw PlanError(std::move(problems));
+
+  std::vector<PlannedAngle> plan;
+  for (const Experiment& experiment : experiments) {
+    const auto add = [&](int n, bool closing, Angle alpha, Angle commanded) {
+      plan.push_back({experiment.number, n, closing, alpha,
+                      experiment.turns_x ? commanded : experiment.held_at,
+                      experiment.turns_x ? experiment.held_at : commanded});
+    };
+    for (const SweepAngle& angle : experiment.sweep) add(angle.n, false, angle.alpha, angle.commanded);
+    if (config.closing_angle) {
+      const SweepAngle& first = experiment.sweep.front();
+      const AxisTravel& turning = travel[experiment.turns_x ? kX : kZ];
+      const Angle full_turn = first.commanded + kTurn;
+      add(first.n, true, first.alpha + kTurn, full_turn <= turning.max ? full_turn : first.commanded);
+    }
+  }
+  return plan;
+}
+
+int readings_per_dwell(const ProtocolConfig& config, double rate_hz) {
+  if (!(config.mains_hz > 0.0) || !(rate_hz > 0.0)) return config.dwell_readings;
+  const double periods = std::ceil(config.dwell_readings * config.mains_hz / rate_hz);
+  return std::max(config.dwell_readings, static_cast<int>(std::lround(periods * rate_hz / config.mains_hz)));
+}
+
+PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config,
+                               const std::array<double, 2>& speed_deg_per_s, double rate_hz) {
+  PlanDuration duration;
+  std::array<Angle, 2> at{};
+  const double dwell_s = rate_hz > 0.0 ? readings_per_dwell(config, rate_hz) / rate_hz : 0.0;
+  const auto move = [&](std::size_t axis, Angle to) {
+    if (to == at[axis]) return;
+    double distance_deg = std::abs(to.deg() - at[axis].deg());
+    if (to < at[axis]) distance_deg += 2.0 * config.approach.deg();  // past the target, and up to it again
+    if (speed_deg_per_s[axis] > 0.0) duration.moving_s += distance_deg / speed_deg_per_s[axis];
+    at[axis] = to;
+  };
+  for (const PlannedAngle& angle : plan) {
+    move(kX, angle.x);
+    move(kZ, angle.z);
+    duration.settling_s += config.settle_s;
+    duration.dwelling_s += dwell_s;
+  }
+  return duration;
+}
+
+}  // namespace abcal

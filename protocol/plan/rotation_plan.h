@@ -1,0 +1,62 @@
+#pragma once
+
+#include <array>
+#include <stdexcept>
+#include <vector>
+
+#include "drivers/instrument/angle.h"
+#include "protocol/plan/run_config.h"
+
+namespace abcal {
+
+/// From where to where an axis may be commanded.
+struct AxisTravel {
+  Angle min = Angle::degrees(-360.0);
+  Angle max = Angle::degrees(360.0);
+};
+
+/// One angle of the plan. The commanded angles are alpha, or the other axis's initial turn, moved by whole
+/// turns into the axis's travel.
+struct PlannedAngle {
+  int experiment = 0;    ///< 1, 2, 3 as in the paper.
+  int n = 0;             ///< 1..N; the closing angle repeats the n of the first angle that was measured.
+  bool closing = false;  ///< Measured last in its experiment, one turn after its first angle.
+  Angle alpha;           ///< Desired rotation angle, (n-1) D; + 360 degrees at the closing angle.
+  Angle x, z;            ///< Commanded angles.
+};
+
+/// What cannot be planned, every problem of it.
+class PlanError : public std::runtime_error {
+ public:
+  explicit PlanError(std::vector<Problem> problems);
+  const std::vector<Problem>& problems() const { return problems_; }
+
+ private:
+  std::vector<Problem> problems_;
+};
+
+/// The angles of the three experiments (paper, section 2.4: about X; about X with Z turned -90 degrees; about
+/// Z with X turned -90 degrees) in the order in which they are measured: each experiment in one sweep of
+/// rising commanded angle, inside the travel with room for the approach from below, so that no cable winds
+/// up.
+/// @throws PlanError if an angle cannot be reached.
+std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
+                                             const std::array<AxisTravel, 2>& travel);
+
+/// How long a plan takes, in seconds.
+struct PlanDuration {
+  double moving_s = 0.0;
+  double settling_s = 0.0;
+  double dwelling_s = 0.0;
+  double total_s() const { return moving_s + settling_s + dwelling_s; }
+};
+
+/// An estimate from the speeds of X and Z (deg/s; acceleration is not counted) and the reading rate.
+PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config,
+                               const std::array<double, 2>& speed_deg_per_s, double rate_hz);
+
+/// Readings averaged at one angle: dwell_readings, or the least number not below it that lasts a whole number
+/// of mains periods.
+int readings_per_dwell(const ProtocolConfig& config, double rate_hz);
+
+}  // namespace abcal

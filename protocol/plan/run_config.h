@@ -1,0 +1,46 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "drivers/instrument/angle.h"
+
+namespace abcal {
+
+/// One thing that is wrong with a bench file, a plan or an imported file, said so that a person can mend it.
+struct Problem {
+  std::string where;     ///< "line 12, [protocol] steps", "axis X".
+  std::string found;     ///< What stands there.
+  std::string required;  ///< What must stand there, or what to do.
+};
+
+/// "line 12, [protocol] steps: found 2; required: 3 to 3600".
+std::string to_string(const Problem& problem);
+
+/// How the three rotation experiments are measured (`[protocol]` of a bench file). Times in seconds.
+struct ProtocolConfig {
+  int steps = 72;                        ///< N, angles of each experiment.
+  Angle step = Angle::degrees(5.0);      ///< D, desired rotation step.
+  bool closing_angle = true;             ///< Measure the first angle again, at alpha + 360 degrees.
+  Angle approach = Angle::degrees(1.0);  ///< Every angle is reached from below, by this much; 0: either side.
+  Angle position_window = Angle::degrees(0.01);  ///< Largest distance of the encoder from the command.
+  int window_polls = 3;                          ///< So many polls in a row must find it stopped and inside.
+  double poll_interval_s = 0.01;
+  double motion_timeout_s = 30.0;  ///< Longest wait for a move beyond the time its speed needs.
+  double homing_timeout_s = 120.0;
+  double settle_s = 5.0;           ///< From stopped to the first reading used.
+  double quiet_timeout_s = 10.0;   ///< Longest further wait for the accelerometer to be quiet; then flagged.
+  int dwell_readings = 1000;       ///< Readings averaged at one angle.
+  double mains_hz = 0.0;           ///< > 0: the dwell lasts a whole number of mains periods.
+  double reading_timeout_s = 2.0;  ///< So long without any reading means that the accelerometer is silent.
+  double warm_up_s = 0.0;          ///< Waited, with everything on, before the first angle.
+};
+
+/// What the program flags (`[limits]` of a bench file).
+struct LimitsConfig {
+  double max_lost_fraction = 0.5;  ///< More readings than this lost at one angle stops the run.
+  double temperature_min_degc = -1e9;
+  double temperature_max_degc = +1e9;
+};
+
+}  // namespace abcal

@@ -1,0 +1,97 @@
+#include "protocol/plan/rotation_plan.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <set>
+
+namespace abcal {
+namespace {
+
+Angle deg(double value) {
+  return Angle::degrees(value);
+}
+
+constexpr std::array<AxisTravel, 2> kWide{};
+
+TEST(RotationPlanTest, DrivesTheThreeExperimentsOfThePaperWithTheirInitialTurns) {
+  const auto plan = make_rotation_plan(ProtocolConfig{}, kWide);
+  ASSERT_EQ(plan.size(), 3U * 73U);
+  EXPECT_EQ(plan.front().x, deg(0));
+  EXPECT_EQ(plan.front().z, deg(0));
+  for (const PlannedAngle& angle : plan) {
+    const Angle held = angle.experiment == 3 ? angle.x : angle.z;
+    EXPECT_EQ(held, angle.experiment == 1 ? deg(0) : deg(-90));
+    const Angle turning = angle.experiment == 3 ? angle.z : angle.x;
+    EXPECT_DOUBLE_EQ(std::remainder(turning.deg() - angle.alpha.deg(), 360.0), 0.0);
+  }
+}
+
+TEST(RotationPlanTest, EndsEachExperimentWithAClosingAngleOneTurnOn) {
+  const auto plan = make_rotation_plan(ProtocolConfig{}, kWide);
+  EXPECT_TRUE(plan[72].closing);
+  EXPECT_EQ(plan[72].alpha, deg(360));
+  EXPECT_EQ(plan[72].x, deg(360));
+  EXPECT_FALSE(plan[71].closing);
+}
+
+TEST(RotationPlanTest, ReturnsToTheFirstAngleWhereTheTravelEndsBeforeAFullTurn) {
+  const auto plan = make_rotation_plan(ProtocolConfig{}, {AxisTravel{deg(-180), deg(180)}, AxisTravel{}});
+  EXPECT_TRUE(plan[72].closing);
+  EXPECT_EQ(plan[72].x, plan[0].x);
+  EXPECT_EQ(plan[72].n, plan[0].n);
+}
+
+TEST(RotationPlanTest, SweepsUpwardsInsideANarrowTravelWithRoomForTheApproach) {
+  const AxisTravel narrow{deg(-180), deg(180)};
+  const auto plan = make_rotation_plan(ProtocolConfig{}, {narrow, narrow});
+  std::set<int> seen;
+  Angle previous = deg(-1e9);
+  for (const PlannedAngle& angle : plan) {
+    if (angle.experiment != 1 || angle.closing) continue;
+    EXPECT_GE(angle.x, narrow.min + deg(1));
+    EXPECT_LE(angle.x, narrow.max);
+    EXPECT_GT(angle.x, previous);
+    previous = angle.x;
+    seen.insert(angle.n);
+  }
+  EXPECT_EQ(seen.size(), 72U);
+}
+
+TEST(RotationPlanTest, NamesEveryAngleThatTheTravelCannotReachOnBothAxes) {
+  try {
+    make_rotation_plan(ProtocolConfig{}, {AxisTravel{deg(-100), deg(100)}, AxisTravel{deg(0), deg(200)}});
+    FAIL();
+  } catch (const PlanError& error) {
+    EXPECT_EQ(error.problems().size(), 4U);  // X turning; Z turning; Z held at 0 (no room below) and at -90
+    EXPECT_THAT(error.what(), testing::HasSubstr("axis X"));
+    EXPECT_THAT(error.what(), testing::HasSubstr("105"));
+    EXPECT_THAT(error.what(), testing::HasSubstr("holds the axis at -90"));
+  }
+}
+
+TEST(RotationPlanTest, LetsTheDwellLastWholeMainsPeriods) {
+  ProtocolConfig config;
+  config.dwell_readings = 1000;
+  config.mains_hz = 60.0;
+  const int count = readings_per_dwell(config, 128.0);
+  EXPECT_GE(count, 1000);
+  EXPECT_NEAR(std::remainder(count / 128.0 * 60.0, 1.0), 0.0, 0.5 * 60.0 / 128.0);  // half a reading
+  config.mains_hz = 50.0;
+  EXPECT_EQ(readings_per_dwell(config, 100.0), 1000);
+}
+
+TEST(RotationPlanTest, EstimatesTheDurationFromSpeedSettleAndDwell) {
+  ProtocolConfig config;
+  config.approach = deg(0);
+  const auto plan = make_rotation_plan(config, kWide);
+  const PlanDuration duration = estimate_duration(plan, config, {20.0, 20.0}, 100.0);
+  EXPECT_DOUBLE_EQ(duration.settling_s, 219 * 5.0);
+  EXPECT_DOUBLE_EQ(duration.dwelling_s, 219 * 10.0);
+  // Exp 1: X to 360. Exp 2: X back, Z to -90, X to 360. Exp 3: X to -90, Z to 0, Z to 360.
+  EXPECT_DOUBLE_EQ(duration.moving_s, (360 + 360 + 90 + 360 + 450 + 90 + 360) / 20.0);
+}
+
+}  // namespace
+}  // namespace abcal
