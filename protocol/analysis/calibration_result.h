@@ -1,0 +1,152 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <limits>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace abcal {
+
+/// A value with its uncertainty and unit. NaN: not determined; a report prints no number for it. An absent
+/// part of the uncertainty was not evaluated, which is not the same as zero.
+struct Quantity {
+  double value = std::numeric_limits<double>::quiet_NaN();
+  /// type_a and type_b (those that are present) combined. NaN: none was evaluated.
+  double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
+  std::optional<double> type_a;  ///< From the scatter of the readings.
+  std::optional<double> type_b;  ///< From what is known of the stage and the instrument, to first order.
+  std::string unit;
+};
+
+/// Whether the numbers may be used. Starts pessimistic.
+enum class Verdict {
+  kNotUsable,  ///< No result: nothing may be read from the numbers.
+  kDoubtful,   ///< Solved, but something contradicts the model or the stated uncertainty.
+  kUsable,
+};
+
+/// "not_usable", "doubtful", "usable".
+std::string_view to_string(Verdict verdict);
+
+/// Order of the twelve outputs: s row by row (s_ux, s_uy, s_uz, s_vx, ... s_wz), then O_u, O_v, O_w.
+using Covariance12 = Eigen::Matrix<double, 12, 12>;
+/// Order of the nine outputs that do not depend on mounting: s_u, s_v, s_w, phi_uv, phi_vw, phi_wu, O_u, O_v,
+/// O_w.
+using Covariance9 = Eigen::Matrix<double, 9, 9>;
+
+/// One harmonic of the five-harmonic fit: sin_amplitude sin(order alpha) + cos_amplitude cos(order alpha).
+/// Order 0 has only cos_amplitude (the constant).
+struct Harmonic {
+  int order = 0;
+  Quantity sin_amplitude;
+  Quantity cos_amplitude;
+};
+
+/// One experiment seen by one accelerometer.
+struct FitDiagnostic {
+  int experiment = 0;               ///< 1, 2, 3
+  int accelerometer = 0;            ///< 0, 1, 2 = u, v, w
+  Quantity sine, cosine, constant;  ///< A, B, C of the one-harmonic fit (R).
+  int angles = 0;                   ///< Readings in the fit.
+  int degrees_of_freedom = 0;
+  double residual_rms = std::numeric_limits<double>::quiet_NaN();  ///< sqrt(sum of squares / angles), R.
+  std::optional<double> chi2;       ///< Absent where the readings carry no uncertainty.
+  std::vector<Harmonic> harmonics;  ///< Orders 0..5; empty where the angles cannot determine them.
+  double harmonics_residual_rms = std::numeric_limits<double>::quiet_NaN();  ///< R, of the five-harmonic fit.
+};
+
+/// One of the 15 combinations that vanish for a perfect stage (A1+B3, A2-A3, B1-B2, C1-C2, C2-C3).
+struct Closure {
+  std::string name;
+  int accelerometer = 0;  ///< 0, 1, 2 = u, v, w
+  Quantity value;         ///< R; its uncertainty covers readings (A) and tolerances (B).
+};
+
+/// Reading at the closing angle (360 degrees) minus reading at 0 degrees.
+struct ClosingDifference {
+  int experiment = 0;
+  int accelerometer = 0;
+  Quantity value;  ///< R
+};
+
+/// Dwells that carry one flag.
+struct FlagCount {
+  std::string flag;  ///< In words, as describe_flags says it.
+  int dwells = 0;
+};
+
+struct Diagnostics {
+  std::vector<FitDiagnostic> fits;  ///< 9: experiment by experiment, u v w in each. (norm: empty)
+  std::vector<Closure> closures;    ///< 15: u v w for each of the five names. (norm: empty)
+  std::vector<ClosingDifference> closing_differences;  ///< Empty where no closing angle was measured.
+  std::optional<double> chi2;  ///< Of the estimator's own fit; absent without readings' uncertainty.
+  int degrees_of_freedom = 0;
+  std::optional<double> chi2_probability;  ///< P(chi2 >= found) if the model is right.
+  double reciprocal_condition = 0.0;       ///< Of the (column-scaled) design, 0..1; worst of its fits.
+  int rank = 0;                            ///< Smallest rank of its fits (abc: 3 is full).
+  int angles_used = 0;                     ///< Dwells in the fit.
+  int angles_flagged = 0;
+  std::vector<FlagCount> flags;
+  std::vector<std::string> notes;  ///< Sentences that a reader should see beside the verdict.
+};
+
+/// What only the joint estimator gives (physics.md section 5).
+struct JointResult {
+  std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
+  std::array<Quantity, 2> initial_turn_error;  ///< d2, d3 (degree)
+  std::array<Quantity, 2> mean_step_error;     ///< F_X, F_Z (degree)
+  std::array<std::vector<Quantity>, 3>
+      step_error;                    ///< f_i(n) (degree): [i - 1][n - 1]; NaN where not measured.
+  std::array<Quantity, 3> drift;     ///< b_j (R over the run)
+  std::array<Quantity, 3> k2;        ///< 1/R; unit empty and value NaN where left out of the fit
+  std::array<Quantity, 3> k3;        ///< 1/R^2
+  bool nonlinearity_fitted = false;  ///< k2 and k3 were unknowns of the fit.
+  int iterations = 0;
+};
+
+/// What only the norm estimator gives.
+struct NormResult {
+  int poses = 0;  ///< Poses used.
+  int poses_left_out = 0;
+  double norm_rms = std::numeric_limits<double>::quiet_NaN();  ///< rms of |a|/g_loc - 1.
+  double sphere_coverage = 0.0;                                ///< 0..1: how well the poses cover the sphere.
+  std::string coverage_words;  ///< What is badly covered, in words; empty if nothing.
+};
+
+/// The result of one estimator on one run. Nothing is good by default.
+struct CalibrationResult {
+  std::string estimator;  ///< "abc", "joint", "norm"
+  Verdict verdict = Verdict::kNotUsable;
+  std::string why = "not analysed";  ///< One sentence: the reason for the verdict.
+  std::string source;                ///< The record it came from.
+  std::string response_unit = "R";
+  Quantity g_loc;  ///< m/s2; NaN: not known, sensitivities are per g_loc.
+  std::string g_loc_source;
+
+  /// R/g_loc, rows u v w, columns x y z of the LGCS at the default orientation. Absent for norm: no
+  /// orientation.
+  std::optional<std::array<std::array<Quantity, 3>, 3>> sensitivity_matrix;
+  std::array<Quantity, 3> offset;                 ///< R
+  std::array<Quantity, 3> intrinsic_sensitivity;  ///< R/g_loc
+  std::array<Quantity, 3> intrinsic_angle;        ///< uv, vw, wu (degree)
+
+  std::optional<Covariance12> covariance;  ///< Combined (A and B), R^2 (s in R/g_loc).
+  std::optional<Covariance12> covariance_type_a;
+  std::optional<Covariance12> covariance_type_b;
+  std::optional<Covariance9> covariance_intrinsic;  ///< Combined; phi in degrees.
+  std::optional<Covariance9> covariance_intrinsic_type_a;
+  std::optional<Covariance9> covariance_intrinsic_type_b;
+
+  Diagnostics diagnostics;
+  std::optional<JointResult> joint;
+  std::optional<NormResult> norm;
+
+  /// The values of sensitivity_matrix as numbers; NaN where there is none.
+  Eigen::Matrix3d sensitivity_values() const;
+  Eigen::Vector3d offset_values() const;
+};
+
+}  // namespace abcal

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <filesystem>
+#include <istream>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// One thing wrong with a file.
+struct CsvProblem {
+  int line = 0;      ///< 1 is the first line; 0: the file as a whole.
+  std::string text;  ///< What was found and what is required.
+};
+
+/// Every problem of a CSV at once. what() lists them, one a line, "FILE:LINE: problem".
+class CsvError : public std::runtime_error {
+ public:
+  CsvError(const std::string& source, std::vector<CsvProblem> problems);
+  const std::vector<CsvProblem>& problems() const { return problems_; }
+
+ private:
+  std::vector<CsvProblem> problems_;
+};
+
+/// Averaged readings of the three experiments from a CSV: `experiment,n,alpha_deg,r_u,r_v,r_w`, optional
+/// columns `u_u,u_v,u_w` (standard uncertainty of each mean, R), `time_s`, `count`, `temperature_degc`;
+/// columns in any order, others ignored; `#` begins a comment line; a `# response_unit: V` comment names R.
+/// RFC 4180 quotes; comma, or semicolon with decimal comma; LF or CRLF; a byte order mark is skipped. An
+/// alpha of 360 degrees beside an alpha of 0 in the same experiment is the closing angle. Missing angles are
+/// allowed: the analysis says whether the rest determines the fit. Tolerances are the defaults; encoder
+/// angles are absent.
+/// @throws CsvError with every problem: missing or repeated column, text in a number, not finite, repeated
+/// row,
+///         unknown experiment, too few angles in an experiment (3 are needed)
+/// @throws std::runtime_error the file cannot be read
+RunRecord import_csv(const std::filesystem::path& path);
+
+/// The same from a stream; `source` names it in messages.
+RunRecord import_csv(std::istream& input, const std::string& source);
+
+}  // namespace abcal
