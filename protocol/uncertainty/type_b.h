@@ -1,0 +1,109 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "protocol/plan/tolerances.h"
+#include "protocol/uncertainty/abc_design.h"
+#include "protocol/uncertainty/monte_carlo.h"
+#include "protocol/uncertainty/study_output.h"
+
+namespace abcal {
+
+/// The errors of the calibration system in one trial (physics.md sections 2 and 5).
+struct SystemErrors {
+  double zx = 0.0, zy = 0.0;       ///< Horizontal components of the Z axis at rest.
+  double xz = 0.0;                 ///< Vertical component of the X axis.
+  Angle turn_2, turn_3;            ///< d2, d3: errors of the initial -90 degree turns of experiments 2 and 3.
+  Angle mean_step_x, mean_step_z;  ///< F_X (experiments 1 and 2), F_Z (experiment 3).
+  /// Step errors f_i(n) of each experiment in order; empty: none.
+  std::array<std::vector<Angle>, 3> step;
+};
+
+/// An accelerometer under test: the platter's matrix before the tilt with Z (physics.md section 2).
+struct AccelerometerUnderTest {
+  Eigen::Matrix3d sensitivity_matrix = Eigen::Matrix3d::Identity();  ///< R/g_loc
+  Eigen::Vector3d offset = Eigen::Vector3d::Zero();                  ///< R
+};
+
+/// The accelerometer of the paper's Table 2.
+AccelerometerUnderTest table_2_accelerometer();
+
+/// How the step errors are drawn.
+enum class StepErrorModel {
+  kIndependent,  ///< Each f_i(n) ~ N(0, step) (the paper's Set ABC1).
+  kHarmonic,  ///< f_i(n) = sum over m = 1..N/2 of D_m sin(m alpha) + E_m cos(m alpha), D, E ~ N(0, step) (Eq.
+              ///< 14).
+};
+
+/// A type B study: what is drawn for every trial.
+struct TypeBStudy {
+  AbcDesign design = AbcDesign::uniform();
+  AccelerometerUnderTest accelerometer;
+  /// Above 0: a new accelerometer every trial, every element of s and O drawn with this standard deviation
+  /// around `accelerometer` (the paper: 0.1 around the ideal one).
+  double accelerometer_spread = 0.0;
+  Tolerances tolerances;  ///< drift is not drawn.
+  StepErrorModel step_errors = StepErrorModel::kIndependent;
+  std::uint64_t seed = 1;
+};
+
+/// The paper's tolerances: 0.008 degrees for alignment and step; the initial turns and the mean step errors
+/// exact.
+Tolerances paper_tolerances();
+
+/// Errors of one trial of given system errors: estimate of the ABC analysis minus truth, where truth is the
+/// tilted matrix at rest. The same arithmetic as TypeBSampler.
+/// @throws std::invalid_argument if a list of step errors is neither empty nor as long as its experiment.
+StudyOutput abc_errors(const AbcDesign& design, const AccelerometerUnderTest& accelerometer,
+                       const SystemErrors& errors);
+
+/// The inputs of one trial of a study: what TypeBSampler draws, one by one, for checks and for examples.
+struct TypeBDraw {
+  AccelerometerUnderTest accelerometer;
+  SystemErrors errors;
+};
+TypeBDraw type_b_draw(const TypeBStudy& study, std::uint64_t trial);
+
+/// Makes blocks of trials of a study: a whole simulated calibration each, in about a microsecond. Vector code
+/// chosen at run time (Highway); one trial per lane and no fused operations, so every processor gives the
+/// same bits.
+class TypeBSampler {
+ public:
+  /// @throws std::invalid_argument for a tolerance that is negative, not finite, or above 4 degrees (0.5
+  /// degrees for the harmonic model), and for an accelerometer that is not finite or has a row of zeros.
+  explicit TypeBSampler(TypeBStudy study);
+
+  /// A TrialBlock: errors (estimate minus truth) of the 18 outputs; angles in degrees.
+  void operator()(std::uint64_t first, std::size_t count, double* out) const;
+
+  const TypeBStudy& study() const { return study_; }
+
+  /// Layout shared with the vector code.
+  struct Plan {
+    std::array<std::uint32_t, 3> angles{};
+    // Each experiment: sin alpha, cos alpha, w_A, w_B, w_C of angle n, one after the other.
+    std::array<std::vector<double>, 3> table;
+    // Each experiment: A, B, C of cos alpha and of sin alpha, without step errors.
+    std::array<std::array<double, 6>, 3> nominal{};
+    std::array<double, 12> accelerometer{};  // s row by row, O
+    double spread = 0.0;
+    double alignment = 0.0, step = 0.0, turn = 0.0, zero = 0.0;  // 1, rad
+    bool harmonic = false;
+    std::uint64_t seed = 1;
+  };
+
+ private:
+  TypeBStudy study_;
+  Plan plan_;
+};
+
+/// Runs a type B study.
+MonteCarloResult run_type_b(const TypeBStudy& study, const MonteCarloOptions& options);
+
+/// Name of the vector instruction set that the sampler uses on this machine ("AVX2", ...).
+const char* vector_target();
+
+}  // namespace abcal
