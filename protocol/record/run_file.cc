@@ -1,0 +1,524 @@
+#include "protocol/record/run_file.h"
+
+#include <fcntl.h>
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+#include <openssl/evp.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <system_error>
+#include <utility>
+
+namespace abcal {
+namespace {
+
+constexpr std::int64_t kApplicationId = 0x4142434C;  // "ABCL"
+constexpr std::int64_t kSchemaVersion = 1;
+constexpr std::string_view kSqliteMagic{"SQLite format 3\0", 16};
+
+constexpr const char* kSchema = R"(
+create table meta(key text primary key, value text not null) without rowid;
+create table instrument(role text primary key, maker text, model text, serial_number text, firmware text,
+                        details text) without rowid;
+create table plan(position integer primary key, experiment integer, n integer, closing integer, alpha_deg real,
+                  x_deg real, z_deg real);
+create table dwell(id integer primary key, position integer not null references plan, experiment integer, n integer,
+                   closing integer, alpha_deg real, commanded_x_deg real, commanded_z_deg real, encoder_x_deg real,
+                   encoder_z_deg real, time_s real, settle_s real, count integer, lost integer,
+                   r_u real, r_v real, r_w real, spread_u real, spread_v real, spread_w real,
+                   u_u real, u_v real, u_w real, temperature_degc real, flags integer, flag_words text);
+create table reading(dwell integer not null references dwell, k integer not null, sequence integer, time_s real,
+                     u real, v real, w real, temperature_degc real, primary key(dwell, k)) without rowid;
+create table environment(id integer primary key, utc text, moment text, temperature_degc real,
+                         humidity_percent real, pressure_hpa real);
+create table event(id integer primary key, utc text, kind text, text text);
+)";
+
+/// The latest dwell of each planned angle: a repeated angle is a new row, the old one stays.
+constexpr const char* kLatestDwells =
+    "select position, experiment, n, closing, alpha_deg, commanded_x_deg, commanded_z_deg, encoder_x_deg,"
+    " encoder_z_deg, time_s, settle_s, count, lost, r_u, r_v, r_w, spread_u, spread_v, spread_w, u_u, u_v, "
+    "u_w,"
+    " temperature_degc, flags from dwell where id in (select max(id) from dwell group by position) order by "
+    "id";
+
+std::string number(double value) {
+  return fmt::format("{}", value);
+}
+
+class WriterLock {
+ public:
+  explicit WriterLock(const std::filesystem::path& path) : fd_(::open(path.c_str(), O_RDONLY | O_CLOEXEC)) {
+    if (fd_ < 0 || ::flock(fd_, LOCK_EX | LOCK_NB) != 0) {
+      const int error = errno;
+      if (fd_ >= 0) ::close(fd_);
+      throw RunFileError(path.string() + (error == EWOULDBLOCK
+                                              ? ": another abcal is writing this run; wait for it or stop it"
+                                              : ": cannot be locked: " + std::string(std::strerror(error))));
+    }
+  }
+  WriterLock(const WriterLock&) = delete;
+  WriterLock& operator=(const WriterLock&) = delete;
+  ~WriterLock() { ::close(fd_); }
+
+ private:
+  int fd_;
+};
+
+/// Opens a run file and refuses what is not one.
+SqliteDatabase open_checked(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
+  std::error_code error;
+  if (!std::filesystem::exists(path, error)) throw RunFileError(path.string() + ": no such file");
+  if (!std::filesystem::is_regular_file(path, error)) throw RunFileError(path.string() + ": not a file");
+  if (::access(path.c_str(), R_OK) != 0) throw RunFileError(path.string() + ": cannot be read by this user");
+  if (std::filesystem::file_size(path, error) == 0)
+    throw RunFileError(path.string() + ": is empty, not a run file");
+  if (!RunFile::looks_like_run_file(path)) {
+    throw RunFileError(path.string() + ": is not a run file (it does not begin as an SQLite file does)");
+  }
+  SqliteDatabase database(path, mode);
+  const std::string application = database.value("pragma application_id").value_or("");
+  if (application != std::to_string(kApplicationId)) {
+    throw RunFileError(path.string() + ": is an SQLite file of another program (application id " +
+                       application + ", a run file has " + std::to_string(kApplicationId) + ")");
+  }
+  const std::string version = database.value("pragma user_version").value_or("0");
+  if (std::stoll(version) > kSchemaVersion) {
+    throw RunFileError(path.string() + ": was written by a newer abcal (run file version " + version +
+                       ", this program reads up to " + std::to_string(kSchemaVersion) + "); update abcal");
+  }
+  if (const auto verdict = database.value("pragma quick_check(1)"); verdict != "ok") {
+    throw RunFileError(path.string() + ": is damaged or cut short (" + verdict.value_or("no answer") +
+                       "); restore it from a copy");
+  }
+  return database;
+}
+
+RunState state_from(const std::string& word) {
+  for (const RunState state :
+       {RunState::kRunning, RunState::kInterrupted, RunState::kComplete, RunState::kAbandoned}) {
+    if (word == to_string(state)) return state;
+  }
+  throw RunFileError("a run in the state \"" + word + "\", which this program does not know");
+}
+
+}  // namespace
+
+std::string format_utc(Clock::UtcTime time) {
+  const auto milliseconds = std::chrono::floor<std::chrono::milliseconds>(time);
+  const auto seconds = std::chrono::floor<std::chrono::seconds>(milliseconds);
+  return fmt::format("{:%FT%T}.{:03d}Z", fmt::gmtime(std::chrono::system_clock::to_time_t(seconds)),
+                     (milliseconds - seconds).count());
+}
+
+std::string_view to_string(RunState state) {
+  switch (state) {
+    case RunState::kRunning:
+      return "running";
+    case RunState::kInterrupted:
+      return "interrupted";
+    case RunState::kComplete:
+      return "complete";
+    case RunState::kAbandoned:
+      return "abandoned";
+  }
+  return "unknown";
+}
+
+struct RunFile::Impl {
+  Impl(std::filesystem::path file, SqliteDatabase opened)
+      : path(std::move(file)), lock(path), database(std::move(opened)) {
+    // Commits reach the disk before they return: an angle that is in the file survives a power cut.
+    database.execute("pragma journal_mode=wal; pragma synchronous=full");
+  }
+
+  void set_meta(std::string_view key, std::string_view value) {
+    database.prepare("insert or replace into meta values(?,?)").bind(1, key).bind(2, value).run();
+  }
+
+  void set_timing(const RunTiming& timing) {
+    set_meta("timing.moving_s", number(timing.moving_s));
+    set_meta("timing.settling_s", number(timing.settling_s));
+    set_meta("timing.dwelling_s", number(timing.dwelling_s));
+    set_meta("timing.overhead_s", number(timing.overhead_s));
+  }
+
+  std::filesystem::path path;
+  WriterLock lock;  // Outlives the database: closing any descriptor of the file drops SQLite's own locks.
+  SqliteDatabase database;
+};
+
+namespace {
+/// A transaction that is rolled back unless it is committed.
+class Transaction {
+ public:
+  explicit Transaction(SqliteDatabase& database) : database_(database) {
+    database_.execute("begin immediate");
+  }
+  Transaction(const Transaction&) = delete;
+  Transaction& operator=(const Transaction&) = delete;
+  ~Transaction() {
+    if (committed_) return;
+    try {
+      database_.execute("rollback");
+    } catch (const RunFileError&) {
+      // SQLite has rolled back by itself already (a full disk does that); the first error is the one to
+      // report.
+    }
+  }
+  void commit() {
+    database_.execute("commit");
+    committed_ = true;
+  }
+
+ private:
+  SqliteDatabase& database_;
+  bool committed_ = false;
+};
+}  // namespace
+
+RunFile::RunFile(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+RunFile::RunFile(RunFile&&) noexcept = default;
+RunFile& RunFile::operator=(RunFile&&) noexcept = default;
+RunFile::~RunFile() = default;
+
+const std::filesystem::path& RunFile::path() const {
+  return impl_->path;
+}
+
+bool RunFile::looks_like_run_file(const std::filesystem::path& path) {
+  std::array<char, kSqliteMagic.size()> head{};
+  std::ifstream file(path, std::ios::binary);
+  file.read(head.data(), static_cast<std::streamsize>(head.size()));
+  return std::string_view(head.data(), static_cast<std::size_t>(file.gcount())) == kSqliteMagic;
+}
+
+RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& header) {
+  // O_EXCL: two programs that are started at once cannot both believe the file is theirs.
+  const int fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
+  if (fd < 0) {
+    if (errno == EEXIST) {
+      throw RunFileError(path.string() +
+                         ": exists already; a run is never overwritten: choose another name with -o");
+    }
+    throw RunFileError(path.string() + ": cannot be created: " + std::strerror(errno));
+  }
+  ::close(fd);
+  try {
+    auto impl = std::make_unique<Impl>(path, SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite));
+    Transaction transaction(impl->database);
+    impl->database.execute(
+        fmt::format("pragma application_id={}; pragma user_version={};", kApplicationId, kSchemaVersion));
+    impl->database.execute(kSchema);
+    const std::map<std::string, std::string> meta{
+        {"schema", "abcal.run/1"},
+        {"state", std::string(to_string(RunState::kRunning))},
+        {"program_version", header.program_version},
+        {"created_utc", header.created_utc},
+        {"bench_toml", header.bench_toml},
+        {"response_unit", header.response_unit},
+        {"g_loc.value_mps2", number(header.g_loc.value_mps2)},
+        {"g_loc.expanded_uncertainty_mps2", number(header.g_loc.expanded_uncertainty_mps2)},
+        {"g_loc.coverage_factor", number(header.g_loc.coverage_factor)},
+        {"g_loc.source", header.g_loc.source},
+        {"tolerances.alignment_deg", number(header.tolerances.alignment.deg())},
+        {"tolerances.step_deg", number(header.tolerances.step.deg())},
+        {"tolerances.initial_turn_deg", number(header.tolerances.initial_turn.deg())},
+        {"tolerances.zero_deg", number(header.tolerances.zero.deg())},
+        {"tolerances.drift", number(header.tolerances.drift)},
+        {"protocol.step_deg", number(header.step.deg())},
+        {"protocol.steps", std::to_string(header.steps)},
+    };
+    for (const auto& [key, value] : meta) impl->set_meta(key, value);
+    for (const auto& [key, value] : header.labels) impl->set_meta("label." + key, value);
+    impl->set_timing({});
+    SqliteStatement instrument = impl->database.prepare("insert into instrument values(?,?,?,?,?,?)");
+    for (const InstrumentIdentity& identity : header.instruments) {
+      instrument.bind(1, std::string_view(identity.role))
+          .bind(2, std::string_view(identity.maker))
+          .bind(3, std::string_view(identity.model))
+          .bind(4, std::string_view(identity.serial_number))
+          .bind(5, std::string_view(identity.firmware))
+          .bind(6, std::string_view(identity.details))
+          .run();
+    }
+    SqliteStatement plan = impl->database.prepare("insert into plan values(?,?,?,?,?,?,?)");
+    for (std::size_t position = 0; position < header.plan.size(); ++position) {
+      const PlannedAngle& angle = header.plan[position];
+      plan.bind(1, static_cast<std::int64_t>(position))
+          .bind(2, std::int64_t{angle.experiment})
+          .bind(3, std::int64_t{angle.n})
+          .bind(4, std::int64_t{angle.closing})
+          .bind(5, angle.alpha.deg())
+          .bind(6, angle.x.deg())
+          .bind(7, angle.z.deg())
+          .run();
+    }
+    transaction.commit();
+    return RunFile(std::move(impl));
+  } catch (...) {
+    // Nothing half-written stays behind: this file holds no measurement yet.
+    std::error_code ignored;
+    for (const char* suffix : {"", "-wal", "-shm"}) std::filesystem::remove(path.string() + suffix, ignored);
+    throw;
+  }
+}
+
+RunFile RunFile::open_for_append(const std::filesystem::path& path) {
+  auto impl = std::make_unique<Impl>(path, open_checked(path, SqliteDatabase::Mode::kReadWrite));
+  const RunState state =
+      state_from(impl->database.value("select value from meta where key='state'").value_or(""));
+  if (state == RunState::kComplete || state == RunState::kAbandoned) {
+    throw RunFileError(path.string() + ": this run is " + std::string(to_string(state)) +
+                       "; a closed run cannot be resumed or changed");
+  }
+  return RunFile(std::move(impl));
+}
+
+void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
+                           std::span<const StoredReading> readings, const RunTiming& timing) {
+  SqliteDatabase& database = impl_->database;
+  Transaction transaction(database);
+  const auto angle = [](const std::optional<Angle>& a) { return a ? std::optional(a->deg()) : std::nullopt; };
+  SqliteStatement row =
+      database.prepare("insert into dwell values(null,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)");
+  int column = 0;
+  row.bind(++column, static_cast<std::int64_t>(plan_position))
+      .bind(++column, std::int64_t{dwell.experiment})
+      .bind(++column, std::int64_t{dwell.n})
+      .bind(++column, std::int64_t{dwell.closing})
+      .bind(++column, dwell.alpha.deg())
+      .bind(++column, dwell.commanded_x.deg())
+      .bind(++column, dwell.commanded_z.deg())
+      .bind(++column, angle(dwell.encoder_x))
+      .bind(++column, angle(dwell.encoder_z))
+      .bind(++column, dwell.time_s)
+      .bind(++column, dwell.settle_time_s)
+      .bind(++column, dwell.count)
+      .bind(++column, dwell.lost);
+  for (const double value : dwell.mean) row.bind(++column, value);
+  for (const double value : dwell.spread) row.bind(++column, value);
+  for (int j = 0; j < 3; ++j) {
+    row.bind(++column, dwell.u_mean ? std::optional((*dwell.u_mean)[j]) : std::nullopt);
+  }
+  row.bind(++column, dwell.temperature_degc)
+      .bind(++column, std::int64_t{dwell.flags})
+      .bind(++column, std::string_view(describe_flags(dwell.flags)))
+      .run();
+  const std::int64_t id = database.last_row_id();
+  SqliteStatement reading_row = database.prepare("insert into reading values(?,?,?,?,?,?,?,?)");
+  for (std::size_t k = 0; k < readings.size(); ++k) {
+    const StoredReading& reading = readings[k];
+    reading_row.bind(1, id)
+        .bind(2, static_cast<std::int64_t>(k))
+        .bind(3, static_cast<std::int64_t>(reading.sequence))
+        .bind(4, reading.time_s)
+        .bind(5, reading.output[0])
+        .bind(6, reading.output[1])
+        .bind(7, reading.output[2])
+        .bind(8, reading.temperature_degc)
+        .run();
+  }
+  impl_->set_timing(timing);
+  transaction.commit();
+}
+
+void RunFile::append_event(const std::string& utc, std::string_view kind, std::string_view text) {
+  impl_->database.prepare("insert into event values(null,?,?,?)")
+      .bind(1, std::string_view(utc))
+      .bind(2, kind)
+      .bind(3, text)
+      .run();
+}
+
+void RunFile::append_environment(const std::string& utc, std::string_view when,
+                                 std::optional<double> temperature_degc,
+                                 std::optional<double> humidity_percent, std::optional<double> pressure_hpa) {
+  impl_->database.prepare("insert into environment values(null,?,?,?,?,?)")
+      .bind(1, std::string_view(utc))
+      .bind(2, when)
+      .bind(3, temperature_degc)
+      .bind(4, humidity_percent)
+      .bind(5, pressure_hpa)
+      .run();
+}
+
+void RunFile::set_state(RunState state, const std::string& utc, std::string_view why) {
+  Transaction transaction(impl_->database);
+  impl_->set_meta("state", to_string(state));
+  append_event(utc, to_string(state), why);
+  transaction.commit();
+}
+
+std::string RunFile::close_complete(const std::string& utc) {
+  set_state(RunState::kComplete, utc, "all angles measured");
+  impl_->database.execute("pragma wal_checkpoint(truncate)");
+  impl_->database.execute("pragma journal_mode=delete");
+  const std::filesystem::path path = impl_->path;
+  impl_.reset();
+  using std::filesystem::perms;
+  std::filesystem::permissions(path, perms::owner_write | perms::group_write | perms::others_write,
+                               std::filesystem::perm_options::remove);
+  return sha256_of_file(path);
+}
+
+StoredRun RunFile::load(const std::filesystem::path& path) {
+  // A run that is being written, or whose program died, has a -wal beside it, which a read-only connection
+  // can use too where its -shm may be written; a closed run is a single file.
+  SqliteDatabase database = open_checked(path, SqliteDatabase::Mode::kReadOnly);
+  std::map<std::string, std::string> meta;
+  SqliteStatement meta_rows = database.prepare("select key, value from meta");
+  while (meta_rows.step()) meta[meta_rows.text(0)] = meta_rows.text(1);
+  const auto text = [&](const std::string& key) {
+    const auto found = meta.find(key);
+    if (found == meta.end())
+      throw RunFileError(path.string() + ": meta \"" + key + "\" is missing; the file is damaged");
+    return found->second;
+  };
+  const auto real = [&](const std::string& key) {
+    const std::string value = text(key);
+    try {
+      return std::stod(value);
+    } catch (const std::exception&) {
+      throw RunFileError(path.string() + ": meta \"" + key + "\" is \"" + value + "\", not a number");
+    }
+  };
+
+  StoredRun run;
+  run.state = state_from(text("state"));
+  RunHeader& header = run.header;
+  header.program_version = text("program_version");
+  header.created_utc = text("created_utc");
+  header.bench_toml = text("bench_toml");
+  header.response_unit = text("response_unit");
+  header.g_loc = {real("g_loc.value_mps2"), real("g_loc.expanded_uncertainty_mps2"),
+                  real("g_loc.coverage_factor"), text("g_loc.source")};
+  header.tolerances = {Angle::degrees(real("tolerances.alignment_deg")),
+                       Angle::degrees(real("tolerances.step_deg")),
+                       Angle::degrees(real("tolerances.initial_turn_deg")),
+                       Angle::degrees(real("tolerances.zero_deg")), real("tolerances.drift")};
+  header.step = Angle::degrees(real("protocol.step_deg"));
+  header.steps = static_cast<int>(real("protocol.steps"));
+  run.timing = {real("timing.moving_s"), real("timing.settling_s"), real("timing.dwelling_s"),
+                real("timing.overhead_s")};
+  constexpr std::string_view kLabel = "label.";
+  for (const auto& [key, value] : meta) {
+    if (key.starts_with(kLabel)) header.labels[key.substr(kLabel.size())] = value;
+  }
+  SqliteStatement instruments =
+      database.prepare("select role, maker, model, serial_number, firmware, details from instrument");
+  while (instruments.step()) {
+    header.instruments.push_back({instruments.text(0), instruments.text(1), instruments.text(2),
+                                  instruments.text(3), instruments.text(4), instruments.text(5)});
+  }
+  SqliteStatement plan =
+      database.prepare("select experiment, n, closing, alpha_deg, x_deg, z_deg from plan order by position");
+  while (plan.step()) {
+    header.plan.push_back({static_cast<int>(plan.integer(0)), static_cast<int>(plan.integer(1)),
+                           plan.integer(2) != 0, Angle::degrees(plan.real(3)), Angle::degrees(plan.real(4)),
+                           Angle::degrees(plan.real(5))});
+  }
+
+  RunRecord& record = run.record;
+  record.source = path.string();
+  record.response_unit = header.response_unit;
+  record.g_loc = header.g_loc;
+  record.g_loc_known = true;
+  record.tolerances = header.tolerances;
+  record.step = header.step;
+  record.steps = header.steps;
+  const auto angle = [](const std::optional<double>& degrees) {
+    return degrees ? std::optional(Angle::degrees(*degrees)) : std::nullopt;
+  };
+  const auto or_nan = [](const std::optional<double>& value) {
+    return value.value_or(std::numeric_limits<double>::quiet_NaN());
+  };
+  SqliteStatement dwells = database.prepare(kLatestDwells);
+  while (dwells.step()) {
+    run.measured.push_back(static_cast<std::size_t>(dwells.integer(0)));
+    DwellRecord dwell;
+    dwell.experiment = static_cast<int>(dwells.integer(1));
+    dwell.n = static_cast<int>(dwells.integer(2));
+    dwell.closing = dwells.integer(3) != 0;
+    dwell.alpha = Angle::degrees(dwells.real(4));
+    dwell.commanded_x = Angle::degrees(dwells.real(5));
+    dwell.commanded_z = Angle::degrees(dwells.real(6));
+    dwell.encoder_x = angle(dwells.optional_real(7));
+    dwell.encoder_z = angle(dwells.optional_real(8));
+    dwell.time_s = dwells.optional_real(9);
+    dwell.settle_time_s = dwells.real(10);
+    dwell.count = dwells.integer(11);
+    dwell.lost = dwells.integer(12);
+    for (int j = 0; j < 3; ++j) {
+      dwell.mean[j] = or_nan(dwells.optional_real(13 + j));
+      dwell.spread[j] = or_nan(dwells.optional_real(16 + j));
+    }
+    if (dwells.optional_real(19)) {
+      dwell.u_mean = Eigen::Vector3d(dwells.real(19), or_nan(dwells.optional_real(20)),
+                                     or_nan(dwells.optional_real(21)));
+    }
+    dwell.temperature_degc = dwells.optional_real(22);
+    dwell.flags = static_cast<std::uint32_t>(dwells.integer(23));
+    record.dwells.push_back(dwell);
+  }
+  SqliteStatement events = database.prepare("select utc, kind, text from event order by id");
+  while (events.step()) run.events.push_back({events.text(0), events.text(1), events.text(2)});
+  return run;
+}
+
+std::string sha256_of_file(const std::filesystem::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw RunFileError(path.string() + ": cannot be read to compute its hash");
+  const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(), &EVP_MD_CTX_free);
+  EVP_DigestInit_ex(context.get(), EVP_sha256(), nullptr);
+  std::array<char, 1 << 16> buffer;
+  while (file.read(buffer.data(), static_cast<std::streamsize>(buffer.size())), file.gcount() > 0) {
+    EVP_DigestUpdate(context.get(), buffer.data(), static_cast<std::size_t>(file.gcount()));
+  }
+  std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
+  unsigned length = 0;
+  EVP_DigestFinal_ex(context.get(), digest.data(), &length);
+  std::string text;
+  for (unsigned k = 0; k < length; ++k) text += fmt::format("{:02x}", digest[k]);
+  return text;
+}
+
+std::filesystem::path ResultsFile::path_beside(const std::filesystem::path& run_path) {
+  return run_path.string() + ".results";
+}
+
+ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256)
+    : database_(path_beside(run_path), SqliteDatabase::Mode::kCreate) {
+  database_.execute(
+      "pragma synchronous=full;"
+      "create table if not exists run(sha256 text primary key) without rowid;"
+      "create table if not exists analysis(id integer primary key, utc text, program_version text, estimator "
+      "text,"
+      " result_json text)");
+  if (const auto stored = database_.value("select sha256 from run"); stored && *stored != run_sha256) {
+    throw RunFileError(path_beside(run_path).string() + ": belongs to a run with SHA-256 " + *stored +
+                       ", but " + run_path.string() + " has " + run_sha256 + ": one of the two was changed");
+  }
+  database_.prepare("insert or ignore into run values(?)").bind(1, std::string_view(run_sha256)).run();
+}
+
+void ResultsFile::add_analysis(const std::string& utc, std::string_view program_version,
+                               std::string_view estimator, std::string_view result_json) {
+  database_
+      .prepare(
+          "insert into analysis(utc, program_version, estimator, result_json) select ?1,?2,?3,?4 where not "
+          "exists"
+          "(select 1 from analysis where program_version=?2 and estimator=?3 and result_json=?4)")
+      .bind(1, std::string_view(utc))
+      .bind(2, program_version)
+      .bind(3, estimator)
+      .bind(4, result_json)
+      .run();
+}
+
+}  // namespace abcal

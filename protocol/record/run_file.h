@@ -1,0 +1,149 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "drivers/instrument/clock.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_record.h"
+#include "protocol/record/sqlite.h"
+
+namespace abcal {
+
+/// "2026-03-01T12:00:00.000Z".
+std::string format_utc(Clock::UtcTime time);
+
+/// Who an instrument said it was.
+struct InstrumentIdentity {
+  std::string role;  ///< "stage", "accelerometer".
+  std::string maker, model, serial_number, firmware;
+  std::string details;  ///< Travel, rate and so on, in words.
+};
+
+enum class RunState {
+  kRunning,      ///< Being measured now, or the program died.
+  kInterrupted,  ///< Ctrl-C or a fault; can be resumed.
+  kComplete,     ///< Closed.
+  kAbandoned,    ///< Closed without being complete.
+};
+std::string_view to_string(RunState state);
+
+/// Where the time of a run went, in seconds.
+struct RunTiming {
+  double moving_s = 0.0;
+  double settling_s = 0.0;
+  double dwelling_s = 0.0;
+  double overhead_s = 0.0;  ///< Commits, start-up: no motion, settling or dwell was pending.
+  double total_s() const { return moving_s + settling_s + dwelling_s + overhead_s; }
+};
+
+/// What is known before the first angle.
+struct RunHeader {
+  std::string program_version;
+  std::string created_utc;
+  std::string bench_toml;                     ///< The bench file with every default written out.
+  std::map<std::string, std::string> labels;  ///< "item.serial_number", "operator.name", ...
+  std::vector<InstrumentIdentity> instruments;
+  std::string response_unit = "R";
+  LocalGravity g_loc;
+  Tolerances tolerances;
+  Angle step = Angle::degrees(5.0);
+  int steps = 72;
+  std::vector<PlannedAngle> plan;
+};
+
+/// One reading as it is stored.
+struct StoredReading {
+  std::uint64_t sequence = 0;
+  double time_s = 0.0;                               ///< Arrival, from the start of the run.
+  Eigen::Vector3d output = Eigen::Vector3d::Zero();  ///< R
+  std::optional<double> temperature_degc;
+};
+
+struct RunEvent {
+  std::string utc;
+  std::string kind;  ///< "started", "interrupted", "flag", ...
+  std::string text;
+};
+
+/// All that a run file holds but the single readings.
+struct StoredRun {
+  RunHeader header;
+  RunState state = RunState::kInterrupted;
+  RunTiming timing;
+  RunRecord record;
+  std::vector<std::size_t> measured;  ///< Positions in header.plan that have a dwell.
+  std::vector<RunEvent> events;
+};
+
+/// A run on disk: one SQLite file (docs/run_file.md), append-only, each angle committed before the next move.
+/// One writer at a time (a lock on the file); readers at any time. All functions throw RunFileError.
+class RunFile {
+ public:
+  /// Creates a new file. Refuses one that exists: a run is never overwritten.
+  static RunFile create(const std::filesystem::path& path, const RunHeader& header);
+
+  /// Opens an interrupted run to go on with it. Refuses a closed one, and one that another process is
+  /// writing.
+  static RunFile open_for_append(const std::filesystem::path& path);
+
+  /// Reads a run in any state.
+  static StoredRun load(const std::filesystem::path& path);
+
+  /// Whether a file is SQLite at all, so that a run file and a CSV can be told apart.
+  static bool looks_like_run_file(const std::filesystem::path& path);
+
+  RunFile(RunFile&&) noexcept;
+  RunFile& operator=(RunFile&&) noexcept;
+  ~RunFile();
+
+  /// Commits one angle with its readings and the time spent so far; on return it is on the disk.
+  void append_dwell(std::size_t plan_position, const DwellRecord& dwell,
+                    std::span<const StoredReading> readings, const RunTiming& timing);
+  void append_event(const std::string& utc, std::string_view kind, std::string_view text);
+  void append_environment(const std::string& utc, std::string_view when,
+                          std::optional<double> temperature_degc, std::optional<double> humidity_percent,
+                          std::optional<double> pressure_hpa);
+
+  /// Sets the state and says why in an event.
+  void set_state(RunState state, const std::string& utc, std::string_view why);
+
+  /// Closes a complete run: state, checkpoint, one single file again, read-only.
+  /// @return SHA-256 of the closed file's bytes, in hexadecimal.
+  std::string close_complete(const std::string& utc);
+
+  const std::filesystem::path& path() const;
+
+ private:
+  struct Impl;
+  explicit RunFile(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+/// SHA-256 of a file's bytes, in hexadecimal.
+std::string sha256_of_file(const std::filesystem::path& path);
+
+/// `RUN.results`, beside the run: analyses, approvals and reports. Rows are only ever added.
+class ResultsFile {
+ public:
+  /// Opens or creates the results of a run; they name the hash of the closed run they belong to.
+  ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256);
+
+  /// Stores an analysis unless the very same one is there already.
+  void add_analysis(const std::string& utc, std::string_view program_version, std::string_view estimator,
+                    std::string_view result_json);
+
+  static std::filesystem::path path_beside(const std::filesystem::path& run_path);
+
+ private:
+  SqliteDatabase database_;
+};
+
+}  // namespace abcal

@@ -1,0 +1,120 @@
+#include "protocol/record/sqlite.h"
+
+#include <cmath>
+
+namespace abcal {
+
+std::string explain_sqlite_error(const std::string& file, int code, std::string_view message) {
+  std::string text = file + ": " + std::string(message);
+  switch (code & 0xFF) {
+    case SQLITE_FULL:
+      return text + "; the disk is full: free some space, then go on with `abcal resume`";
+    case SQLITE_IOERR:
+      return text + "; the disk did not take or give the bytes: check its space and health";
+    case SQLITE_READONLY:
+    case SQLITE_PERM:
+      return text + "; the file or its folder cannot be written by this user";
+    case SQLITE_CANTOPEN:
+      return text + "; check that the folder exists and may be written";
+    case SQLITE_BUSY:
+    case SQLITE_LOCKED:
+      return text + "; another program is using the file";
+    case SQLITE_NOTADB:
+      return text + "; this is not a run file";
+    case SQLITE_CORRUPT:
+      return text + "; the file is damaged or cut short: restore it from a copy";
+    default:
+      return text + " (SQLite code " + std::to_string(code) + ")";
+  }
+}
+
+SqliteStatement::SqliteStatement(sqlite3* database, const std::string& file, std::string_view sql)
+    : database_(database), file_(file) {
+  sqlite3_stmt* statement = nullptr;
+  check(sqlite3_prepare_v2(database, sql.data(), static_cast<int>(sql.size()), &statement, nullptr));
+  handle_.reset(statement);
+}
+
+void SqliteStatement::check(int code) const {
+  if (code != SQLITE_OK && code != SQLITE_ROW && code != SQLITE_DONE) {
+    throw RunFileError(explain_sqlite_error(file_, code, sqlite3_errmsg(database_)));
+  }
+}
+
+SqliteStatement& SqliteStatement::bind(int position, std::int64_t value) {
+  check(sqlite3_bind_int64(handle_.get(), position, value));
+  return *this;
+}
+
+SqliteStatement& SqliteStatement::bind(int position, double value) {
+  check(std::isfinite(value) ? sqlite3_bind_double(handle_.get(), position, value)
+                             : sqlite3_bind_null(handle_.get(), position));
+  return *this;
+}
+
+SqliteStatement& SqliteStatement::bind(int position, std::string_view value) {
+  check(sqlite3_bind_text(handle_.get(), position, value.data(), static_cast<int>(value.size()),
+                          SQLITE_TRANSIENT));
+  return *this;
+}
+
+SqliteStatement& SqliteStatement::bind(int position, const std::optional<double>& value) {
+  if (value) return bind(position, *value);
+  check(sqlite3_bind_null(handle_.get(), position));
+  return *this;
+}
+
+bool SqliteStatement::step() {
+  const int code = sqlite3_step(handle_.get());
+  check(code);
+  return code == SQLITE_ROW;
+}
+
+void SqliteStatement::run() {
+  step();
+  reset();
+}
+
+void SqliteStatement::reset() {
+  sqlite3_reset(handle_.get());
+  sqlite3_clear_bindings(handle_.get());
+}
+
+std::optional<double> SqliteStatement::optional_real(int column) const {
+  if (sqlite3_column_type(handle_.get(), column) == SQLITE_NULL) return std::nullopt;
+  return real(column);
+}
+
+std::string SqliteStatement::text(int column) const {
+  const unsigned char* bytes = sqlite3_column_text(handle_.get(), column);
+  if (bytes == nullptr) return {};
+  return {reinterpret_cast<const char*>(bytes),
+          static_cast<std::size_t>(sqlite3_column_bytes(handle_.get(), column))};
+}
+
+SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : file_(path.string()) {
+  const int flags = mode == Mode::kReadOnly    ? SQLITE_OPEN_READONLY
+                    : mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
+                                               : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
+  sqlite3* database = nullptr;
+  const int code = sqlite3_open_v2(file_.c_str(), &database, flags, nullptr);
+  handle_.reset(database);
+  if (code != SQLITE_OK) {
+    throw RunFileError(
+        explain_sqlite_error(file_, code, database != nullptr ? sqlite3_errmsg(database) : "out of memory"));
+  }
+  sqlite3_busy_timeout(database, 2000);
+}
+
+void SqliteDatabase::execute(const std::string& sql) {
+  const int code = sqlite3_exec(handle_.get(), sql.c_str(), nullptr, nullptr, nullptr);
+  if (code != SQLITE_OK) throw RunFileError(explain_sqlite_error(file_, code, sqlite3_errmsg(handle_.get())));
+}
+
+std::optional<std::string> SqliteDatabase::value(std::string_view sql) {
+  SqliteStatement statement = prepare(sql);
+  if (!statement.step()) return std::nullopt;
+  return statement.text(0);
+}
+
+}  // namespace abcal
