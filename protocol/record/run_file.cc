@@ -288,28 +288,27 @@ void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
   SqliteStatement row =
       database.prepare("insert into dwell values(null,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)");
   int column = 0;
-  row.bind(++column, static_cast<std::int64_t>(plan_position))
-      .bind(++column, std::int64_t{dwell.experiment})
-      .bind(++column, std::int64_t{dwell.n})
-      .bind(++column, std::int64_t{dwell.closing})
-      .bind(++column, dwell.alpha.deg())
-      .bind(++column, dwell.commanded_x.deg())
-      .bind(++column, dwell.commanded_z.deg())
-      .bind(++column, angle(dwell.encoder_x))
-      .bind(++column, angle(dwell.encoder_z))
-      .bind(++column, dwell.time_s)
-      .bind(++column, dwell.settle_time_s)
-      .bind(++column, dwell.count)
-      .bind(++column, dwell.lost);
-  for (const double value : dwell.mean) row.bind(++column, value);
-  for (const double value : dwell.spread) row.bind(++column, value);
-  for (int j = 0; j < 3; ++j) {
-    row.bind(++column, dwell.u_mean ? std::optional((*dwell.u_mean)[j]) : std::nullopt);
-  }
-  row.bind(++column, dwell.temperature_degc)
-      .bind(++column, std::int64_t{dwell.flags})
-      .bind(++column, std::string_view(describe_flags(dwell.flags)))
-      .run();
+  const auto next = [&](const auto& value) { row.bind(++column, value); };
+  next(static_cast<std::int64_t>(plan_position));
+  next(std::int64_t{dwell.experiment});
+  next(std::int64_t{dwell.n});
+  next(std::int64_t{dwell.closing});
+  next(dwell.alpha.deg());
+  next(dwell.commanded_x.deg());
+  next(dwell.commanded_z.deg());
+  next(angle(dwell.encoder_x));
+  next(angle(dwell.encoder_z));
+  next(dwell.time_s);
+  next(dwell.settle_time_s);
+  next(dwell.count);
+  next(dwell.lost);
+  for (const double value : dwell.mean) next(value);
+  for (const double value : dwell.spread) next(value);
+  for (int j = 0; j < 3; ++j) next(dwell.u_mean ? std::optional((*dwell.u_mean)[j]) : std::nullopt);
+  next(dwell.temperature_degc);
+  next(std::int64_t{dwell.flags});
+  next(std::string_view(describe_flags(dwell.flags)));
+  row.run();
   const std::int64_t id = database.last_row_id();
   SqliteStatement reading_row = database.prepare("insert into reading values(?,?,?,?,?,?,?,?)");
   for (std::size_t k = 0; k < readings.size(); ++k) {
