@@ -1,0 +1,150 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "protocol/analysis/calibration_result.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// A value measured otherwise (by `abcal level`), which takes the place of a prior's mean and width.
+struct MeasuredValue {
+  double value = 0.0;
+  double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();  ///< Greater than 0.
+};
+
+/// Alignment measured otherwise. What is absent keeps its prior N(0, tolerance).
+struct MeasuredAlignment {
+  std::optional<MeasuredValue> zx, zy, xz;  ///< 1
+};
+
+/// Whether k2 and k3 are unknowns of the fit.
+enum class Nonlinearity {
+  kDecide,  ///< Fitted both ways; left out only where chi2 finds no use for them.
+  kFitted,
+  kLeftOut,
+};
+
+struct JointOptions {
+  Nonlinearity nonlinearity = Nonlinearity::kDecide;
+  bool drift = true;              ///< false: b_j = 0 exactly.
+  bool mean_step = true;          ///< false: F_X = F_Z = 0 exactly; for studies, not for measurements.
+  bool one_map_per_axis = false;  ///< f depends on axis and angle alone: experiments 1 and 2 share it.
+  MeasuredAlignment measured_alignment;
+};
+
+/// The joint estimator (physics.md section 5): sensitivity matrix, offset, alignment, turn errors, mean step
+/// errors, every step error, drift and non-linearity of one run in one fit, with priors from the record's
+/// tolerances. The sensitivity matrix of the result is, as everywhere, the one at rest in the LGCS at the
+/// default orientation (already tilted with Z). `type_a` of a result is the part of its posterior variance
+/// that comes from the readings' noise, `type_b` the part that comes from the priors.
+///
+/// Weights are 1/u_mean^2; where a dwell has none, or zero, the noise of each accelerometer is estimated from
+/// the residuals of the fit, and chi2 is absent. Dwells with kFlagClipped or kFlagNotFinite and a mean that
+/// is not finite are left out and counted in the notes.
+/// @throws std::invalid_argument a tolerance or measured uncertainty that is not greater than zero and
+/// finite;
+///         a reading that is not finite without its flag; an experiment number that is not 1, 2 or 3
+/// @throws std::runtime_error the readings do not determine the sensitivity matrix
+CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options = {});
+
+// ---- The fit itself, for studies: arrays in, numbers out. -----------------------------------------------
+
+/// The unknowns that stay when the step errors have been eliminated. For accelerometer j: 7 j + (s_jx, s_jy,
+/// s_jz, O_j, b_j, k2_j, k3_j); then Zx, Zy, Xz, d2, d3, F_X, F_Z (1 and radian).
+constexpr int kOwnUnknowns = 7;
+constexpr int kGeometryUnknowns = 7;
+constexpr int kJointUnknowns = 3 * kOwnUnknowns + kGeometryUnknowns;
+using JointVector = Eigen::Matrix<double, kJointUnknowns, 1>;
+using JointMatrix = Eigen::Matrix<double, kJointUnknowns, kJointUnknowns>;
+
+enum JointUnknown : int {
+  kOffsetIndex = 3,  ///< + 7 j
+  kDriftIndex = 4,
+  kK2Index = 5,
+  kK3Index = 6,
+  kZx = 21,
+  kZy = 22,
+  kXz = 23,
+  kD2 = 24,
+  kD3 = 25,
+  kFX = 26,
+  kFZ = 27,
+};
+
+/// One triple of readings.
+struct JointReading {
+  int experiment = 0;  ///< 1, 2, 3
+  double sin_alpha = 0.0, cos_alpha = 1.0;
+  double t = 0.0;                                   ///< -1/2 to 1/2 over the run.
+  Eigen::Vector3d value = Eigen::Vector3d::Zero();  ///< r_u, r_v, r_w (R)
+  Eigen::Vector3d u = Eigen::Vector3d::Zero();      ///< Their standard uncertainties (R).
+  int step_error = 0;  ///< Which step error belongs to it; consecutive from 0, in ascending order.
+};
+
+/// Means and standard deviations of the priors. Angles in radian.
+struct JointPriors {
+  /// Zx, Zy, Xz, d2, d3, F_X, F_Z.
+  Eigen::Matrix<double, kGeometryUnknowns, 1> mean = Eigen::Matrix<double, kGeometryUnknowns, 1>::Zero();
+  Eigen::Matrix<double, kGeometryUnknowns, 1> sd = Eigen::Matrix<double, kGeometryUnknowns, 1>::Zero();
+  double step = 0.0;
+  double drift = 0.0;  ///< times S_j
+  double k2 = 1e-2;    ///< over S_j (physics.md section 5, table of unknowns)
+  double k3 = 1e-2;    ///< over S_j^2
+
+  static JointPriors from(const Tolerances& tolerances, const MeasuredAlignment& measured = {});
+};
+
+/// Which of the optional unknowns are in the fit.
+struct JointModel {
+  bool nonlinearity = true;
+  bool drift = true;
+  bool mean_step = true;
+};
+
+struct JointFit {
+  bool converged = false;
+  int iterations = 0;
+  JointVector value = JointVector::Zero();                 ///< R, R/g_loc, 1/R, 1/R^2, radian
+  JointMatrix covariance = JointMatrix::Zero();            ///< Posterior; zero rows where left out.
+  JointMatrix covariance_type_b = JointMatrix::Zero();     ///< The part of it that comes from the priors.
+  std::vector<double> step_error;                          ///< radian
+  std::vector<double> u_step_error;                        ///< radian
+  double chi2 = std::numeric_limits<double>::quiet_NaN();  ///< Priors included.
+  int degrees_of_freedom = 0;                              ///< Readings - 12.
+  double reciprocal_condition = 0.0;  ///< Of the 28 (or fewer) scaled unknowns' normal matrix, square root.
+  Eigen::Vector3d sum_weighted_squares = Eigen::Vector3d::Zero();  ///< Of the residuals, per accelerometer.
+  Eigen::Vector3d redundancy = Eigen::Vector3d::Zero();            ///< Their expectation if `u` is right.
+  std::vector<Eigen::Vector3d> residuals;  ///< Reading minus model (R), as the readings.
+};
+
+/// Gauss-Newton from the linear solution at a perfect stage (which on three full circles is the ABC solution
+/// up to the weights). Step errors are eliminated by a Schur complement: each touches only its own readings.
+/// Internally every accelerometer's readings are divided by its S_j and unknowns are scaled by their
+/// diagonal, so that a result in LSB is the same result.
+/// @param with_residuals  also fill residuals, sum_weighted_squares and redundancy
+/// @throws std::invalid_argument no readings, a number that is not finite, u or a prior's sd not > 0
+/// @throws std::runtime_error the readings do not determine the sensitivity matrix
+JointFit joint_fit(std::span<const JointReading> readings, const JointPriors& priors, const JointModel& model,
+                   bool with_residuals = false);
+
+/// P(chi2 with `degrees_of_freedom` >= found).
+double chi2_probability(double chi2, int degrees_of_freedom);
+
+/// Specific force and its derivatives, for the test against central differences.
+struct GravityDerivatives {
+  Eigen::Vector3d gravity;
+  Eigen::Matrix<double, 3, kGeometryUnknowns> by_geometry;  ///< Zx, Zy, Xz, d2, d3, F_X, F_Z
+};
+
+/// `geometry` is Zx, Zy, Xz, d2, d3, F_X, F_Z (radian), `step_error` f (radian).
+GravityDerivatives gravity_derivatives(int experiment, double sin_alpha, double cos_alpha,
+                                       const Eigen::Matrix<double, kGeometryUnknowns, 1>& geometry,
+                                       double step_error);
+
+}  // namespace abcal
