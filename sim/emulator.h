@@ -1,0 +1,62 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <stop_token>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "drivers/instrument/clock.h"
+#include "sim/firmware/firmware.h"
+
+namespace abcal::sim {
+
+/// A pseudo-terminal, found by a symbolic link at `link`.
+struct PtyLink {
+  std::filesystem::path link;
+};
+
+/// A listening TCP port, one client at a time; port 0: any free one.
+struct TcpPort {
+  std::string host = "127.0.0.1";
+  std::uint16_t port = 0;
+};
+
+struct Endpoint {
+  std::shared_ptr<Firmware> firmware;
+  std::variant<PtyLink, TcpPort> where;
+};
+
+/// Serves simulated instruments to other programs in real time. All in the one thread that calls run(), so
+/// that firmwares may share a world. Never blocks on a client: if nobody reads, the oldest output is lost, as
+/// on a UART. An instrument outlives its clients: they may come and go. Linux.
+class Emulator {
+ public:
+  /// Opens the ports; they answer once run() is called.
+  /// `clock` passes `clock_rate` seconds in one second of real time.
+  /// @throws std::runtime_error naming the endpoint: link path taken by something that is not a symbolic
+  /// link,
+  ///         port in use.
+  Emulator(std::vector<Endpoint> endpoints, Clock& clock, double clock_rate = 1.0);
+  ~Emulator();  ///< Closes the ports and removes the links.
+  Emulator(const Emulator&) = delete;
+  Emulator& operator=(const Emulator&) = delete;
+
+  /// Serves until a stop is requested.
+  void run(std::stop_token stop);
+
+  /// What to connect to, in the order of the endpoints: the link's path, or "tcp:HOST:PORT".
+  std::vector<std::string> addresses() const;
+
+  /// Bytes of output that no client took in time; only grows.
+  std::uint64_t dropped_bytes() const;
+
+ private:
+  struct Port;
+  struct Loop;
+  std::unique_ptr<Loop> loop_;
+};
+
+}  // namespace abcal::sim

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+struct MipSettings {
+  std::string model_name = "3DM-GV7-AR";
+  std::string model_number = "6284-9999";
+  std::string serial_number = "6284.123456";
+  std::string lot_number = "I042Z";
+  std::string options = "8g, 300dps";
+  unsigned firmware_version = 1103;  ///< 1.1.03
+  unsigned base_rate_hz = 1000;
+  unsigned baud = 115200;
+  bool legacy_commands = true;         ///< 0C,06 and 0C,08.
+  bool modern_commands = true;         ///< 0C,0E and 0C,0F; 01,09.
+  bool streaming_at_power_on = false;  ///< As an instrument whose settings were saved with the stream on.
+  Clock::Duration reply_delay = std::chrono::microseconds(200);
+};
+
+/// A MicroStrain accelerometer that speaks MIP (instruments.md B.1), reading the world of a SimBench. Its
+/// output unit R is g (field 80,04). Samples lie on the grid of its base rate, from the start of the world's
+/// time.
+class MipFirmware final : public Firmware {
+ public:
+  /// @throws std::invalid_argument if the base rate or a text does not fit its field.
+  explicit MipFirmware(std::shared_ptr<SimBench> bench, MipSettings settings = {});
+  ~MipFirmware() override;
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+
+ private:
+  class Device;
+  std::unique_ptr<Device> device_;
+};
+
+}  // namespace abcal::sim

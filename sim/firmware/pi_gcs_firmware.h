@@ -1,0 +1,49 @@
+#pragma once
+
+#include <array>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+struct PiGcsSettings {
+  std::array<std::string, 2> axis_names{"1", "2"};  ///< The controller's names of X and Z.
+  /// controller angle = zero + sign * protocol angle
+  std::array<int, 2> sign{+1, +1};
+  std::array<Angle, 2> zero{};
+  std::string model = "C-884.4DC";
+  std::string serial_number = "118001234";
+  std::string firmware_version = "1.2.3.4";
+  std::array<std::string, 2> stage_names{"M-060.PD", "M-060.PD"};
+  int address = 1;  ///< In a daisy chain; 1 answers without an address as well.
+  double max_speed_deg_per_s = 720.0;
+  double settle_s = 0.01;  ///< Parameter 0x3F: how long ONT? waits after the motion.
+  bool has_enable = true;  ///< False: EAX is an unknown command, as on many controllers.
+  Clock::Duration reply_delay = std::chrono::microseconds(200);
+};
+
+/// A PI controller that speaks GCS 2.0 (instruments.md A.2), turning the axes of a SimBench. Accepts what
+/// host programs send in their differing styles: any case, CR LF, several blanks, with or without axes, with
+/// or without address.
+class PiGcsFirmware final : public Firmware {
+ public:
+  explicit PiGcsFirmware(std::shared_ptr<SimBench> bench, PiGcsSettings settings = {});
+  ~PiGcsFirmware() override;
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+
+ private:
+  class Controller;
+  std::unique_ptr<Controller> controller_;
+};
+
+}  // namespace abcal::sim

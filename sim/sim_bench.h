@@ -1,0 +1,137 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <vector>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/rotation_stage.h"
+#include "sim/axis_motion.h"
+#include "sim/bench_truth.h"
+#include "sim/faults.h"
+
+namespace abcal::sim {
+
+/// What does not depend on how the accelerometer is mounted (physics.md section 1).
+struct TrueIntrinsicProperties {
+  Eigen::Vector3d sensitivity;  ///< Norms of the rows u, v, w, in R/g_loc.
+  std::array<Angle, 3> angle;   ///< phi_uv, phi_vw, phi_wu.
+  Eigen::Vector3d offset;       ///< R
+};
+
+/// One output of the simulated accelerometer.
+struct SimOutput {
+  Eigen::Vector3d value = Eigen::Vector3d::Zero();  ///< u, v, w in R, quantised and clipped.
+  std::array<bool, 3> clipped{};                    ///< u, v, w.
+  double temperature_degc = 0.0;
+};
+
+/// One world, shared by the simulated stage and the simulated accelerometer, so that turning the one changes
+/// what the other reads. Angles are the protocol's: right-handed about X and Z, zero at the default
+/// orientation.
+///
+/// Everything is a function of time and of the moves commanded so far: asking changes nothing, and the past
+/// may be asked about (the last 4096 moves are kept). Results depend on the pose, the time and the sample
+/// index, never on the order of calls; the only history a pose has is backlash. Moves must be commanded in
+/// order of time.
+///
+/// Physics: physics.md section 2. The platter's orientation is Rot(X, thetaX) Rot(Z, thetaZ) applied to its
+/// orientation at rest, tilted with Z. Eigen turns the vectors; no formula of the analysis is used here. The
+/// accelerometer sits where the axes cross: no centripetal acceleration. Safe to use from several threads.
+class SimBench {
+ public:
+  /// `start` is the zero of the world's time (drift, temperature).
+  /// @throws std::invalid_argument if the truth has a number that cannot be.
+  explicit SimBench(BenchTruth truth, Clock::Instant start = Clock::Instant{});
+
+  const BenchTruth& truth() const { return truth_; }
+  Clock::Instant start() const { return start_; }
+
+  // The stage.
+
+  /// Commands a move at `t`; it may replace one under way. Travel is the controller's business, not the
+  /// world's.
+  /// @throws std::invalid_argument if the target is not finite or `t` is before the last command.
+  void move(StageAxis axis, Angle target, Clock::Instant t);
+  /// Decelerates to rest.
+  void halt(StageAxis axis, Clock::Instant t);
+  /// Speed and accelerations of the moves from now on; the truth's at the start.
+  void set_motion_limits(StageAxis axis, const MotionLimits& limits);
+  MotionLimits motion_limits(StageAxis axis) const;
+
+  bool moving(StageAxis axis, Clock::Instant t) const;
+  /// When the motion under way at `t` ends (Instant::max() if it has stalled), or when the last one ended.
+  Clock::Instant motion_end(StageAxis axis, Clock::Instant t) const;
+  Angle target(StageAxis axis, Clock::Instant t) const;
+  /// Where the axis thinks it is: the commanded coordinate, exact.
+  Angle commanded_angle(StageAxis axis, Clock::Instant t) const;
+  /// commanded_angle() to the encoder's resolution. The encoder does not see the stage's errors.
+  Angle encoder_angle(StageAxis axis, Clock::Instant t) const;
+  /// Where the axis really is: commanded angle + error (+ backlash).
+  Angle actual_angle(StageAxis axis, Clock::Instant t) const;
+  /// The error of an axis at rest, without backlash (bench_truth.h, AxisTruth); keyed by the seed and the
+  /// angles of both axes to a millionth of a degree, modulo 360 degrees.
+  Angle stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const;
+
+  // The accelerometer.
+
+  /// In g_loc, along the platter's x, y, z; at rest, aligned: (0, 0, +1) (reaction, up).
+  Eigen::Vector3d specific_force(Clock::Instant t) const;
+  /// The output made at `t`. Its noise is a function of the seed and of `sample_index`; with
+  /// noise_seeded_by_angle of the pose and of the number of samples since the arrival, counted with
+  /// `sample_period`.
+  /// @throws std::invalid_argument if noise_seeded_by_angle and sample_period is not positive.
+  SimOutput output(Clock::Instant t, std::uint64_t sample_index,
+                   Clock::Duration sample_period = Clock::Duration::zero()) const;
+  double temperature_degc(Clock::Instant t) const;
+
+  // What results are compared with.
+
+  /// Rows u, v, w along x, y, z of the LGCS at the default orientation, already tilted: RRF(s_j, E, Theta_E);
+  /// R/g_loc.
+  Eigen::Matrix3d true_sensitivity_matrix() const;
+  TrueIntrinsicProperties true_intrinsic_properties() const;
+
+  // Faults.
+
+  /// @throws std::invalid_argument if it is a fault of the wire.
+  void inject(const WorldFault& fault);
+  /// The fault of this kind in force at `t`, if any (stage faults: of this axis).
+  std::optional<WorldFault> fault_at(FaultKind kind, Clock::Instant t, StageAxis axis = StageAxis::kX) const;
+
+ private:
+  struct Epoch {  ///< From one command to the next.
+    Clock::Instant start;
+    Clock::Instant settled;  ///< When both axes have arrived, as planned.
+    std::array<AxisMotion, 2> motion;
+    std::array<double, 2> error_from_deg{};  ///< At `start`; the error changes evenly until `settled`.
+    std::array<double, 2> error_to_deg{};
+    std::array<bool, 2> backlash{};       ///< The last move of the axis ended in the negative direction.
+    std::array<std::uint64_t, 2> pose{};  ///< Canonical targets.
+    mutable std::optional<Eigen::Vector3d> force_at_rest;
+  };
+
+  const Epoch& epoch_at(Clock::Instant t) const;
+  void command(StageAxis axis, AxisMotion motion, Clock::Instant t);
+  double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
+  Eigen::Vector3d force(const Epoch& epoch, Clock::Instant t) const;
+  const WorldFault* find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const;
+  SimOutput output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,
+                                  Clock::Duration sample_period) const;
+
+  BenchTruth truth_;
+  Clock::Instant start_;
+  Eigen::Vector3d axis_x_;  ///< Unit vectors in the LGCS, platter at rest.
+  Eigen::Vector3d axis_z_;
+  Eigen::Matrix3d R_LP_rest_;  ///< Platter at rest to LGCS: the tilt with Z.
+  std::array<MotionLimits, 2> limits_;
+  std::deque<Epoch> epochs_;
+  std::vector<WorldFault> faults_;
+  mutable std::mutex mutex_;
+};
+
+}  // namespace abcal::sim
