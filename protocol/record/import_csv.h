@@ -6,24 +6,20 @@
 #include <string>
 #include <vector>
 
+#include "protocol/plan/run_config.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {
 
-/// One thing wrong with a file.
-struct CsvProblem {
-  int line = 0;      ///< 1 is the first line; 0: the file as a whole.
-  std::string text;  ///< What was found and what is required.
-};
-
-/// Every problem of a CSV at once. what() lists them, one a line, "FILE:LINE: problem".
+/// Every problem of a CSV at once. what() lists them, one a line: "FILE: line 12, r_u: found ...; required:
+/// ...".
 class CsvError : public std::runtime_error {
  public:
-  CsvError(const std::string& source, std::vector<CsvProblem> problems);
-  const std::vector<CsvProblem>& problems() const { return problems_; }
+  CsvError(const std::string& source, std::vector<Problem> problems);
+  const std::vector<Problem>& problems() const { return problems_; }
 
  private:
-  std::vector<CsvProblem> problems_;
+  std::vector<Problem> problems_;
 };
 
 /// Averaged readings of the three experiments from a CSV: `experiment,n,alpha_deg,r_u,r_v,r_w`, optional

@@ -1,0 +1,36 @@
+#include "protocol/analysis/run_time.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+
+namespace abcal {
+
+std::vector<double> run_time_fractions(const RunRecord& record) {
+  double first = std::numeric_limits<double>::infinity();
+  double last = -first;
+  bool timed = true;
+  for (const DwellRecord& dwell : record.dwells) {
+    if (!dwell.time_s || !std::isfinite(*dwell.time_s)) {
+      timed = false;
+      break;
+    }
+    first = std::min(first, *dwell.time_s);
+    last = std::max(last, *dwell.time_s);
+  }
+  timed = timed && last > first;
+  std::vector<double> fractions;
+  fractions.reserve(record.dwells.size());
+  const double intervals = static_cast<double>(std::max<std::size_t>(record.dwells.size(), 2) - 1);
+  for (std::size_t i = 0; i < record.dwells.size(); ++i) {
+    if (timed) {
+      fractions.push_back((*record.dwells[i].time_s - first) / (last - first) - 0.5);
+    } else {
+      fractions.push_back(record.dwells.size() == 1 ? 0.0 : static_cast<double>(i) / intervals - 0.5);
+    }
+  }
+  return fractions;
+}
+
+}  // namespace abcal
