@@ -1,0 +1,114 @@
+#include "protocol/run/dwell.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+namespace {
+
+struct MeanAndSpread {
+  Eigen::Vector3d mean;
+  Eigen::Vector3d spread;
+};
+
+/// Two passes: the mean first, so that a large offset costs the spread no digits.
+MeanAndSpread mean_and_spread(std::span<const Reading> readings) {
+  const auto n = static_cast<double>(readings.size());
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const Reading& reading : readings) sum += reading.output;
+  const Eigen::Vector3d mean = sum / n;
+  Eigen::Vector3d squares = Eigen::Vector3d::Zero();
+  for (const Reading& reading : readings) squares += (reading.output - mean).cwiseAbs2();
+  const Eigen::Vector3d spread =
+      n > 1 ? (squares / (n - 1.0)).cwiseSqrt().eval() : Eigen::Vector3d::Zero().eval();
+  return {mean, spread};
+}
+
+}  // namespace
+
+double effective_number_of_readings(std::span<const double> values) {
+  const std::size_t n = values.size();
+  const auto count = static_cast<double>(n);
+  if (n < 4) return count;
+  double mean = 0.0;
+  for (const double value : values) mean += value / count;
+  double variance = 0.0;
+  for (const double value : values) variance += (value - mean) * (value - mean);
+  if (!(variance > 0.0)) return count;
+  const double significant = 2.0 / std::sqrt(count);
+  double correlation_time = 1.0;
+  for (std::size_t lag = 1; lag < n / 4; ++lag) {
+    double covariance = 0.0;
+    for (std::size_t k = lag; k < n; ++k) covariance += (values[k] - mean) * (values[k - lag] - mean);
+    const double correlation = covariance / variance;
+    if (correlation < significant) break;
+    correlation_time += 2.0 * correlation;
+  }
+  return std::clamp(count / correlation_time, 1.0, count);
+}
+
+DwellStatistics dwell_statistics(std::span<const Reading> readings, const AccelerometerInfo& info) {
+  DwellStatistics result;
+  std::vector<Reading> finite;
+  finite.reserve(readings.size());
+  double temperature = 0.0;
+  std::int64_t temperatures = 0;
+  for (std::size_t k = 0; k < readings.size(); ++k) {
+    const Reading& reading = readings[k];
+    if (k > 0 && reading.sequence > readings[k - 1].sequence + 1) {
+      result.lost += static_cast<std::int64_t>(reading.sequence - readings[k - 1].sequence - 1);
+    }
+    const bool clipped =
+        reading.over_range || (info.full_scale && reading.output.cwiseAbs().maxCoeff() >= *info.full_scale);
+    if (clipped) result.flags |= kFlagClipped;
+    if (reading.temperature_degc && std::isfinite(*reading.temperature_degc)) {
+      temperature += *reading.temperature_degc;
+      ++temperatures;
+    }
+    if (reading.output.allFinite()) {
+      finite.push_back(reading);
+    } else {
+      ++result.not_finite;
+    }
+  }
+  if (result.not_finite > 0) result.flags |= kFlagNotFinite;
+  if (result.lost > 0) result.flags |= kFlagLostReadings;
+  if (temperatures > 0) result.temperature_degc = temperature / static_cast<double>(temperatures);
+  result.count = static_cast<std::int64_t>(finite.size());
+  if (finite.empty()) return result;
+
+  const auto [mean, spread] = mean_and_spread(finite);
+  result.mean = mean;
+  result.spread = spread;
+  const double least = info.resolution.value_or(0.0) / std::sqrt(12.0);
+  std::vector<double> output(finite.size());
+  for (int j = 0; j < 3; ++j) {
+    std::transform(finite.begin(), finite.end(), output.begin(),
+                   [j](const Reading& r) { return r.output[j]; });
+    const double standard_error = spread[j] / std::sqrt(effective_number_of_readings(output));
+    result.u_mean[j] = std::max(standard_error, least);
+  }
+  return result;
+}
+
+bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
+              double resolution) {
+  const std::size_t half = window.size() / 2;
+  if (half < 2) return true;
+  const auto [mean_1, spread_1] = mean_and_spread(window.first(half));
+  const auto [mean_2, spread_2] = mean_and_spread(window.last(half));
+  for (int j = 0; j < 3; ++j) {
+    const double pooled = std::hypot(spread_1[j], spread_2[j]) / std::sqrt(2.0);
+    const double slope_limit =
+        std::max(4.5 * pooled * std::sqrt(2.0 / static_cast<double>(half)), resolution);
+    // A reading that is not finite makes the comparison false, and the window not quiet.
+    if (!(std::abs(mean_2[j] - mean_1[j]) <= slope_limit)) return false;
+    if (usual_spread && !(pooled <= std::max(3.0 * (*usual_spread)[j], resolution))) return false;
+  }
+  return true;
+}
+
+}  // namespace abcal

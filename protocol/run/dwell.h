@@ -1,0 +1,40 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "drivers/instrument/accelerometer.h"
+
+namespace abcal {
+
+/// What the readings at one angle come to.
+struct DwellStatistics {
+  std::int64_t count = 0;       ///< Finite readings, the ones averaged.
+  std::int64_t not_finite = 0;  ///< Left out.
+  std::int64_t lost = 0;        ///< Gaps in the sequence numbers.
+  Eigen::Vector3d mean = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());  ///< R
+  Eigen::Vector3d spread =
+      Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());  ///< R, of one reading
+  /// R. spread / sqrt(effective number of readings), and never below the output's resolution / sqrt(12):
+  /// averaging does not reveal what a converter rounds away.
+  Eigen::Vector3d u_mean = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+  std::optional<double> temperature_degc;
+  std::uint32_t flags = 0;  ///< DwellFlag: clipped, not finite, lost readings.
+};
+
+/// The statistics of the readings taken at one angle.
+DwellStatistics dwell_statistics(std::span<const Reading> readings, const AccelerometerInfo& info);
+
+/// How many independent readings carry as much as these (autocorrelation time summed over the lags up to the
+/// first that does not stand out of the noise, 2/sqrt(n)). Between 1 and n.
+double effective_number_of_readings(std::span<const double> values);
+
+/// Whether a window of readings shows neither a slope nor more spread than usual: its two halves agree within
+/// 4.5 standard errors, and its spread is at most 3 times `usual_spread` (not checked if that is absent).
+/// Differences below `resolution` (R) never count.
+bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
+              double resolution);
+
+}  // namespace abcal

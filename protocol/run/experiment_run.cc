@@ -1,0 +1,465 @@
+#include "protocol/run/experiment_run.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include "drivers/instrument/instrument_error.h"
+#include "protocol/run/dwell.h"
+
+namespace abcal {
+namespace {
+
+/// Longest sleep or wait for bytes between two looks at the stop token.
+constexpr Clock::Duration kSlice = std::chrono::milliseconds(20);
+/// An axis that the controller calls stopped may still creep into the window; after this it will not.
+constexpr double kStoppedOutsideWindow_s = 1.0;
+/// Fewest readings at which an output that does not change at all is called stuck.
+constexpr std::int64_t kStuckReadings = 8;
+constexpr std::size_t kStoredSpreads = 15;
+
+std::string describe(const PlannedAngle& angle) {
+  return fmt::format("experiment {}, alpha = {} deg", angle.experiment, angle.alpha.deg());
+}
+
+class Runner {
+ public:
+  Runner(const RunInstruments& instruments, const std::vector<PlannedAngle>& plan,
+         const ProtocolConfig& protocol, const LimitsConfig& limits, RunTiming already_spent, RunFile& file,
+         RunObserver& observer, const std::stop_token& stop)
+      : stage_(instruments.stage),
+        accelerometer_(instruments.accelerometer),
+        clock_(instruments.clock),
+        plan_(plan),
+        protocol_(protocol),
+        limits_(limits),
+        file_(file),
+        observer_(observer),
+        stop_(stop),
+        already_spent_(already_spent),
+        timing_(already_spent) {}
+
+  RunTiming run(const std::set<std::size_t>& measured) {
+    started_ = clock_.now();
+    stage_info_ = stage_.identify();
+    accelerometer_info_ = accelerometer_.identify();
+    for (const StageAxis axis : kStageAxes) reference(axis);
+    accelerometer_.start();
+    warm_up();
+    for (std::size_t position = 0; position < plan_.size(); ++position) {
+      if (!measured.contains(position)) measure(position);
+    }
+    park();
+    accelerometer_.stop();
+    return timing();
+  }
+
+  std::string where() const { return where_; }
+
+ private:
+  Clock::UtcTime utc() const { return clock_.utc_now(); }
+
+  void throw_if_stopped() const {
+    if (stop_.stop_requested()) throw RunInterrupted("stopped by the operator");
+  }
+
+  void wait_until(Clock::Instant instant) {
+    for (Clock::Instant now = clock_.now(); now < instant; now = clock_.now()) {
+      throw_if_stopped();
+      clock_.sleep_until(std::min(instant, now + kSlice));
+    }
+    throw_if_stopped();
+  }
+
+  std::string stage_name() const { return "stage " + stage_info_.model; }
+  std::string accelerometer_name() const { return "accelerometer " + accelerometer_info_.model; }
+
+  void reference(StageAxis axis) {
+    if (stage_info_.axes[index(axis)].referenced) return;
+    where_ = fmt::format("referencing axis {}", to_string(axis));
+    observer_.phase(0, RunPhase::kHoming);
+    const Clock::Instant begin = clock_.now();
+    stage_.home(axis);
+    const Clock::Instant deadline = begin + from_seconds(protocol_.homing_timeout_s);
+    while (stage_.motion_state(axis) == MotionState::kMoving) {
+      if (clock_.now() > deadline) {
+        throw InstrumentError(
+            stage_name(), Fault::kStalled,
+            fmt::format("axis {} still searches its reference after {} s (homing_timeout_s)", to_string(axis),
+                        protocol_.homing_timeout_s));
+      }
+      wait_until(clock_.now() + from_seconds(protocol_.poll_interval_s));
+    }
+    stage_info_ = stage_.identify();
+    if (!stage_info_.axes[index(axis)].referenced) {
+      throw InstrumentError(stage_name(), Fault::kNotReady,
+                            fmt::format("axis {} stopped without finding its reference", to_string(axis)));
+    }
+    timing_.moving_s += to_seconds(clock_.now() - begin);
+  }
+
+  void warm_up() {
+    if (!(protocol_.warm_up_s > 0.0)) return;
+    where_ = "warming up";
+    observer_.phase(0, RunPhase::kWarmingUp);
+    const Clock::Instant begin = clock_.now();
+    wait_until(begin + from_seconds(protocol_.warm_up_s));
+    timing_.settling_s += to_seconds(clock_.now() - begin);
+  }
+
+  /// Moves one axis and waits until the controller says stopped and the encoder stays inside the window.
+  /// @return when it was first found stopped there.
+  Clock::Instant move_and_wait(StageAxis axis, Angle target, Angle window, int polls) {
+    const std::size_t k = index(axis);
+    const Angle from = stage_.encoder_angle(axis);
+    const double speed = stage_info_.axes[k].speed_deg_per_s;
+    const double expected_s = speed > 0.0 ? std::abs((target - from).deg()) / speed : 0.0;
+    const Clock::Instant begin = clock_.now();
+    const Clock::Instant deadline = begin + from_seconds(expected_s + protocol_.motion_timeout_s);
+    stage_.move_to(axis, target);
+    int inside = 0;
+    std::optional<Clock::Instant> stopped_inside;
+    std::optional<Clock::Instant> stopped_outside;
+    while (true) {
+      const bool stopped = stage_.motion_state(axis) == MotionState::kStopped;
+      const Clock::Instant now = clock_.now();
+      if (!stopped) {
+        inside = 0;
+        stopped_inside.reset();
+        stopped_outside.reset();
+      } else {
+        const Angle encoder = stage_.encoder_angle(axis);
+        // Written so that an encoder that says "not a number" is outside.
+        if (std::abs((encoder - target).deg()) <= window.deg()) {
+          if (!stopped_inside) stopped_inside = now;
+          stopped_outside.reset();
+          if (++inside >= polls) break;
+        } else {
+          inside = 0;
+          stopped_inside.reset();
+          if (!stopped_outside) stopped_outside = now;
+          if (to_seconds(now - *stopped_outside) > kStoppedOutsideWindow_s) {
+            throw InstrumentError(
+                stage_name(), Fault::kStalled,
+                fmt::format(
+                    "axis {} stopped at {:.5f} deg, commanded {:.5f} deg; required: within {} deg "
+                    "(position_window_deg). Check for a missed step, a limit switch or a cable that pulls",
+                    to_string(axis), encoder.deg(), target.deg(), window.deg()));
+          }
+        }
+      }
+      if (now > deadline) {
+        throw InstrumentError(
+            stage_name(), Fault::kStalled,
+            fmt::format(
+                "axis {} is still moving {:.1f} s after the command to {:.5f} deg, encoder at {:.5f} deg "
+                "(motion_timeout_s = {} beyond the {:.1f} s the move needs)",
+                to_string(axis), to_seconds(now - begin), target.deg(), stage_.encoder_angle(axis).deg(),
+                protocol_.motion_timeout_s, expected_s));
+      }
+      wait_until(now + from_seconds(protocol_.poll_interval_s));
+    }
+    return *stopped_inside;
+  }
+
+  /// Brings an axis to an angle, always from below: a worm drive has backlash.
+  std::optional<Clock::Instant> bring(StageAxis axis, Angle target) {
+    std::optional<Angle>& at = at_[index(axis)];
+    if (at && *at == target) return std::nullopt;
+    if (!at) at = stage_.encoder_angle(axis);
+    if (protocol_.approach > Angle{} && target < *at + protocol_.position_window) {
+      const Angle below = target - protocol_.approach;
+      move_and_wait(axis, below, std::max(protocol_.position_window, protocol_.approach * 0.5), 1);
+    }
+    at.reset();  // Until it has arrived, nothing is known.
+    const Clock::Instant stopped =
+        move_and_wait(axis, target, protocol_.position_window, protocol_.window_polls);
+    at = target;
+    return stopped;
+  }
+
+  Reading next_reading() {
+    const Clock::Instant begin = clock_.now();
+    const Clock::Instant deadline = begin + from_seconds(protocol_.reading_timeout_s);
+    while (true) {
+      throw_if_stopped();
+      const Clock::Instant now = clock_.now();
+      if (auto reading = accelerometer_.next(std::min(deadline, now + kSlice))) return *std::move(reading);
+      if (clock_.now() >= deadline) {
+        throw InstrumentError(
+            accelerometer_name(), Fault::kNoReply,
+            fmt::format("no reading for {} s (reading_timeout_s); {} came before. Check its cable, "
+                        "its supply and that no other program has stopped it",
+                        protocol_.reading_timeout_s, accelerometer_.health().readings));
+      }
+    }
+  }
+
+  /// Waits out the settle time and then for the accelerometer to be quiet.
+  /// @return false if it was not quiet at the longest wait.
+  bool settle(Clock::Instant stopped) {
+    const double rate = accelerometer_info_.rate_hz;
+    const auto window_size =
+        static_cast<std::size_t>(std::clamp(readings_per_dwell(protocol_, rate) / 4, 10, 50));
+    const double window_s = rate > 0.0 ? static_cast<double>(window_size) / rate : 0.0;
+    const Clock::Instant settled = stopped + from_seconds(protocol_.settle_s);
+    wait_until(settled - from_seconds(window_s));
+    accelerometer_.discard_pending();
+    std::vector<Reading> window;
+    const Clock::Instant last = settled + from_seconds(protocol_.quiet_timeout_s);
+    while (true) {
+      window.clear();
+      while (window.size() < window_size) window.push_back(next_reading());
+      wait_until(settled);
+      if (is_quiet(window, usual_spread(), accelerometer_info_.resolution.value_or(0.0))) return true;
+      if (clock_.now() >= last) return false;
+    }
+  }
+
+  /// Median spread of the latest dwells; nothing before the first.
+  std::optional<Eigen::Vector3d> usual_spread() const {
+    if (spreads_.empty()) return std::nullopt;
+    Eigen::Vector3d median;
+    for (int j = 0; j < 3; ++j) {
+      std::vector<double> values;
+      for (const Eigen::Vector3d& spread : spreads_) values.push_back(spread[j]);
+      const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+      std::nth_element(values.begin(), middle, values.end());
+      median[j] = *middle;
+    }
+    return median;
+  }
+
+  void measure(std::size_t position) {
+    const PlannedAngle& angle = plan_[position];
+    where_ = describe(angle);
+    observer_.phase(position, RunPhase::kMoving);
+    const Clock::Instant begin = clock_.now();
+    const auto stopped_x = bring(StageAxis::kX, angle.x);
+    const auto stopped_z = bring(StageAxis::kZ, angle.z);
+    const Clock::Instant stopped = std::max(stopped_x.value_or(begin), stopped_z.value_or(begin));
+
+    observer_.phase(position, RunPhase::kSettling);
+    const bool quiet = settle(stopped);
+
+    observer_.phase(position, RunPhase::kDwelling);
+    accelerometer_.discard_pending();
+    const Clock::Instant dwell_begin = clock_.now();
+    const auto wanted = static_cast<std::size_t>(readings_per_dwell(protocol_, accelerometer_info_.rate_hz));
+    const std::uint64_t lost_before = accelerometer_.health().lost_readings;
+    std::vector<Reading> readings;
+    readings.reserve(wanted);
+    while (readings.size() < wanted) readings.push_back(next_reading());
+    const Clock::Instant dwell_end = clock_.now();
+    timing_.moving_s += to_seconds(stopped - begin);
+    timing_.settling_s += to_seconds(dwell_begin - stopped);
+    timing_.dwelling_s += to_seconds(dwell_end - dwell_begin);
+
+    DwellStatistics statistics = dwell_statistics(readings, accelerometer_info_);
+    const auto lost_unseen = static_cast<std::int64_t>(accelerometer_.health().lost_readings - lost_before);
+    statistics.lost = std::max(statistics.lost, lost_unseen);
+    check(angle, statistics, readings.size());
+
+    DwellRecord dwell;
+    dwell.experiment = angle.experiment;
+    dwell.n = angle.n;
+    dwell.closing = angle.closing;
+    dwell.alpha = angle.alpha;
+    dwell.commanded_x = angle.x;
+    dwell.commanded_z = angle.z;
+    dwell.encoder_x = stage_.encoder_angle(StageAxis::kX);
+    dwell.encoder_z = stage_.encoder_angle(StageAxis::kZ);
+    dwell.time_s =
+        already_spent_.total_s() + to_seconds((dwell_begin - started_) + (dwell_end - dwell_begin) / 2);
+    dwell.settle_time_s = to_seconds(dwell_begin - stopped);
+    dwell.count = statistics.count;
+    dwell.lost = statistics.lost;
+    dwell.mean = statistics.mean;
+    dwell.spread = statistics.spread;
+    dwell.u_mean = statistics.u_mean;
+    dwell.temperature_degc = statistics.temperature_degc;
+    dwell.flags = statistics.flags;
+    if (statistics.lost > 0) dwell.flags |= kFlagLostReadings;
+    if (!quiet) dwell.flags |= kFlagNotQuiet;
+    if (!inside_window(*dwell.encoder_x, angle.x) || !inside_window(*dwell.encoder_z, angle.z)) {
+      dwell.flags |= kFlagOutsideWindow;
+    }
+    if (stuck_output(statistics)) dwell.flags |= kFlagStuck;
+    if (const auto& t = statistics.temperature_degc;
+        t && !(*t >= limits_.temperature_min_degc && *t <= limits_.temperature_max_degc)) {
+      dwell.flags |= kFlagTemperature;
+    }
+    previous_mean_ = statistics.mean;
+    if (spreads_.size() == kStoredSpreads) spreads_.erase(spreads_.begin());
+    spreads_.push_back(statistics.spread);
+
+    std::vector<StoredReading> stored;
+    stored.reserve(readings.size());
+    for (const Reading& reading : readings) {
+      stored.push_back({reading.sequence, already_spent_.total_s() + to_seconds(reading.arrival - started_),
+                        reading.output, reading.temperature_degc});
+    }
+    file_.append_dwell(position, dwell, stored, timing());
+    if (dwell.flags != kFlagNone) {
+      const std::string text = fmt::format("{}: {}", where_, describe_flags(dwell.flags));
+      file_.append_event(format_utc(utc()), "flag", text);
+      observer_.notice(text);
+    }
+    observer_.dwell(position, dwell);
+  }
+
+  bool inside_window(Angle encoder, Angle commanded) const {
+    return std::abs((encoder - commanded).deg()) <= protocol_.position_window.deg();
+  }
+
+  /// An output that did not change at all, though it did at earlier angles.
+  bool stuck_output(const DwellStatistics& statistics) const {
+    if (statistics.count < kStuckReadings) return false;
+    const auto usual = usual_spread();
+    for (int j = 0; j < 3; ++j) {
+      if (statistics.spread[j] == 0.0 && usual && (*usual)[j] > 0.0) return true;
+    }
+    return false;
+  }
+
+  /// Readings that cannot be true end the run; they are not averaged into a number that looks right.
+  void check(const PlannedAngle& angle, const DwellStatistics& statistics, std::size_t taken) const {
+    const auto total = static_cast<double>(taken);
+    if (static_cast<double>(statistics.not_finite) > 0.5 * total) {
+      throw InstrumentError(
+          accelerometer_name(), Fault::kImplausible,
+          fmt::format("{} of {} readings at {} are not finite numbers; check the instrument's "
+                      "output settings and its health",
+                      statistics.not_finite, taken, describe(angle)));
+    }
+    const double made = total + static_cast<double>(statistics.lost);
+    if (static_cast<double>(statistics.lost) > limits_.max_lost_fraction * made) {
+      throw InstrumentError(
+          accelerometer_name(), Fault::kImplausible,
+          fmt::format("{} of {} readings were lost at {}; required: at most {:.0f} % "
+                      "([limits] max_lost_fraction). Check the cable, the baud rate and the load "
+                      "of this computer",
+                      statistics.lost, made, describe(angle), 100.0 * limits_.max_lost_fraction));
+    }
+    // Exactly the same three numbers at two poses: the output does not follow the stage.
+    if (previous_mean_ && statistics.count >= kStuckReadings && statistics.spread.isZero(0.0) &&
+        statistics.mean == *previous_mean_) {
+      throw InstrumentError(
+          accelerometer_name(), Fault::kImplausible,
+          fmt::format("all {} readings at {} are ({}, {}, {}), the same as at the angle before: the "
+                      "output is stuck",
+                      taken, describe(angle), statistics.mean[0], statistics.mean[1], statistics.mean[2]));
+    }
+  }
+
+  void park() {
+    where_ = "parking the stage";
+    observer_.phase(plan_.size(), RunPhase::kParking);
+    const Clock::Instant begin = clock_.now();
+    try {
+      for (const StageAxis axis : kStageAxes) bring(axis, Angle{});
+    } catch (const InstrumentError& error) {
+      // All angles are measured: the run is complete even so, but the person must know.
+      const bool acknowledged = stage_.halt();
+      const std::string text =
+          fmt::format("all angles are measured, but the stage could not be parked: {}{}", error.what(),
+                      acknowledged ? "" : "; it did not acknowledge the halt");
+      file_.append_event(format_utc(utc()), "park failed", text);
+      observer_.notice(text);
+    }
+    timing_.moving_s += to_seconds(clock_.now() - begin);
+  }
+
+  /// The time spent so far; overhead is what no motion, settling or dwell accounts for.
+  RunTiming timing() const {
+    RunTiming timing = timing_;
+    const double measured = timing.moving_s + timing.settling_s + timing.dwelling_s;
+    const double all = already_spent_.total_s() + to_seconds(clock_.now() - started_);
+    timing.overhead_s = std::max(0.0, all - measured);
+    return timing;
+  }
+
+  RotationStage& stage_;
+  Accelerometer& accelerometer_;
+  Clock& clock_;
+  const std::vector<PlannedAngle>& plan_;
+  const ProtocolConfig& protocol_;
+  const LimitsConfig& limits_;
+  RunFile& file_;
+  RunObserver& observer_;
+  const std::stop_token& stop_;
+  RunTiming already_spent_;
+  RunTiming timing_;
+  Clock::Instant started_;
+  StageInfo stage_info_;
+  AccelerometerInfo accelerometer_info_;
+  std::array<std::optional<Angle>, 2> at_;  ///< Where each axis was brought last; nothing: not known.
+  std::optional<Eigen::Vector3d> previous_mean_;
+  std::vector<Eigen::Vector3d> spreads_;
+  std::string where_ = "starting";
+};
+
+}  // namespace
+
+std::string_view to_string(RunPhase phase) {
+  switch (phase) {
+    case RunPhase::kHoming:
+      return "referencing";
+    case RunPhase::kWarmingUp:
+      return "warming up";
+    case RunPhase::kMoving:
+      return "moving";
+    case RunPhase::kSettling:
+      return "settling";
+    case RunPhase::kDwelling:
+      return "reading";
+    case RunPhase::kParking:
+      return "parking";
+  }
+  return "";
+}
+
+RunTiming run_experiments(const RunInstruments& instruments, const std::vector<PlannedAngle>& plan,
+                          const std::set<std::size_t>& measured, const ProtocolConfig& protocol,
+                          const LimitsConfig& limits, RunTiming already_spent, RunFile& file,
+                          RunObserver& observer, const std::stop_token& stop) {
+  Runner runner(instruments, plan, protocol, limits, already_spent, file, observer, stop);
+  std::string reason;
+  std::optional<InstrumentError> instrument_error;
+  bool by_operator = false;
+  try {
+    return runner.run(measured);
+  } catch (const RunInterrupted& error) {
+    reason = error.what();
+    by_operator = true;
+  } catch (const InstrumentError& error) {
+    // A halt from another thread makes the exchange under way fail: that is the operator's stop, not a fault.
+    by_operator = stop.stop_requested();
+    reason = by_operator ? "stopped by the operator" : error.what();
+    instrument_error = error;
+  } catch (const std::exception& error) {
+    reason = error.what();
+  }
+  const bool halted = instruments.stage.halt();
+  instruments.accelerometer.stop();
+  const std::string where = runner.where();
+  std::string text = fmt::format("{} ({})", reason, where);
+  if (!halted) text += "; the stage did not acknowledge the halt: stop it by its own switch";
+  try {
+    file.set_state(RunState::kInterrupted, format_utc(instruments.clock.utc_now()), text);
+  } catch (const RunFileError& error) {
+    text += fmt::format("; the reason could not be stored ({})", error.what());
+  }
+  if (by_operator) throw RunInterrupted(text);
+  if (instrument_error) {
+    throw InstrumentError(instrument_error->instrument(), instrument_error->fault(),
+                          instrument_error->detail() + text.substr(reason.size()));
+  }
+  throw RunFileError(text);
+}
+
+}  // namespace abcal
