@@ -17,6 +17,7 @@ struct StageSettings {
 struct AccelerometerSettings {
   double rate_hz = 100.0;
   std::optional<double> full_scale;  ///< In the output unit, where the instrument does not say.
+  std::optional<double> link_bytes_per_s{};  ///< What the link carries, where known (a UART: baud / 10).
 };
 
 }  // namespace abcal

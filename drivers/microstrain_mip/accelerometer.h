@@ -29,6 +29,10 @@ class MipAccelerometer final : public Accelerometer {
   MipAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                    const AccelerometerSettings& settings);
 
+  /// Sets the device idle (so a started one must be started again) and asks what it is. `rate_hz` is the real
+  /// one.
+  /// @throws InstrumentError kNoReply, kWrongIdentity (something else answers, or a MIP device without
+  /// accelerometer), kBadFrame (MIP packets, all damaged), each saying what was found.
   AccelerometerInfo identify() override;
 
   /// Identifies (the device may have been changed or restarted), sets the message format and lets the data
@@ -43,20 +47,19 @@ class MipAccelerometer final : public Accelerometer {
   void stop() noexcept override;
 
  private:
-  /// What identify() found out, as far as start() needs it.
+  /// What the device offers and how it is to be configured.
   struct Abilities {
-    bool modern = false;  ///< 0C,0E and 0C,0F instead of 0C,06 and 0C,08.
+    bool modern = false;  ///< 0C,0E and 0C,0F; else 0C,06 and 0C,08.
     bool stream_control = false;
     bool reference_time = false;
     bool gps_timestamp = false;
     bool temperature = false;
     bool over_range = false;
-    std::vector<std::uint8_t> other_data_sets;
+    std::vector<std::uint8_t> other_data_sets;  ///< Of the filter, GNSS...: they share the line.
     std::uint16_t base_rate_hz = 0;
     std::uint16_t decimation = 1;
   };
 
-  /// A command and where its answer is to be found.
   struct Command {
     std::uint8_t set = 0;
     std::uint8_t descriptor = 0;
@@ -66,49 +69,61 @@ class MipAccelerometer final : public Accelerometer {
         reply_field;  ///< Descriptor of the field that must come with the acknowledgement.
   };
 
+  /// What came in while an answer was awaited; for the message if none came.
+  struct Evidence {
+    std::size_t bytes = 0;
+    std::string first_bytes;
+    std::size_t packets = 0;
+    std::uint64_t bad_checksums = 0;
+  };
+
+  // Commands. None of them is sent while started_.
   Clock::Duration reply_deadline() const;
   [[noreturn]] void fail(Fault fault, std::string_view detail) const;
-
+  [[noreturn]] void fail_without_answer(const Command& command, const Evidence& evidence,
+                                        Clock::Duration waited) const;
   void set_idle();
-  /// @return the data of the reply field (empty if none is asked for).
   std::string exchange(const Command& command);
-  /// Waits for the answer; nothing at the deadline. @throws kRefused.
-  std::optional<std::string> await_reply(const Command& command, Clock::Instant deadline);
+  std::optional<std::string> ask(const Command& command, Evidence& evidence);
+  std::optional<std::string> await_reply(const Command& command, Clock::Instant deadline, Evidence& evidence);
   std::optional<std::string> match_reply(const mip::Packet& packet, const Command& command) const;
-
   AccelerometerInfo interrogate();
   double rate_hz() const;
   std::vector<mip::FormatEntry> wanted_format() const;
+  void check_rate_and_link(const std::vector<mip::FormatEntry>& format) const;
+  void select_streams();
 
-  void receive(const wire::ReceivedBytes& received);
-  void drain_parser();
-  void take_packet(const mip::Packet& packet);
-  /// Readings made since the last one, this one included (1: none lost).
-  std::uint64_t readings_since_last(const std::vector<mip::Field>& fields);
+  // Data.
+  void receive(const wire::ReceivedBytes& received, bool keep);
+  void take_packet(const mip::Packet& packet, bool keep);
+  std::uint64_t steps_since_last_reading(std::optional<std::uint64_t> reference_time_ns,
+                                         const std::optional<mip::GpsTimestamp>& gps_timestamp);
   std::uint64_t unframed_bytes() const;
+  void end_stream() noexcept;
 
   std::unique_ptr<wire::ByteStream> stream_;
   Clock& clock_;
   AccelerometerSettings settings_;
-
   std::string who_;  ///< For messages.
   Abilities abilities_;
-  bool started_ = false;
-
   mip::PacketParser parser_;
-  Clock::Instant last_arrival_;
-  std::size_t dropped_at_start_ = 0;
+  bool answers_outstanding_ = false;  ///< A command went unanswered: its answer may still come.
 
+  // Since start().
+  bool started_ = false;
   std::deque<Reading> queue_;
-  StreamHealth health_;
-  std::uint64_t next_sequence_ = 0;
-  bool discard_next_reading_ = false;
-  bool forgive_next_gap_ = false;
+  StreamHealth health_;  ///< Without what parser_ and stream_ count.
+  std::size_t dropped_at_start_ = 0;
+  std::uint64_t malformed_bytes_ = 0;  ///< In packets with a right checksum and impossible fields.
+  Clock::Instant last_arrival_;
+  std::optional<std::uint64_t> last_sequence_;
   std::optional<std::uint64_t> last_reference_time_ns_;
   std::optional<mip::GpsTimestamp> last_gps_timestamp_;
   std::uint64_t unframed_at_last_reading_ = 0;
-  std::size_t reading_packet_bytes_ = 0;
-  bool any_reading_ = false;
+  std::size_t last_reading_packet_bytes_ = 0;
+  std::size_t dropped_at_discard_ = 0;
+  bool discard_next_reading_ = false;
+  bool forgive_next_gap_ = false;
   std::optional<double> temperature_degc_;
   Clock::Instant temperature_arrival_;
 };

@@ -129,7 +129,8 @@ class PacketParser {
 /// that points up reads +1 at rest, so a device lying with its z axis down reads about -1 on z.
 std::optional<Eigen::Vector3d> decode_scaled_accelerometer(std::string_view data);
 
-/// 80,14: degrees Celsius over the sensors of the device.
+/// 80,14: degrees Celsius. Statistics since the device was switched on or reset (mip_sdk, data_sensor.h), so
+/// the mean follows the present temperature slowly.
 struct Temperature {
   double min_degc = 0.0;
   double max_degc = 0.0;
@@ -137,7 +138,8 @@ struct Temperature {
 };
 std::optional<Temperature> decode_temperature(std::string_view data);
 
-/// 80,12: GPS time as the device keeps it; steps when a receiver finds the time (then `flags` change).
+/// 80,12: GPS time as the device keeps it. It may step when a receiver or a PPS signal corrects it; bit 1 of
+/// `flags` toggles then (mip_sdk, data_sensor.h).
 struct GpsTimestamp {
   double time_of_week_s = 0.0;
   std::uint16_t week = 0;
