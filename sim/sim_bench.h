@@ -112,7 +112,7 @@ class SimBench {
     std::array<double, 2> error_to_deg{};
     std::array<bool, 2> backlash{};       ///< The last move of the axis ended in the negative direction.
     std::array<std::uint64_t, 2> pose{};  ///< Canonical targets.
-    mutable std::optional<Eigen::Vector3d> force_at_rest;
+    mutable std::optional<Eigen::Vector3d> force_at_rest{};
   };
 
   const Epoch& epoch_at(Clock::Instant t) const;

@@ -1,0 +1,16 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+namespace abcal::sim {
+
+/// What a random number of the world is for: streams that never meet.
+enum class NoiseStream : std::uint64_t { kStepError = 1, kReading = 2, kReadingAtPose = 3 };
+
+/// Four independent standard normal numbers: a pure function of seed, stream and counter (Philox4x64-10 and
+/// the Box-Muller transform of Random123), so that nothing depends on the order in which they are asked for.
+std::array<double, 4> normal_numbers(std::uint64_t seed, NoiseStream stream,
+                                     const std::array<std::uint64_t, 4>& counter);
+
+}  // namespace abcal::sim

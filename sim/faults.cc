@@ -1,0 +1,171 @@
+#include "sim/faults.h"
+
+#include <Random123/philox.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <stdexcept>
+#include <utility>
+
+#include "drivers/instrument/instrument_error.h"
+
+namespace abcal::sim {
+
+const std::vector<FaultDescription>& fault_descriptions() {
+  static const std::vector<FaultDescription> descriptions{
+      {FaultKind::kSilence, "silence", "nothing comes back", true},
+      {FaultKind::kGarbage, "garbage", "random bytes come before what comes back", true},
+      {FaultKind::kFlippedBits, "flipped-bits", "one bit of what comes back is wrong", true},
+      {FaultKind::kDroppedBytes, "dropped-bytes", "one byte of what comes back is missing", true},
+      {FaultKind::kSplitFrame, "split-frame", "what comes back comes one byte at a time", true},
+      {FaultKind::kLateReply, "late-reply", "what comes back comes later", true},
+      {FaultKind::kReplacedReply, "replaced-reply", "another text comes back, e.g. a refusal", true},
+      {FaultKind::kUnplug, "unplug", "the port is gone", true},
+      {FaultKind::kStuckOutput, "stuck-output", "the output stays at the value it had", false},
+      {FaultKind::kClippedOutput, "clipped-output", "the output clips at a small full scale", false},
+      {FaultKind::kNotFinite, "not-finite", "the output is NaN", false},
+      {FaultKind::kNoOutput, "no-output", "the accelerometer makes no readings", false},
+      {FaultKind::kStalledAxis, "stalled-axis", "an axis stops on its way and never says that it is done",
+       false},
+      {FaultKind::kStopsShort, "stops-short",
+       "moves end short of their target, and the controller says all is well", false},
+      {FaultKind::kLostReference, "lost-reference", "the controller forgets the reference of an axis", false},
+      {FaultKind::kRefusedMove, "refused-move", "the controller refuses to move an axis", false},
+  };
+  return descriptions;
+}
+
+FaultKind fault_kind(std::string_view name) {
+  std::vector<std::string_view> known;
+  for (const FaultDescription& description : fault_descriptions()) {
+    if (description.name == name) return description.kind;
+    known.push_back(description.name);
+  }
+  throw std::invalid_argument(
+      fmt::format("fault: found \"{}\", required one of: {}", name, fmt::join(known, ", ")));
+}
+
+FaultyStream::FaultyStream(std::unique_ptr<wire::ByteStream> inner, Clock& clock,
+                           std::vector<WireFault> faults, std::uint64_t seed)
+    : inner_(std::move(inner)), clock_(clock), seed_(seed) {
+  for (WireFault& fault : faults) add(std::move(fault));
+}
+
+void FaultyStream::add(WireFault fault) {
+  for (const FaultDescription& description : fault_descriptions())
+    if (description.kind == fault.kind && !description.on_the_wire)
+      throw std::invalid_argument(
+          fmt::format("faulty stream: found fault \"{}\", required: a fault of the wire, not of the world",
+                      description.name));
+  const std::lock_guard lock(mutex_);
+  faults_.push_back(std::move(fault));
+}
+
+std::size_t FaultyStream::writes() const {
+  const std::lock_guard lock(mutex_);
+  return writes_;
+}
+
+const WireFault* FaultyStream::active(FaultKind kind) const {
+  for (const WireFault& fault : faults_) {
+    if (fault.kind != kind) continue;
+    const std::size_t first = fault.at_write.value_or(0);
+    if (writes_ < first || (fault.at && clock_.now() < *fault.at)) continue;
+    if (fault.for_writes && writes_ >= first + *fault.for_writes) continue;
+    return &fault;
+  }
+  return nullptr;
+}
+
+void FaultyStream::throw_if_unplugged() const {
+  if (active(FaultKind::kUnplug) != nullptr)
+    throw InstrumentError(inner_->name(), Fault::kLinkLost, "unplugged (scripted fault)");
+}
+
+std::uint64_t FaultyStream::draw() {
+  r123::Philox2x64::ctr_type counter{};
+  counter[0] = draws_++;
+  r123::Philox2x64::key_type key{};
+  key[0] = seed_;
+  return r123::Philox2x64{}(counter, key)[0];
+}
+
+void FaultyStream::write(std::string_view bytes) {
+  {
+    const std::lock_guard lock(mutex_);
+    ++writes_;
+    throw_if_unplugged();
+  }
+  inner_->write(bytes);
+}
+
+std::string FaultyStream::distort(std::string bytes) {
+  if (const WireFault* replaced = active(FaultKind::kReplacedReply)) {
+    // Once for each write; what the instrument says besides is swallowed.
+    if (replaced_for_write_ == writes_) return {};
+    replaced_for_write_ = writes_;
+    return replaced->text;
+  }
+  if (active(FaultKind::kFlippedBits) != nullptr && !bytes.empty()) {
+    const std::uint64_t random = draw();
+    char& victim = bytes[random % bytes.size()];
+    victim = static_cast<char>(static_cast<unsigned char>(victim) ^ (1U << ((random >> 32U) % 8U)));
+  }
+  if (active(FaultKind::kDroppedBytes) != nullptr && !bytes.empty()) bytes.erase(draw() % bytes.size(), 1);
+  if (active(FaultKind::kGarbage) != nullptr) {
+    std::string garbage;
+    for (std::uint64_t left = 1 + draw() % 16; left > 0; --left)
+      garbage.push_back(static_cast<char>(draw() & 0xFFU));
+    bytes.insert(0, garbage);
+  }
+  return bytes;
+}
+
+wire::ReceivedBytes FaultyStream::read_until(Clock::Instant deadline) {
+  for (;;) {
+    Clock::Instant next = deadline;
+    {
+      const std::lock_guard lock(mutex_);
+      throw_if_unplugged();
+      if (!held_.empty() && held_.front().due <= clock_.now()) {
+        Held& first = held_.front();
+        wire::ReceivedBytes received{first.bytes.substr(0, 1), first.due};
+        const bool split = active(FaultKind::kSplitFrame) != nullptr;
+        if (!split) received.bytes = first.bytes;
+        first.bytes.erase(0, received.bytes.size());
+        if (first.bytes.empty()) held_.erase(held_.begin());
+        return received;
+      }
+      if (!held_.empty()) next = std::min(next, held_.front().due);
+      // A fault that begins while we wait must end the wait.
+      for (const WireFault& fault : faults_)
+        if (fault.at && *fault.at > clock_.now()) next = std::min(next, *fault.at);
+    }
+    wire::ReceivedBytes received = inner_->read_until(next);
+    const std::lock_guard lock(mutex_);
+    throw_if_unplugged();
+    if (!received.bytes.empty() && active(FaultKind::kSilence) == nullptr) {
+      const WireFault* late = active(FaultKind::kLateReply);
+      const Clock::Instant due = received.arrival + (late != nullptr ? late->delay : Clock::Duration::zero());
+      std::string bytes = distort(std::move(received.bytes));
+      // In order: nothing overtakes a late reply.
+      if (!bytes.empty())
+        held_.push_back({held_.empty() ? due : std::max(due, held_.back().due), std::move(bytes)});
+      continue;
+    }
+    const bool waiting_for_held = !held_.empty() && held_.front().due <= clock_.now();
+    if (received.bytes.empty() && clock_.now() >= deadline && !waiting_for_held) return {{}, clock_.now()};
+    // Silence with a deadline that has passed: the inner stream may hold more, all of it to be swallowed.
+  }
+}
+
+void FaultyStream::discard_input() {
+  {
+    const std::lock_guard lock(mutex_);
+    throw_if_unplugged();
+    std::erase_if(held_, [&](const Held& held) { return held.due <= clock_.now(); });
+  }
+  inner_->discard_input();
+}
+
+}  // namespace abcal::sim

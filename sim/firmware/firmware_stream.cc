@@ -1,0 +1,64 @@
+#include "sim/firmware/firmware_stream.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace abcal::sim {
+
+FirmwareStream::FirmwareStream(std::shared_ptr<Firmware> firmware, Clock& clock, std::string name,
+                               std::size_t capacity)
+    : firmware_(std::move(firmware)),
+      clock_(clock),
+      name_(std::move(name)),
+      capacity_(capacity),
+      last_arrival_(clock.now()) {}
+
+void FirmwareStream::collect(Clock::Instant now) {
+  // Instant by instant, so that the arrival of the last byte is known.
+  for (auto due = firmware_->next_due(); due && *due <= now; due = firmware_->next_due()) {
+    buffer_ += firmware_->transmit(*due);
+    last_arrival_ = std::max(last_arrival_, *due);
+    // Trimmed by a quarter at a time: dropping each byte as it overflows would move the whole buffer every
+    // time.
+    if (buffer_.size() > capacity_) {
+      const std::size_t surplus = std::min(buffer_.size(), buffer_.size() - capacity_ + capacity_ / 4);
+      buffer_.erase(0, surplus);
+      dropped_ += surplus;
+    }
+  }
+}
+
+void FirmwareStream::write(std::string_view bytes) {
+  const std::lock_guard lock(mutex_);
+  const Clock::Instant now = clock_.now();
+  collect(now);  // what was put out before the command came
+  firmware_->receive(bytes, now);
+}
+
+wire::ReceivedBytes FirmwareStream::read_until(Clock::Instant deadline) {
+  for (;;) {
+    Clock::Instant next = deadline;
+    {
+      const std::lock_guard lock(mutex_);
+      const Clock::Instant now = clock_.now();
+      collect(now);
+      if (!buffer_.empty()) return {std::exchange(buffer_, {}), last_arrival_};
+      if (now >= deadline) return {{}, now};
+      if (const auto due = firmware_->next_due()) next = std::min(deadline, *due);
+    }
+    clock_.sleep_until(next);
+  }
+}
+
+void FirmwareStream::discard_input() {
+  const std::lock_guard lock(mutex_);
+  collect(clock_.now());
+  buffer_.clear();
+}
+
+std::size_t FirmwareStream::dropped_bytes() const {
+  const std::lock_guard lock(mutex_);
+  return dropped_;
+}
+
+}  // namespace abcal::sim

@@ -1,0 +1,386 @@
+#include "sim/sim_bench.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <stdexcept>
+#include <string>
+
+#include "sim/counter_noise.h"
+
+namespace abcal::sim {
+namespace {
+
+constexpr std::size_t kKeptEpochs = 4096;
+constexpr std::int64_t kMicroDegreesPerTurn = 360'000'000;
+constexpr std::uint64_t kPoseZero = 0;
+constexpr std::uint64_t kPoseMinus90 = 270'000'000;
+// exp(-40) is below the resolution of a double: the ring-down is over.
+constexpr double kRingDownTimeConstants = 40.0;
+
+/// The pose as an integer, so that a target reached by different sums is the same pose.
+std::uint64_t canonical(Angle angle) {
+  const double reduced = std::remainder(angle.deg(), 360.0);  // exact
+  const std::int64_t micro = std::llround(reduced * 1e6) % kMicroDegreesPerTurn;
+  return static_cast<std::uint64_t>(micro < 0 ? micro + kMicroDegreesPerTurn : micro);
+}
+
+/// Reduced in degrees before it becomes radians, so that whole turns cost no digits.
+double reduced_rad(double deg) {
+  return Angle::degrees(std::remainder(deg, 360.0)).rad();
+}
+
+Angle angle_between(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
+  return Angle::radians(std::atan2(a.cross(b).norm(), a.dot(b)));
+}
+
+[[noreturn]] void refuse(const std::string& what, const std::string& found, const std::string& required) {
+  throw std::invalid_argument(fmt::format("simulated bench: {} is {}, required: {}", what, found, required));
+}
+
+void require(bool holds, const std::string& what, double found, const std::string& required) {
+  if (!holds) refuse(what, fmt::format("{}", found), required);
+}
+
+void check_axis(const AxisTruth& axis, const std::string& name) {
+  const auto finite = [&](Angle angle, const char* what) {
+    require(std::isfinite(angle.deg()), name + "." + what, angle.deg(), "finite");
+  };
+  finite(axis.mean_step_error, "mean_step_error");
+  finite(axis.initial_turn_error, "initial_turn_error");
+  finite(axis.backlash, "backlash");
+  finite(axis.travel_min, "travel_min");
+  finite(axis.travel_max, "travel_max");
+  for (const ErrorHarmonic& harmonic : axis.harmonics) {
+    finite(harmonic.sin_coefficient, "harmonics.sin_coefficient");
+    finite(harmonic.cos_coefficient, "harmonics.cos_coefficient");
+  }
+  const auto positive = [](double value) { return value > 0.0 && std::isfinite(value); };
+  require(axis.step_error_sd.deg() >= 0.0 && std::isfinite(axis.step_error_sd.deg()), name + ".step_error_sd",
+          axis.step_error_sd.deg(), ">= 0");
+  require(axis.encoder_resolution.deg() >= 0.0 && std::isfinite(axis.encoder_resolution.deg()),
+          name + ".encoder_resolution", axis.encoder_resolution.deg(), ">= 0");
+  require(positive(axis.speed_deg_per_s), name + ".speed_deg_per_s", axis.speed_deg_per_s, "> 0");
+  require(positive(axis.acceleration_deg_per_s2), name + ".acceleration_deg_per_s2",
+          axis.acceleration_deg_per_s2, "> 0");
+  require(axis.travel_min < axis.travel_max, name + ".travel_min", axis.travel_min.deg(), "below travel_max");
+}
+
+void check(const BenchTruth& truth) {
+  const auto finite = [](const auto& matrix, const char* what) {
+    if (!matrix.allFinite()) refuse(what, "not finite", "finite");
+  };
+  finite(truth.sensitivity_matrix, "sensitivity_matrix");
+  finite(truth.offset, "offset");
+  finite(truth.k2, "k2");
+  finite(truth.k3, "k3");
+  finite(truth.drift_per_hour, "drift_per_hour");
+  finite(truth.offset_per_degc, "offset_per_degc");
+  const auto not_negative = [](double value, const char* what) {
+    require(value >= 0.0 && std::isfinite(value), what, value, ">= 0");
+  };
+  not_negative(truth.noise, "noise");
+  not_negative(truth.quantisation, "quantisation");
+  not_negative(truth.ring_down_frequency_hz, "ring_down_frequency_hz");
+  require(truth.full_scale > 0.0, "full_scale", truth.full_scale, "> 0");
+  require(truth.ring_down_decay_s > 0.0 && std::isfinite(truth.ring_down_decay_s), "ring_down_decay_s",
+          truth.ring_down_decay_s, "> 0");
+  require(std::isfinite(truth.ring_down_amplitude), "ring_down_amplitude", truth.ring_down_amplitude,
+          "finite");
+  require(std::isfinite(truth.temperature_degc), "temperature_degc", truth.temperature_degc, "finite");
+  require(std::isfinite(truth.temperature_per_hour), "temperature_per_hour", truth.temperature_per_hour,
+          "finite");
+  require(truth.zx * truth.zx + truth.zy * truth.zy < 1.0, "zx^2 + zy^2",
+          truth.zx * truth.zx + truth.zy * truth.zy, "below 1");
+  require(std::abs(truth.xz) < 1.0, "xz", truth.xz, "between -1 and 1");
+  check_axis(truth.x, "x");
+  check_axis(truth.z, "z");
+}
+
+}  // namespace
+
+SimBench::SimBench(BenchTruth truth, Clock::Instant start) : truth_(std::move(truth)), start_(start) {
+  check(truth_);
+  axis_x_ = {std::sqrt(1.0 - truth_.xz * truth_.xz), 0.0, truth_.xz};
+  axis_z_ = {truth_.zx, truth_.zy, std::sqrt(1.0 - truth_.zx * truth_.zx - truth_.zy * truth_.zy)};
+  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
+  const Eigen::Vector3d E = up.cross(axis_z_);
+  R_LP_rest_ = E.norm() > 0.0
+                   ? Eigen::AngleAxisd(angle_between(up, axis_z_).rad(), E.normalized()).toRotationMatrix()
+                   : Eigen::Matrix3d::Identity();
+  for (const StageAxis axis : kStageAxes) {
+    const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
+    limits_[index(axis)] = {a.speed_deg_per_s, a.acceleration_deg_per_s2, a.acceleration_deg_per_s2};
+  }
+  Epoch rest{.start = start, .settled = start, .motion = {AxisMotion({}, start), AxisMotion({}, start)}};
+  epochs_.push_back(std::move(rest));
+}
+
+const SimBench::Epoch& SimBench::epoch_at(Clock::Instant t) const {
+  // Nearly always the last one: look from the end.
+  for (auto epoch = epochs_.rbegin(); epoch != epochs_.rend(); ++epoch)
+    if (epoch->start <= t) return *epoch;
+  return epochs_.front();
+}
+
+void SimBench::move(StageAxis axis, Angle target, Clock::Instant t) {
+  const std::lock_guard lock(mutex_);
+  const Epoch& now = epochs_.back();
+  if (t < now.start) refuse("the time of a move", "before the move commanded last", "in order of time");
+  const WorldFault* short_stop = find_fault(FaultKind::kStopsShort, t, axis);
+  const AxisMotion& before = now.motion[index(axis)];
+  const Angle from = before.position(t);
+  if (short_stop != nullptr && std::isfinite(target.deg())) {
+    const Angle missing = Angle::degrees(target < from ? -short_stop->value : short_stop->value);
+    target = target - missing;
+  }
+  command(axis, AxisMotion::move(t, from, before.velocity_deg_per_s(t), target, limits_[index(axis)]), t);
+}
+
+void SimBench::halt(StageAxis axis, Clock::Instant t) {
+  const std::lock_guard lock(mutex_);
+  const Epoch& now = epochs_.back();
+  if (t < now.start) refuse("the time of a halt", "before the move commanded last", "in order of time");
+  const AxisMotion& before = now.motion[index(axis)];
+  if (!before.moving(t)) return;
+  command(axis, AxisMotion::halt(t, before.position(t), before.velocity_deg_per_s(t), limits_[index(axis)]),
+          t);
+}
+
+void SimBench::command(StageAxis axis, AxisMotion motion, Clock::Instant t) {
+  for (const WorldFault& fault : faults_)
+    if (fault.kind == FaultKind::kStalledAxis && fault.axis == axis && t < fault.until)
+      motion.stall_at(fault.at);
+  const Epoch& before = epochs_.back();
+  Epoch next = before;
+  next.start = t;
+  next.force_at_rest.reset();
+  next.motion[index(axis)] = motion;
+  if (motion.direction() != 0) next.backlash[index(axis)] = motion.direction() < 0;
+  next.settled = t;
+  for (std::size_t k = 0; k < 2; ++k) {
+    next.settled = std::max(next.settled, next.motion[k].planned_end());
+    next.pose[k] = canonical(next.motion[k].target());
+    next.error_from_deg[k] = error_deg(before, k, t);
+  }
+  for (const StageAxis each : kStageAxes) {
+    const std::size_t k = index(each);
+    const AxisTruth& a = each == StageAxis::kX ? truth_.x : truth_.z;
+    next.error_to_deg[k] = stage_error(each, next.motion[k].target(), next.motion[1 - k].target()).deg() +
+                           (next.backlash[k] ? a.backlash.deg() : 0.0);  // lags behind a falling angle
+  }
+  epochs_.push_back(std::move(next));
+  if (epochs_.size() > kKeptEpochs) epochs_.pop_front();
+}
+
+void SimBench::set_motion_limits(StageAxis axis, const MotionLimits& limits) {
+  const auto positive = [](double value, const char* what) {
+    require(value > 0.0 && std::isfinite(value), what, value, "> 0");
+  };
+  positive(limits.speed_deg_per_s, "speed_deg_per_s");
+  positive(limits.acceleration_deg_per_s2, "acceleration_deg_per_s2");
+  positive(limits.deceleration_deg_per_s2, "deceleration_deg_per_s2");
+  const std::lock_guard lock(mutex_);
+  limits_[index(axis)] = limits;
+}
+
+MotionLimits SimBench::motion_limits(StageAxis axis) const {
+  const std::lock_guard lock(mutex_);
+  return limits_[index(axis)];
+}
+
+bool SimBench::moving(StageAxis axis, Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return epoch_at(t).motion[index(axis)].moving(t);
+}
+
+Clock::Instant SimBench::motion_end(StageAxis axis, Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return epoch_at(t).motion[index(axis)].end();
+}
+
+Angle SimBench::target(StageAxis axis, Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return epoch_at(t).motion[index(axis)].target();
+}
+
+Angle SimBench::commanded_angle(StageAxis axis, Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return epoch_at(t).motion[index(axis)].position(t);
+}
+
+Angle SimBench::encoder_angle(StageAxis axis, Clock::Instant t) const {
+  const Angle exact = commanded_angle(axis, t);
+  const double resolution = (axis == StageAxis::kX ? truth_.x : truth_.z).encoder_resolution.deg();
+  if (resolution == 0.0) return exact;
+  return Angle::degrees(std::round(exact.deg() / resolution) * resolution);
+}
+
+double SimBench::error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const {
+  if (t >= epoch.settled) return epoch.error_to_deg[axis];
+  const double done =
+      t <= epoch.start ? 0.0 : to_seconds(t - epoch.start) / to_seconds(epoch.settled - epoch.start);
+  return epoch.error_from_deg[axis] + done * (epoch.error_to_deg[axis] - epoch.error_from_deg[axis]);
+}
+
+Angle SimBench::actual_angle(StageAxis axis, Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  const Epoch& epoch = epoch_at(t);
+  return epoch.motion[index(axis)].position(t) + Angle::degrees(error_deg(epoch, index(axis), t));
+}
+
+Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const {
+  const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
+  const std::uint64_t pose = canonical(commanded);
+  if (pose == kPoseZero) return {};
+  if (pose == kPoseMinus90) return a.initial_turn_error;
+  double error = a.mean_step_error.deg();
+  for (const ErrorHarmonic& harmonic : a.harmonics) {
+    const double phase = reduced_rad(harmonic.order * std::remainder(commanded.deg(), 360.0));
+    error += harmonic.sin_coefficient.deg() * std::sin(phase) +
+             harmonic.cos_coefficient.deg() * (std::cos(phase) - 1.0);
+  }
+  if (a.step_error_sd.deg() > 0.0)
+    error += a.step_error_sd.deg() * normal_numbers(truth_.seed, NoiseStream::kStepError,
+                                                    {pose, canonical(other_commanded), index(axis), 0})[0];
+  return Angle::degrees(error);
+}
+
+Eigen::Vector3d SimBench::force(const Epoch& epoch, Clock::Instant t) const {
+  const bool at_rest = t >= epoch.settled && !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
+  if (at_rest && epoch.force_at_rest) return *epoch.force_at_rest;
+  std::array<double, 2> turn{};
+  for (std::size_t k = 0; k < 2; ++k)
+    turn[k] = reduced_rad(epoch.motion[k].position(t).deg() + error_deg(epoch, k, t));
+  // L: LGCS. P: platter, which carries the accelerometer. X carries Z, Z carries the platter.
+  const Eigen::Matrix3d R_LP =
+      (Eigen::AngleAxisd(turn[0], axis_x_) * Eigen::AngleAxisd(turn[1], axis_z_)).toRotationMatrix() *
+      R_LP_rest_;
+  const Eigen::Vector3d f_L = Eigen::Vector3d::UnitZ();  // specific force at rest: up, not down
+  const Eigen::Vector3d f_P = R_LP.transpose() * f_L;
+  if (at_rest) epoch.force_at_rest = f_P;
+  return f_P;
+}
+
+Eigen::Vector3d SimBench::specific_force(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return force(epoch_at(t), t);
+}
+
+double SimBench::temperature_degc(Clock::Instant t) const {
+  return truth_.temperature_degc + truth_.temperature_per_hour * (to_seconds(t - start_) / 3600.0);
+}
+
+SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
+                           Clock::Duration sample_period) const {
+  if (truth_.noise_seeded_by_angle && sample_period <= Clock::Duration::zero())
+    refuse("the sample period", "not positive", "positive, as the noise restarts at each pose");
+  const std::lock_guard lock(mutex_);
+  if (const WorldFault* stuck = find_fault(FaultKind::kStuckOutput, t, StageAxis::kX)) {
+    const Clock::Instant since = std::max(stuck->at, start_);
+    // The sample index of that instant is not known; any fixed one gives a value that looks like a reading.
+    return output_without_faults(epoch_at(since), since, 0, sample_period);
+  }
+  SimOutput output = output_without_faults(epoch_at(t), t, sample_index, sample_period);
+  if (const WorldFault* clip = find_fault(FaultKind::kClippedOutput, t, StageAxis::kX)) {
+    for (int j = 0; j < 3; ++j) {
+      if (std::abs(output.value[j]) < clip->value) continue;
+      output.value[j] = std::copysign(clip->value, output.value[j]);
+      output.clipped[static_cast<std::size_t>(j)] = true;
+    }
+  }
+  if (find_fault(FaultKind::kNotFinite, t, StageAxis::kX) != nullptr)
+    output.value.setConstant(std::numeric_limits<double>::quiet_NaN());
+  return output;
+}
+
+SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,
+                                          Clock::Duration sample_period) const {
+  const double hours = to_seconds(t - start_) / 3600.0;
+  SimOutput output;
+  output.temperature_degc = truth_.temperature_degc + truth_.temperature_per_hour * hours;
+
+  const Eigen::Array3d linear = (truth_.sensitivity_matrix * force(epoch, t)).array();  // l - O
+  Eigen::Array3d r = linear + truth_.offset.array() + linear.square() * truth_.k2.array() +
+                     linear.cube() * truth_.k3.array() + truth_.drift_per_hour.array() * hours +
+                     truth_.offset_per_degc.array() * (output.temperature_degc - truth_.temperature_degc);
+
+  if (truth_.ring_down_amplitude != 0.0) {
+    for (const AxisMotion& motion : epoch.motion) {
+      if (motion.moving(t) || motion.direction() == 0) continue;
+      const double since_s = to_seconds(t - motion.end());
+      const double decayed = since_s / truth_.ring_down_decay_s;
+      if (decayed > kRingDownTimeConstants) continue;
+      r += truth_.ring_down_amplitude * motion.peak_speed_deg_per_s() * std::exp(-decayed) *
+           std::sin(2.0 * std::numbers::pi * truth_.ring_down_frequency_hz * since_s);
+    }
+  }
+
+  if (truth_.noise > 0.0) {
+    std::array<double, 4> normal{};
+    if (truth_.noise_seeded_by_angle) {
+      const bool settled = t >= epoch.settled;
+      const Clock::Instant since = settled ? epoch.settled : epoch.start;
+      const auto samples_since =
+          static_cast<std::uint64_t>(std::max<std::int64_t>(0, (t - since) / sample_period));
+      normal = normal_numbers(truth_.seed, NoiseStream::kReadingAtPose,
+                              {samples_since, epoch.pose[0], epoch.pose[1], settled ? 1U : 0U});
+    } else {
+      normal = normal_numbers(truth_.seed, NoiseStream::kReading, {sample_index, 0, 0, 0});
+    }
+    r += truth_.noise * Eigen::Array3d(normal[0], normal[1], normal[2]);
+  }
+
+  for (int j = 0; j < 3; ++j) {
+    if (truth_.quantisation > 0.0) r[j] = std::round(r[j] / truth_.quantisation) * truth_.quantisation;
+    if (std::abs(r[j]) >= truth_.full_scale) {
+      r[j] = std::copysign(truth_.full_scale, r[j]);
+      output.clipped[static_cast<std::size_t>(j)] = true;
+    }
+  }
+  output.value = r.matrix();
+  return output;
+}
+
+Eigen::Matrix3d SimBench::true_sensitivity_matrix() const {
+  return truth_.sensitivity_matrix * R_LP_rest_.transpose();  // every row turned by the tilt
+}
+
+TrueIntrinsicProperties SimBench::true_intrinsic_properties() const {
+  const Eigen::Matrix3d s = true_sensitivity_matrix();
+  const Eigen::Vector3d u = s.row(0);
+  const Eigen::Vector3d v = s.row(1);
+  const Eigen::Vector3d w = s.row(2);
+  return {.sensitivity = s.rowwise().norm(),
+          .angle = {angle_between(u, v), angle_between(v, w), angle_between(w, u)},
+          .offset = truth_.offset};
+}
+
+void SimBench::inject(const WorldFault& fault) {
+  for (const FaultDescription& description : fault_descriptions())
+    if (description.kind == fault.kind && description.on_the_wire)
+      refuse("the fault", fmt::format("\"{}\"", description.name), "a fault of the world, not of the wire");
+  const std::lock_guard lock(mutex_);
+  faults_.push_back(fault);
+  if (fault.kind == FaultKind::kStalledAxis) epochs_.back().motion[index(fault.axis)].stall_at(fault.at);
+}
+
+const WorldFault* SimBench::find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const {
+  const bool of_an_axis = kind == FaultKind::kStalledAxis || kind == FaultKind::kStopsShort ||
+                          kind == FaultKind::kLostReference || kind == FaultKind::kRefusedMove;
+  for (const WorldFault& fault : faults_)
+    if (fault.kind == kind && (!of_an_axis || fault.axis == axis) && fault.at <= t && t < fault.until)
+      return &fault;
+  return nullptr;
+}
+
+std::optional<WorldFault> SimBench::fault_at(FaultKind kind, Clock::Instant t, StageAxis axis) const {
+  const std::lock_guard lock(mutex_);
+  const WorldFault* fault = find_fault(kind, t, axis);
+  return fault == nullptr ? std::nullopt : std::optional(*fault);
+}
+
+}  // namespace abcal::sim
