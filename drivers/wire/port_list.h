@@ -31,6 +31,9 @@ std::vector<PortInfo> list_ports();
 /// ", "; empty if there is none or we may not see it.
 std::string find_holder(const std::string& path);
 
+/// The name of the group that owns the file at `path`; empty if there is no such file.
+std::string owner_group(const std::string& path);
+
 /// A `port` of a bench file, taken apart.
 struct PortName {
   enum class Kind { kPath, kUsb, kTcp };

@@ -1,0 +1,16 @@
+#include "drivers/wire/open_stream.h"
+
+#include "drivers/wire/port_list.h"
+#include "drivers/wire/tcp_stream.h"
+
+namespace abcal::wire {
+
+std::unique_ptr<ByteStream> open_stream(std::string_view port, const SerialSettings& defaults, Clock& clock) {
+  const PortName name = parse_port(port);
+  if (name.kind == PortName::Kind::kTcp) return std::make_unique<TcpStream>(name.host, name.tcp_port, clock);
+  SerialSettings settings = defaults;
+  settings.path = resolve_port(port);
+  return std::make_unique<SerialPort>(settings, clock);
+}
+
+}  // namespace abcal::wire

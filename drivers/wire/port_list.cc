@@ -1,0 +1,230 @@
+#include "drivers/wire/port_list.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <grp.h>
+#include <libserialport.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <stdexcept>
+
+#include "drivers/instrument/instrument_error.h"
+
+namespace abcal::wire {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string text_or_empty(const char* text) {
+  return text == nullptr ? std::string() : std::string(text);
+}
+
+std::string by_id_link(const std::string& path) {
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator("/dev/serial/by-id", error)) {
+    if (fs::equivalent(entry.path(), path, error) && !error) return entry.path().string();
+  }
+  return {};
+}
+
+std::optional<int> latency_timer(const std::string& path) {
+  std::ifstream file("/sys/class/tty/" + fs::path(path).filename().string() + "/device/latency_timer");
+  int milliseconds = 0;
+  if (file >> milliseconds) return milliseconds;
+  return std::nullopt;
+}
+
+std::string describe(const PortInfo& port) {
+  std::string text = port.path;
+  if (port.usb_vendor && port.usb_product) {
+    text += fmt::format(" (usb:{:04x}:{:04x}", *port.usb_vendor, *port.usb_product);
+    if (!port.serial_number.empty()) text += ":" + port.serial_number;
+    text += ")";
+  }
+  return text;
+}
+
+std::string describe(const std::vector<PortInfo>& ports) {
+  std::vector<std::string> texts;
+  for (const PortInfo& port : ports) texts.push_back(describe(port));
+  return fmt::format("{}", fmt::join(texts, ", "));
+}
+
+[[noreturn]] void malformed(std::string_view port, std::string_view why) {
+  throw std::invalid_argument(fmt::format(
+      "port \"{}\": {}; required is a path such as /dev/ttyUSB0, usb:VID:PID[:SERIAL] with four hexadecimal "
+      "digits each, or tcp:HOST:PORT",
+      port, why));
+}
+
+template <class Integer>
+std::optional<Integer> whole_number(std::string_view text, int base) {
+  Integer value{};
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value, base);
+  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  return value;
+}
+
+std::uint16_t usb_number(std::string_view port, std::string_view text) {
+  std::string_view digits = text;
+  if (digits.starts_with("0x") || digits.starts_with("0X")) digits.remove_prefix(2);
+  const auto value = whole_number<std::uint16_t>(digits, 16);
+  if (!value) malformed(port, fmt::format("\"{}\" is not a USB vendor or product number", text));
+  return *value;
+}
+
+PortName parse_usb(std::string_view port) {
+  PortName name;
+  name.kind = PortName::Kind::kUsb;
+  std::string_view rest = port.substr(4);
+  const std::size_t colon = rest.find(':');
+  if (colon == std::string_view::npos) malformed(port, "the product number is missing");
+  name.usb_vendor = usb_number(port, rest.substr(0, colon));
+  rest.remove_prefix(colon + 1);
+  const std::size_t second = rest.find(':');
+  name.usb_product = usb_number(port, rest.substr(0, second));
+  if (second != std::string_view::npos) {
+    name.usb_serial_number = rest.substr(second + 1);  // May itself contain colons.
+    if (name.usb_serial_number.empty()) malformed(port, "the serial number is empty");
+  }
+  return name;
+}
+
+PortName parse_tcp(std::string_view port) {
+  PortName name;
+  name.kind = PortName::Kind::kTcp;
+  const std::string_view rest = port.substr(4);
+  const std::size_t colon = rest.rfind(':');
+  if (colon == std::string_view::npos) malformed(port, "the port number is missing");
+  std::string_view host = rest.substr(0, colon);
+  if (host.size() >= 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
+  if (host.empty()) malformed(port, "the host is missing");
+  name.host = host;
+  const auto number = whole_number<std::uint16_t>(rest.substr(colon + 1), 10);
+  if (!number || *number == 0) {
+    malformed(port, fmt::format("\"{}\" is not a port number of 1 to 65535", rest.substr(colon + 1)));
+  }
+  name.tcp_port = *number;
+  return name;
+}
+
+}  // namespace
+
+std::string owner_group(const std::string& path) {
+  struct stat status {};
+  if (::stat(path.c_str(), &status) != 0) return {};
+  struct group entry {};
+  struct group* found = nullptr;
+  std::array<char, 16384> buffer{};
+  if (::getgrgid_r(status.st_gid, &entry, buffer.data(), buffer.size(), &found) != 0 || found == nullptr) {
+    return std::to_string(status.st_gid);
+  }
+  return found->gr_name;
+}
+
+std::string find_holder(const std::string& path) {
+  struct stat wanted {};
+  if (::stat(path.c_str(), &wanted) != 0) return {};
+  const std::string self = std::to_string(::getpid());
+  std::vector<std::string> holders;
+  std::error_code error;
+  for (fs::directory_iterator process("/proc", error), end; !error && process != end;
+       process.increment(error)) {
+    const std::string pid = process->path().filename().string();
+    if (pid == self || !std::all_of(pid.begin(), pid.end(), [](char c) { return c >= '0' && c <= '9'; }))
+      continue;
+    std::error_code unreadable;  // Another user's process, or one that has just ended.
+    bool holds = false;
+    for (fs::directory_iterator fd(process->path() / "fd", unreadable), last; !unreadable && fd != last;
+         fd.increment(unreadable)) {
+      struct stat status {};
+      // The same device, under whatever name it was opened.
+      holds = ::stat(fd->path().c_str(), &status) == 0 &&
+              (status.st_mode & S_IFMT) == (wanted.st_mode & S_IFMT) && status.st_dev == wanted.st_dev &&
+              (S_ISCHR(wanted.st_mode) ? status.st_rdev == wanted.st_rdev : status.st_ino == wanted.st_ino);
+      if (holds) break;
+    }
+    if (!holds) continue;
+    std::ifstream comm(process->path() / "comm");
+    std::string program;
+    std::getline(comm, program);
+    holders.push_back(program.empty() ? fmt::format("pid {}", pid)
+                                      : fmt::format("pid {} ({})", pid, program));
+  }
+  return fmt::format("{}", fmt::join(holders, ", "));
+}
+
+std::vector<PortInfo> list_ports() {
+  struct sp_port** found = nullptr;
+  if (sp_list_ports(&found) != SP_OK || found == nullptr) return {};
+  const std::unique_ptr<struct sp_port*, void (*)(struct sp_port**)> owner(found, &sp_free_port_list);
+  std::vector<PortInfo> ports;
+  for (struct sp_port** port = found; *port != nullptr; ++port) {
+    PortInfo info;
+    info.path = text_or_empty(sp_get_port_name(*port));
+    info.by_id = by_id_link(info.path);
+    info.description = text_or_empty(sp_get_port_description(*port));
+    int vendor = 0;
+    int product = 0;
+    if (sp_get_port_transport(*port) == SP_TRANSPORT_USB &&
+        sp_get_port_usb_vid_pid(*port, &vendor, &product) == SP_OK) {
+      info.usb_vendor = static_cast<std::uint16_t>(vendor);
+      info.usb_product = static_cast<std::uint16_t>(product);
+      info.usb_maker = text_or_empty(sp_get_port_usb_manufacturer(*port));
+      info.serial_number = text_or_empty(sp_get_port_usb_serial(*port));
+    }
+    info.owner_group = owner_group(info.path);
+    info.permitted = ::access(info.path.c_str(), R_OK | W_OK) == 0;
+    info.holder = find_holder(info.path);
+    info.latency_timer_ms = latency_timer(info.path);
+    ports.push_back(std::move(info));
+  }
+  return ports;
+}
+
+PortName parse_port(std::string_view port) {
+  if (port.starts_with("usb:")) return parse_usb(port);
+  if (port.starts_with("tcp:")) return parse_tcp(port);
+  if (port.find('/') == std::string_view::npos) malformed(port, "not the name of a port");
+  PortName name;
+  name.path = port;
+  return name;
+}
+
+std::string resolve_port(std::string_view port) {
+  if (parse_port(port).kind != PortName::Kind::kUsb) return std::string(port);
+  return resolve_port(port, list_ports());
+}
+
+std::string resolve_port(std::string_view port, const std::vector<PortInfo>& ports) {
+  const PortName name = parse_port(port);
+  if (name.kind != PortName::Kind::kUsb) return std::string(port);
+  std::vector<PortInfo> matching;
+  std::vector<PortInfo> usb;
+  for (const PortInfo& candidate : ports) {
+    if (!candidate.usb_vendor || !candidate.usb_product) continue;
+    usb.push_back(candidate);
+    if (candidate.usb_vendor == name.usb_vendor && candidate.usb_product == name.usb_product &&
+        (name.usb_serial_number.empty() || candidate.serial_number == name.usb_serial_number)) {
+      matching.push_back(candidate);
+    }
+  }
+  if (matching.size() == 1) return matching.front().path;
+  if (matching.empty()) {
+    throw InstrumentError(port, Fault::kCannotOpen,
+                          usb.empty() ? "not connected; this machine has no USB serial port connected now"
+                                      : fmt::format("not connected; connected are {}", describe(usb)));
+  }
+  throw InstrumentError(
+      port, Fault::kCannotOpen,
+      fmt::format("fits several ports: {}; add the serial number, or name the path", describe(matching)));
+}
+
+}  // namespace abcal::wire

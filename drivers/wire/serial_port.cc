@@ -1,0 +1,227 @@
+#include "drivers/wire/serial_port.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <poll.h>
+#include <sys/file.h>
+#include <sys/ioctl.h>
+#include <sys/stat.h>
+#include <sys/sysmacros.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <boost/asio/serial_port.hpp>
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <filesystem>
+#include <utility>
+#include <vector>
+
+#include "drivers/wire/asio_link.h"
+#include "drivers/wire/port_list.h"
+
+namespace abcal::wire {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::chrono::milliseconds kDrainDeadline(500);  // 5760 bytes at 115200 baud.
+
+[[noreturn]] void cannot_open(const std::string& path, const std::string& why) {
+  throw InstrumentError(path, Fault::kCannotOpen, why);
+}
+
+std::string what_there_is() {
+  std::vector<std::string> names;
+  for (const PortInfo& port : list_ports()) names.push_back(port.by_id.empty() ? port.path : port.by_id);
+  if (names.empty()) return "this machine has no serial port connected now";
+  return fmt::format("connected are {}", fmt::join(names, ", "));
+}
+
+[[noreturn]] void held(const std::string& path) {
+  const std::string holder = find_holder(path);
+  if (!holder.empty())
+    cannot_open(path, fmt::format("held by another program: {}; close that first", holder));
+  cannot_open(
+      path,
+      "held by another program (which one cannot be seen), or by this one: is the port named twice in "
+      "the bench file?");
+}
+
+/// Owns a file descriptor until Asio does.
+class Descriptor {
+ public:
+  explicit Descriptor(int fd) : fd_(fd) {}
+  ~Descriptor() {
+    if (fd_ >= 0) ::close(fd_);
+  }
+  Descriptor(Descriptor&& other) noexcept : fd_(other.release()) {}
+  Descriptor& operator=(Descriptor&&) = delete;
+  int get() const { return fd_; }
+  int release() { return std::exchange(fd_, -1); }
+
+ private:
+  int fd_;
+};
+
+/// Unix 98 pseudo-terminals have the character majors 136 to 143 (Linux,
+/// Documentation/admin-guide/devices.txt).
+bool is_pseudo_terminal(const struct stat& status) {
+  return major(status.st_rdev) >= 136 && major(status.st_rdev) <= 143;
+}
+
+void check_exists(const std::string& path, struct stat& status) {
+  if (::stat(path.c_str(), &status) != 0) {
+    const int error = errno;
+    std::error_code ignored;
+    if (error == ENOENT && fs::is_symlink(fs::symlink_status(path, ignored))) {
+      cannot_open(path,
+                  fmt::format("a link to {}, which does not exist (unplugged, or the emulator has ended); {}",
+                              fs::read_symlink(path, ignored).string(), what_there_is()));
+    }
+    if (error == ENOENT || error == ENOTDIR) {
+      cannot_open(path, fmt::format("does not exist; {}", what_there_is()));
+    }
+    cannot_open(path, std::strerror(error));
+  }
+  if (S_ISDIR(status.st_mode)) cannot_open(path, "a folder, not a serial port");
+  if (!S_ISCHR(status.st_mode)) cannot_open(path, "a file, not a serial port");
+}
+
+std::string not_permitted(const std::string& path) {
+  const std::string group = owner_group(path);
+  if (group.empty()) return "not permitted to this user";
+  return fmt::format(
+      "not permitted: it belongs to group {0}; run `sudo usermod -aG {0} $USER` and log in again", group);
+}
+
+/// Opens and locks, before any setting of the port is touched: it might be somebody else's.
+Descriptor open_and_lock(const std::string& path) {
+  struct stat status {};
+  check_exists(path, status);
+  Descriptor port(::open(path.c_str(), O_RDWR | O_NONBLOCK | O_NOCTTY | O_CLOEXEC));
+  if (port.get() < 0) {
+    switch (errno) {
+      case EACCES:
+      case EPERM:
+        cannot_open(path, not_permitted(path));
+      case EBUSY:
+        held(path);
+      case ENXIO:
+      case ENODEV:
+      case EIO:
+        cannot_open(path, fmt::format("there is no working port behind it ({})", std::strerror(errno)));
+      default:
+        cannot_open(path, std::strerror(errno));
+    }
+  }
+  termios ignored{};
+  if (::tcgetattr(port.get(), &ignored) != 0) {
+    if (errno == EIO) cannot_open(path, "there is no working port behind it (Input/output error)");
+    cannot_open(path, "a device, but not a serial port");
+  }
+  if (::flock(port.get(), LOCK_EX | LOCK_NB) != 0) {
+    if (errno == EWOULDBLOCK) held(path);
+    cannot_open(path, fmt::format("cannot be locked: {}", std::strerror(errno)));
+  }
+  if (!is_pseudo_terminal(status)) {
+    // A program that took no lock may still read from it, and each would get part of the replies. (A
+    // pseudo-terminal is rightly held open by the program that emulates the instrument.)
+    if (!find_holder(path).empty()) held(path);
+    if (::ioctl(port.get(), TIOCEXCL) != 0) {
+      cannot_open(path, fmt::format("cannot be taken for this program alone: {}", std::strerror(errno)));
+    }
+  }
+  return port;
+}
+
+void make_raw(int fd, const std::string& path) {
+  termios mode{};
+  if (::tcgetattr(fd, &mode) != 0) cannot_open(path, std::strerror(errno));
+  ::cfmakeraw(&mode);
+  mode.c_cflag |= CREAD | CLOCAL;
+  mode.c_cc[VMIN] = 1;
+  mode.c_cc[VTIME] = 0;
+  if (::tcsetattr(fd, TCSANOW, &mode) != 0) {
+    cannot_open(path, fmt::format("does not take raw mode: {}", std::strerror(errno)));
+  }
+}
+
+template <class Option>
+void set(boost::asio::serial_port& port, const Option& option, const std::string& path,
+         const std::string& what) {
+  boost::system::error_code error;
+  port.set_option(option, error);
+  if (error) cannot_open(path, fmt::format("does not take {} ({})", what, error.message()));
+}
+
+}  // namespace
+
+struct SerialPort::Impl {
+  Impl(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes)
+      : link(settings.path, clock, queue_bytes) {
+    using boost::asio::serial_port;
+    const std::string& path = settings.path;
+    Descriptor descriptor = open_and_lock(path);
+    const int fd = descriptor.get();
+    make_raw(fd, path);
+    boost::system::error_code error;
+    link.port().assign(fd, error);
+    if (error) cannot_open(path, error.message());
+    descriptor.release();
+    set(link.port(), serial_port::baud_rate(settings.baud), path, fmt::format("{} baud", settings.baud));
+    set(link.port(), serial_port::character_size(8), path, "8 data bits");
+    set(link.port(), serial_port::parity(serial_port::parity::none), path, "no parity");
+    set(link.port(), serial_port::stop_bits(serial_port::stop_bits::one), path, "1 stop bit");
+    set(link.port(),
+        serial_port::flow_control(settings.rts_cts ? serial_port::flow_control::hardware
+                                                   : serial_port::flow_control::none),
+        path, settings.rts_cts ? "RTS/CTS flow control" : "no flow control");
+    ::tcflush(fd, TCIFLUSH);  // What waited in the kernel was meant for whoever had the port before.
+    link.start();
+  }
+
+  /// The last bytes (a stop command, say) are given time to leave; what a blocked line still holds then is
+  /// dropped, because the kernel would keep close() waiting for 30 s.
+  ~Impl() {
+    const int fd = link.port().native_handle();
+    const auto deadline = std::chrono::steady_clock::now() + kDrainDeadline;
+    for (int waiting = 0; ::ioctl(fd, TIOCOUTQ, &waiting) == 0 && waiting > 0;) {
+      if (std::chrono::steady_clock::now() >= deadline) {
+        ::tcflush(fd, TCOFLUSH);
+        break;
+      }
+      ::poll(nullptr, 0, 1);
+    }
+  }
+
+  Impl(const Impl&) = delete;
+  Impl& operator=(const Impl&) = delete;
+
+  AsioLink<boost::asio::serial_port> link;
+};
+
+SerialPort::SerialPort(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes)
+    : impl_(std::make_unique<Impl>(settings, clock, queue_bytes)) {}
+
+SerialPort::~SerialPort() = default;
+
+void SerialPort::write(std::string_view bytes) {
+  impl_->link.write(bytes);
+}
+ReceivedBytes SerialPort::read_until(Clock::Instant deadline) {
+  return impl_->link.queue().pop_until(deadline);
+}
+void SerialPort::discard_input() {
+  impl_->link.queue().discard();
+}
+std::size_t SerialPort::dropped_bytes() const {
+  return impl_->link.queue().dropped();
+}
+std::string SerialPort::name() const {
+  return impl_->link.queue().name();
+}
+
+}  // namespace abcal::wire

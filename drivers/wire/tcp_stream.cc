@@ -1,0 +1,87 @@
+#include "drivers/wire/tcp_stream.h"
+
+#include <fmt/format.h>
+
+#include <boost/asio/connect.hpp>
+#include <boost/asio/ip/tcp.hpp>
+
+#include "drivers/wire/asio_link.h"
+
+namespace abcal::wire {
+
+using boost::asio::ip::tcp;
+
+struct TcpStream::Impl {
+  Impl(const std::string& host, std::uint16_t port, Clock& clock, Clock::Duration connect_timeout,
+       std::size_t queue_bytes)
+      : link(fmt::format("tcp:{}:{}", host, port), clock, queue_bytes) {
+    boost::system::error_code outcome = boost::asio::error::timed_out;  // Until something better is known.
+    bool host_found = false;
+    tcp::resolver resolver(link.io());
+    resolver.async_resolve(
+        host, std::to_string(port), tcp::resolver::numeric_service,
+        [&](const boost::system::error_code& error, const tcp::resolver::results_type& found) {
+          if (error) {
+            outcome = error;
+            return;
+          }
+          host_found = true;
+          boost::asio::async_connect(
+              link.port(), found,
+              [&](const boost::system::error_code& result, const tcp::endpoint&) { outcome = result; });
+        });
+    link.io().run_for(connect_timeout);
+    if (outcome) cannot_connect(host, port, host_found, outcome, connect_timeout);
+    link.port().set_option(tcp::no_delay(true));
+    // A controller that lost its power leaves no trace on an idle connection otherwise.
+    link.port().set_option(boost::asio::socket_base::keep_alive(true));
+    link.start();
+  }
+
+  [[noreturn]] void cannot_connect(const std::string& host, std::uint16_t port, bool host_found,
+                                   boost::system::error_code error, Clock::Duration connect_timeout) {
+    // The pending connect refers to the constructor's locals: let it end before they do.
+    boost::system::error_code ignored;
+    link.port().close(ignored);
+    link.io().restart();
+    link.io().poll();
+    std::string why;
+    if (error == boost::asio::error::timed_out) {
+      why = fmt::format("no answer within {} s; is the controller on, and on this network?",
+                        to_seconds(connect_timeout));
+    } else if (!host_found) {
+      why = fmt::format("host \"{}\" is not known ({})", host, error.message());
+    } else if (error == boost::asio::error::connection_refused) {
+      why = fmt::format("the host is there, but nothing listens on port {}", port);
+    } else {
+      why = error.message();
+    }
+    throw InstrumentError(link.queue().name(), Fault::kCannotOpen, why);
+  }
+
+  AsioLink<tcp::socket> link;
+};
+
+TcpStream::TcpStream(const std::string& host, std::uint16_t port, Clock& clock,
+                     Clock::Duration connect_timeout, std::size_t queue_bytes)
+    : impl_(std::make_unique<Impl>(host, port, clock, connect_timeout, queue_bytes)) {}
+
+TcpStream::~TcpStream() = default;
+
+void TcpStream::write(std::string_view bytes) {
+  impl_->link.write(bytes);
+}
+ReceivedBytes TcpStream::read_until(Clock::Instant deadline) {
+  return impl_->link.queue().pop_until(deadline);
+}
+void TcpStream::discard_input() {
+  impl_->link.queue().discard();
+}
+std::size_t TcpStream::dropped_bytes() const {
+  return impl_->link.queue().dropped();
+}
+std::string TcpStream::name() const {
+  return impl_->link.queue().name();
+}
+
+}  // namespace abcal::wire
