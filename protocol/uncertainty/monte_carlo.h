@@ -51,7 +51,6 @@ struct MonteCarloResult {
   /// tolerance, the largest of each output. At most 1 where converged.
   Eigen::VectorXd reached;
   std::string note;  ///< What a reader must know of these figures; printed as it is.
-  double wall_time_s = 0.0;
 };
 
 /// Runs a study of `outputs` outputs.

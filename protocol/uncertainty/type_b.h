@@ -5,22 +5,13 @@
 #include <cstdint>
 #include <vector>
 
+#include "protocol/model/alignment.h"
 #include "protocol/plan/tolerances.h"
 #include "protocol/uncertainty/abc_design.h"
 #include "protocol/uncertainty/monte_carlo.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
-
-/// The errors of the calibration system in one trial (physics.md sections 2 and 5).
-struct SystemErrors {
-  double zx = 0.0, zy = 0.0;       ///< Horizontal components of the Z axis at rest.
-  double xz = 0.0;                 ///< Vertical component of the X axis.
-  Angle turn_2, turn_3;            ///< d2, d3: errors of the initial -90 degree turns of experiments 2 and 3.
-  Angle mean_step_x, mean_step_z;  ///< F_X (experiments 1 and 2), F_Z (experiment 3).
-  /// Step errors f_i(n) of each experiment in order; empty: none.
-  std::array<std::vector<Angle>, 3> step;
-};
 
 /// An accelerometer under test: the platter's matrix before the tilt with Z (physics.md section 2).
 struct AccelerometerUnderTest {
@@ -54,16 +45,27 @@ struct TypeBStudy {
 /// exact.
 Tolerances paper_tolerances();
 
-/// Errors of one trial of given system errors: estimate of the ABC analysis minus truth, where truth is the
-/// tilted matrix at rest. The same arithmetic as TypeBSampler.
-/// @throws std::invalid_argument if a list of step errors is neither empty nor as long as its experiment.
+/// Readings (R) of the three experiments with the errors of the calibration system, by the plain forward
+/// model of protocol/model: [i - 1] is N x 3, columns u, v, w. The accelerometer tilts with Z.
+std::array<Eigen::MatrixX3d, 3> simulated_readings(const AbcDesign& design,
+                                                   const AccelerometerUnderTest& accelerometer,
+                                                   const AcsErrors& errors);
+
+/// The ABC analysis of such readings (physics.md section 3).
+StudyOutput abc_analysis(const AbcDesign& design, const std::array<Eigen::MatrixX3d, 3>& readings);
+
+/// What the analysis should have found: the outputs of the tilted matrix at rest.
+StudyOutput true_outputs(const AccelerometerUnderTest& accelerometer, const Alignment& alignment);
+
+/// Errors of one simulated calibration: analysis of the simulated readings minus truth. What TypeBSampler
+/// does, written plainly.
 StudyOutput abc_errors(const AbcDesign& design, const AccelerometerUnderTest& accelerometer,
-                       const SystemErrors& errors);
+                       const AcsErrors& errors);
 
 /// The inputs of one trial of a study: what TypeBSampler draws, one by one, for checks and for examples.
 struct TypeBDraw {
   AccelerometerUnderTest accelerometer;
-  SystemErrors errors;
+  AcsErrors errors;
 };
 TypeBDraw type_b_draw(const TypeBStudy& study, std::uint64_t trial);
 
@@ -88,6 +90,8 @@ class TypeBSampler {
     std::array<std::vector<double>, 3> table;
     // Each experiment: A, B, C of cos alpha and of sin alpha, without step errors.
     std::array<std::array<double, 6>, 3> nominal{};
+    // Harmonic model: sin m alpha(n), cos m alpha(n) for m = 1..N/2, angle by angle.
+    std::array<std::vector<double>, 3> spectrum;
     std::array<double, 12> accelerometer{};  // s row by row, O
     double spread = 0.0;
     double alignment = 0.0, step = 0.0, turn = 0.0, zero = 0.0;  // 1, rad

@@ -1,0 +1,60 @@
+#include "protocol/uncertainty/study_output.h"
+
+#include <Eigen/Geometry>
+#include <cmath>
+#include <numbers>
+#include <stdexcept>
+
+namespace abcal {
+
+OutputVector to_vector(const StudyOutput& output) {
+  OutputVector v;
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    v.segment<3>(3 * j) = output.sensitivity_matrix.row(j).transpose();
+  }
+  v.segment<3>(kFirstOffset) = output.offset;
+  v.segment<3>(kFirstIntrinsicSensitivity) = output.intrinsic_sensitivity;
+  v.segment<3>(kFirstIntrinsicAngle) = output.intrinsic_angle_deg;
+  return v;
+}
+
+StudyOutput to_output(const OutputVector& vector) {
+  StudyOutput output;
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    output.sensitivity_matrix.row(j) = vector.segment<3>(3 * j).transpose();
+  }
+  output.offset = vector.segment<3>(kFirstOffset);
+  output.intrinsic_sensitivity = vector.segment<3>(kFirstIntrinsicSensitivity);
+  output.intrinsic_angle_deg = vector.segment<3>(kFirstIntrinsicAngle);
+  return output;
+}
+
+StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::Vector3d& offset) {
+  StudyOutput output;
+  output.sensitivity_matrix = sensitivity_matrix;
+  output.offset = offset;
+  output.intrinsic_sensitivity = sensitivity_matrix.rowwise().norm();
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    const Eigen::Vector3d a = sensitivity_matrix.row(j);
+    const Eigen::Vector3d b = sensitivity_matrix.row((j + 1) % 3);
+    // atan2, not acos: acos loses half the digits near 0 and 180 degrees.
+    output.intrinsic_angle_deg(j) = std::atan2(a.cross(b).norm(), a.dot(b)) * (180.0 / std::numbers::pi);
+  }
+  return output;
+}
+
+std::string_view output_symbol(int k) {
+  static constexpr std::array<std::string_view, kStudyOutputs> kSymbols = {
+      "s_ux", "s_uy", "s_uz", "s_vx", "s_vy", "s_vz", "s_wx",   "s_wy",   "s_wz",
+      "O_u",  "O_v",  "O_w",  "s_u",  "s_v",  "s_w",  "phi_uv", "phi_vw", "phi_wu"};
+  return kSymbols.at(static_cast<std::size_t>(k));
+}
+
+std::string output_unit(int k, std::string_view response_unit) {
+  if (k < 0 || k >= kStudyOutputs) throw std::out_of_range("output " + std::to_string(k) + " of 18");
+  if (k >= kFirstIntrinsicAngle) return "degree";
+  const bool offset = k >= kFirstOffset && k < kFirstIntrinsicSensitivity;
+  return std::string(response_unit) + (offset ? "" : "/g_loc");
+}
+
+}  // namespace abcal

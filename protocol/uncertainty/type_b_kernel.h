@@ -1,0 +1,18 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "protocol/uncertainty/type_b.h"
+
+namespace abcal {
+
+/// Trials first .. first + count - 1 of a plan, on the widest vectors of this machine; layout as TrialBlock.
+void type_b_trials(const TypeBSampler::Plan& plan, std::uint64_t first, std::size_t count, double* out);
+
+/// The same normals and nothing else (their sum to out[trial]): what the benchmark holds the whole trial
+/// against.
+void type_b_normals_only(std::uint64_t seed, std::uint32_t pairs, std::uint64_t first, std::size_t count,
+                         double* out);
+
+}  // namespace abcal
