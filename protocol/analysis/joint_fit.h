@@ -133,18 +133,15 @@ struct JointFit {
 JointFit joint_fit(std::span<const JointReading> readings, const JointPriors& priors, const JointModel& model,
                    bool with_residuals = false);
 
-/// P(chi2 with `degrees_of_freedom` >= found).
-double chi2_probability(double chi2, int degrees_of_freedom);
-
-/// Specific force and its derivatives, for the test against central differences.
-struct GravityDerivatives {
-  Eigen::Vector3d gravity;
-  Eigen::Matrix<double, 3, kGeometryUnknowns> by_geometry;  ///< Zx, Zy, Xz, d2, d3, F_X, F_Z
+/// One triple of the model's readings and their derivatives, in the units of `value`.
+struct JointModelPoint {
+  Eigen::Vector3d reading;                              ///< R
+  Eigen::Matrix<double, 3, kJointUnknowns> by_unknown;  ///< In the order of JointVector.
+  Eigen::Vector3d by_step_error;                        ///< R/radian
 };
 
-/// `geometry` is Zx, Zy, Xz, d2, d3, F_X, F_Z (radian), `step_error` f (radian).
-GravityDerivatives gravity_derivatives(int experiment, double sin_alpha, double cos_alpha,
-                                       const Eigen::Matrix<double, kGeometryUnknowns, 1>& geometry,
-                                       double step_error);
+/// The model at one angle, for the test of its derivatives against central differences.
+/// @param step_error  f, radian
+JointModelPoint joint_model(const JointReading& at, const JointVector& value, double step_error);
 
 }  // namespace abcal
