@@ -1,0 +1,657 @@
+#include "protocol/analysis/analyse.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <Eigen/SVD>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "protocol/analysis/diagnostics.h"
+#include "protocol/analysis/first_order.h"
+#include "protocol/analysis/harmonic_fit.h"
+#include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/analysis/run_time.h"
+#include "protocol/analysis/sensitivity_matrix.h"
+
+namespace abcal {
+
+namespace {
+
+constexpr std::array<char, 3> kAccelerometerNames{'u', 'v', 'w'};
+constexpr std::array<const char*, 3> kPairNames{"u and v", "v and w", "w and u"};
+constexpr int kDiagnosticHarmonics = 5;  // the paper's second fit: constant + five harmonics
+
+// Flags that say that the mean itself may be wrong. Lost and repeated readings leave a sound mean: counted
+// only.
+constexpr std::uint32_t kSuspectFlags =
+    kFlagNotQuiet | kFlagClipped | kFlagStuck | kFlagNotFinite | kFlagOutsideWindow | kFlagTemperature;
+constexpr std::array<std::uint32_t, 8> kAllFlags{kFlagNotQuiet,    kFlagLostReadings, kFlagClipped,
+                                                 kFlagStuck,       kFlagNotFinite,    kFlagOutsideWindow,
+                                                 kFlagTemperature, kFlagRepeated};
+
+using Covariance27 = Eigen::Matrix<double, 27, 27>;
+using FitTable = std::array<HarmonicFit, 9>;  // index 3 (experiment - 1) + accelerometer
+using SeriesTable = std::array<ReadingSeries, 9>;
+
+Quantity quantity(double value, std::optional<double> variance_a, std::optional<double> variance_b,
+                  std::string unit) {
+  Quantity q;
+  q.value = value;
+  q.unit = std::move(unit);
+  if (variance_a) q.type_a = std::sqrt(*variance_a);
+  if (variance_b) q.type_b = std::sqrt(*variance_b);
+  if (variance_a || variance_b)
+    q.standard_uncertainty = std::sqrt(variance_a.value_or(0.0) + variance_b.value_or(0.0));
+  return q;
+}
+
+template <typename Matrix>
+std::optional<double> variance_at(const std::optional<Matrix>& covariance, Eigen::Index i) {
+  if (!covariance) return std::nullopt;
+  return (*covariance)(i, i);
+}
+
+/// The readings that the fits may use, and what was found out about the others.
+struct Selection {
+  std::vector<const DwellRecord*> dwells;
+  std::vector<double> time_fractions;
+  std::vector<std::pair<const DwellRecord*, double>> closing;  // with its time fraction
+  int not_finite = 0;
+  bool with_uncertainty = false;  // every reading in use has u > 0
+  bool some_uncertainty = false;
+};
+
+Selection select(const RunRecord& record) {
+  Selection selection;
+  const std::vector<double> t = run_time_fractions(record);
+  bool all_positive = true;
+  for (std::size_t i = 0; i < record.dwells.size(); ++i) {
+    const DwellRecord& dwell = record.dwells[i];
+    if (!dwell.mean.allFinite() || !std::isfinite(dwell.alpha.deg())) {
+      ++selection.not_finite;
+      continue;
+    }
+    if (dwell.closing) {
+      selection.closing.emplace_back(&dwell, t[i]);
+      continue;
+    }
+    selection.dwells.push_back(&dwell);
+    selection.time_fractions.push_back(t[i]);
+    const bool positive = dwell.u_mean && dwell.u_mean->allFinite() && (dwell.u_mean->array() > 0.0).all();
+    all_positive = all_positive && positive;
+    selection.some_uncertainty = selection.some_uncertainty || dwell.u_mean.has_value();
+  }
+  selection.with_uncertainty = all_positive && !selection.dwells.empty();
+  return selection;
+}
+
+SeriesTable series_of(const Selection& selection) {
+  SeriesTable table;
+  for (int e = 0; e < 3; ++e) {
+    for (int j = 0; j < 3; ++j) {
+      ReadingSeries& series = table[static_cast<std::size_t>(3 * e + j)];
+      series.experiment = e + 1;
+      series.accelerometer = j;
+      series.place_of.assign(selection.dwells.size(), -1);
+    }
+  }
+  for (std::size_t i = 0; i < selection.dwells.size(); ++i) {
+    const DwellRecord& dwell = *selection.dwells[i];
+    for (int j = 0; j < 3; ++j) {
+      ReadingSeries& series = table[static_cast<std::size_t>(3 * (dwell.experiment - 1) + j)];
+      series.place_of[i] = static_cast<int>(series.readings.size());
+      series.alpha.push_back(dwell.alpha);
+      series.readings.push_back(dwell.mean(j));
+      if (selection.with_uncertainty) series.u.push_back((*dwell.u_mean)(j));
+    }
+  }
+  return table;
+}
+
+/// Everything between the fits and the result.
+struct Estimate {
+  SeriesTable series;
+  FitTable fits;
+  AbcCoefficients coefficients;
+  std::array<std::optional<double>, 3>
+      reading_variance;  // from the residuals; absent where weighted or no redundancy
+  std::optional<Covariance27> covariance_a;
+  Covariance27 covariance_b;
+  std::vector<InputEffect> effects;
+  AbcOutputs outputs;
+};
+
+std::string not_determined(const ReadingSeries& series, const char* reason) {
+  return fmt::format("experiment {}: {}", series.experiment, reason);
+}
+
+// Variance of a reading of each accelerometer from the residuals of its three fits together.
+std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits) {
+  std::array<std::optional<double>, 3> variances;
+  for (std::size_t j = 0; j < 3; ++j) {
+    double sum_squares = 0.0;
+    int degrees_of_freedom = 0;
+    for (std::size_t e = 0; e < 3; ++e) {
+      sum_squares += fits[3 * e + j].residual_sum_squares;
+      degrees_of_freedom += fits[3 * e + j].degrees_of_freedom();
+    }
+    if (degrees_of_freedom > 0) variances[j] = sum_squares / degrees_of_freedom;
+  }
+  return variances;
+}
+
+// Type A covariance of one fit; absent where nothing tells the scatter of a reading.
+std::optional<Eigen::MatrixXd> type_a_of(const HarmonicFit& fit, std::optional<double> reading_variance) {
+  if (fit.weighted) return fit.cofactor;
+  if (!reading_variance) return std::nullopt;
+  return Eigen::MatrixXd(fit.cofactor * *reading_variance);
+}
+
+std::optional<Covariance27> type_a_of_coefficients(
+    const FitTable& fits, const std::array<std::optional<double>, 3>& reading_variance) {
+  Covariance27 covariance = Covariance27::Zero();
+  for (std::size_t i = 0; i < fits.size(); ++i) {
+    const std::optional<Eigen::MatrixXd> block = type_a_of(fits[i], reading_variance[i % 3]);
+    if (!block) return std::nullopt;
+    // The fit's order is constant, sin, cos; ours is A (sin), B (cos), C.
+    constexpr std::array<Eigen::Index, 3> kFrom{1, 2, 0};
+    for (std::size_t a = 0; a < 3; ++a) {
+      for (std::size_t b = 0; b < 3; ++b) {
+        covariance(static_cast<Eigen::Index>(3 * i + a), static_cast<Eigen::Index>(3 * i + b)) =
+            (*block)(kFrom[a], kFrom[b]);
+      }
+    }
+  }
+  return covariance;
+}
+
+AbcCoefficients effect_on_coefficients(const InputEffect& effect, const SeriesTable& series,
+                                       const FitTable& fits) {
+  AbcCoefficients change;
+  for (std::size_t i = 0; i < fits.size(); ++i) {
+    const Eigen::Vector3d fit_change = effect_on_fit(effect, series[i], fits[i]);
+    change.segment<3>(static_cast<Eigen::Index>(3 * i)) << fit_change(1), fit_change(2), fit_change(0);
+  }
+  return change;
+}
+
+Covariance27 type_b_of_coefficients(const Estimate& estimate, double resolution) {
+  Covariance27 covariance = Covariance27::Zero();
+  for (const InputEffect& effect : estimate.effects) {
+    const AbcCoefficients change =
+        effect.standard_uncertainty * effect_on_coefficients(effect, estimate.series, estimate.fits);
+    covariance.noalias() += change * change.transpose();
+  }
+  if (resolution > 0.0) {
+    constexpr std::array<Eigen::Index, 3> kFrom{1, 2, 0};
+    for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
+      const Eigen::MatrixXd block = estimate.fits[i].estimator * estimate.fits[i].estimator.transpose();
+      for (std::size_t a = 0; a < 3; ++a) {
+        for (std::size_t b = 0; b < 3; ++b) {
+          covariance(static_cast<Eigen::Index>(3 * i + a), static_cast<Eigen::Index>(3 * i + b)) +=
+              block(kFrom[a], kFrom[b]) * resolution * resolution / 12.0;
+        }
+      }
+    }
+  }
+  return covariance;
+}
+
+void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
+  const Eigen::Matrix<double, 12, 27>& equations = abc_equations();
+  if (estimate.covariance_a) {
+    result.covariance_type_a = equations * *estimate.covariance_a * equations.transpose();
+  }
+  result.covariance_type_b = equations * estimate.covariance_b * equations.transpose();
+  result.covariance = *result.covariance_type_b;
+  if (result.covariance_type_a) *result.covariance += *result.covariance_type_a;
+
+  const Eigen::Matrix3d s = sensitivity_matrix_of(estimate.outputs);
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(s);
+  if (result.covariance_type_a) {
+    result.covariance_intrinsic_type_a = jacobian * *result.covariance_type_a * jacobian.transpose();
+  }
+  result.covariance_intrinsic_type_b = jacobian * *result.covariance_type_b * jacobian.transpose();
+  result.covariance_intrinsic = *result.covariance_intrinsic_type_b;
+  if (result.covariance_intrinsic_type_a) *result.covariance_intrinsic += *result.covariance_intrinsic_type_a;
+
+  const std::string per_g = result.response_unit.find('/') == std::string::npos
+                                ? result.response_unit + "/g_loc"
+                                : "(" + result.response_unit + ")/g_loc";
+  const IntrinsicProperties intrinsic = intrinsic_properties(s);
+  result.sensitivity_matrix.emplace();
+  for (int j = 0; j < 3; ++j) {
+    const auto row = static_cast<std::size_t>(j);
+    for (int k = 0; k < 3; ++k) {
+      const Eigen::Index i = s_index(j, k);
+      (*result.sensitivity_matrix)[row][static_cast<std::size_t>(k)] = quantity(
+          s(j, k), variance_at(result.covariance_type_a, i), variance_at(result.covariance_type_b, i), per_g);
+    }
+    result.offset[row] =
+        quantity(estimate.outputs(offset_index(j)), variance_at(result.covariance_type_a, offset_index(j)),
+                 variance_at(result.covariance_type_b, offset_index(j)), result.response_unit);
+    result.intrinsic_sensitivity[row] =
+        quantity(intrinsic.sensitivity(j), variance_at(result.covariance_intrinsic_type_a, j),
+                 variance_at(result.covariance_intrinsic_type_b, j), per_g);
+    result.intrinsic_angle[row] =
+        quantity(intrinsic.angle_deg(j), variance_at(result.covariance_intrinsic_type_a, 3 + j),
+                 variance_at(result.covariance_intrinsic_type_b, 3 + j), "degree");
+  }
+}
+
+/// Collects what speaks against the result, in words.
+class Objections {
+ public:
+  void add(std::string sentence) { sentences_.push_back(std::move(sentence)); }
+  bool empty() const { return sentences_.empty(); }
+  const std::vector<std::string>& all() const { return sentences_; }
+  std::string in_one_sentence() const {
+    constexpr std::size_t kShown = 3;
+    std::string text = fmt::format(
+        "{}", fmt::join(sentences_.begin(),
+                        sentences_.begin() + static_cast<std::ptrdiff_t>(std::min(kShown, sentences_.size())),
+                        "; "));
+    if (sentences_.size() > kShown)
+      text += fmt::format("; and {} more (see the notes)", sentences_.size() - kShown);
+    return text;
+  }
+
+ private:
+  std::vector<std::string> sentences_;
+};
+
+// Beyond its uncertainty, and beyond the rounding of numbers of this size.
+bool contradicts_zero(const Quantity& quantity, double scale) {
+  return std::abs(quantity.value) > kContradictionLevel * quantity.standard_uncertainty + 1e-13 * scale;
+}
+
+std::string times_uncertainty(const Quantity& quantity) {
+  return fmt::format("{:.3g} {}, {:.1f} times its standard uncertainty", quantity.value, quantity.unit,
+                     std::abs(quantity.value) / quantity.standard_uncertainty);
+}
+
+double response_scale(const Estimate& estimate, std::size_t accelerometer) {
+  const auto j = static_cast<int>(accelerometer);
+  return sensitivity_matrix_of(estimate.outputs).row(j).norm() + std::abs(estimate.outputs(offset_index(j)));
+}
+
+void fill_closures(const Estimate& estimate, CalibrationResult& result, Objections& objections) {
+  const Eigen::Matrix<double, 15, 27>& equations = closure_equations();
+  const AbcClosures values = abc_closures(estimate.coefficients);
+  for (std::size_t name = 0; name < kClosureNames.size(); ++name) {
+    for (std::size_t j = 0; j < 3; ++j) {
+      const auto i = static_cast<Eigen::Index>(3 * name + j);
+      const Eigen::Matrix<double, 1, 27> row = equations.row(i);
+      std::optional<double> a;
+      if (estimate.covariance_a) a = row.dot(*estimate.covariance_a * row.transpose());
+      const double b = row.dot(estimate.covariance_b * row.transpose());
+      Closure closure{kClosureNames[name], static_cast<int>(j),
+                      quantity(values(i), a, b, result.response_unit)};
+      if (contradicts_zero(closure.value, response_scale(estimate, j))) {
+        objections.add(fmt::format("closure {} of {} is {}", closure.name, kAccelerometerNames[j],
+                                   times_uncertainty(closure.value)));
+      }
+      result.diagnostics.closures.push_back(std::move(closure));
+    }
+  }
+}
+
+void fill_closing_differences(const Selection& selection, const Estimate& estimate, CalibrationResult& result,
+                              Objections& objections) {
+  for (const auto& [closing, closing_time] : selection.closing) {
+    for (std::size_t i = 0; i < selection.dwells.size(); ++i) {
+      const DwellRecord& first = *selection.dwells[i];
+      const bool same_pose = first.experiment == closing->experiment &&
+                             std::remainder(first.alpha.deg() - closing->alpha.deg(), 360.0) == 0.0;
+      if (!same_pose) continue;
+      for (std::size_t j = 0; j < 3; ++j) {
+        const auto row = static_cast<Eigen::Index>(j);
+        std::optional<double> a = estimate.reading_variance[j];
+        if (a) *a *= 2.0;
+        if (first.u_mean && closing->u_mean) {
+          a = (*first.u_mean)(row) * (*first.u_mean)(row) + (*closing->u_mean)(row) * (*closing->u_mean)(row);
+        }
+        // The allowed drift over the time between the two, and a stage that comes back within its step
+        // tolerance.
+        double b = 0.0;
+        const std::string drift = fmt::format("drift {}", kAccelerometerNames[j]);
+        for (const InputEffect& effect : estimate.effects) {
+          double change = 0.0;
+          if (effect.name == drift) {
+            change = closing_time - selection.time_fractions[i];
+          } else if (effect.effect.size() == 1 && effect.first_reading == i) {
+            change = effect.effect[0](row);
+          }
+          b += change * change * effect.standard_uncertainty * effect.standard_uncertainty;
+        }
+        ClosingDifference difference{
+            closing->experiment, static_cast<int>(j),
+            quantity(closing->mean(row) - first.mean(row), a, b, result.response_unit)};
+        if (contradicts_zero(difference.value, response_scale(estimate, j))) {
+          objections.add(fmt::format(
+              "experiment {}: {} at the closing angle differs from the first angle by {} (drift)",
+              difference.experiment, kAccelerometerNames[j], times_uncertainty(difference.value)));
+        }
+        result.diagnostics.closing_differences.push_back(std::move(difference));
+      }
+      break;
+    }
+  }
+}
+
+// Harmonics of the second fit with their uncertainties, readings (A) and tolerances (B).
+std::vector<Harmonic> harmonics_of(const HarmonicFit& fit, const ReadingSeries& series,
+                                   const Estimate& estimate, double resolution, const std::string& unit) {
+  Eigen::VectorXd variance_b = Eigen::VectorXd::Zero(fit.coefficients.size());
+  for (const InputEffect& effect : estimate.effects) {
+    variance_b += (effect.standard_uncertainty * effect_on_fit(effect, series, fit)).cwiseAbs2();
+  }
+  variance_b += fit.estimator.cwiseAbs2().rowwise().sum() * (resolution * resolution / 12.0);
+  const std::optional<Eigen::MatrixXd> type_a =
+      type_a_of(fit, estimate.reading_variance[static_cast<std::size_t>(series.accelerometer)]);
+  const auto coefficient = [&](Eigen::Index i) {
+    return quantity(fit.coefficients(i), variance_at(type_a, i), variance_b(i), unit);
+  };
+  std::vector<Harmonic> harmonics;
+  Harmonic& constant = harmonics.emplace_back();
+  constant.cos_amplitude = coefficient(0);
+  for (int k = 1; k <= fit.harmonics; ++k) {
+    harmonics.push_back({k, coefficient(2 * k - 1), coefficient(2 * k)});
+  }
+  return harmonics;
+}
+
+// The amplitude squared in units of its uncertainty is chi2 with two degrees of freedom; the same tail as
+// kContradictionLevel for one normal variable: exp(-x/2) = erfc(level / sqrt 2).
+bool beyond_noise(const Harmonic& harmonic, double scale) {
+  const double limit = -2.0 * std::log(std::erfc(kContradictionLevel / std::sqrt(2.0)));
+  const double s = harmonic.sin_amplitude.value;
+  const double c = harmonic.cos_amplitude.value;
+  if (std::hypot(s, c) <= 1e-13 * scale) return false;
+  const double s_ratio = s / harmonic.sin_amplitude.standard_uncertainty;
+  const double c_ratio = c / harmonic.cos_amplitude.standard_uncertainty;
+  return s_ratio * s_ratio + c_ratio * c_ratio > limit;
+}
+
+void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, CalibrationResult& result,
+                     Objections& objections) {
+  const auto j = static_cast<std::size_t>(diagnostic.accelerometer);
+  for (const Harmonic& harmonic : diagnostic.harmonics) {
+    if (harmonic.order < 2 || !beyond_noise(harmonic, response_scale(estimate, j))) continue;
+    const double amplitude = std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value);
+    const std::string sentence = fmt::format(
+        "experiment {}: harmonic {} of {} has an amplitude of {:.3g} {}, beyond its uncertainty "
+        "(non-linearity or "
+        "synchronous step errors)",
+        diagnostic.experiment, harmonic.order, kAccelerometerNames[j], amplitude, result.response_unit);
+    // What a non-linearity of this size does to the result (metrology.md 1.2): K2/2 is the second harmonic
+    // and K2/3 the offset's error; K3/4 is the third harmonic and 3 K3/4 the sensitivity's. Within the stated
+    // uncertainty (k = 2) it is worth a note only.
+    const double in_offset = harmonic.order == 2 ? amplitude * 2.0 / 3.0 : 0.0;
+    const double in_sensitivity = harmonic.order == 3 ? amplitude * 3.0 : 0.0;
+    if (in_offset > 2.0 * result.offset[j].standard_uncertainty ||
+        in_sensitivity > 2.0 * result.intrinsic_sensitivity[j].standard_uncertainty) {
+      objections.add(sentence);
+    } else {
+      result.diagnostics.notes.push_back(sentence);
+    }
+  }
+}
+
+void fill_fits(const Estimate& estimate, double resolution, CalibrationResult& result,
+               Objections& objections) {
+  Diagnostics& diagnostics = result.diagnostics;
+  diagnostics.rank = 3;
+  diagnostics.reciprocal_condition = 1.0;
+  double chi2 = 0.0;
+  bool weighted = true;
+  std::set<std::string> no_harmonics;
+  for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
+    const HarmonicFit& fit = estimate.fits[i];
+    const ReadingSeries& series = estimate.series[i];
+    const auto j = static_cast<std::size_t>(series.accelerometer);
+    FitDiagnostic diagnostic;
+    diagnostic.experiment = series.experiment;
+    diagnostic.accelerometer = series.accelerometer;
+    const auto coefficient = [&](AbcTerm term) {
+      const Eigen::Index at = abc_index(series.experiment, series.accelerometer, term);
+      return quantity(estimate.coefficients(at), variance_at(estimate.covariance_a, at),
+                      estimate.covariance_b(at, at), result.response_unit);
+    };
+    diagnostic.sine = coefficient(kA);
+    diagnostic.cosine = coefficient(kB);
+    diagnostic.constant = coefficient(kC);
+    diagnostic.angles = static_cast<int>(series.readings.size());
+    diagnostic.degrees_of_freedom = fit.degrees_of_freedom();
+    diagnostic.residual_rms = std::sqrt(fit.residuals.squaredNorm() / static_cast<double>(diagnostic.angles));
+    if (fit.weighted) diagnostic.chi2 = fit.residual_sum_squares;
+    chi2 += fit.residual_sum_squares;
+    weighted = weighted && fit.weighted;
+    diagnostics.degrees_of_freedom += diagnostic.degrees_of_freedom;
+    diagnostics.rank = std::min(diagnostics.rank, fit.rank);
+    diagnostics.reciprocal_condition = std::min(diagnostics.reciprocal_condition, fit.reciprocal_condition);
+
+    const ResidualTest test = test_residuals(series, fit, estimate.effects, resolution);
+    if (test.deviate > kContradictionLevel) {
+      objections.add(
+          fmt::format("experiment {}: the residuals of {} are {:.3g} {} rms where {:.3g} is explained by "
+                      "noise and tolerances",
+                      series.experiment, kAccelerometerNames[j], diagnostic.residual_rms,
+                      result.response_unit, test.expected_rms));
+    }
+    try {
+      const HarmonicFit second = fit_harmonics(series.alpha, series.readings, series.u, kDiagnosticHarmonics);
+      diagnostic.harmonics = harmonics_of(second, series, estimate, resolution, result.response_unit);
+      diagnostic.harmonics_residual_rms =
+          std::sqrt(second.residuals.squaredNorm() / static_cast<double>(diagnostic.angles));
+      judge_harmonics(diagnostic, estimate, result, objections);
+    } catch (const UndeterminedFit& error) {
+      no_harmonics.insert(
+          fmt::format("experiment {}: harmonics 2 to 5 not examined: {}", series.experiment, error.what()));
+    }
+    diagnostics.fits.push_back(std::move(diagnostic));
+  }
+  diagnostics.notes.insert(diagnostics.notes.end(), no_harmonics.begin(), no_harmonics.end());
+  if (weighted) diagnostics.chi2 = chi2;
+}
+
+void fill_flags(const RunRecord& record, const Selection& selection, CalibrationResult& result,
+                Objections& objections) {
+  Diagnostics& diagnostics = result.diagnostics;
+  diagnostics.angles_used = static_cast<int>(selection.dwells.size());
+  int suspect = 0;
+  std::uint32_t suspect_flags = kFlagNone;
+  for (const DwellRecord& dwell : record.dwells) {
+    if (dwell.flags != kFlagNone) ++diagnostics.angles_flagged;
+    if ((dwell.flags & kSuspectFlags) != 0U) {
+      ++suspect;
+      suspect_flags |= dwell.flags & kSuspectFlags;
+    }
+  }
+  for (const std::uint32_t flag : kAllFlags) {
+    const auto dwells = std::count_if(record.dwells.begin(), record.dwells.end(),
+                                      [&](const DwellRecord& dwell) { return (dwell.flags & flag) != 0U; });
+    if (dwells > 0) diagnostics.flags.push_back({describe_flags(flag), static_cast<int>(dwells)});
+  }
+  if (suspect > 0) {
+    objections.add(fmt::format("{} of {} angles {} flagged: {}", suspect, record.dwells.size(),
+                               suspect == 1 ? "is" : "are", describe_flags(suspect_flags)));
+  }
+  if (selection.not_finite > 0) {
+    objections.add(fmt::format("{} of {} angles left out because a mean is not a finite number",
+                               selection.not_finite, record.dwells.size()));
+  }
+}
+
+void note_missing_angles(const RunRecord& record, const Selection& selection, CalibrationResult& result) {
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    std::set<int> measured;
+    for (const DwellRecord* dwell : selection.dwells) {
+      if (dwell->experiment == experiment) measured.insert(dwell->n);
+    }
+    if (static_cast<int>(measured.size()) < record.steps) {
+      result.diagnostics.notes.push_back(
+          fmt::format("experiment {}: {} of {} angles measured", experiment, measured.size(), record.steps));
+    }
+  }
+}
+
+void note_type_a(const Selection& selection, const Estimate& estimate, CalibrationResult& result,
+                 Objections& objections) {
+  if (selection.with_uncertainty) return;
+  if (!estimate.covariance_a) {
+    objections.add("there is no type A uncertainty: the readings carry none and leave no redundancy");
+    return;
+  }
+  result.diagnostics.notes.push_back(
+      fmt::format("type A is taken from the residuals of the fits, which hold step errors too, because {}",
+                  selection.some_uncertainty ? "some readings carry no standard uncertainty above zero"
+                                             : "the readings carry no standard uncertainty"));
+}
+
+// Why the record cannot be analysed; empty if it can be tried.
+std::string refusal(const RunRecord& record, const Selection& selection) {
+  for (const DwellRecord& dwell : record.dwells) {
+    if (dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1) {
+      return fmt::format(
+          "the record has an angle of experiment {}, n = {}; experiments are 1, 2, 3 and n starts at 1",
+          dwell.experiment, dwell.n);
+    }
+  }
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    const bool measured =
+        std::any_of(selection.dwells.begin(), selection.dwells.end(),
+                    [&](const DwellRecord* dwell) { return dwell->experiment == experiment; });
+    if (!measured) {
+      const char* reason = selection.not_finite > 0 ? " with finite readings" : "";
+      return fmt::format("experiment {} has no angles{}; all three experiments are required", experiment,
+                         reason);
+    }
+  }
+  const Tolerances& t = record.tolerances;
+  for (const double tolerance :
+       {t.alignment.deg(), t.step.deg(), t.initial_turn.deg(), t.zero.deg(), t.drift}) {
+    if (!(tolerance >= 0.0 && std::isfinite(tolerance))) {
+      return fmt::format("a tolerance is {}; finite numbers >= 0 are required", tolerance);
+    }
+  }
+  return {};
+}
+
+void judge_matrix(const Estimate& estimate, Objections& objections) {
+  Eigen::Matrix3d unit = sensitivity_matrix_of(estimate.outputs);
+  for (Eigen::Index j = 0; j < 3; ++j) unit.row(j).normalize();
+  const Eigen::Vector3d singular_values = Eigen::JacobiSVD<Eigen::Matrix3d>(unit).singularValues();
+  constexpr double kNearlyInOnePlane =
+      1e-2;  // half a degree out of one plane: no triaxial accelerometer is built so
+  if (!(singular_values(2) > kNearlyInOnePlane * singular_values(0))) {
+    objections.add("the three axes of the accelerometer lie nearly in one plane; are two outputs the same?");
+  }
+}
+
+// An output that gravity does not move at all: its intrinsic properties do not exist.
+std::string dead_output(const Estimate& estimate) {
+  const Eigen::Matrix3d s = sensitivity_matrix_of(estimate.outputs);
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    double type_a = 0.0;
+    if (estimate.covariance_a) {
+      const Eigen::Matrix<double, 3, 27> rows = abc_equations().middleRows<3>(3 * j);
+      type_a = std::sqrt((rows * *estimate.covariance_a * rows.transpose()).trace());
+    }
+    const double response = s.row(j).norm();
+    const double round_off = 1e-12 * std::abs(estimate.outputs(9 + j));
+    if (!(response > std::max(kContradictionLevel * type_a, round_off))) {
+      return fmt::format(
+          "output {} does not follow gravity: its sensitivity is {:.3g}, not above its scatter",
+          kAccelerometerNames[static_cast<std::size_t>(j)], response);
+    }
+  }
+  return {};
+}
+
+void fill_gravity(const RunRecord& record, CalibrationResult& result) {
+  result.g_loc.unit = "m/s2";
+  if (!record.g_loc_known) return;
+  result.g_loc.value = record.g_loc.value_mps2;
+  result.g_loc.type_b = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
+  result.g_loc.standard_uncertainty = *result.g_loc.type_b;
+  result.g_loc_source = record.g_loc.source;
+}
+
+}  // namespace
+
+CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& options) {
+  CalibrationResult result;
+  result.estimator = "abc";
+  result.source = record.source;
+  result.response_unit = record.response_unit;
+  fill_gravity(record, result);
+  const double resolution = options.resolution.value_or(0.0);
+  if (!(resolution >= 0.0 && std::isfinite(resolution))) {
+    result.why = fmt::format("the resolution is {}; a finite number >= 0 is required", resolution);
+    return result;
+  }
+
+  const Selection selection = select(record);
+  result.why = refusal(record, selection);
+  if (!result.why.empty()) return result;
+
+  Estimate estimate;
+  estimate.series = series_of(selection);
+  for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
+    const ReadingSeries& series = estimate.series[i];
+    try {
+      estimate.fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
+    } catch (const UndeterminedFit& error) {
+      result.why = not_determined(series, error.what());
+      return result;
+    }
+    const Eigen::VectorXd& c = estimate.fits[i].coefficients;
+    estimate.coefficients.segment<3>(static_cast<Eigen::Index>(3 * i)) << c(1), c(2), c(0);
+  }
+  estimate.outputs = abc_outputs(estimate.coefficients);
+  if (!selection.with_uncertainty) estimate.reading_variance = pooled_variances(estimate.fits);
+  estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
+  result.why = dead_output(estimate);
+  if (!result.why.empty()) return result;
+
+  AccelerometerModel accelerometer;
+  accelerometer.sensitivity_matrix = sensitivity_matrix_of(estimate.outputs);
+  accelerometer.offset = offset_of(estimate.outputs);
+  estimate.effects = first_order_effects(selection.dwells, selection.time_fractions, accelerometer,
+                                         record.tolerances, record.response_unit);
+  estimate.covariance_b = type_b_of_coefficients(estimate, resolution);
+
+  Objections objections;
+  fill_outputs(estimate, result);
+  fill_flags(record, selection, result, objections);
+  fill_fits(estimate, resolution, result, objections);
+  fill_closures(estimate, result, objections);
+  fill_closing_differences(selection, estimate, result, objections);
+  judge_matrix(estimate, objections);
+  note_missing_angles(record, selection, result);
+  note_type_a(selection, estimate, result, objections);
+
+  if (!objections.empty()) {
+    result.verdict = Verdict::kDoubtful;
+    result.why = objections.in_one_sentence();
+    result.diagnostics.notes.insert(result.diagnostics.notes.begin(), objections.all().begin(),
+                                    objections.all().end());
+    return result;
+  }
+  result.verdict = Verdict::kUsable;
+  result.why = fmt::format(
+      "{} angles in three experiments determine the result, and nothing found contradicts the stated "
+      "uncertainties",
+      selection.dwells.size());
+  return result;
+}
+
+}  // namespace abcal

@@ -1,0 +1,99 @@
+#include "protocol/gravity/local_gravity.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <stdexcept>
+
+namespace abcal {
+
+namespace {
+
+/// A reference ellipsoid with its normal gravity (metrology.md section 6).
+struct Ellipsoid {
+  double semi_major_m;  // a
+  double flattening;    // f
+  double equator_mps2;  // ge
+  double k;             // b gp / (a ge) - 1
+  double e2;            // first eccentricity squared
+  double m;             // w^2 a^2 b / GM
+};
+
+constexpr Ellipsoid kGrs80Ellipsoid{6378137.0,       1.0 / 298.257222101, 9.7803267715,
+                                    0.0019318513548, 0.00669438002290,    0.00344978600308};
+constexpr Ellipsoid kWgs84Ellipsoid{6378137.0,     1.0 / 298.257223563, 9.7803253359,
+                                    0.00193185265, 0.00669437999014,    0.00344978650684};
+
+// Local masses move gravity away from every formula: "generally less than 5 parts in 1e5" (BGS).
+constexpr double kRelativeHalfWidth = 5e-5;
+constexpr double kLowestHeightM = -500.0;
+constexpr double kHighestHeightM = 9000.0;
+
+// Somigliana, with the series in height to second order.
+double normal_gravity(const Ellipsoid& ellipsoid, double sin2_latitude, double height_m) {
+  const double at_surface = ellipsoid.equator_mps2 * (1.0 + ellipsoid.k * sin2_latitude) /
+                            std::sqrt(1.0 - ellipsoid.e2 * sin2_latitude);
+  const double h = height_m / ellipsoid.semi_major_m;
+  const double f = ellipsoid.flattening;
+  return at_surface * (1.0 - 2.0 * (1.0 + f + ellipsoid.m - 2.0 * f * sin2_latitude) * h + 3.0 * h * h);
+}
+
+double welmec_gravity(double sin2_latitude, double sin2_twice_latitude, double height_m) {
+  return 9.780318 * (1.0 + 0.0053024 * sin2_latitude - 0.0000058 * sin2_twice_latitude) -
+         0.000003085 * height_m;
+}
+
+}  // namespace
+
+std::string_view to_string(GravityFormula formula) {
+  switch (formula) {
+    case GravityFormula::kWgs84:
+      return "WGS84";
+    case GravityFormula::kWelmec:
+      return "WELMEC";
+    case GravityFormula::kGrs80:
+      break;
+  }
+  return "GRS80";
+}
+
+FormulaGravity formula_gravity(Angle latitude, double height_m, GravityFormula formula) {
+  if (!(std::abs(latitude.deg()) <= 90.0)) {
+    throw std::invalid_argument(
+        fmt::format("local gravity: latitude {} degrees; required: -90 to 90", latitude.deg()));
+  }
+  if (!(height_m >= kLowestHeightM && height_m <= kHighestHeightM)) {
+    throw std::invalid_argument(fmt::format("local gravity: height {} m; required: {} to {}", height_m,
+                                            kLowestHeightM, kHighestHeightM));
+  }
+  const SinCos sc = sincos(latitude);
+  const double sin2 = sc.sin * sc.sin;
+  FormulaGravity gravity;
+  switch (formula) {
+    case GravityFormula::kGrs80:
+      gravity.value_mps2 = normal_gravity(kGrs80Ellipsoid, sin2, height_m);
+      break;
+    case GravityFormula::kWgs84:
+      gravity.value_mps2 = normal_gravity(kWgs84Ellipsoid, sin2, height_m);
+      break;
+    case GravityFormula::kWelmec: {
+      const double sin_twice = 2.0 * sc.sin * sc.cos;
+      gravity.value_mps2 = welmec_gravity(sin2, sin_twice * sin_twice, height_m);
+      break;
+    }
+  }
+  gravity.half_width_mps2 = kRelativeHalfWidth * gravity.value_mps2;
+  gravity.standard_uncertainty_mps2 = gravity.half_width_mps2 / std::sqrt(3.0);
+  gravity.source = fmt::format("formula {}, latitude {} degrees, height {} m", to_string(formula),
+                               latitude.deg(), height_m);
+  gravity.warning = fmt::format(
+      "gravity from a formula may be wrong by {:.1e} m/s2 (5e-5 of it), several times the uncertainty of an "
+      "intrinsic "
+      "sensitivity (1e-5); use a survey of the site. Angles, and offsets and sensitivities per g_loc, do not "
+      "depend on "
+      "it",
+      gravity.half_width_mps2);
+  return gravity;
+}
+
+}  // namespace abcal

@@ -1,0 +1,409 @@
+#include "protocol/record/import_csv.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <cerrno>
+#include <charconv>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <limits>
+#include <map>
+#include <optional>
+#include <set>
+#include <string_view>
+#include <tuple>
+#include <utility>
+
+namespace abcal {
+
+namespace {
+
+constexpr std::size_t kMostProblemsShown = 50;
+constexpr std::size_t kFewestAngles = 3;  // A, B and C of one experiment
+constexpr std::array<std::string_view, 6> kRequired{"experiment", "n", "alpha_deg", "r_u", "r_v", "r_w"};
+constexpr std::array<std::string_view, 3> kReadingColumns{"r_u", "r_v", "r_w"};
+constexpr std::array<std::string_view, 3> kUncertaintyColumns{"u_u", "u_v", "u_w"};
+constexpr std::array<std::string_view, 12> kKnown{"experiment", "n",      "alpha_deg", "r_u",
+                                                  "r_v",        "r_w",    "u_u",       "u_v",
+                                                  "u_w",        "time_s", "count",     "temperature_degc"};
+
+struct Row {
+  int line = 0;
+  std::vector<std::string> fields;
+};
+
+std::string_view trimmed(std::string_view text) {
+  constexpr std::string_view kBlank = " \t\r\n";
+  const std::size_t first = text.find_first_not_of(kBlank);
+  if (first == std::string_view::npos) return {};
+  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
+}
+
+// What a message may quote of a file that can hold anything.
+std::string as_quoted(std::string_view text) {
+  constexpr std::size_t kLongest = 40;
+  std::string shown;
+  for (const char c : text.substr(0, kLongest)) {
+    const auto byte = static_cast<unsigned char>(c);
+    shown += byte < 0x20 || byte == 0x7F ? '?' : c;
+  }
+  return text.size() > kLongest ? fmt::format("\"{}...\"", shown) : fmt::format("\"{}\"", shown);
+}
+
+char separator_of(std::string_view text, std::size_t header) {
+  const std::string_view line = text.substr(header, text.find('\n', header) - header);
+  return line.find(';') != std::string_view::npos ? ';' : ',';
+}
+
+/// The lines that are not empty and not comments, split into fields (RFC 4180), and the comments.
+struct Table {
+  std::vector<Row> rows;
+  std::vector<std::string> comments;
+  bool decimal_comma = false;
+  std::optional<int> open_quote_line;
+};
+
+Table split(std::string_view text) {
+  Table table;
+  char separator = '\0';  // known from the header, the first line that is not a comment
+  int line = 1;
+  std::size_t at = 0;
+  while (at < text.size()) {
+    const std::size_t end_of_line = std::min(text.find('\n', at), text.size());
+    const std::string_view whole = trimmed(text.substr(at, end_of_line - at));
+    if (whole.empty() || whole.front() == '#') {
+      if (!whole.empty()) table.comments.emplace_back(whole.substr(1));
+      at = end_of_line + 1;
+      ++line;
+      continue;
+    }
+    if (separator == '\0') {
+      separator = separator_of(text, at);
+      table.decimal_comma = separator == ';';
+    }
+    Row row;
+    row.line = line;
+    std::string field;
+    bool in_quotes = false;
+    bool was_quoted = false;
+    const auto finish_field = [&] {
+      row.fields.push_back(was_quoted ? field : std::string(trimmed(field)));
+      field.clear();
+      was_quoted = false;
+    };
+    for (;; ++at) {
+      if (at >= text.size()) {
+        if (in_quotes) table.open_quote_line = row.line;
+        break;
+      }
+      const char c = text[at];
+      if (c == '\n') ++line;
+      if (in_quotes) {
+        if (c != '"') {
+          field += c;
+        } else if (at + 1 < text.size() && text[at + 1] == '"') {
+          field += '"';
+          ++at;
+        } else {
+          in_quotes = false;
+        }
+      } else if (c == '"' && trimmed(field).empty() && !was_quoted) {
+        field.clear();
+        in_quotes = true;
+        was_quoted = true;
+      } else if (c == separator) {
+        finish_field();
+      } else if (c == '\n') {
+        ++at;
+        break;
+      } else if (!was_quoted) {
+        field += c;
+      } else if (trimmed(std::string_view(&c, 1)).size() == 1) {
+        field += c;  // text after a closing quote: left in, so that it is found not to be a number
+      }
+    }
+    finish_field();
+    table.rows.push_back(std::move(row));
+  }
+  return table;
+}
+
+std::optional<double> number_in(std::string_view text, bool decimal_comma) {
+  std::string digits(trimmed(text));
+  if (decimal_comma) std::replace(digits.begin(), digits.end(), ',', '.');
+  const char* first = digits.data();
+  const char* const last = digits.data() + digits.size();
+  if (first != last && *first == '+') ++first;
+  double value = 0.0;
+  const auto [end, error] = std::from_chars(first, last, value);
+  if (error != std::errc() || end != last || first == last) return std::nullopt;
+  return value;
+}
+
+class Importer {
+ public:
+  Importer(std::string text, std::string source) : text_(std::move(text)), source_(std::move(source)) {}
+
+  RunRecord import() {
+    record_.source = source_;
+    std::string_view body = text_;
+    constexpr std::string_view kByteOrderMark = "\xEF\xBB\xBF";
+    if (body.substr(0, kByteOrderMark.size()) == kByteOrderMark) body.remove_prefix(kByteOrderMark.size());
+    table_ = split(body);
+    if (table_.open_quote_line) {
+      problem(fmt::format("line {}", *table_.open_quote_line), "a quoted field that does not end",
+              "a closing quote");
+    }
+    read_comments();
+    if (read_header()) {
+      for (std::size_t i = 1; i < table_.rows.size(); ++i) read_row(table_.rows[i]);
+      require_enough_angles();
+    }
+    if (!problems_.empty()) throw CsvError(source_, std::move(problems_));
+    mark_closing_angles();
+    infer_steps();
+    return std::move(record_);
+  }
+
+ private:
+  void problem(std::string where, std::string found, std::string required) {
+    problems_.push_back({std::move(where), std::move(found), std::move(required)});
+  }
+
+  void read_comments() {
+    for (const std::string& comment : table_.comments) {
+      const std::size_t colon = comment.find(':');
+      if (colon == std::string::npos ||
+          trimmed(std::string_view(comment).substr(0, colon)) != "response_unit")
+        continue;
+      const std::string_view unit = trimmed(std::string_view(comment).substr(colon + 1));
+      if (!unit.empty()) record_.response_unit = std::string(unit);
+    }
+  }
+
+  bool read_header() {
+    if (table_.rows.empty()) {
+      problem("the file", text_.empty() ? "nothing" : "no header line",
+              fmt::format("a header line \"{}\"", fmt::join(kRequired, ",")));
+      return false;
+    }
+    const Row& header = table_.rows.front();
+    for (std::size_t i = 0; i < header.fields.size(); ++i) {
+      std::string name(trimmed(header.fields[i]));
+      std::transform(name.begin(), name.end(), name.begin(),
+                     [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+      if (std::find(kKnown.begin(), kKnown.end(), name) == kKnown.end()) continue;
+      if (!columns_.emplace(name, i).second) {
+        problem(fmt::format("line {}, {}", header.line, name), "the column twice", "each column once");
+      }
+    }
+    const std::size_t problems_before = problems_.size();
+    for (const std::string_view name : kRequired) require_column(header, name);
+    with_u_ = std::any_of(kUncertaintyColumns.begin(), kUncertaintyColumns.end(),
+                          [&](std::string_view name) { return columns_.count(std::string(name)) > 0; });
+    if (with_u_) {
+      for (const std::string_view name : kUncertaintyColumns) require_column(header, name);
+    }
+    return problems_.size() == problems_before;
+  }
+
+  void require_column(const Row& header, std::string_view name) {
+    if (columns_.count(std::string(name)) > 0) return;
+    std::string all;
+    for (const std::string& field : header.fields) all += (all.empty() ? "" : ",") + field;
+    problem(fmt::format("line {}, header", header.line), as_quoted(all), fmt::format("a column {}", name));
+  }
+
+  bool has(std::string_view name) const { return columns_.count(std::string(name)) > 0; }
+  const std::string& field(const Row& row, std::string_view name) const {
+    return row.fields[columns_.at(std::string(name))];
+  }
+
+  /// A finite number, or a problem and nothing.
+  std::optional<double> number(const Row& row, std::string_view name, const char* required = "a number") {
+    const std::string& text = field(row, name);
+    const std::optional<double> value = number_in(text, table_.decimal_comma);
+    if (value && std::isfinite(*value)) return value;
+    problem(fmt::format("line {}, {}", row.line, name),
+            text.empty() ? std::string("nothing") : as_quoted(text),
+            value ? fmt::format("{} that is finite", required) : required);
+    return std::nullopt;
+  }
+
+  std::optional<double> optional_number(const Row& row, std::string_view name) {
+    if (!has(name) || trimmed(field(row, name)).empty()) return std::nullopt;
+    return number(row, name);
+  }
+
+  std::optional<std::int64_t> whole_number(const Row& row, std::string_view name, double lowest,
+                                           double highest, const char* required) {
+    const std::size_t before = problems_.size();
+    const std::optional<double> value = number(row, name, required);
+    if (value && *value >= lowest && *value <= highest && *value == std::floor(*value)) {
+      return static_cast<std::int64_t>(*value);
+    }
+    if (problems_.size() == before) {
+      problem(fmt::format("line {}, {}", row.line, name), as_quoted(field(row, name)), required);
+    }
+    return std::nullopt;
+  }
+
+  void read_row(const Row& row) {
+    const std::size_t width = table_.rows.front().fields.size();
+    if (row.fields.size() != width) {
+      problem(fmt::format("line {}", row.line), fmt::format("{} fields", row.fields.size()),
+              fmt::format("{}, as in the header", width));
+      return;
+    }
+    DwellRecord dwell;
+    const auto experiment = whole_number(row, "experiment", 1, 3, "experiment 1, 2 or 3");
+    const auto n = whole_number(row, "n", 1, 1e6, "a whole number from 1 on");
+    const auto alpha = number(row, "alpha_deg");
+    for (std::size_t j = 0; j < 3; ++j) {
+      if (const auto reading = number(row, kReadingColumns[j]))
+        dwell.mean(static_cast<Eigen::Index>(j)) = *reading;
+    }
+    read_uncertainty(row, dwell);
+    dwell.time_s = optional_number(row, "time_s");
+    dwell.temperature_degc = optional_number(row, "temperature_degc");
+    if (has("count") && !trimmed(field(row, "count")).empty()) {
+      dwell.count = whole_number(row, "count", 1, 1e15, "a whole number from 1 on").value_or(0);
+    }
+    if (!experiment || !n || !alpha) return;
+    dwell.experiment = static_cast<int>(*experiment);
+    dwell.n = static_cast<int>(*n);
+    dwell.alpha = Angle::degrees(*alpha);
+    // A closing angle may carry the n of the angle that it repeats: it is told by its alpha.
+    const auto [first, is_new] =
+        line_of_.emplace(std::make_tuple(dwell.experiment, dwell.n, *alpha >= 360.0), row.line);
+    if (!is_new) {
+      problem(fmt::format("line {}", row.line),
+              fmt::format("experiment {}, n = {} again (first on line {})", dwell.experiment, dwell.n,
+                          first->second),
+              "each angle once");
+      return;
+    }
+    set_commanded_angles(dwell);
+    record_.dwells.push_back(dwell);
+  }
+
+  void read_uncertainty(const Row& row, DwellRecord& dwell) {
+    if (!with_u_) return;
+    int given = 0;
+    Eigen::Vector3d u = Eigen::Vector3d::Zero();
+    for (std::size_t j = 0; j < 3; ++j) {
+      const std::string_view name = kUncertaintyColumns[j];
+      if (trimmed(field(row, name)).empty()) continue;
+      ++given;
+      constexpr const char* kRule = "a standard uncertainty >= 0";
+      const std::optional<double> value = number(row, name, kRule);
+      if (value && *value < 0.0)
+        problem(fmt::format("line {}, {}", row.line, name), as_quoted(field(row, name)), kRule);
+      u(static_cast<Eigen::Index>(j)) = value.value_or(0.0);
+    }
+    if (given == 3) dwell.u_mean = u;
+    if (given == 1 || given == 2) {
+      problem(fmt::format("line {}", row.line), fmt::format("{} of u_u, u_v, u_w", given),
+              "all three or none");
+    }
+  }
+
+  // The default orientation turned as the experiment says (physics.md section 2), modulo a full turn.
+  static void set_commanded_angles(DwellRecord& dwell) {
+    const Angle turned = Angle::degrees(std::remainder(dwell.alpha.deg(), 360.0));
+    const Angle initial = Angle::degrees(-90.0);
+    dwell.commanded_x = dwell.experiment == 3 ? initial : turned;
+    dwell.commanded_z = dwell.experiment == 3 ? turned : dwell.experiment == 2 ? initial : Angle();
+  }
+
+  void require_enough_angles() {
+    for (int experiment = 1; experiment <= 3; ++experiment) {
+      std::set<double> angles;
+      for (const DwellRecord& dwell : record_.dwells) {
+        if (dwell.experiment == experiment) angles.insert(std::remainder(dwell.alpha.deg(), 360.0));
+      }
+      if (angles.size() < kFewestAngles) {
+        problem(fmt::format("experiment {}", experiment), fmt::format("{} different angles", angles.size()),
+                fmt::format("at least {}", kFewestAngles));
+      }
+    }
+  }
+
+  // The last angle of a circle that repeats the first one a full turn later.
+  void mark_closing_angles() {
+    std::array<double, 3> smallest;
+    smallest.fill(std::numeric_limits<double>::infinity());
+    for (const DwellRecord& dwell : record_.dwells) {
+      double& least = smallest[static_cast<std::size_t>(dwell.experiment - 1)];
+      least = std::min(least, dwell.alpha.deg());
+    }
+    for (DwellRecord& dwell : record_.dwells) {
+      dwell.closing = dwell.alpha.deg() - 360.0 == smallest[static_cast<std::size_t>(dwell.experiment - 1)];
+    }
+  }
+
+  void infer_steps() {
+    record_.steps = 0;
+    const DwellRecord* first = nullptr;
+    for (const DwellRecord& dwell : record_.dwells) {
+      if (dwell.closing) continue;
+      record_.steps = std::max(record_.steps, dwell.n);
+      if (first == nullptr) {
+        first = &dwell;
+      } else if (dwell.experiment == first->experiment && dwell.n == first->n + 1) {
+        record_.step = dwell.alpha - first->alpha;
+        first = &dwell;
+      }
+    }
+  }
+
+  std::string text_;
+  std::string source_;
+  Table table_;
+  std::map<std::string, std::size_t> columns_;
+  std::map<std::tuple<int, int, bool>, int> line_of_;
+  bool with_u_ = false;
+  std::vector<Problem> problems_;
+  RunRecord record_;
+};
+
+std::string all_problems(const std::string& source, const std::vector<Problem>& problems) {
+  std::string text;
+  for (std::size_t i = 0; i < std::min(problems.size(), kMostProblemsShown); ++i) {
+    text += fmt::format("{}{}: {}", i == 0 ? "" : "\n", source, to_string(problems[i]));
+  }
+  if (problems.size() > kMostProblemsShown) {
+    text += fmt::format("\n{}: and {} problems more", source, problems.size() - kMostProblemsShown);
+  }
+  return text;
+}
+
+}  // namespace
+
+CsvError::CsvError(const std::string& source, std::vector<Problem> problems)
+    : std::runtime_error(all_problems(source, problems)), problems_(std::move(problems)) {}
+
+RunRecord import_csv(std::istream& input, const std::string& source) {
+  std::string text(std::istreambuf_iterator<char>(input), {});
+  if (input.bad()) throw std::runtime_error(fmt::format("cannot read {}", source));
+  return Importer(std::move(text), source).import();
+}
+
+RunRecord import_csv(const std::filesystem::path& path) {
+  errno = 0;
+  std::ifstream file(path, std::ios::binary);
+  if (!file || std::filesystem::is_directory(path)) {
+    const char* reason = std::filesystem::is_directory(path) ? "it is a folder" : std::strerror(errno);
+    throw std::runtime_error(fmt::format("cannot read {}: {}", path.string(), reason));
+  }
+  return import_csv(file, path.string());
+}
+
+}  // namespace abcal
