@@ -14,10 +14,6 @@ namespace {
 // A search for the reference takes time even where the axis already stands on it.
 constexpr Clock::Duration kShortestHoming = std::chrono::milliseconds(200);
 
-std::string degrees_text(Angle angle) {
-  return std::to_string(angle.deg()) + " degrees";
-}
-
 }  // namespace
 
 SimStage::SimStage(std::shared_ptr<SimBench> bench, Clock& clock, std::string serial_number)

@@ -1,12 +1,9 @@
 #pragma once
 
 #include <array>
-#include <deque>
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "sim/firmware/firmware.h"
 #include "sim/sim_bench.h"
@@ -14,7 +11,8 @@
 namespace abcal::sim {
 
 struct PiGcsSettings {
-  std::array<std::string, 2> axis_names{"1", "2"};  ///< The controller's names of X and Z.
+  /// The controller's names of X and Z; empty: that axis is not on this controller.
+  std::array<std::string, 2> axis_names{"1", "2"};
   /// controller angle = zero + sign * protocol angle
   std::array<int, 2> sign{+1, +1};
   std::array<Angle, 2> zero{};
@@ -24,8 +22,9 @@ struct PiGcsSettings {
   std::array<std::string, 2> stage_names{"M-060.PD", "M-060.PD"};
   int address = 1;  ///< In a daisy chain; 1 answers without an address as well.
   double max_speed_deg_per_s = 720.0;
-  double settle_s = 0.01;  ///< Parameter 0x3F: how long ONT? waits after the motion.
-  bool has_enable = true;  ///< False: EAX is an unknown command, as on many controllers.
+  double settle_s = 0.01;             ///< Parameter 0x3F: how long ONT? waits after the motion.
+  bool has_enable = true;             ///< False: EAX is an unknown command, as on many controllers.
+  bool spa_reply_names_axis = false;  ///< "1 14=10000", as PIPython expects it, in place of "14=10000".
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 

@@ -1,0 +1,342 @@
+#include "sim/emulator.h"
+
+#include <arpa/inet.h>
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <sys/inotify.h>
+#include <sys/ioctl.h>
+#include <sys/socket.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <cstdlib>
+#include <cstring>
+#include <stdexcept>
+#include <system_error>
+#include <utility>
+
+namespace abcal::sim {
+namespace {
+
+// What a client may leave unread before the oldest is lost, besides what the system holds.
+constexpr std::size_t kOutputCapacity = 65536;
+constexpr std::size_t kReadSize = 4096;
+// The loop looks up this often even if nothing is due.
+constexpr Clock::Duration kLongestWait = std::chrono::milliseconds(500);
+
+class FileDescriptor {
+ public:
+  FileDescriptor() = default;
+  explicit FileDescriptor(int fd) : fd_(fd) {}
+  FileDescriptor(FileDescriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  FileDescriptor& operator=(FileDescriptor&& other) noexcept {
+    std::swap(fd_, other.fd_);
+    return *this;
+  }
+  ~FileDescriptor() { close(); }
+  void close() {
+    if (fd_ >= 0) ::close(fd_);
+    fd_ = -1;
+  }
+  int get() const { return fd_; }
+  bool open() const { return fd_ >= 0; }
+
+ private:
+  int fd_ = -1;
+};
+
+[[noreturn]] void fail(const std::string& who, const std::string& what) {
+  throw std::runtime_error(
+      fmt::format("emulator: {}: {}: {}", who, what, std::generic_category().message(errno)));
+}
+
+void make_raw(int fd, const std::string& who) {
+  termios settings{};
+  if (::tcgetattr(fd, &settings) != 0) fail(who, "cannot read the terminal's settings");
+  ::cfmakeraw(&settings);
+  if (::tcsetattr(fd, TCSANOW, &settings) != 0) fail(who, "cannot make the terminal raw");
+}
+
+/// A link that appears at once and whole, also where an old link stands.
+void link_atomically(const std::filesystem::path& target, const std::filesystem::path& link) {
+  const auto status = std::filesystem::symlink_status(link);
+  if (std::filesystem::exists(status) && !std::filesystem::is_symlink(status))
+    throw std::runtime_error(fmt::format(
+        "emulator: {}: found something that is not a symbolic link, required: a free path", link.string()));
+  std::filesystem::path temporary = link;
+  temporary += fmt::format(".{}", ::getpid());
+  std::error_code error;
+  std::filesystem::remove(temporary, error);
+  std::filesystem::create_symlink(target, temporary, error);
+  if (!error) std::filesystem::rename(temporary, link, error);
+  if (error)
+    throw std::runtime_error(fmt::format("emulator: {}: cannot link it: {}", link.string(), error.message()));
+}
+
+}  // namespace
+
+struct Emulator::Port {
+  std::shared_ptr<Firmware> firmware;
+  std::string address;
+  std::string output;  ///< Not yet taken.
+  /// Nobody is there: what is put out is lost at once, as on a line with nothing at its end.
+  bool client = true;
+
+  // Pseudo-terminal. We hold its other end open as well: its settings live on between clients, and reading
+  // does not fail while there is none.
+  std::filesystem::path link;
+  std::filesystem::path terminal;
+  FileDescriptor master;
+  FileDescriptor slave;
+  FileDescriptor watch;
+  int clients = 0;
+
+  // TCP.
+  FileDescriptor listener;
+  FileDescriptor connection;
+
+  int io() const { return master.open() ? master.get() : connection.get(); }
+};
+
+struct Emulator::Loop {
+  Clock& clock;
+  double clock_rate;
+  std::vector<Port> ports;
+  FileDescriptor wake;
+  std::atomic<std::uint64_t> dropped{0};
+
+  ~Loop();
+
+  void open_pty(Port& port, const PtyLink& where);
+  void open_tcp(Port& port, const TcpPort& where);
+  void follow_clients(Port& port);
+  void accept_client(Port& port);
+  void read_from(Port& port);
+  void write_to(Port& port);
+  void hang_up(Port& port);
+  void pump(Port& port);
+};
+
+Emulator::Loop::~Loop() {
+  for (const Port& port : ports) {
+    if (port.link.empty()) continue;
+    std::error_code error;  // a destructor has nobody to tell
+    if (std::filesystem::read_symlink(port.link, error) == port.terminal && !error)
+      std::filesystem::remove(port.link, error);
+  }
+}
+
+void Emulator::Loop::open_pty(Port& port, const PtyLink& where) {
+  const std::string who = where.link.string();
+  port.master = FileDescriptor(::posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC));
+  if (!port.master.open()) fail(who, "cannot open a pseudo-terminal");
+  if (::grantpt(port.master.get()) != 0 || ::unlockpt(port.master.get()) != 0)
+    fail(who, "cannot unlock the pseudo-terminal");
+  std::array<char, 128> name{};
+  if (::ptsname_r(port.master.get(), name.data(), name.size()) != 0)
+    fail(who, "the pseudo-terminal has no name");
+  port.terminal = name.data();
+  port.slave = FileDescriptor(::open(name.data(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC));
+  if (!port.slave.open()) fail(who, "cannot open the pseudo-terminal's other end");
+  make_raw(port.slave.get(), who);
+  // Who opens and closes the terminal is told by inotify. Where it is not to be had, a client is taken to be
+  // there.
+  port.watch = FileDescriptor(::inotify_init1(IN_NONBLOCK | IN_CLOEXEC));
+  if (port.watch.open() && ::inotify_add_watch(port.watch.get(), name.data(), IN_OPEN | IN_CLOSE) < 0)
+    port.watch.close();
+  port.client = !port.watch.open();
+  link_atomically(port.terminal, where.link);
+  port.link = where.link;
+  port.address = who;
+}
+
+void Emulator::Loop::open_tcp(Port& port, const TcpPort& where) {
+  const std::string who = fmt::format("tcp:{}:{}", where.host, where.port);
+  addrinfo hints{};
+  hints.ai_family = AF_UNSPEC;
+  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_flags = AI_PASSIVE | AI_NUMERICSERV;
+  addrinfo* found = nullptr;
+  if (const int error = ::getaddrinfo(where.host.c_str(), std::to_string(where.port).c_str(), &hints, &found);
+      error != 0)
+    throw std::runtime_error(fmt::format("emulator: {}: no such host: {}", who, ::gai_strerror(error)));
+  const std::unique_ptr<addrinfo, decltype(&::freeaddrinfo)> owner(found, &::freeaddrinfo);
+  port.listener = FileDescriptor(::socket(found->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  if (!port.listener.open()) fail(who, "cannot make a socket");
+  const int on = 1;
+  ::setsockopt(port.listener.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
+  if (::bind(port.listener.get(), found->ai_addr, found->ai_addrlen) != 0) fail(who, "cannot take the port");
+  if (::listen(port.listener.get(), 4) != 0) fail(who, "cannot listen");
+  sockaddr_storage bound{};
+  socklen_t size = sizeof bound;
+  void* const generic = &bound;
+  if (::getsockname(port.listener.get(), static_cast<sockaddr*>(generic), &size) != 0)
+    fail(who, "has no address");
+  std::array<char, NI_MAXSERV> service{};
+  if (::getnameinfo(static_cast<sockaddr*>(generic), size, nullptr, 0, service.data(), service.size(),
+                    NI_NUMERICSERV) != 0)
+    throw std::runtime_error(fmt::format("emulator: {}: its port has no number", who));
+  port.address = fmt::format("tcp:{}:{}", where.host, service.data());
+  port.client = false;
+}
+
+/// Counts who has the terminal open.
+void Emulator::Loop::follow_clients(Port& port) {
+  alignas(inotify_event) std::array<char, kReadSize> buffer{};
+  for (;;) {
+    const ssize_t size = ::read(port.watch.get(), buffer.data(), buffer.size());
+    if (size <= 0) break;
+    for (ssize_t at = 0; at < size;) {
+      inotify_event event{};
+      std::memcpy(&event, buffer.data() + at, sizeof event);
+      if ((event.mask & IN_OPEN) != 0U) ++port.clients;
+      if ((event.mask & IN_CLOSE) != 0U) port.clients = std::max(0, port.clients - 1);
+      at += static_cast<ssize_t>(sizeof event + event.len);
+    }
+  }
+  const bool was = std::exchange(port.client, port.clients > 0);
+  if (was && !port.client) hang_up(port);
+}
+
+void Emulator::Loop::hang_up(Port& port) {
+  port.output.clear();
+  port.client = false;
+  if (port.slave.open()) {
+    // The next client shall find neither what this one left unread nor its lock.
+    ::tcflush(port.slave.get(), TCIFLUSH);
+    ::ioctl(port.slave.get(), TIOCNXCL);
+  }
+  port.connection.close();
+}
+
+void Emulator::Loop::accept_client(Port& port) {
+  FileDescriptor fresh(::accept4(port.listener.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+  if (!fresh.open() || port.connection.open()) return;  // one client at a time: the second is hung up on
+  const int on = 1;
+  ::setsockopt(fresh.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+  port.connection = std::move(fresh);
+  port.client = true;
+}
+
+void Emulator::Loop::read_from(Port& port) {
+  std::array<char, kReadSize> buffer{};
+  for (;;) {
+    const ssize_t size = ::read(port.io(), buffer.data(), buffer.size());
+    if (size > 0) {
+      const Clock::Instant now = clock.now();
+      pump(port);  // what was put out before these bytes came
+      port.firmware->receive({buffer.data(), static_cast<std::size_t>(size)}, now);
+      if (static_cast<std::size_t>(size) == buffer.size()) continue;
+      return;
+    }
+    if (size < 0 && (errno == EAGAIN || errno == EINTR)) return;
+    if (port.connection.open()) hang_up(port);
+    return;
+  }
+}
+
+/// Takes what the firmware has put out by now; the oldest is lost if there is too much.
+void Emulator::Loop::pump(Port& port) {
+  port.output += port.firmware->transmit(clock.now());
+  const std::size_t capacity = port.client ? kOutputCapacity : 0;
+  if (port.output.size() <= capacity) return;
+  const std::size_t surplus = port.output.size() - capacity;
+  port.output.erase(0, surplus);
+  if (port.client) dropped += surplus;
+}
+
+void Emulator::Loop::write_to(Port& port) {
+  while (!port.output.empty() && port.client) {
+    const ssize_t size =
+        port.connection.open()
+            ? ::send(port.connection.get(), port.output.data(), port.output.size(), MSG_NOSIGNAL)
+            : ::write(port.master.get(), port.output.data(), port.output.size());
+    if (size > 0) {
+      port.output.erase(0, static_cast<std::size_t>(size));
+      continue;
+    }
+    if (size < 0 && errno == EINTR) continue;
+    if (size < 0 && errno != EAGAIN && port.connection.open()) hang_up(port);
+    return;
+  }
+}
+
+Emulator::Emulator(std::vector<Endpoint> endpoints, Clock& clock, double clock_rate)
+    : loop_(new Loop{.clock = clock, .clock_rate = clock_rate, .ports = {}, .wake = {}}) {
+  if (!(clock_rate > 0.0))
+    throw std::invalid_argument(fmt::format("emulator: clock_rate is {}, required: above 0", clock_rate));
+  loop_->wake = FileDescriptor(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC));
+  if (!loop_->wake.open()) fail("its event", "cannot be made");
+  for (Endpoint& endpoint : endpoints) {
+    if (!endpoint.firmware) throw std::invalid_argument("emulator: an endpoint has no firmware");
+    Port& port = loop_->ports.emplace_back();
+    port.firmware = std::move(endpoint.firmware);
+    if (const auto* pty = std::get_if<PtyLink>(&endpoint.where)) loop_->open_pty(port, *pty);
+    if (const auto* tcp = std::get_if<TcpPort>(&endpoint.where)) loop_->open_tcp(port, *tcp);
+  }
+}
+
+Emulator::~Emulator() = default;
+
+void Emulator::run(std::stop_token stop) {
+  std::uint64_t stale = 0;  // the wake-up of a run before
+  [[maybe_unused]] const ssize_t drained = ::read(loop_->wake.get(), &stale, sizeof stale);
+  const std::stop_callback wake(stop, [this] {
+    const std::uint64_t one = 1;
+    // It can only fail if a wake-up is pending already.
+    [[maybe_unused]] const ssize_t written = ::write(loop_->wake.get(), &one, sizeof one);
+  });
+  std::vector<pollfd> polled;
+  while (!stop.stop_requested()) {
+    for (Port& port : loop_->ports) {
+      loop_->pump(port);
+      loop_->write_to(port);
+    }
+
+    polled.assign(1, pollfd{.fd = loop_->wake.get(), .events = POLLIN, .revents = 0});
+    Clock::Duration wait = kLongestWait;
+    for (const Port& port : loop_->ports) {
+      const bool waiting = port.client && !port.output.empty();
+      const auto events = static_cast<short>(waiting ? POLLIN | POLLOUT : POLLIN);
+      polled.push_back({.fd = port.io(), .events = events, .revents = 0});  // a negative one is passed over
+      polled.push_back({.fd = port.watch.get(), .events = POLLIN, .revents = 0});
+      polled.push_back({.fd = port.listener.get(), .events = POLLIN, .revents = 0});
+      if (const auto due = port.firmware->next_due()) {
+        const double seconds = to_seconds(*due - loop_->clock.now()) / loop_->clock_rate;
+        wait = std::min(wait, from_seconds(std::clamp(seconds, 0.0, to_seconds(kLongestWait))));
+      }
+    }
+    const timespec timeout{.tv_sec = 0, .tv_nsec = static_cast<long>(wait.count())};
+    if (::ppoll(polled.data(), polled.size(), &timeout, nullptr) < 0 && errno != EINTR)
+      fail("its ports", "cannot wait");
+
+    for (std::size_t n = 0; n < loop_->ports.size(); ++n) {
+      Port& port = loop_->ports[n];
+      const auto ready = [&](std::size_t which) { return polled[1 + 3 * n + which].revents != 0; };
+      if (ready(1)) loop_->follow_clients(port);
+      if (ready(0) && port.io() == polled[1 + 3 * n].fd) loop_->read_from(port);
+      if (ready(2)) loop_->accept_client(port);
+    }
+  }
+}
+
+std::vector<std::string> Emulator::addresses() const {
+  std::vector<std::string> addresses;
+  for (const Port& port : loop_->ports) addresses.push_back(port.address);
+  return addresses;
+}
+
+std::uint64_t Emulator::dropped_bytes() const {
+  return loop_->dropped;
+}
+
+}  // namespace abcal::sim
