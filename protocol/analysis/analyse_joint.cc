@@ -200,6 +200,13 @@ Eigen::Index unknown_of_output(Eigen::Index output) {
   return output < 9 ? kOwnUnknowns * (output / 3) + output % 3 : kOwnUnknowns * (output - 9) + kOffsetIndex;
 }
 
+/// Gives `fit` the uncertainties of `wider`, except those of the unknowns that it leaves out.
+void widen_outputs(const JointFit& wider, JointFit& fit) {
+  fit.covariance = wider.covariance;
+  fit.covariance_type_b = wider.covariance_type_b;
+  fit.u_step_error = wider.u_step_error;
+}
+
 void fill_outputs(const JointFit& fit, CalibrationResult& result) {
   const std::string unit = result.response_unit;
   const std::string per_g = unit + "/g_loc";
@@ -371,10 +378,16 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
       const JointFit linear = joint_fit(data.readings, priors, linear_model);
       const double gain = linear.converged ? linear.chi2 - fit.chi2 : std::numeric_limits<double>::infinity();
       if (gain <= kNonlinearityGain) {
+        // Not seen is not absent: k2 and k3 of their own uncertainty would still shift the result, so the
+        // uncertainties stay those of the fit with them (only then does the coverage hold).
+        const JointFit with_them = fit;
         model = linear_model;
         fit = data.u_known ? linear : fit_with_unknown_noise(data.readings, priors, model);
-        about_nonlinearity =
-            fmt::format("non-linearity left out: k2 and k3 would lower chi2 by {:.3g} only", gain);
+        if (fit.converged) widen_outputs(with_them, fit);
+        about_nonlinearity = fmt::format(
+            "non-linearity left out: k2 and k3 would lower chi2 by {:.3g} only; what they might be is in the "
+            "uncertainties",
+            gain);
       } else {
         about_nonlinearity =
             fmt::format("non-linearity fitted: without k2 and k3 chi2 is {:.4g} higher", gain);

@@ -223,10 +223,7 @@ Trial run_trial(const JointStudyOptions& options, std::uint64_t index) {
                           const Eigen::Vector3d& plain) {
     for (std::size_t j = 0; j < 3; ++j) {
       const auto at = static_cast<Eigen::Index>(j);
-      Quantity quantity = found[j];
-      if (std::isnan(quantity.value))
-        quantity.value = quantity.standard_uncertainty = 0.0;  // left out: claimed zero
-      out.push_back(compare(quantity, expected(at), plain(at)));
+      out.push_back(compare(found[j], expected(at), plain(at)));
     }
   };
   const Eigen::Vector3d none = Eigen::Vector3d::Constant(kNan);
@@ -240,9 +237,7 @@ Trial run_trial(const JointStudyOptions& options, std::uint64_t index) {
          {truth.acs.d2.deg(), truth.acs.d3.deg(), truth.acs.mean_step_x.deg()}, none);
   triple({joint.mean_step_error[1], joint.drift[0], joint.drift[1]},
          {truth.acs.mean_step_z.deg(), aut.drift(0), aut.drift(1)}, none);
-  Quantity last_drift = joint.drift[2];
-  if (std::isnan(last_drift.value)) last_drift.value = last_drift.standard_uncertainty = 0.0;
-  out.push_back(compare(last_drift, aut.drift(2)));
+  out.push_back(compare(joint.drift[2], aut.drift(2)));
   TrialOutput steps;
   double count = 0.0;
   for (std::size_t i = 0; i < 3; ++i) {
@@ -331,19 +326,23 @@ JointStudy run_joint_study(const JointStudyOptions& options) {
     study.mean_chi2_per_dof += trial.chi2_per_dof;
     study.mean_iterations += trial.iterations;
     for (std::size_t i = 0; i < names.size(); ++i) {
-      study.outputs[i].coverage += trial.outputs[i].covered;
-      study.outputs[i].rms_error += trial.outputs[i].squared_error;
-      study.outputs[i].rms_uncertainty += trial.outputs[i].variance;
-      study.outputs[i].abc_rms_error += trial.outputs[i].abc_squared_error;
+      const TrialOutput& one = trial.outputs[i];
+      JointStudyOutput& sum = study.outputs[i];
+      if (std::isnan(one.squared_error)) continue;  // left out of this trial's fit
+      ++sum.trials;
+      sum.coverage += one.covered;
+      sum.rms_error += one.squared_error;
+      sum.rms_uncertainty += one.variance;
+      sum.abc_rms_error += one.abc_squared_error;
     }
   }
   study.mean_chi2_per_dof /= solved;
   study.mean_iterations /= solved;
   for (JointStudyOutput& output : study.outputs) {
-    output.coverage /= solved;
-    output.rms_error = std::sqrt(output.rms_error / solved);
-    output.rms_uncertainty = std::sqrt(output.rms_uncertainty / solved);
-    output.abc_rms_error = std::sqrt(output.abc_rms_error / solved);
+    output.coverage /= output.trials;
+    output.rms_error = std::sqrt(output.rms_error / output.trials);
+    output.rms_uncertainty = std::sqrt(output.rms_uncertainty / output.trials);
+    output.abc_rms_error = std::sqrt(output.abc_rms_error / output.trials);
   }
   return study;
 }

@@ -29,6 +29,7 @@ struct JointStudyOptions {
 /// One output over all trials.
 struct JointStudyOutput {
   std::string name;       ///< "s_ux" ... "O_w", "|s_u|", "phi_uv", "k2_u", "zx", ...
+  int trials = 0;         ///< In which it was an unknown of the fit.
   double coverage = 0.0;  ///< Share of trials with the truth inside +-1.96 posterior uncertainties.
   double rms_error = 0.0;
   double rms_uncertainty = 0.0;  ///< Posterior.
