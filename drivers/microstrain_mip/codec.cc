@@ -2,6 +2,7 @@
 
 #include <bit>
 #include <stdexcept>
+#include <utility>
 
 namespace abcal::mip {
 namespace {
@@ -10,6 +11,7 @@ constexpr char kSync1 = 0x75;
 constexpr char kSync2 = 0x65;
 constexpr std::size_t kHeader = 4;  // Sync 2, set, length.
 constexpr std::size_t kChecksum = 2;
+constexpr std::uint8_t kWrite = 1;  // Function selector of commands that set or read something.
 
 std::uint8_t byte_at(std::string_view bytes, std::size_t index) {
   return static_cast<std::uint8_t>(bytes[index]);
@@ -35,10 +37,13 @@ std::string to_big_endian(Unsigned value) {
   return bytes;
 }
 
-std::string format_entries(const std::vector<FormatEntry>& entries) {
+std::string with_entries(std::string data, const std::vector<FormatEntry>& entries) {
   if (entries.size() > 255) throw std::invalid_argument("a MIP message format has at most 255 entries");
-  std::string data = u8(static_cast<std::uint8_t>(entries.size()));
-  for (const FormatEntry& entry : entries) data += u8(entry.descriptor) + u16(entry.decimation);
+  data.push_back(static_cast<char>(entries.size()));
+  for (const FormatEntry& entry : entries) {
+    data.push_back(static_cast<char>(entry.descriptor));
+    data.append(u16(entry.decimation));
+  }
   return data;
 }
 
@@ -98,11 +103,13 @@ std::string make_packet(std::uint8_t descriptor_set, std::initializer_list<std::
 }
 
 std::string legacy_message_format(const std::vector<FormatEntry>& entries) {
-  return u8(1) + format_entries(entries);
+  return with_entries(u8(kWrite), entries);
 }
 
 std::string message_format(std::uint8_t data_set, const std::vector<FormatEntry>& entries) {
-  return u8(1) + u8(data_set) + format_entries(entries);
+  std::string data = u8(kWrite);
+  data.append(u8(data_set));
+  return with_entries(std::move(data), entries);
 }
 
 std::string ack_code_in_words(std::uint8_t code) {
