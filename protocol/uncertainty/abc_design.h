@@ -37,6 +37,10 @@ class AbcDesign {
   const std::array<RotationFit, 3>& experiments() const { return experiments_; }
   int readings() const;  ///< Angles of all three experiments together.
 
+  /// What one reading of accelerometer j at angle n (from 0) of experiment 1..3 adds to (s_jx, s_jy, s_jz,
+  /// O_j), per R.
+  Eigen::Vector4d share(int experiment, Eigen::Index n) const;
+
  private:
   std::array<RotationFit, 3> experiments_;
 };

@@ -8,7 +8,13 @@ namespace abcal {
 
 /// What a stream of random numbers is for. Streams of different purposes are independent for one seed and
 /// trial.
-enum class StreamPurpose : std::uint32_t { kTypeB = 0, kTypeA = 1, kAccelerometers = 2, kTest = 3 };
+enum class StreamPurpose : std::uint32_t {
+  kTypeB = 0,
+  kTypeA = 1,
+  kAccelerometers = 2,
+  kReadings = 3,
+  kTest = 4
+};
 
 /// Counter-based random numbers: Philox4x32-10 (Salmon et al. 2011; Random123). One stream a trial: the
 /// numbers depend on seed, purpose, trial and position alone, so a study gives the same bits on any number of

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "protocol/analysis/calibration_result.h"
+#include "protocol/record/run_record.h"
+#include "protocol/uncertainty/abc_design.h"
+#include "protocol/uncertainty/study_output.h"
+
+namespace abcal {
+
+/// One input of the budget and what it does to every output, to first order (JCGM 100).
+struct BudgetLine {
+  std::string input;         ///< "Zx", "f_1(1..72)", "noise of the readings" ...
+  std::string value;         ///< Estimate of the input, as text: "0", "measured".
+  std::string unit;          ///< Of the input and of its standard uncertainty.
+  std::string distribution;  ///< "normal", "rectangular"
+  double standard_uncertainty = 0.0;
+  /// Change of each output for a change of the input by one unit. Of several like inputs (step errors; u, v,
+  /// w of the readings) the root of the sum of squares. NaN where the contribution is known and not the
+  /// sensitivity.
+  OutputVector sensitivity = OutputVector::Zero();
+  OutputVector contribution = OutputVector::Zero();  ///< Standard uncertainty it causes in each output.
+  bool type_a = false;                               ///< From the scatter of readings.
+};
+
+struct Budget {
+  std::vector<BudgetLine> lines;
+  OutputVector combined = OutputVector::Zero();  ///< Root of the sum of squares of the contributions.
+  OutputCovariance type_b_covariance = OutputCovariance::Zero();  ///< Of the stage's inputs, to first order.
+  OutputCovariance covariance = OutputCovariance::Zero();         ///< Of all lines.
+  /// Covariance of s row by row and O due to everything but the stage's inputs (readings, resolution, drift,
+  /// non-linearity): what a Monte Carlo of the whole budget adds to the stage's.
+  Covariance12 other_covariance = Covariance12::Zero();
+  std::vector<std::string> not_covered;  ///< What no line stands for; part of every budget.
+  std::vector<std::string> notes;
+
+  double share(const BudgetLine& line, int output) const;  ///< Of the variance of an output, 0..1.
+};
+
+/// The budget of an ABC result.
+/// @param record      with the tolerances to be used
+/// @param result      analyse_abc of this record
+/// @param resolution  smallest step of the output (R), if known
+/// @throws std::invalid_argument for a result without numbers, a record without enough angles
+Budget make_budget(const RunRecord& record, const CalibrationResult& result,
+                   std::optional<double> resolution = {});
+
+}  // namespace abcal

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <vector>
+
+#include "protocol/uncertainty/coverage.h"
+
+namespace abcal {
+
+/// Whether the GUM framework (first order, normal distribution) may be used in place of the Monte Carlo
+/// method for one output (JCGM 101:2008, section 8).
+struct GumValidation {
+  double expanded_uncertainty = 0.0;  ///< U_p of the GUM framework.
+  double d_low = 0.0, d_high = 0.0;   ///< |y -+ U_p - y_low, y_high|
+  double tolerance = 0.0;             ///< delta: half a unit of the last meaningful digit of u(y).
+  bool validated = false;             ///< Both differences at most delta.
+  /// The Monte Carlo end points are good to delta/5, as section 8.2 asks; else the verdict may be chance.
+  bool decided = false;
+};
+
+/// @param y         estimate by the GUM framework
+/// @param u         its standard uncertainty
+/// @param monte_carlo  probabilistically symmetric interval of `trials` trials
+/// @param digits    significant digits of u that are meaningful, 1 or 2
+/// @throws std::invalid_argument if p is not within (0, 1)
+GumValidation validate_gum(double y, double u, const CoverageInterval& monte_carlo, double trials, double p,
+                           int digits);
+
+/// The quantile of the standard normal distribution (Newton steps on erfc; good to 1e-15).
+/// @throws std::invalid_argument if p is not within (0, 1)
+double normal_quantile(double p);
+
+}  // namespace abcal
