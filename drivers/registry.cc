@@ -1,1 +1,38 @@
 #include "drivers/registry.h"
+
+#include <utility>
+
+#include "drivers/microstrain_mip/accelerometer.h"
+#include "drivers/pi_gcs/stage.h"
+
+namespace abcal {
+namespace {
+
+template <class Driver, class Base, class Settings>
+std::unique_ptr<Base> make(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const Settings& settings) {
+  return std::make_unique<Driver>(std::move(stream), clock, settings);
+}
+
+}  // namespace
+
+const std::vector<StageDriver>& stage_drivers() {
+  static const std::vector<StageDriver> drivers{
+      {"pi_gcs",
+       "PI controllers that speak GCS 2.0 (C-884, C-863, E-861, ...), serial or TCP port 50000",
+       {115200, false},
+       make<pi_gcs::PiGcsStage, RotationStage, StageSettings>},
+  };
+  return drivers;
+}
+
+const std::vector<AccelerometerDriver>& accelerometer_drivers() {
+  static const std::vector<AccelerometerDriver> drivers{
+      {"microstrain_mip",
+       "MicroStrain 3DM, CV, CX, GX and GV sensors that speak MIP, output in g",
+       {115200, false},
+       make<MipAccelerometer, Accelerometer, AccelerometerSettings>},
+  };
+  return drivers;
+}
+
+}  // namespace abcal

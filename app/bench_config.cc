@@ -1,0 +1,655 @@
+#include "app/bench_config.h"
+
+#include <fmt/format.h>
+
+#include <toml++/toml.h>
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <functional>
+#include <limits>
+#include <map>
+#include <set>
+#include <sstream>
+
+#include "drivers/registry.h"
+#include "protocol/gravity/local_gravity.h"
+
+namespace abcal {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+/// What a number must be. NaN is outside every range.
+struct Range {
+  double min = -kInfinity;
+  double max = kInfinity;
+  bool min_excluded = false;
+
+  bool contains(double value) const { return (min_excluded ? value > min : value >= min) && value <= max; }
+  std::string words() const {
+    if (min == -kInfinity && max == kInfinity) return "a finite number";
+    if (max == kInfinity) return fmt::format("a number {} {}", min_excluded ? ">" : ">=", min);
+    return fmt::format("a number from {}{} to {}", min_excluded ? "above " : "", min, max);
+  }
+};
+
+constexpr Range kAny{};
+constexpr Range kPositive{0.0, kInfinity, true};
+constexpr Range kNotNegative{0.0, kInfinity};
+
+/// Each key of a bench file is named once, in visit() below; reading, writing and the list of known keys all
+/// follow from it.
+class KeyVisitor {
+ public:
+  virtual ~KeyVisitor() = default;
+  virtual void section(const std::string& path) = 0;
+  virtual void text(const std::string& key, std::string& value,
+                    const std::vector<std::string>& choices = {}) = 0;
+  virtual void required_text(const std::string& key, std::string& value,
+                             const std::vector<std::string>& choices = {}) = 0;
+  virtual void number(const std::string& key, double& value, Range range) = 0;
+  virtual void number(const std::string& key, std::optional<double>& value, Range range) = 0;
+  virtual void integer(const std::string& key, int& value, int min, int max) = 0;
+  virtual void integer(const std::string& key, std::optional<int>& value, int min, int max) = 0;
+  virtual void seed(const std::string& key, std::uint64_t& value) = 0;
+  virtual void boolean(const std::string& key, bool& value) = 0;
+  virtual void vector(const std::string& key, Eigen::Vector3d& value) = 0;
+  virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
+  /// An array of tables below the current section.
+  virtual void harmonics(const std::string& key, std::vector<sim::ErrorHarmonic>& value) = 0;
+
+  void angle(const std::string& key, Angle& value, Range range) {
+    double degrees = value.deg();
+    number(key, degrees, range);
+    value = Angle::degrees(degrees);
+  }
+};
+
+std::vector<std::string> driver_names(const auto& drivers) {
+  std::vector<std::string> names;
+  for (const auto& driver : drivers) names.push_back(driver.name);
+  names.push_back("simulated");
+  return names;
+}
+
+void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisConfig& axis) {
+  keys.section(section);
+  keys.text("axis", axis.axis);
+  keys.integer("sign", axis.sign, -1, 1);
+  keys.angle("zero_deg", axis.zero, kAny);
+  keys.number("travel_min_deg", axis.travel_min_deg, kAny);
+  keys.number("travel_max_deg", axis.travel_max_deg, kAny);
+  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
+}
+
+void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTruth& axis) {
+  keys.section(section);
+  keys.angle("mean_step_error_deg", axis.mean_step_error, kAny);
+  keys.angle("initial_turn_error_deg", axis.initial_turn_error, kAny);
+  keys.angle("step_error_deg", axis.step_error_sd, kNotNegative);
+  keys.angle("backlash_deg", axis.backlash, kNotNegative);
+  keys.angle("travel_min_deg", axis.travel_min, kAny);
+  keys.angle("travel_max_deg", axis.travel_max, kAny);
+  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
+  keys.number("acceleration_deg_per_s2", axis.acceleration_deg_per_s2, kPositive);
+  keys.angle("encoder_resolution_deg", axis.encoder_resolution, kNotNegative);
+  keys.harmonics("harmonics", axis.harmonics);
+}
+
+void visit(KeyVisitor& keys, BenchConfig& c) {
+  keys.section("");
+  keys.text("schema", c.schema, {"abcal.bench/1"});
+
+  keys.section("bench");
+  keys.text("name", c.name);
+  keys.number("g_loc_mps2", c.g_loc.value_mps2, {9.5, 10.0});
+  keys.number("g_loc_expanded_uncertainty_mps2", c.g_loc.expanded_uncertainty_mps2, kNotNegative);
+  keys.number("g_loc_k", c.g_loc.coverage_factor, kPositive);
+  keys.text("g_loc_source", c.g_loc.source);
+  keys.number("latitude_deg", c.latitude_deg, {-90.0, 90.0});
+  keys.number("height_m", c.height_m, {-500.0, 9000.0});
+
+  keys.section("item");
+  keys.text("maker", c.item.maker);
+  keys.text("model", c.item.model);
+  keys.text("serial_number", c.item.serial_number);
+  keys.text("range", c.item.range);
+  keys.text("filter", c.item.filter);
+  keys.text("firmware", c.item.firmware);
+  keys.text("supply", c.item.supply);
+
+  keys.section("operator");
+  keys.text("name", c.operator_name);
+
+  keys.section("stage");
+  keys.required_text("driver", c.stage.driver, driver_names(stage_drivers()));
+  keys.required_text("port", c.stage.port);
+  keys.integer("baud", c.stage.baud, 300, 4'000'000);
+  keys.text("address", c.stage.address);
+  keys.text("serial_number", c.stage.serial_number);
+  visit_stage_axis(keys, "stage.x", c.stage.x);
+  visit_stage_axis(keys, "stage.z", c.stage.z);
+
+  keys.section("accelerometer");
+  keys.required_text("driver", c.accelerometer.driver, driver_names(accelerometer_drivers()));
+  keys.required_text("port", c.accelerometer.port);
+  keys.integer("baud", c.accelerometer.baud, 300, 4'000'000);
+  keys.number("rate_hz", c.accelerometer.rate_hz, {0.0, 10'000.0, true});
+  keys.text("response_unit", c.accelerometer.response_unit);
+  keys.number("full_scale", c.accelerometer.full_scale, kPositive);
+  keys.text("serial_number", c.accelerometer.serial_number);
+
+  keys.section("environment");
+  keys.number("temperature_degc", c.environment.temperature_degc, {-100.0, 200.0});
+  keys.number("humidity_percent", c.environment.humidity_percent, {0.0, 100.0});
+  keys.number("pressure_hpa", c.environment.pressure_hpa, {300.0, 1200.0});
+
+  ProtocolConfig& p = c.protocol;
+  keys.section("protocol");
+  keys.integer("steps", p.steps, 4, 7200);
+  keys.angle("step_deg", p.step, {0.0, 180.0, true});
+  keys.boolean("closing_angle", p.closing_angle);
+  keys.angle("approach_deg", p.approach, {0.0, 45.0});
+  keys.angle("position_window_deg", p.position_window, {0.0, 5.0, true});
+  keys.integer("window_polls", p.window_polls, 1, 1000);
+  keys.number("poll_interval_s", p.poll_interval_s, {0.0, 10.0, true});
+  keys.number("motion_timeout_s", p.motion_timeout_s, {0.0, 86'400.0, true});
+  keys.number("homing_timeout_s", p.homing_timeout_s, {0.0, 86'400.0, true});
+  keys.number("settle_s", p.settle_s, {0.0, 86'400.0});
+  keys.number("quiet_timeout_s", p.quiet_timeout_s, {0.0, 86'400.0});
+  keys.integer("dwell_readings", p.dwell_readings, 4, 1'000'000);
+  keys.number("mains_hz", p.mains_hz, {0.0, 1000.0});
+  keys.number("reading_timeout_s", p.reading_timeout_s, {0.0, 3600.0, true});
+  keys.number("warm_up_s", p.warm_up_s, {0.0, 604'800.0});
+
+  Tolerances& t = c.tolerances;
+  keys.section("tolerances");
+  keys.angle("alignment_deg", t.alignment, {0.0, 10.0});
+  keys.angle("step_deg", t.step, {0.0, 10.0});
+  keys.angle("initial_turn_deg", t.initial_turn, {0.0, 10.0});
+  keys.angle("zero_deg", t.zero, {0.0, 10.0});
+  keys.number("drift", t.drift, {0.0, 1.0});
+
+  keys.section("limits");
+  keys.number("max_lost_fraction", c.limits.max_lost_fraction, {0.0, 1.0});
+  keys.number("temperature_min_degc", c.limits.temperature_min_degc, kAny);
+  keys.number("temperature_max_degc", c.limits.temperature_max_degc, kAny);
+
+  sim::BenchTruth& s = c.simulation;
+  keys.section("simulation");
+  keys.seed("seed", s.seed);
+  keys.matrix("sensitivity_matrix", s.sensitivity_matrix);
+  keys.vector("offset", s.offset);
+  keys.vector("k2", s.k2);
+  keys.vector("k3", s.k3);
+  keys.vector("drift_per_hour", s.drift_per_hour);
+  keys.vector("offset_per_degc", s.offset_per_degc);
+  keys.number("noise", s.noise, kNotNegative);
+  keys.number("quantisation", s.quantisation, kNotNegative);
+  std::optional<double> full_scale;
+  if (std::isfinite(s.full_scale)) full_scale = s.full_scale;
+  keys.number("full_scale", full_scale, kPositive);
+  s.full_scale = full_scale.value_or(kInfinity);
+  keys.boolean("noise_seeded_by_angle", s.noise_seeded_by_angle);
+  keys.number("zx", s.zx, {-0.1, 0.1});
+  keys.number("zy", s.zy, {-0.1, 0.1});
+  keys.number("xz", s.xz, {-0.1, 0.1});
+  keys.number("ring_down_amplitude", s.ring_down_amplitude, kNotNegative);
+  keys.number("ring_down_frequency_hz", s.ring_down_frequency_hz, kNotNegative);
+  keys.number("ring_down_decay_s", s.ring_down_decay_s, kPositive);
+  keys.number("temperature_degc", s.temperature_degc, {-100.0, 200.0});
+  keys.number("temperature_per_hour", s.temperature_per_hour, kAny);
+  visit_axis_truth(keys, "simulation.x", s.x);
+  visit_axis_truth(keys, "simulation.z", s.z);
+}
+
+std::string words_of(const toml::node& node) {
+  std::ostringstream text;
+  if (const auto* string = node.as_string()) {
+    text << '"' << string->get() << '"';
+  } else if (node.is_table()) {
+    text << "a table";
+  } else if (node.is_array()) {
+    text << "an array of " << node.as_array()->size();
+  } else if (const auto number = node.as_floating_point()) {
+    text << number->get();
+  } else if (const auto whole = node.as_integer()) {
+    text << whole->get();
+  } else if (const auto truth = node.as_boolean()) {
+    text << (truth->get() ? "true" : "false");
+  } else {
+    text << "a date or time";
+  }
+  return text.str();
+}
+
+std::string joined(const std::vector<std::string>& words) {
+  std::string text;
+  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + ("\"" + word + "\"");
+  return text;
+}
+
+std::size_t edit_distance(std::string_view a, std::string_view b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    std::size_t diagonal = row[0];
+    row[0] = i;
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      const std::size_t above = row[j];
+      row[j] = std::min({row[j] + 1, row[j - 1] + 1, diagonal + (a[i - 1] == b[j - 1] ? 0 : 1)});
+      diagonal = above;
+    }
+  }
+  return row[b.size()];
+}
+
+class TomlReader final : public KeyVisitor {
+ public:
+  explicit TomlReader(const toml::table& root) : root_(root) {}
+
+  void section(const std::string& path) override {
+    path_ = path;
+    table_ = &root_;
+    std::istringstream parts(path);
+    for (std::string part, so_far; std::getline(parts, part, '.');) {
+      so_far += (so_far.empty() ? "" : ".") + part;
+      known_[parent_of(so_far)].insert(part);
+      if (table_ == nullptr) continue;
+      const toml::node* node = table_->get(part);
+      if (node != nullptr && !node->is_table() && reported_.insert(so_far).second) {
+        problem(*node, so_far, words_of(*node), "a table [" + so_far + "]");
+      }
+      table_ = node == nullptr ? nullptr : node->as_table();
+    }
+    known_[path];
+  }
+
+  void text(const std::string& key, std::string& value, const std::vector<std::string>& choices) override {
+    read_text(key, value, choices, false);
+  }
+  void required_text(const std::string& key, std::string& value,
+                     const std::vector<std::string>& choices) override {
+    read_text(key, value, choices, true);
+  }
+
+  void number(const std::string& key, double& value, Range range) override {
+    const toml::node* node = find(key);
+    if (node == nullptr) return;
+    if (const auto found = number_of(*node); found && std::isfinite(*found) && range.contains(*found)) {
+      value = *found;
+    } else {
+      problem(*node, name(key), words_of(*node), range.words());
+    }
+  }
+
+  void number(const std::string& key, std::optional<double>& value, Range range) override {
+    if (find(key) == nullptr) return;
+    double found = value.value_or(std::numeric_limits<double>::quiet_NaN());
+    number(key, found, range);
+    value = found;
+  }
+
+  void integer(const std::string& key, int& value, int min, int max) override {
+    const toml::node* node = find(key);
+    if (node == nullptr) return;
+    const auto* whole = node->as_integer();
+    if (whole != nullptr && whole->get() >= min && whole->get() <= max) {
+      value = static_cast<int>(whole->get());
+    } else {
+      problem(*node, name(key), words_of(*node), fmt::format("a whole number from {} to {}", min, max));
+    }
+  }
+
+  void integer(const std::string& key, std::optional<int>& value, int min, int max) override {
+    if (find(key) == nullptr) return;
+    int found = value.value_or(min);
+    integer(key, found, min, max);
+    value = found;
+  }
+
+  void seed(const std::string& key, std::uint64_t& value) override {
+    const toml::node* node = find(key);
+    if (node == nullptr) return;
+    const auto* whole = node->as_integer();
+    if (whole != nullptr && whole->get() >= 0) {
+      value = static_cast<std::uint64_t>(whole->get());
+    } else {
+      problem(*node, name(key), words_of(*node), "a whole number >= 0");
+    }
+  }
+
+  void boolean(const std::string& key, bool& value) override {
+    const toml::node* node = find(key);
+    if (node == nullptr) return;
+    if (const auto* truth = node->as_boolean()) {
+      value = truth->get();
+    } else {
+      problem(*node, name(key), words_of(*node), "true or false");
+    }
+  }
+
+  void vector(const std::string& key, Eigen::Vector3d& value) override {
+    if (const toml::node* node = find(key)) read_triple(*node, name(key), value);
+  }
+
+  void matrix(const std::string& key, Eigen::Matrix3d& value) override {
+    const toml::node* node = find(key);
+    if (node == nullptr) return;
+    const toml::array* rows = node->as_array();
+    if (rows == nullptr || rows->size() != 3) {
+      problem(*node, name(key), words_of(*node),
+              "three rows of three numbers, [[ux, uy, uz], [vx, ...], [wx, ...]]");
+      return;
+    }
+    for (int j = 0; j < 3; ++j) {
+      Eigen::Vector3d row = value.row(j);
+      read_triple(*rows->get(static_cast<std::size_t>(j)), name(key), row);
+      value.row(j) = row;
+    }
+  }
+
+  void harmonics(const std::string& key, std::vector<sim::ErrorHarmonic>& value) override {
+    const toml::node* node = find(key);
+    if (node == nullptr) return;
+    const toml::array* list = node->as_array();
+    if (list == nullptr) {
+      problem(*node, name(key), words_of(*node), "a list of tables [[" + path_ + "." + key + "]]");
+      return;
+    }
+    const toml::table* outer = table_;
+    const std::string outer_path = path_;
+    for (const toml::node& entry : *list) {
+      path_ = outer_path + "." + key;
+      table_ = entry.as_table();
+      if (table_ == nullptr) {
+        problem(entry, path_, words_of(entry), "a table with order, sin_deg, cos_deg");
+        continue;
+      }
+      sim::ErrorHarmonic harmonic;
+      integer("order", harmonic.order, 1, 1000);
+      angle("sin_deg", harmonic.sin_coefficient, kAny);
+      angle("cos_deg", harmonic.cos_coefficient, kAny);
+      report_unknown(*table_, path_);
+      value.push_back(harmonic);
+    }
+    table_ = outer;
+    path_ = outer_path;
+  }
+
+  /// Keys and sections that no visit asked for.
+  void report_unknown() {
+    report_unknown(root_, "");
+    for (const auto& [path, keys] : known_) {
+      if (path.empty()) continue;
+      if (const toml::node* node = root_.at_path(path).node(); node != nullptr && node->is_table()) {
+        report_unknown(*node->as_table(), path);
+      }
+    }
+  }
+
+  std::vector<Problem> take_problems() {
+    std::stable_sort(found_.begin(), found_.end(),
+                     [](const auto& a, const auto& b) { return a.first < b.first; });
+    std::vector<Problem> problems;
+    for (auto& [line, problem] : found_) problems.push_back(std::move(problem));
+    return problems;
+  }
+
+  void add_problem(const std::string& where, const std::string& found, const std::string& required) {
+    std::uint32_t line = 0;
+    if (const toml::node* node = root_.at_path(where).node()) line = node->source().begin.line;
+    found_.emplace_back(line == 0 ? std::numeric_limits<std::uint32_t>::max() : line,
+                        Problem{at(line) + display(where), found, required});
+  }
+
+ private:
+  static std::string parent_of(const std::string& path) {
+    const auto dot = path.rfind('.');
+    return dot == std::string::npos ? std::string() : path.substr(0, dot);
+  }
+  static std::string at(std::uint32_t line) { return line == 0 ? "" : fmt::format("line {}, ", line); }
+  /// "[stage.x] sign" for "stage.x.sign".
+  static std::string display(const std::string& name) {
+    const std::string parent = parent_of(name);
+    return parent.empty() ? name : "[" + parent + "] " + name.substr(parent.size() + 1);
+  }
+  std::string name(const std::string& key) const { return path_.empty() ? key : path_ + "." + key; }
+
+  void problem(const toml::node& node, const std::string& where, std::string found, std::string required) {
+    const std::uint32_t line = node.source().begin.line;
+    found_.emplace_back(line, Problem{at(line) + display(where), std::move(found), std::move(required)});
+  }
+
+  const toml::node* find(const std::string& key) {
+    known_[path_].insert(key);
+    return table_ == nullptr ? nullptr : table_->get(key);
+  }
+
+  static std::optional<double> number_of(const toml::node& node) {
+    if (const auto* real = node.as_floating_point()) return real->get();
+    if (const auto* whole = node.as_integer()) return static_cast<double>(whole->get());
+    return std::nullopt;
+  }
+
+  void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,
+                 bool required) {
+    const std::string wanted = choices.empty() ? "text in quotes" : "one of " + joined(choices);
+    const toml::node* node = find(key);
+    if (node == nullptr) {
+      if (required)
+        found_.emplace_back(std::numeric_limits<std::uint32_t>::max(),
+                            Problem{display(name(key)), "nothing", wanted});
+      return;
+    }
+    const auto* string = node->as_string();
+    const bool allowed = string != nullptr && (choices.empty() || std::find(choices.begin(), choices.end(),
+                                                                            string->get()) != choices.end());
+    if (allowed && !(required && string->get().empty())) {
+      value = string->get();
+    } else {
+      problem(*node, name(key), words_of(*node), wanted);
+    }
+  }
+
+  void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value) {
+    const toml::array* list = node.as_array();
+    if (list != nullptr && list->size() == 3) {
+      Eigen::Vector3d found;
+      bool good = true;
+      for (int j = 0; j < 3; ++j) {
+        const auto number = number_of(*list->get(static_cast<std::size_t>(j)));
+        good = good && number && std::isfinite(*number);
+        if (good) found[j] = *number;
+      }
+      if (good) {
+        value = found;
+        return;
+      }
+    }
+    problem(node, where, words_of(node), "three finite numbers, [u, v, w]");
+  }
+
+  void report_unknown(const toml::table& table, const std::string& path) {
+    const std::set<std::string>& known = known_[path];
+    for (const auto& [key, node] : table) {
+      const std::string word(key.str());
+      if (known.contains(word)) continue;
+      const auto nearest = std::min_element(known.begin(), known.end(), [&](const auto& a, const auto& b) {
+        return edit_distance(word, a) < edit_distance(word, b);
+      });
+      const bool close = nearest != known.end() && edit_distance(word, *nearest) <= 2 + word.size() / 5;
+      problem(node, path.empty() ? word : path + "." + word,
+              node.is_table() ? "a section of this name" : "a key of this name",
+              close ? "a known one: did you mean \"" + *nearest + "\"?"
+                    : "one of " + joined({known.begin(), known.end()}));
+    }
+  }
+
+  const toml::table& root_;
+  const toml::table* table_ = nullptr;
+  std::string path_;
+  std::map<std::string, std::set<std::string>> known_;
+  std::set<std::string> reported_;
+  std::vector<std::pair<std::uint32_t, Problem>> found_;
+};
+
+class TomlWriter final : public KeyVisitor {
+ public:
+  void section(const std::string& path) override {
+    if (!path.empty()) text_ += "\n[" + path + "]\n";
+    path_ = path;
+  }
+  void text(const std::string& key, std::string& value, const std::vector<std::string>&) override {
+    std::ostringstream quoted;
+    quoted << toml::toml_formatter(toml::value<std::string>(value));
+    line(key, quoted.str());
+  }
+  void required_text(const std::string& key, std::string& value,
+                     const std::vector<std::string>& choices) override {
+    text(key, value, choices);
+  }
+  void number(const std::string& key, double& value, Range) override { line(key, real(value)); }
+  void number(const std::string& key, std::optional<double>& value, Range) override {
+    if (value) line(key, real(*value));
+  }
+  void integer(const std::string& key, int& value, int, int) override { line(key, std::to_string(value)); }
+  void integer(const std::string& key, std::optional<int>& value, int, int) override {
+    if (value) line(key, std::to_string(*value));
+  }
+  void seed(const std::string& key, std::uint64_t& value) override { line(key, std::to_string(value)); }
+  void boolean(const std::string& key, bool& value) override { line(key, value ? "true" : "false"); }
+  void vector(const std::string& key, Eigen::Vector3d& value) override { line(key, triple(value)); }
+  void matrix(const std::string& key, Eigen::Matrix3d& value) override {
+    line(key, fmt::format("[{}, {}, {}]", triple(value.row(0)), triple(value.row(1)), triple(value.row(2))));
+  }
+  void harmonics(const std::string& key, std::vector<sim::ErrorHarmonic>& value) override {
+    for (sim::ErrorHarmonic& harmonic : value) {
+      text_ += "\n[[" + path_ + "." + key + "]]\n";
+      line("order", std::to_string(harmonic.order));
+      line("sin_deg", real(harmonic.sin_coefficient.deg()));
+      line("cos_deg", real(harmonic.cos_coefficient.deg()));
+    }
+  }
+  std::string take() { return std::move(text_); }
+
+ private:
+  /// The shortest digits that read back as the same number; with a point, so that TOML sees no integer.
+  static std::string real(double value) {
+    std::string digits = fmt::format("{}", value);
+    if (digits.find_first_of(".en") == std::string::npos) digits += ".0";
+    return digits;
+  }
+  static std::string triple(const Eigen::Vector3d& v) {
+    return fmt::format("[{}, {}, {}]", real(v[0]), real(v[1]), real(v[2]));
+  }
+  void line(const std::string& key, const std::string& value) { text_ += key + " = " + value + "\n"; }
+
+  std::string text_;
+  std::string path_;
+};
+
+void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c) {
+  const bool value_given = root.at_path("bench.g_loc_mps2").node() != nullptr;
+  if (!value_given && !(c.latitude_deg && c.height_m)) {
+    reader.add_problem("bench.g_loc_mps2", "neither g_loc_mps2 nor latitude_deg and height_m",
+                       "local gravity in m/s2 (a survey is best), or latitude and height for a formula");
+  } else if (!value_given && std::isfinite(*c.latitude_deg) && std::isfinite(*c.height_m)) {
+    const FormulaGravity formula = formula_gravity(Angle::degrees(*c.latitude_deg), *c.height_m);
+    c.g_loc = {formula.value_mps2, 2.0 * formula.standard_uncertainty_mps2, 2.0, formula.source};
+    c.warnings.push_back(formula.warning);
+  }
+  const auto check_travel = [&](const std::string& section, const auto& min, const auto& max) {
+    if (min && max && !(*min < *max)) {
+      reader.add_problem(section + ".travel_min_deg", fmt::format("{} to {}", *min, *max),
+                         "travel_min_deg < travel_max_deg");
+    }
+  };
+  check_travel("stage.x", c.stage.x.travel_min_deg, c.stage.x.travel_max_deg);
+  check_travel("stage.z", c.stage.z.travel_min_deg, c.stage.z.travel_max_deg);
+  for (const auto& [section, axis] :
+       {std::pair{"stage.x.sign", &c.stage.x}, std::pair{"stage.z.sign", &c.stage.z}}) {
+    if (axis->sign == 0) reader.add_problem(section, "0", "1 or -1");
+  }
+  if (c.stage.x.axis == c.stage.z.axis) {
+    reader.add_problem("stage.z.axis", "\"" + c.stage.z.axis + "\", the same as [stage.x] axis",
+                       "two different axes");
+  }
+  if (c.protocol.step.deg() * (c.protocol.steps - 1) >= 360.0) {
+    reader.add_problem("protocol.steps",
+                       fmt::format("{} steps of {} deg", c.protocol.steps, c.protocol.step.deg()),
+                       "steps * step_deg <= 360");
+  }
+  if (!(c.limits.temperature_min_degc < c.limits.temperature_max_degc)) {
+    reader.add_problem("limits.temperature_min_degc",
+                       fmt::format("{} to {}", c.limits.temperature_min_degc, c.limits.temperature_max_degc),
+                       "temperature_min_degc < temperature_max_degc");
+  }
+  // A driver that needs no bytes has no port, and "simulated" bytes need a driver.
+  if (c.stage.driver == "simulated" && c.stage.port != "simulated" && !c.stage.port.empty()) {
+    reader.add_problem("stage.port", "\"" + c.stage.port + "\"", "\"simulated\", as the driver is");
+  }
+  if (c.accelerometer.driver == "simulated" && c.accelerometer.port != "simulated" &&
+      !c.accelerometer.port.empty()) {
+    reader.add_problem("accelerometer.port", "\"" + c.accelerometer.port + "\"",
+                       "\"simulated\", as the driver is");
+  }
+}
+
+}  // namespace
+
+BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
+    : std::runtime_error([&] {
+        std::string text = fmt::format("bench file {}: {} problem{}", file, problems.size(),
+                                       problems.size() == 1 ? "" : "s");
+        for (const Problem& problem : problems) text += "\n  " + to_string(problem);
+        return text;
+      }()),
+      problems_(std::move(problems)) {}
+
+BenchConfig parse_bench(std::string_view text, const std::string& source) {
+  if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) {
+    throw BenchError(source,
+                     {{"the file", "nothing in it", "a bench file; docs/examples holds commented ones"}});
+  }
+  toml::table root;
+  try {
+    root = toml::parse(text, source);
+  } catch (const toml::parse_error& error) {
+    throw BenchError(
+        source, {{fmt::format("line {}, column {}", error.source().begin.line, error.source().begin.column),
+                  std::string(error.description()), "TOML (key = value under [section]; text in quotes)"}});
+  }
+  BenchConfig config;
+  TomlReader reader(root);
+  visit(reader, config);
+  check_together(reader, root, config);
+  reader.report_unknown();
+  if (auto problems = reader.take_problems(); !problems.empty())
+    throw BenchError(source, std::move(problems));
+  return config;
+}
+
+BenchConfig read_bench(const std::filesystem::path& path) {
+  std::error_code error;
+  if (!std::filesystem::exists(path, error))
+    throw BenchError(path.string(), {{"the file", "no such file", "an existing bench file"}});
+  if (std::filesystem::is_directory(path, error))
+    throw BenchError(path.string(), {{"the file", "a folder", "a bench file"}});
+  std::ifstream file(path, std::ios::binary);
+  if (!file)
+    throw BenchError(path.string(), {{"the file", "it cannot be opened", "a file that this user may read"}});
+  std::ostringstream text;
+  text << file.rdbuf();
+  return parse_bench(text.str(), path.string());
+}
+
+std::string write_bench(const BenchConfig& config) {
+  BenchConfig copy = config;
+  TomlWriter writer;
+  visit(writer, copy);
+  return writer.take();
+}
+
+}  // namespace abcal

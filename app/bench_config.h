@@ -1,0 +1,96 @@
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "drivers/instrument/angle.h"
+#include "protocol/plan/run_config.h"
+#include "protocol/plan/tolerances.h"
+#include "protocol/record/run_record.h"
+#include "sim/bench_truth.h"
+
+namespace abcal {
+
+struct ItemConfig {
+  std::string maker, model, serial_number, range, filter, firmware, supply;
+};
+
+struct StageAxisConfig {
+  std::string axis;  ///< The controller's name of the axis.
+  int sign = +1;     ///< -1: the controller counts against the right-hand rule.
+  Angle zero;        ///< Controller angle at the default orientation.
+  std::optional<double> travel_min_deg, travel_max_deg;  ///< Narrower than the controller's own.
+  std::optional<double> speed_deg_per_s;                 ///< Absent: as the controller has it.
+};
+
+struct StageConfig {
+  std::string driver, port;
+  std::optional<int> baud;  ///< Absent: the driver's usual one.
+  std::string address;
+  std::string serial_number;  ///< If given, any other controller is refused.
+  StageAxisConfig x, z;
+
+  StageConfig() {
+    x.axis = "1";
+    z.axis = "2";
+  }
+};
+
+struct AccelerometerConfig {
+  std::string driver, port;
+  std::optional<int> baud;
+  double rate_hz = 100.0;
+  std::string response_unit;  ///< Empty: what the instrument says; else it must say the same.
+  std::optional<double> full_scale;
+  std::string serial_number;
+};
+
+struct EnvironmentConfig {
+  std::optional<double> temperature_degc, humidity_percent, pressure_hpa;
+};
+
+/// A bench file (schema abcal.bench/1), with every default filled in.
+struct BenchConfig {
+  std::string schema = "abcal.bench/1";
+  std::string name;
+  LocalGravity g_loc;
+  std::optional<double> latitude_deg, height_m;
+  ItemConfig item;
+  std::string operator_name;
+  StageConfig stage;
+  AccelerometerConfig accelerometer;
+  EnvironmentConfig environment;
+  ProtocolConfig protocol;
+  Tolerances tolerances;
+  LimitsConfig limits;
+  sim::BenchTruth simulation;
+
+  std::vector<std::string> warnings;  ///< What a person should know though nothing is wrong.
+};
+
+/// A bench file that cannot be used: every problem of it, with its line.
+class BenchError : public std::runtime_error {
+ public:
+  BenchError(const std::string& file, std::vector<Problem> problems);
+  const std::vector<Problem>& problems() const { return problems_; }
+
+ private:
+  std::vector<Problem> problems_;
+};
+
+/// Reads a bench file. @throws BenchError
+BenchConfig read_bench(const std::filesystem::path& path);
+
+/// The same from text; `source` names it in messages.
+BenchConfig parse_bench(std::string_view toml, const std::string& source);
+
+/// The bench file with every default written out, so that a stored run keeps its meaning when a default
+/// changes. parse_bench() reads it back to the same configuration.
+std::string write_bench(const BenchConfig& config);
+
+}  // namespace abcal

@@ -1,0 +1,105 @@
+#include <fmt/format.h>
+
+#include <fstream>
+
+#include "app/analyses.h"
+#include "app/bench_config.h"
+#include "app/commands/commands.h"
+#include "app/exit_code.h"
+#include "app/load_record.h"
+#include "app/report/result_json.h"
+#include "app/report/result_text.h"
+#include "app/terminal.h"
+#include "app/version.h"
+#include "protocol/analysis/pose_import.h"
+
+namespace abcal {
+namespace {
+
+/// A file of poses or a time series serves the norm estimator alone; a run or a CSV with angles serves all.
+bool has_no_angles(const std::filesystem::path& path) {
+  if (RunFile::looks_like_run_file(path)) return false;
+  std::ifstream file(path);
+  for (std::string line; std::getline(file, line);) {
+    if (line.empty() || line.front() == '#' || line == "\r") continue;
+    return line.find("experiment") == std::string::npos;
+  }
+  return false;
+}
+
+/// Keeps an analysis beside a closed run; one that cannot be kept (a read-only folder) is still shown.
+void keep(const StoredRun& run, const std::filesystem::path& path, const CalibrationResult& result) {
+  if (run.state != RunState::kComplete) return;
+  try {
+    ResultsFile(path, sha256_of_file(path))
+        .add_analysis("", program_version(), result.estimator, result_json(result).dump());
+  } catch (const RunFileError& error) {
+    fmt::print(stderr, "warning: the analysis was not kept: {}\n", error.what());
+  }
+}
+
+}  // namespace
+
+CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
+  struct Options {
+    std::string file;
+    std::string estimator;
+    std::string truth;
+    bool json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand(
+      "analyse", "Sensitivity matrix, offsets and intrinsic properties of a run or CSV");
+  command
+      ->add_option("FILE", options->file,
+                   "run file, or CSV of averaged readings (norm: of poses, or a time series)")
+      ->required();
+  command
+      ->add_option("--estimator", options->estimator,
+                   "abc, joint or norm (default: abc; the text shows all three)")
+      ->check(CLI::IsMember(kEstimators));
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.result/1");
+  command->add_option(
+      "--truth", options->truth,
+      "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");
+  command->callback([options, &exit_code] {
+    const std::filesystem::path path = options->file;
+    const std::string estimator = options->estimator.empty() ? "abc" : options->estimator;
+    LoadedRecord loaded;
+    std::error_code error;
+    if (estimator == "norm" && std::filesystem::is_regular_file(path, error) && has_no_angles(path)) {
+      loaded.record = import_poses(path).record;
+    } else {
+      loaded = load_record(path);
+    }
+    const CalibrationResult result = analyse(loaded.record, estimator);
+    if (loaded.run) keep(*loaded.run, path, result);
+    exit_code = result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+    if (options->json) {
+      fmt::print("{}\n", result_json(result).dump(2));
+    } else {
+      if (loaded.run && loaded.run->state != RunState::kComplete) {
+        fmt::print("{}\n", emphasised(stdout, Emphasis::kWarning,
+                                      fmt::format("This run is {}: {} of {} angles are measured.",
+                                                  to_string(loaded.run->state), loaded.run->measured.size(),
+                                                  loaded.run->header.plan.size())));
+      }
+      fmt::print("{}", result_text(result, stdout));
+      if (options->estimator.empty()) {
+        fmt::print("\n{}\n{}", emphasised(stdout, Emphasis::kHeading, "Estimators side by side"),
+                   comparison_text(analyse_all(loaded.record)));
+      }
+    }
+    if (!options->truth.empty()) {
+      const TruthComparison comparison = compare_with_truth(result, read_bench(options->truth));
+      fmt::print(options->json ? stderr : stdout, "\n{}\n{}",
+                 emphasised(stdout, Emphasis::kHeading,
+                            fmt::format("Beside the simulated truth ({} estimator)", estimator)),
+                 comparison.text);
+      if (!comparison.agrees()) exit_code = kExitFailed;
+    }
+  });
+  return command;
+}
+
+}  // namespace abcal

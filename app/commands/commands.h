@@ -1,0 +1,17 @@
+#pragma once
+
+#include <CLI/CLI.hpp>
+
+namespace abcal {
+
+// Each adds one command to the program. Its callback carries the command out and sets `exit_code`
+// (app/exit_code.h); errors that it does not handle itself are for main().
+
+CLI::App* add_run(CLI::App& parent, int& exit_code);
+CLI::App* add_resume(CLI::App& parent, int& exit_code);
+CLI::App* add_plan(CLI::App& parent, int& exit_code);
+CLI::App* add_analyse(CLI::App& parent, int& exit_code);
+CLI::App* add_emulate(CLI::App& parent, int& exit_code);
+CLI::App* add_instruments(CLI::App& parent, int& exit_code);
+
+}  // namespace abcal

@@ -1,0 +1,20 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+
+#include "protocol/record/run_file.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// A run file or a CSV of averaged readings, told apart by their content.
+struct LoadedRecord {
+  RunRecord record;
+  std::optional<StoredRun> run;  ///< Absent for a CSV.
+};
+
+/// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
+LoadedRecord load_record(const std::filesystem::path& path);
+
+}  // namespace abcal

@@ -1,0 +1,127 @@
+#include "app/make_bench.h"
+
+#include <algorithm>
+#include <stdexcept>
+#include <utility>
+
+#include "app/real_clock.h"
+#include "drivers/instrument/mounted_stage.h"
+#include "drivers/registry.h"
+#include "drivers/wire/open_stream.h"
+#include "sim/firmware/firmware_stream.h"
+#include "sim/firmware/mip_firmware.h"
+#include "sim/firmware/pi_gcs_firmware.h"
+#include "sim/sim_accelerometer.h"
+#include "sim/sim_clock.h"
+#include "sim/sim_stage.h"
+
+namespace abcal {
+namespace {
+
+constexpr const char* kSimulated = "simulated";
+
+AxisMounting mounting(const StageAxisConfig& axis) {
+  const auto angle = [](const std::optional<double>& degrees) {
+    return degrees ? std::optional(Angle::degrees(*degrees)) : std::nullopt;
+  };
+  return {axis.zero, axis.sign, angle(axis.travel_min_deg), angle(axis.travel_max_deg)};
+}
+
+template <class Driver>
+const Driver& find_driver(const std::vector<Driver>& drivers, const std::string& name) {
+  const auto found =
+      std::find_if(drivers.begin(), drivers.end(), [&](const Driver& d) { return d.name == name; });
+  if (found == drivers.end()) throw std::invalid_argument("no driver is called \"" + name + "\"");
+  return *found;
+}
+
+/// The bytes to and from an instrument: a real port, or simulated firmware in this process.
+std::unique_ptr<wire::ByteStream> open_port(
+    const std::string& port, const std::optional<int>& baud, const SerialDefaults& defaults, Clock& clock,
+    const std::function<std::shared_ptr<sim::Firmware>()>& make_firmware) {
+  if (port == kSimulated) return std::make_unique<sim::FirmwareStream>(make_firmware(), clock);
+  wire::SerialSettings settings;
+  settings.baud = baud ? static_cast<unsigned>(*baud) : defaults.baud;
+  settings.rts_cts = defaults.rts_cts;
+  return wire::open_stream(port, settings, clock);
+}
+
+}  // namespace
+
+std::shared_ptr<sim::Firmware> make_stage_firmware(const BenchConfig& config,
+                                                   std::shared_ptr<sim::SimBench> world) {
+  if (config.stage.driver != "pi_gcs") {
+    throw std::invalid_argument("[stage] driver \"" + config.stage.driver + "\" has no simulated firmware");
+  }
+  sim::PiGcsSettings settings;
+  settings.axis_names = {config.stage.x.axis, config.stage.z.axis};
+  settings.sign = {config.stage.x.sign, config.stage.z.sign};
+  settings.zero = {config.stage.x.zero, config.stage.z.zero};
+  if (!config.stage.serial_number.empty()) settings.serial_number = config.stage.serial_number;
+  if (!config.stage.address.empty()) settings.address = std::stoi(config.stage.address);
+  return std::make_shared<sim::PiGcsFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& config,
+                                                           std::shared_ptr<sim::SimBench> world) {
+  if (config.accelerometer.driver != "microstrain_mip") {
+    throw std::invalid_argument("[accelerometer] driver \"" + config.accelerometer.driver +
+                                "\" has no simulated firmware");
+  }
+  sim::MipSettings settings;
+  if (!config.accelerometer.serial_number.empty())
+    settings.serial_number = config.accelerometer.serial_number;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::MipFirmware>(std::move(world), settings);
+}
+
+Bench make_bench(const BenchConfig& config) {
+  Bench bench;
+  const bool stage_simulated = config.stage.port == kSimulated;
+  const bool accelerometer_simulated = config.accelerometer.port == kSimulated;
+  bench.simulated_time = stage_simulated && accelerometer_simulated;
+  if (bench.simulated_time) {
+    bench.clock = std::make_unique<sim::SimClock>();
+  } else {
+    bench.clock = std::make_unique<RealClock>();
+  }
+  Clock& clock = *bench.clock;
+  if (stage_simulated || accelerometer_simulated) {
+    bench.world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
+  }
+
+  if (config.stage.driver == kSimulated) {
+    const std::array<AxisMounting, 2> limits{
+        AxisMounting{Angle{}, +1, mounting(config.stage.x).travel_min, mounting(config.stage.x).travel_max},
+        AxisMounting{Angle{}, +1, mounting(config.stage.z).travel_min, mounting(config.stage.z).travel_max}};
+    bench.stage = std::make_unique<MountedStage>(std::make_unique<sim::SimStage>(bench.world, clock), limits);
+  } else {
+    const StageDriver& driver = find_driver(stage_drivers(), config.stage.driver);
+    StageSettings settings;
+    settings.axis_names = {config.stage.x.axis, config.stage.z.axis};
+    settings.speed_deg_per_s = {config.stage.x.speed_deg_per_s, config.stage.z.speed_deg_per_s};
+    settings.address = config.stage.address;
+    auto stream = open_port(config.stage.port, config.stage.baud, driver.serial, clock,
+                            [&] { return make_stage_firmware(config, bench.world); });
+    bench.stage = std::make_unique<MountedStage>(
+        driver.make(std::move(stream), clock, settings),
+        std::array<AxisMounting, 2>{mounting(config.stage.x), mounting(config.stage.z)});
+  }
+
+  if (config.accelerometer.driver == kSimulated) {
+    bench.accelerometer = std::make_unique<sim::SimAccelerometer>(
+        bench.world, clock, config.accelerometer.rate_hz,
+        config.accelerometer.response_unit.empty() ? "g" : config.accelerometer.response_unit);
+  } else {
+    const AccelerometerDriver& driver = find_driver(accelerometer_drivers(), config.accelerometer.driver);
+    AccelerometerSettings settings;
+    settings.rate_hz = config.accelerometer.rate_hz;
+    settings.full_scale = config.accelerometer.full_scale;
+    auto stream = open_port(config.accelerometer.port, config.accelerometer.baud, driver.serial, clock,
+                            [&] { return make_accelerometer_firmware(config, bench.world); });
+    bench.accelerometer = driver.make(std::move(stream), clock, settings);
+  }
+  return bench;
+}
+
+}  // namespace abcal

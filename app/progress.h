@@ -1,0 +1,42 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdio>
+#include <string>
+#include <string_view>
+
+#include "drivers/instrument/clock.h"
+
+namespace abcal {
+
+/// "1 h 05 min", "3 min 20 s", "12 s".
+std::string describe_duration(double seconds);
+
+/// A progress bar with the time that is left, on a terminal's one line; silent where nobody looks.
+class ProgressBar {
+ public:
+  /// `stream` is standard error, so that standard output stays the result's.
+  ProgressBar(std::string title, const Clock& clock, std::FILE* stream = stderr);
+  ~ProgressBar();
+  ProgressBar(const ProgressBar&) = delete;
+  ProgressBar& operator=(const ProgressBar&) = delete;
+
+  /// `done` of `total`, with a few words on what goes on now. Redraws at most ten times a second.
+  void show(double done, double total, std::string_view words = {});
+  /// Prints a line of its own above the bar (also where there is no terminal).
+  void line(std::string_view text);
+  /// Removes the bar.
+  void clear();
+
+ private:
+  std::string title_;
+  const Clock& clock_;
+  std::FILE* stream_;
+  bool visible_;
+  bool drawn_ = false;
+  Clock::Instant started_;
+  Clock::Instant last_draw_;
+  double done_at_start_ = -1.0;
+};
+
+}  // namespace abcal
