@@ -17,7 +17,7 @@ struct Pose {
 
 /// The norm estimator: the specific force has the magnitude g_loc at every pose, so poses alone determine the
 /// intrinsic properties (no angles needed, no orientation found): |B (r - O)| = 1 with B the inverse of s up
-/// to a rotation, in the gauge where s is lower triangular. Nine unknowns.
+/// to a rotation, in the gauge where s is upper triangular. Nine unknowns.
 ///
 /// With uncertainties on every pose: weights from them, chi2 as the test; where it fails, a common scatter is
 /// added until it agrees, and the verdict is doubtful. Without: equal weights, uncertainties from the
@@ -26,7 +26,8 @@ struct Pose {
 /// directions' scatter matrix (1: even); coverage_words names the largest cap without a pose where it is
 /// wider than 60 degrees in radius.
 /// @throws std::invalid_argument a reading or uncertainty that is not finite
-/// @throws std::runtime_error fewer than nine poses, or poses that do not determine the nine unknowns
+/// Fewer than nine poses, or poses that do not determine the unknowns, give Verdict::kNotUsable and the
+/// reason.
 CalibrationResult analyse_norm(std::span<const Pose> poses);
 
 /// Every dwell of a record as a pose (closing angles too: they are poses like any other).

@@ -1,0 +1,362 @@
+#include "protocol/analysis/pose_import.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <limits>
+#include <optional>
+#include <stdexcept>
+#include <string_view>
+#include <utility>
+
+namespace abcal {
+namespace {
+
+// ---- Table ----------------------------------------------------------------------------------------------
+
+struct Table {
+  std::vector<std::string> header;  ///< Empty: none.
+  std::vector<std::vector<double>> rows;
+  std::vector<int> lines;  ///< Line of each row, from 1.
+};
+
+std::string_view trimmed(std::string_view text) {
+  constexpr std::string_view kBlank = " \t\r\n\"";
+  const auto first = text.find_first_not_of(kBlank);
+  if (first == std::string_view::npos) return {};
+  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
+}
+
+std::vector<std::string_view> split(std::string_view line) {
+  std::vector<std::string_view> cells;
+  for (const char separator : {',', ';'}) {
+    if (line.find(separator) == std::string_view::npos) continue;
+    std::size_t from = 0;
+    for (std::size_t to = line.find(separator); to != std::string_view::npos;
+         to = line.find(separator, from)) {
+      cells.push_back(trimmed(line.substr(from, to - from)));
+      from = to + 1;
+    }
+    cells.push_back(trimmed(line.substr(from)));
+    return cells;
+  }
+  std::size_t at = 0;
+  while ((at = line.find_first_not_of(" \t", at)) != std::string_view::npos) {
+    const std::size_t end = std::min(line.find_first_of(" \t", at), line.size());
+    cells.push_back(trimmed(line.substr(at, end - at)));
+    at = end;
+  }
+  return cells;
+}
+
+std::optional<double> number(std::string_view text) {
+  if (!text.empty() && text.front() == '+') text.remove_prefix(1);
+  double value = 0.0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
+  return value;
+}
+
+Table read_table(std::istream& in, const std::string& source) {
+  Table table;
+  std::string line;
+  std::size_t columns = 0;
+  for (int number_of_line = 1; std::getline(in, line); ++number_of_line) {
+    const std::string_view text = trimmed(line);
+    if (text.empty() || text.front() == '#') continue;
+    const std::vector<std::string_view> cells = split(text);
+    const auto where = [&] { return fmt::format("{}, line {}", source, number_of_line); };
+    if (columns == 0) {
+      columns = cells.size();
+      if (!std::all_of(cells.begin(), cells.end(), [](auto cell) { return number(cell).has_value(); })) {
+        for (const std::string_view cell : cells) {
+          std::string name(cell);
+          std::transform(name.begin(), name.end(), name.begin(),
+                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+          table.header.push_back(name);
+        }
+        continue;
+      }
+    }
+    if (cells.size() != columns) {
+      throw std::invalid_argument(fmt::format("{}: {} columns; {} as in the first line are required", where(),
+                                              cells.size(), columns));
+    }
+    std::vector<double> row;
+    for (const std::string_view cell : cells) {
+      // An empty cell is an optional number that is not there; it is refused where it is needed.
+      const std::optional<double> value =
+          cell.empty() ? std::numeric_limits<double>::quiet_NaN() : number(cell);
+      if (!value) throw std::invalid_argument(fmt::format("{}: \"{}\" is not a number", where(), cell));
+      row.push_back(*value);
+    }
+    table.rows.push_back(std::move(row));
+    table.lines.push_back(number_of_line);
+  }
+  if (in.bad()) throw std::runtime_error(source + ": cannot be read");
+  if (table.rows.empty()) throw std::runtime_error(source + ": no numbers in it");
+  return table;
+}
+
+std::optional<std::size_t> column_named(const Table& table, std::initializer_list<std::string_view> names) {
+  for (const std::string_view name : names) {
+    const auto at = std::find(table.header.begin(), table.header.end(), name);
+    if (at != table.header.end()) return static_cast<std::size_t>(at - table.header.begin());
+  }
+  return std::nullopt;
+}
+
+// ---- Static stretches -------------------------------------------------------------------------------------
+
+/// Sums over samples, so that any window costs the same.
+class RunningSums {
+ public:
+  explicit RunningSums(const std::vector<Eigen::Vector3d>& readings)
+      : shift_(readings.front()), sum_(readings.size() + 1), square_(readings.size() + 1) {
+    sum_[0].setZero();
+    square_[0].setZero();
+    for (std::size_t i = 0; i < readings.size(); ++i) {
+      const Eigen::Vector3d r = readings[i] - shift_;
+      sum_[i + 1] = sum_[i] + r;
+      square_[i + 1] = square_[i] + r.cwiseAbs2();
+    }
+  }
+  Eigen::Vector3d mean(std::size_t first, std::size_t last) const {
+    return shift_ + (sum_[last] - sum_[first]) / static_cast<double>(last - first);
+  }
+  Eigen::Vector3d spread(std::size_t first, std::size_t last) const {
+    const auto n = static_cast<double>(last - first);
+    const Eigen::Vector3d sum = sum_[last] - sum_[first];
+    const Eigen::Vector3d squares = square_[last] - square_[first] - sum.cwiseAbs2() / n;
+    return (squares / (n - 1.0)).cwiseMax(0.0).cwiseSqrt();
+  }
+
+ private:
+  Eigen::Vector3d shift_;
+  std::vector<Eigen::Vector3d> sum_, square_;
+};
+
+/// Standard uncertainty of the mean from the scatter of batch means: neighbouring readings of a filtered
+/// output are not independent, batches that are long against the filter are.
+Eigen::Vector3d batch_uncertainty(const RunningSums& sums, std::size_t first, std::size_t last) {
+  constexpr std::size_t kBatches = 8;
+  const std::size_t length = (last - first) / kBatches;
+  if (length < 2) return sums.spread(first, last) / std::sqrt(static_cast<double>(last - first));
+  const Eigen::Vector3d mean = sums.mean(first, first + kBatches * length);
+  Eigen::Vector3d squares = Eigen::Vector3d::Zero();
+  for (std::size_t i = 0; i < kBatches; ++i) {
+    squares += (sums.mean(first + i * length, first + (i + 1) * length) - mean).cwiseAbs2();
+  }
+  return (squares / static_cast<double>(kBatches * (kBatches - 1))).cwiseSqrt();
+}
+
+void check(const TimeSeries& series, const StaticSearch& search) {
+  if (series.time_s.size() != series.reading.size()) {
+    throw std::invalid_argument(
+        fmt::format("time series: {} times and {} readings", series.time_s.size(), series.reading.size()));
+  }
+  for (std::size_t i = 0; i < series.time_s.size(); ++i) {
+    if (!std::isfinite(series.time_s[i]) || !series.reading[i].allFinite()) {
+      throw std::invalid_argument(fmt::format("time series: row {} is not finite", i + 1));
+    }
+    if (i > 0 && !(series.time_s[i] > series.time_s[i - 1])) {
+      throw std::invalid_argument(fmt::format("time series: row {}: time {} s does not come after {} s",
+                                              i + 1, series.time_s[i], series.time_s[i - 1]));
+    }
+  }
+  const auto positive = [](double x) { return std::isfinite(x) && x > 0.0; };
+  if (!positive(search.window_s) || !positive(search.threshold) || !positive(search.min_length_s) ||
+      !(search.trim_s >= 0.0) || !std::isfinite(search.trim_s)) {
+    throw std::invalid_argument(
+        "time series: window, threshold and shortest stretch must be greater than zero, the "
+        "trim zero or more");
+  }
+}
+
+}  // namespace
+
+std::vector<StaticStretch> static_stretches(const TimeSeries& series, const StaticSearch& search) {
+  check(series, search);
+  const std::size_t n = series.time_s.size();
+  const auto nothing = [&] {
+    return std::runtime_error(fmt::format("time series: no stretch of {} s without motion among {} samples",
+                                          search.min_length_s, n));
+  };
+  if (n < 16) throw nothing();
+  const double period = (series.time_s.back() - series.time_s.front()) / static_cast<double>(n - 1);
+  const auto half = std::max<std::size_t>(2, static_cast<std::size_t>(0.5 * search.window_s / period));
+  if (n < 2 * half + 1) throw nothing();
+
+  const RunningSums sums(series.reading);
+  std::vector<Eigen::Vector3d> spread(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    spread[i] = sums.spread(i < half ? 0 : i - half, std::min(n, i + half + 1));
+  }
+  Eigen::Vector3d limit;
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    std::vector<double> sorted(n);
+    for (std::size_t i = 0; i < n; ++i) sorted[i] = spread[i](j);
+    const auto tenth = sorted.begin() + static_cast<std::ptrdiff_t>(n / 10);
+    std::nth_element(sorted.begin(), tenth, sorted.end());
+    // An output that hardly changes shows less than its resolution: a step is never motion.
+    double resolution = std::numeric_limits<double>::infinity();
+    for (std::size_t i = 1; i < n; ++i) {
+      const double step = std::abs(series.reading[i](j) - series.reading[i - 1](j));
+      if (step > 0.0) resolution = std::min(resolution, step);
+    }
+    if (!std::isfinite(resolution)) resolution = 0.0;
+    limit(j) = search.threshold * std::max(*tenth, resolution / std::sqrt(12.0));
+  }
+
+  std::vector<StaticStretch> found;
+  const auto add = [&](std::size_t first, std::size_t last) {
+    const double start = series.time_s[first] + search.trim_s;
+    const double end = series.time_s[last - 1] - search.trim_s;
+    if (end - start < search.min_length_s) return;
+    const auto at = [&](double time) {
+      return static_cast<std::size_t>(std::lower_bound(series.time_s.begin(), series.time_s.end(), time) -
+                                      series.time_s.begin());
+    };
+    StaticStretch stretch;
+    stretch.first = at(start);
+    stretch.last = at(end) + 1;
+    if (stretch.last - stretch.first < 8) return;
+    stretch.spread = sums.spread(stretch.first, stretch.last);
+    // Slow turning passes the short window but not the whole stretch.
+    if ((stretch.spread.array() > limit.array()).any()) return;
+    stretch.mean = sums.mean(stretch.first, stretch.last);
+    stretch.u_mean = batch_uncertainty(sums, stretch.first, stretch.last);
+    stretch.start_s = series.time_s[stretch.first];
+    stretch.end_s = series.time_s[stretch.last - 1];
+    if (!found.empty()) {
+      // A knock in the middle of a pose: the same pose goes on. Half the scatter of one reading is far below
+      // any turn by hand and far above the uncertainty of the means.
+      StaticStretch& before = found.back();
+      const bool same =
+          ((stretch.mean - before.mean).array().abs() <= 0.5 * limit.array() / search.threshold).all();
+      if (same && stretch.start_s - before.end_s <= 2.0 * search.window_s + 2.0 * search.trim_s) {
+        const auto a = static_cast<double>(before.last - before.first);
+        const auto b = static_cast<double>(stretch.last - stretch.first);
+        before.mean = (a * before.mean + b * stretch.mean) / (a + b);
+        before.spread =
+            ((a * before.spread.cwiseAbs2() + b * stretch.spread.cwiseAbs2()) / (a + b)).cwiseSqrt();
+        before.u_mean =
+            (a * a * before.u_mean.cwiseAbs2() + b * b * stretch.u_mean.cwiseAbs2()).cwiseSqrt() / (a + b);
+        before.last = stretch.last;
+        before.end_s = stretch.end_s;
+        return;
+      }
+    }
+    found.push_back(stretch);
+  };
+  std::size_t first = 0;
+  bool still = false;
+  for (std::size_t i = 0; i <= n; ++i) {
+    const bool now = i < n && (spread[i].array() <= limit.array()).all();
+    if (now && !still) first = i;
+    if (!now && still) add(first, i);
+    still = now;
+  }
+  if (found.empty()) throw nothing();
+  return found;
+}
+
+ImportedPoses import_poses(std::istream& in, const std::string& source, const StaticSearch& search) {
+  const Table table = read_table(in, source);
+  ImportedPoses out;
+  out.record.source = source;
+  std::array<std::size_t, 3> reading{};
+  std::array<std::optional<std::size_t>, 3> uncertainty{};
+  std::optional<std::size_t> time;
+  if (table.header.empty()) {
+    const std::size_t columns = table.rows.front().size();
+    if (columns == 3) {
+      reading = {0, 1, 2};
+    } else if (columns == 4) {
+      time = 0;
+      reading = {1, 2, 3};
+    } else {
+      throw std::invalid_argument(
+          fmt::format("{}: {} columns without a header; 3 (poses u, v, w) or 4 (t, u, v, w) are required",
+                      source, columns));
+    }
+  } else if (column_named(table, {"r_u"}) && column_named(table, {"r_v"}) && column_named(table, {"r_w"})) {
+    reading = {*column_named(table, {"r_u"}), *column_named(table, {"r_v"}), *column_named(table, {"r_w"})};
+    uncertainty = {column_named(table, {"u_u"}), column_named(table, {"u_v"}), column_named(table, {"u_w"})};
+    // With t the rows are samples; the column time_s belongs to averaged readings.
+    time = column_named(table, {"t"});
+  } else if (const auto t = column_named(table, {"t", "time", "time_s"}); t && table.header.size() == 4) {
+    time = t;
+    std::size_t next = 0;
+    for (std::size_t i = 0; i < 4; ++i) {
+      if (i != *t) reading[next++] = i;
+    }
+  } else {
+    throw std::invalid_argument(
+        fmt::format("{}: columns {}; r_u, r_v, r_w (poses), or t and three others (time series) are required",
+                    source, fmt::join(table.header, ", ")));
+  }
+
+  const auto triple = [&](std::size_t row, const std::array<std::size_t, 3>& columns) {
+    Eigen::Vector3d value;
+    for (std::size_t j = 0; j < 3; ++j) {
+      value(static_cast<Eigen::Index>(j)) = table.rows[row][columns[j]];
+    }
+    if (!value.allFinite()) {
+      throw std::invalid_argument(
+          fmt::format("{}, line {}: a number is missing or not finite", source, table.lines[row]));
+    }
+    return value;
+  };
+  if (!time) {
+    const bool with_u = uncertainty[0] && uncertainty[1] && uncertainty[2];
+    for (std::size_t row = 0; row < table.rows.size(); ++row) {
+      DwellRecord dwell;
+      dwell.n = static_cast<int>(row) + 1;
+      dwell.mean = triple(row, reading);
+      if (with_u) {
+        dwell.u_mean = triple(row, {*uncertainty[0], *uncertainty[1], *uncertainty[2]});
+        if (!(dwell.u_mean->minCoeff() >= 0.0)) {
+          throw std::invalid_argument(
+              fmt::format("{}, line {}: a negative uncertainty", source, table.lines[row]));
+        }
+      }
+      out.record.dwells.push_back(std::move(dwell));
+    }
+    return out;
+  }
+
+  out.from_time_series = true;
+  TimeSeries series;
+  for (std::size_t row = 0; row < table.rows.size(); ++row) {
+    series.time_s.push_back(table.rows[row][*time]);
+    series.reading.push_back(triple(row, reading));
+  }
+  out.samples = table.rows.size();
+  out.stretches = static_stretches(series, search);
+  for (const StaticStretch& stretch : out.stretches) {
+    DwellRecord dwell;
+    dwell.n = static_cast<int>(out.record.dwells.size()) + 1;
+    dwell.mean = stretch.mean;
+    dwell.spread = stretch.spread;
+    dwell.count = static_cast<std::int64_t>(stretch.last - stretch.first);
+    dwell.time_s = 0.5 * (stretch.start_s + stretch.end_s);
+    // u_mean is left absent on purpose: the noise of a stretch says little of how poses placed by hand agree
+    // with each other, so the norm fit takes its uncertainties from that agreement.
+    out.record.dwells.push_back(std::move(dwell));
+  }
+  return out;
+}
+
+ImportedPoses import_poses(const std::filesystem::path& path, const StaticSearch& search) {
+  std::ifstream in(path);
+  if (!in) throw std::runtime_error(path.string() + ": cannot be opened");
+  return import_poses(in, path.string(), search);
+}
+
+}  // namespace abcal
