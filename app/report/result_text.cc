@@ -39,8 +39,8 @@ void row(std::string& text, const std::string& name, const Quantity& q) {
   }
   const int decimals = decimals_for(q.standard_uncertainty);
   text += fmt::format("  {:<8} {:>+16.{}f} {:>14} {:>14} {:>14}  {}\n", name, q.value, decimals,
-                      uncertainty_text(q.standard_uncertainty, decimals),
-                      uncertainty_text(q.type_a, decimals), uncertainty_text(q.type_b, decimals), q.unit);
+                      uncertainty_text(q.standard_uncertainty, decimals), part_text(q.type_a),
+                      part_text(q.type_b), q.unit);
 }
 
 struct NamedQuantity {

@@ -1,0 +1,179 @@
+#include "app/commands/simulate.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <fstream>
+#include <iterator>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <sstream>
+
+#include "app/exit_code.h"
+#include "app/interrupt.h"
+#include "app/progress.h"
+#include "app/real_clock.h"
+#include "app/report/study_figures.h"
+#include "app/report/study_json.h"
+#include "app/report/study_text.h"
+#include "protocol/uncertainty/simulation_sets.h"
+
+namespace abcal {
+namespace {
+
+double plain_number(const nlohmann::json& json) {
+  const nlohmann::json& value = json.is_object() && json.contains("value") ? json.at("value") : json;
+  return value.get<double>();
+}
+
+void write_file(const std::filesystem::path& path, const std::string& text) {
+  std::ofstream file(path, std::ios::binary);
+  file << text;
+  if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", path.string()));
+}
+
+}  // namespace
+
+AccelerometerUnderTest read_accelerometer(const std::filesystem::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw std::invalid_argument(fmt::format("accelerometer file {} cannot be read", path.string()));
+  std::string text{std::istreambuf_iterator<char>(file), {}};
+  AccelerometerUnderTest accelerometer;
+  const std::size_t start = text.find_first_not_of(" \t\r\n");
+  if (start != std::string::npos && text[start] == '{') {
+    try {
+      const nlohmann::json json = nlohmann::json::parse(text);
+      const nlohmann::json& rows = json.at("sensitivity_matrix");
+      const nlohmann::json& offset = json.at("offset");
+      if (rows.size() != 3 || offset.size() != 3)
+        throw std::invalid_argument("3 rows and 3 offsets are needed");
+      for (std::size_t j = 0; j < 3; ++j) {
+        if (rows.at(j).size() != 3) throw std::invalid_argument("a row has not 3 elements");
+        for (std::size_t k = 0; k < 3; ++k) {
+          accelerometer.sensitivity_matrix(static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k)) =
+              plain_number(rows.at(j).at(k));
+        }
+        accelerometer.offset(static_cast<Eigen::Index>(j)) = plain_number(offset.at(j));
+      }
+    } catch (const std::exception& error) {
+      throw std::invalid_argument(fmt::format("accelerometer file {}: {}", path.string(), error.what()));
+    }
+  } else {
+    for (char& c : text) {
+      if (c == ',' || c == ';') c = ' ';
+    }
+    std::istringstream stream(text);
+    std::vector<double> numbers;
+    for (std::string word; stream >> word;) {
+      if (word.front() == '#') {
+        stream.ignore(std::numeric_limits<std::streamsize>::max(), '\n');
+        continue;
+      }
+      std::size_t used = 0;
+      try {
+        numbers.push_back(std::stod(word, &used));
+      } catch (const std::exception&) {
+        used = 0;
+      }
+      if (used != word.size()) {
+        throw std::invalid_argument(
+            fmt::format("accelerometer file {}: \"{}\" is no number", path.string(), word));
+      }
+    }
+    if (numbers.size() != 12) {
+      throw std::invalid_argument(
+          fmt::format("accelerometer file {}: {} numbers, 12 are needed (s row by row, then O)",
+                      path.string(), numbers.size()));
+    }
+    for (Eigen::Index k = 0; k < 9; ++k) {
+      accelerometer.sensitivity_matrix(k / 3, k % 3) = numbers[static_cast<std::size_t>(k)];
+    }
+    for (Eigen::Index j = 0; j < 3; ++j) accelerometer.offset(j) = numbers[static_cast<std::size_t>(9 + j)];
+  }
+  if (!accelerometer.sensitivity_matrix.allFinite() || !accelerometer.offset.allFinite()) {
+    throw std::invalid_argument(fmt::format("accelerometer file {}: a number is not finite", path.string()));
+  }
+  return accelerometer;
+}
+
+CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
+  struct Options {
+    std::string set, csv, figures, aut;
+    std::optional<std::uint64_t> trials;
+    std::uint64_t seed = 1;
+    unsigned threads = 0;
+    std::optional<double> alignment, step, initial_turn, zero;
+    bool scale = false, resolution = false, json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command =
+      parent.add_subcommand("simulate", "The simulations of Geist & Gaitan (2021), printed values beside");
+  std::string sets;
+  for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
+  command->add_option("SET", options->set, "one of " + sets)->required();
+  command->add_option("--trials", options->trials, "simulations (default: as many as in the paper)");
+  command->add_option("--seed", options->seed, "seed of the random numbers")->capture_default_str();
+  command->add_option("--threads", options->threads, "threads; 0: as many as the machine has (same result)");
+  command->add_option("--aut", options->aut,
+                      "accelerometer: JSON with sensitivity_matrix and offset, or 12 numbers");
+  command->add_option("--alignment", options->alignment, "alignment of the axes, degrees");
+  command->add_option("--step", options->step, "rotation-step error, degrees");
+  command->add_option("--initial-turn", options->initial_turn,
+                      "error of the initial -90 degree turns, degrees (abc1)");
+  command->add_option("--zero", options->zero, "mean step error, degrees (abc1)");
+  command->add_flag("--scale", options->scale, "sets 3 to 6: also at a tenth and ten times the misalignment");
+  command->add_flag("--resolution", options->resolution,
+                    "the stage's resolution of 0.001 degrees instead of its accuracy of 0.008 degrees");
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
+  command->add_option("--csv", options->csv, "write the outputs of every case to this file");
+  command->add_option("--figures", options->figures,
+                      "sets 1 and 2: write figures 1 to 4 into this folder (gnuplot)");
+  command->callback([options, &exit_code] {
+    SimulationOptions simulation;
+    simulation.trials = options->trials;
+    simulation.seed = options->seed;
+    simulation.threads = options->threads;
+    simulation.scale = options->scale;
+    simulation.resolution = options->resolution;
+    const auto angle = [](std::optional<double> degrees) -> std::optional<Angle> {
+      if (!degrees) return std::nullopt;
+      return Angle::degrees(*degrees);
+    };
+    simulation.alignment = angle(options->alignment);
+    simulation.step = angle(options->step);
+    simulation.initial_turn = angle(options->initial_turn);
+    simulation.zero = angle(options->zero);
+    if (!options->aut.empty()) simulation.accelerometer = read_accelerometer(options->aut);
+    if (!options->figures.empty() && options->set != "1" && options->set != "2") {
+      throw std::invalid_argument("--figures: figures 1 and 2 belong to set 1, 3 and 4 to set 2; set " +
+                                  options->set + " has none");
+    }
+    simulation.stop = interrupt_token();
+    RealClock clock;
+    ProgressBar bar("simulating", clock);
+    const Clock::Instant start = clock.now();
+    simulation.progress = [&](std::uint64_t done, std::uint64_t planned) {
+      // Only what takes longer than two seconds is worth a bar.
+      if (to_seconds(clock.now() - start) > 2.0)
+        bar.show(static_cast<double>(done), static_cast<double>(planned));
+    };
+    const StudyResult study = run_simulation_set(options->set, simulation);
+    bar.clear();
+    if (!options->csv.empty()) write_file(options->csv, study_csv(study));
+    if (options->json) {
+      fmt::print("{}\n", study_json(study).dump(2));
+    } else {
+      fmt::print("{}", study_text(study));
+    }
+    if (!options->figures.empty()) {
+      for (const std::filesystem::path& path : write_study_figures(study, options->figures)) {
+        fmt::print(stderr, "wrote {}\n", path.string());
+      }
+    }
+    exit_code = study.interrupted ? kExitInterrupted : kExitDone;
+  });
+  return command;
+}
+
+}  // namespace abcal

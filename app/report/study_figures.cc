@@ -1,0 +1,118 @@
+#include "app/report/study_figures.h"
+
+#include <fmt/format.h>
+#include <spawn.h>
+#include <sys/wait.h>
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <stdexcept>
+
+extern char** environ;
+
+namespace abcal {
+namespace {
+
+void run_gnuplot(const std::filesystem::path& script) {
+  std::string program = "gnuplot";
+  std::string argument = script.string();
+  char* const arguments[] = {program.data(), argument.data(), nullptr};
+  pid_t child = 0;
+  // A child process and no shell: the path may hold any character.
+  const int error = ::posix_spawnp(&child, program.c_str(), nullptr, nullptr, arguments, environ);
+  if (error == ENOENT) {
+    throw std::runtime_error(
+        "figures need gnuplot, which is not installed (Debian: apt install gnuplot-nox)");
+  }
+  if (error != 0)
+    throw std::runtime_error(fmt::format("gnuplot cannot be started: {}", std::strerror(error)));
+  int status = 0;
+  while (::waitpid(child, &status, 0) < 0) {
+    if (errno != EINTR)
+      throw std::runtime_error(fmt::format("waiting for gnuplot: {}", std::strerror(errno)));
+  }
+  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) {
+    throw std::runtime_error(fmt::format("gnuplot failed on {} (the script is kept)", script.string()));
+  }
+}
+
+// As gnuplot wants a string in single quotes.
+std::string quoted(const std::string& text) {
+  std::string result = "'";
+  for (const char c : text) result += c == '\'' ? std::string("''") : std::string(1, c);
+  return result + "'";
+}
+
+}  // namespace
+
+std::string figure_script(const SimulatedReadings& readings, bool residuals, const std::string& terminal,
+                          const std::string& output) {
+  std::string script = fmt::format("set terminal {}\nset output {}\n", terminal, quoted(output));
+  for (std::size_t i = 0; i < 3; ++i) {
+    const Eigen::MatrixX3d& data = residuals ? readings.residuals[i] : readings.readings[i];
+    script += fmt::format("$e{} << EOD\n", i + 1);
+    for (Eigen::Index n = 0; n < data.rows(); ++n) {
+      script += fmt::format("{:.17g} {:.17g} {:.17g} {:.17g}\n",
+                            readings.alpha[i][static_cast<std::size_t>(n)].deg(), data(n, 0), data(n, 1),
+                            data(n, 2));
+    }
+    script += "EOD\n";
+  }
+  // The paper's arrangement: experiment 1 upper right, 2 lower left, 3 lower right; the key in the free
+  // corner.
+  script +=
+      "set multiplot layout 2,2\n"
+      "set xrange [0:360]\nset xtics 90\nset grid\nset xlabel 'rotation angle (degree)'\n";
+  script += residuals ? "set ylabel 'difference (R)'\nset format y '%.0e'\n" : "set ylabel 'response (R)'\n";
+  script +=
+      "unset border\nunset tics\nunset xlabel\nset key center center\n"
+      "set label 1 at graph 0, graph 1 ''\n"
+      "plot [0:1][0:1] NaN with points pt 1 lc rgb 'red' title 'U', NaN with points pt 2 lc rgb 'dark-green' "
+      "title 'V', "
+      "NaN with points pt 6 lc rgb 'blue' title 'W'\n"
+      "set border\nset tics\nset xtics 90\nset xlabel 'rotation angle (degree)'\nunset key\n";
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    script += fmt::format(
+        "set title 'experiment {0}'\n"
+        "plot $e{0} using 1:2 with points pt 1 ps 0.6 lc rgb 'red', "
+        "$e{0} using 1:3 with points pt 2 ps 0.6 lc rgb 'dark-green', "
+        "$e{0} using 1:4 with points pt 6 ps 0.6 lc rgb 'blue'\n",
+        experiment);
+  }
+  return script + "unset multiplot\nunset output\n";
+}
+
+std::vector<std::filesystem::path> write_study_figures(const StudyResult& study,
+                                                       const std::filesystem::path& folder) {
+  if (study.set != "1" && study.set != "2") {
+    throw std::invalid_argument(fmt::format(
+        "figures: set {} has none; figures 1 and 2 belong to set 1, 3 and 4 to set 2", study.set));
+  }
+  const SimulatedReadings& readings = study.cases.at(0).readings.value();
+  std::filesystem::create_directories(folder);
+  std::vector<std::filesystem::path> written;
+  const int first = study.set == "1" ? 1 : 3;
+  for (int figure = first; figure < first + 2; ++figure) {
+    for (const auto& [ending, terminal] :
+         {std::pair{"svg", "svg size 900,700 background 'white'"}, {"png", "pngcairo size 1200,930"}}) {
+      const std::filesystem::path output = folder / fmt::format("figure{}.{}", figure, ending);
+      const std::filesystem::path script = folder / fmt::format("figure{}_{}.gp", figure, ending);
+      {
+        std::ofstream file(script);
+        file << figure_script(readings, figure != first, terminal, output.string());
+        if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", script.string()));
+      }
+      run_gnuplot(script);
+      std::error_code ignored;
+      std::filesystem::remove(script, ignored);
+      if (!std::filesystem::exists(output)) {
+        throw std::runtime_error(fmt::format("gnuplot wrote no {}", output.string()));
+      }
+      written.push_back(output);
+    }
+  }
+  return written;
+}
+
+}  // namespace abcal
