@@ -119,6 +119,7 @@ StudyResult set_2(const SimulationOptions& options) {
     StudyCase one = single("random accelerometer " + std::to_string(i + 1),
                            random_accelerometer(options.seed, i), {}, true);
     one.readings.reset();
+    one.one_of_many = true;
     largest = largest.cwiseMax(to_vector(*one.error).cwiseAbs());
     harmonic = std::max(harmonic, *one.largest_higher_harmonic);
     result.cases.push_back(std::move(one));

@@ -40,8 +40,9 @@ struct SimulatedReadings {
 /// One case of a set: a single simulation (`error`) or many (`monte_carlo`).
 struct StudyCase {
   std::string name;
-  std::optional<StudyOutput> error;             ///< Estimate minus truth.
-  std::optional<StudyOutput> truth;             ///< Of a single simulation.
+  bool one_of_many = false;          ///< One of many alike, summed up by another case: text leaves it out.
+  std::optional<StudyOutput> error;  ///< Estimate minus truth.
+  std::optional<StudyOutput> truth;  ///< Of a single simulation.
   std::optional<MonteCarloResult> monte_carlo;  ///< Of the errors.
   std::string table;                     ///< "Table 5": where the printed numbers stand; empty: nowhere.
   std::optional<StudyOutput> published;  ///< Printed error, or mean of the errors.
