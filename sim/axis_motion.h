@@ -66,7 +66,7 @@ class AxisMotion {
   Angle start_position_;
   double start_velocity_ = 0.0;
   Angle target_;
-  std::array<Phase, 3> phases_{};
+  std::array<Phase, 4> phases_{};
   int phase_count_ = 0;
   double peak_speed_ = 0.0;
   int direction_ = 0;

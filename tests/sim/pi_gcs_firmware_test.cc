@@ -1,0 +1,383 @@
+#include "sim/firmware/pi_gcs_firmware.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <string>
+
+#include "tests/sim/firmware_host.h"
+
+namespace abcal::sim {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+using testing::EndsWith;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+class PiGcsFirmwareTest : public testing::Test {
+ protected:
+  explicit PiGcsFirmwareTest(PiGcsSettings settings = {}, BenchTruth truth = {})
+      : bench(std::make_shared<SimBench>(std::move(truth))),
+        firmware(bench, std::move(settings)),
+        host(firmware) {}
+
+  std::string ask(std::string_view query) { return host.exchange(std::string(query) + "\n"); }
+  /// A set command says nothing; its error is asked for.
+  std::string command(std::string_view text) {
+    EXPECT_EQ(ask(text), "") << text;
+    return ask("ERR?");
+  }
+  void reference() {
+    EXPECT_EQ(command("SVO 1 1 2 1"), "0\n");
+    EXPECT_EQ(command("FRF"), "0\n");
+    host.listen(seconds(1));
+    EXPECT_EQ(ask("FRF?"), "1=1 \n2=1\n");
+  }
+  void wait_until_stopped() {
+    for (int n = 0; n < 1000 && host.exchange("\x05") != "0\n"; ++n) host.listen(milliseconds(20));
+    EXPECT_EQ(host.exchange("\x05"), "0\n");
+  }
+
+  std::shared_ptr<SimBench> bench;
+  PiGcsFirmware firmware;
+  FirmwareHost host;
+};
+
+TEST_F(PiGcsFirmwareTest, SaysWhatItIs) {
+  EXPECT_EQ(ask("*IDN?"), "(c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-884.4DC, 118001234, 1.2.3.4\n");
+  EXPECT_EQ(ask("CSV?"), "2.0\n");
+  EXPECT_EQ(ask("SAI?"), "1 \n2\n");
+  EXPECT_EQ(ask("SAI? ALL"), "1 \n2\n");
+  EXPECT_EQ(ask("CST?"), "1=M-060.PD \n2=M-060.PD\n");
+  EXPECT_EQ(ask("CST? 1"), "1=M-060.PD\n");
+  EXPECT_EQ(ask("PUN? 1"), "1=DEG\n");
+  EXPECT_EQ(ask("TRS? 1"), "1=1\n");
+  EXPECT_EQ(ask("LIM? 2"), "2=1\n");
+  EXPECT_EQ(ask("HAR? 1"), "1=0\n");
+  EXPECT_EQ(ask("ERR?"), "0\n");
+}
+
+TEST_F(PiGcsFirmwareTest, ListsItsCommandsUpToEndOfHelp) {
+  const std::string help = ask("HLP?");
+  for (const char* name :
+       {"#4 ", "#5 ", "#7 ", "#24 ", "MOV ", "MOV? ", "ONT? ", "FRF ", "EAX ", "SPA? ", "ERR? "})
+    EXPECT_THAT(help, HasSubstr(std::string("\n") + name)) << name;
+  EXPECT_THAT(help, EndsWith(" \nend of help\n"));
+}
+
+TEST_F(PiGcsFirmwareTest, EveryCommandOfTheHelpIsKnown) {
+  std::istringstream help(ask("HLP?"));
+  int known = 0;
+  for (std::string line; std::getline(help, line);) {
+    const std::string name = line.substr(0, line.find(' '));
+    if (name.empty() || name[0] == '#' || name == "The" || name == "end" || name == "RBT") continue;
+    ask(name);
+    if (name != "ERR?") {
+      EXPECT_NE(ask("ERR?"), "2\n") << name;
+    }
+    ++known;
+  }
+  EXPECT_GE(known, 35);
+}
+
+TEST_F(PiGcsFirmwareTest, AnAxislessQueryAnswersAllAxesOnePerLine) {
+  for (const char* query :
+       {"POS?", "MOV?", "ONT?", "SVO?", "VEL?", "TMN?", "TMX?", "FRF?", "EAX?", "RON?", "PUN?"}) {
+    const std::string answer = ask(query);
+    EXPECT_THAT(answer, StartsWith("1=")) << query;
+    EXPECT_THAT(answer, HasSubstr(" \n2=")) << query;
+    EXPECT_THAT(answer, EndsWith("\n")) << query;
+  }
+  EXPECT_EQ(ask("TMN?"), "1=-360.000000 \n2=-360.000000\n");
+  EXPECT_EQ(ask("TMX? 2 1"), "2=360.000000 \n1=360.000000\n");
+}
+
+TEST_F(PiGcsFirmwareTest, TheRecordedDialogueHolds) {
+  reference();
+  EXPECT_EQ(command("SVO 1 1"), "0\n");
+  EXPECT_EQ(ask("SVO? 1"), "1=1\n");
+  EXPECT_EQ(command("MOV 1 14.5"), "0\n");
+  wait_until_stopped();
+  host.listen(milliseconds(10));
+  EXPECT_EQ(ask("ONT? 1"), "1=1\n");
+  EXPECT_EQ(ask("POS? 1"), "1=14.500000\n");
+  EXPECT_EQ(command("MOV 9 1"), "15\n");
+  EXPECT_EQ(ask("ERR?"), "0\n");  // asking clears it
+}
+
+TEST_F(PiGcsFirmwareTest, AcceptsTheStylesOfDifferentHosts) {
+  reference();
+  EXPECT_EQ(host.exchange("pos? 1\r\n"), "1=0.000000\n");
+  EXPECT_EQ(host.exchange("  POS?   1  \n"), "1=0.000000\n");
+  EXPECT_EQ(host.exchange("\n\n"), "");
+  EXPECT_EQ(ask("ERR?"), "0\n");
+  for (const char* move : {"MOV 1 5.000000", "mov 1 +5", "MOV 1 5e0"})
+    EXPECT_EQ(command(move), "0\n") << move;
+  host.send("PO");
+  host.send("S? ");
+  EXPECT_EQ(host.exchange("2\n"), "2=0.000000\n");
+  EXPECT_EQ(host.exchange("MOV? 1\nMOV? 2\n"), "1=5.000000\n2=0.000000\n");
+}
+
+TEST_F(PiGcsFirmwareTest, OneMoveIsEnoughAndTheStateSaysSoAtOnce) {
+  reference();
+  ask("MOV 1 90 2 -45");
+  EXPECT_EQ(host.exchange("\x05"), "3\n");
+  EXPECT_EQ(host.exchange("\x04"), "0x30003000\n");  // servo on, moving
+  EXPECT_EQ(ask("ONT?"), "1=0 \n2=0\n");
+  host.listen(seconds(3));  // 45 degrees take 2.5 s, 90 take 4.75 s
+  EXPECT_EQ(host.exchange("\x05"), "1\n");
+  EXPECT_EQ(host.exchange("\x04"), "0x30001000\n");
+  host.listen(seconds(2));
+  EXPECT_EQ(host.exchange("\x05"), "0\n");
+  EXPECT_EQ(ask("ONT?"), "1=1 \n2=1\n");
+  EXPECT_EQ(ask("POS?"), "1=90.000000 \n2=-45.000000\n");
+  EXPECT_EQ(host.exchange("\x03"), "1=90.000000 \n2=-45.000000\n");
+  EXPECT_EQ(bench->target(StageAxis::kZ, host.clock().now()).deg(), -45.0);
+}
+
+TEST_F(PiGcsFirmwareTest, OnTargetWaitsForTheSettleTime) {
+  reference();
+  EXPECT_EQ(command("SPA 1 0x3F 0.5"), "0\n");
+  EXPECT_EQ(ask("SPA? 1 0x3F"), "0x3F=0.5\n");
+  ask("MOV 1 5");
+  wait_until_stopped();
+  EXPECT_EQ(ask("ONT? 1"), "1=0\n");
+  host.listen(milliseconds(500));
+  EXPECT_EQ(ask("ONT? 1"), "1=1\n");
+}
+
+TEST_F(PiGcsFirmwareTest, RelativeMovesAddToTheTarget) {
+  reference();
+  ask("MOV 1 10");
+  ask("MVR 1 -5");
+  EXPECT_EQ(ask("MOV? 1"), "1=5.000000\n");
+  wait_until_stopped();
+  EXPECT_EQ(ask("POS? 1"), "1=5.000000\n");
+}
+
+TEST_F(PiGcsFirmwareTest, MovesAreRefusedWithoutServoOrReference) {
+  EXPECT_EQ(ask("FRF? 1"), "1=0\n");
+  EXPECT_EQ(command("MOV 1 5"), "5\n");
+  EXPECT_EQ(command("FRF 1"), "5\n");  // servo off
+  EXPECT_EQ(command("SVO 1 1"), "0\n");
+  EXPECT_EQ(command("MOV 1 5"), "5\n");  // not referenced
+  EXPECT_EQ(command("FRF 1"), "0\n");
+  EXPECT_EQ(host.exchange("\x07"), "\xB0");  // busy, and no line end
+  EXPECT_EQ(host.exchange("\x04"), "0x70000000\n");
+  host.listen(seconds(1));
+  EXPECT_EQ(host.exchange("\x07"), "\xB1");
+  EXPECT_EQ(command("MOV 1 5"), "0\n");
+  wait_until_stopped();
+  EXPECT_EQ(command("SVO 1 0"), "0\n");
+  EXPECT_EQ(command("MOV 1 6"), "5\n");
+}
+
+TEST_F(PiGcsFirmwareTest, RefusesWithTheCodesOfTheManual) {
+  reference();
+  EXPECT_EQ(command("MOV 1 400"), "7\n");
+  EXPECT_EQ(command("MOV 1 -360.001"), "7\n");
+  EXPECT_EQ(command("MVR 1 361"), "7\n");
+  EXPECT_EQ(command("VEL 1 100000"), "8\n");
+  EXPECT_EQ(command("VEL 1 0"), "8\n");
+  EXPECT_EQ(command("MOV 1 5 1 6"), "22\n");
+  EXPECT_EQ(command("MOV 1"), "24\n");
+  EXPECT_EQ(command("MOV 1 abc"), "25\n");
+  EXPECT_EQ(command("MOV 1 nan"), "25\n");
+  EXPECT_EQ(command("MOV"), "26\n");
+  EXPECT_EQ(command("POS? 7"), "15\n");  // a refused query does not answer
+  EXPECT_EQ(command("XYZ?"), "2\n");
+  EXPECT_EQ(command("SVO 1 5"), "17\n");
+  EXPECT_EQ(command("SPA? 1 0x999"), "54\n");
+  EXPECT_EQ(command("SPA 1 14 5"), "60\n");
+  EXPECT_EQ(command(std::string(2000, 'A')), "3\n");
+  // All or nothing: nothing has moved.
+  EXPECT_EQ(command("MOV 2 5 1 400"), "7\n");
+  EXPECT_EQ(host.exchange("\x05"), "0\n");
+  EXPECT_EQ(ask("MOV?"), "1=0.000000 \n2=0.000000\n");
+}
+
+TEST_F(PiGcsFirmwareTest, HaltAndStopEndTheMotionAndSayError10) {
+  for (const char* stop : {"HLT\n", "HLT 1 2\n", "STP\n", "\x18"}) {
+    if (ask("FRF? 1") != "1=1\n") reference();
+    ask("MOV 1 0 2 0");
+    wait_until_stopped();
+    ask("MOV 1 90 2 90");
+    host.listen(seconds(1));
+    EXPECT_EQ(host.exchange(stop), "");
+    EXPECT_EQ(ask("ERR?"), "10\n");
+    host.listen(milliseconds(300));
+    EXPECT_EQ(host.exchange("\x05"), "0\n");
+    const double stopped_at = bench->commanded_angle(StageAxis::kX, host.clock().now()).deg();
+    EXPECT_GT(stopped_at, 10.0);
+    EXPECT_LT(stopped_at, 25.0);
+    EXPECT_EQ(ask("ONT? 1"), "1=1\n");
+  }
+}
+
+TEST_F(PiGcsFirmwareTest, OneAxisIsHaltedAlone) {
+  reference();
+  ask("MOV 1 90 2 90");
+  host.listen(seconds(1));
+  EXPECT_EQ(command("HLT 2"), "10\n");
+  host.listen(milliseconds(500));
+  EXPECT_EQ(host.exchange("\x05"), "1\n");
+}
+
+TEST_F(PiGcsFirmwareTest, AHaltedSearchFindsNoReference) {
+  ask("SVO 1 1");
+  ask("FRF 1");
+  EXPECT_EQ(command("HLT"), "10\n");
+  host.listen(seconds(1));
+  EXPECT_EQ(ask("FRF? 1"), "1=0\n");
+}
+
+TEST_F(PiGcsFirmwareTest, SpeedAndAccelerationsAreSetAndUsed) {
+  reference();
+  EXPECT_EQ(ask("VEL? 1"), "1=20.000000\n");
+  EXPECT_EQ(command("VEL 1 40 2 10"), "0\n");
+  EXPECT_EQ(ask("VEL?"), "1=40.000000 \n2=10.000000\n");
+  EXPECT_EQ(command("ACC 1 80"), "0\n");
+  EXPECT_EQ(command("DEC 1 160"), "0\n");
+  EXPECT_EQ(ask("ACC? 1"), "1=80.000000\n");
+  EXPECT_EQ(ask("DEC? 1"), "1=160.000000\n");
+  const Clock::Instant start = host.clock().now();
+  host.send("MOV 1 55\n");
+  // 0.5 s and 10 degrees up, 0.25 s and 5 degrees down, 40 degrees at 40 degrees/s.
+  EXPECT_EQ(bench->motion_end(StageAxis::kX, start) - start, milliseconds(1750));
+}
+
+TEST_F(PiGcsFirmwareTest, ReferencesToItsLimitsAndByDefinition) {
+  ask("SVO 1 1 2 1");
+  EXPECT_EQ(command("FNL 1"), "0\n");
+  wait_until_stopped();
+  EXPECT_EQ(ask("POS? 1"), "1=-360.000000\n");
+  EXPECT_EQ(ask("FRF? 1"), "1=1\n");
+  EXPECT_EQ(command("POS 2 12.5"), "34\n");  // the reference mode is on
+  EXPECT_EQ(command("RON 2 0"), "0\n");
+  EXPECT_EQ(command("POS 2 12.5"), "0\n");
+  EXPECT_EQ(ask("POS? 2"), "2=12.500000\n");
+  EXPECT_EQ(ask("FRF? 2"), "2=1\n");
+  EXPECT_EQ(ask("TMX? 2"), "2=372.500000\n");
+}
+
+TEST_F(PiGcsFirmwareTest, GivesTheParametersFromWhichHostsCountSteps) {
+  EXPECT_EQ(ask("SPA? 1 14"), "14=10000\n");
+  EXPECT_EQ(ask("SPA? 1 15"), "15=1\n");
+  EXPECT_EQ(ask("SPA? 1 0x0E"), "0x0E=10000\n");
+  EXPECT_EQ(ask("SPA? 1 0x406"), "0x406=10\n");
+  EXPECT_EQ(ask("SPA? 1 0x407 2 0x407"), "0x407=12 \n0x407=12\n");
+}
+
+TEST_F(PiGcsFirmwareTest, ARebootForgetsReferenceAndServo) {
+  reference();
+  EXPECT_EQ(ask("RBT"), "");
+  EXPECT_EQ(ask("FRF?"), "1=0 \n2=0\n");
+  EXPECT_EQ(ask("SVO?"), "1=0 \n2=0\n");
+  EXPECT_EQ(ask("ERR?"), "0\n");
+}
+
+TEST_F(PiGcsFirmwareTest, ScriptedFaultsOfTheStageShowOnTheWire) {
+  reference();
+  const Clock::Instant now = host.clock().now();
+  bench->inject(
+      {.kind = FaultKind::kRefusedMove, .at = now, .until = now + seconds(10), .axis = StageAxis::kZ});
+  EXPECT_EQ(command("MOV 2 5"), "34\n");
+  EXPECT_EQ(command("MOV 1 5"), "0\n");
+  host.listen(seconds(10));
+  EXPECT_EQ(command("MOV 2 5"), "0\n");
+  wait_until_stopped();
+  bench->inject({.kind = FaultKind::kLostReference, .at = host.clock().now(), .axis = StageAxis::kX});
+  EXPECT_EQ(ask("FRF? 1"), "1=0\n");
+  EXPECT_EQ(command("MOV 1 10"), "5\n");
+  bench->inject(
+      {.kind = FaultKind::kStalledAxis, .at = host.clock().now() + seconds(1), .axis = StageAxis::kZ});
+  EXPECT_EQ(command("MOV 2 90"), "0\n");
+  host.listen(seconds(1000));
+  EXPECT_EQ(host.exchange("\x05"), "2\n");
+  EXPECT_EQ(ask("ONT? 2"), "2=0\n");
+}
+
+class PiGcsMountedTest : public PiGcsFirmwareTest {
+ protected:
+  PiGcsMountedTest()
+      : PiGcsFirmwareTest({.axis_names = {"A", "B"},
+                           .sign = {-1, +1},
+                           .zero = {Angle::degrees(30), Angle::degrees(-10)},
+                           .serial_number = "42",
+                           .has_enable = false}) {}
+};
+
+TEST_F(PiGcsMountedTest, TheControllerCountsFromItsOwnZeroInItsOwnSense) {
+  EXPECT_EQ(ask("SAI?"), "A \nB\n");
+  EXPECT_EQ(ask("TMN?"), "A=-330.000000 \nB=-370.000000\n");
+  EXPECT_EQ(ask("TMX?"), "A=390.000000 \nB=350.000000\n");
+  ask("SVO A 1 B 1");
+  ask("FRF");
+  wait_until_stopped();
+  EXPECT_EQ(ask("POS?"), "A=0.000000 \nB=0.000000\n");  // the reference switch is the controller's zero
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kX, host.clock().now()).deg(), 30.0);
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kZ, host.clock().now()).deg(), 10.0);
+  ask("MOV A 120 B -100");
+  wait_until_stopped();
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kX, host.clock().now()).deg(), -90.0);
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kZ, host.clock().now()).deg(), -90.0);
+  EXPECT_EQ(ask("POS?"), "A=120.000000 \nB=-100.000000\n");
+}
+
+TEST_F(PiGcsMountedTest, AControllerWithoutEnableSaysUnknownCommand) {
+  EXPECT_EQ(command("EAX A 1"), "2\n");
+  EXPECT_THAT(ask("HLP?"), testing::Not(HasSubstr("EAX")));
+}
+
+class PiGcsChainTest : public PiGcsFirmwareTest {
+ protected:
+  PiGcsChainTest() : PiGcsFirmwareTest({.address = 3}) {}
+};
+
+TEST_F(PiGcsChainTest, AnswersItsOwnAddressOnly) {
+  EXPECT_EQ(ask("3 CSV?"), "0 3 2.0\n");
+  EXPECT_EQ(ask("3 0 POS? 1"), "0 3 1=0.000000\n");
+  EXPECT_EQ(ask("3 SAI?"), "0 3 1 \n2\n");
+  EXPECT_EQ(host.exchange("3 \x05"), "0 3 0\n");
+  EXPECT_EQ(ask("CSV?"), "");
+  EXPECT_EQ(ask("2 CSV?"), "");
+  EXPECT_EQ(host.exchange("\x05"), "");
+  EXPECT_EQ(ask("3 ERR?"), "0 3 0\n");
+}
+
+class PiGcsOneAxisTest : public PiGcsFirmwareTest {
+ protected:
+  PiGcsOneAxisTest() : PiGcsFirmwareTest({.axis_names = {"", "1"}, .model = "C-863.11"}) {}
+};
+
+TEST_F(PiGcsOneAxisTest, AControllerMayHaveOneOfTheAxes) {
+  EXPECT_EQ(ask("SAI?"), "1\n");
+  EXPECT_EQ(ask("POS?"), "1=0.000000\n");
+  ask("SVO 1 1");
+  ask("FRF 1");
+  wait_until_stopped();
+  ask("MOV 1 7");
+  EXPECT_EQ(host.exchange("\x05"), "1\n");
+  wait_until_stopped();
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kZ, host.clock().now()).deg(), 7.0);
+}
+
+TEST(PiGcsSettingsTest, RefusesASignThatIsNone) {
+  const auto bench = std::make_shared<SimBench>(BenchTruth{});
+  EXPECT_THROW(PiGcsFirmware(bench, {.sign = {1, 0}}), std::invalid_argument);
+  EXPECT_THROW(PiGcsFirmware(bench, {.axis_names = {"1", "1"}}), std::invalid_argument);
+}
+
+TEST(PiGcsSettingsTest, SpeaksPiPythonsFormOfParametersIfAsked) {
+  const auto bench = std::make_shared<SimBench>(BenchTruth{});
+  PiGcsFirmware firmware(bench, {.spa_reply_names_axis = true});
+  FirmwareHost host(firmware);
+  EXPECT_EQ(host.exchange("SPA? 1 14\n"), "1 14=10000\n");
+}
+
+}  // namespace
+}  // namespace abcal::sim
