@@ -519,6 +519,7 @@ void note_type_a(const Selection& selection, const Estimate& estimate, Calibrati
 // Why the record cannot be analysed; empty if it can be tried.
 std::string refusal(const RunRecord& record, const Selection& selection) {
   for (const DwellRecord& dwell : record.dwells) {
+    if (dwell.closing) continue;
     if (dwell.experiment < 1 || dwell.experiment > 3 || dwell.n < 1) {
       return fmt::format(
           "the record has an angle of experiment {}, n = {}; experiments are 1, 2, 3 and n starts at 1",

@@ -330,7 +330,8 @@ class Importer {
         if (dwell.experiment == experiment) angles.insert(std::remainder(dwell.alpha.deg(), 360.0));
       }
       if (angles.size() < kFewestAngles) {
-        problem(fmt::format("experiment {}", experiment), fmt::format("{} different angles", angles.size()),
+        problem(fmt::format("experiment {}", experiment),
+                fmt::format("{} different angle{}", angles.size(), angles.size() == 1 ? "" : "s"),
                 fmt::format("at least {}", kFewestAngles));
       }
     }

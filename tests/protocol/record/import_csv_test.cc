@@ -1,0 +1,215 @@
+#include "protocol/record/import_csv.h"
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace abcal {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::Contains;
+using ::testing::Field;
+using ::testing::HasSubstr;
+
+constexpr const char* kHeader = "experiment,n,alpha_deg,r_u,r_v,r_w\n";
+
+// Four angles in each experiment, 90 degrees apart; replaced lines by number of the data row (0 is the
+// first).
+std::string good_rows() {
+  std::string text;
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (int n = 1; n <= 4; ++n)
+      text += fmt::format("{},{},{},0.5,-0.25,{}\n", experiment, n, 90 * (n - 1), n);
+  }
+  return text;
+}
+
+RunRecord imported(const std::string& text) {
+  std::istringstream input(text);
+  return import_csv(input, "test.csv");
+}
+
+std::vector<Problem> problems_of(const std::string& text) {
+  try {
+    imported(text);
+  } catch (const CsvError& error) {
+    return error.problems();
+  }
+  return {};
+}
+
+auto problem(const std::string& where, const std::string& found, const std::string& required) {
+  return AllOf(Field("where", &Problem::where, HasSubstr(where)),
+               Field("found", &Problem::found, HasSubstr(found)),
+               Field("required", &Problem::required, HasSubstr(required)));
+}
+
+TEST(ImportCsvTest, ReadsThePlainTable) {
+  const RunRecord record = imported(kHeader + good_rows());
+  ASSERT_EQ(record.dwells.size(), 12U);
+  EXPECT_EQ(record.steps, 4);
+  EXPECT_EQ(record.step.deg(), 90.0);
+  EXPECT_EQ(record.response_unit, "R");
+  EXPECT_FALSE(record.g_loc_known);
+  const DwellRecord& dwell = record.dwells[6];
+  EXPECT_EQ(dwell.experiment, 2);
+  EXPECT_EQ(dwell.n, 3);
+  EXPECT_EQ(dwell.alpha.deg(), 180.0);
+  EXPECT_EQ(dwell.mean, Eigen::Vector3d(0.5, -0.25, 3.0));
+  EXPECT_FALSE(dwell.u_mean.has_value());
+  EXPECT_FALSE(dwell.time_s.has_value());
+  EXPECT_EQ(dwell.commanded_z.deg(), -90.0);
+  EXPECT_EQ(record.tolerances.step.deg(), 0.008);
+}
+
+TEST(ImportCsvTest, ReadsOptionalColumnsInAnyOrder) {
+  std::string text =
+      "time_s,count,r_w,r_v,r_u,alpha_deg,n,experiment,u_u,u_v,u_w,temperature_degc,operator\n";
+  for (int e = 1; e <= 3; ++e) {
+    for (int n = 1; n <= 3; ++n) {
+      text += fmt::format("{},100,3,2,1,{},{},{},1e-5,2e-5,3e-5,23.5,\"Doe, J. \"\"jd\"\"\"\n", 10 * n,
+                          120 * n - 120, n, e);
+    }
+  }
+  const RunRecord record = imported(text);
+  ASSERT_EQ(record.dwells.size(), 9U);
+  EXPECT_EQ(record.dwells[1].mean, Eigen::Vector3d(1, 2, 3));
+  EXPECT_EQ(*record.dwells[1].u_mean, Eigen::Vector3d(1e-5, 2e-5, 3e-5));
+  EXPECT_EQ(record.dwells[1].time_s, 20.0);
+  EXPECT_EQ(record.dwells[1].count, 100);
+  EXPECT_EQ(record.dwells[1].temperature_degc, 23.5);
+}
+
+TEST(ImportCsvTest, ToleratesWhatSpreadsheetsWrite) {
+  const RunRecord plain = imported(kHeader + good_rows());
+  std::string crlf;
+  for (const char c : kHeader + good_rows()) crlf += c == '\n' ? std::string("\r\n") : std::string(1, c);
+  std::string semicolons;
+  for (const char c : "experiment,n,alpha_deg,r_u,r_v,r_w\n" + good_rows()) {
+    semicolons += c == ',' ? ';' : c == '.' ? ',' : c;
+  }
+  std::string all_quoted = "\"experiment\",\"n\",\"alpha_deg\",\"r_u\",\"r_v\",\"r_w\"\n" + good_rows();
+  for (const std::string& text :
+       {"\xEF\xBB\xBF" + (kHeader + good_rows()), crlf, semicolons, all_quoted,
+        "# made by hand\n\n# response_unit: V\n" + (kHeader + good_rows()) + "# the end\n\n",
+        "Experiment, N, Alpha_deg, r_u, r_v, r_w\n" + good_rows()}) {
+    const RunRecord record = imported(text);
+    ASSERT_EQ(record.dwells.size(), plain.dwells.size()) << text;
+    for (std::size_t i = 0; i < plain.dwells.size(); ++i) {
+      EXPECT_EQ(record.dwells[i].mean, plain.dwells[i].mean) << text;
+      EXPECT_EQ(record.dwells[i].alpha.deg(), plain.dwells[i].alpha.deg());
+    }
+  }
+  EXPECT_EQ(imported("# response_unit: V\n" + (kHeader + good_rows())).response_unit, "V");
+  EXPECT_EQ(imported(kHeader + good_rows().substr(0, good_rows().size() - 1)).dwells.size(),
+            12U);  // no last newline
+}
+
+TEST(ImportCsvTest, TheClosingAngleIsTold) {
+  std::string text = kHeader + good_rows() + "1,5,360,0.5,-0.25,1\n2,1,360,0.5,-0.25,1\n";
+  const RunRecord record = imported(text);
+  ASSERT_EQ(record.dwells.size(), 14U);
+  EXPECT_FALSE(record.dwells[0].closing);
+  EXPECT_TRUE(record.dwells[12].closing);
+  EXPECT_TRUE(record.dwells[13].closing);
+  EXPECT_EQ(record.dwells[12].commanded_x.deg(), 0.0);
+  EXPECT_EQ(record.steps, 4);
+}
+
+TEST(ImportCsvTest, MissingAnglesAreNoProblem) {
+  std::string text = kHeader + good_rows();
+  text.erase(text.find("2,3,180"), text.find("2,4,270") - text.find("2,3,180"));
+  const RunRecord record = imported(text);
+  EXPECT_EQ(record.dwells.size(), 11U);
+  EXPECT_EQ(record.steps, 4);
+}
+
+TEST(ImportCsvTest, EveryProblemIsReportedAtOnceWithItsLine) {
+  const std::string text = kHeader + good_rows() +  // lines 2..13
+                           "1,2,90,0.5,0.5,0.5\n"   // 14: again
+                           "4,1,0,1,1,1\n"          // 15: no such experiment
+                           "1,9,45,abc,1,nan\n"     // 16
+                           "1,10,50,1,1\n"          // 17: a field missing
+                           "1,0,60,1,,1\n"          // 18
+                           "1,1.5,60,1,1e999,1\n";  // 19
+  const std::vector<Problem> problems = problems_of(text);
+  EXPECT_THAT(problems, Contains(problem("line 14", "experiment 1, n = 2 again (first on line 3)", "once")));
+  EXPECT_THAT(problems, Contains(problem("line 15, experiment", "\"4\"", "experiment 1, 2 or 3")));
+  EXPECT_THAT(problems, Contains(problem("line 16, r_u", "\"abc\"", "a number")));
+  EXPECT_THAT(problems, Contains(problem("line 16, r_w", "\"nan\"", "finite")));
+  EXPECT_THAT(problems, Contains(problem("line 17", "5 fields", "6")));
+  EXPECT_THAT(problems, Contains(problem("line 18, n", "\"0\"", "whole number")));
+  EXPECT_THAT(problems, Contains(problem("line 18, r_v", "nothing", "a number")));
+  EXPECT_THAT(problems, Contains(problem("line 19, n", "\"1.5\"", "whole number")));
+  EXPECT_THAT(problems, Contains(problem("line 19, r_v", "\"1e999\"", "a number")));
+  EXPECT_EQ(problems.size(), 9U);
+  try {
+    imported(text);
+    FAIL();
+  } catch (const CsvError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("test.csv: line 15, experiment"));
+  }
+}
+
+TEST(ImportCsvTest, HeaderProblemsNameTheColumn) {
+  EXPECT_THAT(problems_of("experiment,n,alpha_deg,r_u,r_w\n1,1,0,1,1\n"),
+              Contains(problem("header", "", "column r_v")));
+  EXPECT_THAT(problems_of("experiment,n,alpha_deg,r_u,r_v,r_w,r_w\n"),
+              Contains(problem("r_w", "twice", "once")));
+  EXPECT_THAT(problems_of("experiment,n,alpha_deg,r_u,r_v,r_w,u_u\n"),
+              Contains(problem("header", "", "column u_v")));
+  EXPECT_THAT(problems_of(""), Contains(problem("the file", "nothing", "header")));
+  EXPECT_THAT(problems_of("# only a comment\n"),
+              Contains(problem("the file", "no header", "experiment,n,alpha_deg")));
+  EXPECT_EQ(problems_of("1,1,0,1,1,1\n").size(), 6U);  // no header at all: each column is missing
+}
+
+TEST(ImportCsvTest, TooFewAnglesAreRefused) {
+  const std::string text = std::string(kHeader) + "1,1,0,1,1,1\n1,2,90,1,1,1\n1,3,360,1,1,1\n2,1,0,1,1,1\n";
+  const std::vector<Problem> problems = problems_of(text);
+  EXPECT_THAT(problems, Contains(problem("experiment 1", "2 different angles", "at least 3")));
+  EXPECT_THAT(problems, Contains(problem("experiment 2", "1 different angle", "at least 3")));
+  EXPECT_THAT(problems, Contains(problem("experiment 3", "0 different angles", "at least 3")));
+}
+
+TEST(ImportCsvTest, UncertaintiesAreAllOrNoneAndNotNegative) {
+  std::string text = "experiment,n,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w\n";
+  for (int e = 1; e <= 3; ++e) {
+    for (int n = 1; n <= 3; ++n) text += fmt::format("{},{},{},1,1,1,,,\n", e, n, 120 * n);
+  }
+  EXPECT_FALSE(imported(text).dwells[0].u_mean.has_value());
+  EXPECT_THAT(problems_of(text + "1,4,10,1,1,1,1e-5,,1e-5\n"),
+              Contains(problem("line 11", "2 of", "all three")));
+  EXPECT_THAT(problems_of(text + "1,4,10,1,1,1,1e-5,-1e-5,1e-5\n"),
+              Contains(problem("line 11, u_v", "-1e-5", ">= 0")));
+}
+
+TEST(ImportCsvTest, GarbageIsRefusedAndQuotedShort) {
+  std::string garbage;
+  for (int i = 0; i < 5000; ++i) garbage += static_cast<char>((i * 7919) % 251);
+  const std::vector<Problem> problems = problems_of(garbage);
+  ASSERT_FALSE(problems.empty());
+  for (const Problem& p : problems) EXPECT_LT(p.found.size(), 60U);
+  EXPECT_THAT(problems_of(kHeader + good_rows() + "1,9,\"45,1,1,1\n"),
+              Contains(problem("line 14", "quoted", "quote")));
+}
+
+TEST(ImportCsvTest, AFileThatIsNotThereIsSaidSo) {
+  try {
+    import_csv(std::filesystem::path("no/such/file.csv"));
+    FAIL();
+  } catch (const std::runtime_error& error) {
+    EXPECT_THAT(error.what(), AllOf(HasSubstr("no/such/file.csv"), HasSubstr("No such file")));
+  }
+  EXPECT_THROW(import_csv(std::filesystem::temp_directory_path()), std::runtime_error);
+}
+
+}  // namespace
+}  // namespace abcal
