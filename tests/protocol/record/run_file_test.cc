@@ -1,0 +1,200 @@
+#include "protocol/record/run_file.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+
+#include "tests/support/temporary_folder.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+ProtocolConfig config_of_12() {
+  ProtocolConfig config;
+  config.steps = 12;
+  config.step = Angle::degrees(30);
+  return config;
+}
+
+RunHeader header() {
+  RunHeader h;
+  h.program_version = "test";
+  h.created_utc = "2026-03-01T12:00:00.000Z";
+  h.bench_toml = "schema = \"abcal.bench/1\"\n";
+  h.labels = {{"item.serial_number", "SN \"7\"; drop table dwell"}};
+  h.instruments = {{"stage", "PI", "C-884", "118", "1.2", "two axes"}};
+  h.response_unit = "g";
+  h.g_loc = {9.80101, 3e-5, 2.0, "survey"};
+  h.tolerances.step = Angle::degrees(0.0123456789012345);
+  h.steps = 12;
+  h.step = Angle::degrees(30);
+  h.plan = make_rotation_plan(config_of_12(), {});
+  return h;
+}
+
+DwellRecord dwell(int n) {
+  DwellRecord d;
+  d.experiment = 1;
+  d.n = n;
+  d.alpha = Angle::degrees(30.0 * (n - 1));
+  d.commanded_x = d.alpha;
+  d.encoder_x = Angle::degrees(d.alpha.deg() + 1e-4);
+  d.encoder_z = Angle{};
+  d.time_s = 10.0 * n;
+  d.count = 2;
+  d.mean = Eigen::Vector3d(0.1, -1.0 / 3.0, 1e-17);
+  d.spread = Eigen::Vector3d(1e-4, 2e-4, 3e-4);
+  d.u_mean = Eigen::Vector3d(1e-5, 2e-5, 3e-5);
+  d.temperature_degc = 23.25;
+  d.flags = kFlagLostReadings | kFlagNotQuiet;
+  return d;
+}
+
+const std::vector<StoredReading> kReadings{{7, 1.0, {0.1, 0.2, 0.3}, std::nullopt},
+                                           {8, 1.01, {0.4, 0.5, 0.6}, 22.0}};
+
+std::string what(const std::function<void()>& action) {
+  try {
+    action();
+  } catch (const RunFileError& error) {
+    return error.what();
+  }
+  ADD_FAILURE() << "nothing was thrown";
+  return {};
+}
+
+TEST(RunFileTest, GivesBackEveryNumberThatWasStoredBitForBit) {
+  const test::TemporaryFolder folder;
+  {
+    RunFile file = RunFile::create(folder / "a.run", header());
+    file.append_dwell(0, dwell(1), kReadings, {1, 2, 3, 4});
+    file.append_event("2026-03-01T12:00:01.000Z", "note", "hello");
+  }
+  const StoredRun run = RunFile::load(folder / "a.run");
+  EXPECT_EQ(run.state, RunState::kRunning);
+  EXPECT_EQ(run.header.tolerances.step.deg(), 0.0123456789012345);
+  EXPECT_EQ(run.header.labels, header().labels);
+  EXPECT_EQ(run.header.plan.size(), header().plan.size());
+  EXPECT_EQ(run.header.bench_toml, header().bench_toml);
+  EXPECT_EQ(run.header.instruments.at(0).serial_number, "118");
+  EXPECT_EQ(run.timing.overhead_s, 4.0);
+  ASSERT_EQ(run.record.dwells.size(), 1U);
+  const DwellRecord& d = run.record.dwells[0];
+  EXPECT_EQ(d.mean, dwell(1).mean);
+  EXPECT_EQ(*d.u_mean, *dwell(1).u_mean);
+  EXPECT_EQ(d.encoder_x->deg(), dwell(1).encoder_x->deg());
+  EXPECT_EQ(d.flags, dwell(1).flags);
+  EXPECT_EQ(d.temperature_degc, 23.25);
+  EXPECT_EQ(run.events.back().text, "hello");
+  EXPECT_EQ(run.measured, std::vector<std::size_t>{0});
+}
+
+TEST(RunFileTest, IsReadableWithTheSqliteShell) {
+  const test::TemporaryFolder folder;
+  {
+    RunFile file = RunFile::create(folder / "a.run", header());
+    file.append_dwell(0, dwell(1), kReadings, {});
+  }
+  SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(database.value("select count(*) from reading"), "2");
+  EXPECT_EQ(database.value("select flag_words from dwell"), "not quiet, lost readings");
+  EXPECT_EQ(database.value("pragma integrity_check"), "ok");
+}
+
+TEST(RunFileTest, KeepsBothRowsOfARepeatedAngleAndReadsTheLatest) {
+  const test::TemporaryFolder folder;
+  RunFile file = RunFile::create(folder / "a.run", header());
+  file.append_dwell(0, dwell(1), kReadings, {});
+  DwellRecord again = dwell(1);
+  again.mean[0] = 42.0;
+  file.append_dwell(0, again, kReadings, {});
+  const StoredRun run = RunFile::load(folder / "a.run");
+  ASSERT_EQ(run.record.dwells.size(), 1U);
+  EXPECT_EQ(run.record.dwells[0].mean[0], 42.0);
+  SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(database.value("select count(*) from dwell"), "2");
+}
+
+TEST(RunFileTest, ACompleteRunIsOneReadOnlyFileThatCannotBeContinued) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  RunFile file = RunFile::create(path, header());
+  file.append_dwell(0, dwell(1), kReadings, {});
+  const std::string hash = file.close_complete("2026-03-01T13:00:00.000Z");
+  EXPECT_EQ(hash, sha256_of_file(path));
+  EXPECT_FALSE(std::filesystem::exists(path.string() + "-wal"));
+  using std::filesystem::perms;
+  EXPECT_EQ(std::filesystem::status(path).permissions() & perms::owner_write, perms::none);
+  EXPECT_EQ(RunFile::load(path).state, RunState::kComplete);
+  EXPECT_EQ(sha256_of_file(path), hash) << "reading a run must not change it";
+  EXPECT_THAT(what([&] { RunFile::open_for_append(path); }), HasSubstr("cannot be resumed"));
+}
+
+TEST(RunFileTest, NeverOverwritesAFile) {
+  const test::TemporaryFolder folder;
+  std::ofstream(folder / "a.run") << "precious";
+  EXPECT_THAT(what([&] { RunFile::create(folder / "a.run", header()); }), HasSubstr("never overwritten"));
+  std::ifstream file(folder / "a.run");
+  std::string word;
+  file >> word;
+  EXPECT_EQ(word, "precious");
+}
+
+TEST(RunFileTest, RefusesASecondWriter) {
+  const test::TemporaryFolder folder;
+  const RunFile first = RunFile::create(folder / "a.run", header());
+  EXPECT_THAT(what([&] { RunFile::open_for_append(folder / "a.run"); }),
+              HasSubstr("another abcal is writing"));
+}
+
+TEST(RunFileTest, SaysClearlyWhatIsWrongWithAFileThatIsNoRun) {
+  const test::TemporaryFolder folder;
+  EXPECT_THAT(what([&] { RunFile::load(folder / "none.run"); }), HasSubstr("no such file"));
+  std::ofstream(folder / "empty.run").flush();
+  EXPECT_THAT(what([&] { RunFile::load(folder / "empty.run"); }), HasSubstr("is empty"));
+  std::ofstream(folder / "text.run") << "experiment,n,alpha_deg\n";
+  EXPECT_THAT(what([&] { RunFile::load(folder / "text.run"); }), HasSubstr("not a run file"));
+  {
+    SqliteDatabase(folder / "other.run", SqliteDatabase::Mode::kCreate)
+        .execute("create table t(x); pragma application_id=7");
+  }
+  EXPECT_THAT(what([&] { RunFile::load(folder / "other.run"); }), HasSubstr("another program"));
+}
+
+TEST(RunFileTest, RefusesANewerFileAndSaysToUpdate) {
+  const test::TemporaryFolder folder;
+  { RunFile::create(folder / "a.run", header()); }
+  { SqliteDatabase(folder / "a.run", SqliteDatabase::Mode::kReadWrite).execute("pragma user_version=99"); }
+  EXPECT_THAT(what([&] { RunFile::load(folder / "a.run"); }), HasSubstr("newer abcal"));
+}
+
+TEST(RunFileTest, RefusesATruncatedFile) {
+  const test::TemporaryFolder folder;
+  {
+    RunFile file = RunFile::create(folder / "a.run", header());
+    for (int n = 1; n <= 12; ++n) file.append_dwell(static_cast<std::size_t>(n - 1), dwell(n), kReadings, {});
+    file.close_complete("2026-03-01T13:00:00.000Z");
+  }
+  const std::filesystem::path path = folder / "a.run";
+  std::filesystem::permissions(path, std::filesystem::perms::owner_all);
+  std::filesystem::resize_file(path, std::filesystem::file_size(path) / 2);
+  EXPECT_THAT(what([&] { RunFile::load(path); }),
+              testing::AnyOf(HasSubstr("cut short"), HasSubstr("damaged")));
+}
+
+TEST(RunFileTest, ResultsRefuseARunWhoseBytesHaveChanged) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  { ResultsFile(path, "aaaa").add_analysis("", "1", "abc", "{}"); }
+  { ResultsFile(path, "aaaa").add_analysis("", "1", "abc", "{}"); }  // the very same one is not stored twice
+  { ResultsFile(path, "aaaa").add_analysis("", "1", "abc", "{\"x\":1}"); }
+  SqliteDatabase database(ResultsFile::path_beside(path), SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(database.value("select count(*) from analysis"), "2");
+  EXPECT_THAT(what([&] { ResultsFile(path, "bbbb"); }), HasSubstr("was changed"));
+}
+
+}  // namespace
+}  // namespace abcal
