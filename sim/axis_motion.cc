@@ -49,11 +49,20 @@ AxisMotion AxisMotion::move(Clock::Instant start, Angle position, double velocit
   // Everything below is seen along the sense in which the motion ends: past the point of no return it
   // overshoots and comes back.
   const double sense = distance - stopping < 0.0 ? -1.0 : 1.0;
-  const double d = sense * distance;
-  const double v0 = sense * velocity_deg_per_s;
+  double d = sense * distance;
+  double v0 = sense * velocity_deg_per_s;
   const double up = limits.acceleration_deg_per_s2;
   const double down = limits.deceleration_deg_per_s2;
+  motion.peak_speed_ = std::abs(v0);
 
+  // Moving the wrong way: it brakes first.
+  double brake_s = 0.0;
+  if (v0 < 0.0) {
+    brake_s = -v0 / down;
+    d += v0 * v0 / (2.0 * down);
+    v0 = 0.0;
+    motion.add_phase(brake_s, sense * down);
+  }
   // (vp^2 - v0^2)/(2 up) + vp^2/(2 down) = d, the speed limit aside.
   double peak = std::sqrt(std::max(0.0, (d + v0 * v0 / (2.0 * up)) / (0.5 / up + 0.5 / down)));
   double first_acceleration = up;
@@ -64,25 +73,34 @@ AxisMotion AxisMotion::move(Clock::Instant start, Angle position, double velocit
     const double rest = d - (peak * peak - v0 * v0) / (2.0 * first_acceleration) - peak * peak / (2.0 * down);
     cruise_s = peak > 0.0 ? std::max(0.0, rest / peak) : 0.0;
   }
-  const double first_s = (peak - v0) / first_acceleration;
+  const double first_s = std::max(0.0, (peak - v0) / first_acceleration);
   const double last_s = peak / down;
   motion.add_phase(first_s, sense * first_acceleration);
   motion.add_phase(cruise_s, 0.0);
   motion.add_phase(last_s, -sense * down);
-  motion.peak_speed_ = std::max(peak, std::abs(v0));
+  motion.peak_speed_ = std::max(peak, motion.peak_speed_);
   if (distance != 0.0 || velocity_deg_per_s != 0.0) {
     motion.direction_ = sense < 0.0 ? -1 : 1;
-    const double total_s = std::max(0.0, first_s) + cruise_s + last_s;
-    motion.end_ = motion.planned_end_ = start + from_seconds(total_s);
+    motion.end_ = motion.planned_end_ = start + from_seconds(brake_s + first_s + cruise_s + last_s);
   }
   return motion;
 }
 
 AxisMotion AxisMotion::halt(Clock::Instant start, Angle position, double velocity_deg_per_s,
                             const MotionLimits& limits) {
-  const double way =
-      velocity_deg_per_s * std::abs(velocity_deg_per_s) / (2.0 * limits.deceleration_deg_per_s2);
-  return move(start, position, velocity_deg_per_s, position + Angle::degrees(way), limits);
+  require_positive(limits.deceleration_deg_per_s2, "deceleration in deg/s2");
+  AxisMotion motion(position, start);
+  if (velocity_deg_per_s == 0.0) return motion;
+  const double down = limits.deceleration_deg_per_s2;
+  const double brake_s = std::abs(velocity_deg_per_s) / down;
+  motion.start_velocity_ = velocity_deg_per_s;
+  motion.direction_ = velocity_deg_per_s < 0.0 ? -1 : 1;
+  motion.target_ =
+      position + Angle::degrees(velocity_deg_per_s * std::abs(velocity_deg_per_s) / (2.0 * down));
+  motion.add_phase(brake_s, -motion.direction_ * down);
+  motion.peak_speed_ = std::abs(velocity_deg_per_s);
+  motion.end_ = motion.planned_end_ = start + from_seconds(brake_s);
+  return motion;
 }
 
 void AxisMotion::stall_at(Clock::Instant instant) {
