@@ -182,6 +182,7 @@ class MipFirmware::Device {
   std::string input_;
   ReplyQueue replies_;
   std::vector<std::pair<std::uint8_t, std::string>> after_ack_;
+  bool suppress_ack_ = false;  ///< Of the command in hand.
   Clock::Instant now_;
 };
 
@@ -253,18 +254,18 @@ void MipFirmware::Device::run_packet(std::uint8_t set, std::string_view payload,
     payload.remove_prefix(size);
     AckCode code = kOk;
     std::optional<Answer> answer;
-    bool suppress = false;
+    suppress_ack_ = false;
     if (!checksum_holds) {
       code = kBadChecksum;
     } else {
       try {
         answer = run_command(set, command, Arguments(data));
-        suppress = set == k3dmSet && command == 0x0D && data.size() > 1 && data[1] != 0;
       } catch (const Refusal& refusal) {
         code = refusal.code;
       }
     }
-    if (!suppress) put_field(reply, kAck, std::string{static_cast<char>(command), static_cast<char>(code)});
+    if (!suppress_ack_)
+      put_field(reply, kAck, std::string{static_cast<char>(command), static_cast<char>(code)});
     if (answer) put_field(reply, answer->descriptor, answer->data);
     if (!checksum_holds) break;
   }
@@ -497,8 +498,10 @@ void MipFirmware::Device::device_settings(Arguments arguments) {
 }
 
 void MipFirmware::Device::poll(Arguments arguments) {
-  const std::uint8_t set = arguments.u8();
-  const std::uint8_t suppress_ack = arguments.u8();
+  // The maker's check file puts the two bytes the other way round than his command list: both are taken.
+  std::uint8_t set = arguments.u8();
+  std::uint8_t suppress_ack = arguments.u8();
+  if (set <= 1 && suppress_ack == kSensorData) std::swap(set, suppress_ack);
   const std::uint8_t count = arguments.u8();
   if (set != kSensorData || suppress_ack > 1) throw Refusal{kBadParameter};
   // Two forms are in use: {descriptor} and {descriptor, u16 reserved}.
@@ -516,6 +519,7 @@ void MipFirmware::Device::poll(Arguments arguments) {
   const std::uint64_t next = first_tick_after(now_);
   if (!bench_->fault_at(FaultKind::kNoOutput, now_))
     after_ack_.emplace_back(kSensorData, sensor_packet(fields, next > 0 ? next - 1 : 0));
+  suppress_ack_ = suppress_ack == 1;
 }
 
 std::string MipFirmware::Device::device_info() const {
