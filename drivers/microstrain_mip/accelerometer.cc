@@ -113,11 +113,10 @@ void MipAccelerometer::start() {
   }
   if (abilities_.stream_control) select_streams();
 
-  parser_ =
-      mip::PacketParser();  // Every answer is in: what is left is no part of the stream that begins now.
+  // Every answer is in: what is left over is no part of the stream that begins now.
+  parser_ = mip::PacketParser();
   exchange({mip::kBaseSet, kResume, {}, "resume", {}});
 
-  queue_.clear();
   health_ = StreamHealth();
   dropped_at_start_ = dropped_at_discard_ = stream_->dropped_bytes();
   malformed_bytes_ = 0;

@@ -283,11 +283,11 @@ TEST(MipAccelerometerTest, CountsAGapInTheGpsTimestampAsLostButNotAStepOfItsCloc
   Bench bench(legacy_script());
   bench.accelerometer->start();
   bench.device->send(gps_packet(604'799.99, 2200, 0));
-  bench.device->send(gps_packet(0.0, 2201, 0));          // the week is over
-  bench.device->send(gps_packet(0.03, 2201, 0));         // two lost
-  bench.device->send(gps_packet(345'600.5, 2300, 0x6));  // a receiver found the time
-  bench.device->send(gps_packet(345'600.51, 2300, 0x6));
-  bench.device->send(gps_packet(345'600.4, 2300, 0x6));  // set back
+  bench.device->send(gps_packet(0.0, 2201, 0));           // the week is over
+  bench.device->send(gps_packet(0.03, 2201, 0));          // two lost
+  bench.device->send(gps_packet(0.53, 2201, 0x6));        // a receiver found the time
+  bench.device->send(gps_packet(345'600.51, 2300, 0x6));  // or was set otherwise
+  bench.device->send(gps_packet(345'600.4, 2300, 0x6));   // set back
   bench.device->send(gps_packet(std::numeric_limits<double>::infinity(), 2300, 0x6));
   bench.device->send(gps_packet(std::nan(""), 2300, 0x6));
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(0, 1, 4, 5, 6, 7, 8, 9));
@@ -359,7 +359,35 @@ TEST(MipAccelerometerTest, TakesReadingsThatCameTogetherWithTheLastAnswer) {
   };
   Bench bench(script);
   bench.accelerometer->start();
-  EXPECT_EQ(bench.read_all().size(), 2U);
+  const Clock::Instant began = bench.clock.now();
+  EXPECT_TRUE(bench.accelerometer->next(began + seconds(1)));
+  EXPECT_EQ(bench.clock.now(), began) << "nothing to wait for";
+  EXPECT_EQ(bench.read_all().size(), 1U);
+}
+
+TEST(MipAccelerometerTest, BeginsItsFiguresAtTheStart) {
+  FakeMipDevice::Script script;
+  script.on_command = [](FakeMipDevice& device, unsigned set, unsigned descriptor) {
+    if (set != 0x0C || descriptor != 0x11) return false;
+    device.send(FakeMipDevice::answer(set, descriptor) + "noise ue");  // Of no stream yet.
+    return true;
+  };
+  Bench bench(script);
+  for (int run = 0; run < 2; ++run) {
+    bench.accelerometer->start();
+    bench.device->dropped += 10;
+    bench.device->send(data_packet(kPeriodNs, 0, 0, 1) + "noise" + data_packet(4 * kPeriodNs, 0, 0, 1));
+    const auto readings = bench.read_all();
+    EXPECT_THAT(sequences(readings), ::testing::ElementsAre(0, 3));
+    EXPECT_FALSE(readings.front().temperature_degc) << "that was of another run";
+    const StreamHealth health = bench.accelerometer->health();
+    EXPECT_EQ(health.readings, 2U);
+    EXPECT_EQ(health.lost_readings, 2U);
+    EXPECT_EQ(health.skipped_bytes, 5U + 10U);
+    bench.device->send(
+        data_packet(5 * kPeriodNs, 0, 0, 1, reference::field_bytes(0x14, std::string(12, '\0'))));
+    EXPECT_TRUE(bench.read_all().front().temperature_degc);
+  }
 }
 
 TEST(MipAccelerometerTest, IgnoresOtherDataSets) {
@@ -407,6 +435,19 @@ TEST(MipAccelerometerTest, BlamesADwellForNothingThatAnOverfullQueueLostBeforeIt
   EXPECT_EQ(bench.accelerometer->health().skipped_bytes, 1000U);
 }
 
+TEST(MipAccelerometerTest, BlamesADwellForNothingThatWasLostAmongWhatItThrowsAway) {
+  Bench bench;
+  bench.accelerometer->start();
+  bench.device->send(data_packet(1 * kPeriodNs, 1, 0, 1) + data_packet(90 * kPeriodNs, 1, 0, 1));
+  bench.device->dropped = 1000;
+  bench.accelerometer->discard_pending();
+  EXPECT_EQ(bench.accelerometer->health().lost_readings, 0U);
+  // Where no queue ran over, the device or the line lost it: that counts.
+  bench.device->send(data_packet(91 * kPeriodNs, 1, 0, 1) + data_packet(93 * kPeriodNs, 1, 0, 1));
+  bench.accelerometer->discard_pending();
+  EXPECT_EQ(bench.accelerometer->health().lost_readings, 1U);
+}
+
 TEST(MipAccelerometerTest, CountsWhatAFullQueueLost) {
   Bench bench;
   bench.accelerometer->start();
@@ -448,6 +489,25 @@ TEST(MipAccelerometerTest, KeepsItsFiguresAfterTheStop) {
 }
 
 // What goes wrong while talking.
+
+TEST(MipAccelerometerTest, TakesNoAnswerThatWasThereBeforeTheQuestion) {
+  FakeMipDevice::Script script;
+  script.on_command = [](FakeMipDevice&, unsigned, unsigned) { return true; };
+  Bench bench(script);
+  bench.device->send(FakeMipDevice::answer(0x01, 0x02));
+  EXPECT_THAT(error_of([&] { bench.accelerometer->identify(); }, Fault::kNoReply), HasSubstr("set idle"));
+}
+
+TEST(MipAccelerometerTest, TakesNoAnswerOfAnotherDescriptorSet) {
+  FakeMipDevice::Script script;
+  script.on_command = [](FakeMipDevice& device, unsigned set, unsigned descriptor) {
+    if (set != 0x01 || descriptor != 0x06) return false;
+    device.send(FakeMipDevice::answer(0x0C, 0x06, 1));  // Like the one to "resume", but to another command.
+    return false;
+  };
+  Bench bench(script);
+  EXPECT_NO_THROW(bench.accelerometer->start());
+}
 
 TEST(MipAccelerometerTest, SaysThatASilentPortIsSilentAfterTwoTries) {
   FakeMipDevice::Script script;
@@ -618,7 +678,7 @@ TEST(MipAccelerometerTest, NeverTakesALateAnswerForThatOfTheNextCommand) {
         device.send(FakeMipDevice::answer(set, descriptor), milliseconds(1'000));
         break;
       default:
-        device.send(FakeMipDevice::answer(set, descriptor, 4), milliseconds(1));
+        device.send(FakeMipDevice::answer(set, descriptor, 4), milliseconds(800));
     }
     return true;
   };
