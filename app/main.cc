@@ -6,6 +6,8 @@
 
 #include "app/bench_config.h"
 #include "app/commands/commands.h"
+#include "app/commands/simulate.h"
+#include "app/commands/uncertainty.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
 #include "app/terminal.h"
@@ -42,6 +44,8 @@ int main(int argc, char** argv) {
   add_resume(app, exit_code);
   add_plan(app, exit_code);
   add_analyse(app, exit_code);
+  add_uncertainty(app, exit_code);
+  add_simulate(app, exit_code);
   add_emulate(app, exit_code);
   add_instruments(app, exit_code);
   try {
