@@ -56,9 +56,9 @@ FaultKind fault_kind(std::string_view name);
 /// write) or from the instant `at` on, whichever is given; at once if neither is.
 struct WireFault {
   FaultKind kind = FaultKind::kSilence;
-  std::optional<std::size_t> at_write;
-  std::optional<Clock::Instant> at;
-  std::optional<std::size_t> for_writes;            ///< Ends with that many writes answered; absent: lasts.
+  std::optional<std::size_t> at_write{};
+  std::optional<Clock::Instant> at{};
+  std::optional<std::size_t> for_writes{};          ///< Ends with that many writes answered; absent: lasts.
   std::string text = {};                            ///< kReplacedReply: what comes back instead.
   Clock::Duration delay = std::chrono::seconds(1);  ///< kLateReply: by how much.
 };
