@@ -37,9 +37,10 @@ struct XZero {
   Quantity zx_plus_xz;  ///< 1; a by-product of the same readings.
 };
 
-/// Readings at (X, Z) = (0, 0), (0, 180), (180, 180), (180, 0) degrees: r(0,0) - r(0,180) - r(180,0) +
-/// r(180,180) frees the zero of X from offset, sensitivity along z and, in that order, linear drift. Each
-/// position may be measured more than once. Type B: half a step error at X = 180 degrees (tolerance `step`).
+/// Readings at (X, Z) = (0, 0), (0, 180), (180, 0), (180, 180) degrees: r(0,0) - r(0,180) - r(180,0) +
+/// r(180,180) frees the zero of X from offset, sensitivity along z and, measured in that order, linear drift.
+/// Each position may be measured more than once. Type B: half a step error at X = 180 degrees (tolerance
+/// `step`).
 /// @throws std::invalid_argument a position other than these four, one that is missing, a number not finite
 XZero x_zero_from_reversal(std::span<const DwellRecord> dwells, const Eigen::Matrix3d& sensitivity_matrix,
                            const Tolerances& tolerances);

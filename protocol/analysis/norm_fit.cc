@@ -187,7 +187,7 @@ void estimate(std::span<const Pose> poses, CalibrationResult& result) {
   double size = 0.0;
   for (const Pose& pose : poses) size += (pose.reading - centre).squaredNorm();
   size = std::sqrt(size / static_cast<double>(poses.size()));
-  if (!(size > 0.0)) throw std::runtime_error("norm fit: all poses read the same");
+  if (!(size > 1e-12 * centre.norm())) throw std::runtime_error("norm fit: all poses read the same");
 
   const bool u_known =
       std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.u.has_value(); });

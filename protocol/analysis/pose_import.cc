@@ -217,7 +217,8 @@ std::vector<StaticStretch> static_stretches(const TimeSeries& series, const Stat
   const auto add = [&](std::size_t first, std::size_t last) {
     const double start = series.time_s[first] + search.trim_s;
     const double end = series.time_s[last - 1] - search.trim_s;
-    if (end - start < search.min_length_s) return;
+    // A part of a pose may be shorter than a pose: knocks cut it, and the parts are joined below.
+    if (end - start < 0.25 * search.min_length_s) return;
     const auto at = [&](double time) {
       return static_cast<std::size_t>(std::lower_bound(series.time_s.begin(), series.time_s.end(), time) -
                                       series.time_s.begin());
@@ -226,6 +227,7 @@ std::vector<StaticStretch> static_stretches(const TimeSeries& series, const Stat
     stretch.first = at(start);
     stretch.last = at(end) + 1;
     if (stretch.last - stretch.first < 8) return;
+    stretch.count = stretch.last - stretch.first;
     stretch.spread = sums.spread(stretch.first, stretch.last);
     // Slow turning passes the short window but not the whole stretch.
     if ((stretch.spread.array() > limit.array()).any()) return;
@@ -235,18 +237,20 @@ std::vector<StaticStretch> static_stretches(const TimeSeries& series, const Stat
     stretch.end_s = series.time_s[stretch.last - 1];
     if (!found.empty()) {
       // A knock in the middle of a pose: the same pose goes on. Half the scatter of one reading is far below
-      // any turn by hand and far above the uncertainty of the means.
+      // any turn by hand; short parts know their means no better than five of their uncertainties.
       StaticStretch& before = found.back();
-      const bool same =
-          ((stretch.mean - before.mean).array().abs() <= 0.5 * limit.array() / search.threshold).all();
+      const Eigen::Vector3d u = (stretch.u_mean.cwiseAbs2() + before.u_mean.cwiseAbs2()).cwiseSqrt();
+      const Eigen::Vector3d allowed = (0.5 * limit / search.threshold).cwiseMax(5.0 * u);
+      const bool same = ((stretch.mean - before.mean).array().abs() <= allowed.array()).all();
       if (same && stretch.start_s - before.end_s <= 2.0 * search.window_s + 2.0 * search.trim_s) {
-        const auto a = static_cast<double>(before.last - before.first);
-        const auto b = static_cast<double>(stretch.last - stretch.first);
+        const auto a = static_cast<double>(before.count);
+        const auto b = static_cast<double>(stretch.count);
         before.mean = (a * before.mean + b * stretch.mean) / (a + b);
         before.spread =
             ((a * before.spread.cwiseAbs2() + b * stretch.spread.cwiseAbs2()) / (a + b)).cwiseSqrt();
         before.u_mean =
             (a * a * before.u_mean.cwiseAbs2() + b * b * stretch.u_mean.cwiseAbs2()).cwiseSqrt() / (a + b);
+        before.count += stretch.count;
         before.last = stretch.last;
         before.end_s = stretch.end_s;
         return;
@@ -262,6 +266,9 @@ std::vector<StaticStretch> static_stretches(const TimeSeries& series, const Stat
     if (!now && still) add(first, i);
     still = now;
   }
+  std::erase_if(found, [&](const StaticStretch& stretch) {
+    return static_cast<double>(stretch.count) * period < search.min_length_s;
+  });
   if (found.empty()) throw nothing();
   return found;
 }
@@ -344,7 +351,7 @@ ImportedPoses import_poses(std::istream& in, const std::string& source, const St
     dwell.n = static_cast<int>(out.record.dwells.size()) + 1;
     dwell.mean = stretch.mean;
     dwell.spread = stretch.spread;
-    dwell.count = static_cast<std::int64_t>(stretch.last - stretch.first);
+    dwell.count = static_cast<std::int64_t>(stretch.count);
     dwell.time_s = 0.5 * (stretch.start_s + stretch.end_s);
     // u_mean is left absent on purpose: the noise of a stretch says little of how poses placed by hand agree
     // with each other, so the norm fit takes its uncertainties from that agreement.

@@ -20,13 +20,14 @@ struct TimeSeries {
 struct StaticSearch {
   double window_s = 1.0;      ///< Of the sliding standard deviation.
   double threshold = 3.0;     ///< Still: below this times the noise floor.
-  double min_length_s = 2.0;  ///< Shorter stretches are not used.
+  double min_length_s = 2.0;  ///< Poses with less still time are not used.
   double trim_s = 0.3;        ///< Cut from both ends of each stretch.
 };
 
-/// One stretch without motion: samples first .. last - 1, trimmed.
+/// One stretch without motion, trimmed: samples first .. last - 1, less those of a knock in between.
 struct StaticStretch {
   std::size_t first = 0, last = 0;
+  std::size_t count = 0;  ///< Samples used.
   double start_s = 0.0, end_s = 0.0;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();    ///< R
   Eigen::Vector3d spread = Eigen::Vector3d::Zero();  ///< Standard deviation of single readings (R).
