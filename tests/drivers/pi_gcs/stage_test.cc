@@ -225,6 +225,15 @@ TEST_F(PiGcsStageTest, AnOldErrorIsNotLaidAtANewCommandsDoor) {
   EXPECT_NO_THROW(stage_->move_to(StageAxis::kX, Angle::degrees(90.0)));
 }
 
+TEST_F(PiGcsStageTest, AnErrorThatWasNotReadIsNotLaidAtTheNextCommandsDoor) {
+  connect();
+  stage_->identify();
+  controller_.mishaps["ERR?"] = {{.instead = "", .late = {}}};
+  EXPECT_THROW(stage_->home(StageAxis::kX), InstrumentError);  // Its error code is lost.
+  controller_.write("NOSUCH?\n");                              // Error 2 waits.
+  EXPECT_NO_THROW(stage_->move_to(StageAxis::kX, Angle::degrees(90.0)));
+}
+
 TEST_F(PiGcsStageTest, ATargetThatIsNoNumberIsNotSent) {
   connect();
   stage_->identify();
