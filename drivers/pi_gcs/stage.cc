@@ -618,8 +618,7 @@ struct PiGcsStage::Impl {
   Clock& clock_;
   const StageSettings settings_;
 
-  std::timed_mutex
-      exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
+  TimedLock exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
   std::string who_;
   std::string received_;
   Identity identity_;
