@@ -14,12 +14,14 @@ struct MeanAndSpread {
   Eigen::Vector3d spread;
 };
 
-/// Two passes: the mean first, so that a large offset costs the spread no digits.
+/// Two passes, the mean first and relative to the first reading, so that a large offset costs the spread no
+/// digits and readings that are all the same have a spread of exactly zero.
 MeanAndSpread mean_and_spread(std::span<const Reading> readings) {
   const auto n = static_cast<double>(readings.size());
+  const Eigen::Vector3d origin = readings.front().output;
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const Reading& reading : readings) sum += reading.output;
-  const Eigen::Vector3d mean = sum / n;
+  for (const Reading& reading : readings) sum += reading.output - origin;
+  const Eigen::Vector3d mean = origin + sum / n;
   Eigen::Vector3d squares = Eigen::Vector3d::Zero();
   for (const Reading& reading : readings) squares += (reading.output - mean).cwiseAbs2();
   const Eigen::Vector3d spread =
@@ -48,6 +50,10 @@ double effective_number_of_readings(std::span<const double> values) {
     correlation_time += 2.0 * correlation;
   }
   return std::clamp(count / correlation_time, 1.0, count);
+}
+
+Eigen::Vector3d spread_of(std::span<const Reading> readings) {
+  return mean_and_spread(readings).spread;
 }
 
 DwellStatistics dwell_statistics(std::span<const Reading> readings, const AccelerometerInfo& info) {
@@ -96,17 +102,26 @@ DwellStatistics dwell_statistics(std::span<const Reading> readings, const Accele
 
 bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
               double resolution) {
-  const std::size_t half = window.size() / 2;
-  if (half < 2) return true;
-  const auto [mean_1, spread_1] = mean_and_spread(window.first(half));
-  const auto [mean_2, spread_2] = mean_and_spread(window.last(half));
+  const std::size_t n = window.size();
+  if (n < 4) return true;
+  const auto count = static_cast<double>(n);
+  const double middle = (count - 1.0) / 2.0;
+  const double sum_kk = count * (count * count - 1.0) / 12.0;  // sum of (k - middle)^2
+  // Student's t that a window without slope exceeds once in 1e5 windows, to a few percent for 8 and more
+  // degrees of freedom.
+  const double t_limit = 4.5 + 30.0 / (count - 2.0);
+  const auto [mean, spread] = mean_and_spread(window);
   for (int j = 0; j < 3; ++j) {
-    const double pooled = std::hypot(spread_1[j], spread_2[j]) / std::sqrt(2.0);
-    const double slope_limit =
-        std::max(4.5 * pooled * std::sqrt(2.0 / static_cast<double>(half)), resolution);
+    double slope = 0.0;  // of the least-squares line, R a reading
+    for (std::size_t k = 0; k < n; ++k) {
+      slope += (static_cast<double>(k) - middle) * (window[k].output[j] - mean[j]) / sum_kk;
+    }
+    const double squares = spread[j] * spread[j] * (count - 1.0);
+    const double residual = std::sqrt(std::max(0.0, squares - slope * slope * sum_kk) / (count - 2.0));
+    const double slope_limit = std::max(t_limit * residual / std::sqrt(sum_kk), resolution / count);
     // A reading that is not finite makes the comparison false, and the window not quiet.
-    if (!(std::abs(mean_2[j] - mean_1[j]) <= slope_limit)) return false;
-    if (usual_spread && !(pooled <= std::max(3.0 * (*usual_spread)[j], resolution))) return false;
+    if (!(std::abs(slope) <= slope_limit)) return false;
+    if (usual_spread && !(residual <= std::max(3.0 * (*usual_spread)[j], resolution))) return false;
   }
   return true;
 }

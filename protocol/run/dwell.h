@@ -31,9 +31,12 @@ DwellStatistics dwell_statistics(std::span<const Reading> readings, const Accele
 /// first that does not stand out of the noise, 2/sqrt(n)). Between 1 and n.
 double effective_number_of_readings(std::span<const double> values);
 
-/// Whether a window of readings shows neither a slope nor more spread than usual: its two halves agree within
-/// 4.5 standard errors, and its spread is at most 3 times `usual_spread` (not checked if that is absent).
-/// Differences below `resolution` (R) never count.
+/// Standard deviation of single readings, at least one.
+Eigen::Vector3d spread_of(std::span<const Reading> readings);
+
+/// Whether a window of readings shows neither a slope (Student's t of a least-squares line, at a false alarm
+/// in 1e5 windows) nor more spread about that line than 3 times `usual_spread` (not checked if that is
+/// absent). Changes below `resolution` (R) never count.
 bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
               double resolution);
 

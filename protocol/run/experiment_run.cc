@@ -50,6 +50,7 @@ class Runner {
     for (const StageAxis axis : kStageAxes) reference(axis);
     accelerometer_.start();
     warm_up();
+    learn_the_noise();
     for (std::size_t position = 0; position < plan_.size(); ++position) {
       if (!measured.contains(position)) measure(position);
     }
@@ -108,6 +109,41 @@ class Runner {
     observer_.phase(0, RunPhase::kWarmingUp);
     const Clock::Instant begin = clock_.now();
     wait_until(begin + from_seconds(protocol_.warm_up_s));
+    timing_.settling_s += to_seconds(clock_.now() - begin);
+  }
+
+  std::size_t window_size() const {
+    const int readings = readings_per_dwell(protocol_, accelerometer_info_.rate_hz);
+    return static_cast<std::size_t>(std::clamp(readings / 4, 10, 50));
+  }
+
+  /// The spread of readings while the stage stands still: what later angles must come down to. Waits for a
+  /// ring-down of the last motion to end: until the spread of five windows is no longer below that of the
+  /// five before.
+  void learn_the_noise() {
+    where_ = "waiting for the accelerometer to be quiet before the first angle";
+    const Clock::Instant begin = clock_.now();
+    accelerometer_.discard_pending();
+    const Clock::Instant last = begin + from_seconds(protocol_.settle_s + protocol_.quiet_timeout_s);
+    constexpr std::size_t kGroup = 5;
+    std::vector<Eigen::Vector3d> spreads;
+    std::vector<Reading> window;
+    while (true) {
+      window.clear();
+      while (window.size() < window_size()) window.push_back(next_reading());
+      spreads.push_back(spread_of(window));
+      if (spreads.size() < 2 * kGroup) continue;
+      Eigen::Vector3d earlier = Eigen::Vector3d::Zero();
+      Eigen::Vector3d later = Eigen::Vector3d::Zero();
+      for (std::size_t k = 0; k < kGroup; ++k) {
+        later += spreads[spreads.size() - 1 - k];
+        earlier += spreads[spreads.size() - 1 - kGroup - k];
+      }
+      if ((later.array() >= 0.8 * earlier.array()).all() || clock_.now() >= last) {
+        spreads_.push_back(later / static_cast<double>(kGroup));
+        break;
+      }
+    }
     timing_.settling_s += to_seconds(clock_.now() - begin);
   }
 
@@ -203,9 +239,7 @@ class Runner {
   /// @return false if it was not quiet at the longest wait.
   bool settle(Clock::Instant stopped) {
     const double rate = accelerometer_info_.rate_hz;
-    const auto window_size =
-        static_cast<std::size_t>(std::clamp(readings_per_dwell(protocol_, rate) / 4, 10, 50));
-    const double window_s = rate > 0.0 ? static_cast<double>(window_size) / rate : 0.0;
+    const double window_s = rate > 0.0 ? static_cast<double>(window_size()) / rate : 0.0;
     const Clock::Instant settled = stopped + from_seconds(protocol_.settle_s);
     wait_until(settled - from_seconds(window_s));
     accelerometer_.discard_pending();
@@ -213,7 +247,7 @@ class Runner {
     const Clock::Instant last = settled + from_seconds(protocol_.quiet_timeout_s);
     while (true) {
       window.clear();
-      while (window.size() < window_size) window.push_back(next_reading());
+      while (window.size() < window_size()) window.push_back(next_reading());
       wait_until(settled);
       if (is_quiet(window, usual_spread(), accelerometer_info_.resolution.value_or(0.0))) return true;
       if (clock_.now() >= last) return false;

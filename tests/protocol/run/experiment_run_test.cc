@@ -1,0 +1,276 @@
+#include "protocol/run/experiment_run.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <memory>
+
+#include "drivers/instrument/instrument_error.h"
+#include "sim/sim_accelerometer.h"
+#include "sim/sim_bench.h"
+#include "sim/sim_clock.h"
+#include "sim/sim_stage.h"
+#include "tests/support/temporary_folder.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+class SilentObserver : public RunObserver {
+ public:
+  void phase(std::size_t, RunPhase) override {}
+  void dwell(std::size_t, const DwellRecord& dwell) override {
+    dwells.push_back(dwell);
+    if (after_dwell) after_dwell();
+  }
+  void notice(std::string_view text) override { notices.emplace_back(text); }
+  std::vector<DwellRecord> dwells;
+  std::vector<std::string> notices;
+  std::function<void()> after_dwell;
+};
+
+/// Counts what the run asks of the stage on its way out.
+class WatchedStage final : public RotationStage {
+ public:
+  explicit WatchedStage(std::unique_ptr<RotationStage> inner) : inner_(std::move(inner)) {}
+  StageInfo identify() override { return inner_->identify(); }
+  void home(StageAxis axis) override { inner_->home(axis); }
+  void move_to(StageAxis axis, Angle target) override {
+    moves.emplace_back(axis, target);
+    inner_->move_to(axis, target);
+  }
+  MotionState motion_state(StageAxis axis) override { return inner_->motion_state(axis); }
+  Angle encoder_angle(StageAxis axis) override { return inner_->encoder_angle(axis); }
+  bool halt() noexcept override {
+    ++halts;
+    return inner_->halt() && acknowledges_halt;
+  }
+  std::vector<std::pair<StageAxis, Angle>> moves;
+  int halts = 0;
+  bool acknowledges_halt = true;
+
+ private:
+  std::unique_ptr<RotationStage> inner_;
+};
+
+class ExperimentRunTest : public testing::Test {
+ protected:
+  ExperimentRunTest() {
+    truth.noise = 1e-4;
+    truth.offset = Eigen::Vector3d(0.01, 0.02, 0.03);
+    protocol.steps = 12;
+    protocol.step = Angle::degrees(30);
+    protocol.settle_s = 0.5;
+    protocol.dwell_readings = 40;
+    protocol.motion_timeout_s = 10.0;
+  }
+
+  void build() {
+    world = std::make_shared<sim::SimBench>(truth, clock.now());
+    stage = std::make_unique<WatchedStage>(std::make_unique<sim::SimStage>(world, clock));
+    accelerometer = std::make_unique<sim::SimAccelerometer>(world, clock, 100.0);
+    plan = make_rotation_plan(protocol, {});
+    RunHeader header;
+    header.plan = plan;
+    file.emplace(RunFile::create(folder / "a.run", header));
+  }
+
+  RunTiming run(const std::set<std::size_t>& measured = {}) {
+    return run_experiments({*stage, *accelerometer, clock}, plan, measured, protocol, limits, {}, *file,
+                           observer, stop.get_token());
+  }
+
+  /// Runs into the fault and gives its words; the run must be left interrupted, the stage halted.
+  std::string failure(Fault expected) {
+    try {
+      run();
+      ADD_FAILURE() << "the run did not notice";
+    } catch (const InstrumentError& error) {
+      EXPECT_EQ(error.fault(), expected) << error.what();
+      EXPECT_EQ(stage->halts, 1);
+      const StoredRun stored = RunFile::load(folder / "a.run");
+      EXPECT_EQ(stored.state, RunState::kInterrupted);
+      EXPECT_THAT(stored.events.back().text, HasSubstr(error.detail().substr(0, 20)));
+      EXPECT_EQ(stored.record.dwells.size(), observer.dwells.size());
+      return error.what();
+    }
+    return {};
+  }
+
+  void inject_after(std::size_t dwells, sim::WorldFault fault) {
+    observer.after_dwell = [this, dwells, fault]() mutable {
+      if (observer.dwells.size() != dwells) return;
+      fault.at = clock.now();
+      world->inject(fault);
+    };
+  }
+
+  test::TemporaryFolder folder;
+  sim::SimClock clock;
+  sim::BenchTruth truth;
+  ProtocolConfig protocol;
+  LimitsConfig limits;
+  std::shared_ptr<sim::SimBench> world;
+  std::unique_ptr<WatchedStage> stage;
+  std::unique_ptr<Accelerometer> accelerometer;
+  std::vector<PlannedAngle> plan;
+  std::optional<RunFile> file;
+  SilentObserver observer;
+  std::stop_source stop;
+};
+
+TEST_F(ExperimentRunTest, StoresEveryAngleWithItsReadingsAndParksTheStage) {
+  build();
+  const RunTiming timing = run();
+  EXPECT_EQ(observer.dwells.size(), plan.size());
+  EXPECT_THAT(observer.notices, testing::IsEmpty());
+  const StoredRun stored = RunFile::load(folder / "a.run");
+  ASSERT_EQ(stored.record.dwells.size(), plan.size());
+  for (const DwellRecord& dwell : stored.record.dwells) {
+    EXPECT_EQ(dwell.count, 40);
+    EXPECT_EQ(dwell.flags, kFlagNone);
+    EXPECT_GE(dwell.settle_time_s, protocol.settle_s);
+    EXPECT_NEAR(dwell.encoder_x->deg(), dwell.commanded_x.deg(), protocol.position_window.deg());
+  }
+  SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(database.value("select count(*) from reading"), std::to_string(40 * plan.size()));
+  EXPECT_NEAR(stage->encoder_angle(StageAxis::kX).deg(), 0.0, 0.01);
+  EXPECT_NEAR(stage->encoder_angle(StageAxis::kZ).deg(), 0.0, 0.01);
+  EXPECT_GT(timing.moving_s, 0.0);
+  EXPECT_NEAR(timing.total_s(), to_seconds(clock.now() - Clock::Instant{}), 1e-6);
+}
+
+TEST_F(ExperimentRunTest, ComesToEveryAngleFromBelow) {
+  truth.x.backlash = truth.z.backlash = Angle::degrees(0.5);
+  build();
+  run();
+  std::array<Angle, 2> at{};
+  int final_moves_down = 0;
+  for (std::size_t k = 0; k < stage->moves.size(); ++k) {
+    const auto& [axis, target] = stage->moves[k];
+    const bool down = target < at[index(axis)];
+    at[index(axis)] = target;
+    // A move down is only ever the overshoot before the move up to the angle itself.
+    if (down && !(k + 1 < stage->moves.size() && stage->moves[k + 1].first == axis &&
+                  stage->moves[k + 1].second > target)) {
+      ++final_moves_down;
+    }
+  }
+  EXPECT_EQ(final_moves_down, 0);
+}
+
+TEST_F(ExperimentRunTest, LeavesOutTheAnglesThatAreMeasuredAlready) {
+  build();
+  std::set<std::size_t> measured;
+  for (std::size_t k = 0; k < plan.size() - 3; ++k) measured.insert(k);
+  run(measured);
+  EXPECT_EQ(observer.dwells.size(), 3U);
+}
+
+TEST_F(ExperimentRunTest, StopsBetweenTwoLooksWhenTheOperatorSaysSo) {
+  build();
+  observer.after_dwell = [this] {
+    if (observer.dwells.size() == 5) stop.request_stop();
+  };
+  EXPECT_THROW(run(), RunInterrupted);
+  EXPECT_EQ(stage->halts, 1);
+  const StoredRun stored = RunFile::load(folder / "a.run");
+  EXPECT_EQ(stored.state, RunState::kInterrupted);
+  EXPECT_EQ(stored.record.dwells.size(), 5U);
+  EXPECT_THAT(stored.events.back().text, HasSubstr("operator"));
+}
+
+TEST_F(ExperimentRunTest, SaysSoWhenTheStageDoesNotAcknowledgeTheHalt) {
+  build();
+  stage->acknowledges_halt = false;
+  inject_after(2, {.kind = sim::FaultKind::kNoOutput});
+  EXPECT_THAT(failure(Fault::kNoReply), HasSubstr("did not acknowledge the halt"));
+}
+
+TEST_F(ExperimentRunTest, ASilentAccelerometerEndsTheRun) {
+  build();
+  inject_after(3, {.kind = sim::FaultKind::kNoOutput});
+  EXPECT_THAT(failure(Fault::kNoReply), HasSubstr("no reading for 2 s"));
+}
+
+TEST_F(ExperimentRunTest, AnOutputThatSticksEndsTheRun) {
+  build();
+  inject_after(3, {.kind = sim::FaultKind::kStuckOutput});
+  EXPECT_THAT(failure(Fault::kImplausible), HasSubstr("stuck"));
+}
+
+TEST_F(ExperimentRunTest, ReadingsThatAreNotNumbersEndTheRun) {
+  build();
+  inject_after(3, {.kind = sim::FaultKind::kNotFinite});
+  EXPECT_THAT(failure(Fault::kImplausible), HasSubstr("not finite"));
+}
+
+TEST_F(ExperimentRunTest, ClippingIsFlaggedWhereItHappens) {
+  truth.full_scale = 0.9;
+  build();
+  run();
+  int clipped = 0;
+  for (const DwellRecord& dwell : observer.dwells) clipped += (dwell.flags & kFlagClipped) != 0;
+  EXPECT_GT(clipped, 3);
+  EXPECT_LT(clipped, static_cast<int>(plan.size()));
+  EXPECT_GE(observer.notices.size(), static_cast<std::size_t>(clipped));
+}
+
+TEST_F(ExperimentRunTest, AnAxisThatNeverArrivesEndsTheRun) {
+  build();
+  inject_after(3, {.kind = sim::FaultKind::kStalledAxis, .axis = StageAxis::kX});
+  EXPECT_THAT(failure(Fault::kStalled), HasSubstr("still moving"));
+}
+
+TEST_F(ExperimentRunTest, AnAxisThatStopsOutsideTheWindowEndsTheRunWithTheDistance) {
+  build();
+  inject_after(3, {.kind = sim::FaultKind::kStopsShort, .axis = StageAxis::kX, .value = 0.05});
+  EXPECT_THAT(failure(Fault::kStalled), testing::AllOf(HasSubstr("stopped at"), HasSubstr("commanded 90")));
+}
+
+TEST_F(ExperimentRunTest, ALostReferenceEndsTheRun) {
+  build();
+  inject_after(3, {.kind = sim::FaultKind::kLostReference, .axis = StageAxis::kX});
+  EXPECT_THAT(failure(Fault::kNotReady), HasSubstr("reference"));
+}
+
+TEST_F(ExperimentRunTest, ARefusedMoveEndsTheRun) {
+  build();
+  inject_after(3, {.kind = sim::FaultKind::kRefusedMove, .axis = StageAxis::kX});
+  failure(Fault::kRefused);
+}
+
+TEST_F(ExperimentRunTest, WaitsForTheRingDownAndFlagsWhatNeverBecomesQuiet) {
+  truth.ring_down_amplitude = 1e-3;  // 0.02 R at 20 deg/s, 200 times the noise
+  truth.ring_down_frequency_hz = 7.0;
+  truth.ring_down_decay_s = 1.0;
+  protocol.settle_s = 0.2;
+  protocol.quiet_timeout_s = 30.0;
+  build();
+  run();
+  double longest = 0.0;
+  for (const DwellRecord& dwell : observer.dwells) longest = std::max(longest, dwell.settle_time_s);
+  EXPECT_GT(longest, 1.0);
+  EXPECT_THAT(observer.notices, testing::IsEmpty());
+}
+
+TEST_F(ExperimentRunTest, FlagsAnAngleThatIsNotQuietAtTheLongestWait) {
+  truth.drift_per_hour =
+      Eigen::Vector3d::Constant(3600.0 * 0.05);  // 5e-4 R a reading, beside 1e-4 R of noise
+  protocol.quiet_timeout_s = 0.5;
+  build();
+  run();
+  for (const DwellRecord& dwell : observer.dwells) EXPECT_TRUE(dwell.flags & kFlagNotQuiet);
+}
+
+TEST_F(ExperimentRunTest, FlagsATemperatureOutsideItsLimits) {
+  truth.temperature_degc = 30.0;
+  limits.temperature_max_degc = 26.0;
+  build();
+  run();
+  for (const DwellRecord& dwell : observer.dwells) EXPECT_TRUE(dwell.flags & kFlagTemperature);
+}
+
+}  // namespace
+}  // namespace abcal

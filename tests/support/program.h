@@ -1,0 +1,133 @@
+#pragma once
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <optional>
+#include <sstream>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+namespace abcal::test {
+
+inline std::string read_file(const std::filesystem::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+inline void write_file(const std::filesystem::path& path, const std::string& text) {
+  std::ofstream(path, std::ios::binary) << text;
+}
+
+/// The program `abcal` in a process of its own, with its output in files of `folder`.
+class Program {
+ public:
+  struct Limits {
+    std::optional<rlim_t> file_size;  ///< As if the disk were full at this size of a file.
+  };
+
+  Program(std::vector<std::string> arguments, const std::filesystem::path& folder)
+      : Program(arguments, folder, Limits{}) {}
+
+  Program(const std::vector<std::string>& arguments, const std::filesystem::path& folder,
+          const Limits& limits) {
+    static int count = 0;
+    const std::string stem = "program-" + std::to_string(::getpid()) + "-" + std::to_string(count++);
+    out_ = folder / (stem + ".out");
+    err_ = folder / (stem + ".err");
+    pid_ = ::fork();
+    if (pid_ < 0) throw std::runtime_error("fork failed");
+    if (pid_ == 0) {
+      ::setpgid(0, 0);
+      const int out = ::open(out_.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
+      const int err = ::open(err_.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
+      ::dup2(out, 1);
+      ::dup2(err, 2);
+      if (::chdir(folder.c_str()) != 0) ::_exit(126);
+      if (limits.file_size) {
+        const rlimit limit{*limits.file_size, *limits.file_size};
+        ::setrlimit(RLIMIT_FSIZE, &limit);
+        ::signal(SIGXFSZ, SIG_IGN);
+      }
+      std::vector<std::string> words{ABCAL_PROGRAM};
+      words.insert(words.end(), arguments.begin(), arguments.end());
+      std::vector<char*> argv;
+      for (std::string& word : words) argv.push_back(word.data());
+      argv.push_back(nullptr);
+      ::execv(ABCAL_PROGRAM, argv.data());
+      ::_exit(127);
+    }
+  }
+  Program(const Program&) = delete;
+  Program& operator=(const Program&) = delete;
+  ~Program() {
+    if (!exit_code_) {
+      signal(SIGKILL);
+      wait();
+    }
+  }
+
+  void signal(int number) const { ::kill(pid_, number); }
+
+  /// Waits for the end. 128 + signal for a program that a signal ended.
+  int wait() {
+    if (!exit_code_) {
+      int status = 0;
+      ::waitpid(pid_, &status, 0);
+      exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+    }
+    return *exit_code_;
+  }
+
+  bool running() {
+    if (exit_code_) return false;
+    int status = 0;
+    if (::waitpid(pid_, &status, WNOHANG) != pid_) return true;
+    exit_code_ = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+    return false;
+  }
+
+  std::string out() const { return read_file(out_); }
+  std::string err() const { return read_file(err_); }
+
+ private:
+  pid_t pid_ = -1;
+  std::filesystem::path out_, err_;
+  std::optional<int> exit_code_;
+};
+
+struct ProgramResult {
+  int exit_code = -1;
+  std::string out, err;
+};
+
+inline ProgramResult run_program(const std::vector<std::string>& arguments,
+                                 const std::filesystem::path& folder) {
+  Program program(arguments, folder);
+  const int code = program.wait();
+  return {code, program.out(), program.err()};
+}
+
+/// Looks again and again until `condition` holds, for another process to get somewhere; false after
+/// `longest`.
+inline bool wait_for(const std::function<bool()>& condition, std::chrono::milliseconds longest) {
+  const auto deadline = std::chrono::steady_clock::now() + longest;
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() > deadline) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  return true;
+}
+
+}  // namespace abcal::test
