@@ -35,6 +35,11 @@ void write_file(const std::filesystem::path& path, const std::string& text) {
 
 }  // namespace
 
+std::uint64_t not_negative(const char* option, std::int64_t value) {
+  if (value < 0) throw std::invalid_argument(fmt::format("{} = {}, it must not be negative", option, value));
+  return static_cast<std::uint64_t>(value);
+}
+
 AccelerometerUnderTest read_accelerometer(const std::filesystem::path& path) {
   std::ifstream file(path, std::ios::binary);
   if (!file) throw std::invalid_argument(fmt::format("accelerometer file {} cannot be read", path.string()));
@@ -100,9 +105,9 @@ AccelerometerUnderTest read_accelerometer(const std::filesystem::path& path) {
 CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string set, csv, figures, aut;
-    std::optional<std::uint64_t> trials;
-    std::uint64_t seed = 1;
-    unsigned threads = 0;
+    std::optional<std::int64_t> trials;
+    std::int64_t seed = 1;
+    int threads = 0;
     std::optional<double> alignment, step, initial_turn, zero;
     bool scale = false, resolution = false, json = false;
   };
@@ -131,9 +136,9 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
                       "sets 1 and 2: write figures 1 to 4 into this folder (gnuplot)");
   command->callback([options, &exit_code] {
     SimulationOptions simulation;
-    simulation.trials = options->trials;
-    simulation.seed = options->seed;
-    simulation.threads = options->threads;
+    if (options->trials) simulation.trials = not_negative("--trials", *options->trials);
+    simulation.seed = not_negative("--seed", options->seed);
+    simulation.threads = static_cast<unsigned>(not_negative("--threads", options->threads));
     simulation.scale = options->scale;
     simulation.resolution = options->resolution;
     const auto angle = [](std::optional<double> degrees) -> std::optional<Angle> {

@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "app/commands/simulate.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
 #include "app/load_record.h"
@@ -73,10 +74,10 @@ MeasuredAcs read_measured_acs(const std::filesystem::path& path) {
 CLI::App* add_uncertainty(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string file, preset, measured;
-    std::optional<std::uint64_t> trials;
+    std::optional<std::int64_t> trials;
     std::optional<int> digits;
-    std::uint64_t seed = 1;
-    unsigned threads = 0;
+    std::int64_t seed = 1;
+    int threads = 0;
     std::optional<double> alignment, step, initial_turn, zero, resolution;
     bool json = false;
   };
@@ -106,13 +107,13 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
   command->callback([options, &exit_code] {
     UncertaintyOptions uncertainty;
-    if (options->trials) uncertainty.trials = options->trials;
+    if (options->trials) uncertainty.trials = not_negative("--trials", *options->trials);
     if (options->digits) {
       uncertainty.trials.reset();
       uncertainty.digits = *options->digits;
     }
-    uncertainty.seed = options->seed;
-    uncertainty.threads = options->threads;
+    uncertainty.seed = not_negative("--seed", options->seed);
+    uncertainty.threads = static_cast<unsigned>(not_negative("--threads", options->threads));
     uncertainty.resolution = options->resolution;
     uncertainty.paper_preset = options->preset == "paper";
     if (!options->measured.empty()) uncertainty.measured = read_measured_acs(options->measured);

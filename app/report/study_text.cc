@@ -75,6 +75,28 @@ std::string matrix_and_triples(const StudyOutput& ours, const std::optional<Stud
   return text;
 }
 
+// Layout of Table 2, which prints 15 decimals: ours above, the printed number below.
+std::string all_digits(const StudyOutput& ours, const StudyOutput& printed, const std::string& table) {
+  const OutputVector v = to_vector(ours), p = to_vector(printed);
+  std::string text = fmt::format("  {:<22}{:>21} {:>21} {:>21}  Unit\n", "Matrix Vector", "x component",
+                                 "y component", "z component");
+  const auto add = [&](const char* name, int first, const char* unit) {
+    text += fmt::format("         {:<15}{:>+21.15f} {:>+21.15f} {:>+21.15f}  {}\n", name, v(first),
+                        v(first + 1), v(first + 2), unit);
+    text += fmt::format("         {:<15}{:>+21.15f} {:>+21.15f} {:>+21.15f}\n", "  " + table, p(first),
+                        p(first + 1), p(first + 2));
+  };
+  add("s_u", 0, "R/g_loc");
+  add("s_v", 3, "R/g_loc");
+  add("s_w", 6, "R/g_loc");
+  text += fmt::format("  {:<22}{:>21} {:>21} {:>21}  Unit\n", "       Triple", "u component", "v component",
+                      "w component");
+  add("s", kFirstIntrinsicSensitivity, "R/g_loc");
+  add("O", kFirstOffset, "R");
+  add("phi", kFirstIntrinsicAngle, "degree");
+  return text;
+}
+
 // Layout of Tables 3 and 4.
 std::string means_and_deviations(const StudyCase& one) {
   const MonteCarloResult& result = *one.monte_carlo;
@@ -150,8 +172,7 @@ std::string study_text(const StudyResult& study) {
     if (one.one_of_many) continue;
     text += fmt::format("\n{}\n", one.name);
     if (one.published_truth && one.truth) {
-      text += "  Values\n" + matrix_and_triples(*one.truth, one.published_truth, one.table, "R/g_loc", "R") +
-              "  Errors\n";
+      text += "  Values\n" + all_digits(*one.truth, *one.published_truth, one.table) + "  Errors\n";
     }
     if (one.error) text += matrix_and_triples(*one.error, one.published, one.table, "R/g_loc", "R");
     if (one.monte_carlo) {

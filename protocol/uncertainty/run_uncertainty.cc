@@ -44,6 +44,11 @@ TrialBlock whole_budget(const TypeBSampler& sampler, const Covariance12& other, 
 }  // namespace
 
 RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions& options) {
+  check_tolerances(record.tolerances);
+  if (options.trials && *options.trials < 2) {
+    throw std::invalid_argument("number of trials = " + std::to_string(*options.trials) +
+                                ", at least 2 are needed");
+  }
   RunUncertainty study;
   study.source = record.source;
   study.response_unit = record.response_unit;

@@ -146,10 +146,6 @@ StudyResult misaligned_set(std::string title, const std::vector<Misaligned>& cas
   result.title = std::move(title);
   result.trials = 1;
   const Angle angle = misalignment(options);
-  if (!(angle.deg() >= 0.0 && angle.deg() <= 4.0)) {
-    throw std::invalid_argument("alignment tolerance = " + std::to_string(angle.deg()) +
-                                " degrees, it must lie between 0 and 4 degrees");
-  }
   std::vector<double> factors = {1.0};
   if (options.scale) factors = {1.0, 0.1, 10.0};
   if (options.scale && angle.deg() > 0.4) {
@@ -348,16 +344,13 @@ StudyResult abc2(const SimulationOptions& options) {
   return result;
 }
 
-void check_tolerances(const SimulationOptions& options) {
-  for (const auto& [name, tolerance] : {std::pair{"alignment", options.alignment},
-                                        {"step", options.step},
-                                        {"initial-turn", options.initial_turn},
-                                        {"zero", options.zero}}) {
-    if (tolerance && !(tolerance->deg() >= 0.0 && tolerance->deg() <= 4.0)) {
-      throw std::invalid_argument(std::string(name) + " tolerance = " + std::to_string(tolerance->deg()) +
-                                  " degrees, it must lie between 0 and 4 degrees");
-    }
-  }
+void check_options(const SimulationOptions& options) {
+  Tolerances tolerances = paper_tolerances();
+  tolerances.alignment = options.alignment.value_or(tolerances.alignment);
+  tolerances.step = options.step.value_or(tolerances.step);
+  tolerances.initial_turn = options.initial_turn.value_or(tolerances.initial_turn);
+  tolerances.zero = options.zero.value_or(tolerances.zero);
+  check_tolerances(tolerances);
 }
 
 }  // namespace
@@ -393,7 +386,7 @@ std::array<bool, kStudyOutputs> means_that_are_not_zero(const MonteCarloResult& 
 }
 
 StudyResult run_simulation_set(std::string_view set, const SimulationOptions& options) {
-  check_tolerances(options);
+  check_options(options);
   if (options.trials && *options.trials == 0)
     throw std::invalid_argument("number of trials = 0, at least 1 is needed");
   const bool can_scale = set == "3" || set == "4" || set == "5" || set == "6";

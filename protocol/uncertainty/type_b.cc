@@ -23,16 +23,13 @@ constexpr double kMostHarmonicDegrees = 0.5;
 void check_tolerance(const char* name, Angle tolerance, double most) {
   if (!(tolerance.deg() >= 0.0 && tolerance.deg() <= most)) {  // written so that NaN is a problem too
     throw std::invalid_argument(std::string(name) + " tolerance = " + std::to_string(tolerance.deg()) +
-                                " degrees, it must lie between 0 and " + std::to_string(most) + " degrees");
+                                " degrees, it must lie between 0 and " + (most < 1.0 ? "0.5" : "4") +
+                                " degrees");
   }
 }
 
 void check(const TypeBStudy& study) {
-  check_tolerance("alignment", study.tolerances.alignment, kMostDegrees);
-  check_tolerance("step", study.tolerances.step,
-                  study.step_errors == StepErrorModel::kHarmonic ? kMostHarmonicDegrees : kMostDegrees);
-  check_tolerance("initial-turn", study.tolerances.initial_turn, kMostDegrees);
-  check_tolerance("zero", study.tolerances.zero, kMostDegrees);
+  check_tolerances(study.tolerances, study.step_errors);
   if (!study.accelerometer.sensitivity_matrix.allFinite() || !study.accelerometer.offset.allFinite()) {
     throw std::invalid_argument("accelerometer: a sensitivity or an offset is not finite");
   }
@@ -90,6 +87,14 @@ TypeBSampler::Plan plan_of(const TypeBStudy& study) {
 }
 
 }  // namespace
+
+void check_tolerances(const Tolerances& tolerances, StepErrorModel step_errors) {
+  check_tolerance("alignment", tolerances.alignment, kMostDegrees);
+  check_tolerance("step", tolerances.step,
+                  step_errors == StepErrorModel::kHarmonic ? kMostHarmonicDegrees : kMostDegrees);
+  check_tolerance("initial-turn", tolerances.initial_turn, kMostDegrees);
+  check_tolerance("zero", tolerances.zero, kMostDegrees);
+}
 
 AccelerometerUnderTest table_2_accelerometer() {
   AccelerometerUnderTest accelerometer;

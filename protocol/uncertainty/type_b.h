@@ -41,6 +41,11 @@ struct TypeBStudy {
   std::uint64_t seed = 1;
 };
 
+/// @throws std::invalid_argument for a tolerance that is negative, not finite, or above 4 degrees (step
+/// errors of the harmonic model: 0.5 degrees)
+void check_tolerances(const Tolerances& tolerances,
+                      StepErrorModel step_errors = StepErrorModel::kIndependent);
+
 /// The paper's tolerances: 0.008 degrees for alignment and step; the initial turns and the mean step errors
 /// exact.
 Tolerances paper_tolerances();

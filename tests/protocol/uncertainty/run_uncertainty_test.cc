@@ -1,0 +1,197 @@
+#include "protocol/uncertainty/run_uncertainty.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "protocol/analysis/analyse.h"
+#include "protocol/uncertainty/random_stream.h"
+#include "protocol/uncertainty/type_b.h"
+
+namespace abcal {
+namespace {
+
+// A record of simulated readings, with white noise and its standard uncertainty.
+RunRecord simulated_record(const AccelerometerUnderTest& accelerometer, const AcsErrors& errors, double noise,
+                           int steps = 72) {
+  RunRecord record;
+  record.source = "simulated";
+  record.steps = steps;
+  record.step = Angle::degrees(360.0 / steps);
+  const auto readings = simulated_readings(AbcDesign::uniform(steps, record.step), accelerometer, errors);
+  RandomStream stream(1, StreamPurpose::kTest, 77);
+  for (int i = 0; i < 3; ++i) {
+    for (int n = 0; n < steps; ++n) {
+      DwellRecord dwell;
+      dwell.experiment = i + 1;
+      dwell.n = n + 1;
+      dwell.alpha = record.step * n;
+      dwell.mean = readings[static_cast<std::size_t>(i)].row(n).transpose();
+      for (double& reading : dwell.mean) reading += noise * stream.normal();
+      if (noise > 0.0) dwell.u_mean = Eigen::Vector3d::Constant(noise);
+      record.dwells.push_back(dwell);
+    }
+  }
+  return record;
+}
+
+UncertaintyOptions quick() {
+  UncertaintyOptions options;
+  options.trials = 20'000;
+  return options;
+}
+
+TEST(RunUncertaintyTest, TypeBIsThatOfTheSameAccelerometerAndTolerances) {
+  const RunRecord record = simulated_record(table_2_accelerometer(), {}, 0.0);
+  const RunUncertainty study = run_uncertainty(record, quick());
+  TypeBStudy type_b;
+  type_b.accelerometer = table_2_accelerometer();
+  MonteCarloOptions options;
+  options.trials = 20'000;
+  const MonteCarloResult direct = run_type_b(type_b, options);
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    EXPECT_NEAR(study.type_b.standard_deviation(k) / direct.standard_deviation(k), 1.0, 1e-9)
+        << output_symbol(k);
+  }
+}
+
+TEST(RunUncertaintyTest, TheBudgetAgreesWithMonteCarloAndItsSharesAddUp) {
+  const RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-4);
+  const RunUncertainty study = run_uncertainty(record, quick());
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    double shares = 0.0;
+    for (const BudgetLine& line : study.budget.lines) shares += study.budget.share(line, k);
+    EXPECT_NEAR(shares, 1.0, 1e-12) << output_symbol(k);
+    // First order against Monte Carlo: 5 standard deviations of a standard deviation of 2e4 trials.
+    EXPECT_NEAR(std::sqrt(study.budget.type_b_covariance(k, k)) / study.type_b.standard_deviation(k), 1.0,
+                0.025)
+        << output_symbol(k);
+    EXPECT_NEAR(study.budget.combined(k) / study.combined.standard_deviation(k), 1.0, 0.025)
+        << output_symbol(k);
+    EXPECT_NEAR(study.budget.combined(k), std::sqrt(study.budget.covariance(k, k)),
+                1e-9 * study.budget.combined(k))
+        << output_symbol(k);
+    EXPECT_TRUE(study.validation.at(static_cast<std::size_t>(k)).validated) << output_symbol(k);
+  }
+  bool nutation = false;
+  for (const std::string& item : study.budget.not_covered) nutation = nutation || item.find("nutation") == 0;
+  EXPECT_TRUE(nutation);
+}
+
+TEST(RunUncertaintyTest, NoiseEntersAsTheFitPassesItOn) {
+  const RunRecord record = simulated_record({}, {}, 1e-3);
+  const Budget budget = make_budget(record, analyse_abc(record));
+  for (const BudgetLine& line : budget.lines) {
+    if (!line.type_a) continue;
+    // metrology.md 1.2: u(s) = sigma/sqrt(N), u(O) = sigma/sqrt(3 N), u(phi) = sqrt(2) sigma/sqrt(N) rad.
+    EXPECT_NEAR(line.contribution(0), 1e-3 / std::sqrt(72.0), 1e-9);
+    EXPECT_NEAR(line.contribution(9), 1e-3 / std::sqrt(216.0), 1e-9);
+    EXPECT_NEAR(line.contribution(15), std::sqrt(2.0) * 1e-3 / std::sqrt(72.0) * 57.29578, 5e-5);
+    return;
+  }
+  FAIL() << "no type A line";
+}
+
+TEST(RunUncertaintyTest, ResolutionIsALineOnlyWhereItIsKnown) {
+  const RunRecord record = simulated_record({}, {}, 1e-5);
+  const CalibrationResult result = analyse_abc(record);
+  const Budget without = make_budget(record, result);
+  const Budget with = make_budget(record, result, 1e-3);
+  EXPECT_EQ(with.lines.size(), without.lines.size() + 1);
+  for (const BudgetLine& line : with.lines) {
+    if (line.input.starts_with("resolution")) {
+      EXPECT_NEAR(line.contribution(0), 1e-3 / std::sqrt(12.0) / std::sqrt(72.0), 1e-12);
+      EXPECT_EQ(line.distribution, "rectangular");
+    }
+  }
+  EXPECT_THROW(make_budget(record, result, 0.0), std::invalid_argument);
+}
+
+// A quadratic term must be seen by the budget: with k2 off the line is (nearly) nothing.
+TEST(RunUncertaintyTest, NonLinearityShowsInTheBudget) {
+  RunRecord record = simulated_record({}, {}, 0.0);
+  record.tolerances = paper_tolerances();
+  const auto line_of = [](const RunRecord& r) {
+    for (const BudgetLine& line : make_budget(r, analyse_abc(r)).lines) {
+      if (line.input.starts_with("non-linearity")) return line.contribution(9);
+    }
+    return -1.0;
+  };
+  const double before = line_of(record);
+  for (DwellRecord& dwell : record.dwells) dwell.mean += 3e-3 * dwell.mean.cwiseAbs2();
+  const double after = line_of(record);
+  EXPECT_GE(before, 0.0);
+  EXPECT_LT(before, 1e-12);
+  // Half-width K2/3 = 1e-3, rectangular, in two of three experiments.
+  EXPECT_NEAR(after, 1e-3 / std::sqrt(3.0), 0.25e-3);
+}
+
+TEST(RunUncertaintyTest, TypeAWithMeasuredErrorsFindsTheTruthThatPlainAbcMisses) {
+  AcsErrors errors;
+  errors.alignment = {2e-4, -1e-4, 3e-4};
+  errors.d2 = Angle::degrees(0.01);
+  errors.mean_step_x = Angle::degrees(-0.02);
+  const RunRecord record = simulated_record(table_2_accelerometer(), errors, 0.0);
+  const OutputVector truth = to_vector(true_outputs(table_2_accelerometer(), errors.alignment));
+  MeasuredAcs measured;
+  measured.mean = errors;
+  MonteCarloOptions options;
+  options.trials = 200;
+  const MonteCarloResult exact = run_type_a(record, measured, 1, options);
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    EXPECT_NEAR(exact.mean(k), truth(k), k < kFirstIntrinsicAngle ? 1e-14 : 1e-12) << output_symbol(k);
+    EXPECT_LT(exact.standard_deviation(k), 1e-12) << output_symbol(k);  // nothing was drawn
+  }
+  const MonteCarloResult blind = run_type_a(record, {}, 1, options);
+  EXPECT_GT((blind.mean - truth).cwiseAbs().maxCoeff(), 1e-4);
+  // Standard errors spread the result in proportion.
+  measured.standard_error.alignment = {1e-5, 1e-5, 1e-5};
+  const MonteCarloResult spread = run_type_a(record, measured, 1, options);
+  EXPECT_GT(spread.standard_deviation(2), 1e-6);
+  EXPECT_LT(spread.standard_deviation(2), 1e-4);
+  measured.standard_error.alignment.zx = -1.0;
+  EXPECT_THROW(run_type_a(record, measured, 1, options), std::invalid_argument);
+}
+
+TEST(RunUncertaintyTest, ThePaperPresetWarnsWhereTheBenchExceedsIt) {
+  const RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5);
+  UncertaintyOptions options = quick();
+  options.paper_preset = true;
+  const RunUncertainty study = run_uncertainty(record, options);
+  // physics.md, slip 4: Table 2's accelerometer gives more than the bounds for s_vy, s_v and O_v.
+  std::string all;
+  for (const std::string& warning : study.warnings) all += warning + "\n";
+  for (const char* symbol : {"s_vy:", "s_v:", "O_v:"}) EXPECT_NE(all.find(symbol), std::string::npos) << all;
+  EXPECT_GE(study.standard_uncertainty(1), 2e-4 * study.value.intrinsic_sensitivity(0));
+  RunRecord fine = record;
+  fine.tolerances.alignment = fine.tolerances.step = fine.tolerances.initial_turn = fine.tolerances.zero =
+      Angle::degrees(0.0008);
+  EXPECT_TRUE(run_uncertainty(fine, options).warnings.empty());
+}
+
+TEST(RunUncertaintyTest, TheNumberOfThreadsChangesNoBit) {
+  const RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5, 24);
+  UncertaintyOptions options;
+  options.trials = 3000;
+  options.threads = 1;
+  const RunUncertainty one = run_uncertainty(record, options);
+  options.threads = 3;
+  const RunUncertainty three = run_uncertainty(record, options);
+  EXPECT_EQ(one.type_a.covariance, three.type_a.covariance);
+  EXPECT_EQ(one.combined.covariance, three.combined.covariance);
+}
+
+TEST(RunUncertaintyTest, RefusesWhatCannotBeAnswered) {
+  RunRecord record = simulated_record({}, {}, 1e-5);
+  UncertaintyOptions options = quick();
+  options.trials = 0;
+  EXPECT_THROW(run_uncertainty(record, options), std::invalid_argument);
+  RunRecord negative = record;
+  negative.tolerances.step = Angle::degrees(-1.0);
+  EXPECT_THROW(run_uncertainty(negative, quick()), std::invalid_argument);
+  record.dwells.resize(74);  // two angles of experiment 2, none of 3
+  EXPECT_THROW(run_uncertainty(record, quick()), std::exception);
+}
+
+}  // namespace
+}  // namespace abcal
