@@ -1,0 +1,138 @@
+#include "app/bench_config.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "tests/support/program.h"
+#include "tests/support/temporary_folder.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr const char* kSmallest = R"(
+[bench]
+g_loc_mps2 = 9.81
+[stage]
+driver = "pi_gcs"
+port = "simulated"
+[accelerometer]
+driver = "microstrain_mip"
+port = "simulated"
+)";
+
+std::string problems_of(const std::string& toml) {
+  try {
+    parse_bench(toml, "bench.toml");
+  } catch (const BenchError& error) {
+    return error.what();
+  }
+  ADD_FAILURE() << "accepted: " << toml;
+  return {};
+}
+
+TEST(BenchConfigTest, FillsInTheDocumentedDefaults) {
+  const BenchConfig config = parse_bench(kSmallest, "bench.toml");
+  EXPECT_EQ(config.protocol.steps, 72);
+  EXPECT_EQ(config.protocol.step, Angle::degrees(5.0));
+  EXPECT_EQ(config.tolerances.alignment, Angle::degrees(0.008));
+  EXPECT_EQ(config.tolerances.drift, 1e-4);
+  EXPECT_EQ(config.stage.x.axis, "1");
+  EXPECT_EQ(config.stage.z.axis, "2");
+}
+
+TEST(BenchConfigTest, WritesEveryDefaultOutAndReadsItBackToTheSame) {
+  BenchConfig config = parse_bench(kSmallest, "bench.toml");
+  config.name = "a \"name\" with \\ and ü";
+  config.protocol.settle_s = 0.1 + 0.2;  // a number with all its digits
+  config.simulation.x.harmonics.push_back({2, Angle::degrees(0.001), Angle::degrees(-1.0 / 3.0)});
+  config.stage.x.speed_deg_per_s = 3.0;
+  const std::string once = write_bench(config);
+  const BenchConfig again = parse_bench(once, "stored");
+  EXPECT_EQ(write_bench(again), once);
+  EXPECT_EQ(again.name, config.name);
+  EXPECT_EQ(again.protocol.settle_s, config.protocol.settle_s);
+  ASSERT_EQ(again.simulation.x.harmonics.size(), 1U);
+  EXPECT_EQ(again.simulation.x.harmonics[0].cos_coefficient, Angle::degrees(-1.0 / 3.0));
+  EXPECT_THAT(once, HasSubstr("alignment_deg = 0.008"));
+}
+
+TEST(BenchConfigTest, ReportsEveryProblemAtOnceWithItsLine) {
+  const std::string text = problems_of(R"([bench]
+g_loc_mps2 = "heavy"
+[stage]
+driver = "pi_gsc"
+port = 7
+[stage.x]
+sign = 2
+[protocol]
+steps = 2
+setle_s = 3.0
+settle_s = nan
+dwell_readings = 10.5
+[tolerances]
+step_deg = -0.1
+[simulation]
+offset = [1, 2]
+[acelerometer]
+port = "simulated"
+)");
+  EXPECT_THAT(text, HasSubstr("line 2, [bench] g_loc_mps2: found \"heavy\""));
+  EXPECT_THAT(text, HasSubstr("line 4, [stage] driver: found \"pi_gsc\""));
+  EXPECT_THAT(text, HasSubstr("\"pi_gcs\""));
+  EXPECT_THAT(text, HasSubstr("line 5, [stage] port: found 7"));
+  EXPECT_THAT(text, HasSubstr("line 7, [stage.x] sign: found 2"));
+  EXPECT_THAT(text, HasSubstr("line 9, [protocol] steps: found 2"));
+  EXPECT_THAT(text, HasSubstr("line 10, [protocol] setle_s"));
+  EXPECT_THAT(text, HasSubstr("did you mean \"settle_s\"?"));
+  EXPECT_THAT(text, HasSubstr("line 11, [protocol] settle_s: found nan"));
+  EXPECT_THAT(text, HasSubstr("line 12, [protocol] dwell_readings: found 10.5"));
+  EXPECT_THAT(text, HasSubstr("line 14, [tolerances] step_deg: found -0.1"));
+  EXPECT_THAT(text, HasSubstr("line 16, [simulation] offset"));
+  EXPECT_THAT(text, HasSubstr("did you mean \"accelerometer\"?"));
+  EXPECT_THAT(text, HasSubstr("[accelerometer] driver: found nothing"));
+}
+
+TEST(BenchConfigTest, RefusesSettingsThatContradictEachOther) {
+  const std::string base = kSmallest;
+  EXPECT_THAT(problems_of(base + "[stage.x]\ntravel_min_deg = 10\ntravel_max_deg = -10\n"),
+              HasSubstr("travel_min_deg <"));
+  EXPECT_THAT(problems_of(base + "[stage.z]\naxis = \"1\"\n"), HasSubstr("two different axes"));
+  EXPECT_THAT(problems_of(base + "[protocol]\nsteps = 100\n"), HasSubstr("<= 360"));
+  EXPECT_THAT(
+      problems_of("[stage]\ndriver=\"pi_gcs\"\nport=\"simulated\"\n[accelerometer]\ndriver=\"simulated\"\n"
+                  "port=\"simulated\"\n"),
+      HasSubstr("local gravity"));
+}
+
+TEST(BenchConfigTest, TakesGravityFromAFormulaAndWarns) {
+  std::string text = kSmallest;
+  text.replace(text.find("g_loc_mps2 = 9.81"), 17, "latitude_deg = 45.0\nheight_m = 0.0");
+  const BenchConfig config = parse_bench(text, "bench.toml");
+  EXPECT_NEAR(config.g_loc.value_mps2, 9.8061992025, 5e-11);  // GRS80 to the digits
+  EXPECT_GT(config.g_loc.expanded_uncertainty_mps2, 4e-4);
+  ASSERT_EQ(config.warnings.size(), 1U);
+}
+
+TEST(BenchConfigTest, SaysWhereTheTomlItselfIsBroken) {
+  EXPECT_THAT(problems_of("[bench]\nname = unquoted\n"), HasSubstr("line 2"));
+  EXPECT_THAT(problems_of("  \n\n"), HasSubstr("nothing in it"));
+  EXPECT_THAT(problems_of("stage = 3\n"), HasSubstr("a table [stage]"));
+}
+
+TEST(BenchConfigTest, ReadsEveryExampleFile) {
+  int count = 0;
+  for (const auto& entry :
+       std::filesystem::directory_iterator(std::filesystem::path(ABCAL_SOURCE_DIR) / "docs" / "examples")) {
+    if (entry.path().extension() != ".toml") continue;
+    EXPECT_NO_THROW(read_bench(entry.path())) << entry.path();
+    ++count;
+  }
+  EXPECT_GE(count, 3);
+}
+
+}  // namespace
+}  // namespace abcal
