@@ -460,7 +460,13 @@ JointFit joint_fit(std::span<const JointReading> readings, const JointPriors& pr
 
   const KnownAcsFit start = linear_fit_given_acs(gravity, values);
   problem.unit = start.sensitivity_matrix.rowwise().norm();
-  require(problem.unit.minCoeff() > 0.0, "an accelerometer does not respond to gravity at all");
+  for (int j = 0; j < 3; ++j) {
+    // An output that never changes leaves a row of round-off: some ulp of what it reads.
+    if (!(problem.unit(j) > 1e-12 * std::abs(start.offset(j)))) {
+      throw std::runtime_error(std::string("joint fit: accelerometer ") + "uvw"[j] +
+                               " does not respond to gravity at all");
+    }
+  }
   problem.value.resize(readings.size());
   problem.weight.resize(readings.size());
   for (std::size_t i = 0; i < readings.size(); ++i) {

@@ -129,7 +129,7 @@ struct JointFit {
 /// diagonal, so that a result in LSB is the same result.
 /// @param with_residuals  also fill residuals, sum_weighted_squares and redundancy
 /// @throws std::invalid_argument no readings, a number that is not finite, u or a prior's sd not > 0
-/// @throws std::runtime_error the readings do not determine the sensitivity matrix
+/// @throws std::runtime_error the readings do not determine the sensitivity matrix, or one output is dead
 JointFit joint_fit(std::span<const JointReading> readings, const JointPriors& priors, const JointModel& model,
                    bool with_residuals = false);
 

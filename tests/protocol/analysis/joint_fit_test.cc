@@ -504,6 +504,16 @@ TEST(JointFitTest, RunsThatDoNotDetermineTheMatrixGiveNoNumbers) {
   EXPECT_EQ(analyse_joint(record).verdict, Verdict::kNotUsable);
 }
 
+TEST(JointFitTest, OutputThatNeverChangesGivesNoNumbers) {
+  RunRecord record = noisy_record(some_accelerometer(), 59, 1e-5);
+  for (const double constant : {0.0, 0.3}) {
+    for (DwellRecord& dwell : record.dwells) dwell.mean(2) = constant;
+    const CalibrationResult result = analyse_joint(record);
+    EXPECT_EQ(result.verdict, Verdict::kNotUsable);
+    EXPECT_THAT(result.why, HasSubstr("accelerometer w does not respond"));
+  }
+}
+
 TEST(JointFitTest, ReadingsThatAreNotFiniteAreRefusedUnlessFlagged) {
   RunRecord record = noisy_record(some_accelerometer(), 53, 1e-5);
   record.dwells[5].mean(1) = std::numeric_limits<double>::quiet_NaN();
