@@ -139,7 +139,7 @@ TEST_F(EmulatorTest, ServesAnInstrumentOnAPseudoTerminal) {
   Client client = Client::terminal(link("stage"));
   ASSERT_TRUE(client.open());
   EXPECT_EQ(client.ask("CSV?\n", 4), kVersion);
-  EXPECT_EQ(client.ask("POS?\n", 25), "1=0.000000 \n2=0.000000\n");
+  EXPECT_EQ(client.ask("POS?\n", 23), "1=0.000000 \n2=0.000000\n");
   EXPECT_EQ(client.ask("\x05", 2), "0\n");
 }
 
