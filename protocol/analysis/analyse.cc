@@ -628,6 +628,8 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   accelerometer.offset = offset_of(estimate.outputs);
   estimate.effects = first_order_effects(selection.dwells, selection.time_fractions, accelerometer,
                                          record.tolerances, record.response_unit);
+  std::erase_if(estimate.effects,
+                [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
   estimate.covariance_b = type_b_of_coefficients(estimate, resolution);
 
   Objections objections;
