@@ -1,0 +1,65 @@
+#pragma once
+
+#include <chrono>
+#include <memory>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/instrument_settings.h"
+#include "drivers/instrument/rotation_stage.h"
+#include "drivers/wire/byte_stream.h"
+
+namespace abcal::zaber_ascii {
+
+/// How long a reply may take; devices answer within milliseconds, also while moving.
+inline constexpr Clock::Duration kReplyDeadline = std::chrono::seconds(1);
+
+/// Within this time after the call halt() has returned (a write that is stuck adds its own deadline of 2 s).
+inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(8);
+
+/// Two rotary axes of Zaber devices that speak the ASCII protocol (firmware 6 and 7): of one controller with
+/// several axes, or of two devices in a daisy chain.
+///
+/// StageSettings::axis_names are "device axis" ("1 2" is axis 2 of device 1), or one number: axis n of the
+/// device in `address`, if that is given; else axis n of the only device that answers; else, in a chain,
+/// device n, which must have one axis. One name may be empty: that axis is then not on this line, and calls
+/// for it throw kNotReady.
+///
+/// Angles are get pos x 360 / get limit.cycle.dist. Every command carries a message id and a checksum, so a
+/// late or damaged reply is never taken for another one. Warning flags are told in words: a fault (F*) makes
+/// any call throw.
+///
+/// One owner thread; halt() from any.
+class ZaberAsciiStage final : public RotationStage {
+ public:
+  /// Sends nothing yet.
+  /// @throws std::invalid_argument for settings that cannot be meant.
+  ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
+  ~ZaberAsciiStage() override;
+
+  /// @throws InstrumentError kWrongIdentity: nothing that speaks Zaber ASCII, a device or axis that is not
+  ///   there (lists those that are), an axis that does not rotate.
+  StageInfo identify() override;
+
+  /// Clears the warnings, enables the driver if it is off, and homes.
+  void home(StageAxis axis) override;
+
+  /// @throws InstrumentError kNotReady (no reference: WR, WH), kOutOfTravel, kRefused with the flag or the
+  ///   reason of the rejection in words.
+  void move_to(StageAxis axis, Angle target) override;
+
+  /// @throws InstrumentError kRefused for a fault flag (F*), and for a motion that something else ended:
+  ///   interrupted (NI), manual control (NC), unexpected limit (WL), displaced (WM).
+  MotionState motion_state(StageAxis axis) override;
+
+  Angle encoder_angle(StageAxis axis) override;
+
+  /// Sends "stop" to all devices at once, without waiting for an exchange that is under way; then asks until
+  /// the axes of this stage are idle.
+  bool halt() noexcept override;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace abcal::zaber_ascii

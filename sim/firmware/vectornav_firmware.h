@@ -1,0 +1,44 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+struct VectorNavSettings {
+  std::string user_tag;
+  std::string model = "VN-100T-CR";
+  unsigned hardware_revision = 7;
+  std::string serial_number = "0100012345";
+  std::string firmware_version = "2.1.0.0";
+  unsigned baud = 115200;       ///< One of the maker's; messages that it cannot carry are refused (error 0C).
+  unsigned async_type = 14;     ///< Register 6 from the factory: YMR; 0: nothing.
+  unsigned async_rate_hz = 40;  ///< Register 7 from the factory.
+  Clock::Duration reply_delay = std::chrono::microseconds(500);
+  Clock::Duration reset_time = std::chrono::milliseconds(300);  ///< Silence after VNRST [M].
+};
+
+/// A VectorNav VN-100 (instruments.md B.2), reading the world of a SimBench. Its output unit R is m/s2: a
+/// truth of about 9.8 R per g_loc makes an ideal one. ASCII, asynchronous ASCII and binary outputs; both
+/// checksums. Samples lie on the grid of its 800 Hz IMU, from the start of the world's time. The port is its
+/// serial port 1.
+class VectorNavFirmware final : public Firmware {
+ public:
+  /// @throws std::invalid_argument for a baud rate, type or output rate that a VN-100 does not have.
+  explicit VectorNavFirmware(std::shared_ptr<SimBench> bench, VectorNavSettings settings = {});
+  ~VectorNavFirmware() override;
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+
+ private:
+  class Device;
+  std::unique_ptr<Device> device_;
+};
+
+}  // namespace abcal::sim
