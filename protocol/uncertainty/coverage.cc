@@ -52,6 +52,23 @@ Coverage coverage_of_sorted(std::span<const double> sorted, double p) {
   return coverage;
 }
 
+Coverage coverage_of(std::span<double> values, double p) {
+  check_probability(p);
+  const std::uint64_t q = ranks(values.size(), p).q;
+  // Both intervals begin among the M - q smallest values and end among as many of the largest.
+  const auto tail = static_cast<std::ptrdiff_t>(values.size() - q);
+  const auto upper = static_cast<std::ptrdiff_t>(q);
+  if (tail < upper) {
+    std::nth_element(values.begin(), values.begin() + tail, values.end());
+    std::nth_element(values.begin() + tail, values.begin() + upper, values.end());
+    std::sort(values.begin(), values.begin() + tail);
+    std::sort(values.begin() + upper, values.end());
+  } else {
+    std::sort(values.begin(), values.end());
+  }
+  return coverage_of_sorted(values, p);
+}
+
 GridHistogram::GridHistogram(double centre, double u)
     : low_(centre - kHalfWidth * u),
       width_(u / kBinsPerU),

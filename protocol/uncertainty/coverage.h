@@ -24,6 +24,9 @@ struct Coverage {
 /// M).
 Coverage coverage_of_sorted(std::span<const double> sorted, double p);
 
+/// The same from values in any order, which it reorders: only the tails are sorted.
+Coverage coverage_of(std::span<double> values, double p);
+
 /// Counts on a fixed grid, for more trials than are kept. Adding is exact and does not depend on the order,
 /// so histograms filled by different threads and then added are one histogram.
 class GridHistogram {

@@ -210,8 +210,7 @@ class Engine {
       const double mean = values.mean();
       const double u =
           std::sqrt((values.array() - mean).square().sum() / static_cast<double>(one.size() - 1));
-      std::sort(one.begin(), one.end());
-      const CoverageInterval interval = coverage_of_sorted(one, options_.coverage_probability).symmetric;
+      const CoverageInterval interval = coverage_of(one, options_.coverage_probability).symmetric;
       std::array<RunningAverage, 4>& averages = looks_[k];
       averages[0].add(mean);
       averages[1].add(u);
@@ -263,8 +262,7 @@ class Engine {
     if (grids_.empty()) {
       result.interval_method = IntervalMethod::kExact;
       for (std::vector<double>& values : kept_) {
-        std::sort(values.begin(), values.end());
-        result.coverage.push_back(coverage_of_sorted(values, options_.coverage_probability));
+        result.coverage.push_back(coverage_of(values, options_.coverage_probability));
         std::vector<double>().swap(values);
       }
     } else {

@@ -36,6 +36,23 @@ TEST(CoverageTest, TheShortestIntervalOfASkewedDistributionLiesWhereItIsDense) {
   EXPECT_NEAR(coverage.symmetric.high, -std::log(0.025), 1e-3);
 }
 
+TEST(CoverageTest, UnsortedValuesGiveTheSame) {
+  RandomStream stream(5, StreamPurpose::kTest, 0);
+  for (const double p : {0.3, 0.5, 0.6, 0.9, 0.95, 0.99}) {
+    for (const int n : {100, 101, 997, 5000}) {
+      std::vector<double> values;
+      for (int i = 0; i < n; ++i) values.push_back(std::exp(stream.normal()));
+      std::vector<double> sorted = values;
+      std::sort(sorted.begin(), sorted.end());
+      const Coverage expected = coverage_of_sorted(sorted, p), found = coverage_of(values, p);
+      EXPECT_EQ(found.symmetric.low, expected.symmetric.low) << p << " " << n;
+      EXPECT_EQ(found.symmetric.high, expected.symmetric.high) << p << " " << n;
+      EXPECT_EQ(found.shortest.low, expected.shortest.low) << p << " " << n;
+      EXPECT_EQ(found.shortest.high, expected.shortest.high) << p << " " << n;
+    }
+  }
+}
+
 TEST(CoverageTest, RefusesWhatCannotBeAnswered) {
   const std::vector<double> values = {1.0, 2.0, 3.0};
   EXPECT_THROW(coverage_of_sorted(values, 0.99), std::invalid_argument);

@@ -111,8 +111,7 @@ TEST(TypeBTest, TheNumberOfThreadsChangesNoBit) {
   }
 }
 
-// metrology.md 1.1: first order for an ideal accelerometer, with F_X on s_vz and s_wy added (8.1e-5 = 0.008
-// degrees / sqrt 3 is the posterior's; plain ABC sees the mean of F_X and of F_Z).
+// metrology.md 1.1: first order for an ideal accelerometer, alignment alone.
 TEST(TypeBTest, StandardDeviationsAreThoseOfFirstOrder) {
   TypeBStudy study;
   study.tolerances = paper_tolerances();
