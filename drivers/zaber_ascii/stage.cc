@@ -1,0 +1,688 @@
+#include "drivers/zaber_ascii/stage.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <cstdint>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/wire/timed_lock.h"
+#include "drivers/zaber_ascii/codec.h"
+
+namespace abcal::zaber_ascii {
+namespace {
+
+/// Several devices answer a broadcast: this long after the last of them nobody else is expected.
+constexpr Clock::Duration kQuiet = std::chrono::milliseconds(200);
+
+/// Time that halt() leaves an exchange under way to end: a query, asked twice, and some.
+constexpr Clock::Duration kHaltWaitsForExchange = 2 * kReplyDeadline + std::chrono::milliseconds(500);
+constexpr Clock::Duration kHaltRetryInterval = std::chrono::milliseconds(20);
+
+constexpr int kMessageIds = 100;
+
+/// Speeds are in microsteps per second times this (instruments.md A.3).
+constexpr double kSpeedFactor = 1.6384;
+
+/// Where an axis is on the line.
+struct Place {
+  int device = 0;
+  int axis = 0;
+};
+
+/// An axis as the bench file names it: "device axis", or a number whose meaning depends on who is there.
+struct AxisName {
+  std::optional<int> device;
+  int number = 0;
+};
+
+std::optional<int> number_between(std::string_view text, int least, int most) {
+  int value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
+  if (value < least || value > most) return std::nullopt;
+  return value;
+}
+
+std::optional<AxisName> parse_axis_name(std::string_view name) {
+  const std::size_t space = name.find(' ');
+  if (space == std::string_view::npos) {
+    const auto number = number_between(name, 1, 99);
+    if (!number) return std::nullopt;
+    return AxisName{std::nullopt, *number};
+  }
+  const auto device = number_between(name.substr(0, space), 1, 99);
+  const auto axis = number_between(name.substr(space + 1), 1, 9);
+  if (!device || !axis) return std::nullopt;
+  return AxisName{device, *axis};
+}
+
+void check_settings(const StageSettings& settings) {
+  const auto& names = settings.axis_names;
+  if (names[0].empty() && names[1].empty()) {
+    throw std::invalid_argument("Zaber stage: no axis is named; required is the name of X, Z or both");
+  }
+  if (names[0] == names[1]) {
+    throw std::invalid_argument(
+        fmt::format("Zaber stage: X and Z are both axis \"{}\"; two different axes are required", names[0]));
+  }
+  for (const std::string& name : names) {
+    if (!name.empty() && !parse_axis_name(name)) {
+      throw std::invalid_argument(
+          fmt::format("Zaber stage: axis name \"{}\"; required is \"DEVICE AXIS\" (\"1 2\"), or one number",
+                      printable(name)));
+    }
+  }
+  for (const auto& speed : settings.speed_deg_per_s) {
+    if (speed && !(std::isfinite(*speed) && *speed > 0.0)) {
+      throw std::invalid_argument(
+          fmt::format("Zaber stage: speed {} deg/s; required is a positive number", *speed));
+    }
+  }
+  if (settings.address.empty()) return;
+  const auto device = number_between(settings.address, 1, 99);
+  if (!device) {
+    throw std::invalid_argument(
+        fmt::format("Zaber stage: address \"{}\"; required is a device number from 1 to 99, or nothing",
+                    printable(settings.address)));
+  }
+  for (const std::string& name : names) {
+    if (name.empty()) continue;
+    const AxisName axis = *parse_axis_name(name);
+    if (axis.device && *axis.device != *device) {
+      throw std::invalid_argument(fmt::format(
+          "Zaber stage: axis \"{}\" is on device {}, but the address is {}", name, *axis.device, *device));
+    }
+  }
+}
+
+/// Numbers, each separated by one blank.
+std::optional<double> first_number(std::string_view data) {
+  return parse_number(data.substr(0, data.find(' ')));
+}
+
+std::optional<std::string> any_text(std::string_view data) {
+  return std::string(data);
+}
+
+}  // namespace
+
+// A reply is known by its device, its axis and its message id, which runs through 0 to 99: a late one bears
+// an id that nobody waits for any more, and is skipped.
+struct ZaberAsciiStage::Impl {
+  Impl(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
+      : stream_(std::move(stream)),
+        clock_(clock),
+        settings_(settings),
+        who_("Zaber stage on " + stream_->name()) {}
+
+  // ---- Errors
+
+  InstrumentError failure(Fault fault, std::string_view detail) const { return {who_, fault, detail}; }
+
+  InstrumentError rejection(const Message& reply, std::string_view command) const {
+    const std::string reason = reply.data.substr(0, reply.data.find(' '));
+    return failure(Fault::kRefused, fmt::format("rejected, {} ({}), \"{}\" to device {} axis {}", reason,
+                                                rejection_text(reason), command, reply.device, reply.axis));
+  }
+
+  InstrumentError flagged(Fault fault, std::string_view flag, Place place, std::string_view hint) const {
+    return failure(
+        fault, fmt::format("axis {} of device {} has the warning flag {} ({}){}{}", place.axis, place.device,
+                           flag, warning_text(flag), hint.empty() ? "" : "; ", hint));
+  }
+
+  // ---- Bytes
+
+  void send(std::string_view bytes) {
+    const std::lock_guard lock(send_mutex_);
+    if (halts_under_way_ > 0 && !in_halt_) {
+      throw failure(Fault::kNotReady, "the stage is being halted; nothing else is sent to it meanwhile");
+    }
+    stream_->write(bytes);
+  }
+
+  /// Without an id: nobody waits for what comes back, and skips it.
+  void send_stop() { stream_->write(command_line("0 0 stop")); }
+
+  Clock::Instant deadline_after(Clock::Duration patience) const {
+    return std::min(clock_.now() + patience, no_later_than_);
+  }
+
+  /// The next line, with its end; nothing if there is no whole one by the deadline (what came stays in
+  /// received_).
+  std::optional<std::string> take_line(Clock::Instant deadline) {
+    for (;;) {
+      const wire::FrameVerdict verdict = check_line(received_);
+      if (verdict.check == wire::FrameCheck::kInvalid) return std::exchange(received_, {});
+      if (verdict.check == wire::FrameCheck::kComplete) {
+        std::string line = received_.substr(0, verdict.length);
+        received_.erase(0, verdict.length);
+        return line;
+      }
+      const bool last_look = clock_.now() >= deadline;  // A stream that never pauses must not hold us.
+      const wire::ReceivedBytes more = stream_->read_until(deadline);
+      received_ += more.bytes;
+      if (more.bytes.empty() || (last_look && check_line(received_).check == wire::FrameCheck::kNeedMore))
+        return std::nullopt;
+    }
+  }
+
+  /// What came while a reply was waited for, other than that reply.
+  struct Heard {
+    std::string bytes;
+    bool messages = false;  ///< Some of it was a message.
+
+    void add(std::string_view more) {
+      if (bytes.size() < 2 * kLongestLine) bytes += more;
+    }
+  };
+
+  int next_id() { return id_ = (id_ + 1) % kMessageIds; }
+
+  /// The reply to message `id` from this place; nothing at the deadline. Alerts, info and replies to other
+  /// messages are skipped.
+  std::optional<Message> take_reply(Place place, int id, Clock::Instant deadline, Heard& heard) {
+    while (const auto line = take_line(deadline)) {
+      auto message = find_message(*line, checksums_);
+      if (message && message->kind == MessageKind::kReply && message->id == id &&
+          message->device == place.device && message->axis == place.axis && !message->continues) {
+        return message;
+      }
+      if (message) heard.messages = true;
+      heard.add(*line);
+    }
+    return std::nullopt;
+  }
+
+  std::string what_was_heard(const Heard& heard) const {
+    const std::string all = heard.bytes + received_;
+    return all.empty() ? "nothing arrived" : fmt::format("what arrived was \"{}\"", printable(all));
+  }
+
+  /// Sends a command once, or a query at most twice, and returns its reply, accepted or rejected.
+  Message exchange(Place place, std::string_view data, bool is_query) {
+    Heard heard;
+    for (int attempt = 1; attempt <= (is_query ? 2 : 1); ++attempt) {
+      const int id = next_id();
+      send(command(place.device, place.axis, id, data));
+      if (auto reply = take_reply(place, id, deadline_after(kReplyDeadline), heard)) return *std::move(reply);
+    }
+    const Fault fault = heard.bytes.empty() && received_.empty() ? Fault::kNoReply
+                        : heard.messages                         ? Fault::kNoReply
+                                                                 : Fault::kBadFrame;
+    throw failure(fault, fmt::format("no answer to \"{}\" of device {} axis {} within {} s{}; {}",
+                                     data.empty() ? "status" : data, place.device, place.axis,
+                                     to_seconds(kReplyDeadline),
+                                     is_query ? ", asked twice" : ": whether it was accepted is not known",
+                                     what_was_heard(heard)));
+  }
+
+  /// What the device must know.
+  template <class Parse>
+  auto require(Place place, std::string_view query, Parse parse) {
+    const Message reply = exchange(place, query, true);
+    if (!reply.accepted) throw rejection(reply, query);
+    auto value = parse(reply.data);
+    if (!value) {
+      throw failure(Fault::kBadFrame,
+                    fmt::format("\"{}\" is no answer to \"{}\"", printable(reply.data), query));
+    }
+    return *std::move(value);
+  }
+
+  /// What it need not know: nothing if it rejects the query.
+  template <class Parse>
+  auto ask_optional(Place place, std::string_view query, Parse parse) {
+    using T = typename std::invoke_result_t<Parse, std::string_view>::value_type;
+    const Message reply = exchange(place, query, true);
+    return reply.accepted ? parse(reply.data) : std::optional<T>();
+  }
+
+  Message execute(Place place, std::string_view text) {
+    Message reply = exchange(place, text, false);
+    if (!reply.accepted) throw rejection(reply, text);
+    return reply;
+  }
+
+  // ---- Who is there
+
+  struct Device {
+    int axes = 0;
+  };
+
+  /// The axis counts that come back to one question to all devices (or to the one of the bench file).
+  std::map<int, Device> ask_who_is_there(int device, Heard& heard) {
+    std::map<int, Device> found;
+    const int id = next_id();
+    stream_->discard_input();
+    received_.clear();
+    send(command(device, 0, id, "get system.axiscount"));
+    const Clock::Instant last = deadline_after(kReplyDeadline);
+    Clock::Instant deadline = last;
+    while (const auto line = take_line(deadline)) {
+      const auto message = find_message(*line, checksums_);
+      if (!message || message->kind != MessageKind::kReply || message->id != id) {
+        if (message) heard.messages = true;
+        heard.add(*line);
+        continue;
+      }
+      some_checksums_ = some_checksums_ || message->has_checksum;
+      // A device too old for the question has one axis [M].
+      const double count = message->accepted ? parse_number(message->data).value_or(0.0) : 1.0;
+      if (!(count >= 1.0 && count <= 9.0)) {
+        heard.add(*line);
+        continue;
+      }
+      found[message->device].axes = static_cast<int>(count);
+      deadline = std::min(last, clock_.now() + kQuiet);
+    }
+    return found;
+  }
+
+  /// Whether replies to commands with a checksum have one [M] is seen here; from then on one without is
+  /// damaged. Asked twice: a damaged line must neither hide a device nor its checksum.
+  std::map<int, Device> who_is_there(int device) {
+    checksums_ = some_checksums_ = false;
+    Heard heard;
+    std::map<int, Device> found = ask_who_is_there(device, heard);
+    checksums_ = some_checksums_;
+    for (const auto& [number, more] : ask_who_is_there(device, heard)) found[number] = more;
+    checksums_ = some_checksums_;
+    if (!found.empty()) return found;
+    if (heard.bytes.empty() && received_.empty()) {
+      throw failure(
+          Fault::kNoReply,
+          fmt::format("no answer to \"get system.axiscount\" within {} s, asked twice; is the device "
+                      "on, its number right, set to ASCII and to the baud rate of the bench file "
+                      "(115200; old A series 9600)?",
+                      to_seconds(kReplyDeadline)));
+    }
+    throw failure(heard.messages ? Fault::kNoReply : Fault::kWrongIdentity,
+                  fmt::format("no Zaber device answers \"get system.axiscount\"; {}: another instrument, or "
+                              "another baud rate?",
+                              what_was_heard(heard)));
+  }
+
+  static std::string list(const std::map<int, Device>& devices) {
+    std::vector<std::string> names;
+    for (const auto& [number, device] : devices)
+      for (int axis = 1; axis <= device.axes; ++axis) names.push_back(fmt::format("\"{} {}\"", number, axis));
+    return fmt::format("{}", fmt::join(names, ", "));
+  }
+
+  Place resolve(StageAxis axis, const std::map<int, Device>& devices) const {
+    const std::string& text = settings_.axis_names[index(axis)];
+    const AxisName name = *parse_axis_name(text);
+    Place place;
+    if (name.device) {
+      place = {*name.device, name.number};
+    } else if (!settings_.address.empty() || devices.size() == 1) {
+      place = {devices.begin()->first, name.number};
+      // The only device that is there, by its own number.
+      if (settings_.address.empty() && devices.begin()->second.axes == 1 && name.number == place.device)
+        place.axis = 1;
+    } else {
+      const auto device = devices.find(name.number);
+      if (device != devices.end() && device->second.axes > 1) {
+        throw failure(Fault::kWrongIdentity,
+                      fmt::format("axis \"{}\" (for {}) can be meant in two ways, as device {} has {} axes; "
+                                  "name it in full, one of {}",
+                                  text, to_string(axis), name.number, device->second.axes, list(devices)));
+      }
+      place = {name.number, 1};
+    }
+    const auto device = devices.find(place.device);
+    if (device == devices.end() || place.axis > device->second.axes) {
+      throw failure(Fault::kWrongIdentity, fmt::format("there is no axis \"{}\" (for {}); there are {}", text,
+                                                       to_string(axis), list(devices)));
+    }
+    return place;
+  }
+
+  /// Once, before anything else is asked: where our axes are, and that they rotate.
+  void ensure_known() {
+    if (known_) return;
+    const int address = settings_.address.empty() ? 0 : *number_between(settings_.address, 1, 99);
+    const std::map<int, Device> devices = who_is_there(address);
+    for (const StageAxis axis : kStageAxes) {
+      if (settings_.axis_names[index(axis)].empty()) continue;
+      const Place place = resolve(axis, devices);
+      const auto steps = ask_optional(place, "get limit.cycle.dist", first_number);
+      if (!steps || !(*steps > 0.0)) {
+        throw failure(
+            Fault::kWrongIdentity,
+            fmt::format("axis {} of device {} (for {}) has no limit.cycle.dist, so it does not rotate",
+                        place.axis, place.device, to_string(axis)));
+      }
+      places_[index(axis)] = place;
+      steps_per_turn_[index(axis)] = *steps;
+    }
+    if (!settings_.axis_names[0].empty() && !settings_.axis_names[1].empty() &&
+        places_[0].device == places_[1].device && places_[0].axis == places_[1].axis) {
+      throw failure(Fault::kWrongIdentity,
+                    fmt::format("X and Z are both axis {} of device {}", places_[0].axis, places_[0].device));
+    }
+    known_ = true;
+  }
+
+  void require_on_this_line(StageAxis axis) const {
+    if (settings_.axis_names[index(axis)].empty())
+      throw failure(Fault::kNotReady, fmt::format("axis {} is not on this line", to_string(axis)));
+  }
+
+  Place place_of(StageAxis axis) {
+    require_on_this_line(axis);
+    ensure_known();
+    return places_[index(axis)];
+  }
+
+  Angle to_angle(StageAxis axis, double steps) const {
+    return Angle::degrees(steps * 360.0 / steps_per_turn_[index(axis)]);
+  }
+  double to_steps(StageAxis axis, double degrees) const {
+    return degrees * steps_per_turn_[index(axis)] / 360.0;
+  }
+
+  // ---- Warning flags
+
+  std::vector<std::string> warnings(Place place) { return require(place, "warnings", parse_warnings); }
+
+  static bool has(const std::vector<std::string>& flags, std::string_view flag) {
+    return std::find(flags.begin(), flags.end(), flag) != flags.end();
+  }
+
+  static std::optional<std::string> first_fault(const std::vector<std::string>& flags) {
+    const auto fault =
+        std::find_if(flags.begin(), flags.end(), [](const std::string& f) { return is_fault(f); });
+    return fault == flags.end() ? std::nullopt : std::optional(*fault);
+  }
+
+  /// A driver that is disabled shows as FD, as does one that is too hot: the device knows which.
+  void enable_if_off(StageAxis axis, Place place) {
+    if (enabled_[index(axis)]) return;
+    if (has(warnings(place), "FD")) execute(place, "driver enable");
+    enabled_[index(axis)] = true;
+  }
+
+  // ---- The calls
+
+  StageAxisInfo axis_info(StageAxis axis) {
+    const Place place = place_of(axis);
+    StageAxisInfo info;
+    const auto peripheral = ask_optional(place, "get peripheralid", first_number);
+    if (peripheral && *peripheral > 0.0) info.stage_name = fmt::format("peripheral {:.0f}", *peripheral);
+    info.travel_min = to_angle(axis, require(place, "get limit.min", first_number));
+    info.travel_max = to_angle(axis, require(place, "get limit.max", first_number));
+    info.resolution = to_angle(axis, 1.0);
+    const double speed = require(place, "get maxspeed", first_number) / kSpeedFactor;
+    info.speed_deg_per_s = settings_.speed_deg_per_s[index(axis)].value_or(to_angle(axis, speed).deg());
+    // After a fault the position is not to be trusted either (a stall loses steps): home again.
+    const auto flags = warnings(place);
+    info.referenced = !has(flags, "WR") && !has(flags, "WH") && !first_fault(flags);
+    return info;
+  }
+
+  StageInfo identify() {
+    known_ = false;  // Devices that were swapped or switched off and on since are noticed.
+    enabled_ = {};
+    speed_set_ = {};
+    ensure_known();
+    StageInfo info;
+    info.maker = "Zaber";
+    std::vector<int> told;
+    const auto add = [](std::string& text, const std::string& more) {
+      if (more.empty()) return;
+      text += (text.empty() ? "" : "/") + more;
+    };
+    for (const StageAxis axis : kStageAxes) {
+      if (settings_.axis_names[index(axis)].empty()) continue;
+      const int device = places_[index(axis)].device;
+      if (std::find(told.begin(), told.end(), device) == told.end()) {
+        told.push_back(device);
+        const Place whole{device, 0};
+        const std::string id = require(whole, "get deviceid", any_text);
+        add(info.model, id == "50009" ? "X-RSW60A-E03" : "device id " + id);
+        add(info.serial_number, ask_optional(whole, "get system.serial", any_text).value_or(""));
+        add(info.firmware, ask_optional(whole, "get version", any_text).value_or(""));
+      }
+      info.axes[index(axis)] = axis_info(axis);
+    }
+    who_ = fmt::format("stage Zaber {}", info.model);
+    if (!info.serial_number.empty()) who_ += " (SN " + info.serial_number + ")";
+    return info;
+  }
+
+  /// The device keeps its speed when it is switched off: written only where it is another one.
+  void apply_speed(StageAxis axis, Place place) {
+    const auto& speed = settings_.speed_deg_per_s[index(axis)];
+    if (!speed || speed_set_[index(axis)]) return;
+    const double wanted = std::round(to_steps(axis, *speed) * kSpeedFactor);
+    if (require(place, "get maxspeed", first_number) != wanted)
+      execute(place, fmt::format("set maxspeed {:.0f}", wanted));
+    speed_set_[index(axis)] = true;
+  }
+
+  void home(StageAxis axis) {
+    const Place place = place_of(axis);
+    halted_[index(axis)] = false;
+    enabled_[index(axis)] = false;
+    enable_if_off(axis, place);
+    execute(place, "warnings clear");
+    apply_speed(axis, place);
+    execute(place, "home");
+  }
+
+  void move_to(StageAxis axis, Angle target) {
+    require_on_this_line(axis);
+    if (!std::isfinite(target.deg())) {
+      throw failure(Fault::kOutOfTravel, fmt::format("target {} of axis \"{}\" is not a number", target.deg(),
+                                                     settings_.axis_names[index(axis)]));
+    }
+    const Place place = place_of(axis);
+    const double steps = std::round(to_steps(axis, target.deg()));
+    const double least = require(place, "get limit.min", first_number);
+    const double most = require(place, "get limit.max", first_number);
+    if (!(steps >= least && steps <= most)) {
+      throw failure(
+          Fault::kOutOfTravel,
+          fmt::format("axis {} of device {} to {:.6f} deg; its limits are {:.6f} to {:.6f} deg", place.axis,
+                      place.device, target.deg(), to_angle(axis, least).deg(), to_angle(axis, most).deg()));
+    }
+    enable_if_off(axis, place);
+    const auto flags = warnings(place);
+    if (const auto fault = first_fault(flags)) {
+      enabled_[index(axis)] = false;
+      throw flagged(Fault::kRefused, *fault, place, "home it, or clear its warnings once the cause is known");
+    }
+    for (const std::string_view flag : {"WR", "WH"})
+      if (has(flags, flag)) throw flagged(Fault::kNotReady, flag, place, "home it");
+    // What shows after the move then belongs to the move.
+    if (!flags.empty()) execute(place, "warnings clear");
+    apply_speed(axis, place);
+    halted_[index(axis)] = false;
+    const Message reply = execute(place, fmt::format("move abs {:.0f}", steps));
+    if (is_fault(reply.warning)) throw flagged(Fault::kRefused, reply.warning, place, "");
+  }
+
+  MotionState motion_state(StageAxis axis) {
+    const Place place = place_of(axis);
+    const Message status = exchange(place, "", true);
+    if (!status.accepted) throw rejection(status, "status");
+    if (is_fault(status.warning)) {
+      enabled_[index(axis)] = false;
+      throw flagged(Fault::kRefused, status.warning, place, "the axis has stopped");
+    }
+    if (status.busy) return MotionState::kMoving;
+    if (status.warning == "--" || halted_[index(axis)]) return MotionState::kStopped;
+    const auto flags = warnings(place);
+    if (const auto fault = first_fault(flags))
+      throw flagged(Fault::kRefused, *fault, place, "the axis has stopped");
+    for (const std::string_view flag : {"WL", "WM", "NC", "NI"})
+      if (has(flags, flag)) throw flagged(Fault::kRefused, flag, place, "it is not where it was sent");
+    return MotionState::kStopped;
+  }
+
+  Angle encoder_angle(StageAxis axis) {
+    const Place place = place_of(axis);
+    const Message reply = exchange(place, "get pos", true);
+    if (!reply.accepted) throw rejection(reply, "get pos");
+    if (is_fault(reply.warning)) throw flagged(Fault::kRefused, reply.warning, place, "");
+    const auto steps = first_number(reply.data);
+    if (!steps)
+      throw failure(Fault::kBadFrame,
+                    fmt::format("\"{}\" is no answer to \"get pos\"", printable(reply.data)));
+    return to_angle(axis, *steps);
+  }
+
+  // ---- Halt
+
+  bool has_stopped() {
+    ensure_known();
+    return std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
+      if (settings_.axis_names[index(axis)].empty()) return true;
+      const Message status = exchange(places_[index(axis)], "", true);
+      return status.accepted && !status.busy;
+    });
+  }
+
+  bool halt() {
+    struct UnderWay {
+      explicit UnderWay(Impl& impl) : impl_(impl) {}
+      ~UnderWay() {
+        const std::lock_guard lock(impl_.send_mutex_);
+        --impl_.halts_under_way_;
+      }
+      UnderWay(const UnderWay&) = delete;
+      UnderWay& operator=(const UnderWay&) = delete;
+      Impl& impl_;
+    };
+    std::unique_lock send_lock(send_mutex_);  // Held by others during one write only.
+    ++halts_under_way_;                       // From here on the owner sends nothing.
+    const Clock::Instant started = clock_.now();
+    bool lost = false;
+    try {
+      send_stop();
+    } catch (const InstrumentError& error) {
+      lost = error.fault() == Fault::kLinkLost;
+    }
+    send_lock.unlock();
+    const UnderWay under_way(*this);
+    if (lost) return false;
+    if (!exchange_mutex_.try_lock_for(kHaltWaitsForExchange)) return false;
+    const std::lock_guard exchange_lock(exchange_mutex_, std::adopt_lock);
+    return acknowledged(started + kHaltDeadline);
+  }
+
+  /// Stops again (a move sent just before the first stop may have been taken up after it), and asks, until
+  /// the deadline.
+  /// @pre The exchange mutex is held.
+  bool acknowledged(Clock::Instant deadline) {
+    struct InHalt {
+      InHalt(Impl& impl, Clock::Instant until) : impl_(impl) { set(true, until); }
+      ~InHalt() { set(false, Clock::Instant::max()); }
+      InHalt(const InHalt&) = delete;
+      InHalt& operator=(const InHalt&) = delete;
+      void set(bool on, Clock::Instant until) {
+        impl_.in_halt_ = on;
+        impl_.no_later_than_ = until;
+      }
+      Impl& impl_;
+    };
+    const InHalt in_halt(*this, deadline);
+    halted_ = {true, true};
+    while (clock_.now() < deadline) {
+      try {
+        {
+          const std::lock_guard lock(send_mutex_);
+          send_stop();
+        }
+        if (has_stopped()) return true;
+      } catch (const InstrumentError& error) {
+        if (error.fault() == Fault::kLinkLost) return false;
+      }
+      clock_.sleep_until(std::min(clock_.now() + kHaltRetryInterval, deadline));
+    }
+    return false;
+  }
+
+  const std::unique_ptr<wire::ByteStream> stream_;
+  Clock& clock_;
+  const StageSettings settings_;
+
+  wire::TimedLock
+      exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
+  std::string who_;
+  std::string received_;
+  int id_ = 0;
+  bool checksums_ = false;  ///< Replies have one; those without are damaged.
+  bool some_checksums_ = false;
+  bool known_ = false;
+  std::array<Place, 2> places_{};
+  std::array<double, 2> steps_per_turn_{};
+  std::array<bool, 2> enabled_{};
+  std::array<bool, 2> speed_set_{};
+  std::array<bool, 2> halted_{};  ///< By us: that its motion was interrupted is then no surprise.
+  bool in_halt_ = false;          ///< The exchange mutex is held by halt().
+  Clock::Instant no_later_than_ = Clock::Instant::max();
+
+  std::mutex send_mutex_;  ///< Held for one write; taken after the exchange mutex where both are.
+  int halts_under_way_ = 0;
+};
+
+ZaberAsciiStage::ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
+                                 const StageSettings& settings) {
+  if (stream == nullptr) throw std::invalid_argument("Zaber stage: no stream");
+  check_settings(settings);
+  impl_ = std::make_unique<Impl>(std::move(stream), clock, settings);
+}
+
+ZaberAsciiStage::~ZaberAsciiStage() = default;
+
+StageInfo ZaberAsciiStage::identify() {
+  const std::lock_guard lock(impl_->exchange_mutex_);
+  return impl_->identify();
+}
+
+void ZaberAsciiStage::home(StageAxis axis) {
+  const std::lock_guard lock(impl_->exchange_mutex_);
+  impl_->home(axis);
+}
+
+void ZaberAsciiStage::move_to(StageAxis axis, Angle target) {
+  const std::lock_guard lock(impl_->exchange_mutex_);
+  impl_->move_to(axis, target);
+}
+
+MotionState ZaberAsciiStage::motion_state(StageAxis axis) {
+  const std::lock_guard lock(impl_->exchange_mutex_);
+  return impl_->motion_state(axis);
+}
+
+Angle ZaberAsciiStage::encoder_angle(StageAxis axis) {
+  const std::lock_guard lock(impl_->exchange_mutex_);
+  return impl_->encoder_angle(axis);
+}
+
+bool ZaberAsciiStage::halt() noexcept {
+  try {
+    return impl_->halt();
+  } catch (...) {  // Of a mutex, or memory: not acknowledged.
+    return false;
+  }
+}
+
+}  // namespace abcal::zaber_ascii
