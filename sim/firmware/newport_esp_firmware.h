@@ -1,0 +1,52 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+struct NewportEspSettings {
+  /// The controller's numbers of X and Z, "1" to "6"; empty: that axis is not on this controller.
+  std::array<std::string, 2> axis_names{"1", "2"};
+  /// controller angle = zero + sign * protocol angle, once the axis has been homed
+  std::array<int, 2> sign{+1, +1};
+  std::array<Angle, 2> zero{};
+  std::string version = "ESP301 Version 3.0.1 6/1/99";
+  std::array<std::string, 2> stage_ids{"URS100BCC, SN12345", "URS100BCC, SN12346"};
+  unsigned axes = 3;                   ///< Of the controller; 6 for an ESP302. Those with no stage say so.
+  double max_speed_deg_per_s = 720.0;  ///< VU?
+  double max_acceleration_deg_per_s2 = 1e5;  ///< AU?
+  std::string line_end = "\r\n";             ///< Some units and emulators end replies with CR alone.
+  bool unsolicited_errors = false;           ///< Says "E37" and the like at once, for errors 35 to 42.
+  Clock::Duration silence_after_limit = std::chrono::seconds(3);  ///< 2 to 5 s are seen.
+  Clock::Duration reply_delay = std::chrono::milliseconds(1);
+};
+
+/// A Newport ESP300, ESP301 or ESP302 motion controller (instruments.md A.1), turning the axes of a SimBench.
+/// Accepts what host programs send in their differing styles: any case, "01PA5.0", "1PA5", "1 PA 5.0",
+/// several commands joined by ';', CR or CR LF.
+///
+/// Its encoders are incremental: wherever an axis is when the controller is switched on, it reads 0 until it
+/// is homed (OR). The home switch lies at the controller's zero. The controller does not say whether an axis
+/// was homed.
+class NewportEspFirmware final : public Firmware {
+ public:
+  /// @throws std::invalid_argument if a sign or the name of an axis cannot be.
+  explicit NewportEspFirmware(std::shared_ptr<SimBench> bench, NewportEspSettings settings = {});
+  ~NewportEspFirmware() override;
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+
+ private:
+  class Controller;
+  std::unique_ptr<Controller> controller_;
+};
+
+}  // namespace abcal::sim

@@ -1,0 +1,57 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+/// Whose commands, replies and errors.
+enum class ScpiFamily {
+  kKeysight34970a,  ///< Scanning: 34970A, 34972A, DAQ970A.
+  kKeysight34401a,  ///< One channel: 34401A, 34465A.
+  kKeithley2700,    ///< Scanning: 2700; 2001 with channels 1, 2, 3.
+};
+
+struct ScpiVoltmeterSettings {
+  ScpiFamily family = ScpiFamily::kKeysight34970a;
+  std::string identity;  ///< Reply to *IDN?; empty: that of the family, with `serial_number`.
+  std::string serial_number = "MY44012345";
+  std::array<int, 3> channels{101, 102, 103};  ///< Where u, v, w of the SimBench are wired.
+  std::size_t single_channel = 0;              ///< The one that a 34401A is wired to: 0 u, 1 v, 2 w.
+  double line_frequency_hz = 50.0;
+  bool accepts_second_auto = true;  ///< "CONF:VOLT:DC AUTO,AUTO,(@...)": not every model may [M].
+  bool needs_remote = false;        ///< Refuses measurements before SYST:REM, as a 34401A on a serial line.
+  Clock::Duration channel_overhead =
+      std::chrono::milliseconds(4);  ///< Switching and settling of one channel.
+  Clock::Duration reply_delay = std::chrono::microseconds(500);
+};
+
+/// A SCPI voltmeter (instruments.md B.4) that measures the outputs of a SimBench, whose response unit R is
+/// then volt.
+///
+/// A measurement lasts as long as the integration of each channel (number of power line cycles, twice with
+/// automatic zero) and its switching; each channel is measured at its own time. Commands that come meanwhile
+/// wait, except those after INIT, which runs in the background. Short and long forms, any case, several
+/// commands joined by ';'.
+class ScpiVoltmeterFirmware final : public Firmware {
+ public:
+  /// @throws std::invalid_argument if a setting cannot be.
+  explicit ScpiVoltmeterFirmware(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings = {});
+  ~ScpiVoltmeterFirmware() override;
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+
+ private:
+  class Meter;
+  std::unique_ptr<Meter> meter_;
+};
+
+}  // namespace abcal::sim
