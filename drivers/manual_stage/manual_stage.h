@@ -52,7 +52,8 @@ class ManualStage final : public RotationStage {
   /// The angle typed, or the one confirmed. @throws InstrumentError kNotReady before home().
   Angle encoder_angle(StageAxis axis) override;
 
-  /// @return false: a person has no halt. A question that is open ends with an error.
+  /// @return false: a person has no halt. A question that is open ends with an error, and so does every
+  /// other one before the next identify().
   bool halt() noexcept override;
 
  private:
@@ -66,7 +67,6 @@ class ManualStage final : public RotationStage {
   std::function<void()> wake_;
   std::array<std::optional<Angle>, 2> at_;  ///< Nothing: not known.
   std::array<bool, 2> referenced_{};
-  std::atomic<bool> asking_ = false;
   std::atomic<bool> halted_ = false;
 };
 
