@@ -4,6 +4,8 @@
 
 #include "drivers/microstrain_mip/accelerometer.h"
 #include "drivers/pi_gcs/stage.h"
+#include "drivers/vectornav/accelerometer.h"
+#include "drivers/xsens_mti/accelerometer.h"
 
 namespace abcal {
 namespace {
@@ -31,6 +33,14 @@ const std::vector<AccelerometerDriver>& accelerometer_drivers() {
        "MicroStrain 3DM, CV, CX, GX and GV sensors that speak MIP, output in g",
        {115200, false},
        make<MipAccelerometer, Accelerometer, AccelerometerSettings>},
+      {"vectornav",
+       "VectorNav VN-100, VN-200, VN-300 and their like, output in m/s2",
+       {115200, false},
+       make<VectorNavAccelerometer, Accelerometer, AccelerometerSettings>},
+      {"xsens_mti",
+       "Xsens (Movella) MTi sensors that speak Xbus with MTData2, output in m/s2",
+       {115200, false},
+       make<XsensMtiAccelerometer, Accelerometer, AccelerometerSettings>},
   };
   return drivers;
 }

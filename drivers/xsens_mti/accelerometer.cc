@@ -378,7 +378,8 @@ void XsensMtiAccelerometer::take_message(const xbus::Message& message) {
 }
 
 void XsensMtiAccelerometer::take_data(const xbus::Message& message) {
-  std::optional<Eigen::Vector3d> acceleration;
+  Reading reading;
+  bool has_output = false;
   std::optional<std::uint16_t> packet_counter;
   std::optional<std::uint32_t> sample_time;
   std::optional<std::uint32_t> status_word;
@@ -392,7 +393,12 @@ void XsensMtiAccelerometer::take_data(const xbus::Message& message) {
   for (const xbus::Item& item : items.value_or(std::vector<xbus::Item>())) {
     switch (xbus::kind_of(item.id)) {
       case xbus::kAcceleration:
-        keep(acceleration, xbus::decode_acceleration(item));
+        if (const auto acceleration = xbus::decode_acceleration(item)) {
+          reading.output = *acceleration;
+          has_output = true;
+        } else {
+          sound = false;
+        }
         break;
       case xbus::kPacketCounter:
         keep(packet_counter, xbus::decode_u16(item.data));
@@ -429,7 +435,7 @@ void XsensMtiAccelerometer::take_data(const xbus::Message& message) {
     }
     last_packet_counter_ = packet_counter;
   }
-  if (!acceleration) return;  // Counted, and no reading.
+  if (!has_output) return;  // Counted, and no reading.
 
   std::uint64_t steps = 1 + std::exchange(lost_packets_, 0);
   const std::uint64_t unframed = unframed_bytes();
@@ -441,8 +447,6 @@ void XsensMtiAccelerometer::take_data(const xbus::Message& message) {
   }
   last_reading_bytes_ = message.data.size() + kFrameBytes;
 
-  Reading reading;
-  reading.output = *acceleration;
   reading.arrival = last_arrival_;
   if (last_arrival_ - temperature_arrival_ <= kTemperatureHold) reading.temperature_degc = temperature_degc_;
   reading.over_range = status_word && xbus::accelerometer_clipped(*status_word);
