@@ -50,17 +50,21 @@ HWY_INLINE VU times(DU du, VU v, std::uint32_t factor) {
 #endif
 }
 
-/// Ten rounds on counters held one in each 64-bit lane. Only the low 32 bits of a lane count: the
-/// multiplication ignores the high ones, so what gathers there never needs clearing.
-template <class DU, class VU = hn::Vec<DU>>
-HWY_INLINE void philox(DU du, const PhiloxKeys& keys, VU& c0, VU& c1, VU& c2, VU& c3) {
+/// Ten rounds on K counters held one in each 64-bit lane. Only the low 32 bits of a lane count: the
+/// multiplication ignores the high ones, so what gathers there never needs clearing. The K counters go side
+/// by side because each waits for its own multiplications.
+template <int K, class DU, class VU = hn::Vec<DU>>
+HWY_INLINE void philox(DU du, const PhiloxKeys& keys, VU (&c0)[K], VU (&c1)[K], VU (&c2)[K], VU (&c3)[K]) {
   for (int round = 0; round < 10; ++round) {
-    const VU p0 = times(du, c0, 0xD2511F53U);
-    const VU p1 = times(du, c2, 0xCD9E8D57U);
-    c0 = hn::Xor(hn::Xor(hn::ShiftRight<32>(p1), c1), hn::Set(du, keys.first[round]));
-    c2 = hn::Xor(hn::Xor(hn::ShiftRight<32>(p0), c3), hn::Set(du, keys.second[round]));
-    c1 = p1;
-    c3 = p0;
+    const VU key0 = hn::Set(du, keys.first[round]), key1 = hn::Set(du, keys.second[round]);
+    for (int k = 0; k < K; ++k) {
+      const VU p0 = times(du, c0[k], 0xD2511F53U);
+      const VU p1 = times(du, c2[k], 0xCD9E8D57U);
+      c0[k] = hn::Xor(hn::Xor(hn::ShiftRight<32>(p1), c1[k]), key0);
+      c2[k] = hn::Xor(hn::Xor(hn::ShiftRight<32>(p0), c3[k]), key1);
+      c1[k] = p1;
+      c3[k] = p0;
+    }
   }
 }
 
@@ -130,18 +134,23 @@ HWY_INLINE V angle_of(D d, V y, V x) {
   return hn::Mul(hn::Set(d, 8.0), series);
 }
 
-/// The two 64-bit numbers of each lane's counter.
-template <class DU, class VU = hn::Vec<DU>>
+/// The two 64-bit numbers of each lane's counters `pair`, `pair` + 1 ...
+template <int K, class DU, class VU = hn::Vec<DU>>
 HWY_INLINE void philox_words(DU du, const PhiloxKeys& keys, VU trial, std::uint32_t pair,
-                             std::uint32_t purpose, VU& a, VU& b) {
-  VU c0 = trial;
-  VU c1 = hn::ShiftRight<32>(trial);
-  VU c2 = hn::Set(du, std::uint64_t{pair});
-  VU c3 = hn::Set(du, std::uint64_t{purpose});
-  philox(du, keys, c0, c1, c2, c3);
+                             std::uint32_t purpose, VU (&a)[K], VU (&b)[K]) {
+  VU c0[K], c1[K], c2[K], c3[K];
+  for (int k = 0; k < K; ++k) {
+    c0[k] = trial;
+    c1[k] = hn::ShiftRight<32>(trial);
+    c2[k] = hn::Set(du, std::uint64_t{pair} + static_cast<std::uint64_t>(k));
+    c3[k] = hn::Set(du, std::uint64_t{purpose});
+  }
+  philox<K>(du, keys, c0, c1, c2, c3);
   const VU low = hn::Set(du, std::uint64_t{0xFFFFFFFFU});
-  a = hn::Or(hn::And(c0, low), hn::ShiftLeft<32>(c1));
-  b = hn::Or(hn::And(c2, low), hn::ShiftLeft<32>(c3));
+  for (int k = 0; k < K; ++k) {
+    a[k] = hn::Or(hn::And(c0[k], low), hn::ShiftLeft<32>(c1[k]));
+    b[k] = hn::Or(hn::And(c2[k], low), hn::ShiftLeft<32>(c3[k]));
+  }
 }
 
 /// One pair of standard normals for each lane from its two 64-bit numbers (Box & Muller 1958).
@@ -164,14 +173,24 @@ HWY_INLINE void normals_of_words(D d, VU a, VU b, V& first, V& second) {
   second = hn::Mul(radius, hn::IfThenElse(swap, cos_t, sin_t));
 }
 
+/// K pairs of standard normals for each lane's trial.
+template <int K, class D, class VU, class V = hn::Vec<D>>
+HWY_INLINE void normal_pairs(D d, const PhiloxKeys& keys, VU trial, std::uint32_t pair, std::uint32_t purpose,
+                             V (&first)[K], V (&second)[K]) {
+  const hn::RebindToUnsigned<D> du;
+  VU a[K], b[K];
+  philox_words<K>(du, keys, trial, pair, purpose, a, b);
+  for (int k = 0; k < K; ++k) normals_of_words(d, a[k], b[k], first[k], second[k]);
+}
+
 /// One pair of standard normals for each lane's trial.
 template <class D, class VU, class V = hn::Vec<D>>
 HWY_INLINE void normal_pair(D d, const PhiloxKeys& keys, VU trial, std::uint32_t pair, std::uint32_t purpose,
                             V& first, V& second) {
-  const hn::RebindToUnsigned<D> du;
-  VU a, b;
-  philox_words(du, keys, trial, pair, purpose, a, b);
-  normals_of_words(d, a, b, first, second);
+  V one[1], two[1];
+  normal_pairs<1>(d, keys, trial, pair, purpose, one, two);
+  first = one[0];
+  second = two[0];
 }
 
 }  // namespace HWY_NAMESPACE

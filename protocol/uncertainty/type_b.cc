@@ -30,6 +30,12 @@ void check_tolerance(const char* name, Angle tolerance, double most) {
 
 void check(const TypeBStudy& study) {
   check_tolerances(study.tolerances, study.step_errors);
+  for (const RotationFit& fit : study.design.experiments()) {
+    if (study.step_errors == StepErrorModel::kHarmonic && fit.alpha.size() / 2 > kMostHarmonics) {
+      throw std::invalid_argument("step errors with a spectrum: " + std::to_string(fit.alpha.size()) +
+                                  " angles in an experiment, at most " + std::to_string(2 * kMostHarmonics));
+    }
+  }
   if (!study.accelerometer.sensitivity_matrix.allFinite() || !study.accelerometer.offset.allFinite()) {
     throw std::invalid_argument("accelerometer: a sensitivity or an offset is not finite");
   }

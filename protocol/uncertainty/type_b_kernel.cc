@@ -18,7 +18,8 @@ HWY_BEFORE_NAMESPACE();
 namespace abcal {
 namespace HWY_NAMESPACE {
 
-constexpr std::size_t kMostHarmonics = 512;
+// Random numbers made side by side: one chain of multiplications alone would leave the processor waiting.
+constexpr int kSideBySide = 2;
 
 template <class D>
 struct Vector3 {
@@ -119,7 +120,16 @@ HWY_INLINE void rotation_sums(D d, const TypeBSampler::Plan& plan, const PhiloxK
       add_angle(d, table + 5 * row, hn::Add(mean_step, hn::Mul(step, f)), w);
     }
   } else if (plan.step > 0.0) {
-    for (std::uint32_t row = 0; row < n; row += 2) {
+    std::uint32_t row = 0;
+    for (; row + 2 * kSideBySide <= n; row += 2 * kSideBySide, pair += kSideBySide) {
+      V first[kSideBySide], second[kSideBySide];
+      normal_pairs<kSideBySide>(d, keys, trial, pair, kPurpose, first, second);
+      for (std::uint32_t k = 0; k < kSideBySide; ++k) {
+        add_angle(d, table + 5 * (row + 2 * k), hn::Add(mean_step, hn::Mul(step, first[k])), w);
+        add_angle(d, table + 5 * (row + 2 * k + 1), hn::Add(mean_step, hn::Mul(step, second[k])), w);
+      }
+    }
+    for (; row < n; row += 2) {
       V first, second;
       normal_pair(d, keys, trial, pair++, kPurpose, first, second);
       add_angle(d, table + 5 * row, hn::Add(mean_step, hn::Mul(step, first)), w);
@@ -276,7 +286,14 @@ void NormalsOnly(std::uint64_t seed, std::uint32_t pairs, std::uint64_t first, s
   for (std::size_t i = 0; i < count; i += lanes) {
     const auto trial = hn::Iota(du, first + i);
     auto total = hn::Zero(d);
-    for (std::uint32_t pair = 0; pair < pairs; ++pair) {
+    std::uint32_t pair = 0;
+    for (; pair + kSideBySide <= pairs; pair += kSideBySide) {
+      hn::Vec<decltype(d)> a[kSideBySide], b[kSideBySide];
+      normal_pairs<kSideBySide>(d, keys, trial, pair, static_cast<std::uint32_t>(StreamPurpose::kTypeB), a,
+                                b);
+      for (int k = 0; k < kSideBySide; ++k) total = hn::Add(total, hn::Add(a[k], b[k]));
+    }
+    for (; pair < pairs; ++pair) {
       hn::Vec<decltype(d)> a, b;
       normal_pair(d, keys, trial, pair, static_cast<std::uint32_t>(StreamPurpose::kTypeB), a, b);
       total = hn::Add(total, hn::Add(a, b));

@@ -7,6 +7,9 @@
 
 namespace abcal {
 
+/// The vector code's room for amplitudes of the spectrum, for each experiment.
+inline constexpr std::size_t kMostHarmonics = 512;
+
 /// Trials first .. first + count - 1 of a plan, on the widest vectors of this machine; layout as TrialBlock.
 void type_b_trials(const TypeBSampler::Plan& plan, std::uint64_t first, std::size_t count, double* out);
 

@@ -197,6 +197,11 @@ TEST(TypeBTest, RefusesTolerancesThatMeanNothing) {
   EXPECT_THROW(try_with([&](TypeBStudy& s) { s.accelerometer.offset(1) = nan; }), std::invalid_argument);
   EXPECT_THROW(try_with([](TypeBStudy& s) { s.accelerometer.sensitivity_matrix.row(2).setZero(); }),
                std::invalid_argument);
+  EXPECT_THROW(try_with([](TypeBStudy& s) {
+                 s.step_errors = StepErrorModel::kHarmonic;
+                 s.design = AbcDesign::uniform(1100, Angle::degrees(360.0 / 1100.0));
+               }),
+               std::invalid_argument);
   EXPECT_NO_THROW(try_with([](TypeBStudy& s) { s.tolerances.step = Angle(); }));
 }
 
