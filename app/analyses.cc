@@ -15,7 +15,11 @@ namespace abcal {
 
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
   try {
-    if (estimator == "joint") return analyse_joint(record);
+    if (estimator == "joint") {
+      JointOptions options;
+      options.measured_alignment = record.measured_alignment;
+      return analyse_joint(record, options);
+    }
     if (estimator == "norm") return analyse_norm(record);
     return analyse_abc(record);
   } catch (const std::exception& error) {

@@ -128,6 +128,7 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.integer("baud", c.stage.baud, 300, 4'000'000);
   keys.text("address", c.stage.address);
   keys.text("serial_number", c.stage.serial_number);
+  keys.text("level_file", c.stage.level_file);
   visit_stage_axis(keys, "stage.x", c.stage.x);
   visit_stage_axis(keys, "stage.z", c.stage.z);
 

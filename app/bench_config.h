@@ -33,6 +33,7 @@ struct StageConfig {
   std::optional<int> baud;  ///< Absent: the driver's usual one.
   std::string address;
   std::string serial_number;  ///< If given, any other controller is refused.
+  std::string level_file;  ///< Made by `abcal level`; empty: the alignment is known from [tolerances] only.
   StageAxisConfig x, z;
 
   StageConfig() {

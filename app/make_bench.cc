@@ -11,6 +11,8 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
+#include "sim/firmware/vectornav_firmware.h"
+#include "sim/firmware/witmotion_firmware.h"
 #include "sim/sim_accelerometer.h"
 #include "sim/sim_clock.h"
 #include "sim/sim_stage.h"
@@ -64,6 +66,21 @@ std::shared_ptr<sim::Firmware> make_stage_firmware(const BenchConfig& config,
 
 std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& config,
                                                            std::shared_ptr<sim::SimBench> world) {
+  const auto set_baud = [&config](unsigned& baud) {
+    if (config.accelerometer.baud) baud = static_cast<unsigned>(*config.accelerometer.baud);
+  };
+  if (config.accelerometer.driver == "vectornav") {
+    sim::VectorNavSettings settings;
+    if (!config.accelerometer.serial_number.empty())
+      settings.serial_number = config.accelerometer.serial_number;
+    set_baud(settings.baud);
+    return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
+  }
+  if (config.accelerometer.driver == "witmotion") {
+    sim::WitMotionSettings settings;
+    set_baud(settings.baud);
+    return std::make_shared<sim::WitMotionFirmware>(std::move(world), settings);
+  }
   if (config.accelerometer.driver != "microstrain_mip") {
     throw std::invalid_argument("[accelerometer] driver \"" + config.accelerometer.driver +
                                 "\" has no simulated firmware");
@@ -71,7 +88,7 @@ std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& co
   sim::MipSettings settings;
   if (!config.accelerometer.serial_number.empty())
     settings.serial_number = config.accelerometer.serial_number;
-  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  set_baud(settings.baud);
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
 }
 
@@ -117,6 +134,9 @@ Bench make_bench(const BenchConfig& config) {
     AccelerometerSettings settings;
     settings.rate_hz = config.accelerometer.rate_hz;
     settings.full_scale = config.accelerometer.full_scale;
+    // A baud rate in the bench file means a line that has one; USB and TCP are as fast as they are. 10 bits a
+    // byte.
+    if (config.accelerometer.baud) settings.link_bytes_per_s = *config.accelerometer.baud / 10.0;
     auto stream = open_port(config.accelerometer.port, config.accelerometer.baud, driver.serial, clock,
                             [&] { return make_accelerometer_firmware(config, bench.world); });
     bench.accelerometer = driver.make(std::move(stream), clock, settings);

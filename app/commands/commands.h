@@ -11,6 +11,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code);
 CLI::App* add_resume(CLI::App& parent, int& exit_code);
 CLI::App* add_plan(CLI::App& parent, int& exit_code);
 CLI::App* add_analyse(CLI::App& parent, int& exit_code);
+CLI::App* add_level(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);
 CLI::App* add_instruments(CLI::App& parent, int& exit_code);
 

@@ -10,11 +10,10 @@
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
-#include "app/make_bench.h"
 #include "app/progress.h"
-#include "app/real_clock.h"
 #include "app/report/result_json.h"
 #include "app/report/result_text.h"
+#include "app/run_bench.h"
 #include "app/terminal.h"
 #include "app/version.h"
 #include "drivers/instrument/instrument_error.h"
@@ -23,114 +22,6 @@
 
 namespace abcal {
 namespace {
-
-/// Shows a run on the terminal's last line.
-class TerminalObserver final : public RunObserver {
- public:
-  TerminalObserver(const std::vector<PlannedAngle>& plan, std::size_t already_measured)
-      : plan_(plan), measured_(already_measured), bar_("Calibrating", clock_) {}
-
-  void phase(std::size_t position, RunPhase phase) override {
-    std::string words(to_string(phase));
-    if (position < plan_.size() && phase != RunPhase::kHoming && phase != RunPhase::kWarmingUp) {
-      const PlannedAngle& angle = plan_[position];
-      words += fmt::format(", experiment {}, alpha = {:g} deg", angle.experiment, angle.alpha.deg());
-    }
-    bar_.show(static_cast<double>(measured_), static_cast<double>(plan_.size()), words);
-  }
-  void dwell(std::size_t, const DwellRecord&) override { ++measured_; }
-  void notice(std::string_view text) override {
-    bar_.line(emphasised(stderr, Emphasis::kWarning, fmt::format("flag: {}", text)));
-  }
-  void finish() { bar_.clear(); }
-  std::size_t measured() const { return measured_; }
-
- private:
-  RealClock clock_;  // People live in real time, also when the run's time is simulated.
-  const std::vector<PlannedAngle>& plan_;
-  std::size_t measured_;
-  ProgressBar bar_;
-};
-
-InstrumentIdentity identity(const StageInfo& info) {
-  std::string details;
-  for (const StageAxis axis : kStageAxes) {
-    const StageAxisInfo& a = info.axes[index(axis)];
-    details += fmt::format("{}axis {}: {} travel {:g} to {:g} deg, speed {:g} deg/s, resolution {:g} deg",
-                           details.empty() ? "" : "; ", to_string(axis), a.stage_name, a.travel_min.deg(),
-                           a.travel_max.deg(), a.speed_deg_per_s, a.resolution.deg());
-  }
-  return {"stage", info.maker, info.model, info.serial_number, info.firmware, details};
-}
-
-InstrumentIdentity identity(const AccelerometerInfo& info) {
-  std::string details = fmt::format("output in {}, {:g} readings/s", info.output_unit, info.rate_hz);
-  if (info.full_scale) details += fmt::format(", full scale {:g} {}", *info.full_scale, info.output_unit);
-  return {"accelerometer", info.maker, info.model, info.serial_number, info.firmware, details};
-}
-
-void require_serial_number(const std::string& role, const std::string& model, const std::string& found,
-                           const std::string& required) {
-  if (required.empty() || found == required) return;
-  throw InstrumentError(
-      role + " " + model, Fault::kWrongIdentity,
-      fmt::format("serial number {}; required: {} (serial_number in the bench file). Connect the "
-                  "right one, or name its port by usb:VID:PID:SERIAL",
-                  found.empty() ? "not told" : found, required));
-}
-
-/// What the instruments said before the first move.
-struct Identities {
-  StageInfo stage;
-  AccelerometerInfo accelerometer;
-};
-
-Identities identify(Bench& bench, const BenchConfig& config) {
-  Identities who{bench.stage->identify(), bench.accelerometer->identify()};
-  require_serial_number("stage", who.stage.model, who.stage.serial_number, config.stage.serial_number);
-  require_serial_number("accelerometer", who.accelerometer.model, who.accelerometer.serial_number,
-                        config.accelerometer.serial_number);
-  const std::string& unit = config.accelerometer.response_unit;
-  if (!unit.empty() && config.accelerometer.driver != "simulated" && unit != who.accelerometer.output_unit) {
-    throw InstrumentError("accelerometer " + who.accelerometer.model, Fault::kWrongIdentity,
-                          fmt::format("its output is in {}; required: {} ([accelerometer] response_unit)",
-                                      who.accelerometer.output_unit, unit));
-  }
-  return who;
-}
-
-std::array<AxisTravel, 2> travel_of(const StageInfo& info) {
-  return {AxisTravel{info.axes[0].travel_min, info.axes[0].travel_max},
-          AxisTravel{info.axes[1].travel_min, info.axes[1].travel_max}};
-}
-
-RunHeader make_header(const BenchConfig& config, const Identities& who, std::vector<PlannedAngle> plan,
-                      const Clock& clock) {
-  RunHeader header;
-  header.program_version = program_version();
-  header.created_utc = format_utc(clock.utc_now());
-  header.bench_toml = write_bench(config);
-  const auto label = [&](const std::string& key, const std::string& value) {
-    if (!value.empty()) header.labels[key] = value;
-  };
-  label("bench.name", config.name);
-  label("operator.name", config.operator_name);
-  label("item.maker", config.item.maker);
-  label("item.model", config.item.model);
-  label("item.serial_number", config.item.serial_number);
-  label("item.range", config.item.range);
-  label("item.filter", config.item.filter);
-  label("item.firmware", config.item.firmware);
-  label("item.supply", config.item.supply);
-  header.instruments = {identity(who.stage), identity(who.accelerometer)};
-  header.response_unit = who.accelerometer.output_unit;
-  header.g_loc = config.g_loc;
-  header.tolerances = config.tolerances;
-  header.step = config.protocol.step;
-  header.steps = config.protocol.steps;
-  header.plan = std::move(plan);
-  return header;
-}
 
 std::string timing_text(const RunTiming& t) {
   const double total = t.total_s();
@@ -148,26 +39,7 @@ int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
                        const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
                        const RunTiming& spent, bool json) {
   const std::filesystem::path path = file.path();
-  TerminalObserver observer(plan, measured.size());
-  RunTiming timing;
-  try {
-    // In real time the watching thread halts the stage at once, also while this thread waits for a reply.
-    // Simulated time has one thread only.
-    std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
-    if (!bench.simulated_time) {
-      halt_at_once.emplace(interrupt_token(), [&] { bench.stage->halt(); });
-    }
-    timing = run_experiments({*bench.stage, *bench.accelerometer, *bench.clock}, plan, measured,
-                             config.protocol, config.limits, spent, file, observer, interrupt_token());
-  } catch (...) {
-    observer.finish();
-    fmt::print(
-        stderr,
-        "The stage was halted. {} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
-        observer.measured(), plan.size(), path.string(), path.string());
-    throw;
-  }
-  observer.finish();
+  const RunTiming timing = measure(bench, config, file, plan, measured, spent, "Calibrating");
   const std::string utc = format_utc(bench.clock->utc_now());
   file.append_environment(utc, "end", config.environment.temperature_degc,
                           config.environment.humidity_percent, config.environment.pressure_hpa);
@@ -200,13 +72,6 @@ int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
 
-std::filesystem::path default_run_path(const std::string& bench_file) {
-  // The name carries real time also when the run's time is simulated: two dry runs are two files.
-  const std::time_t now = std::time(nullptr);
-  return fmt::format("{}-{:%Y%m%dT%H%M%SZ}.run", std::filesystem::path(bench_file).stem().string(),
-                     fmt::gmtime(now));
-}
-
 void print_warnings(const BenchConfig& config) {
   for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
 }
@@ -230,9 +95,8 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     print_warnings(config);
     Bench bench = make_bench(config);
     const Identities who = identify(bench, config);
-    std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, travel_of(who.stage));
-    const std::filesystem::path path = options->output.empty() ? default_run_path(options->bench_file)
-                                                               : std::filesystem::path(options->output);
+    std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
+    const std::filesystem::path path = output_path(options->output, options->bench_file, ".run");
     const PlanDuration estimate = estimate_duration(
         plan, config.protocol, {who.stage.axes[0].speed_deg_per_s, who.stage.axes[1].speed_deg_per_s},
         who.accelerometer.rate_hz);

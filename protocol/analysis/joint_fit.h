@@ -12,17 +12,6 @@
 
 namespace abcal {
 
-/// A value measured otherwise (by `abcal level`), which takes the place of a prior's mean and width.
-struct MeasuredValue {
-  double value = 0.0;
-  double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();  ///< Greater than 0.
-};
-
-/// Alignment measured otherwise. What is absent keeps its prior N(0, tolerance).
-struct MeasuredAlignment {
-  std::optional<MeasuredValue> zx, zy, xz;  ///< 1
-};
-
 /// Whether k2 and k3 are unknowns of the fit.
 enum class Nonlinearity {
   kDecide,  ///< Fitted both ways; left out only where chi2 finds no use for them.

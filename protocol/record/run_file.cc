@@ -235,6 +235,14 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
         {"protocol.steps", std::to_string(header.steps)},
     };
     for (const auto& [key, value] : meta) impl->set_meta(key, value);
+    const auto alignment = [&](const std::string& name, const std::optional<MeasuredValue>& measured) {
+      if (!measured) return;
+      impl->set_meta("alignment." + name, number(measured->value));
+      impl->set_meta("alignment.u_" + name, number(measured->standard_uncertainty));
+    };
+    alignment("zx", header.measured_alignment.zx);
+    alignment("zy", header.measured_alignment.zy);
+    alignment("xz", header.measured_alignment.xz);
     for (const auto& [key, value] : header.labels) impl->set_meta("label." + key, value);
     impl->set_timing({});
     SqliteStatement instrument = impl->database.prepare("insert into instrument values(?,?,?,?,?,?)");
@@ -401,6 +409,11 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
                        Angle::degrees(real("tolerances.step_deg")),
                        Angle::degrees(real("tolerances.initial_turn_deg")),
                        Angle::degrees(real("tolerances.zero_deg")), real("tolerances.drift")};
+  const auto alignment = [&](const std::string& name) -> std::optional<MeasuredValue> {
+    if (!meta.contains("alignment." + name)) return std::nullopt;
+    return MeasuredValue{real("alignment." + name), real("alignment.u_" + name)};
+  };
+  header.measured_alignment = {alignment("zx"), alignment("zy"), alignment("xz")};
   header.step = Angle::degrees(real("protocol.step_deg"));
   header.steps = static_cast<int>(real("protocol.steps"));
   run.timing = {real("timing.moving_s"), real("timing.settling_s"), real("timing.dwelling_s"),
@@ -429,6 +442,7 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   record.g_loc = header.g_loc;
   record.g_loc_known = true;
   record.tolerances = header.tolerances;
+  record.measured_alignment = header.measured_alignment;
   record.step = header.step;
   record.steps = header.steps;
   const auto angle = [](const std::optional<double>& degrees) {

@@ -54,6 +54,7 @@ struct RunHeader {
   std::string response_unit = "R";
   LocalGravity g_loc;
   Tolerances tolerances;
+  MeasuredAlignment measured_alignment;
   Angle step = Angle::degrees(5.0);
   int steps = 72;
   std::vector<PlannedAngle> plan;

@@ -57,6 +57,18 @@ struct LocalGravity {
   std::string source;                      ///< "survey NOAA 2021", "formula GRS80", ...
 };
 
+/// A value measured otherwise, with its standard uncertainty (greater than 0).
+struct MeasuredValue {
+  double value = 0.0;
+  double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
+};
+
+/// Alignment of the stage measured otherwise, e.g. by `abcal level`. What is absent is known from the
+/// tolerances only.
+struct MeasuredAlignment {
+  std::optional<MeasuredValue> zx, zy, xz;  ///< 1
+};
+
 /// Everything that the analysis may know of a run. A stored run, an imported CSV and a live run are all this.
 struct RunRecord {
   std::string source;               ///< File it came from, for messages.
@@ -64,9 +76,10 @@ struct RunRecord {
   LocalGravity g_loc;
   bool g_loc_known = false;  ///< False: a CSV without a bench file; results are per g_loc.
   Tolerances tolerances;
-  Angle step = Angle::degrees(5.0);  ///< Desired rotation step D.
-  int steps = 72;                    ///< N.
-  std::vector<DwellRecord> dwells;   ///< In the order of measurement, closing angles included.
+  MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
+  Angle step = Angle::degrees(5.0);      ///< Desired rotation step D.
+  int steps = 72;                        ///< N.
+  std::vector<DwellRecord> dwells;       ///< In the order of measurement, closing angles included.
 };
 
 }  // namespace abcal

@@ -1,0 +1,67 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "app/bench_config.h"
+#include "app/make_bench.h"
+#include "app/progress.h"
+#include "app/real_clock.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_file.h"
+#include "protocol/run/experiment_run.h"
+
+namespace abcal {
+
+/// Shows a run on the terminal's last line.
+class TerminalObserver final : public RunObserver {
+ public:
+  TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan, std::size_t already_measured);
+
+  void phase(std::size_t position, RunPhase phase) override;
+  void dwell(std::size_t position, const DwellRecord& dwell) override;
+  void notice(std::string_view text) override;
+  void finish() { bar_.clear(); }
+  std::size_t measured() const { return measured_; }
+
+ private:
+  RealClock clock_;  // People live in real time, also when the run's time is simulated.
+  const std::vector<PlannedAngle>& plan_;
+  std::size_t measured_;
+  ProgressBar bar_;
+};
+
+/// What the instruments said before the first move.
+struct Identities {
+  StageInfo stage;
+  AccelerometerInfo accelerometer;
+
+  std::array<AxisTravel, 2> travel() const;
+};
+
+/// Identifies both instruments and compares them with what the bench file requires.
+/// @throws InstrumentError kWrongIdentity
+Identities identify(Bench& bench, const BenchConfig& config);
+
+/// Refuses an instrument whose serial number is not `required` (empty: any will do).
+/// @throws InstrumentError kWrongIdentity
+void require_serial_number(const std::string& role, const std::string& model, const std::string& found,
+                           const std::string& required);
+
+/// What a run file holds before the first angle.
+RunHeader make_header(const BenchConfig& config, const Identities& who, std::vector<PlannedAngle> plan,
+                      const Clock& clock);
+
+/// "a.run" given, or "BENCH-20260301T120000Z<extension>" here.
+std::filesystem::path output_path(const std::string& given, const std::string& bench_file,
+                                  const std::string& extension);
+
+/// Measures what is missing of the plan. In real time an interrupt halts the stage at once, whatever the
+/// measuring thread waits for. On failure the person is told what is kept, and the exception goes on.
+RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
+                  const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
+                  const RunTiming& spent, const std::string& title);
+
+}  // namespace abcal
