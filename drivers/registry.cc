@@ -3,9 +3,11 @@
 #include <utility>
 
 #include "drivers/microstrain_mip/accelerometer.h"
+#include "drivers/newport_esp/stage.h"
 #include "drivers/pi_gcs/stage.h"
 #include "drivers/vectornav/accelerometer.h"
 #include "drivers/xsens_mti/accelerometer.h"
+#include "drivers/zaber_ascii/stage.h"
 
 namespace abcal {
 namespace {
@@ -23,6 +25,14 @@ const std::vector<StageDriver>& stage_drivers() {
        "PI controllers that speak GCS 2.0 (C-884, C-863, E-861, ...), serial or TCP port 50000",
        {115200, false},
        make<pi_gcs::PiGcsStage, RotationStage, StageSettings>},
+      {"newport_esp",
+       "Newport ESP301, ESP300 and ESP302 over RS-232",
+       {19200, true},
+       make<newport_esp::NewportEspStage, RotationStage, StageSettings>},
+      {"zaber_ascii",
+       "Zaber rotary stages that speak ASCII, on one controller or in a daisy chain",
+       {115200, false},
+       make<zaber_ascii::ZaberAsciiStage, RotationStage, StageSettings>},
   };
   return drivers;
 }

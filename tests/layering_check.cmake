@@ -12,6 +12,9 @@ set(rules
   "drivers/instrument|${instrument}|Eigen/"
   "drivers/wire|${wire}|boost/;libserialport.h;spdlog/;fmt/;Eigen/"
   "drivers/pi_gcs|${wire};drivers/pi_gcs/|boost/;spdlog/;fmt/;Eigen/"
+  "drivers/newport_esp|${wire};drivers/newport_esp/|boost/;spdlog/;fmt/;Eigen/"
+  "drivers/zaber_ascii|${wire};drivers/zaber_ascii/|boost/;spdlog/;fmt/;Eigen/"
+  "drivers/manual_stage|${wire};drivers/manual_stage/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/microstrain_mip|${wire};drivers/microstrain_mip/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/vectornav|${wire};drivers/vectornav/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/xsens_mti|${wire};drivers/xsens_mti/|boost/;spdlog/;fmt/;Eigen/"
@@ -61,12 +64,8 @@ function(check_file folder file)
 endfunction()
 
 set(checked 0)
-# The rules hold lists of their own, so they are walked as text.
-string(REPLACE ";drivers/instrument|" "\ndrivers/instrument|" text "${rules}")
-foreach(folder drivers/wire drivers/pi_gcs drivers/microstrain_mip protocol/plan protocol/model protocol/gravity
-        protocol/record protocol/run protocol/analysis protocol/uncertainty sim)
-  string(REPLACE ";${folder}|" "\n${folder}|" text "${text}")
-endforeach()
+# The rules hold lists of their own, so they are walked as text: a rule begins with its folder and a bar.
+string(REGEX REPLACE ";((drivers/|protocol/|si)[a-z_/]*[a-z_][|])" "\n\\1" text "${rules}")
 string(REPLACE ";" "," text "${text}")
 string(REPLACE "\n" ";" lines "${text}")
 foreach(line IN LISTS lines)

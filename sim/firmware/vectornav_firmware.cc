@@ -1,0 +1,800 @@
+#include "sim/firmware/vectornav_firmware.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <charconv>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <map>
+#include <stdexcept>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "sim/firmware/reply_queue.h"
+
+namespace abcal::sim {
+namespace {
+
+// Codes, registers and layouts as in instruments.md B.2.
+enum ErrorCode : unsigned {
+  kBufferOverflow = 2,
+  kBadChecksum = 3,
+  kBadCommand = 4,
+  kTooFewParameters = 5,
+  kTooManyParameters = 6,
+  kBadParameter = 7,
+  kBadRegister = 8,
+  kNotAuthorised = 9,
+  kInsufficientBaud = 0x0C,
+};
+
+constexpr unsigned kImuRateHz = 800;
+constexpr std::size_t kLongestCommand = 256;
+constexpr std::array<unsigned, 9> kBaudRates{9600,   19200,  38400,  57600, 115200,
+                                             128000, 230400, 460800, 921600};
+constexpr std::array<unsigned, 11> kAsyncRates{1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200};
+constexpr std::array<unsigned, 13> kAsyncTypes{0, 1, 2, 8, 10, 11, 12, 13, 14, 16, 17, 19, 20};
+
+// A still earth field and no rotation: neither is part of the world.
+constexpr std::array<double, 3> kMagneticField{0.25, 0.0, 0.45};  // gauss
+constexpr double kPressureKpa = 101.325;
+
+/// Thrown by a command that is refused.
+struct Refusal {
+  ErrorCode code;
+};
+
+/// Which of its two checksums a message carries.
+enum class Check { kXor, kCrc };
+
+std::uint8_t xor_of(std::string_view text) {
+  unsigned value = 0;
+  for (const char c : text) value ^= static_cast<unsigned char>(c);
+  return static_cast<std::uint8_t>(value);
+}
+
+/// CRC-16 CCITT, initial value 0.
+std::uint16_t crc_of(std::string_view bytes) {
+  unsigned crc = 0;
+  for (const char c : bytes) {
+    crc = ((crc >> 8U) | (crc << 8U)) & 0xFFFFU;
+    crc ^= static_cast<unsigned char>(c);
+    crc ^= (crc & 0xFFU) >> 4U;
+    crc = (crc ^ (crc << 12U)) & 0xFFFFU;
+    crc = (crc ^ ((crc & 0xFFU) << 5U)) & 0xFFFFU;
+  }
+  return static_cast<std::uint16_t>(crc);
+}
+
+std::string sentence(std::string_view text, Check check) {
+  return check == Check::kXor ? fmt::format("${}*{:02X}\r\n", text, xor_of(text))
+                              : fmt::format("${}*{:04X}\r\n", text, crc_of(text));
+}
+
+std::vector<std::string> split(std::string_view text) {
+  std::vector<std::string> words;
+  for (;;) {
+    const std::size_t comma = text.find(',');
+    words.emplace_back(text.substr(0, comma));
+    if (comma == std::string_view::npos) return words;
+    text.remove_prefix(comma + 1);
+  }
+}
+
+std::optional<unsigned> whole_number(std::string_view text, int base = 10) {
+  unsigned value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value, base);
+  if (text.empty() || error != std::errc{} || end != text.data() + text.size()) return std::nullopt;
+  return value;
+}
+
+unsigned number(std::string_view text, int base = 10) {
+  const auto value = whole_number(text, base);
+  if (!value) throw Refusal{kBadParameter};
+  return *value;
+}
+
+double real_number(std::string_view text) {
+  if (text.starts_with('+')) text.remove_prefix(1);
+  double value = 0.0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value))
+    throw Refusal{kBadParameter};
+  return value;
+}
+
+template <typename Array, typename Value>
+bool contains(const Array& values, const Value& value) {
+  return std::find(values.begin(), values.end(), value) != values.end();
+}
+
+template <typename Unsigned>
+void put(std::string& out, Unsigned value) {
+  for (std::size_t n = 0; n < sizeof(Unsigned); ++n)
+    out.push_back(static_cast<char>((value >> (8U * n)) & 0xFFU));
+}
+void put_float(std::string& out, double value) {
+  put(out, std::bit_cast<std::uint32_t>(static_cast<float>(value)));
+}
+
+/// What a field of a binary group holds.
+enum class Content : std::uint8_t {
+  kZero,
+  kTime,
+  kAcceleration,
+  kUncompensated,
+  kMagnetic,
+  kTemperature,
+  kPressure
+};
+struct Part {
+  Content content;
+  std::uint8_t bytes;
+};
+using BinaryField = std::vector<Part>;
+
+/// Fields of the common, time, IMU and attitude groups in the order of their bits; what this device does not
+/// simulate is zero. Those of time, IMU and attitude that instruments.md does not list are [M].
+const std::vector<BinaryField>& fields_of_group(unsigned group) {
+  using C = Content;
+  static const std::vector<BinaryField> common{
+      {{C::kTime, 8}},                                                // time since startup
+      {{C::kZero, 8}},                                                // GPS time
+      {{C::kTime, 8}},                                                // time since the last sync-in
+      {{C::kZero, 12}},                                               // yaw, pitch, roll
+      {{C::kZero, 16}},                                               // quaternion
+      {{C::kZero, 12}},                                               // angular rate
+      {{C::kZero, 24}},                                               // latitude, longitude, altitude
+      {{C::kZero, 12}},                                               // velocity
+      {{C::kAcceleration, 12}},                                       // acceleration
+      {{C::kUncompensated, 12}, {C::kZero, 12}},                      // IMU: acceleration, gyro
+      {{C::kMagnetic, 12}, {C::kTemperature, 4}, {C::kPressure, 4}},  // magnetic field, temperature, pressure
+      {{C::kZero, 28}},                                               // delta time, angle, velocity
+      {{C::kZero, 2}},                                                // status
+      {{C::kZero, 4}},                                                // sync-in count
+      {{C::kZero, 8}}};                                               // time since the GPS pulse
+  static const std::vector<BinaryField> time{
+      {{C::kTime, 8}}, {{C::kZero, 8}}, {{C::kZero, 8}}, {{C::kZero, 2}}, {{C::kTime, 8}},
+      {{C::kZero, 8}}, {{C::kZero, 8}}, {{C::kZero, 4}}, {{C::kZero, 4}}, {{C::kZero, 1}}};
+  static const std::vector<BinaryField> imu{
+      {{C::kZero, 2}},        {{C::kMagnetic, 12}},     {{C::kUncompensated, 12}}, {{C::kZero, 12}},
+      {{C::kTemperature, 4}}, {{C::kPressure, 4}},      {{C::kZero, 16}},          {{C::kZero, 12}},
+      {{C::kMagnetic, 12}},   {{C::kAcceleration, 12}}, {{C::kZero, 12}}};
+  static const std::vector<BinaryField> attitude{{{C::kZero, 2}},  {{C::kZero, 12}}, {{C::kZero, 16}},
+                                                 {{C::kZero, 36}}, {{C::kZero, 12}}, {{C::kZero, 12}},
+                                                 {{C::kZero, 12}}, {{C::kZero, 12}}, {{C::kZero, 12}}};
+  static const std::vector<BinaryField> none;
+  switch (group) {
+    case 0:
+      return common;
+    case 1:
+      return time;
+    case 2:
+      return imu;
+    case 4:
+      return attitude;
+    default:
+      return none;  // GNSS and INS: a VN-100 has neither.
+  }
+}
+
+struct BinaryOutput {
+  unsigned mode = 0;  ///< Bit 0: serial port 1 (ours), bit 1: serial port 2.
+  unsigned divisor = 1;
+  unsigned groups = 0;
+  std::vector<std::uint16_t> masks;
+
+  bool on_this_port() const { return (mode & 1U) != 0 && groups != 0; }
+
+  std::size_t payload_size() const {
+    std::size_t size = 0;
+    each_part([&](const Part& part) { size += part.bytes; });
+    return size;
+  }
+  std::size_t packet_size() const { return 2 + 2 * masks.size() + payload_size() + 2; }
+
+  template <typename Visit>
+  void each_part(Visit visit) const {
+    std::size_t which = 0;
+    for (unsigned group = 0; group < 7; ++group) {
+      if ((groups >> group & 1U) == 0) continue;
+      const auto& fields = fields_of_group(group);
+      for (std::size_t bit = 0; bit < fields.size(); ++bit)
+        if ((masks[which] >> bit & 1U) != 0)
+          for (const Part& part : fields[bit]) visit(part);
+      ++which;
+    }
+  }
+};
+
+/// What VNWNV saves.
+struct Stored {
+  std::string user_tag;
+  unsigned baud = 115200;
+  unsigned async_type = 0;
+  unsigned async_rate_hz = 40;
+  std::array<BinaryOutput, 3> binary;
+  std::array<unsigned, 7> protocol{0, 0, 0, 0, 1, 0, 1};  ///< Register 30.
+  std::map<unsigned, std::vector<double>> vectors{
+      {25, {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}},  // acceleration: matrix, offset
+      {26, {1, 0, 0, 0, 1, 0, 0, 0, 1}},           // frame rotation; kept, never applied
+      {84, {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}},  // gyro: matrix, offset
+      {85, {0, 4, 0, 0, 0, 0, 3, 0, 0, 0}},        // filter windows and modes; kept, never applied
+  };
+};
+
+std::string async_name(unsigned type) {
+  switch (type) {
+    case 1:
+      return "VNYPR";
+    case 2:
+      return "VNQTN";
+    case 8:
+      return "VNQMR";
+    case 10:
+      return "VNMAG";
+    case 11:
+      return "VNACC";
+    case 12:
+      return "VNGYR";
+    case 13:
+      return "VNMAR";
+    case 14:
+      return "VNYMR";
+    case 16:
+      return "VNYBA";
+    case 17:
+      return "VNYIA";
+    default:
+      return "VNIMU";
+  }
+}
+
+}  // namespace
+
+class VectorNavFirmware::Device {
+ public:
+  Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings);
+
+  void receive(std::string_view bytes, Clock::Instant now);
+  std::string transmit(Clock::Instant now);
+  std::optional<Clock::Instant> next_due() const;
+
+ private:
+  using Words = std::vector<std::string>;
+
+  void take_line(std::string_view line);
+  std::string run(const Words& words);
+  std::string read_register(const Words& words) const;
+  std::string write_register(const Words& words);
+  void write_serial(unsigned reg, const Words& values);
+  void write_binary(BinaryOutput& output, const Words& values);
+  std::string values_of(unsigned reg) const;
+  void require_link(const Stored& wanted) const;
+  Stored factory() const;
+  void restart();
+
+  Clock::Instant tick_time(std::uint64_t tick) const;
+  std::uint64_t first_tick_after(Clock::Instant t) const;
+  void stream_from(Clock::Instant t);
+  void advance_tick();
+  bool ascii_on() const { return streaming_ && current_.async_type != 0; }
+  unsigned ascii_decimation() const { return kImuRateHz / current_.async_rate_hz; }
+  bool streams() const;
+
+  struct Sample {
+    std::uint64_t tick = 0;
+    Eigen::Vector3d uncompensated = Eigen::Vector3d::Zero();
+    Eigen::Vector3d acceleration = Eigen::Vector3d::Zero();
+    double temperature_degc = 0.0;
+  };
+  Sample sample(std::uint64_t tick) const;
+  std::string vector_text(std::string_view what, const Sample& sample) const;
+  std::string async_text(unsigned type, const Sample& sample) const;
+  std::string async_sentence(const Sample& sample) const;
+  std::string binary_packet(const BinaryOutput& output, const Sample& sample) const;
+
+  std::shared_ptr<SimBench> bench_;
+  VectorNavSettings settings_;
+  Stored current_;
+  Stored saved_;
+  bool streaming_ = true;  ///< VNASY.
+  std::uint64_t next_tick_ = 0;
+  mutable std::optional<Sample> last_sample_;
+  std::string input_;
+  bool in_command_ = false;
+  ReplyQueue replies_;
+  Clock::Instant now_;
+  Clock::Instant started_;       ///< Switched on or reset.
+  Clock::Instant silent_until_;  ///< After a reset.
+};
+
+VectorNavFirmware::Device::Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings)
+    : bench_(std::move(bench)),
+      settings_(std::move(settings)),
+      now_(bench_->start()),
+      started_(now_),
+      silent_until_(now_) {
+  if (!contains(kBaudRates, settings_.baud))
+    throw std::invalid_argument(fmt::format("simulated VectorNav: baud rate {}; required: {}", settings_.baud,
+                                            "one from 9600 to 921600 that the maker lists"));
+  if (!contains(kAsyncTypes, settings_.async_type) || !contains(kAsyncRates, settings_.async_rate_hz))
+    throw std::invalid_argument(fmt::format("simulated VectorNav: output type {} at {} Hz; it has no such",
+                                            settings_.async_type, settings_.async_rate_hz));
+  current_ = saved_ = factory();
+  stream_from(now_);
+}
+
+Stored VectorNavFirmware::Device::factory() const {
+  Stored stored;
+  stored.user_tag = settings_.user_tag;
+  stored.baud = settings_.baud;
+  stored.async_type = settings_.async_type;
+  stored.async_rate_hz = settings_.async_rate_hz;
+  return stored;
+}
+
+void VectorNavFirmware::Device::restart() {
+  current_ = saved_;
+  streaming_ = true;
+  started_ = silent_until_ = now_ + settings_.reset_time;
+  stream_from(silent_until_);
+}
+
+// Commands.
+
+void VectorNavFirmware::Device::receive(std::string_view bytes, Clock::Instant now) {
+  now_ = now;
+  for (const char c : bytes) {
+    if (now_ < silent_until_) continue;  // It is starting, and does not listen.
+    if (c == '$') {                      // Whatever came before was no command.
+      in_command_ = true;
+      input_.clear();
+    } else if (c == '\r' || c == '\n') {
+      if (std::exchange(in_command_, false)) take_line(input_);
+    } else if (in_command_) {
+      input_ += c;
+      if (input_.size() > kLongestCommand) {
+        in_command_ = false;
+        replies_.push(
+            sentence(fmt::format("VNERR,{:02X}", static_cast<unsigned>(kBufferOverflow)), Check::kXor),
+            now_ + settings_.reply_delay);
+      }
+    }
+  }
+}
+
+void VectorNavFirmware::Device::take_line(std::string_view line) {
+  const std::size_t star = line.find('*');
+  const std::string_view text = line.substr(0, star);
+  const std::string_view sum = star == std::string_view::npos ? std::string_view() : line.substr(star + 1);
+  Check check = sum.size() == 4 ? Check::kCrc : Check::kXor;
+  std::string answer;
+  try {
+    const bool unchecked = sum == "XX" || sum == "xx" || sum == "XXXX" || sum == "xxxx";
+    if (!unchecked) {
+      const auto found = whole_number(sum, 16);
+      const unsigned expected = check == Check::kXor ? xor_of(text) : crc_of(text);
+      if ((sum.size() != 2 && sum.size() != 4) || found != expected) throw Refusal{kBadChecksum};
+    }
+    answer = run(split(text));
+  } catch (const Refusal& refusal) {
+    answer = fmt::format("VNERR,{:02X}", static_cast<unsigned>(refusal.code));
+  }
+  replies_.push(sentence(answer, check), now_ + settings_.reply_delay);
+}
+
+std::string VectorNavFirmware::Device::run(const Words& words) {
+  const std::string& name = words[0];
+  const auto plain = [&] {
+    if (words.size() > 1) throw Refusal{kTooManyParameters};
+  };
+  if (name == "VNRRG") return read_register(words);
+  if (name == "VNWRG") return write_register(words);
+  if (name == "VNASY") {
+    if (words.size() < 2) throw Refusal{kTooFewParameters};
+    if (words.size() > 3) throw Refusal{kTooManyParameters};  // A third names the port.
+    const unsigned on = number(words[1]);
+    if (on > 1) throw Refusal{kBadParameter};
+    if (words.size() < 3 || number(words[2]) == 1) {
+      streaming_ = on == 1;
+      stream_from(now_);
+    }
+    return fmt::format("VNASY,{}", on);
+  }
+  if (name == "VNBOM") {  // One binary output, asked for.
+    if (words.size() < 2) throw Refusal{kTooFewParameters};
+    const unsigned which = number(words[1]);
+    if (which < 1 || which > 3) throw Refusal{kBadParameter};
+    const BinaryOutput& output = current_.binary[which - 1];
+    const std::uint64_t next = first_tick_after(now_);
+    if (output.groups != 0)
+      replies_.push(binary_packet(output, sample(next > 0 ? next - 1 : 0)), now_ + settings_.reply_delay);
+    return fmt::format("VNBOM,{}", which);
+  }
+  if (name == "VNWNV") {
+    plain();
+    saved_ = current_;
+    return "VNWNV";
+  }
+  if (name == "VNRFS") {
+    plain();
+    saved_ = factory();
+    restart();
+    return "VNRFS";
+  }
+  if (name == "VNRST") {
+    plain();
+    restart();
+    return "VNRST";
+  }
+  throw Refusal{kBadCommand};
+}
+
+std::string VectorNavFirmware::Device::read_register(const Words& words) const {
+  if (words.size() < 2) throw Refusal{kTooFewParameters};
+  const unsigned reg = number(words[1]);
+  // Registers 5 to 7 take a port.
+  if (words.size() > (reg >= 5 && reg <= 7 ? 3U : 2U)) throw Refusal{kTooManyParameters};
+  return fmt::format("VNRRG,{:02},{}", reg, values_of(reg));
+}
+
+std::string VectorNavFirmware::Device::values_of(unsigned reg) const {
+  const std::uint64_t next = first_tick_after(now_);
+  const auto measured = [&](unsigned type) { return async_text(type, sample(next > 0 ? next - 1 : 0)); };
+  switch (reg) {
+    case 0:
+      return current_.user_tag;
+    case 1:
+      return settings_.model;
+    case 2:
+      return fmt::format("{}", settings_.hardware_revision);
+    case 3:
+      return settings_.serial_number;
+    case 4:
+      return settings_.firmware_version;
+    case 5:
+      return fmt::format("{}", current_.baud);
+    case 6:
+      return fmt::format("{}", current_.async_type);
+    case 7:
+      return fmt::format("{}", current_.async_rate_hz);
+    case 8:
+      return measured(1);
+    case 17:
+      return measured(10);
+    case 18:
+      return measured(11);
+    case 19:
+      return measured(12);
+    case 20:
+      return measured(13);
+    case 27:
+      return measured(14);
+    case 30: {
+      std::string text;
+      for (const unsigned value : current_.protocol)
+        text += fmt::format("{}{}", text.empty() ? "" : ",", value);
+      return text;
+    }
+    case 54:
+      return measured(19);
+    case 75:
+    case 76:
+    case 77: {
+      const BinaryOutput& output = current_.binary[reg - 75];
+      std::string text = fmt::format("{},{},{:02X}", output.mode, output.divisor, output.groups);
+      for (const std::uint16_t mask : output.masks) text += fmt::format(",{:04X}", mask);
+      return text;
+    }
+    default: {
+      const auto found = current_.vectors.find(reg);
+      if (found == current_.vectors.end()) throw Refusal{kBadRegister};
+      std::string text;
+      for (const double value : found->second) {
+        if (!text.empty()) text += ',';
+        text += reg == 85 ? fmt::format("{:.0f}", value) : fmt::format("{:+09.6f}", value);
+      }
+      return text;
+    }
+  }
+}
+
+std::string VectorNavFirmware::Device::write_register(const Words& words) {
+  if (words.size() < 3) throw Refusal{kTooFewParameters};
+  const unsigned reg = number(words[1]);
+  const Words values(words.begin() + 2, words.end());
+  switch (reg) {
+    case 0:
+      if (values.size() > 1) throw Refusal{kTooManyParameters};
+      if (values[0].size() > 20) throw Refusal{kBadParameter};
+      current_.user_tag = values[0];
+      break;
+    case 5:
+    case 6:
+    case 7:
+      write_serial(reg, values);
+      break;
+    case 30: {
+      if (values.size() < current_.protocol.size()) throw Refusal{kTooFewParameters};
+      if (values.size() > current_.protocol.size()) throw Refusal{kTooManyParameters};
+      std::array<unsigned, 7> protocol{};
+      for (std::size_t n = 0; n < protocol.size(); ++n) protocol[n] = number(values[n]);
+      // Checksum of the asynchronous messages: 1 is XOR, 3 the CRC [M].
+      if (protocol[4] != 1 && protocol[4] != 3) throw Refusal{kBadParameter};
+      current_.protocol = protocol;
+      break;
+    }
+    case 75:
+    case 76:
+    case 77:
+      write_binary(current_.binary[reg - 75], values);
+      break;
+    default: {
+      const auto found = current_.vectors.find(reg);
+      if (found == current_.vectors.end()) {
+        values_of(reg);                 // Unknown altogether: bad register.
+        throw Refusal{kNotAuthorised};  // It can be read only [M].
+      }
+      if (values.size() < found->second.size()) throw Refusal{kTooFewParameters};
+      if (values.size() > found->second.size()) throw Refusal{kTooManyParameters};
+      std::vector<double> numbers;
+      for (const std::string& value : values) numbers.push_back(real_number(value));
+      found->second = std::move(numbers);
+    }
+  }
+  last_sample_.reset();
+  std::string echo = fmt::format("VNWRG,{:02}", reg);
+  for (const std::string& value : values) echo += "," + value;
+  return echo;
+}
+
+void VectorNavFirmware::Device::write_serial(unsigned reg, const Words& values) {
+  if (values.size() > 2) throw Refusal{kTooManyParameters};
+  const unsigned value = number(values[0]);
+  const bool known = reg == 5   ? contains(kBaudRates, value)
+                     : reg == 6 ? contains(kAsyncTypes, value)
+                                : contains(kAsyncRates, value);
+  if (!known) throw Refusal{kBadParameter};
+  if (values.size() == 2) {
+    const unsigned port = number(values[1]);
+    if (port < 1 || port > 2) throw Refusal{kBadParameter};
+    if (port == 2) return;  // Nothing is connected there.
+  }
+  Stored wanted = current_;
+  (reg == 5 ? wanted.baud : reg == 6 ? wanted.async_type : wanted.async_rate_hz) = value;
+  require_link(wanted);
+  current_ = wanted;  // A pseudo-terminal has no line rate: the baud rate is kept, and nothing changes.
+  stream_from(now_);
+}
+
+void VectorNavFirmware::Device::write_binary(BinaryOutput& output, const Words& values) {
+  if (values.size() < 3) throw Refusal{kTooFewParameters};
+  BinaryOutput wanted;
+  wanted.mode = number(values[0]);
+  wanted.divisor = number(values[1]);
+  wanted.groups = number(values[2], 16);
+  if (wanted.mode > 3 || wanted.divisor == 0 || wanted.divisor > 0xFFFF || wanted.groups > 0x7F)
+    throw Refusal{kBadParameter};
+  const auto masks = static_cast<std::size_t>(std::popcount(wanted.groups));
+  if (values.size() < 3 + masks) throw Refusal{kTooFewParameters};
+  if (values.size() > 3 + masks) throw Refusal{kTooManyParameters};
+  std::size_t which = 0;
+  for (unsigned group = 0; group < 7; ++group) {
+    if ((wanted.groups >> group & 1U) == 0) continue;
+    const unsigned mask = number(values[3 + which++], 16);
+    const std::size_t fields = fields_of_group(group).size();
+    if (mask == 0 || mask >= 1U << fields) throw Refusal{kBadParameter};
+    wanted.masks.push_back(static_cast<std::uint16_t>(mask));
+  }
+  const BinaryOutput before = std::exchange(output, wanted);
+  try {
+    require_link(current_);
+  } catch (const Refusal&) {
+    output = before;
+    throw;
+  }
+  stream_from(now_);
+}
+
+/// What it is to put out must fit on the line.
+void VectorNavFirmware::Device::require_link(const Stored& wanted) const {
+  double bytes_per_s = 0.0;
+  if (wanted.async_type != 0) {
+    const Sample typical{};
+    const std::size_t length = async_name(wanted.async_type).size() +
+                               async_text(wanted.async_type, typical).size() +
+                               std::string_view("$,*00\r\n").size();
+    bytes_per_s += static_cast<double>(length) * wanted.async_rate_hz;
+  }
+  for (const BinaryOutput& output : wanted.binary)
+    if (output.on_this_port())
+      bytes_per_s += static_cast<double>(output.packet_size()) * kImuRateHz / output.divisor;
+  if (bytes_per_s > wanted.baud / 10.0) throw Refusal{kInsufficientBaud};
+}
+
+// Output.
+
+Clock::Instant VectorNavFirmware::Device::tick_time(std::uint64_t tick) const {
+  // 800 Hz is 1.25 ms: whole nanoseconds.
+  return bench_->start() + Clock::Duration(static_cast<std::int64_t>(tick * (1'000'000'000ULL / kImuRateHz)));
+}
+
+std::uint64_t VectorNavFirmware::Device::first_tick_after(Clock::Instant t) const {
+  if (t < bench_->start()) return 0;
+  return static_cast<std::uint64_t>((t - bench_->start()).count()) / (1'000'000'000ULL / kImuRateHz) + 1;
+}
+
+bool VectorNavFirmware::Device::streams() const {
+  return ascii_on() || (streaming_ && std::any_of(current_.binary.begin(), current_.binary.end(),
+                                                  [](const BinaryOutput& o) { return o.on_this_port(); }));
+}
+
+void VectorNavFirmware::Device::stream_from(Clock::Instant t) {
+  if (!streams()) return;
+  next_tick_ = first_tick_after(std::max(t, silent_until_)) - 1;
+  advance_tick();
+}
+
+/// To the next tick at which something is due.
+void VectorNavFirmware::Device::advance_tick() {
+  std::uint64_t next = std::numeric_limits<std::uint64_t>::max();
+  const auto consider = [&](std::uint64_t decimation) {
+    next = std::min(next, (next_tick_ / decimation + 1) * decimation);
+  };
+  if (ascii_on()) consider(ascii_decimation());
+  for (const BinaryOutput& output : current_.binary)
+    if (output.on_this_port()) consider(output.divisor);
+  next_tick_ = next;
+}
+
+VectorNavFirmware::Device::Sample VectorNavFirmware::Device::sample(std::uint64_t tick) const {
+  if (last_sample_ && last_sample_->tick == tick) return *last_sample_;
+  const SimOutput output = bench_->output(tick_time(tick), tick, Clock::Duration(1'000'000'000 / kImuRateHz));
+  Sample made{tick, output.value, Eigen::Vector3d::Zero(), output.temperature_degc};
+  // Register 25: matrix times (measured - offset), as the maker applies it.
+  const std::vector<double>& c = current_.vectors.at(25);
+  const Eigen::Vector3d centred = output.value - Eigen::Vector3d(c[9], c[10], c[11]);
+  for (std::size_t row = 0; row < 3; ++row) {
+    const auto r = static_cast<Eigen::Index>(row);
+    made.acceleration[r] =
+        c[3 * row] * centred[0] + c[3 * row + 1] * centred[1] + c[3 * row + 2] * centred[2];
+  }
+  last_sample_ = made;
+  return made;
+}
+
+std::string VectorNavFirmware::Device::vector_text(std::string_view what, const Sample& sample) const {
+  const auto& a = sample.acceleration;
+  if (what == "acc") return fmt::format("{:+07.3f},{:+07.3f},{:+07.3f}", a[0], a[1], a[2]);
+  if (what == "mag")
+    return fmt::format("{:+08.4f},{:+08.4f},{:+08.4f}", kMagneticField[0], kMagneticField[1],
+                       kMagneticField[2]);
+  if (what == "ypr") return fmt::format("{:+08.3f},{:+08.3f},{:+08.3f}", 0.0, 0.0, 0.0);
+  return fmt::format("{:+010.6f},{:+010.6f},{:+010.6f}", 0.0, 0.0, 0.0);  // gyro
+}
+
+std::string VectorNavFirmware::Device::async_text(unsigned type, const Sample& sample) const {
+  const auto join = [&](std::initializer_list<std::string_view> parts) {
+    std::string text;
+    for (const std::string_view part : parts) {
+      if (!text.empty()) text += ',';
+      text += vector_text(part, sample);
+    }
+    return text;
+  };
+  constexpr std::string_view kQuaternion = "+0.000000,+0.000000,+0.000000,+1.000000";
+  switch (type) {
+    case 1:
+      return join({"ypr"});
+    case 2:
+      return std::string(kQuaternion);
+    case 8:
+      return fmt::format("{},{}", kQuaternion, join({"mag", "acc", "gyr"}));
+    case 10:
+      return join({"mag"});
+    case 11:
+      return join({"acc"});
+    case 12:
+      return join({"gyr"});
+    case 13:
+      return join({"mag", "acc", "gyr"});
+    case 14:
+      return join({"ypr", "mag", "acc", "gyr"});
+    case 16:
+    case 17:
+      return join({"ypr", "acc", "gyr"});
+    default:
+      return fmt::format("{},{:+05.1f},{:+08.3f}", join({"mag", "acc", "gyr"}), sample.temperature_degc,
+                         kPressureKpa);
+  }
+}
+
+std::string VectorNavFirmware::Device::async_sentence(const Sample& sample) const {
+  std::string text = async_name(current_.async_type) + "," + async_text(current_.async_type, sample);
+  // Register 30 appends a count and a status [M: what it counts].
+  if (current_.protocol[0] != 0) text += fmt::format(",T{:010}", sample.tick / ascii_decimation());
+  if (current_.protocol[1] != 0) text += ",S0000";
+  return sentence(text, current_.protocol[4] == 3 ? Check::kCrc : Check::kXor);
+}
+
+std::string VectorNavFirmware::Device::binary_packet(const BinaryOutput& output, const Sample& sample) const {
+  std::string packet;
+  put(packet, static_cast<std::uint8_t>(output.groups));
+  for (const std::uint16_t mask : output.masks) put(packet, mask);
+  output.each_part([&](const Part& part) {
+    switch (part.content) {
+      case Content::kTime:
+        put(packet, static_cast<std::uint64_t>(
+                        std::max<std::int64_t>(0, (tick_time(sample.tick) - started_).count())));
+        break;
+      case Content::kAcceleration:
+        for (int j = 0; j < 3; ++j) put_float(packet, sample.acceleration[j]);
+        break;
+      case Content::kUncompensated:
+        for (int j = 0; j < 3; ++j) put_float(packet, sample.uncompensated[j]);
+        break;
+      case Content::kMagnetic:
+        for (const double value : kMagneticField) put_float(packet, value);
+        break;
+      case Content::kTemperature:
+        put_float(packet, sample.temperature_degc);
+        break;
+      case Content::kPressure:
+        put_float(packet, kPressureKpa);
+        break;
+      case Content::kZero:
+        packet.append(part.bytes, '\0');
+    }
+  });
+  const std::uint16_t crc = crc_of(packet);
+  packet.push_back(static_cast<char>(crc >> 8U));
+  packet.push_back(static_cast<char>(crc & 0xFFU));
+  return '\xFA' + packet;
+}
+
+std::string VectorNavFirmware::Device::transmit(Clock::Instant now) {
+  std::string out;
+  while (streams() && tick_time(next_tick_) <= now) {
+    const Clock::Instant t = tick_time(next_tick_);
+    out += replies_.take(t);
+    if (!bench_->fault_at(FaultKind::kNoOutput, t)) {
+      const Sample made = sample(next_tick_);
+      if (ascii_on() && next_tick_ % ascii_decimation() == 0) out += async_sentence(made);
+      for (const BinaryOutput& output : current_.binary)
+        if (output.on_this_port() && next_tick_ % output.divisor == 0) out += binary_packet(output, made);
+    }
+    advance_tick();
+  }
+  return out + replies_.take(now);
+}
+
+std::optional<Clock::Instant> VectorNavFirmware::Device::next_due() const {
+  std::optional<Clock::Instant> due = replies_.next_due();
+  if (streams()) due = due ? std::min(*due, tick_time(next_tick_)) : tick_time(next_tick_);
+  return due;
+}
+
+VectorNavFirmware::VectorNavFirmware(std::shared_ptr<SimBench> bench, VectorNavSettings settings)
+    : device_(std::make_unique<Device>(std::move(bench), std::move(settings))) {}
+
+VectorNavFirmware::~VectorNavFirmware() = default;
+
+void VectorNavFirmware::receive(std::string_view bytes, Clock::Instant now) {
+  device_->receive(bytes, now);
+}
+
+std::string VectorNavFirmware::transmit(Clock::Instant now) {
+  return device_->transmit(now);
+}
+
+std::optional<Clock::Instant> VectorNavFirmware::next_due() const {
+  return device_->next_due();
+}
+
+}  // namespace abcal::sim

@@ -1,0 +1,316 @@
+#include "sim/firmware/witmotion_firmware.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <map>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "sim/firmware/reply_queue.h"
+
+namespace abcal::sim {
+namespace {
+
+// Registers and frames as in instruments.md B.5.
+constexpr std::uint8_t kSave = 0x00;
+constexpr std::uint8_t kCalibrate = 0x01;
+constexpr std::uint8_t kOutputMask = 0x02;
+constexpr std::uint8_t kRate = 0x03;
+constexpr std::uint8_t kBaud = 0x04;
+constexpr std::uint8_t kAccelerationRange = 0x21;
+constexpr std::uint8_t kRead = 0x27;
+constexpr std::uint8_t kVersion = 0x2E;
+constexpr std::uint8_t kAcceleration = 0x34;
+constexpr std::uint8_t kTemperature = 0x40;
+constexpr std::uint8_t kUnlock = 0x69;
+constexpr std::uint16_t kUnlockKey = 0xB588;
+
+constexpr double kFullScale = 16.0;  // g
+constexpr double kCounts = 32768.0;
+
+/// An unlocked sensor locks itself again [M].
+constexpr Clock::Duration kUnlockedFor = std::chrono::seconds(10);
+
+/// Register 04. [M] but for 2 and 6.
+constexpr std::array<unsigned, 10> kBaudRates{0,     4800,   9600,   19200,  38400,
+                                              57600, 115200, 230400, 460800, 921600};
+
+constexpr std::uint16_t kOnce = 0x0C;
+
+/// Milliseconds between outputs by the code in register 03; 0: none. 02, 04, 05 and 0D are [M].
+std::optional<unsigned> period_ms(std::uint16_t code) {
+  switch (code) {
+    case 0x01:
+      return 5000;
+    case 0x02:
+      return 2000;
+    case 0x03:
+      return 1000;
+    case 0x04:
+      return 500;
+    case 0x05:
+      return 200;
+    case 0x06:
+      return 100;
+    case 0x07:
+      return 50;
+    case 0x08:
+      return 20;
+    case 0x09:
+      return 10;
+    case 0x0B:
+      return 5;
+    case kOnce:
+    case 0x0D:
+      return 0;
+    default:
+      return std::nullopt;
+  }
+}
+
+std::int16_t to_counts(double value) {
+  if (std::isnan(value)) return -32768;  // A conversion that failed; no frame can say "not a number".
+  return static_cast<std::int16_t>(std::clamp(std::round(value), -32768.0, 32767.0));
+}
+
+std::string frame(std::uint8_t type, const std::array<std::int16_t, 4>& words) {
+  std::string bytes{'\x55', static_cast<char>(type)};
+  for (const std::int16_t word : words) {
+    const auto bits = static_cast<std::uint16_t>(word);
+    bytes.push_back(static_cast<char>(bits & 0xFFU));
+    bytes.push_back(static_cast<char>(bits >> 8U));
+  }
+  unsigned sum = 0;
+  for (const char c : bytes) sum += static_cast<unsigned char>(c);
+  bytes.push_back(static_cast<char>(sum & 0xFFU));
+  return bytes;
+}
+
+}  // namespace
+
+class WitMotionFirmware::Device {
+ public:
+  Device(std::shared_ptr<SimBench> bench, WitMotionSettings settings);
+
+  void receive(std::string_view bytes, Clock::Instant now);
+  std::string transmit(Clock::Instant now);
+  std::optional<Clock::Instant> next_due() const;
+
+ private:
+  using Registers = std::map<std::uint8_t, std::uint16_t>;
+
+  void write(std::uint8_t reg, std::uint16_t value);
+  void read(std::uint8_t first);
+  std::int16_t value_of(std::uint8_t reg) const;
+  Registers factory() const;
+  unsigned period() const { return period_ms(registers_.at(kRate)).value_or(0); }
+  void stream_from(Clock::Instant t);
+  Clock::Instant sample_time() const;
+  std::string frames(Clock::Instant t, std::uint64_t index, unsigned every_ms) const;
+
+  std::shared_ptr<SimBench> bench_;
+  WitMotionSettings settings_;
+  Registers registers_;
+  Registers saved_;
+  std::uint64_t next_sample_ = 0;  ///< In periods, from the start of the world's time.
+  Clock::Instant unlocked_until_;
+  std::string input_;
+  ReplyQueue replies_;
+  Clock::Instant now_;
+};
+
+WitMotionFirmware::Device::Device(std::shared_ptr<SimBench> bench, WitMotionSettings settings)
+    : bench_(std::move(bench)), settings_(settings), unlocked_until_(bench_->start()), now_(bench_->start()) {
+  if (std::find(kBaudRates.begin() + 1, kBaudRates.end(), settings_.baud) == kBaudRates.end())
+    throw std::invalid_argument(
+        fmt::format("simulated WitMotion sensor: it has no baud rate {}", settings_.baud));
+  if (settings_.rate_code > 0xFF || !period_ms(static_cast<std::uint16_t>(settings_.rate_code)))
+    throw std::invalid_argument(
+        fmt::format("simulated WitMotion sensor: it has no rate code {:#04x}", settings_.rate_code));
+  registers_ = saved_ = factory();
+  stream_from(now_);
+}
+
+WitMotionFirmware::Device::Registers WitMotionFirmware::Device::factory() const {
+  const auto baud = std::find(kBaudRates.begin() + 1, kBaudRates.end(), settings_.baud) - kBaudRates.begin();
+  return {{kOutputMask, static_cast<std::uint16_t>(settings_.output_mask)},
+          {kRate, static_cast<std::uint16_t>(settings_.rate_code)},
+          {kBaud, static_cast<std::uint16_t>(baud)},
+          {kAccelerationRange, 3},
+          {kVersion, static_cast<std::uint16_t>(settings_.version)}};
+}
+
+// Commands: FF AA, register, value low, value high.
+
+void WitMotionFirmware::Device::receive(std::string_view bytes, Clock::Instant now) {
+  now_ = now;
+  input_ += bytes;
+  std::size_t at = 0;
+  while (at < input_.size()) {
+    const std::string_view rest = std::string_view(input_).substr(at);
+    if (rest[0] != '\xFF' || (rest.size() > 1 && rest[1] != '\xAA')) {
+      ++at;
+      continue;
+    }
+    if (rest.size() < 5) break;
+    const auto byte = [&](std::size_t n) { return static_cast<unsigned char>(rest[n]); };
+    write(byte(2), static_cast<std::uint16_t>(byte(3) | (byte(4) << 8U)));
+    at += 5;
+  }
+  input_.erase(0, at);
+}
+
+/// Says nothing, whether it takes the value or not: a host reads the register to see.
+void WitMotionFirmware::Device::write(std::uint8_t reg, std::uint16_t value) {
+  if (reg == kRead) {
+    if (value <= 0xFF) read(static_cast<std::uint8_t>(value));
+    return;
+  }
+  if (reg == kUnlock) {
+    if (value == kUnlockKey) unlocked_until_ = now_ + kUnlockedFor;
+    return;
+  }
+  if (settings_.needs_unlock && now_ >= unlocked_until_) return;
+  switch (reg) {
+    case kSave:
+      if (value == 0) saved_ = registers_;
+      if (value == 1) registers_ = saved_ = factory();
+      if (value == 0xFF) registers_ = saved_;  // restart [M]
+      stream_from(now_);
+      return;
+    case kCalibrate:
+      return;  // The world's errors are what is to be measured: not calibrated away.
+    case kOutputMask:
+      registers_[reg] = value;
+      return;
+    case kRate:
+      if (!period_ms(value)) return;
+      registers_[reg] = value;
+      stream_from(now_);
+      if (value == kOnce && !bench_->fault_at(FaultKind::kNoOutput, now_))
+        replies_.push(frames(now_, 0, 1), now_ + settings_.reply_delay);
+      return;
+    case kBaud:
+      // A pseudo-terminal has no line rate: it is kept, and nothing changes.
+      if (value >= 1 && value < kBaudRates.size()) registers_[reg] = value;
+      return;
+    case kVersion:
+      return;
+    default:
+      if (reg < kAcceleration || reg > kTemperature) registers_[reg] = value;
+  }
+}
+
+void WitMotionFirmware::Device::read(std::uint8_t first) {
+  std::array<std::int16_t, 4> words{};
+  for (unsigned n = 0; n < 4; ++n) words[n] = value_of(static_cast<std::uint8_t>(first + n));
+  replies_.push(frame(0x5F, words), now_ + settings_.reply_delay);
+}
+
+std::int16_t WitMotionFirmware::Device::value_of(std::uint8_t reg) const {
+  if (reg >= kAcceleration && reg < kAcceleration + 3) {
+    const SimOutput output = bench_->output(now_, 0, std::chrono::milliseconds(1));
+    return to_counts(output.value[reg - kAcceleration] / kFullScale * kCounts);
+  }
+  if (reg == kTemperature) return to_counts(bench_->temperature_degc(now_) * 100.0);
+  const auto found = registers_.find(reg);
+  return found == registers_.end() ? std::int16_t{0} : static_cast<std::int16_t>(found->second);
+}
+
+// Output.
+
+Clock::Instant WitMotionFirmware::Device::sample_time() const {
+  return bench_->start() + std::chrono::milliseconds(static_cast<std::int64_t>(next_sample_ * period()));
+}
+
+void WitMotionFirmware::Device::stream_from(Clock::Instant t) {
+  if (period() == 0) return;
+  const auto since = t < bench_->start() ? 0 : (t - bench_->start()).count();
+  next_sample_ = static_cast<std::uint64_t>(since) / (period() * 1'000'000ULL) + 1;
+}
+
+std::string WitMotionFirmware::Device::frames(Clock::Instant t, std::uint64_t index,
+                                              unsigned every_ms) const {
+  const SimOutput output = bench_->output(t, index, std::chrono::milliseconds(every_ms));
+  const unsigned mask = registers_.at(kOutputMask);
+  const std::int16_t temperature = to_counts(output.temperature_degc * 100.0);
+  std::string out;
+  // From time (50) to quaternion (59), one bit of the mask each; only what an accelerometer at rest shows is
+  // not zero.
+  for (unsigned bit = 0; bit < 10; ++bit) {
+    if ((mask >> bit & 1U) == 0) continue;
+    std::array<std::int16_t, 4> words{};
+    switch (bit) {
+      case 0: {
+        const auto ms = std::chrono::duration_cast<std::chrono::milliseconds>(t - bench_->start()).count();
+        words = {0x0100, static_cast<std::int16_t>(1 + 256 * (ms / 3'600'000 % 24)),
+                 static_cast<std::int16_t>(ms / 60'000 % 60 + 256 * (ms / 1000 % 60)),
+                 static_cast<std::int16_t>(ms % 1000)};
+        break;
+      }
+      case 1:
+        for (std::size_t j = 0; j < 3; ++j)
+          words[j] = to_counts(output.value[static_cast<Eigen::Index>(j)] / kFullScale * kCounts);
+        words[3] = temperature;
+        break;
+      case 2:
+        words[3] = temperature;
+        break;
+      case 3:
+        words[3] = static_cast<std::int16_t>(registers_.at(kVersion));
+        break;
+      case 4:
+        words[3] = temperature;
+        break;
+      case 9:
+        words[0] = 32767;  // no rotation
+        break;
+      default:
+        break;
+    }
+    out += frame(static_cast<std::uint8_t>(0x50 + bit), words);
+  }
+  return out;
+}
+
+std::string WitMotionFirmware::Device::transmit(Clock::Instant now) {
+  std::string out;
+  while (period() > 0 && sample_time() <= now) {
+    const Clock::Instant t = sample_time();
+    out += replies_.take(t);
+    if (!bench_->fault_at(FaultKind::kNoOutput, t)) out += frames(t, next_sample_, period());
+    ++next_sample_;
+  }
+  return out + replies_.take(now);
+}
+
+std::optional<Clock::Instant> WitMotionFirmware::Device::next_due() const {
+  std::optional<Clock::Instant> due = replies_.next_due();
+  if (period() > 0) due = due ? std::min(*due, sample_time()) : sample_time();
+  return due;
+}
+
+WitMotionFirmware::WitMotionFirmware(std::shared_ptr<SimBench> bench, WitMotionSettings settings)
+    : device_(std::make_unique<Device>(std::move(bench), settings)) {}
+
+WitMotionFirmware::~WitMotionFirmware() = default;
+
+void WitMotionFirmware::receive(std::string_view bytes, Clock::Instant now) {
+  device_->receive(bytes, now);
+}
+
+std::string WitMotionFirmware::transmit(Clock::Instant now) {
+  return device_->transmit(now);
+}
+
+std::optional<Clock::Instant> WitMotionFirmware::next_due() const {
+  return device_->next_due();
+}
+
+}  // namespace abcal::sim
