@@ -1,6 +1,8 @@
 #include "app/make_bench.h"
 
 #include <algorithm>
+#include <functional>
+#include <map>
 #include <stdexcept>
 #include <utility>
 
@@ -10,7 +12,9 @@
 #include "drivers/wire/open_stream.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/mip_firmware.h"
+#include "sim/firmware/newport_esp_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
+#include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/sim_accelerometer.h"
@@ -48,48 +52,66 @@ std::unique_ptr<wire::ByteStream> open_port(
   return wire::open_stream(port, settings, clock);
 }
 
-}  // namespace
+/// Settings that every stage's firmware has: axis names, signs and zeros, serial number.
+template <class Settings>
+Settings stage_firmware_settings(const StageConfig& stage) {
+  Settings settings;
+  settings.axis_names = {stage.x.axis, stage.z.axis};
+  settings.sign = {stage.x.sign, stage.z.sign};
+  settings.zero = {stage.x.zero, stage.z.zero};
+  if (!stage.serial_number.empty()) settings.serial_number = stage.serial_number;
+  return settings;
+}
 
-std::shared_ptr<sim::Firmware> make_stage_firmware(const BenchConfig& config,
-                                                   std::shared_ptr<sim::SimBench> world) {
-  if (config.stage.driver != "pi_gcs") {
-    throw std::invalid_argument("[stage] driver \"" + config.stage.driver + "\" has no simulated firmware");
-  }
-  sim::PiGcsSettings settings;
-  settings.axis_names = {config.stage.x.axis, config.stage.z.axis};
-  settings.sign = {config.stage.x.sign, config.stage.z.sign};
-  settings.zero = {config.stage.x.zero, config.stage.z.zero};
-  if (!config.stage.serial_number.empty()) settings.serial_number = config.stage.serial_number;
+std::shared_ptr<sim::Firmware> pi_gcs_firmware(const BenchConfig& config,
+                                               std::shared_ptr<sim::SimBench> world) {
+  auto settings = stage_firmware_settings<sim::PiGcsSettings>(config.stage);
   if (!config.stage.address.empty()) settings.address = std::stoi(config.stage.address);
   return std::make_shared<sim::PiGcsFirmware>(std::move(world), settings);
 }
 
-std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& config,
-                                                           std::shared_ptr<sim::SimBench> world) {
-  const auto set_baud = [&config](unsigned& baud) {
-    if (config.accelerometer.baud) baud = static_cast<unsigned>(*config.accelerometer.baud);
-  };
-  if (config.accelerometer.driver == "vectornav") {
-    sim::VectorNavSettings settings;
-    if (!config.accelerometer.serial_number.empty())
-      settings.serial_number = config.accelerometer.serial_number;
-    set_baud(settings.baud);
-    return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
-  }
-  if (config.accelerometer.driver == "witmotion") {
-    sim::WitMotionSettings settings;
-    set_baud(settings.baud);
-    return std::make_shared<sim::WitMotionFirmware>(std::move(world), settings);
-  }
-  if (config.accelerometer.driver != "microstrain_mip") {
-    throw std::invalid_argument("[accelerometer] driver \"" + config.accelerometer.driver +
-                                "\" has no simulated firmware");
-  }
+std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, std::shared_ptr<sim::SimBench> world) {
   sim::MipSettings settings;
   if (!config.accelerometer.serial_number.empty())
     settings.serial_number = config.accelerometer.serial_number;
-  set_baud(settings.baud);
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
+}
+
+using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, std::shared_ptr<sim::SimBench>);
+
+/// Driver name -> the simulated instrument that it talks to.
+const std::map<std::string, MakeFirmware>& stage_firmwares() {
+  static const std::map<std::string, MakeFirmware> firmwares{{"pi_gcs", pi_gcs_firmware}};
+  return firmwares;
+}
+
+const std::map<std::string, MakeFirmware>& accelerometer_firmwares() {
+  static const std::map<std::string, MakeFirmware> firmwares{{"microstrain_mip", mip_firmware}};
+  return firmwares;
+}
+
+std::shared_ptr<sim::Firmware> make_firmware(const std::map<std::string, MakeFirmware>& firmwares,
+                                             const std::string& driver, const BenchConfig& config,
+                                             std::shared_ptr<sim::SimBench> world) {
+  const auto found = firmwares.find(driver);
+  if (found == firmwares.end()) {
+    throw std::invalid_argument("driver \"" + driver +
+                                "\" has no simulated firmware; required: a real port, or another driver");
+  }
+  return found->second(config, std::move(world));
+}
+
+}  // namespace
+
+std::shared_ptr<sim::Firmware> make_stage_firmware(const BenchConfig& config,
+                                                   std::shared_ptr<sim::SimBench> world) {
+  return make_firmware(stage_firmwares(), config.stage.driver, config, std::move(world));
+}
+
+std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& config,
+                                                           std::shared_ptr<sim::SimBench> world) {
+  return make_firmware(accelerometer_firmwares(), config.accelerometer.driver, config, std::move(world));
 }
 
 Bench make_bench(const BenchConfig& config) {

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <iterator>
@@ -9,7 +10,9 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <sstream>
+#include <thread>
 
+#include "app/commands/simulate_joint.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
 #include "app/progress.h"
@@ -110,13 +113,16 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
     int threads = 0;
     std::optional<double> alignment, step, initial_turn, zero;
     bool scale = false, resolution = false, json = false;
+    JointStudyOptions joint;
+    bool without_mean_step = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
       parent.add_subcommand("simulate", "The simulations of Geist & Gaitan (2021), printed values beside");
   std::string sets;
   for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
-  command->add_option("SET", options->set, "one of " + sets)->required();
+  command->add_option("SET", options->set, "one of " + sets + "; or joint: the joint estimator's coverage")
+      ->required();
   command->add_option("--trials", options->trials, "simulations (default: as many as in the paper)");
   command->add_option("--seed", options->seed, "seed of the random numbers")->capture_default_str();
   command->add_option("--threads", options->threads, "threads; 0: as many as the machine has (same result)");
@@ -134,7 +140,45 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
   command->add_option("--csv", options->csv, "write the outputs of every case to this file");
   command->add_option("--figures", options->figures,
                       "sets 1 and 2: write figures 1 to 4 into this folder (gnuplot)");
+  const std::string joint = "joint study";
+  command->add_option("--noise", options->joint.noise, "noise of one averaged reading, R")
+      ->group(joint)
+      ->capture_default_str();
+  command->add_option("--nonlinearity", options->joint.k, "standard deviation of k2 and k3")
+      ->group(joint)
+      ->capture_default_str();
+  command->add_option("--drift", options->joint.drift, "standard deviation of the drift over a run, R")
+      ->group(joint)
+      ->capture_default_str();
+  command->add_option("--response-scale", options->joint.scale, "response units per R, e.g. 4096 for LSB")
+      ->group(joint)
+      ->capture_default_str();
+  command->add_option("--steps", options->joint.steps, "angles of each experiment")
+      ->group(joint)
+      ->capture_default_str();
+  command
+      ->add_flag("--without-mean-step", options->without_mean_step,
+                 "leave the mean step errors out of the fit: must fail")
+      ->group(joint);
   command->callback([options, &exit_code] {
+    if (options->set == "joint") {
+      JointStudyOptions study = options->joint;
+      study.trials = static_cast<int>(not_negative("--trials", options->trials.value_or(study.trials)));
+      study.seed = not_negative("--seed", options->seed);
+      const auto threads = static_cast<int>(not_negative("--threads", options->threads));
+      study.threads =
+          threads > 0 ? threads : static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+      study.joint.mean_step = !options->without_mean_step;
+      const auto set_angle = [](Angle& tolerance, std::optional<double> degrees) {
+        if (degrees) tolerance = Angle::degrees(*degrees);
+      };
+      set_angle(study.tolerances.alignment, options->alignment);
+      set_angle(study.tolerances.step, options->step);
+      set_angle(study.tolerances.initial_turn, options->initial_turn);
+      set_angle(study.tolerances.zero, options->zero);
+      exit_code = simulate_joint(study, options->json);
+      return;
+    }
     SimulationOptions simulation;
     if (options->trials) simulation.trials = not_negative("--trials", *options->trials);
     simulation.seed = not_negative("--seed", options->seed);
