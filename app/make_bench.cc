@@ -78,16 +78,42 @@ std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, std::shar
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> newport_esp_firmware(const BenchConfig& config,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  return std::make_shared<sim::NewportEspFirmware>(
+      std::move(world), stage_firmware_settings<sim::NewportEspSettings>(config.stage));
+}
+
+std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::VectorNavSettings settings;
+  if (!config.accelerometer.serial_number.empty())
+    settings.serial_number = config.accelerometer.serial_number;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config,
+                                                       std::shared_ptr<sim::SimBench> world) {
+  sim::ScpiVoltmeterSettings settings;
+  if (!config.accelerometer.serial_number.empty())
+    settings.serial_number = config.accelerometer.serial_number;
+  return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
+}
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, std::shared_ptr<sim::SimBench>);
 
 /// Driver name -> the simulated instrument that it talks to.
 const std::map<std::string, MakeFirmware>& stage_firmwares() {
-  static const std::map<std::string, MakeFirmware> firmwares{{"pi_gcs", pi_gcs_firmware}};
+  static const std::map<std::string, MakeFirmware> firmwares{{"newport_esp", newport_esp_firmware},
+                                                             {"pi_gcs", pi_gcs_firmware}};
   return firmwares;
 }
 
 const std::map<std::string, MakeFirmware>& accelerometer_firmwares() {
-  static const std::map<std::string, MakeFirmware> firmwares{{"microstrain_mip", mip_firmware}};
+  static const std::map<std::string, MakeFirmware> firmwares{{"microstrain_mip", mip_firmware},
+                                                             {"scpi_voltmeter", scpi_voltmeter_firmware},
+                                                             {"vectornav", vectornav_firmware}};
   return firmwares;
 }
 
