@@ -563,7 +563,9 @@ void NewportEspFirmware::Controller::stop(std::size_t k, bool abruptly) {
 // Commands. A set command answers nothing.
 
 std::optional<std::string> NewportEspFirmware::Controller::stage_id(const Command& c) {
-  return settings_.stage_ids[index_of(c)];
+  const std::size_t k = index_of(c);
+  return fmt::format("{}, SN{}", settings_.stage_models[k],
+                     k == 0 ? settings_.serial_number : settings_.z_serial_number);
 }
 
 std::optional<std::string> NewportEspFirmware::Controller::motor_on(const Command& c) {

@@ -17,7 +17,10 @@ struct NewportEspSettings {
   std::array<int, 2> sign{+1, +1};
   std::array<Angle, 2> zero{};
   std::string version = "ESP301 Version 3.0.1 6/1/99";
-  std::array<std::string, 2> stage_ids{"URS100BCC, SN12345", "URS100BCC, SN12346"};
+  std::array<std::string, 2> stage_models{"URS100BCC", "URS100BCC"};
+  /// Of the stage that is X. The controller itself has none that it would tell.
+  std::string serial_number = "12345";
+  std::string z_serial_number = "12346";
   unsigned axes = 3;                   ///< Of the controller; 6 for an ESP302. Those with no stage say so.
   double max_speed_deg_per_s = 720.0;  ///< VU?
   double max_acceleration_deg_per_s2 = 1e5;  ///< AU?
