@@ -93,6 +93,13 @@ std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config,
   return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::WitMotionSettings settings;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::WitMotionFirmware>(std::move(world), settings);
+}
+
 std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config,
                                                        std::shared_ptr<sim::SimBench> world) {
   sim::ScpiVoltmeterSettings settings;
@@ -113,7 +120,8 @@ const std::map<std::string, MakeFirmware>& stage_firmwares() {
 const std::map<std::string, MakeFirmware>& accelerometer_firmwares() {
   static const std::map<std::string, MakeFirmware> firmwares{{"microstrain_mip", mip_firmware},
                                                              {"scpi_voltmeter", scpi_voltmeter_firmware},
-                                                             {"vectornav", vectornav_firmware}};
+                                                             {"vectornav", vectornav_firmware},
+                                                             {"witmotion", witmotion_firmware}};
   return firmwares;
 }
 
