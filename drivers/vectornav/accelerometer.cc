@@ -28,8 +28,8 @@ constexpr unsigned kBitsPerByte = 10;  // On a UART, with start and stop bit.
 
 // Rates of the text output (register 7).
 constexpr std::array kTextRates{1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0};
-// [M] Longest lines seen: "$VNIMU" with 11 numbers, "$VNACC" with 3, both with a CRC.
-constexpr std::size_t kImuTextBytes = 117;
+// [M] "$VNIMU" with 11 numbers and "$VNACC" with 3, in the widths that are seen, at 16 g, with a CRC.
+constexpr std::size_t kImuTextBytes = 115;
 constexpr std::size_t kAccelerationTextBytes = 40;
 
 constexpr unsigned kInvalidCommand = 0x04;
@@ -391,24 +391,26 @@ bool VectorNavAccelerometer::try_binary_output() {
   return true;
 }
 
-/// Configures the text output IMU, or else ACC.
+/// Configures the text output IMU, which has the temperature; ACC if the link is too slow for it, or there is
+/// none.
 void VectorNavAccelerometer::set_text_output() {
   const double rate_hz = *std::min_element(kTextRates.begin(), kTextRates.end(), [&](double a, double b) {
     return std::abs(a - settings_.rate_hz) < std::abs(b - settings_.rate_hz);
   });
   check_rate(rate_hz, "1, 2, 4, 5, 10, 20, 25, 40, 50, 100 or 200 readings a second (no binary output)");
-  check_link(rate_hz, kImuTextBytes);
+  check_link(rate_hz, kAccelerationTextBytes);
   exchange(fmt::format("VNWRG,07,{}", rate_hz));
+  rate_hz_ = rate_hz;
   output_ = Output::kImuText;
   message_bytes_ = kImuTextBytes;
-  const Answer answer = try_exchange("VNWRG,06,19");
-  if (answer.error) {
+  if (!link_bytes_per_s_ || rate_hz * kImuTextBytes <= *link_bytes_per_s_) {
+    const Answer answer = try_exchange("VNWRG,06,19");
+    if (!answer.error) return;
     if (*answer.error != kInvalidParameter) refuse("VNWRG,06,19", *answer.error);
-    exchange("VNWRG,06,11");
-    output_ = Output::kAccelerationText;
-    message_bytes_ = kAccelerationTextBytes;
   }
-  rate_hz_ = rate_hz;
+  output_ = Output::kAccelerationText;
+  message_bytes_ = kAccelerationTextBytes;
+  exchange("VNWRG,06,11");
 }
 
 // Data.
