@@ -20,7 +20,7 @@ enum class ScpiFamily {
 
 struct ScpiVoltmeterSettings {
   ScpiFamily family = ScpiFamily::kKeysight34970a;
-  std::string identity;  ///< Reply to *IDN?; empty: that of the family, with `serial_number`.
+  std::string identity = {};  ///< Reply to *IDN?; empty: that of the family, with `serial_number`.
   std::string serial_number = "MY44012345";
   std::array<int, 3> channels{101, 102, 103};  ///< Where u, v, w of the SimBench are wired.
   std::size_t single_channel = 0;              ///< The one that a 34401A is wired to: 0 u, 1 v, 2 w.
