@@ -63,15 +63,14 @@ std::string figure_script(const SimulatedReadings& readings, bool residuals, con
   // corner.
   script +=
       "set multiplot layout 2,2\n"
-      "set xrange [0:360]\nset xtics 90\nset grid\nset xlabel 'rotation angle (degree)'\n";
-  script += residuals ? "set ylabel 'difference (R)'\nset format y '%.0e'\n" : "set ylabel 'response (R)'\n";
-  script +=
-      "unset border\nunset tics\nunset xlabel\nset key center center\n"
-      "set label 1 at graph 0, graph 1 ''\n"
+      "unset border\nunset tics\nset key center center\n"
       "plot [0:1][0:1] NaN with points pt 1 lc rgb 'red' title 'U', NaN with points pt 2 lc rgb 'dark-green' "
       "title 'V', "
       "NaN with points pt 6 lc rgb 'blue' title 'W'\n"
-      "set border\nset tics\nset xtics 90\nset xlabel 'rotation angle (degree)'\nunset key\n";
+      "set border\nset tics\nset xtics 90\nset grid\nset xrange [0:360]\nset xlabel 'rotation angle "
+      "(degree)'\n"
+      "unset key\n";
+  script += residuals ? "set ylabel 'difference (R)'\nset format y '%.0e'\n" : "set ylabel 'response (R)'\n";
   for (int experiment = 1; experiment <= 3; ++experiment) {
     script += fmt::format(
         "set title 'experiment {0}'\n"
