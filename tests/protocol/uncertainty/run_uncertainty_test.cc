@@ -37,7 +37,7 @@ RunRecord simulated_record(const AccelerometerUnderTest& accelerometer, const Ac
 
 UncertaintyOptions quick() {
   UncertaintyOptions options;
-  options.trials = 20'000;
+  options.trials = 2000;
   return options;
 }
 
@@ -47,7 +47,7 @@ TEST(RunUncertaintyTest, TypeBIsThatOfTheSameAccelerometerAndTolerances) {
   TypeBStudy type_b;
   type_b.accelerometer = table_2_accelerometer();
   MonteCarloOptions options;
-  options.trials = 20'000;
+  options.trials = 2000;
   const MonteCarloResult direct = run_type_b(type_b, options);
   for (int k = 0; k < kStudyOutputs; ++k) {
     EXPECT_NEAR(study.type_b.standard_deviation(k) / direct.standard_deviation(k), 1.0, 1e-9)
@@ -57,16 +57,18 @@ TEST(RunUncertaintyTest, TypeBIsThatOfTheSameAccelerometerAndTolerances) {
 
 TEST(RunUncertaintyTest, TheBudgetAgreesWithMonteCarloAndItsSharesAddUp) {
   const RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-4);
-  const RunUncertainty study = run_uncertainty(record, quick());
+  UncertaintyOptions options;
+  options.trials = 5000;
+  const RunUncertainty study = run_uncertainty(record, options);
   for (int k = 0; k < kStudyOutputs; ++k) {
     double shares = 0.0;
     for (const BudgetLine& line : study.budget.lines) shares += study.budget.share(line, k);
     EXPECT_NEAR(shares, 1.0, 1e-12) << output_symbol(k);
-    // First order against Monte Carlo: 5 standard deviations of a standard deviation of 2e4 trials.
+    // First order against Monte Carlo: 5 standard deviations of a standard deviation of 5000 trials.
     EXPECT_NEAR(std::sqrt(study.budget.type_b_covariance(k, k)) / study.type_b.standard_deviation(k), 1.0,
                 0.025)
         << output_symbol(k);
-    EXPECT_NEAR(study.budget.combined(k) / study.combined.standard_deviation(k), 1.0, 0.025)
+    EXPECT_NEAR(study.budget.combined(k) / study.combined.standard_deviation(k), 1.0, 0.05)
         << output_symbol(k);
     EXPECT_NEAR(study.budget.combined(k), std::sqrt(study.budget.covariance(k, k)),
                 1e-9 * study.budget.combined(k))
