@@ -16,7 +16,7 @@ struct StageSettings {
 /// What a bench file says of an accelerometer, as far as a driver needs it.
 struct AccelerometerSettings {
   double rate_hz = 100.0;
-  std::optional<double> full_scale;  ///< In the output unit, where the instrument does not say.
+  std::optional<double> full_scale;          ///< In the output unit, where the instrument does not say.
   std::optional<double> link_bytes_per_s{};  ///< What the link carries, where known (a UART: baud / 10).
 };
 
