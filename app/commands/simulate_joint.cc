@@ -6,11 +6,27 @@
 #include <nlohmann/json.hpp>
 
 #include "app/exit_code.h"
+#include "app/interrupt.h"
+#include "app/progress.h"
+#include "app/real_clock.h"
 
 namespace abcal {
 
-int simulate_joint(const JointStudyOptions& options, bool json) {
+int simulate_joint(const JointStudyOptions& given, bool json) {
+  JointStudyOptions options = given;
+  const RealClock clock;
+  ProgressBar bar("simulating", clock);
+  const Clock::Instant start = clock.now();
+  options.stop = interrupt_token();
+  options.progress = [&](int done, int planned) {
+    if (to_seconds(clock.now() - start) > 2.0) bar.show(done, planned);
+  };
   const JointStudy study = run_joint_study(options);
+  bar.clear();
+  if (study.interrupted) {
+    fmt::print(stderr, "interrupted: the first {} of {} runs\n", study.trials, options.trials);
+  }
+  const int exit_code = study.interrupted ? kExitInterrupted : kExitDone;
   const auto number = [](double value) {
     return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
   };
@@ -18,6 +34,7 @@ int simulate_joint(const JointStudyOptions& options, bool json) {
     nlohmann::ordered_json output{{"schema", "abcal.joint_study/1"},
                                   {"set", "joint"},
                                   {"trials", study.trials},
+                                  {"interrupted", study.interrupted},
                                   {"seed", options.seed},
                                   {"noise", options.noise},
                                   {"k", options.k},
@@ -41,7 +58,7 @@ int simulate_joint(const JointStudyOptions& options, bool json) {
                                    {"abc_rms_error", number(o.abc_rms_error)}});
     }
     fmt::print("{}\n", output.dump(2));
-    return kExitDone;
+    return exit_code;
   }
   fmt::print("Joint estimator: {} simulated runs of 3 x {} angles, seed {}\n", study.trials, options.steps,
              options.seed);
@@ -63,7 +80,7 @@ int simulate_joint(const JointStudyOptions& options, bool json) {
       "usable\n",
       study.mean_chi2_per_dof, study.failed, study.nonlinearity_fitted, study.not_usable_or_doubtful);
   fmt::print("coverage: share of runs with the truth inside +-1.96 standard uncertainties (nominal 0.95)\n");
-  return kExitDone;
+  return exit_code;
 }
 
 }  // namespace abcal

@@ -292,9 +292,18 @@ JointStudy run_joint_study(const JointStudyOptions& options) {
   std::atomic<std::size_t> next{0};
   std::exception_ptr failure;
   std::mutex failure_mutex;
+  std::mutex progress_mutex;
   const auto work = [&] {
     try {
-      for (std::size_t i = next++; i < trials.size(); i = next++) trials[i] = run_trial(options, i);
+      while (!options.stop.stop_requested()) {
+        const std::size_t i = next++;
+        if (i >= trials.size()) break;
+        trials[i] = run_trial(options, i);
+        if (options.progress && i % 16 == 0) {
+          const std::lock_guard lock(progress_mutex);
+          options.progress(static_cast<int>(i) + 1, options.trials);
+        }
+      }
     } catch (...) {
       const std::lock_guard lock(failure_mutex);
       failure = std::current_exception();  // rethrown below
@@ -307,11 +316,15 @@ JointStudy run_joint_study(const JointStudyOptions& options) {
     work();
   }
   if (failure) std::rethrow_exception(failure);
+  // Every trial that was taken was also made: what an interrupt leaves is the first so many, without a gap.
+  trials.resize(std::min(trials.size(), next.load()));
+  if (trials.empty()) throw std::runtime_error("joint study: interrupted before its first trial");
 
   // Trials are summed in their order, whoever computed them.
   JointStudy study;
   study.options = options;
-  study.trials = options.trials;
+  study.trials = static_cast<int>(trials.size());
+  study.interrupted = study.trials < options.trials;
   const std::vector<std::string> names = output_names();
   for (const std::string& name : names) study.outputs.push_back({.name = name});
   int solved = 0;

@@ -2,6 +2,8 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
+#include <stop_token>
 #include <string>
 #include <vector>
 
@@ -24,6 +26,9 @@ struct JointStudyOptions {
   Tolerances tolerances;         ///< Of what is drawn and of the priors.
   JointOptions joint;            ///< Of the estimator.
   int threads = 1;               ///< The result does not depend on it.
+  std::stop_token stop = {};     ///< Asked between trials; the study is then of the trials made so far.
+  /// Called now and then, by one thread at a time, with the trials made and planned.
+  std::function<void(int, int)> progress = {};
 };
 
 /// One output over all trials.
@@ -39,7 +44,8 @@ struct JointStudyOutput {
 
 struct JointStudy {
   JointStudyOptions options;
-  int trials = 0;
+  int trials = 0;  ///< Made; fewer than planned if interrupted.
+  bool interrupted = false;
   int failed = 0;                  ///< Trials whose fit did not converge; none of them is counted above.
   int nonlinearity_fitted = 0;     ///< Trials in which k2, k3 were unknowns.
   int not_usable_or_doubtful = 0;  ///< Trials with a verdict other than usable.
