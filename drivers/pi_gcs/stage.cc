@@ -19,6 +19,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/pi_gcs/codec.h"
+#include "drivers/wire/timed_lock.h"
 
 namespace abcal::pi_gcs {
 namespace {
@@ -64,35 +65,6 @@ void check_settings(const StageSettings& settings) {
         printable(settings.address)));
   }
 }
-
-/// A mutex that can be waited for until a deadline. (std::timed_mutex could too, but the thread sanitizer of
-/// GCC 12 does not see its lock and reports every use.)
-class TimedLock {
- public:
-  void lock() {
-    std::unique_lock lock(mutex_);
-    free_.wait(lock, [this] { return !held_; });
-    held_ = true;
-  }
-  bool try_lock_for(Clock::Duration patience) {
-    std::unique_lock lock(mutex_);
-    if (!free_.wait_for(lock, patience, [this] { return !held_; })) return false;
-    held_ = true;
-    return true;
-  }
-  void unlock() {
-    {
-      const std::lock_guard lock(mutex_);
-      held_ = false;
-    }
-    free_.notify_one();
-  }
-
- private:
-  std::mutex mutex_;
-  std::condition_variable free_;
-  bool held_ = false;
-};
 
 }  // namespace
 
@@ -618,7 +590,8 @@ struct PiGcsStage::Impl {
   Clock& clock_;
   const StageSettings settings_;
 
-  TimedLock exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
+  wire::TimedLock
+      exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
   std::string who_;
   std::string received_;
   Identity identity_;
