@@ -11,6 +11,7 @@
 #include "app/exit_code.h"
 #include "app/interrupt.h"
 #include "app/load_record.h"
+#include "app/mpi_team.h"
 #include "app/progress.h"
 #include "app/real_clock.h"
 #include "app/report/study_json.h"
@@ -40,6 +41,60 @@ void take(const nlohmann::json& quantity, Angle& mean, Angle& error) {
   const Measured m = measured(quantity);
   mean = Angle::degrees(m.value);
   error = Angle::degrees(m.standard_error);
+}
+
+struct Options {
+  std::string file, preset, measured;
+  std::optional<std::int64_t> trials;
+  std::optional<int> digits;
+  std::int64_t seed = 1;
+  int threads = 0;
+  std::optional<double> alignment, step, initial_turn, zero, resolution;
+  bool json = false;
+};
+
+RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
+  UncertaintyOptions uncertainty;
+  if (options.trials) uncertainty.trials = not_negative("--trials", *options.trials);
+  if (options.digits) {
+    uncertainty.trials.reset();
+    uncertainty.digits = *options.digits;
+  }
+  uncertainty.seed = not_negative("--seed", options.seed);
+  uncertainty.threads = static_cast<unsigned>(not_negative("--threads", options.threads));
+  uncertainty.resolution = options.resolution;
+  uncertainty.paper_preset = options.preset == "paper";
+  if (!options.measured.empty()) uncertainty.measured = read_measured_acs(options.measured);
+  RunRecord record = load_record(options.file).record;
+  const auto override_with = [](std::optional<double> degrees, Angle& tolerance) {
+    if (degrees) tolerance = Angle::degrees(*degrees);
+  };
+  override_with(options.alignment, record.tolerances.alignment);
+  override_with(options.step, record.tolerances.step);
+  override_with(options.initial_turn, record.tolerances.initial_turn);
+  override_with(options.zero, record.tolerances.zero);
+  uncertainty.stop = interrupt_token();
+  RealClock clock;
+  ProgressBar bar("uncertainty", clock);
+  const Clock::Instant start = clock.now();
+  uncertainty.progress = [&](std::uint64_t done, std::uint64_t planned) {
+    if (planned > 0 && to_seconds(clock.now() - start) > 2.0) {
+      bar.show(static_cast<double>(done), static_cast<double>(planned));
+    }
+  };
+  uncertainty.team = team;
+  RunUncertainty study = run_uncertainty(record, uncertainty);
+  bar.clear();
+  return study;
+}
+
+void print(const RunUncertainty& study, bool json) {
+  if (json) {
+    fmt::print("{}\n", study_json(study).dump(2));
+    for (const std::string& warning : study.warnings) fmt::print(stderr, "warning: {}\n", warning);
+  } else {
+    fmt::print("{}", study_text(study));
+  }
 }
 
 }  // namespace
@@ -72,15 +127,6 @@ MeasuredAcs read_measured_acs(const std::filesystem::path& path) {
 }
 
 CLI::App* add_uncertainty(CLI::App& parent, int& exit_code) {
-  struct Options {
-    std::string file, preset, measured;
-    std::optional<std::int64_t> trials;
-    std::optional<int> digits;
-    std::int64_t seed = 1;
-    int threads = 0;
-    std::optional<double> alignment, step, initial_turn, zero, resolution;
-    bool json = false;
-  };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
       "uncertainty", "Type B and type A uncertainty of a run, with budget and coverage intervals");
@@ -106,43 +152,15 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code) {
                       "JSON of a joint analysis: measured system errors for the type A evaluation");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
   command->callback([options, &exit_code] {
-    UncertaintyOptions uncertainty;
-    if (options->trials) uncertainty.trials = not_negative("--trials", *options->trials);
-    if (options->digits) {
-      uncertainty.trials.reset();
-      uncertainty.digits = *options->digits;
+    const std::unique_ptr<MonteCarloTeam> team = mpi_team();
+    try {
+      const RunUncertainty study = study_of(*options, team.get());
+      if (team == nullptr || team->leads()) print(study, options->json);
+      exit_code = study.interrupted ? kExitInterrupted : kExitDone;
+    } catch (const std::exception& error) {
+      abandon(team.get(), error.what(), kExitFailed);
+      throw;
     }
-    uncertainty.seed = not_negative("--seed", options->seed);
-    uncertainty.threads = static_cast<unsigned>(not_negative("--threads", options->threads));
-    uncertainty.resolution = options->resolution;
-    uncertainty.paper_preset = options->preset == "paper";
-    if (!options->measured.empty()) uncertainty.measured = read_measured_acs(options->measured);
-    RunRecord record = load_record(options->file).record;
-    const auto override_with = [](std::optional<double> degrees, Angle& tolerance) {
-      if (degrees) tolerance = Angle::degrees(*degrees);
-    };
-    override_with(options->alignment, record.tolerances.alignment);
-    override_with(options->step, record.tolerances.step);
-    override_with(options->initial_turn, record.tolerances.initial_turn);
-    override_with(options->zero, record.tolerances.zero);
-    uncertainty.stop = interrupt_token();
-    RealClock clock;
-    ProgressBar bar("uncertainty", clock);
-    const Clock::Instant start = clock.now();
-    uncertainty.progress = [&](std::uint64_t done, std::uint64_t planned) {
-      if (planned > 0 && to_seconds(clock.now() - start) > 2.0) {
-        bar.show(static_cast<double>(done), static_cast<double>(planned));
-      }
-    };
-    const RunUncertainty study = run_uncertainty(record, uncertainty);
-    bar.clear();
-    if (options->json) {
-      fmt::print("{}\n", study_json(study).dump(2));
-      for (const std::string& warning : study.warnings) fmt::print(stderr, "warning: {}\n", warning);
-    } else {
-      fmt::print("{}", study_text(study));
-    }
-    exit_code = study.interrupted ? kExitInterrupted : kExitDone;
   });
   return command;
 }

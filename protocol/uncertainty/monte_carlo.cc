@@ -12,6 +12,8 @@
 #include <thread>
 #include <utility>
 
+#include "protocol/uncertainty/monte_carlo_team.h"
+
 namespace abcal {
 
 namespace {
@@ -105,18 +107,21 @@ class Engine {
         options_.threads != 0 ? options_.threads : std::max(1U, std::thread::hardware_concurrency());
     const std::uint64_t blocks = (last_ + kBlock - 1) / kBlock;
     threads = static_cast<unsigned>(std::min<std::uint64_t>(threads, blocks));
-    look_ahead_ = 4ULL * threads;
+    const std::vector<TrialBlock> hands =
+        options_.team != nullptr ? options_.team->hands(outputs_) : std::vector<TrialBlock>{};
+    look_ahead_ = 4ULL * (threads + hands.size());
     {
       std::vector<std::jthread> workers;
-      for (unsigned i = 1; i < threads; ++i) workers.emplace_back([this] { work(); });
-      work();
+      for (const TrialBlock& hand : hands) workers.emplace_back([this, &hand] { work(hand); });
+      for (unsigned i = 1; i < threads; ++i) workers.emplace_back([this] { work(trial_block_); });
+      work(trial_block_);
     }
     if (failure_) std::rethrow_exception(failure_);
     return result();
   }
 
  private:
-  void work() {
+  void work(const TrialBlock& trial_block) {
     std::unique_lock lock(mutex_);
     while (true) {
       // A worker that is much ahead of the merge waits, so that memory stays bounded.
@@ -128,7 +133,7 @@ class Engine {
       std::optional<Block> block;
       std::exception_ptr failure;
       try {
-        block = make_block(outputs_, trial_block_, first, std::min(kBlock, last_ - first));
+        block = make_block(outputs_, trial_block, first, std::min(kBlock, last_ - first));
       } catch (...) {
         failure = std::current_exception();
       }
@@ -327,7 +332,17 @@ MonteCarloResult run_monte_carlo(int outputs, const TrialBlock& block, const Mon
   if (!options.trials && options.most_trials < 2 * kSmallestLook) {
     throw std::invalid_argument("an adaptive run needs room for at least 20000 trials");
   }
-  return Engine(outputs, block, options).run();
+  MonteCarloTeam* const team = options.team;
+  if (team == nullptr) return Engine(outputs, block, options).run();
+  if (!team->leads()) return team->serve(outputs, block, options.threads);
+  try {
+    MonteCarloResult result = Engine(outputs, block, options).run();
+    team->dismiss(result);
+    return result;
+  } catch (const std::exception& failure) {
+    team->dismiss(failure.what());
+    throw;
+  }
 }
 
 }  // namespace abcal

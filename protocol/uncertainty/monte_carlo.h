@@ -13,6 +13,8 @@
 
 namespace abcal {
 
+class MonteCarloTeam;
+
 /// Makes trials first .. first + count - 1 of a study: output k of trial first + i goes to out[k * count +
 /// i]. Called from several threads at once; must depend on the trial's number alone.
 using TrialBlock = std::function<void(std::uint64_t first, std::size_t count, double* out)>;
@@ -27,7 +29,8 @@ struct MonteCarloOptions {
   std::uint64_t most_trials = 100'000'000;  ///< Where an adaptive run gives up and says so.
   unsigned threads = 0;                     ///< 0: as many as the machine has.
   double coverage_probability = 0.95;
-  std::stop_token stop;  ///< Asked to stop, the engine reports what it has.
+  MonteCarloTeam* team = nullptr;  ///< Other processes that share the work; none: this one alone.
+  std::stop_token stop;            ///< Asked to stop, the engine reports what it has.
   /// Told from time to time how many trials are done, of how many (0: not known). From any worker, one at a
   /// time.
   std::function<void(std::uint64_t done, std::uint64_t planned)> progress;

@@ -74,6 +74,7 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
     monte_carlo.trials = options.trials;
     monte_carlo.digits = options.digits;
     monte_carlo.threads = options.threads;
+    monte_carlo.team = options.team;
     monte_carlo.stop = options.stop;
     if (options.progress) {
       const auto before = static_cast<std::uint64_t>(stage) * options.trials.value_or(0);

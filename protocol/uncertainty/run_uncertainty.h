@@ -26,6 +26,7 @@ struct UncertaintyOptions {
       measured;  ///< For the type A evaluation; absent: nothing measured, tolerances instead.
   std::optional<double> resolution;  ///< Step of the output (R).
   bool paper_preset = false;         ///< Section 5's bounds as the type B uncertainty.
+  MonteCarloTeam* team = nullptr;    ///< Other processes that share the work.
   std::stop_token stop;
   std::function<void(std::uint64_t done, std::uint64_t planned)> progress;
 };

@@ -41,7 +41,12 @@ class Program {
       : Program(arguments, folder, Limits{}) {}
 
   Program(const std::vector<std::string>& arguments, const std::filesystem::path& folder,
-          const Limits& limits) {
+          const Limits& limits)
+      : Program(ABCAL_PROGRAM, arguments, folder, limits) {}
+
+  /// Another program that starts abcal.
+  Program(const std::string& program, const std::vector<std::string>& arguments,
+          const std::filesystem::path& folder, const Limits& limits = {}) {
     static int count = 0;
     const std::string stem = "program-" + std::to_string(::getpid()) + "-" + std::to_string(count++);
     out_ = folder / (stem + ".out");
@@ -60,12 +65,12 @@ class Program {
         ::setrlimit(RLIMIT_FSIZE, &limit);
         ::signal(SIGXFSZ, SIG_IGN);
       }
-      std::vector<std::string> words{ABCAL_PROGRAM};
+      std::vector<std::string> words{program};
       words.insert(words.end(), arguments.begin(), arguments.end());
       std::vector<char*> argv;
       for (std::string& word : words) argv.push_back(word.data());
       argv.push_back(nullptr);
-      ::execv(ABCAL_PROGRAM, argv.data());
+      ::execv(program.c_str(), argv.data());
       ::_exit(127);
     }
   }
