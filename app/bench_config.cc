@@ -4,11 +4,13 @@
 
 #include <toml++/toml.h>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <functional>
 #include <limits>
 #include <map>
+#include <nlohmann/json.hpp>
 #include <set>
 #include <sstream>
 
@@ -55,9 +57,20 @@ class KeyVisitor {
   virtual void seed(const std::string& key, std::uint64_t& value) = 0;
   virtual void boolean(const std::string& key, bool& value) = 0;
   virtual void vector(const std::string& key, Eigen::Vector3d& value) = 0;
+  virtual void integers(const std::string& key, std::array<int, 3>& value, int min, int max) = 0;
   virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
-  /// An array of tables below the current section.
-  virtual void harmonics(const std::string& key, std::vector<sim::ErrorHarmonic>& value) = 0;
+  /// An array of tables below the current section: visits each entry; those that are not there yet
+  /// (index >= size) come from the file.
+  virtual void tables(const std::string& key, std::size_t size,
+                      const std::function<void(std::size_t)>& visit_entry) = 0;
+
+  template <class T, class Visit>
+  void list(const std::string& key, std::vector<T>& value, const T& fresh, Visit visit_entry) {
+    tables(key, value.size(), [&](std::size_t i) {
+      if (i >= value.size()) value.push_back(fresh);
+      visit_entry(*this, value[i]);
+    });
+  }
 
   void angle(const std::string& key, Angle& value, Range range) {
     double degrees = value.deg();
@@ -73,6 +86,13 @@ std::vector<std::string> driver_names(const auto& drivers) {
   return names;
 }
 
+/// What [stage] driver may be; empty where each axis has a driver of its own.
+std::vector<std::string> stage_driver_names() {
+  std::vector<std::string> names = driver_names(stage_drivers());
+  names.insert(names.end(), {"manual", ""});
+  return names;
+}
+
 void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisConfig& axis) {
   keys.section(section);
   keys.text("axis", axis.axis);
@@ -81,6 +101,12 @@ void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisCon
   keys.number("travel_min_deg", axis.travel_min_deg, kAny);
   keys.number("travel_max_deg", axis.travel_max_deg, kAny);
   keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
+  std::vector<std::string> drivers{""};
+  for (const StageDriver& driver : stage_drivers()) drivers.push_back(driver.name);
+  keys.text("driver", axis.driver, drivers);
+  keys.text("port", axis.port);
+  keys.integer("baud", axis.baud, 300, 4'000'000);
+  keys.text("address", axis.address);
 }
 
 void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTruth& axis) {
@@ -94,7 +120,50 @@ void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTru
   keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
   keys.number("acceleration_deg_per_s2", axis.acceleration_deg_per_s2, kPositive);
   keys.angle("encoder_resolution_deg", axis.encoder_resolution, kNotNegative);
-  keys.harmonics("harmonics", axis.harmonics);
+  keys.list("harmonics", axis.harmonics, sim::ErrorHarmonic{},
+            [](KeyVisitor& entry, sim::ErrorHarmonic& harmonic) {
+              entry.integer("order", harmonic.order, 1, 1000);
+              entry.angle("sin_deg", harmonic.sin_coefficient, kAny);
+              entry.angle("cos_deg", harmonic.cos_coefficient, kAny);
+            });
+}
+
+void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
+  keys.matrix("sensitivity_matrix", s.sensitivity_matrix);
+  keys.vector("offset", s.offset);
+  keys.vector("k2", s.k2);
+  keys.vector("k3", s.k3);
+  keys.vector("drift_per_hour", s.drift_per_hour);
+  keys.vector("offset_per_degc", s.offset_per_degc);
+  keys.number("noise", s.noise, kNotNegative);
+  keys.number("quantisation", s.quantisation, kNotNegative);
+  std::optional<double> full_scale;
+  if (std::isfinite(s.full_scale)) full_scale = s.full_scale;
+  keys.number("full_scale", full_scale, kPositive);
+  s.full_scale = full_scale.value_or(kInfinity);
+  keys.number("ring_down_amplitude", s.ring_down_amplitude, kNotNegative);
+  keys.number("ring_down_frequency_hz", s.ring_down_frequency_hz, kNotNegative);
+  keys.number("ring_down_decay_s", s.ring_down_decay_s, kPositive);
+  keys.number("temperature_degc", s.temperature_degc, {-100.0, 200.0});
+  keys.number("temperature_per_hour", s.temperature_per_hour, kAny);
+}
+
+void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
+  keys.required_text("kind", fault.kind, fault_names());
+  keys.text("instrument", fault.instrument, {"", "stage", "stage-x", "stage-z", "accelerometer"});
+  keys.text("axis", fault.axis, {"x", "z"});
+  keys.number("at_s", fault.at_s, kNotNegative);
+  keys.number("for_s", fault.for_s, kNotNegative);
+  keys.integer("at_write", fault.at_write, 1, 1'000'000'000);
+  keys.integer("for_writes", fault.for_writes, 1, 1'000'000'000);
+  keys.number("value", fault.value, kAny);
+  keys.text("text", fault.text);
+  keys.number("delay_s", fault.delay_s, kNotNegative);
+}
+
+void visit_change(KeyVisitor& keys, ChangeConfig& change) {
+  keys.number("at_s", change.at_s, kNotNegative);
+  visit_output_truth(keys, change.truth);
 }
 
 void visit(KeyVisitor& keys, BenchConfig& c) {
@@ -123,8 +192,8 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.text("name", c.operator_name);
 
   keys.section("stage");
-  keys.required_text("driver", c.stage.driver, driver_names(stage_drivers()));
-  keys.required_text("port", c.stage.port);
+  keys.text("driver", c.stage.driver, stage_driver_names());
+  keys.text("port", c.stage.port);
   keys.integer("baud", c.stage.baud, 300, 4'000'000);
   keys.text("address", c.stage.address);
   keys.text("serial_number", c.stage.serial_number);
@@ -134,12 +203,20 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
 
   keys.section("accelerometer");
   keys.required_text("driver", c.accelerometer.driver, driver_names(accelerometer_drivers()));
-  keys.required_text("port", c.accelerometer.port);
+  keys.text("port", c.accelerometer.port);
   keys.integer("baud", c.accelerometer.baud, 300, 4'000'000);
   keys.number("rate_hz", c.accelerometer.rate_hz, {0.0, 10'000.0, true});
   keys.text("response_unit", c.accelerometer.response_unit);
   keys.number("full_scale", c.accelerometer.full_scale, kPositive);
   keys.text("serial_number", c.accelerometer.serial_number);
+  keys.vector("scale", c.accelerometer.scale);
+  keys.vector("bias", c.accelerometer.bias);
+  keys.integers("channels", c.accelerometer.channels, 0, 99'999);
+  keys.number("range_v", c.accelerometer.range_v, kPositive);
+  keys.number("integration_plc", c.accelerometer.integration_plc, {0.0, 1000.0, true});
+  keys.integers("columns", c.accelerometer.columns, 1, 1000);
+  keys.text("separator", c.accelerometer.separator);
+  keys.text("comment", c.accelerometer.comment);
 
   keys.section("environment");
   keys.number("temperature_degc", c.environment.temperature_degc, {-100.0, 200.0});
@@ -180,29 +257,27 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   sim::BenchTruth& s = c.simulation;
   keys.section("simulation");
   keys.seed("seed", s.seed);
-  keys.matrix("sensitivity_matrix", s.sensitivity_matrix);
-  keys.vector("offset", s.offset);
-  keys.vector("k2", s.k2);
-  keys.vector("k3", s.k3);
-  keys.vector("drift_per_hour", s.drift_per_hour);
-  keys.vector("offset_per_degc", s.offset_per_degc);
-  keys.number("noise", s.noise, kNotNegative);
-  keys.number("quantisation", s.quantisation, kNotNegative);
-  std::optional<double> full_scale;
-  if (std::isfinite(s.full_scale)) full_scale = s.full_scale;
-  keys.number("full_scale", full_scale, kPositive);
-  s.full_scale = full_scale.value_or(kInfinity);
+  visit_output_truth(keys, s);
   keys.boolean("noise_seeded_by_angle", s.noise_seeded_by_angle);
   keys.number("zx", s.zx, {-0.1, 0.1});
   keys.number("zy", s.zy, {-0.1, 0.1});
   keys.number("xz", s.xz, {-0.1, 0.1});
-  keys.number("ring_down_amplitude", s.ring_down_amplitude, kNotNegative);
-  keys.number("ring_down_frequency_hz", s.ring_down_frequency_hz, kNotNegative);
-  keys.number("ring_down_decay_s", s.ring_down_decay_s, kPositive);
-  keys.number("temperature_degc", s.temperature_degc, {-100.0, 200.0});
-  keys.number("temperature_per_hour", s.temperature_per_hour, kAny);
   visit_axis_truth(keys, "simulation.x", s.x);
   visit_axis_truth(keys, "simulation.z", s.z);
+
+  keys.section("simulation.link");
+  double latency_s = to_seconds(c.link.latency), jitter_s = to_seconds(c.link.jitter);
+  keys.number("latency_s", latency_s, {0.0, 60.0});
+  keys.number("jitter_s", jitter_s, {0.0, 60.0});
+  c.link = {from_seconds(latency_s), from_seconds(jitter_s)};
+
+  keys.section("");
+  keys.list("fault", c.faults, FaultConfig{}, visit_fault);
+  keys.tables("change", c.changes.size(), [&](std::size_t i) {
+    // What a change does not name stays as it was.
+    if (i >= c.changes.size()) c.changes.push_back({0.0, i == 0 ? c.simulation : c.changes[i - 1].truth});
+    visit_change(keys, c.changes[i]);
+  });
 }
 
 std::string words_of(const toml::node& node) {
@@ -351,29 +426,46 @@ class TomlReader final : public KeyVisitor {
     }
   }
 
-  void harmonics(const std::string& key, std::vector<sim::ErrorHarmonic>& value) override {
+  void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override {
     const toml::node* node = find(key);
     if (node == nullptr) return;
     const toml::array* list = node->as_array();
-    if (list == nullptr) {
-      problem(*node, name(key), words_of(*node), "a list of tables [[" + path_ + "." + key + "]]");
+    std::array<int, 3> found{};
+    bool good = list != nullptr && list->size() == 3;
+    for (std::size_t i = 0; good && i < 3; ++i) {
+      const auto* whole = list->get(i)->as_integer();
+      good = whole != nullptr && whole->get() >= min && whole->get() <= max;
+      if (good) found[i] = static_cast<int>(whole->get());
+    }
+    if (good) {
+      value = found;
+    } else {
+      problem(*node, name(key), words_of(*node),
+              fmt::format("three whole numbers from {} to {}, [u, v, w]", min, max));
+    }
+  }
+
+  void tables(const std::string& key, std::size_t,
+              const std::function<void(std::size_t)>& visit_entry) override {
+    const toml::node* node = find(key);
+    if (node == nullptr) return;
+    const toml::array* entries = node->as_array();
+    if (entries == nullptr) {
+      problem(*node, name(key), words_of(*node), "a list of tables [[" + name(key) + "]]");
       return;
     }
     const toml::table* outer = table_;
     const std::string outer_path = path_;
-    for (const toml::node& entry : *list) {
-      path_ = outer_path + "." + key;
+    std::size_t index = 0;
+    for (const toml::node& entry : *entries) {
+      path_ = outer_path.empty() ? key : outer_path + "." + key;
       table_ = entry.as_table();
       if (table_ == nullptr) {
-        problem(entry, path_, words_of(entry), "a table with order, sin_deg, cos_deg");
+        problem(entry, path_, words_of(entry), "a table [[" + path_ + "]]");
         continue;
       }
-      sim::ErrorHarmonic harmonic;
-      integer("order", harmonic.order, 1, 1000);
-      angle("sin_deg", harmonic.sin_coefficient, kAny);
-      angle("cos_deg", harmonic.cos_coefficient, kAny);
+      visit_entry(index++);
       report_unknown(*table_, path_);
-      value.push_back(harmonic);
     }
     table_ = outer;
     path_ = outer_path;
@@ -525,12 +617,14 @@ class TomlWriter final : public KeyVisitor {
   void matrix(const std::string& key, Eigen::Matrix3d& value) override {
     line(key, fmt::format("[{}, {}, {}]", triple(value.row(0)), triple(value.row(1)), triple(value.row(2))));
   }
-  void harmonics(const std::string& key, std::vector<sim::ErrorHarmonic>& value) override {
-    for (sim::ErrorHarmonic& harmonic : value) {
-      text_ += "\n[[" + path_ + "." + key + "]]\n";
-      line("order", std::to_string(harmonic.order));
-      line("sin_deg", real(harmonic.sin_coefficient.deg()));
-      line("cos_deg", real(harmonic.cos_coefficient.deg()));
+  void integers(const std::string& key, std::array<int, 3>& value, int, int) override {
+    line(key, fmt::format("[{}, {}, {}]", value[0], value[1], value[2]));
+  }
+  void tables(const std::string& key, std::size_t size,
+              const std::function<void(std::size_t)>& visit_entry) override {
+    for (std::size_t i = 0; i < size; ++i) {
+      text_ += "\n[[" + (path_.empty() ? key : path_ + "." + key) + "]]\n";
+      visit_entry(i);
     }
   }
   std::string take() { return std::move(text_); }
@@ -550,6 +644,38 @@ class TomlWriter final : public KeyVisitor {
   std::string text_;
   std::string path_;
 };
+
+constexpr const char* kPortWords = "a port: a path, usb:VID:PID[:SERIAL], tcp:HOST:PORT, or \"simulated\"";
+
+/// One controller for both axes, or one for each; what needs bytes has a port.
+void check_stage_ports(TomlReader& reader, StageConfig& stage) {
+  if (!stage.split()) {
+    if (stage.driver.empty())
+      reader.add_problem("stage.driver", "nothing", "one of " + joined(stage_driver_names()));
+    const bool no_bytes = stage.driver == "simulated" || stage.driver == "manual";
+    if (no_bytes && stage.port.empty()) stage.port = stage.driver;
+    if (no_bytes && stage.port != stage.driver)
+      reader.add_problem("stage.port", "\"" + stage.port + "\"",
+                         "\"" + stage.driver + "\", as the driver is");
+    if (stage.port.empty()) reader.add_problem("stage.port", "nothing", kPortWords);
+    for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
+      if (!axis->port.empty())
+        reader.add_problem(std::string(section) + ".port", "\"" + axis->port + "\"",
+                           "a driver beside it, and both for the other axis, or neither");
+    }
+    return;
+  }
+  for (const auto& [key, value] : {std::pair{"driver", stage.driver}, std::pair{"port", stage.port}}) {
+    if (!value.empty())
+      reader.add_problem(std::string("stage.") + key, "\"" + value + "\"",
+                         "nothing, as [stage.x] and [stage.z] have their own");
+  }
+  for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
+    if (axis->driver.empty())
+      reader.add_problem(std::string(section) + ".driver", "nothing", "a driver, as the other axis has one");
+    if (axis->port.empty()) reader.add_problem(std::string(section) + ".port", "nothing", kPortWords);
+  }
+}
 
 void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c) {
   const bool value_given = root.at_path("bench.g_loc_mps2").node() != nullptr;
@@ -573,7 +699,7 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
        {std::pair{"stage.x.sign", &c.stage.x}, std::pair{"stage.z.sign", &c.stage.z}}) {
     if (axis->sign == 0) reader.add_problem(section, "0", "1 or -1");
   }
-  if (c.stage.x.axis == c.stage.z.axis) {
+  if (!c.stage.split() && c.stage.x.axis == c.stage.z.axis) {
     reader.add_problem("stage.z.axis", "\"" + c.stage.z.axis + "\", the same as [stage.x] axis",
                        "two different axes");
   }
@@ -587,14 +713,29 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
                        fmt::format("{} to {}", c.limits.temperature_min_degc, c.limits.temperature_max_degc),
                        "temperature_min_degc < temperature_max_degc");
   }
-  // A driver that needs no bytes has no port, and "simulated" bytes need a driver.
-  if (c.stage.driver == "simulated" && c.stage.port != "simulated" && !c.stage.port.empty()) {
-    reader.add_problem("stage.port", "\"" + c.stage.port + "\"", "\"simulated\", as the driver is");
+  check_stage_ports(reader, c.stage);
+  if (c.accelerometer.driver == "simulated") {
+    if (c.accelerometer.port.empty()) c.accelerometer.port = "simulated";
+    if (c.accelerometer.port != "simulated")
+      reader.add_problem("accelerometer.port", "\"" + c.accelerometer.port + "\"",
+                         "\"simulated\", as the driver is");
+  } else if (c.accelerometer.port.empty()) {
+    reader.add_problem("accelerometer.port", "nothing", kPortWords);
   }
-  if (c.accelerometer.driver == "simulated" && c.accelerometer.port != "simulated" &&
-      !c.accelerometer.port.empty()) {
-    reader.add_problem("accelerometer.port", "\"" + c.accelerometer.port + "\"",
-                       "\"simulated\", as the driver is");
+  for (int j = 0; j < 3; ++j) {
+    if (c.accelerometer.scale[j] == 0.0) reader.add_problem("accelerometer.scale", "0", "no zeros");
+  }
+  for (std::size_t i = 0; i < c.faults.size(); ++i) {
+    if (c.faults[i].kind.empty()) continue;  // reported already
+    if (const auto problem = problem_of(c.faults[i]))
+      reader.add_problem(fmt::format("fault[{}].kind", i), *problem,
+                         "instrument = \"stage\" or \"accelerometer\"");
+  }
+  for (std::size_t i = 1; i < c.changes.size(); ++i) {
+    if (c.changes[i].at_s < c.changes[i - 1].at_s)
+      reader.add_problem(fmt::format("change[{}].at_s", i),
+                         fmt::format("{} after {}", c.changes[i].at_s, c.changes[i - 1].at_s),
+                         "changes in order of time");
   }
 }
 
@@ -644,6 +785,71 @@ BenchConfig read_bench(const std::filesystem::path& path) {
   std::ostringstream text;
   text << file.rdbuf();
   return parse_bench(text.str(), path.string());
+}
+
+namespace {
+
+/// JSON as TOML, so that one reader checks both.
+toml::table table_from(const nlohmann::json& json);
+toml::array array_from(const nlohmann::json& json);
+
+void insert(const nlohmann::json& value, const auto& put) {
+  if (value.is_boolean()) {
+    put(value.get<bool>());
+  } else if (value.is_number_integer()) {
+    put(value.get<std::int64_t>());
+  } else if (value.is_number()) {
+    put(value.get<double>());
+  } else if (value.is_string()) {
+    put(value.get<std::string>());
+  } else if (value.is_array()) {
+    put(array_from(value));
+  } else if (value.is_object()) {
+    put(table_from(value));
+  }  // null: as if the key were absent
+}
+
+toml::table table_from(const nlohmann::json& json) {
+  toml::table table;
+  for (const auto& [key, value] : json.items()) {
+    insert(value, [&, name = key](auto&& v) { table.insert_or_assign(name, std::move(v)); });
+  }
+  return table;
+}
+
+toml::array array_from(const nlohmann::json& json) {
+  toml::array array;
+  for (const nlohmann::json& entry : json) insert(entry, [&](auto&& v) { array.push_back(std::move(v)); });
+  return array;
+}
+
+/// Reads one table with `visit_entry`; every problem at once.
+void parse_one(const std::string& json, const std::function<void(KeyVisitor&)>& visit_entry) {
+  const nlohmann::json object = nlohmann::json::parse(json, nullptr, false);
+  if (!object.is_object()) throw BenchError("line", {{"the line", "no JSON object", "a JSON object"}});
+  const toml::table table = table_from(object);
+  TomlReader reader(table);
+  reader.section("");
+  visit_entry(reader);
+  reader.report_unknown();
+  if (auto problems = reader.take_problems(); !problems.empty())
+    throw BenchError("line", std::move(problems));
+}
+
+}  // namespace
+
+FaultConfig parse_fault(const std::string& json) {
+  FaultConfig fault;
+  parse_one(json, [&](KeyVisitor& keys) { visit_fault(keys, fault); });
+  if (const auto problem = problem_of(fault))
+    throw BenchError("line", {{"instrument", *problem, "one of both"}});
+  return fault;
+}
+
+ChangeConfig parse_change(const std::string& json, const sim::OutputTruth& now) {
+  ChangeConfig change{0.0, now};
+  parse_one(json, [&](KeyVisitor& keys) { visit_change(keys, change); });
+  return change;
 }
 
 std::string write_bench(const BenchConfig& config) {

@@ -25,9 +25,23 @@ struct Bench {
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
 Bench make_bench(const BenchConfig& config);
 
+/// One controller of the stage: of both axes, or of the one that has a controller of its own.
+struct StagePort {
+  std::string
+      name;  ///< "stage", "stage-x", "stage-z": as [[fault]] and the links of `abcal emulate` call it.
+  std::string driver, port;
+  std::optional<int> baud;
+  std::string address;
+};
+std::vector<StagePort> stage_ports(const StageConfig& stage);
+
+/// The stage of a bench file alone, in protocol angles. `world` may be null if no part of it is simulated.
+std::unique_ptr<RotationStage> make_stage(const BenchConfig& config,
+                                          const std::shared_ptr<sim::SimBench>& world, Clock& clock);
+
 /// The firmware behind one simulated instrument, as `abcal emulate` serves it. @throws std::invalid_argument
 /// for a driver that has none.
-std::shared_ptr<sim::Firmware> make_stage_firmware(const BenchConfig& config,
+std::shared_ptr<sim::Firmware> make_stage_firmware(const BenchConfig& config, const StagePort& port,
                                                    std::shared_ptr<sim::SimBench> world);
 std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& config,
                                                            std::shared_ptr<sim::SimBench> world);

@@ -147,7 +147,7 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
     observer.finish();
     fmt::print(
         stderr,
-        "The stage was halted. {} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
+        "{} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
         observer.measured(), plan.size(), file.path().string(), file.path().string());
     throw;
   }

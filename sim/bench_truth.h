@@ -32,12 +32,9 @@ struct AxisTruth {
   Angle encoder_resolution = Angle::degrees(1e-4);
 };
 
-/// The truth of a simulated bench. A run never sees it. R is the response unit, g_loc the unit of
-/// acceleration.
-struct BenchTruth {
-  std::uint64_t seed = 1;
-
-  // Accelerometer under test.
+/// What the accelerometer and the room do: the part of the truth that may change while the world goes on
+/// (SimBench::change). R is the response unit, g_loc the unit of acceleration.
+struct OutputTruth {
   /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (physics.md section 2), in
   /// R/g_loc.
   Eigen::Matrix3d sensitivity_matrix = Eigen::Matrix3d::Identity();
@@ -45,23 +42,27 @@ struct BenchTruth {
   Eigen::Vector3d k2 = Eigen::Vector3d::Zero();               ///< 1/R: + k2 (l - O)^2, l the linear response.
   Eigen::Vector3d k3 = Eigen::Vector3d::Zero();               ///< 1/R^2: + k3 (l - O)^3.
   Eigen::Vector3d drift_per_hour = Eigen::Vector3d::Zero();   ///< R/h, zero at the start of the world's time.
-  Eigen::Vector3d offset_per_degc = Eigen::Vector3d::Zero();  ///< R/degC, relative to temperature_degc.
+  Eigen::Vector3d offset_per_degc = Eigen::Vector3d::Zero();  ///< R/degC, from the first temperature_degc on.
   double noise = 0.0;         ///< R, standard deviation of one reading, white.
   double quantisation = 0.0;  ///< R, step of the output; 0: none.
   double full_scale = std::numeric_limits<double>::infinity();  ///< R, where the output clips.
+
+  double ring_down_amplitude = 0.0;  ///< R per deg/s of the speed of the move that ended.
+  double ring_down_frequency_hz = 25.0;
+  double ring_down_decay_s = 0.05;  ///< Time constant.
+  double temperature_degc = 23.0;
+  double temperature_per_hour = 0.0;  ///< degC/h
+};
+
+/// The truth of a simulated bench. A run never sees it.
+struct BenchTruth : OutputTruth {
+  std::uint64_t seed = 1;
   bool noise_seeded_by_angle = false;  ///< Noise restarts at each pose, so that a resumed run repeats it.
 
   // Stage.
   double zx = 0.0, zy = 0.0;  ///< Horizontal components of the Z axis at rest.
   double xz = 0.0;            ///< Vertical component of the X axis.
   AxisTruth x, z;
-
-  // Bench.
-  double ring_down_amplitude = 0.0;  ///< R per deg/s of the speed of the move that ended.
-  double ring_down_frequency_hz = 25.0;
-  double ring_down_decay_s = 0.05;  ///< Time constant.
-  double temperature_degc = 23.0;
-  double temperature_per_hour = 0.0;  ///< degC/h
 };
 
 }  // namespace abcal::sim

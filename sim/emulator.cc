@@ -90,6 +90,8 @@ struct Emulator::Port {
   std::string output;  ///< Not yet taken.
   /// Nobody is there: what is put out is lost at once, as on a line with nothing at its end.
   bool client = true;
+  std::variant<PtyLink, TcpPort> where;
+  bool plugged_in = true;
 
   // Pseudo-terminal. We hold its other end open as well: its settings live on between clients, and reading
   // does not fail while there is none.
@@ -124,15 +126,44 @@ struct Emulator::Loop {
   void write_to(Port& port);
   void hang_up(Port& port);
   void pump(Port& port);
+  void open(Port& port);
+  static void remove_link(const Port& port);
+  void follow_plug(Port& port);
 };
 
+void Emulator::Loop::remove_link(const Port& port) {
+  if (port.link.empty()) return;
+  std::error_code error;  // nobody to tell: the link is gone, or another's
+  if (std::filesystem::read_symlink(port.link, error) == port.terminal && !error)
+    std::filesystem::remove(port.link, error);
+}
+
 Emulator::Loop::~Loop() {
-  for (const Port& port : ports) {
-    if (port.link.empty()) continue;
-    std::error_code error;  // a destructor has nobody to tell
-    if (std::filesystem::read_symlink(port.link, error) == port.terminal && !error)
-      std::filesystem::remove(port.link, error);
+  for (const Port& port : ports) remove_link(port);
+}
+
+void Emulator::Loop::open(Port& port) {
+  if (const auto* pty = std::get_if<PtyLink>(&port.where)) open_pty(port, *pty);
+  if (const auto* tcp = std::get_if<TcpPort>(&port.where)) open_tcp(port, *tcp);
+}
+
+/// The port of an unplugged instrument is gone, as a USB port is; a new one appears when it is plugged in.
+void Emulator::Loop::follow_plug(Port& port) {
+  if (port.firmware->plugged_in() == port.plugged_in) return;
+  port.plugged_in = !port.plugged_in;
+  if (port.plugged_in) {
+    open(port);
+    return;
   }
+  remove_link(port);
+  port.output.clear();
+  port.client = false;
+  port.clients = 0;
+  port.master.close();
+  port.slave.close();
+  port.watch.close();
+  port.listener.close();
+  port.connection.close();
 }
 
 void Emulator::Loop::open_pty(Port& port, const PtyLink& where) {
@@ -280,8 +311,11 @@ Emulator::Emulator(std::vector<Endpoint> endpoints, Clock& clock, double clock_r
     if (!endpoint.firmware) throw std::invalid_argument("emulator: an endpoint has no firmware");
     Port& port = loop_->ports.emplace_back();
     port.firmware = std::move(endpoint.firmware);
-    if (const auto* pty = std::get_if<PtyLink>(&endpoint.where)) loop_->open_pty(port, *pty);
-    if (const auto* tcp = std::get_if<TcpPort>(&endpoint.where)) loop_->open_tcp(port, *tcp);
+    port.where = endpoint.where;
+    loop_->open(port);
+    // A free port was asked for: the one that was given stays the instrument's.
+    if (auto* tcp = std::get_if<TcpPort>(&port.where))
+      tcp->port = static_cast<std::uint16_t>(std::stoi(port.address.substr(port.address.rfind(':') + 1)));
   }
 }
 
@@ -298,6 +332,7 @@ void Emulator::run(std::stop_token stop) {
   std::vector<pollfd> polled;
   while (!stop.stop_requested()) {
     for (Port& port : loop_->ports) {
+      loop_->follow_plug(port);
       loop_->pump(port);
       loop_->write_to(port);
     }

@@ -46,8 +46,10 @@ FaultKind fault_kind(std::string_view name) {
 }
 
 FaultyStream::FaultyStream(std::unique_ptr<wire::ByteStream> inner, Clock& clock,
-                           std::vector<WireFault> faults, std::uint64_t seed)
-    : inner_(std::move(inner)), clock_(clock), seed_(seed) {
+                           std::vector<WireFault> faults, std::uint64_t seed, LinkTiming timing)
+    : inner_(std::move(inner)), clock_(clock), seed_(seed), timing_(timing) {
+  if (timing.latency < Clock::Duration::zero() || timing.jitter < Clock::Duration::zero())
+    throw std::invalid_argument("faulty stream: latency and jitter must not be negative");
   for (WireFault& fault : faults) add(std::move(fault));
 }
 
@@ -61,6 +63,29 @@ void FaultyStream::add(WireFault fault) {
   faults_.push_back(std::move(fault));
 }
 
+void FaultyStream::clear() {
+  const std::lock_guard lock(mutex_);
+  faults_.clear();
+}
+
+bool FaultyStream::unplugged() const {
+  const std::lock_guard lock(mutex_);
+  return active(FaultKind::kUnplug) != nullptr;
+}
+
+std::vector<FaultKind> FaultyStream::active() const {
+  const std::lock_guard lock(mutex_);
+  std::vector<FaultKind> kinds;
+  for (const FaultDescription& description : fault_descriptions())
+    if (active(description.kind) != nullptr) kinds.push_back(description.kind);
+  return kinds;
+}
+
+std::optional<Clock::Instant> FaultyStream::next_due() const {
+  const std::lock_guard lock(mutex_);
+  return held_.empty() ? std::nullopt : std::optional(held_.front().due);
+}
+
 std::size_t FaultyStream::writes() const {
   const std::lock_guard lock(mutex_);
   return writes_;
@@ -71,6 +96,7 @@ const WireFault* FaultyStream::active(FaultKind kind) const {
     if (fault.kind != kind) continue;
     const std::size_t first = fault.at_write.value_or(0);
     if (writes_ < first || (fault.at && clock_.now() < *fault.at)) continue;
+    if (fault.until && clock_.now() >= *fault.until) continue;
     if (fault.for_writes && writes_ >= first + *fault.for_writes) continue;
     return &fault;
   }
@@ -139,14 +165,19 @@ wire::ReceivedBytes FaultyStream::read_until(Clock::Instant deadline) {
       if (!held_.empty()) next = std::min(next, held_.front().due);
       // A fault that begins while we wait must end the wait.
       for (const WireFault& fault : faults_)
-        if (fault.at && *fault.at > clock_.now()) next = std::min(next, *fault.at);
+        for (const auto& change : {fault.at, fault.until})
+          if (change && *change > clock_.now()) next = std::min(next, *change);
     }
     wire::ReceivedBytes received = inner_->read_until(next);
     const std::lock_guard lock(mutex_);
     throw_if_unplugged();
     if (!received.bytes.empty() && active(FaultKind::kSilence) == nullptr) {
       const WireFault* late = active(FaultKind::kLateReply);
-      const Clock::Instant due = received.arrival + (late != nullptr ? late->delay : Clock::Duration::zero());
+      Clock::Instant due = received.arrival + timing_.latency;
+      if (late != nullptr) due += late->delay;
+      // 53 random bits: a fraction of the jitter in [0, 1).
+      if (timing_.jitter > Clock::Duration::zero())
+        due += from_seconds(to_seconds(timing_.jitter) * static_cast<double>(draw() >> 11U) * 0x1p-53);
       std::string bytes = distort(std::move(received.bytes));
       // In order: nothing overtakes a late reply.
       if (!bytes.empty())

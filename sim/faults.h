@@ -58,9 +58,16 @@ struct WireFault {
   FaultKind kind = FaultKind::kSilence;
   std::optional<std::size_t> at_write{};
   std::optional<Clock::Instant> at{};
+  std::optional<Clock::Instant> until{};            ///< Ends then; absent: lasts.
   std::optional<std::size_t> for_writes{};          ///< Ends with that many writes answered; absent: lasts.
   std::string text = {};                            ///< kReplacedReply: what comes back instead.
   Clock::Duration delay = std::chrono::seconds(1);  ///< kLateReply: by how much.
+};
+
+/// How slow a link is: what comes back comes later by `latency`, and by up to `jitter` more, in order.
+struct LinkTiming {
+  Clock::Duration latency = Clock::Duration::zero();
+  Clock::Duration jitter = Clock::Duration::zero();
 };
 
 /// A fault of the world, from `at` until `until`.
@@ -76,7 +83,7 @@ struct WorldFault {
 class FaultyStream final : public wire::ByteStream {
  public:
   FaultyStream(std::unique_ptr<wire::ByteStream> inner, Clock& clock, std::vector<WireFault> faults,
-               std::uint64_t seed = 1);
+               std::uint64_t seed = 1, LinkTiming timing = {});
 
   void write(std::string_view bytes) override;
   wire::ReceivedBytes read_until(Clock::Instant deadline) override;
@@ -85,7 +92,11 @@ class FaultyStream final : public wire::ByteStream {
   std::string name() const override { return inner_->name(); }
 
   void add(WireFault fault);
+  void clear();                ///< Takes all faults back, those in force and those to come.
   std::size_t writes() const;  ///< How many there have been.
+  bool unplugged() const;
+  std::vector<FaultKind> active() const;           ///< In force now.
+  std::optional<Clock::Instant> next_due() const;  ///< When held bytes come out; nothing: none are held.
 
  private:
   struct Held {
@@ -101,6 +112,7 @@ class FaultyStream final : public wire::ByteStream {
   Clock& clock_;
   std::vector<WireFault> faults_;
   std::uint64_t seed_;
+  LinkTiming timing_;
   std::uint64_t draws_ = 0;
   std::size_t writes_ = 0;
   std::size_t replaced_for_write_ = 0;

@@ -69,7 +69,7 @@ void check_axis(const AxisTruth& axis, const std::string& name) {
   require(axis.travel_min < axis.travel_max, name + ".travel_min", axis.travel_min.deg(), "below travel_max");
 }
 
-void check(const BenchTruth& truth) {
+void check(const OutputTruth& truth) {
   const auto finite = [](const auto& matrix, const char* what) {
     if (!matrix.allFinite()) refuse(what, "not finite", "finite");
   };
@@ -93,6 +93,10 @@ void check(const BenchTruth& truth) {
   require(std::isfinite(truth.temperature_degc), "temperature_degc", truth.temperature_degc, "finite");
   require(std::isfinite(truth.temperature_per_hour), "temperature_per_hour", truth.temperature_per_hour,
           "finite");
+}
+
+void check(const BenchTruth& truth) {
+  check(static_cast<const OutputTruth&>(truth));
   require(truth.zx * truth.zx + truth.zy * truth.zy < 1.0, "zx^2 + zy^2",
           truth.zx * truth.zx + truth.zy * truth.zy, "below 1");
   require(std::abs(truth.xz) < 1.0, "xz", truth.xz, "between -1 and 1");
@@ -138,6 +142,15 @@ void SimBench::move(StageAxis axis, Angle target, Clock::Instant t) {
     target = target - missing;
   }
   command(axis, AxisMotion::move(t, from, before.velocity_deg_per_s(t), target, limits_[index(axis)]), t);
+}
+
+void SimBench::place(StageAxis axis, Angle angle, Clock::Instant t) {
+  if (!std::isfinite(angle.deg())) refuse("the angle of an axis", "not finite", "finite");
+  const std::lock_guard lock(mutex_);
+  const Epoch& now = epochs_.back();
+  if (t < now.start) refuse("the time of a position", "before the move commanded last", "in order of time");
+  if (now.motion[index(axis)].position(t) == angle && !now.motion[index(axis)].moving(t)) return;
+  command(axis, AxisMotion(angle, t), t);
 }
 
 void SimBench::halt(StageAxis axis, Clock::Instant t) {
@@ -270,8 +283,29 @@ Eigen::Vector3d SimBench::specific_force(Clock::Instant t) const {
   return force(epoch_at(t), t);
 }
 
+const OutputTruth& SimBench::truth_at(Clock::Instant t) const {
+  for (auto change = changes_.rbegin(); change != changes_.rend(); ++change)
+    if (change->at <= t) return change->truth;
+  return truth_;
+}
+
+void SimBench::change(const OutputTruth& truth, Clock::Instant at) {
+  check(truth);
+  const std::lock_guard lock(mutex_);
+  if (!changes_.empty() && at < changes_.back().at)
+    refuse("a change of the truth", "before the last one", "in order of time");
+  changes_.push_back({at, truth});
+}
+
+OutputTruth SimBench::output_truth(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return truth_at(t);
+}
+
 double SimBench::temperature_degc(Clock::Instant t) const {
-  return truth_.temperature_degc + truth_.temperature_per_hour * (to_seconds(t - start_) / 3600.0);
+  const std::lock_guard lock(mutex_);
+  const OutputTruth& truth = truth_at(t);
+  return truth.temperature_degc + truth.temperature_per_hour * (to_seconds(t - start_) / 3600.0);
 }
 
 SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
@@ -299,27 +333,28 @@ SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
 
 SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,
                                           Clock::Duration sample_period) const {
+  const OutputTruth& truth = truth_at(t);
   const double hours = to_seconds(t - start_) / 3600.0;
   SimOutput output;
-  output.temperature_degc = truth_.temperature_degc + truth_.temperature_per_hour * hours;
+  output.temperature_degc = truth.temperature_degc + truth.temperature_per_hour * hours;
 
-  const Eigen::Array3d linear = (truth_.sensitivity_matrix * force(epoch, t)).array();  // l - O
-  Eigen::Array3d r = linear + truth_.offset.array() + linear.square() * truth_.k2.array() +
-                     linear.cube() * truth_.k3.array() + truth_.drift_per_hour.array() * hours +
-                     truth_.offset_per_degc.array() * (output.temperature_degc - truth_.temperature_degc);
+  const Eigen::Array3d linear = (truth.sensitivity_matrix * force(epoch, t)).array();  // l - O
+  Eigen::Array3d r = linear + truth.offset.array() + linear.square() * truth.k2.array() +
+                     linear.cube() * truth.k3.array() + truth.drift_per_hour.array() * hours +
+                     truth.offset_per_degc.array() * (output.temperature_degc - truth_.temperature_degc);
 
-  if (truth_.ring_down_amplitude != 0.0) {
+  if (truth.ring_down_amplitude != 0.0) {
     for (const AxisMotion& motion : epoch.motion) {
       if (motion.moving(t) || motion.direction() == 0) continue;
       const double since_s = to_seconds(t - motion.end());
-      const double decayed = since_s / truth_.ring_down_decay_s;
+      const double decayed = since_s / truth.ring_down_decay_s;
       if (decayed > kRingDownTimeConstants) continue;
-      r += truth_.ring_down_amplitude * motion.peak_speed_deg_per_s() * std::exp(-decayed) *
-           std::sin(2.0 * std::numbers::pi * truth_.ring_down_frequency_hz * since_s);
+      r += truth.ring_down_amplitude * motion.peak_speed_deg_per_s() * std::exp(-decayed) *
+           std::sin(2.0 * std::numbers::pi * truth.ring_down_frequency_hz * since_s);
     }
   }
 
-  if (truth_.noise > 0.0) {
+  if (truth.noise > 0.0) {
     std::array<double, 4> normal{};
     if (truth_.noise_seeded_by_angle) {
       const bool settled = t >= epoch.settled;
@@ -331,13 +366,13 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
     } else {
       normal = normal_numbers(truth_.seed, NoiseStream::kReading, {sample_index, 0, 0, 0});
     }
-    r += truth_.noise * Eigen::Array3d(normal[0], normal[1], normal[2]);
+    r += truth.noise * Eigen::Array3d(normal[0], normal[1], normal[2]);
   }
 
   for (int j = 0; j < 3; ++j) {
-    if (truth_.quantisation > 0.0) r[j] = std::round(r[j] / truth_.quantisation) * truth_.quantisation;
-    if (std::abs(r[j]) >= truth_.full_scale) {
-      r[j] = std::copysign(truth_.full_scale, r[j]);
+    if (truth.quantisation > 0.0) r[j] = std::round(r[j] / truth.quantisation) * truth.quantisation;
+    if (std::abs(r[j]) >= truth.full_scale) {
+      r[j] = std::copysign(truth.full_scale, r[j]);
       output.clipped[static_cast<std::size_t>(j)] = true;
     }
   }
@@ -366,6 +401,19 @@ void SimBench::inject(const WorldFault& fault) {
   const std::lock_guard lock(mutex_);
   faults_.push_back(fault);
   if (fault.kind == FaultKind::kStalledAxis) epochs_.back().motion[index(fault.axis)].stall_at(fault.at);
+}
+
+void SimBench::clear_faults(Clock::Instant t) {
+  const std::lock_guard lock(mutex_);
+  for (WorldFault& fault : faults_) fault.until = std::min(fault.until, std::max(fault.at, t));
+}
+
+std::vector<WorldFault> SimBench::faults_at(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  std::vector<WorldFault> in_force;
+  for (const WorldFault& fault : faults_)
+    if (fault.at <= t && t < fault.until) in_force.push_back(fault);
+  return in_force;
 }
 
 const WorldFault* SimBench::find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const {

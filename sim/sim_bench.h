@@ -48,7 +48,7 @@ class SimBench {
   /// @throws std::invalid_argument if the truth has a number that cannot be.
   explicit SimBench(BenchTruth truth, Clock::Instant start = Clock::Instant{});
 
-  const BenchTruth& truth() const { return truth_; }
+  const BenchTruth& truth() const { return truth_; }  ///< As at the start.
   Clock::Instant start() const { return start_; }
 
   // The stage.
@@ -57,6 +57,9 @@ class SimBench {
   /// world's.
   /// @throws std::invalid_argument if the target is not finite or `t` is before the last command.
   void move(StageAxis axis, Angle target, Clock::Instant t);
+  /// At rest at `angle` from `t` on, without a motion: where a real stage was seen to be (FollowedStage).
+  /// @throws std::invalid_argument if the angle is not finite or `t` is before the last command.
+  void place(StageAxis axis, Angle angle, Clock::Instant t);
   /// Decelerates to rest.
   void halt(StageAxis axis, Clock::Instant t);
   /// Speed and accelerations of the moves from now on; the truth's at the start.
@@ -89,7 +92,14 @@ class SimBench {
                    Clock::Duration sample_period = Clock::Duration::zero()) const;
   double temperature_degc(Clock::Instant t) const;
 
-  // What results are compared with.
+  /// From `at` on the accelerometer and the room are as `truth` says: a mounting slip, a jump of the
+  /// temperature, vibration. Time of drift and temperature goes on from the start; the temperature that
+  /// offset_per_degc counts from stays the first.
+  /// @throws std::invalid_argument if a number cannot be, or if `at` is before the last change.
+  void change(const OutputTruth& truth, Clock::Instant at);
+  OutputTruth output_truth(Clock::Instant t) const;  ///< As in force at `t`.
+
+  // What results are compared with: the truth at the start.
 
   /// Rows u, v, w along x, y, z of the LGCS at the default orientation, already tilted: RRF(s_j, E, Theta_E);
   /// R/g_loc.
@@ -100,6 +110,9 @@ class SimBench {
 
   /// @throws std::invalid_argument if it is a fault of the wire.
   void inject(const WorldFault& fault);
+  /// Ends all faults in force at `t` and takes back those to come.
+  void clear_faults(Clock::Instant t);
+  std::vector<WorldFault> faults_at(Clock::Instant t) const;  ///< In force at `t`.
   /// The fault of this kind in force at `t`, if any (stage faults: of this axis).
   std::optional<WorldFault> fault_at(FaultKind kind, Clock::Instant t, StageAxis axis = StageAxis::kX) const;
 
@@ -116,6 +129,7 @@ class SimBench {
   };
 
   const Epoch& epoch_at(Clock::Instant t) const;
+  const OutputTruth& truth_at(Clock::Instant t) const;
   void command(StageAxis axis, AxisMotion motion, Clock::Instant t);
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
   Eigen::Vector3d force(const Epoch& epoch, Clock::Instant t) const;
@@ -131,6 +145,11 @@ class SimBench {
   std::array<MotionLimits, 2> limits_;
   std::deque<Epoch> epochs_;
   std::vector<WorldFault> faults_;
+  struct Change {
+    Clock::Instant at;
+    OutputTruth truth;
+  };
+  std::vector<Change> changes_;  ///< In order of time.
   mutable std::mutex mutex_;
 };
 

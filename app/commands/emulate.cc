@@ -3,16 +3,22 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
+#include <map>
+#include <optional>
 #include <stdexcept>
+#include <thread>
 
 #include "app/bench_config.h"
 #include "app/commands/commands.h"
+#include "app/control_server.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
 #include "app/make_bench.h"
 #include "app/real_clock.h"
 #include "drivers/wire/port_list.h"
 #include "sim/emulator.h"
+#include "sim/firmware/faulty_port.h"
+#include "sim/followed_stage.h"
 
 namespace abcal {
 namespace {
@@ -35,15 +41,59 @@ class ScaledClock final : public Clock {
   UtcTime utc_start_;
 };
 
+/// A simulated instrument and the name of its link.
+struct Served {
+  std::string name;  ///< "stage", "stage-x", "stage-z", "accelerometer".
+  std::string driver;
+  std::string port;
+  std::shared_ptr<sim::FaultyPort> firmware;
+};
+
 /// Where an instrument is served: on the TCP port that the bench file names, else on a pseudo-terminal.
-sim::Endpoint endpoint(std::shared_ptr<sim::Firmware> firmware, const std::string& port,
-                       const std::filesystem::path& link) {
-  if (port.starts_with("tcp:")) {
-    const wire::PortName name = wire::parse_port(port);
-    return {std::move(firmware), sim::TcpPort{name.host, name.tcp_port}};
+sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links) {
+  if (served.port.starts_with("tcp:")) {
+    const wire::PortName name = wire::parse_port(served.port);
+    return {served.firmware, sim::TcpPort{name.host, name.tcp_port}};
   }
-  return {std::move(firmware), sim::PtyLink{link}};
+  return {served.firmware, sim::PtyLink{links / served.name}};
 }
+
+/// Turns the world by the read-back of a real stage until it is destroyed.
+class StageFollower {
+ public:
+  /// @param end Asked to stop when the stage cannot be read any more.
+  StageFollower(const BenchConfig& config, std::shared_ptr<sim::SimBench> world, std::stop_source end)
+      : end_(std::move(end)), stage_(make_stage(config, nullptr, clock_), std::move(world), clock_) {
+    stage_.identify();
+    thread_ = std::jthread([this](const std::stop_token& stop) { follow(stop); });
+  }
+
+  /// Ends the following. @throws what ended it before.
+  void finish() {
+    thread_ = {};
+    if (failure_) std::rethrow_exception(failure_);
+  }
+
+ private:
+  void follow(const std::stop_token& stop) {
+    try {
+      while (!stop.stop_requested()) {
+        for (const StageAxis axis : kStageAxes) stage_.encoder_angle(axis);
+        clock_.sleep_until(clock_.now() + from_seconds(0.02));
+      }
+    } catch (...) {
+      // Unknown is never idle: an accelerometer that no longer follows would tell lies.
+      failure_ = std::current_exception();
+      end_.request_stop();
+    }
+  }
+
+  RealClock clock_;
+  std::stop_source end_;
+  std::exception_ptr failure_;
+  sim::FollowedStage stage_;
+  std::jthread thread_;
+};
 
 }  // namespace
 
@@ -52,6 +102,8 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
     std::string bench_file;
     std::string link_dir = ".";
     double speed = 1.0;
+    std::optional<std::uint16_t> control;
+    bool follow_stage = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
@@ -59,26 +111,64 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
   command->add_option("BENCH", options->bench_file, "bench file (TOML); [simulation] is the truth")
       ->required();
   command->add_option("--link-dir", options->link_dir, "folder for the links `stage` and `accelerometer`");
-  command->add_option("--speed", options->speed, "time passes so many times as fast")
-      ->check(CLI::PositiveNumber);
+  CLI::Option* speed = command->add_option("--speed", options->speed, "time passes so many times as fast")
+                           ->check(CLI::PositiveNumber);
+  command->add_option(
+      "--control", options->control,
+      "port on the loopback for faults and changes while it runs, one line of JSON each; 0: any");
+  command
+      ->add_flag("--follow-stage", options->follow_stage,
+                 "the bench's stage is real: serve the accelerometer only, and let it follow the stage")
+      ->excludes(speed);
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file);
     if (!std::isfinite(options->speed)) throw CLI::ValidationError("--speed", "must be a finite number");
     ScaledClock clock(options->speed);
     const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
+    schedule(config.faults, config.changes, *world);
     std::error_code error;
     std::filesystem::create_directories(options->link_dir, error);
     if (error) throw std::runtime_error(options->link_dir + ": cannot be created: " + error.message());
-    const std::filesystem::path links = options->link_dir;
-    sim::Emulator emulator({endpoint(make_stage_firmware(config, world), config.stage.port, links / "stage"),
-                            endpoint(make_accelerometer_firmware(config, world), config.accelerometer.port,
-                                     links / "accelerometer")},
-                           clock, options->speed);
+
+    std::vector<Served> all;
+    const auto serve = [&](const std::string& name, const std::string& driver, const std::string& port,
+                           std::shared_ptr<sim::Firmware> firmware) {
+      all.push_back({name, driver, port,
+                     std::make_shared<sim::FaultyPort>(std::move(firmware), clock,
+                                                       wire_faults(config.faults, name, world->start()),
+                                                       config.simulation.seed, config.link)});
+    };
+    std::stop_source end;
+    const std::stop_callback on_interrupt(interrupt_token(), [&end] { end.request_stop(); });
+    std::optional<StageFollower> follower;
+    if (options->follow_stage) {
+      follower.emplace(config, world, end);
+    } else {
+      for (const StagePort& port : stage_ports(config.stage))
+        serve(port.name, port.driver, port.port, make_stage_firmware(config, port, world));
+    }
+    serve("accelerometer", config.accelerometer.driver, config.accelerometer.port,
+          make_accelerometer_firmware(config, world));
+
+    std::vector<sim::Endpoint> endpoints;
+    std::map<std::string, sim::FaultyStream*> links;
+    for (const Served& served : all) {
+      endpoints.push_back(endpoint(served, options->link_dir));
+      links[served.name] = &served.firmware->link();
+    }
+    sim::Emulator emulator(std::move(endpoints), clock, options->speed);
+    EmulatorControl control(*world, clock, std::move(links));
+    std::optional<ControlServer> control_server;
+    if (options->control) control_server.emplace(control, *options->control);
     const std::vector<std::string> addresses = emulator.addresses();
-    fmt::print("stage: {} on {}\naccelerometer: {} on {}\nServing until interrupted (Ctrl-C).\n",
-               config.stage.driver, addresses.at(0), config.accelerometer.driver, addresses.at(1));
+    for (std::size_t i = 0; i < all.size(); ++i)
+      fmt::print("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
+    if (follower) fmt::print("The accelerometer follows the stage's read-back.\n");
+    if (control_server) fmt::print("control: tcp:127.0.0.1:{}\n", control_server->port());
+    fmt::print("Serving until interrupted (Ctrl-C).\n");
     std::fflush(stdout);
-    emulator.run(interrupt_token());
+    emulator.run(end.get_token());
+    if (follower) follower->finish();
     if (emulator.dropped_bytes() > 0) {
       fmt::print(stderr, "{} bytes of output were dropped because no program read them in time\n",
                  emulator.dropped_bytes());

@@ -482,7 +482,8 @@ RunTiming run_experiments(const RunInstruments& instruments, const std::vector<P
   instruments.accelerometer.stop();
   const std::string where = runner.where();
   std::string text = fmt::format("{} ({})", reason, where);
-  if (!halted) text += "; the stage did not acknowledge the halt: stop it by its own switch";
+  text += halted ? "; the stage is halted"
+                 : "; the stage did not acknowledge the halt: stop it by its own switch";
   try {
     file.set_state(RunState::kInterrupted, format_utc(instruments.clock.utc_now()), text);
   } catch (const RunFileError& error) {

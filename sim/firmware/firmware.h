@@ -22,6 +22,9 @@ class Firmware {
 
   /// When it next has bytes to put out if nothing more is received; nothing: never. May have passed.
   virtual std::optional<Clock::Instant> next_due() const = 0;
+
+  /// Whether its plug is in: an emulator takes the port of an unplugged one away.
+  virtual bool plugged_in() const { return true; }
 };
 
 }  // namespace abcal::sim

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "drivers/instrument/clock.h"
+#include "sim/faults.h"
+#include "sim/sim_bench.h"
+
+namespace abcal {
+
+/// What `abcal emulate --control` understands: one line of JSON, one line back (docs/emulate.md).
+class EmulatorControl {
+ public:
+  /// `links` are the links of the instruments by name, as [[fault]] calls them; all must outlive this object.
+  EmulatorControl(sim::SimBench& world, const Clock& clock, std::map<std::string, sim::FaultyStream*> links);
+
+  /// @return {"ok": true, ...} or {"ok": false, "error": "..."}; never throws for what a client sent.
+  std::string answer(const std::string& line);
+
+ private:
+  sim::SimBench& world_;
+  const Clock& clock_;
+  std::map<std::string, sim::FaultyStream*> links_;
+};
+
+/// Serves an EmulatorControl on a TCP port of the loopback interface, in a thread of its own. Several
+/// clients; a line may have 64 KiB.
+class ControlServer {
+ public:
+  /// @throws std::runtime_error if the port cannot be had. Port 0: any free one.
+  ControlServer(EmulatorControl& control, std::uint16_t port);
+  ~ControlServer();
+  std::uint16_t port() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace abcal

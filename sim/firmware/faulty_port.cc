@@ -1,0 +1,41 @@
+#include "sim/firmware/faulty_port.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "sim/firmware/firmware_stream.h"
+
+namespace abcal::sim {
+
+FaultyPort::FaultyPort(std::shared_ptr<Firmware> inner, Clock& clock, std::vector<WireFault> faults,
+                       std::uint64_t seed, LinkTiming timing)
+    : inner_(inner),
+      stream_(std::make_unique<FirmwareStream>(std::move(inner), clock), clock, std::move(faults), seed,
+              timing) {}
+
+void FaultyPort::receive(std::string_view bytes, Clock::Instant) {
+  if (plugged_in()) stream_.write(bytes);
+}
+
+std::string FaultyPort::transmit(Clock::Instant now) {
+  if (!plugged_in()) {
+    inner_->transmit(now);
+    return {};
+  }
+  std::string bytes;
+  for (;;) {
+    // A deadline that has passed: what is there, without waiting.
+    const wire::ReceivedBytes received = stream_.read_until(now);
+    if (received.bytes.empty()) return bytes;
+    bytes += received.bytes;
+  }
+}
+
+std::optional<Clock::Instant> FaultyPort::next_due() const {
+  const auto inner = inner_->next_due();
+  const auto held = stream_.next_due();
+  if (inner && held) return std::min(*inner, *held);
+  return inner ? inner : held;
+}
+
+}  // namespace abcal::sim

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "sim/faults.h"
+#include "sim/firmware/firmware.h"
+
+namespace abcal::sim {
+
+/// A simulated instrument behind a link that is slow or goes wrong (FaultyStream), for an emulator. While it
+/// is unplugged it hears nothing, and what it puts out is lost.
+class FaultyPort final : public Firmware {
+ public:
+  /// `clock` must be the one whose instants are handed in.
+  FaultyPort(std::shared_ptr<Firmware> inner, Clock& clock, std::vector<WireFault> faults = {},
+             std::uint64_t seed = 1, LinkTiming timing = {});
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  bool plugged_in() const override { return !stream_.unplugged(); }
+
+  FaultyStream& link() { return stream_; }  ///< To add faults; safe from other threads.
+
+ private:
+  std::shared_ptr<Firmware> inner_;
+  FaultyStream stream_;
+};
+
+}  // namespace abcal::sim

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <memory>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/rotation_stage.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+/// A real stage whose read-back turns a simulated world, so that a simulated accelerometer "on" a real stage
+/// reads what its pose requires. The world's axes are where the encoder was read last; its stage errors are
+/// the truth's. The stage must speak protocol angles.
+class FollowedStage final : public RotationStage {
+ public:
+  FollowedStage(std::unique_ptr<RotationStage> stage, std::shared_ptr<SimBench> world, Clock& clock);
+
+  StageInfo identify() override { return stage_->identify(); }
+  void home(StageAxis axis) override { stage_->home(axis); }
+  void move_to(StageAxis axis, Angle target) override { stage_->move_to(axis, target); }
+  /// Also reads the encoder, so that the world follows while the stage moves.
+  MotionState motion_state(StageAxis axis) override;
+  Angle encoder_angle(StageAxis axis) override;
+  bool halt() noexcept override { return stage_->halt(); }
+
+ private:
+  std::unique_ptr<RotationStage> stage_;
+  std::shared_ptr<SimBench> world_;
+  Clock& clock_;
+};
+
+}  // namespace abcal::sim
