@@ -145,10 +145,8 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
     return timing;
   } catch (...) {
     observer.finish();
-    fmt::print(
-        stderr,
-        "{} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
-        observer.measured(), plan.size(), file.path().string(), file.path().string());
+    fmt::print(stderr, "{} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
+               observer.measured(), plan.size(), file.path().string(), file.path().string());
     throw;
   }
 }
