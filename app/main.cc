@@ -43,6 +43,7 @@ int main(int argc, char** argv) {
   add_run(app, exit_code);
   add_resume(app, exit_code);
   add_plan(app, exit_code);
+  add_check(app, exit_code);
   add_analyse(app, exit_code);
   add_uncertainty(app, exit_code);
   add_simulate(app, exit_code);

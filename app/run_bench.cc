@@ -132,7 +132,7 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
 
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
                   const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
-                  const RunTiming& spent, const std::string& title) {
+                  const RunTiming& spent, const std::string& title, bool resumable) {
   TerminalObserver observer(title, plan, measured.size());
   try {
     // Simulated time has one thread only.
@@ -145,8 +145,10 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
     return timing;
   } catch (...) {
     observer.finish();
-    fmt::print(stderr, "{} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
-               observer.measured(), plan.size(), file.path().string(), file.path().string());
+    if (resumable) {
+      fmt::print(stderr, "{} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
+                 observer.measured(), plan.size(), file.path().string(), file.path().string());
+    }
     throw;
   }
 }

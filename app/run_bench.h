@@ -59,9 +59,10 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
                                   const std::string& extension);
 
 /// Measures what is missing of the plan. In real time an interrupt halts the stage at once, whatever the
-/// measuring thread waits for. On failure the person is told what is kept, and the exception goes on.
+/// measuring thread waits for. On failure the person is told what is kept, if the run is `resumable`, and the
+/// exception goes on.
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
                   const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
-                  const RunTiming& spent, const std::string& title);
+                  const RunTiming& spent, const std::string& title, bool resumable);
 
 }  // namespace abcal

@@ -1,28 +1,106 @@
 #include <fmt/format.h>
 
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
+#include "app/probe.h"
+#include "app/progress.h"
+#include "app/real_clock.h"
+#include "drivers/instrument/instrument_error.h"
 #include "drivers/registry.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal {
+namespace {
+
+/// What probing one port came to.
+struct Probed {
+  std::string port;
+  std::optional<ProbeAnswer> answer;
+  std::string failure;  ///< Why the port could not be asked; empty: it was.
+
+  std::string words() const {
+    if (!failure.empty()) return failure;
+    if (!answer) return "no instrument that a driver knows answered";
+    return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]", answer->maker, answer->model,
+                       answer->serial_number.empty() ? "" : ", serial number ", answer->serial_number,
+                       answer->driver, answer->stage ? "stage" : "accelerometer");
+  }
+  nlohmann::ordered_json json() const {
+    nlohmann::ordered_json object{{"port", port}};
+    if (!failure.empty()) {
+      object["failure"] = failure;
+    } else if (answer) {
+      object["role"] = answer->stage ? "stage" : "accelerometer";
+      object["driver"] = answer->driver;
+      object["maker"] = answer->maker;
+      object["model"] = answer->model;
+      object["serial_number"] = answer->serial_number;
+      object["firmware"] = answer->firmware;
+    } else {
+      object["role"] = nullptr;
+    }
+    return object;
+  }
+};
+
+std::vector<Probed> probe(const std::vector<std::string>& ports) {
+  RealClock clock;
+  ProgressBar bar("Asking", clock);
+  std::vector<Probed> all;
+  const auto drivers = static_cast<double>(stage_drivers().size() + accelerometer_drivers().size());
+  for (const std::string& port : ports) {
+    Probed probed{port, std::nullopt, ""};
+    double asked = static_cast<double>(all.size()) * drivers;
+    try {
+      probed.answer = probe_port(port, clock, [&](const std::string& driver) {
+        bar.show(asked++, static_cast<double>(ports.size()) * drivers, port + " for " + driver);
+      });
+    } catch (const InstrumentError& error) {
+      probed.failure = error.what();
+    }
+    all.push_back(std::move(probed));
+  }
+  bar.clear();
+  return all;
+}
+
+}  // namespace
 
 CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
-  auto json = std::make_shared<bool>(false);
+  struct Options {
+    bool json = false, probe = false;
+    std::vector<std::string> ports;
+  };
+  auto options = std::make_shared<Options>();
   CLI::App* command =
       parent.add_subcommand("instruments", "List the serial ports of this machine, and the drivers");
-  command->add_flag("--json", *json, "print one JSON object");
-  command->callback([json, &exit_code] {
+  command->add_flag("--json", options->json, "print one JSON object");
+  CLI::Option* probe_flag =
+      command->add_flag("--probe", options->probe,
+                        "ask on every free port what is there; nothing moves, but streams may be stopped");
+  command->add_option("--port", options->ports, "with --probe: ask on this port only, e.g. tcp:HOST:PORT")
+      ->needs(probe_flag);
+  command->callback([options, &exit_code] {
     const std::vector<wire::PortInfo> ports = wire::list_ports();
+    std::vector<Probed> probed;
+    if (options->probe) {
+      std::vector<std::string> asked = options->ports;
+      if (asked.empty()) {
+        for (const wire::PortInfo& port : ports)
+          if (port.permitted && port.holder.empty()) asked.push_back(port.path);
+      }
+      probed = probe(asked);
+    }
     const auto usb = [](const wire::PortInfo& port) {
       return port.usb_vendor && port.usb_product
                  ? fmt::format("usb:{:04X}:{:04X}{}{}", *port.usb_vendor, *port.usb_product,
                                port.serial_number.empty() ? "" : ":", port.serial_number)
                  : std::string();
     };
-    if (*json) {
+    if (options->json) {
       nlohmann::ordered_json output{{"schema", "abcal.instruments/1"}};
       output["ports"] = nlohmann::ordered_json::array();
       for (const wire::PortInfo& port : ports) {
@@ -33,6 +111,10 @@ CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
                                    {"owner_group", port.owner_group},
                                    {"permitted", port.permitted},
                                    {"holder", port.holder}});
+      }
+      if (options->probe) {
+        output["probed"] = nlohmann::ordered_json::array();
+        for (const Probed& one : probed) output["probed"].push_back(one.json());
       }
       for (const auto& driver : stage_drivers())
         output["stage_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
@@ -58,6 +140,11 @@ CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
               "it 1 ms\n",
               *port.latency_timer_ms, port.path);
         }
+      }
+      if (options->probe) {
+        fmt::print("Asked:\n");
+        if (probed.empty()) fmt::print("  no port that is free and permitted\n");
+        for (const Probed& one : probed) fmt::print("  {}: {}\n", one.port, one.words());
       }
       fmt::print("Stage drivers:\n");
       for (const auto& driver : stage_drivers()) fmt::print("  {:<18} {}\n", driver.name, driver.description);

@@ -39,7 +39,7 @@ int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
                        const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
                        const RunTiming& spent, bool json) {
   const std::filesystem::path path = file.path();
-  const RunTiming timing = measure(bench, config, file, plan, measured, spent, "Calibrating");
+  const RunTiming timing = measure(bench, config, file, plan, measured, spent, "Calibrating", true);
   const std::string utc = format_utc(bench.clock->utc_now());
   file.append_environment(utc, "end", config.environment.temperature_degc,
                           config.environment.humidity_percent, config.environment.pressure_hpa);

@@ -1,0 +1,79 @@
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "app/bench_check.h"
+#include "app/commands/commands.h"
+#include "app/exit_code.h"
+#include "app/terminal.h"
+
+namespace abcal {
+namespace {
+
+std::string_view word(Finding::Grade grade) {
+  switch (grade) {
+    case Finding::Grade::kGood:
+      return "good";
+    case Finding::Grade::kWarning:
+      return "warning";
+    case Finding::Grade::kProblem:
+      return "problem";
+    case Finding::Grade::kLeftOut:
+      return "left out";
+  }
+  return "unknown";
+}
+
+}  // namespace
+
+CLI::App* add_check(CLI::App& parent, int& exit_code) {
+  struct Options {
+    std::string bench_file;
+    bool no_motion = false, json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand(
+      "check", "Talk to both instruments, turn the stage a little, and say what is not as it should be");
+  command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
+  command->add_flag("--no-motion", options->no_motion, "move nothing");
+  command->add_flag("--json", options->json, "print one JSON object");
+  command->callback([options, &exit_code] {
+    const BenchConfig config = read_bench(options->bench_file);
+    Bench bench = make_bench(config);
+    const std::vector<Finding> findings = check_bench(bench, config, options->no_motion);
+    int problems = 0, warnings = 0;
+    for (const Finding& finding : findings) {
+      problems += finding.grade == Finding::Grade::kProblem ? 1 : 0;
+      warnings += finding.grade == Finding::Grade::kWarning ? 1 : 0;
+    }
+    if (options->json) {
+      nlohmann::ordered_json json{
+          {"schema", "abcal.check/1"}, {"problems", problems}, {"warnings", warnings}};
+      json["findings"] = nlohmann::ordered_json::array();
+      for (const Finding& finding : findings)
+        json["findings"].push_back({{"grade", word(finding.grade)},
+                                    {"what", finding.what},
+                                    {"found", finding.found},
+                                    {"advice", finding.advice}});
+      fmt::print("{}\n", json.dump(2));
+    } else {
+      for (const Finding& finding : findings) {
+        const Emphasis emphasis = finding.grade == Finding::Grade::kProblem   ? Emphasis::kBad
+                                  : finding.grade == Finding::Grade::kWarning ? Emphasis::kWarning
+                                                                              : Emphasis::kNone;
+        fmt::print("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", word(finding.grade))),
+                   finding.what, finding.found);
+        if (!finding.advice.empty()) fmt::print("{:>8}  required: {}\n", "", finding.advice);
+      }
+      fmt::print(
+          "{}\n",
+          problems > 0   ? fmt::format("{} problem{}: not fit for a run", problems, problems == 1 ? "" : "s")
+          : warnings > 0 ? fmt::format("fit for a run, with {} warning{}", warnings, warnings == 1 ? "" : "s")
+                         : std::string("fit for a run"));
+    }
+    exit_code = problems > 0 ? kExitFailed : kExitDone;
+  });
+  return command;
+}
+
+}  // namespace abcal

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "drivers/instrument/clock.h"
+
+namespace abcal {
+
+/// Who answered on a port.
+struct ProbeAnswer {
+  std::string driver;  ///< Name in the registry, for `driver` in a bench file.
+  bool stage = false;  ///< Else an accelerometer.
+  std::string maker, model, serial_number, firmware;
+};
+
+/// Asks on one port, driver after driver with its usual settings, who is there. Only what identify() sends:
+/// nothing moves and nothing is stored; a sensor that streams may be told to be quiet.
+/// @param trying told the name of the driver that is about to ask.
+/// @return nothing if no known instrument answers.
+/// @throws InstrumentError kCannotOpen if the port cannot be opened at all.
+std::optional<ProbeAnswer> probe_port(const std::string& port, Clock& clock,
+                                      const std::function<void(const std::string&)>& trying);
+
+}  // namespace abcal
