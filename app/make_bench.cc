@@ -15,6 +15,7 @@
 #include "sim/firmware/newport_esp_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
+#include "sim/firmware/text_line_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/sim_accelerometer.h"
@@ -108,6 +109,13 @@ std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config
   return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::TextLineSettings settings;
+  settings.rate_hz = config.accelerometer.rate_hz;
+  return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
+}
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, std::shared_ptr<sim::SimBench>);
 
 /// Driver name -> the simulated instrument that it talks to.
@@ -120,6 +128,7 @@ const std::map<std::string, MakeFirmware>& stage_firmwares() {
 const std::map<std::string, MakeFirmware>& accelerometer_firmwares() {
   static const std::map<std::string, MakeFirmware> firmwares{{"microstrain_mip", mip_firmware},
                                                              {"scpi_voltmeter", scpi_voltmeter_firmware},
+                                                             {"text_line", text_line_firmware},
                                                              {"vectornav", vectornav_firmware},
                                                              {"witmotion", witmotion_firmware}};
   return firmwares;
