@@ -94,6 +94,13 @@ std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config,
   return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::TextLineSettings settings;
+  settings.rate_hz = config.accelerometer.rate_hz;
+  return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
+}
+
 std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config,
                                                   std::shared_ptr<sim::SimBench> world) {
   sim::WitMotionSettings settings;
@@ -107,13 +114,6 @@ std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config
   if (!config.accelerometer.serial_number.empty())
     settings.serial_number = config.accelerometer.serial_number;
   return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
-}
-
-std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config,
-                                                  std::shared_ptr<sim::SimBench> world) {
-  sim::TextLineSettings settings;
-  settings.rate_hz = config.accelerometer.rate_hz;
-  return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
 }
 
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, std::shared_ptr<sim::SimBench>);
