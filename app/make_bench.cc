@@ -18,6 +18,7 @@
 #include "sim/firmware/newport_esp_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
+#include "sim/firmware/text_line_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/followed_stage.h"
@@ -110,6 +111,13 @@ std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config,
   return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::TextLineSettings settings;
+  settings.rate_hz = config.accelerometer.rate_hz;
+  return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
+}
+
 std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config,
                                                   std::shared_ptr<sim::SimBench> world) {
   sim::WitMotionSettings settings;
@@ -139,6 +147,7 @@ const std::map<std::string, MakeStageFirmware>& stage_firmwares() {
 const std::map<std::string, MakeFirmware>& accelerometer_firmwares() {
   static const std::map<std::string, MakeFirmware> firmwares{{"microstrain_mip", mip_firmware},
                                                              {"scpi_voltmeter", scpi_voltmeter_firmware},
+                                                             {"text_line", text_line_firmware},
                                                              {"vectornav", vectornav_firmware},
                                                              {"witmotion", witmotion_firmware}};
   return firmwares;

@@ -5,7 +5,9 @@
 #include "drivers/microstrain_mip/accelerometer.h"
 #include "drivers/newport_esp/stage.h"
 #include "drivers/pi_gcs/stage.h"
+#include "drivers/text_line/accelerometer.h"
 #include "drivers/vectornav/accelerometer.h"
+#include "drivers/witmotion/accelerometer.h"
 #include "drivers/xsens_mti/accelerometer.h"
 #include "drivers/zaber_ascii/stage.h"
 
@@ -51,6 +53,14 @@ const std::vector<AccelerometerDriver>& accelerometer_drivers() {
        "Xsens (Movella) MTi sensors that speak Xbus with MTData2, output in m/s2",
        {115200, false},
        make<XsensMtiAccelerometer, Accelerometer, AccelerometerSettings>},
+      {"witmotion",
+       "WitMotion sensors (WT61, WT901, HWT901, ...), output in g",
+       {9600, false},
+       make<WitMotionAccelerometer, Accelerometer, AccelerometerSettings>},
+      {"text_line",
+       "boards that print lines of numbers, output in the unit of the bench file",
+       {115200, false},
+       make<TextLineAccelerometer, Accelerometer, AccelerometerSettings>},
   };
   return drivers;
 }

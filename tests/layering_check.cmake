@@ -18,6 +18,8 @@ set(rules
   "drivers/microstrain_mip|${wire};drivers/microstrain_mip/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/vectornav|${wire};drivers/vectornav/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/xsens_mti|${wire};drivers/xsens_mti/|boost/;spdlog/;fmt/;Eigen/"
+  "drivers/witmotion|${wire};drivers/witmotion/|boost/;spdlog/;fmt/;Eigen/"
+  "drivers/text_line|${wire};drivers/text_line/|boost/;spdlog/;fmt/;Eigen/"
   "protocol/plan|drivers/instrument/angle.h;protocol/plan/|fmt/"
   "protocol/model|drivers/instrument/angle.h;protocol/model/|Eigen/"
   "protocol/gravity|drivers/instrument/angle.h;protocol/gravity/|fmt/"

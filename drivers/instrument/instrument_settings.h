@@ -34,4 +34,13 @@ struct AccelerometerSettings {
   std::string comment{"#"};             ///< Line of text: a line that begins so is skipped; empty: none.
 };
 
+/// What a bench file says of a thermometer, hygrometer or barometer that prints lines of text.
+struct EnvironmentSettings {
+  int temperature_column = 1;  ///< degC; the first column is 1; 0: absent.
+  int humidity_column = 0;     ///< Relative humidity in percent; 0: absent.
+  int pressure_column = 0;     ///< hPa; 0: absent.
+  std::string separator{","};  ///< " ": any run of blanks and tabs.
+  std::string comment{"#"};    ///< A line that begins so is skipped; empty: none.
+};
+
 }  // namespace abcal

@@ -1,0 +1,82 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+/// Lines of numbers as boards print them. Pure: no port, no clock, no logging.
+namespace abcal::text_line {
+
+/// Where the numbers stand on a line.
+struct LineFormat {
+  std::vector<int> columns{1, 2, 3};  ///< Those that are read, in this order; the first column is 1.
+  std::string separator{","};         ///< One character; " ": any run of blanks and tabs.
+  std::string comment{"#"};           ///< A line that begins so is skipped; empty: none.
+};
+
+/// The numbers of one line.
+struct NumberLine {
+  std::vector<double> values;  ///< One for each of LineFormat::columns.
+  std::size_t words = 0;       ///< How many columns the line has.
+  std::size_t size = 0;        ///< Bytes, with its end.
+};
+
+/// A decimal number: "1", "+1.5", "-.5e-3", "nan", "inf". Whatever the locale, the decimal mark is a point.
+/// Nothing if it is not just that, or beyond what a double holds.
+std::optional<double> parse_number(std::string_view word);
+
+/// Finds lines of numbers in a stream of bytes that may begin anywhere and be split anywhere.
+///
+/// A line ends with CR, LF or both. What comes before the first end is dropped: it may be the rest of a line.
+/// Empty lines and comments are skipped. Other lines that have no numbers where they should are headers
+/// before the first line of numbers, and bad lines from then on; so is a line longer than kLongestLine, and
+/// one with another number of columns once that is required. What is found does not depend on how the bytes
+/// were split.
+///
+/// There is no checksum: a digit that was damaged into another digit passes.
+class LineReader {
+ public:
+  static constexpr std::size_t kLongestLine = 1024;
+
+  /// @throws std::invalid_argument for a format that cannot be.
+  explicit LineReader(LineFormat format);
+
+  void feed(std::string_view bytes);
+
+  /// The next line of numbers of what was fed; nothing if it needs more bytes.
+  std::optional<NumberLine> next();
+
+  /// From now on a line must have this many columns: two lines whose end between them was lost are none.
+  void require_words(std::size_t words) { required_words_ = words; }
+
+  /// Bytes are missing here: what comes before the next end of a line is dropped.
+  void lose_track();
+
+  /// True if bytes are held back that may begin a line.
+  bool has_partial() const { return begin_ < buffer_.size(); }
+
+  std::uint64_t header_lines() const { return header_lines_; }
+  std::uint64_t bad_frames() const { return bad_lines_; }
+  /// Bytes of bad lines, and of what was dropped because its beginning is missing.
+  std::uint64_t skipped_bytes() const { return skipped_bytes_; }
+
+ private:
+  std::vector<std::string_view> split(std::string_view line) const;
+  std::optional<NumberLine> take(std::string_view line);
+  void count_other_line(std::size_t bytes);
+
+  LineFormat format_;
+  std::optional<std::size_t> required_words_;
+  std::string buffer_;
+  std::size_t begin_ = 0;  ///< What lies before is used up.
+  bool dropping_ = true;   ///< Up to the next end of a line.
+  bool has_numbers_come_ = false;
+  std::uint64_t header_lines_ = 0;
+  std::uint64_t bad_lines_ = 0;
+  std::uint64_t skipped_bytes_ = 0;
+};
+
+}  // namespace abcal::text_line

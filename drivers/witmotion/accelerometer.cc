@@ -1,0 +1,219 @@
+#include "drivers/witmotion/accelerometer.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "drivers/wire/readable_bytes.h"
+
+namespace abcal {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+using witmotion::Frame;
+using witmotion::FrameParser;
+
+// A device answers within milliseconds, between the frames that it streams [M].
+constexpr seconds kAnswerTime{1};
+// One that streams once in 5 s, the slowest that a device may be left at, is heard.
+constexpr seconds kFirstFrameTime{6};
+// [M] The maker's own library waits a millisecond between unlock and write; more than enough at 9600 baud.
+constexpr milliseconds kBetweenCommands{10};
+
+// Its clock is not said to be accurate; its rates, and what a line too slow for one carries, differ by more.
+constexpr double kMeasuredRateTolerance = 0.1;
+constexpr double kBitsPerByte = 10.0;  // On a UART, with start and stop bit.
+
+constexpr std::string_view kUnknown = "unknown";
+
+}  // namespace
+
+WitMotionAccelerometer::WitMotionAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
+                                               const AccelerometerSettings& settings)
+    : stream_(stream ? std::move(stream) : throw std::invalid_argument("WitMotionAccelerometer: no stream")),
+      clock_(clock),
+      settings_(settings),
+      who_(fmt::format("accelerometer witmotion on {}", stream_->name())),
+      readings_(*stream_, FrameParser(), [this](const Frame& frame) { return take(frame); }) {
+  if (!(settings_.rate_hz > 0.0) || !std::isfinite(settings_.rate_hz)) {
+    throw std::invalid_argument(
+        fmt::format("WitMotionAccelerometer: rate_hz is {}; required: a positive number", settings_.rate_hz));
+  }
+}
+
+AccelerometerInfo WitMotionAccelerometer::identify() {
+  return interrogate();
+}
+
+void WitMotionAccelerometer::start() {
+  const auto rate_code = witmotion::rate_code(settings_.rate_hz);
+  if (!rate_code) {
+    fail(Fault::kRefused,
+         fmt::format("rate_hz is {}; it makes 1, 2, 5, 10, 20, 50, 100 or 200 readings a second, the nearest "
+                     "is {}",
+                     settings_.rate_hz, witmotion::nearest_rate_hz(settings_.rate_hz)));
+  }
+  interrogate();
+  check_link();
+  configure_output(*rate_code);
+}
+
+std::optional<Reading> WitMotionAccelerometer::next(Clock::Instant deadline) {
+  if (!readings_.running()) fail(Fault::kNotReady, "asked for a reading before it was started");
+  return readings_.next(deadline);
+}
+
+void WitMotionAccelerometer::discard_pending() {
+  if (readings_.running()) readings_.discard_pending(clock_.now());
+}
+
+void WitMotionAccelerometer::fail(Fault fault, std::string_view detail) const {
+  throw InstrumentError(who_, fault, detail);
+}
+
+void WitMotionAccelerometer::fail_without_frames(Clock::Duration waited) const {
+  const std::string heard =
+      fmt::format("{} bytes came within {:.1f} s", readings_.received_bytes(), to_seconds(waited));
+  if (readings_.received_bytes() == 0) {
+    fail(Fault::kNoReply,
+         fmt::format("not one byte came within {:.1f} s: is it switched on, and is the baud rate the one of "
+                     "the device?",
+                     to_seconds(waited)));
+  }
+  const std::uint64_t bad = readings_.parser().bad_frames();
+  if (2 * (frames_ + bad) * witmotion::kFrameBytes >= readings_.received_bytes()) {
+    fail(Fault::kBadFrame,
+         fmt::format("{} with {} WitMotion frames, {} of them with a wrong sum", heard, frames_ + bad, bad));
+  }
+  fail(Fault::kWrongIdentity,
+       fmt::format("{} with {} WitMotion frames, beginning {}: another instrument is on this port, or the "
+                   "baud rate is wrong",
+                   heard, frames_, wire::bytes_in_hex(readings_.first_bytes())));
+}
+
+AccelerometerInfo WitMotionAccelerometer::interrogate() {
+  only_acceleration_ = false;
+  frames_ = 0;
+  readings_.listen(FrameParser());
+  stream_->discard_input();
+
+  const Clock::Instant began = clock_.now();
+  const auto version = ask(witmotion::kVersion);
+  const auto range = ask(witmotion::kAccelerationRange);
+  const auto output = ask(witmotion::kOutputMask);  // And, behind it, rate and baud rate.
+  // Silent to questions: it may stream slowly.
+  while (readings_.received_bytes() == 0 && readings_.receive(began + kFirstFrameTime)) continue;
+  // One frame may be chance in a line that is full of something else.
+  if (frames_ == 0 || 2 * frames_ * witmotion::kFrameBytes < readings_.received_bytes())
+    fail_without_frames(clock_.now() - began);
+
+  if (version) version_ = version->front();
+  link_bytes_per_s_ = settings_.link_bytes_per_s;
+  if (!link_bytes_per_s_ && output) {
+    if (const auto baud = witmotion::baud_rate((*output)[witmotion::kBaud - witmotion::kOutputMask]))
+      link_bytes_per_s_ = *baud / kBitsPerByte;
+  }
+  double full_scale = settings_.full_scale.value_or(witmotion::kFormatFullScaleG);
+  if (range) full_scale = std::min(full_scale, witmotion::range_g(range->front()).value_or(full_scale));
+  return AccelerometerInfo{
+      .maker = "WitMotion",
+      .model = std::string(kUnknown),  // It does not say.
+      .serial_number = "",             // Nor this.
+      .firmware = version_ ? fmt::format("{}", *version_) : std::string(kUnknown),
+      .output_unit = "g",
+      .full_scale = std::min(full_scale, witmotion::kFormatFullScaleG),
+      .resolution = witmotion::kStepG,
+      .rate_hz = witmotion::nearest_rate_hz(settings_.rate_hz),
+  };
+}
+
+/// Asks for four registers; nothing if it does not answer, as cheap models do not. An answer does not say
+/// what it answers. So once a question has gone unanswered only that question is repeated: an answer to any
+/// other might be a late one to it.
+std::optional<WitMotionAccelerometer::Registers> WitMotionAccelerometer::ask(witmotion::Register first) {
+  constexpr int kTries = 2;
+  if (answers_doubtful_) return std::nullopt;
+  answer_.reset();
+  for (int tries = 0; tries < kTries && !answer_; ++tries) {
+    stream_->write(witmotion::read_registers(first));
+    const Clock::Instant deadline = clock_.now() + kAnswerTime;
+    // Data may never cease to come.
+    while (!answer_ && readings_.receive(deadline) && clock_.now() < deadline) continue;
+    if (!answer_) answers_doubtful_ = true;
+  }
+  return answer_;
+}
+
+void WitMotionAccelerometer::check_link() const {
+  const double needed = settings_.rate_hz * static_cast<double>(witmotion::kFrameBytes);
+  if (!link_bytes_per_s_ || needed <= *link_bytes_per_s_) return;
+  fail(
+      Fault::kRefused,
+      fmt::format(
+          "{:.6g} readings a second need {:.0f} bytes/s, the link carries {:.0f}: lower rate_hz to {:.0f} or "
+          "less, or raise the baud rate of the device",
+          settings_.rate_hz, needed, *link_bytes_per_s_,
+          std::floor(*link_bytes_per_s_ / static_cast<double>(witmotion::kFrameBytes))));
+}
+
+/// Sets output and rate, and looks whether it does so. Nothing that is written is answered: a command that
+/// was lost shows in the rate, and is sent again.
+void WitMotionAccelerometer::configure_output(std::uint16_t rate_code) {
+  constexpr int kTries = 3;
+  const Clock::Duration span = from_seconds(std::max(1.0, 2.0 / settings_.rate_hz));
+  std::optional<double> measured_hz;
+  for (int tries = 0; tries < kTries; ++tries) {
+    for (const std::string& command :
+         {witmotion::write_register(witmotion::kLock, witmotion::kUnlock),
+          witmotion::write_register(witmotion::kOutputMask, witmotion::kAccelerationOnly),
+          witmotion::write_register(witmotion::kRate, rate_code)}) {
+      stream_->write(command);
+      clock_.sleep_until(clock_.now() + kBetweenCommands);
+    }
+    readings_.listen(FrameParser());
+    stream_->discard_input();
+    other_frames_ = 0;
+    measured_hz = readings_.measure_rate_hz(span, clock_.now() + 2 * span + kAnswerTime);
+    if (!measured_hz || std::abs(*measured_hz / settings_.rate_hz - 1.0) > kMeasuredRateTolerance) continue;
+    only_acceleration_ = other_frames_ == 0;
+    readings_.start();
+    return;
+  }
+  if (!measured_hz)
+    fail(Fault::kNoReply,
+         fmt::format("no readings came after its rate was set to {:.6g} a second", settings_.rate_hz));
+  fail(Fault::kImplausible,
+       fmt::format("rate_hz is {:.6g}, its rate was set so (register 03 = {:02X}), and {:.3g} readings a "
+                   "second came: write that rate if the device has no other, or raise its baud rate",
+                   settings_.rate_hz, rate_code, *measured_hz));
+}
+
+std::optional<Reading> WitMotionAccelerometer::take(const Frame& frame) {
+  constexpr std::uint64_t kNoChance = 2;  // A single frame may be made of damaged ones.
+  ++frames_;
+  if (frame.type == witmotion::kRegisters) {
+    answer_ = frame.words;
+    return std::nullopt;
+  }
+  if (const auto acceleration = witmotion::decode_acceleration(frame)) {
+    Reading reading;
+    reading.output = acceleration->output_g;
+    reading.temperature_degc = acceleration->temperature_degc;
+    reading.over_range = acceleration->clipped;
+    return reading;
+  }
+  if (frame.type == witmotion::kAngle) version_ = frame.words[3];
+  if (++other_frames_ >= kNoChance && only_acceleration_) {
+    readings_.end();
+    fail(Fault::kNotReady,
+         fmt::format("it puts out frames of type {:02X} again: it was restarted and has lost its settings",
+                     frame.type));
+  }
+  return std::nullopt;
+}
+
+}  // namespace abcal

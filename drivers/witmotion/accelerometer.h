@@ -1,0 +1,79 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "drivers/instrument/accelerometer.h"
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/instrument/instrument_settings.h"
+#include "drivers/wire/byte_stream.h"
+#include "drivers/wire/reading_stream.h"
+#include "drivers/witmotion/codec.h"
+
+namespace abcal {
+
+/// A WitMotion sensor (WT61, WT901, HWT901 and their like), used for its accelerometers: output in g, sign as
+/// in witmotion::Acceleration.
+///
+/// It streams from power on. Cheap models answer no question, so it is identified by its frames, and what was
+/// set is confirmed by what it then puts out. Changes the running configuration of the device, never the
+/// stored one.
+///
+/// Its frames have no counter: readings that were damaged on the line are counted as lost, those that vanish
+/// without leaving a byte behind cannot be (wire::ReadingStream).
+class WitMotionAccelerometer final : public Accelerometer {
+ public:
+  /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.
+  WitMotionAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
+                         const AccelerometerSettings& settings);
+
+  /// Listens for its frames and asks for version, range and baud rate; what it does not answer is "unknown",
+  /// and so are model (always) and serial number (empty). A started stream must be started again.
+  /// @throws InstrumentError kNoReply, kWrongIdentity, kBadFrame (all that came was damaged), each saying
+  /// what came.
+  AccelerometerInfo identify() override;
+
+  /// Identifies, sets output and rate, and waits until it is seen to stream at that rate.
+  /// @throws InstrumentError kRefused if there is no such rate or the link is too slow for it, kNoReply if no
+  /// readings come then, kImplausible if they come at another rate.
+  void start() override;
+
+  /// @throws InstrumentError kNotReady if it was restarted and has lost its settings.
+  std::optional<Reading> next(Clock::Instant deadline) override;
+  void discard_pending() override;
+  StreamHealth health() const override { return readings_.health(); }
+  /// Stops listening. The device streams on: a silent one could not be told from a dead one.
+  void stop() noexcept override { readings_.end(); }
+
+ private:
+  using Registers = std::array<std::uint16_t, 4>;
+
+  [[noreturn]] void fail(Fault fault, std::string_view detail) const;
+  [[noreturn]] void fail_without_frames(Clock::Duration waited) const;
+  AccelerometerInfo interrogate();
+  std::optional<Registers> ask(witmotion::Register first);
+  void check_link() const;
+  void configure_output(std::uint16_t rate_code);
+  std::optional<Reading> take(const witmotion::Frame& frame);
+
+  std::unique_ptr<wire::ByteStream> stream_;
+  Clock& clock_;
+  AccelerometerSettings settings_;
+  std::string who_;  ///< For messages.
+  wire::ReadingStream<witmotion::FrameParser> readings_;
+
+  std::optional<std::uint16_t> version_;
+  std::optional<double> link_bytes_per_s_;
+  std::optional<Registers> answer_;  ///< To the question asked last, if any.
+  bool answers_doubtful_ = false;    ///< A question went unanswered: a late answer would pass for another's.
+  std::uint64_t frames_ = 0;         ///< Since the stream began.
+  std::uint64_t other_frames_ = 0;   ///< Since the stream began: neither acceleration nor answer.
+  bool only_acceleration_ = false;   ///< Started, and the output mask is as it was set.
+};
+
+}  // namespace abcal

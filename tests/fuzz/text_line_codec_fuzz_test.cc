@@ -1,0 +1,80 @@
+#include <gtest/gtest.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <iterator>
+#include <random>
+#include <string>
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+
+namespace abcal {
+namespace {
+
+/// Lines as boards print them, then changed at a few places. The fuzz target aborts if reader and reference
+/// differ.
+std::string mutated_lines(std::mt19937& random) {
+  static const std::string kWords[] = {"0.01",     "-9.80665", "+1",     ".5", "5.",    "1e-3",
+                                       "-1.5E+10", "nan",      "-inf",   "",   "16384", "x",
+                                       "1 2",      "1e99",     "2.5e-9", "0",  "1e999", "-0.0"};
+  static const std::string kEnds[] = {"\r\n", "\n", "\r", "\r\r\n"};
+  const std::string separator(1, ", ;\t"[random() % 4]);
+  const std::string end = kEnds[random() % std::size(kEnds)];
+  std::string bytes{static_cast<char>(random()), static_cast<char>(random())};
+  for (std::size_t lines = 1 + random() % 12; lines > 0; --lines) {
+    switch (random() % 10) {
+      case 0:
+        bytes += "# a comment";
+        break;
+      case 1:
+        bytes += "u,v,w";
+        break;
+      case 2:
+        bytes += std::string(random() % 3000, '7');
+        break;
+      default:
+        for (std::size_t words = 1 + random() % 5; words > 0; --words)
+          bytes += kWords[random() % std::size(kWords)] + (words > 1 ? separator : "");
+    }
+    bytes += end;
+  }
+  for (std::size_t changes = random() % 8; changes > 0; --changes) {
+    const std::size_t at = 2 + random() % (bytes.size() - 2);
+    switch (random() % 4) {
+      case 0:
+        bytes.insert(at, 1, static_cast<char>(random()));
+        break;
+      case 1:
+        bytes.erase(at, 1);
+        break;
+      case 2:
+        bytes.insert(at, bytes.substr(at, random() % 300));
+        break;
+      default:
+        bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
+    }
+    if (bytes.size() < 3) break;
+  }
+  return bytes;
+}
+
+TEST(TextLineCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
+  std::mt19937 random(20240303);
+  for (int i = 0; i < 10'000; ++i) {
+    const std::string input = mutated_lines(random);
+    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
+  }
+}
+
+TEST(TextLineCodecFuzzTest, AgreesWithTheReferenceOnEveryStartAndEnd) {
+  std::mt19937 random(7);
+  const std::string input = mutated_lines(random);
+  for (std::size_t i = 0; i <= input.size(); ++i) {
+    const auto* data = reinterpret_cast<const std::uint8_t*>(input.data());
+    LLVMFuzzerTestOneInput(data, i);
+    LLVMFuzzerTestOneInput(data + i, input.size() - i);
+  }
+}
+
+}  // namespace
+}  // namespace abcal
