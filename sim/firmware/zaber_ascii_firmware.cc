@@ -273,7 +273,7 @@ ZaberAsciiFirmware::Chain::Chain(std::shared_ptr<SimBench> bench, ZaberAsciiSett
     if (name.empty()) continue;
     const Words words = split(name);
     const int device = words.size() == 2 ? whole_number(words[0]).value_or(0) : settings_.address;
-    const int axis = words.size() <= 2 ? whole_number(words.back()).value_or(0) : 0;
+    const int axis = words.size() == 1 || words.size() == 2 ? whole_number(words.back()).value_or(0) : 0;
     if (device < 1 || device > 99 || axis < 1 || axis > 9)
       throw std::invalid_argument(fmt::format(
           "simulated Zaber device: an axis is named \"{}\", required: \"DEVICE AXIS\" or an axis number",
@@ -286,12 +286,14 @@ ZaberAsciiFirmware::Chain::Chain(std::shared_ptr<SimBench> bench, ZaberAsciiSett
           "simulated Zaber device: both axes are axis {} of device {}, required: two axes", axis, device));
     axes[at] = k;
   }
-  for (const auto& [device_number, axes] : found)
+  for (const auto& [device_number, axes] : found) {
+    const bool has_x = std::find(axes.begin(), axes.end(), std::size_t{0}) != axes.end();
     devices_.push_back({.number = device_number,
-                        .serial = devices_.empty() ? settings_.serial_number : settings_.z_serial_number,
+                        .serial = has_x ? settings_.serial_number : settings_.z_serial_number,
                         .alerts = settings_.alerts,
                         .checksums = settings_.checksums,
                         .axes = axes});
+  }
   for (std::size_t k = 0; k < 2; ++k) {
     axes_[k].resolution = settings_.resolution;
     const double low = settings_.zero[k].deg() + settings_.sign[k] * truth(k).travel_min.deg();

@@ -19,8 +19,8 @@ struct ZaberAsciiSettings {
   /// controller angle = zero + sign * protocol angle, once the axis has been homed
   std::array<int, 2> sign{+1, +1};
   std::array<Angle, 2> zero{};
-  std::string serial_number = "54321";    ///< Of the first device.
-  std::string z_serial_number = "54322";  ///< Of the second one of a chain.
+  std::string serial_number = "54321";    ///< Of the device of X.
+  std::string z_serial_number = "54322";  ///< Of the device of Z, if it is another one.
   std::string version = "7.38.16432";     ///< Below 7: no "driver", and no flags of it.
   unsigned controller_id = 30222;         ///< deviceid of one with several axes, X-MCC2 [M].
   unsigned unit_id = 50009;               ///< deviceid of one with a single axis: X-RSW60A-E03.
