@@ -21,6 +21,8 @@
 #include "sim/firmware/text_line_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
+#include "sim/firmware/xsens_mti_firmware.h"
+#include "sim/firmware/zaber_ascii_firmware.h"
 #include "sim/followed_stage.h"
 #include "sim/sim_accelerometer.h"
 #include "sim/sim_clock.h"
@@ -133,6 +135,26 @@ std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config
   return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> xsens_mti_firmware(const BenchConfig& config,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::XsensMtiSettings settings;
+  if (!config.accelerometer.serial_number.empty()) settings.device_id = config.accelerometer.serial_number;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::XsensMtiFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, const StagePort& port,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  auto settings = stage_firmware_settings<sim::ZaberAsciiSettings>(config.stage);
+  if (!port.address.empty()) settings.address = std::stoi(port.address);
+  // Of two devices: "12345/67890", as the driver gives it.
+  if (const auto slash = settings.serial_number.find('/'); slash != std::string::npos) {
+    settings.z_serial_number = settings.serial_number.substr(slash + 1);
+    settings.serial_number.resize(slash);
+  }
+  return std::make_shared<sim::ZaberAsciiFirmware>(std::move(world), settings);
+}
+
 using MakeStageFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const StagePort&,
                                                              std::shared_ptr<sim::SimBench>);
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, std::shared_ptr<sim::SimBench>);
@@ -140,16 +162,16 @@ using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, std:
 /// Driver name -> the simulated instrument that it talks to.
 const std::map<std::string, MakeStageFirmware>& stage_firmwares() {
   static const std::map<std::string, MakeStageFirmware> firmwares{{"newport_esp", newport_esp_firmware},
-                                                                  {"pi_gcs", pi_gcs_firmware}};
+                                                                  {"pi_gcs", pi_gcs_firmware},
+                                                                  {"zaber_ascii", zaber_ascii_firmware}};
   return firmwares;
 }
 
 const std::map<std::string, MakeFirmware>& accelerometer_firmwares() {
-  static const std::map<std::string, MakeFirmware> firmwares{{"microstrain_mip", mip_firmware},
-                                                             {"scpi_voltmeter", scpi_voltmeter_firmware},
-                                                             {"text_line", text_line_firmware},
-                                                             {"vectornav", vectornav_firmware},
-                                                             {"witmotion", witmotion_firmware}};
+  static const std::map<std::string, MakeFirmware> firmwares{
+      {"microstrain_mip", mip_firmware}, {"scpi_voltmeter", scpi_voltmeter_firmware},
+      {"text_line", text_line_firmware}, {"vectornav", vectornav_firmware},
+      {"witmotion", witmotion_firmware}, {"xsens_mti", xsens_mti_firmware}};
   return firmwares;
 }
 

@@ -17,7 +17,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/newport_esp/codec.h"
-#include "drivers/wire/timed_lock.h"
+#include "drivers/wire/haltable_line.h"
 
 namespace abcal::newport_esp {
 namespace {
@@ -67,10 +67,9 @@ void check_settings(const StageSettings& settings) {
 // to the past.
 struct NewportEspStage::Impl {
   Impl(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
-      : stream_(std::move(stream)),
-        clock_(clock),
-        settings_(settings),
-        who_("Newport ESP stage on " + stream_->name()) {}
+      : settings_(settings),
+        line_("Newport ESP stage", std::move(stream), clock, check_reply,
+              {command_line("ST"), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}) {}
 
   /// What became of a query. No value and no error: it stayed silent.
   template <class T>
@@ -81,7 +80,7 @@ struct NewportEspStage::Impl {
 
   // ---- Errors
 
-  InstrumentError failure(Fault fault, std::string_view detail) const { return {who_, fault, detail}; }
+  InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
 
   InstrumentError refusal(int code, std::string_view command) const {
     const int axis_code = error_axis(code) == 0 ? -1 : code % 100;
@@ -94,47 +93,21 @@ struct NewportEspStage::Impl {
 
   // ---- Bytes
 
-  void send(std::string_view bytes) {
-    const std::lock_guard lock(send_mutex_);
-    if (halts_under_way_ > 0 && !in_halt_) {
-      throw failure(Fault::kNotReady, "the stage is being halted; nothing else is sent to it meanwhile");
-    }
-    stream_->write(bytes);
-  }
-
-  void send_stop() { stream_->write(command_line("ST")); }
-
-  Clock::Instant deadline_after(Clock::Duration patience) const {
-    return std::min(clock_.now() + patience, no_later_than_);
-  }
-
   /// The next line that is neither empty nor unsolicited, as it came; nothing if there is no whole one by the
-  /// deadline (what came stays in received_).
+  /// deadline.
   std::optional<std::string> take_line(Clock::Instant deadline) {
     for (;;) {
-      const wire::FrameVerdict verdict = check_reply(received_);
-      if (verdict.check == wire::FrameCheck::kInvalid) return std::exchange(received_, {});
-      if (verdict.check == wire::FrameCheck::kComplete) {
-        std::string line = received_.substr(0, verdict.length);
-        received_.erase(0, verdict.length);
-        const auto text = line_text(line);
-        if (text && (text->empty() || is_unsolicited(*text))) continue;
-        return line;
-      }
-      const bool last_look = clock_.now() >= deadline;  // A stream that never pauses must not hold us.
-      const wire::ReceivedBytes more = stream_->read_until(deadline);
-      received_ += more.bytes;
-      if (more.bytes.empty() || (last_look && check_reply(received_).check == wire::FrameCheck::kNeedMore))
-        return std::nullopt;
+      std::optional<std::string> line = line_.take_frame(deadline);
+      const auto text = line ? line_text(*line) : std::nullopt;
+      if (!text || !(text->empty() || is_unsolicited(*text))) return line;
     }
   }
 
   /// Throws away stale input, sends, and waits for one line.
   std::optional<std::string> exchange(std::string_view request) {
-    stream_->discard_input();
-    received_.clear();
-    send(request);
-    const Clock::Instant deadline = deadline_after(kReplyDeadline);
+    line_.discard_input();
+    line_.send(request);
+    const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
     for (;;) {
       std::optional<std::string> line = take_line(deadline);
       // Of an earlier resynchronise() that gave up too soon.
@@ -148,8 +121,8 @@ struct NewportEspStage::Impl {
   /// Returns once the controller has answered "VE?". What it sent before that, if it is one whole line, is
   /// the late answer to the query that had none.
   std::optional<std::string> resynchronise(std::string_view unanswered) {
-    send(command_line(kIdentityQuery));
-    const Clock::Instant deadline = deadline_after(kReplyDeadline);
+    line_.send(command_line(kIdentityQuery));
+    const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
     std::vector<std::string> before;
     while (const std::optional<std::string> line = take_line(deadline)) {
       const std::string text = line_text(*line).value_or(*line);
@@ -163,7 +136,7 @@ struct NewportEspStage::Impl {
     }
     std::string heard;
     for (const std::string& line : before) heard += line;
-    heard += received_;
+    heard += line_.received();
     throw failure(Fault::kNoReply,
                   fmt::format("no answer to \"{}\" within {} s, nor then to \"{}\"; {}", unanswered,
                               to_seconds(kReplyDeadline), kIdentityQuery,
@@ -303,7 +276,7 @@ struct NewportEspStage::Impl {
     std::string heard;
     for (int attempt = 1; attempt <= 2; ++attempt) {
       std::optional<std::string> line = exchange(command_line(kIdentityQuery));
-      const Clock::Instant deadline = deadline_after(kReplyDeadline);
+      const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
       while (line) {
         const auto text = line_text(*line);
         if (const auto identity = text ? parse_identity(*text) : std::nullopt) {
@@ -313,14 +286,14 @@ struct NewportEspStage::Impl {
             forget();
             last_time_stamp_ = 0;
           }
-          who_ = "stage " + identity_.model;
+          line_.rename("stage " + identity_.model);
           return;
         }
         heard += *line;
         if (heard.size() > 4 * kLongestReply) break;
         line = take_line(deadline);
       }
-      heard += received_;
+      heard += line_.received();
     }
     if (heard.empty()) {
       throw failure(
@@ -401,7 +374,7 @@ struct NewportEspStage::Impl {
       ensure_known();
     } catch (const InstrumentError& error) {
       // Switched off and on: now noticed, and forgotten; what it says is said of the new state.
-      if (error.fault() != Fault::kNotReady || in_halt_ || halts_under_way()) throw;
+      if (error.fault() != Fault::kNotReady || line_.halting()) throw;
       ensure_known();
     }
     StageInfo info;
@@ -420,11 +393,6 @@ struct NewportEspStage::Impl {
       info.serial_number += stage->serial_number;
     }
     return info;
-  }
-
-  bool halts_under_way() {
-    const std::lock_guard lock(send_mutex_);
-    return halts_under_way_ > 0;
   }
 
   void switch_on(StageAxis axis) {
@@ -506,76 +474,18 @@ struct NewportEspStage::Impl {
     });
   }
 
-  bool halt() {
-    struct UnderWay {
-      explicit UnderWay(Impl& impl) : impl_(impl) {}
-      ~UnderWay() {
-        const std::lock_guard lock(impl_.send_mutex_);
-        --impl_.halts_under_way_;
-      }
-      UnderWay(const UnderWay&) = delete;
-      UnderWay& operator=(const UnderWay&) = delete;
-      Impl& impl_;
-    };
-    std::unique_lock send_lock(send_mutex_);  // Held by others during one write only.
-    ++halts_under_way_;                       // From here on the owner sends nothing.
-    const Clock::Instant started = clock_.now();
-    bool lost = false;
-    try {
-      send_stop();
-    } catch (const InstrumentError& error) {
-      lost = error.fault() == Fault::kLinkLost;
-    }
-    send_lock.unlock();
-    const UnderWay under_way(*this);
-    if (lost) return false;
-    if (!exchange_mutex_.try_lock_for(kHaltWaitsForExchange)) return false;
-    const std::lock_guard exchange_lock(exchange_mutex_, std::adopt_lock);
-    return acknowledged(started + kHaltDeadline);
+  bool halt() noexcept {
+    return line_.halt(
+        [this] {
+          homing_ = {};
+          motor_on_ = {};
+          error_may_wait_ = true;
+        },
+        [this] { return has_stopped(); });
   }
 
-  /// Stops again (a move sent just before the first stop may have been taken up after it), and asks, until
-  /// the deadline.
-  /// @pre The exchange mutex is held.
-  bool acknowledged(Clock::Instant deadline) {
-    struct InHalt {
-      InHalt(Impl& impl, Clock::Instant until) : impl_(impl) { set(true, until); }
-      ~InHalt() { set(false, Clock::Instant::max()); }
-      InHalt(const InHalt&) = delete;
-      InHalt& operator=(const InHalt&) = delete;
-      void set(bool on, Clock::Instant until) {
-        impl_.in_halt_ = on;
-        impl_.no_later_than_ = until;
-      }
-      Impl& impl_;
-    };
-    const InHalt in_halt(*this, deadline);
-    homing_ = {};
-    motor_on_ = {};
-    error_may_wait_ = true;
-    while (clock_.now() < deadline) {
-      try {
-        {
-          const std::lock_guard lock(send_mutex_);
-          send_stop();
-        }
-        if (has_stopped()) return true;
-      } catch (const InstrumentError& error) {
-        if (error.fault() == Fault::kLinkLost) return false;
-      }
-      clock_.sleep_until(std::min(clock_.now() + kHaltRetryInterval, deadline));
-    }
-    return false;
-  }
-
-  const std::unique_ptr<wire::ByteStream> stream_;
-  Clock& clock_;
   const StageSettings settings_;
-
-  wire::TimedLock
-      exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
-  std::string who_;
-  std::string received_;
+  wire::HaltableLine line_;  ///< Its lock guards all below.
   Identity identity_;
   std::string identity_reply_;  ///< To the letter; empty before the controller is identified.
   bool known_ = false;
@@ -587,11 +497,6 @@ struct NewportEspStage::Impl {
   std::array<bool, 2> homing_{};
   std::array<bool, 2> motor_on_{};
   std::array<bool, 2> speed_set_{};
-  bool in_halt_ = false;  ///< The exchange mutex is held by halt().
-  Clock::Instant no_later_than_ = Clock::Instant::max();
-
-  std::mutex send_mutex_;  ///< Held for one write; taken after the exchange mutex where both are.
-  int halts_under_way_ = 0;
 };
 
 NewportEspStage::NewportEspStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
@@ -604,38 +509,34 @@ NewportEspStage::NewportEspStage(std::unique_ptr<wire::ByteStream> stream, Clock
 NewportEspStage::~NewportEspStage() = default;
 
 StageInfo NewportEspStage::identify() {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   return impl_->identify();
 }
 
 void NewportEspStage::home(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->home(axis);
 }
 
 void NewportEspStage::move_to(StageAxis axis, Angle target) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->move_to(axis, target);
 }
 
 MotionState NewportEspStage::motion_state(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->name_of(axis);
   impl_->ensure_known();
   return impl_->moving(axis) ? MotionState::kMoving : MotionState::kStopped;
 }
 
 Angle NewportEspStage::encoder_angle(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   return impl_->encoder_angle(axis);
 }
 
 bool NewportEspStage::halt() noexcept {
-  try {
-    return impl_->halt();
-  } catch (...) {  // Of a mutex, or memory: not acknowledged.
-    return false;
-  }
+  return impl_->halt();
 }
 
 }  // namespace abcal::newport_esp

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <condition_variable>
 #include <cstdint>
 #include <mutex>
 #include <optional>
@@ -19,7 +18,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/pi_gcs/codec.h"
-#include "drivers/wire/timed_lock.h"
+#include "drivers/wire/haltable_line.h"
 
 namespace abcal::pi_gcs {
 namespace {
@@ -66,6 +65,13 @@ void check_settings(const StageSettings& settings) {
   }
 }
 
+std::string stop_command(const StageSettings& settings) {
+  std::string stop(1, kStopAllAxes);
+  // Alone it reaches the first controller of a chain, not surely the others.
+  if (!settings.address.empty()) stop += command_line("STP", settings.address);
+  return stop;
+}
+
 }  // namespace
 
 // How a late reply is kept from being taken for the answer to the next query: line commands are answered in
@@ -74,10 +80,9 @@ void check_settings(const StageSettings& settings) {
 // past.
 struct PiGcsStage::Impl {
   Impl(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
-      : stream_(std::move(stream)),
-        clock_(clock),
-        settings_(settings),
-        who_("PI stage on " + stream_->name()) {}
+      : settings_(settings),
+        line_("PI stage", std::move(stream), clock, check_reply,
+              {stop_command(settings), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}) {}
 
   /// What became of a query that the controller need not know. No value and no error: it stayed silent.
   template <class T>
@@ -90,7 +95,7 @@ struct PiGcsStage::Impl {
 
   // ---- Errors
 
-  InstrumentError failure(Fault fault, std::string_view detail) const { return {who_, fault, detail}; }
+  InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
 
   InstrumentError refusal(int code, std::string_view command) const {
     const Fault fault = code == kErrorPositionOutOfLimits ? Fault::kOutOfTravel : Fault::kRefused;
@@ -99,53 +104,13 @@ struct PiGcsStage::Impl {
 
   // ---- Bytes
 
-  void send(std::string_view bytes) {
-    const std::lock_guard lock(send_mutex_);
-    if (halts_under_way_ > 0 && !in_halt_) {
-      throw failure(Fault::kNotReady, "the stage is being halted; nothing else is sent to it meanwhile");
-    }
-    stream_->write(bytes);
-  }
-
-  void send_stop() {
-    std::string stop(1, kStopAllAxes);
-    // Alone it reaches the first controller of a chain, not surely the others.
-    if (!settings_.address.empty()) stop += command_line("STP", settings_.address);
-    stream_->write(stop);
-  }
-
-  Clock::Instant deadline_after(Clock::Duration patience) const {
-    return std::min(clock_.now() + patience, no_later_than_);
-  }
-
-  /// The next reply; nothing if there is no whole one by the deadline (what came stays in received_).
-  std::optional<std::string> take_reply(Clock::Instant deadline) {
-    for (;;) {
-      const wire::FrameVerdict verdict = check_reply(received_);
-      if (verdict.check == wire::FrameCheck::kInvalid)
-        return std::exchange(received_, {});  // Decodes as nothing.
-      if (verdict.check == wire::FrameCheck::kComplete) {
-        std::string reply = received_.substr(0, verdict.length);
-        received_.erase(0, verdict.length);
-        return reply;
-      }
-      const bool last_look = clock_.now() >= deadline;  // A stream that never pauses must not hold us.
-      const wire::ReceivedBytes more = stream_->read_until(deadline);
-      received_ += more.bytes;
-      if (more.bytes.empty() || (last_look && check_reply(received_).check == wire::FrameCheck::kNeedMore)) {
-        return std::nullopt;
-      }
-    }
-  }
-
   /// Throws away stale input, sends, and waits for one reply.
   std::optional<std::string> exchange(std::string_view request, Clock::Duration patience) {
-    stream_->discard_input();
-    received_.clear();
-    send(request);
-    const Clock::Instant deadline = deadline_after(patience);
+    line_.discard_input();
+    line_.send(request);
+    const Clock::Instant deadline = line_.deadline_after(patience);
     for (;;) {
-      std::optional<std::string> reply = take_reply(deadline);
+      std::optional<std::string> reply = line_.take_frame(deadline);
       // Of an earlier resynchronise() that gave up too soon.
       if (reply && *reply == identity_reply_) continue;
       return reply;
@@ -157,10 +122,10 @@ struct PiGcsStage::Impl {
   /// Returns once the controller has answered "*IDN?". What it sent before that, if it is one whole reply, is
   /// the late answer to the query that had none.
   std::optional<std::string> resynchronise(std::string_view unanswered) {
-    send(command_line(kIdentityQuery, settings_.address));
-    const Clock::Instant deadline = deadline_after(kReplyDeadline);
+    line_.send(command_line(kIdentityQuery, settings_.address));
+    const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
     std::vector<std::string> before;
-    while (const std::optional<std::string> reply = take_reply(deadline)) {
+    while (const std::optional<std::string> reply = line_.take_frame(deadline)) {
       if (reply->ends_with(identity_reply_)) {
         in_step_ = true;
         const bool alone = reply->size() == identity_reply_.size();  // Else half a reply came before it.
@@ -171,7 +136,7 @@ struct PiGcsStage::Impl {
     }
     std::string heard;
     for (const std::string& reply : before) heard += reply;
-    heard += received_;
+    heard += line_.received();
     throw failure(Fault::kNoReply,
                   fmt::format("no answer to \"{}\" within {} s, nor then to \"{}\"; {}", unanswered,
                               to_seconds(kReplyDeadline), kIdentityQuery,
@@ -296,22 +261,23 @@ struct PiGcsStage::Impl {
     for (int attempt = 1; attempt <= 2; ++attempt) {
       std::optional<std::string> reply =
           exchange(command_line(kIdentityQuery, settings_.address), kReplyDeadline);
-      const Clock::Instant deadline = deadline_after(kReplyDeadline);
+      const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
       while (reply) {
         const auto lines = reply_lines(*reply, settings_.address);
         if (const auto identity = lines ? parse_identity(*lines) : std::nullopt) {
           identity_ = *identity;
           identity_reply_ = *reply;
-          who_ = "stage " + identity_.model;
-          if (!identity_.serial_number.empty()) who_ += " (SN " + identity_.serial_number + ")";
-          if (!settings_.address.empty()) who_ += " at address " + settings_.address;
+          std::string who = "stage " + identity_.model;
+          if (!identity_.serial_number.empty()) who += " (SN " + identity_.serial_number + ")";
+          if (!settings_.address.empty()) who += " at address " + settings_.address;
+          line_.rename(who);
           return;
         }
         heard += *reply;
         if (heard.size() > kLongestReply) break;
-        reply = take_reply(deadline);
+        reply = line_.take_frame(deadline);
       }
-      heard += received_;
+      heard += line_.received();
     }
     if (heard.empty()) {
       throw failure(
@@ -525,75 +491,17 @@ struct PiGcsStage::Impl {
     });
   }
 
-  bool halt() {
-    struct UnderWay {
-      explicit UnderWay(Impl& impl) : impl_(impl) {}
-      ~UnderWay() {
-        const std::lock_guard lock(impl_.send_mutex_);
-        --impl_.halts_under_way_;
-      }
-      UnderWay(const UnderWay&) = delete;
-      UnderWay& operator=(const UnderWay&) = delete;
-      Impl& impl_;
-    };
-    std::unique_lock send_lock(send_mutex_);  // Held by others during one write only.
-    ++halts_under_way_;                       // From here on the owner sends nothing.
-    const Clock::Instant started = clock_.now();
-    bool lost = false;
-    try {
-      send_stop();
-    } catch (const InstrumentError& error) {
-      lost = error.fault() == Fault::kLinkLost;
-    }
-    send_lock.unlock();
-    const UnderWay under_way(*this);
-    if (lost) return false;
-    if (!exchange_mutex_.try_lock_for(kHaltWaitsForExchange)) return false;
-    const std::lock_guard exchange_lock(exchange_mutex_, std::adopt_lock);
-    return acknowledged(started + kHaltDeadline);
+  bool halt() noexcept {
+    return line_.halt(
+        [this] {
+          servo_on_ = {false, false};
+          error_may_wait_ = true;
+        },
+        [this] { return has_stopped(); });
   }
 
-  /// Stops again (a move sent just before the first stop may have been taken up after it), and asks, until
-  /// the deadline.
-  /// @pre The exchange mutex is held.
-  bool acknowledged(Clock::Instant deadline) {
-    struct InHalt {
-      InHalt(Impl& impl, Clock::Instant until) : impl_(impl) { set(true, until); }
-      ~InHalt() { set(false, Clock::Instant::max()); }
-      InHalt(const InHalt&) = delete;
-      InHalt& operator=(const InHalt&) = delete;
-      void set(bool on, Clock::Instant until) {
-        impl_.in_halt_ = on;
-        impl_.no_later_than_ = until;
-      }
-      Impl& impl_;
-    };
-    const InHalt in_halt(*this, deadline);
-    servo_on_ = {false, false};
-    error_may_wait_ = true;
-    while (clock_.now() < deadline) {
-      try {
-        {
-          const std::lock_guard lock(send_mutex_);
-          send_stop();
-        }
-        if (has_stopped()) return true;
-      } catch (const InstrumentError& error) {
-        if (error.fault() == Fault::kLinkLost) return false;
-      }
-      clock_.sleep_until(std::min(clock_.now() + kHaltRetryInterval, deadline));
-    }
-    return false;
-  }
-
-  const std::unique_ptr<wire::ByteStream> stream_;
-  Clock& clock_;
   const StageSettings settings_;
-
-  wire::TimedLock
-      exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
-  std::string who_;
-  std::string received_;
+  wire::HaltableLine line_;  ///< Its lock guards all below.
   Identity identity_;
   std::string identity_reply_;  ///< To the letter; empty before the controller is identified.
   bool known_ = false;
@@ -604,11 +512,6 @@ struct PiGcsStage::Impl {
   std::array<bool, 2> servo_on_{};
   std::array<bool, 2> speed_set_{};
   MotionQuery motion_query_ = MotionQuery::kMask;
-  bool in_halt_ = false;  ///< The exchange mutex is held by halt().
-  Clock::Instant no_later_than_ = Clock::Instant::max();
-
-  std::mutex send_mutex_;  ///< Held for one write; taken after the exchange mutex where both are.
-  int halts_under_way_ = 0;
 };
 
 PiGcsStage::PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
@@ -620,38 +523,34 @@ PiGcsStage::PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
 PiGcsStage::~PiGcsStage() = default;
 
 StageInfo PiGcsStage::identify() {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   return impl_->identify();
 }
 
 void PiGcsStage::home(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->home(axis);
 }
 
 void PiGcsStage::move_to(StageAxis axis, Angle target) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->move_to(axis, target);
 }
 
 MotionState PiGcsStage::motion_state(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->name_of(axis);
   impl_->ensure_known();
   return impl_->moving(axis) ? MotionState::kMoving : MotionState::kStopped;
 }
 
 Angle PiGcsStage::encoder_angle(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   return impl_->encoder_angle(axis);
 }
 
 bool PiGcsStage::halt() noexcept {
-  try {
-    return impl_->halt();
-  } catch (...) {  // Of a mutex, or memory: not acknowledged.
-    return false;
-  }
+  return impl_->halt();
 }
 
 }  // namespace abcal::pi_gcs

@@ -198,14 +198,16 @@ std::string error_in_words(unsigned code) {
       return "period not valid";
     case 0x04:
       return "message not valid or not supported";
+    case 0x1E:  // The maker's list has 30 in decimal.
+      return "timer overflow";
     case 0x20:
       return "baud rate not valid";
     case 0x21:
       return "parameter not valid";
     case 0x28:
       return "device error";
-    case 0x30:
-      return "timer overflow";
+    case 0x29:
+      return "more data than the link carries";
     default:
       return "no meaning known";
   }

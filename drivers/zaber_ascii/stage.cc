@@ -19,7 +19,7 @@
 #include <vector>
 
 #include "drivers/instrument/instrument_error.h"
-#include "drivers/wire/timed_lock.h"
+#include "drivers/wire/haltable_line.h"
 #include "drivers/zaber_ascii/codec.h"
 
 namespace abcal::zaber_ascii {
@@ -124,14 +124,13 @@ std::optional<std::string> any_text(std::string_view data) {
 // an id that nobody waits for any more, and is skipped.
 struct ZaberAsciiStage::Impl {
   Impl(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
-      : stream_(std::move(stream)),
-        clock_(clock),
-        settings_(settings),
-        who_("Zaber stage on " + stream_->name()) {}
+      : settings_(settings),
+        line_("Zaber stage", std::move(stream), clock, check_line,
+              {command_line("0 0 stop"), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}) {}
 
   // ---- Errors
 
-  InstrumentError failure(Fault fault, std::string_view detail) const { return {who_, fault, detail}; }
+  InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
 
   InstrumentError rejection(const Message& reply, std::string_view command) const {
     const std::string reason = reply.data.substr(0, reply.data.find(' '));
@@ -145,41 +144,7 @@ struct ZaberAsciiStage::Impl {
                            flag, warning_text(flag), hint.empty() ? "" : "; ", hint));
   }
 
-  // ---- Bytes
-
-  void send(std::string_view bytes) {
-    const std::lock_guard lock(send_mutex_);
-    if (halts_under_way_ > 0 && !in_halt_) {
-      throw failure(Fault::kNotReady, "the stage is being halted; nothing else is sent to it meanwhile");
-    }
-    stream_->write(bytes);
-  }
-
-  /// Without an id: nobody waits for what comes back, and skips it.
-  void send_stop() { stream_->write(command_line("0 0 stop")); }
-
-  Clock::Instant deadline_after(Clock::Duration patience) const {
-    return std::min(clock_.now() + patience, no_later_than_);
-  }
-
-  /// The next line, with its end; nothing if there is no whole one by the deadline (what came stays in
-  /// received_).
-  std::optional<std::string> take_line(Clock::Instant deadline) {
-    for (;;) {
-      const wire::FrameVerdict verdict = check_line(received_);
-      if (verdict.check == wire::FrameCheck::kInvalid) return std::exchange(received_, {});
-      if (verdict.check == wire::FrameCheck::kComplete) {
-        std::string line = received_.substr(0, verdict.length);
-        received_.erase(0, verdict.length);
-        return line;
-      }
-      const bool last_look = clock_.now() >= deadline;  // A stream that never pauses must not hold us.
-      const wire::ReceivedBytes more = stream_->read_until(deadline);
-      received_ += more.bytes;
-      if (more.bytes.empty() || (last_look && check_line(received_).check == wire::FrameCheck::kNeedMore))
-        return std::nullopt;
-    }
-  }
+  // ---- Messages
 
   /// What came while a reply was waited for, other than that reply.
   struct Heard {
@@ -196,7 +161,7 @@ struct ZaberAsciiStage::Impl {
   /// The reply to message `id` from this place; nothing at the deadline. Alerts, info and replies to other
   /// messages are skipped.
   std::optional<Message> take_reply(Place place, int id, Clock::Instant deadline, Heard& heard) {
-    while (const auto line = take_line(deadline)) {
+    while (const auto line = line_.take_frame(deadline)) {
       auto message = find_message(*line, checksums_);
       if (message && message->kind == MessageKind::kReply && message->id == id &&
           message->device == place.device && message->axis == place.axis && !message->continues) {
@@ -209,7 +174,7 @@ struct ZaberAsciiStage::Impl {
   }
 
   std::string what_was_heard(const Heard& heard) const {
-    const std::string all = heard.bytes + received_;
+    const std::string all = heard.bytes + line_.received();
     return all.empty() ? "nothing arrived" : fmt::format("what arrived was \"{}\"", printable(all));
   }
 
@@ -218,12 +183,13 @@ struct ZaberAsciiStage::Impl {
     Heard heard;
     for (int attempt = 1; attempt <= (is_query ? 2 : 1); ++attempt) {
       const int id = next_id();
-      send(command(place.device, place.axis, id, data));
-      if (auto reply = take_reply(place, id, deadline_after(kReplyDeadline), heard)) return *std::move(reply);
+      line_.send(command(place.device, place.axis, id, data));
+      if (auto reply = take_reply(place, id, line_.deadline_after(kReplyDeadline), heard))
+        return *std::move(reply);
     }
-    const Fault fault = heard.bytes.empty() && received_.empty() ? Fault::kNoReply
-                        : heard.messages                         ? Fault::kNoReply
-                                                                 : Fault::kBadFrame;
+    const Fault fault = heard.bytes.empty() && line_.received().empty() ? Fault::kNoReply
+                        : heard.messages                                ? Fault::kNoReply
+                                                                        : Fault::kBadFrame;
     throw failure(fault, fmt::format("no answer to \"{}\" of device {} axis {} within {} s{}; {}",
                                      data.empty() ? "status" : data, place.device, place.axis,
                                      to_seconds(kReplyDeadline),
@@ -268,12 +234,11 @@ struct ZaberAsciiStage::Impl {
   std::map<int, Device> ask_who_is_there(int device, Heard& heard) {
     std::map<int, Device> found;
     const int id = next_id();
-    stream_->discard_input();
-    received_.clear();
-    send(command(device, 0, id, "get system.axiscount"));
-    const Clock::Instant last = deadline_after(kReplyDeadline);
+    line_.discard_input();
+    line_.send(command(device, 0, id, "get system.axiscount"));
+    const Clock::Instant last = line_.deadline_after(kReplyDeadline);
     Clock::Instant deadline = last;
-    while (const auto line = take_line(deadline)) {
+    while (const auto line = line_.take_frame(deadline)) {
       const auto message = find_message(*line, checksums_);
       if (!message || message->kind != MessageKind::kReply || message->id != id) {
         if (message) heard.messages = true;
@@ -288,7 +253,7 @@ struct ZaberAsciiStage::Impl {
         continue;
       }
       found[message->device].axes = static_cast<int>(count);
-      deadline = std::min(last, clock_.now() + kQuiet);
+      deadline = std::min(last, line_.deadline_after(kQuiet));
     }
     return found;
   }
@@ -303,7 +268,7 @@ struct ZaberAsciiStage::Impl {
     for (const auto& [number, more] : ask_who_is_there(device, heard)) found[number] = more;
     checksums_ = some_checksums_;
     if (!found.empty()) return found;
-    if (heard.bytes.empty() && received_.empty()) {
+    if (heard.bytes.empty() && line_.received().empty()) {
       throw failure(
           Fault::kNoReply,
           fmt::format("no answer to \"get system.axiscount\" within {} s, asked twice; is the device "
@@ -461,8 +426,9 @@ struct ZaberAsciiStage::Impl {
       }
       info.axes[index(axis)] = axis_info(axis);
     }
-    who_ = fmt::format("stage Zaber {}", info.model);
-    if (!info.serial_number.empty()) who_ += " (SN " + info.serial_number + ")";
+    std::string who = "stage Zaber " + info.model;
+    if (!info.serial_number.empty()) who += " (SN " + info.serial_number + ")";
+    line_.rename(who);
     return info;
   }
 
@@ -559,74 +525,12 @@ struct ZaberAsciiStage::Impl {
     });
   }
 
-  bool halt() {
-    struct UnderWay {
-      explicit UnderWay(Impl& impl) : impl_(impl) {}
-      ~UnderWay() {
-        const std::lock_guard lock(impl_.send_mutex_);
-        --impl_.halts_under_way_;
-      }
-      UnderWay(const UnderWay&) = delete;
-      UnderWay& operator=(const UnderWay&) = delete;
-      Impl& impl_;
-    };
-    std::unique_lock send_lock(send_mutex_);  // Held by others during one write only.
-    ++halts_under_way_;                       // From here on the owner sends nothing.
-    const Clock::Instant started = clock_.now();
-    bool lost = false;
-    try {
-      send_stop();
-    } catch (const InstrumentError& error) {
-      lost = error.fault() == Fault::kLinkLost;
-    }
-    send_lock.unlock();
-    const UnderWay under_way(*this);
-    if (lost) return false;
-    if (!exchange_mutex_.try_lock_for(kHaltWaitsForExchange)) return false;
-    const std::lock_guard exchange_lock(exchange_mutex_, std::adopt_lock);
-    return acknowledged(started + kHaltDeadline);
+  bool halt() noexcept {
+    return line_.halt([this] { halted_ = {true, true}; }, [this] { return has_stopped(); });
   }
 
-  /// Stops again (a move sent just before the first stop may have been taken up after it), and asks, until
-  /// the deadline.
-  /// @pre The exchange mutex is held.
-  bool acknowledged(Clock::Instant deadline) {
-    struct InHalt {
-      InHalt(Impl& impl, Clock::Instant until) : impl_(impl) { set(true, until); }
-      ~InHalt() { set(false, Clock::Instant::max()); }
-      InHalt(const InHalt&) = delete;
-      InHalt& operator=(const InHalt&) = delete;
-      void set(bool on, Clock::Instant until) {
-        impl_.in_halt_ = on;
-        impl_.no_later_than_ = until;
-      }
-      Impl& impl_;
-    };
-    const InHalt in_halt(*this, deadline);
-    halted_ = {true, true};
-    while (clock_.now() < deadline) {
-      try {
-        {
-          const std::lock_guard lock(send_mutex_);
-          send_stop();
-        }
-        if (has_stopped()) return true;
-      } catch (const InstrumentError& error) {
-        if (error.fault() == Fault::kLinkLost) return false;
-      }
-      clock_.sleep_until(std::min(clock_.now() + kHaltRetryInterval, deadline));
-    }
-    return false;
-  }
-
-  const std::unique_ptr<wire::ByteStream> stream_;
-  Clock& clock_;
   const StageSettings settings_;
-
-  wire::TimedLock
-      exchange_mutex_;  ///< Held from a query to its reply; guards all below but halts_under_way_.
-  std::string who_;
-  std::string received_;
+  wire::HaltableLine line_;  ///< Its lock guards all below.
   int id_ = 0;
   bool checksums_ = false;  ///< Replies have one; those without are damaged.
   bool some_checksums_ = false;
@@ -636,11 +540,6 @@ struct ZaberAsciiStage::Impl {
   std::array<bool, 2> enabled_{};
   std::array<bool, 2> speed_set_{};
   std::array<bool, 2> halted_{};  ///< By us: that its motion was interrupted is then no surprise.
-  bool in_halt_ = false;          ///< The exchange mutex is held by halt().
-  Clock::Instant no_later_than_ = Clock::Instant::max();
-
-  std::mutex send_mutex_;  ///< Held for one write; taken after the exchange mutex where both are.
-  int halts_under_way_ = 0;
 };
 
 ZaberAsciiStage::ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
@@ -653,36 +552,32 @@ ZaberAsciiStage::ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock
 ZaberAsciiStage::~ZaberAsciiStage() = default;
 
 StageInfo ZaberAsciiStage::identify() {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   return impl_->identify();
 }
 
 void ZaberAsciiStage::home(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->home(axis);
 }
 
 void ZaberAsciiStage::move_to(StageAxis axis, Angle target) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   impl_->move_to(axis, target);
 }
 
 MotionState ZaberAsciiStage::motion_state(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   return impl_->motion_state(axis);
 }
 
 Angle ZaberAsciiStage::encoder_angle(StageAxis axis) {
-  const std::lock_guard lock(impl_->exchange_mutex_);
+  const std::lock_guard lock(impl_->line_);
   return impl_->encoder_angle(axis);
 }
 
 bool ZaberAsciiStage::halt() noexcept {
-  try {
-    return impl_->halt();
-  } catch (...) {  // Of a mutex, or memory: not acknowledged.
-    return false;
-  }
+  return impl_->halt();
 }
 
 }  // namespace abcal::zaber_ascii

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -14,7 +13,9 @@
 #include <utility>
 #include <vector>
 
+#include "sim/firmware/big_endian.h"
 #include "sim/firmware/reply_queue.h"
+#include "sim/firmware/sample_grid.h"
 
 namespace abcal::sim {
 namespace {
@@ -56,14 +57,6 @@ std::uint8_t byte(char c) {
 }
 void put(std::string& out, std::uint8_t value) {
   out.push_back(static_cast<char>(value));
-}
-template <typename Unsigned>
-void put_big_endian(std::string& out, Unsigned value) {
-  for (int shift = static_cast<int>(sizeof(Unsigned)) * 8 - 8; shift >= 0; shift -= 8)
-    put(out, static_cast<std::uint8_t>((value >> static_cast<unsigned>(shift)) & 0xFFU));
-}
-void put_float(std::string& out, double value) {
-  put_big_endian(out, std::bit_cast<std::uint32_t>(static_cast<float>(value)));
 }
 
 /// Fletcher: a += byte, b += a.
@@ -167,13 +160,12 @@ class MipFirmware::Device {
   Stored factory() const;
 
   bool streaming() const { return !idle_ && current_.sensor_stream && !current_.sensor_format.empty(); }
-  Clock::Instant tick_time(std::uint64_t tick) const;
-  std::uint64_t first_tick_after(Clock::Instant t) const;
   void stream_from(Clock::Instant now);
   void advance_tick();
 
   std::shared_ptr<SimBench> bench_;
   MipSettings settings_;
+  SampleGrid grid_;
   Stored current_;
   Stored saved_;
   bool idle_;
@@ -189,6 +181,7 @@ class MipFirmware::Device {
 MipFirmware::Device::Device(std::shared_ptr<SimBench> bench, MipSettings settings)
     : bench_(std::move(bench)),
       settings_(std::move(settings)),
+      grid_(bench_->start(), std::max(1U, settings_.base_rate_hz)),
       idle_(!settings_.streaming_at_power_on),
       now_(bench_->start()) {
   if (settings_.base_rate_hz < 1 || settings_.base_rate_hz > 10000)
@@ -516,7 +509,7 @@ void MipFirmware::Device::poll(Arguments arguments) {
   }
   if (fields.empty())
     for (const Rate& rate : current_.sensor_format) fields.push_back(rate.descriptor);
-  const std::uint64_t next = first_tick_after(now_);
+  const std::uint64_t next = grid_.first_after(now_);
   if (!bench_->fault_at(FaultKind::kNoOutput, now_))
     after_ack_.emplace_back(kSensorData, sensor_packet(fields, next > 0 ? next - 1 : 0));
   suppress_ack_ = suppress_ack == 1;
@@ -554,26 +547,9 @@ std::string MipFirmware::Device::descriptors() const {
 
 // Samples.
 
-Clock::Instant MipFirmware::Device::tick_time(std::uint64_t tick) const {
-  // Whole seconds apart, so that the grid does not drift from its own reference time.
-  const std::uint64_t seconds = tick / settings_.base_rate_hz;
-  const std::uint64_t rest = tick % settings_.base_rate_hz;
-  return bench_->start() + std::chrono::seconds(static_cast<std::int64_t>(seconds)) +
-         Clock::Duration(static_cast<std::int64_t>(rest * 1'000'000'000ULL / settings_.base_rate_hz));
-}
-
-std::uint64_t MipFirmware::Device::first_tick_after(Clock::Instant t) const {
-  if (t < bench_->start()) return 0;
-  const auto since = static_cast<std::uint64_t>((t - bench_->start()).count());
-  std::uint64_t tick = since / 1'000'000'000ULL * settings_.base_rate_hz +
-                       since % 1'000'000'000ULL * settings_.base_rate_hz / 1'000'000'000ULL;
-  while (tick_time(tick) <= t) ++tick;
-  return tick;
-}
-
 void MipFirmware::Device::stream_from(Clock::Instant now) {
   if (!streaming()) return;
-  next_tick_ = first_tick_after(now);
+  next_tick_ = grid_.first_after(now);
   next_tick_ = next_tick_ > 0 ? next_tick_ - 1 : 0;
   advance_tick();
 }
@@ -588,10 +564,9 @@ void MipFirmware::Device::advance_tick() {
 
 std::string MipFirmware::Device::sensor_packet(const std::vector<std::uint8_t>& fields,
                                                std::uint64_t tick) const {
-  const Clock::Instant t = tick_time(tick);
-  const Clock::Duration period = from_seconds(1.0 / settings_.base_rate_hz);
+  const Clock::Instant t = grid_.time(tick);
   if (!last_output_ || last_output_->first != tick)
-    last_output_.emplace(tick, bench_->output(t, tick, period));
+    last_output_.emplace(tick, bench_->output(t, tick, grid_.period()));
   const SimOutput& output = last_output_->second;
   std::string payload;
   std::string data;
@@ -599,10 +574,10 @@ std::string MipFirmware::Device::sensor_packet(const std::vector<std::uint8_t>& 
     data.clear();
     switch (field) {
       case kAccelerometer:
-        for (int j = 0; j < 3; ++j) put_float(data, output.value[j]);
+        for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.value[j]);
         break;
       case kDeltaVelocity:
-        for (int j = 0; j < 3; ++j) put_float(data, output.value[j] / settings_.base_rate_hz);
+        for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.value[j] / settings_.base_rate_hz);
         break;
       case kGyro:
       case kMagnetometer:
@@ -610,7 +585,7 @@ std::string MipFirmware::Device::sensor_packet(const std::vector<std::uint8_t>& 
         data.assign(12, '\0');
         break;
       case kTemperature:  // lowest, highest, mean
-        for (int j = 0; j < 3; ++j) put_float(data, output.temperature_degc);
+        for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.temperature_degc);
         break;
       case kOverRange: {  // bits 0 to 2: accelerometer x, y, z
         unsigned bits = 0;
@@ -626,7 +601,7 @@ std::string MipFirmware::Device::sensor_packet(const std::vector<std::uint8_t>& 
         std::uint64_t before = 0;
         for (const Rate& rate : current_.sensor_format)
           if (tick > 0) before = std::max(before, (tick - 1) / rate.decimation * rate.decimation);
-        put_big_endian(data, static_cast<std::uint64_t>((t - tick_time(before)).count()));
+        put_big_endian(data, static_cast<std::uint64_t>((t - grid_.time(before)).count()));
       }
     }
     put_field(payload, field, data);
@@ -637,8 +612,8 @@ std::string MipFirmware::Device::sensor_packet(const std::vector<std::uint8_t>& 
 std::string MipFirmware::Device::transmit(Clock::Instant now) {
   std::string out;
   std::vector<std::uint8_t> fields;
-  while (streaming() && tick_time(next_tick_) <= now) {
-    const Clock::Instant t = tick_time(next_tick_);
+  while (streaming() && grid_.time(next_tick_) <= now) {
+    const Clock::Instant t = grid_.time(next_tick_);
     out += replies_.take(t);
     if (!bench_->fault_at(FaultKind::kNoOutput, t)) {
       fields.clear();
@@ -653,7 +628,7 @@ std::string MipFirmware::Device::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> MipFirmware::Device::next_due() const {
   std::optional<Clock::Instant> due = replies_.next_due();
-  if (streaming()) due = due ? std::min(*due, tick_time(next_tick_)) : tick_time(next_tick_);
+  if (streaming()) due = due ? std::min(*due, grid_.time(next_tick_)) : grid_.time(next_tick_);
   return due;
 }
 

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "sim/firmware/reply_queue.h"
+#include "sim/firmware/sample_grid.h"
 
 namespace abcal::sim {
 namespace {
@@ -279,8 +280,6 @@ class VectorNavFirmware::Device {
   Stored factory() const;
   void restart();
 
-  Clock::Instant tick_time(std::uint64_t tick) const;
-  std::uint64_t first_tick_after(Clock::Instant t) const;
   void stream_from(Clock::Instant t);
   void advance_tick();
   bool ascii_on() const { return streaming_ && current_.async_type != 0; }
@@ -301,6 +300,7 @@ class VectorNavFirmware::Device {
 
   std::shared_ptr<SimBench> bench_;
   VectorNavSettings settings_;
+  SampleGrid grid_;
   Stored current_;
   Stored saved_;
   bool streaming_ = true;  ///< VNASY.
@@ -317,6 +317,7 @@ class VectorNavFirmware::Device {
 VectorNavFirmware::Device::Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings)
     : bench_(std::move(bench)),
       settings_(std::move(settings)),
+      grid_(bench_->start(), kImuRateHz),
       now_(bench_->start()),
       started_(now_),
       silent_until_(now_) {
@@ -412,7 +413,7 @@ std::string VectorNavFirmware::Device::run(const Words& words) {
     const unsigned which = number(words[1]);
     if (which < 1 || which > 3) throw Refusal{kBadParameter};
     const BinaryOutput& output = current_.binary[which - 1];
-    const std::uint64_t next = first_tick_after(now_);
+    const std::uint64_t next = grid_.first_after(now_);
     if (output.groups != 0)
       replies_.push(binary_packet(output, sample(next > 0 ? next - 1 : 0)), now_ + settings_.reply_delay);
     return fmt::format("VNBOM,{}", which);
@@ -445,7 +446,7 @@ std::string VectorNavFirmware::Device::read_register(const Words& words) const {
 }
 
 std::string VectorNavFirmware::Device::values_of(unsigned reg) const {
-  const std::uint64_t next = first_tick_after(now_);
+  const std::uint64_t next = grid_.first_after(now_);
   const auto measured = [&](unsigned type) { return async_text(type, sample(next > 0 ? next - 1 : 0)); };
   switch (reg) {
     case 0:
@@ -620,16 +621,6 @@ void VectorNavFirmware::Device::require_link(const Stored& wanted) const {
 
 // Output.
 
-Clock::Instant VectorNavFirmware::Device::tick_time(std::uint64_t tick) const {
-  // 800 Hz is 1.25 ms: whole nanoseconds.
-  return bench_->start() + Clock::Duration(static_cast<std::int64_t>(tick * (1'000'000'000ULL / kImuRateHz)));
-}
-
-std::uint64_t VectorNavFirmware::Device::first_tick_after(Clock::Instant t) const {
-  if (t < bench_->start()) return 0;
-  return static_cast<std::uint64_t>((t - bench_->start()).count()) / (1'000'000'000ULL / kImuRateHz) + 1;
-}
-
 bool VectorNavFirmware::Device::streams() const {
   return ascii_on() || (streaming_ && std::any_of(current_.binary.begin(), current_.binary.end(),
                                                   [](const BinaryOutput& o) { return o.on_this_port(); }));
@@ -637,7 +628,7 @@ bool VectorNavFirmware::Device::streams() const {
 
 void VectorNavFirmware::Device::stream_from(Clock::Instant t) {
   if (!streams()) return;
-  next_tick_ = first_tick_after(std::max(t, silent_until_)) - 1;
+  next_tick_ = grid_.first_after(std::max(t, silent_until_)) - 1;
   advance_tick();
 }
 
@@ -655,7 +646,7 @@ void VectorNavFirmware::Device::advance_tick() {
 
 VectorNavFirmware::Device::Sample VectorNavFirmware::Device::sample(std::uint64_t tick) const {
   if (last_sample_ && last_sample_->tick == tick) return *last_sample_;
-  const SimOutput output = bench_->output(tick_time(tick), tick, Clock::Duration(1'000'000'000 / kImuRateHz));
+  const SimOutput output = bench_->output(grid_.time(tick), tick, grid_.period());
   Sample made{tick, output.value, Eigen::Vector3d::Zero(), output.temperature_degc};
   // Register 25: matrix times (measured - offset), as the maker applies it.
   const std::vector<double>& c = current_.vectors.at(25);
@@ -731,7 +722,7 @@ std::string VectorNavFirmware::Device::binary_packet(const BinaryOutput& output,
     switch (part.content) {
       case Content::kTime:
         put(packet, static_cast<std::uint64_t>(
-                        std::max<std::int64_t>(0, (tick_time(sample.tick) - started_).count())));
+                        std::max<std::int64_t>(0, (grid_.time(sample.tick) - started_).count())));
         break;
       case Content::kAcceleration:
         for (int j = 0; j < 3; ++j) put_float(packet, sample.acceleration[j]);
@@ -760,8 +751,8 @@ std::string VectorNavFirmware::Device::binary_packet(const BinaryOutput& output,
 
 std::string VectorNavFirmware::Device::transmit(Clock::Instant now) {
   std::string out;
-  while (streams() && tick_time(next_tick_) <= now) {
-    const Clock::Instant t = tick_time(next_tick_);
+  while (streams() && grid_.time(next_tick_) <= now) {
+    const Clock::Instant t = grid_.time(next_tick_);
     out += replies_.take(t);
     if (!bench_->fault_at(FaultKind::kNoOutput, t)) {
       const Sample made = sample(next_tick_);
@@ -776,7 +767,7 @@ std::string VectorNavFirmware::Device::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> VectorNavFirmware::Device::next_due() const {
   std::optional<Clock::Instant> due = replies_.next_due();
-  if (streams()) due = due ? std::min(*due, tick_time(next_tick_)) : tick_time(next_tick_);
+  if (streams()) due = due ? std::min(*due, grid_.time(next_tick_)) : grid_.time(next_tick_);
   return due;
 }
 

@@ -320,7 +320,7 @@ TEST(XsensMtiAccelerometerTest, SaysSoWhenTheDeviceWasRestarted) {
 TEST(XsensMtiAccelerometerTest, SaysAnErrorOfTheDeviceWhileItStreams) {
   Bench bench;
   bench.accelerometer->start();
-  bench.port->say(reference::message(0x42, "\x30"));
+  bench.port->say(reference::message(0x42, "\x1E"));
   EXPECT_THAT(error_of([&] { bench.read_all(); }, Fault::kRefused), HasSubstr("timer overflow"));
 }
 

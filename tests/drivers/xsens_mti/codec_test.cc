@@ -229,7 +229,10 @@ TEST(XbusCodecTest, FindsAMessageBehindAFalseBeginningOnceTheLineIsSilent) {
 
 TEST(XbusCodecTest, SaysErrorsInWords) {
   EXPECT_EQ(error_in_words(0x04), "message not valid or not supported");
+  EXPECT_EQ(error_in_words(30), "timer overflow");
+  EXPECT_EQ(error_in_words(32), "baud rate not valid");
   EXPECT_EQ(error_in_words(0x21), "parameter not valid");
+  EXPECT_EQ(error_in_words(41), "more data than the link carries");
   EXPECT_EQ(error_in_words(0x99), "no meaning known");
 }
 

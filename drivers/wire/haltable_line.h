@@ -1,0 +1,97 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/wire/byte_stream.h"
+#include "drivers/wire/frame.h"
+#include "drivers/wire/timed_lock.h"
+
+namespace abcal::wire {
+
+/// The line to a stage's controller: its owner sends and waits for replies, one exchange at a time, while any
+/// thread may halt the stage at any moment.
+///
+/// A driver locks it (std::lock_guard) for each of its calls, and keeps its own state under the same lock.
+class HaltableLine {
+ public:
+  /// How to halt.
+  struct Halting {
+    std::string stop;          ///< Stops all axes. Sent as it is; no reply to it is waited for.
+    Clock::Duration deadline;  ///< For all of halt(); a write that is stuck adds its own.
+    /// Left to an exchange under way to end; longer than a driver waits for a reply.
+    Clock::Duration exchange_patience;
+    Clock::Duration retry_interval;
+  };
+  /// What the bytes that have come begin with. Invalid: all of them are given as one frame.
+  using CheckFrame = FrameVerdict (*)(std::string_view);
+
+  /// Sends nothing yet. In messages it is "<what> on <port>" until it is renamed.
+  HaltableLine(std::string_view what, std::unique_ptr<ByteStream> stream, Clock& clock,
+               CheckFrame check_frame, Halting halting)
+      : who_(std::string(what) + " on " + stream->name()),
+        stream_(std::move(stream)),
+        clock_(clock),
+        check_frame_(check_frame),
+        halting_(std::move(halting)) {}
+
+  void lock() { exchange_lock_.lock(); }
+  void unlock() { exchange_lock_.unlock(); }
+
+  /// Stops the stage without waiting for an exchange under way; then takes the line over and asks
+  /// `has_stopped` until it says so, stopping again each time: a move that was sent just before the first
+  /// stop may have been taken up after it. `forget_motion` is called once before, the line locked for both;
+  /// what they send goes through, while send() of others throws.
+  /// @return false: the stage did not say in time that it stands still.
+  bool halt(const std::function<void()>& forget_motion, const std::function<bool()>& has_stopped) noexcept;
+
+  /// Whether a halt is under way.
+  bool halting() const;
+
+  // All that follows: only with the line locked.
+
+  void rename(std::string who) { who_ = std::move(who); }
+  InstrumentError failure(Fault fault, std::string_view detail) const { return {who_, fault, detail}; }
+
+  /// @throws InstrumentError kNotReady while another thread halts the stage.
+  void send(std::string_view bytes);
+
+  /// Throws away all that has come.
+  void discard_input();
+
+  /// The next frame; nothing if there is no whole one by the deadline (what came is kept, see received()).
+  std::optional<std::string> take_frame(Clock::Instant deadline);
+
+  /// What came and was not taken.
+  const std::string& received() const { return received_; }
+
+  /// So long from now, yet not beyond the deadline of a halt.
+  Clock::Instant deadline_after(Clock::Duration patience) const;
+
+ private:
+  void send_stop();
+  bool stop_and_ask(Clock::Instant deadline, const std::function<bool()>& has_stopped);
+
+  std::string who_;
+  const std::unique_ptr<ByteStream> stream_;
+  Clock& clock_;
+  const CheckFrame check_frame_;
+  const Halting halting_;
+
+  TimedLock exchange_lock_;
+  std::string received_;
+  /// Set while the lock is held by halt(): its deadline.
+  std::optional<Clock::Instant> halt_deadline_;
+
+  mutable std::mutex send_mutex_;  ///< Held for one write; taken after the exchange lock where both are.
+  int halts_under_way_ = 0;        ///< Guarded by send_mutex_.
+};
+
+}  // namespace abcal::wire

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+struct XsensMtiSettings {
+  std::string device_id = "037003F8";  ///< Hexadecimal, 8 digits (or 16 of the MTi-600 series [M]).
+  std::string product_code = "MTi-30-2A8G4";
+  unsigned hardware_version = 0x0105;
+  std::array<unsigned, 3> firmware_version{1, 8, 2};
+  unsigned firmware_build = 63;
+  unsigned baud = 115200;        ///< One of the maker's.
+  unsigned base_rate_hz = 400;   ///< Highest of its outputs; the others are whole fractions of it.
+  bool just_switched_on = true;  ///< WakeUp at the start of the world's time; else it is measuring then.
+  Clock::Duration reply_delay = std::chrono::milliseconds(1);
+  Clock::Duration reset_time = std::chrono::milliseconds(300);  ///< Silence after Reset [M].
+};
+
+/// An Xsens (Movella) MTi that speaks Xbus (instruments.md B.3), reading the world of a SimBench. Its output
+/// unit R is m/s2: a truth of about 9.8 R per g_loc makes an ideal one. Samples lie on the grid of its base
+/// rate, from the start of the world's time. Gyroscope, magnetometer and orientation are not simulated: they
+/// show rest.
+///
+/// Switched on, it says WakeUp and begins to measure 500 ms later unless it is told otherwise, with the
+/// output configuration that it had last. The baud rate is kept and told, and bounds nothing: USB has none.
+class XsensMtiFirmware final : public Firmware {
+ public:
+  /// @throws std::invalid_argument for a device id, product code, baud rate or base rate that cannot be.
+  explicit XsensMtiFirmware(std::shared_ptr<SimBench> bench, XsensMtiSettings settings = {});
+  ~XsensMtiFirmware() override;
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+
+ private:
+  class Device;
+  std::unique_ptr<Device> device_;
+};
+
+}  // namespace abcal::sim

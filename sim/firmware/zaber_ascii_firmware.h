@@ -1,0 +1,59 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+struct ZaberAsciiSettings {
+  /// Where X and Z are on the line: "1 2" is axis 2 of device 1, a lone "2" axis 2 of `address`; empty: not
+  /// on this line. So {"1 1", "1 2"} is a controller with two axes, and {"1 1", "2 1"} a daisy chain of two
+  /// units with one axis each. A device has as many axes as its highest name needs.
+  std::array<std::string, 2> axis_names{"1 1", "1 2"};
+  int address = 1;  ///< Device of the names that name none.
+  /// controller angle = zero + sign * protocol angle, once the axis has been homed
+  std::array<int, 2> sign{+1, +1};
+  std::array<Angle, 2> zero{};
+  std::string serial_number = "54321";    ///< Of the device of X.
+  std::string z_serial_number = "54322";  ///< Of the device of Z, if it is another one.
+  std::string version = "7.38.16432";     ///< Below 7: no "driver", and no flags of it.
+  unsigned controller_id = 30222;         ///< deviceid of one with several axes, X-MCC2 [M].
+  unsigned unit_id = 50009;               ///< deviceid of one with a single axis: X-RSW60A-E03.
+  std::array<unsigned, 2> peripheral_ids{70009, 70009};  ///< Of the axes of a controller [M].
+  std::array<double, 2> full_steps_per_turn{6000.0, 6000.0};
+  int resolution = 64;  ///< Microsteps of a full step: 384000 of a turn.
+  double max_speed_deg_per_s = 720.0;
+  bool keeps_position_without_power = false;  ///< WH rather than WR until it is homed, and reads right.
+  bool alerts = false;                        ///< comm.alert at power on.
+  bool checksums = false;                     ///< comm.checksum at power on.
+  bool detects_stalls = true;                 ///< By its encoder: flag FS; else it is busy for ever.
+  Clock::Duration reply_delay = std::chrono::milliseconds(1);
+};
+
+/// Zaber devices that speak ASCII on one line (instruments.md A.3), turning the axes of a SimBench: a
+/// controller with two axes, or single-axis units in a daisy chain. All of them hear every byte.
+///
+/// Wherever an axis is when it is switched on, it reads 0 until it is homed; the home sensor lies at the
+/// controller's zero. comm.checksum, comm.alert and the device number are kept without power, positions are
+/// not.
+class ZaberAsciiFirmware final : public Firmware {
+ public:
+  /// @throws std::invalid_argument if a sign or the name of an axis cannot be.
+  explicit ZaberAsciiFirmware(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings = {});
+  ~ZaberAsciiFirmware() override;
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+
+ private:
+  class Chain;
+  std::unique_ptr<Chain> chain_;
+};
+
+}  // namespace abcal::sim
