@@ -18,6 +18,7 @@ set(rules
   "drivers/microstrain_mip|${wire};drivers/microstrain_mip/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/vectornav|${wire};drivers/vectornav/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/xsens_mti|${wire};drivers/xsens_mti/|boost/;spdlog/;fmt/;Eigen/"
+  "drivers/scpi_voltmeter|${wire};drivers/scpi_voltmeter/|boost/;spdlog/;fmt/;Eigen/"
   "protocol/plan|drivers/instrument/angle.h;protocol/plan/|fmt/"
   "protocol/model|drivers/instrument/angle.h;protocol/model/|Eigen/"
   "protocol/gravity|drivers/instrument/angle.h;protocol/gravity/|fmt/"

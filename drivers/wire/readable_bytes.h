@@ -1,0 +1,14 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+
+namespace abcal::wire {
+
+/// Bytes as a message shows them: "55 51 AE FF".
+std::string bytes_in_hex(std::string_view bytes);
+
+/// Text as a message shows it: what is not printable as "\x0A".
+std::string bytes_as_text(std::string_view bytes);
+
+}  // namespace abcal::wire
