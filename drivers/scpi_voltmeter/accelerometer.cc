@@ -70,6 +70,12 @@ void check_settings(const AccelerometerSettings& settings, bool uses_channels) {
     throw std::invalid_argument(fmt::format("SCPI voltmeter: {}", fmt::join(problems, "; ")));
 }
 
+/// To three digits, so that what a message permits is permitted.
+double rounded_down(double positive) {
+  const double unit = std::pow(10.0, std::floor(std::log10(positive)) - 2.0);
+  return std::floor(positive / unit) * unit;
+}
+
 /// The same word once, different ones joined.
 std::string joined(const std::vector<std::string>& words) {
   const bool same = std::all_of(words.begin(), words.end(), [&](const auto& w) { return w == words[0]; });
@@ -218,9 +224,9 @@ void VoltmeterAccelerometer::check_rate_against_integration() const {
     meters_[i].fail(
         Fault::kRefused,
         fmt::format(
-            "rate_hz is {:g}; required: below {:.3g}, because {:g} channel(s) with integration_plc {:g}"
+            "rate_hz is {:g}; required: at most {:.3g}, because {:g} channel(s) with integration_plc {:g}"
             "{} take {:.3g} s even at {:g} Hz mains",
-            settings_.rate_hz, 1.0 / shortest_s, channels, settings_.integration_plc,
+            settings_.rate_hz, rounded_down(1.0 / shortest_s), channels, settings_.integration_plc,
             zero > 1.0 ? " and automatic zero" : "", shortest_s, kFastLineHz));
   }
 }
@@ -270,11 +276,11 @@ void VoltmeterAccelerometer::take_trial_scan() {
   }
   const double scan_s = to_seconds(end - begin);
   if (scan_s * settings_.rate_hz > 1.0) {
-    meters_[0].fail(Fault::kRefused,
-                    fmt::format("rate_hz is {:g}; required: at most {:.3g}, because one scan takes {:.3g} s "
-                                "with integration_plc {:g}",
-                                settings_.rate_hz, std::floor(1000.0 / scan_s) / 1000.0, scan_s,
-                                settings_.integration_plc));
+    meters_[0].fail(
+        Fault::kRefused,
+        fmt::format("rate_hz is {:g}; required: at most {:.3g}, because one scan takes {:.3g} s "
+                    "with integration_plc {:g}",
+                    settings_.rate_hz, rounded_down(1.0 / scan_s), scan_s, settings_.integration_plc));
   }
 }
 
@@ -323,7 +329,8 @@ std::optional<Reading> VoltmeterAccelerometer::next(Clock::Instant deadline) {
     if (!under_way_) {
       if (clock_.now() < due_) clock_.sleep_until(std::min(due_, deadline));
       if (clock_.now() < due_) return std::nullopt;
-      due_ = std::max(due_, clock_.now() - period) + period;
+      const Clock::Instant now = clock_.now();
+      due_ = (now - due_ < period ? due_ : now) + period;  // What was missed is not made up for.
       begin_scans();
       under_way_ = true;
     }

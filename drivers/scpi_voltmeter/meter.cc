@@ -153,14 +153,12 @@ void Meter::begin_scan() {
 
 std::optional<ScanOutcome> Meter::await_scan(Clock::Instant deadline) {
   while (stage_ != Stage::kIdle) {
-    const auto reply = take_reply(std::min(deadline, give_up_at_));
-    if (reply) {
+    if (const auto reply = take_reply(std::min(deadline, give_up_at_)))
       if (auto outcome = take(*reply)) return outcome;
-    } else if (clock_.now() >= give_up_at_) {
-      run_out_of_time();
-    }
-    if (clock_.now() >= deadline && check_reply(received_).check == wire::FrameCheck::kNeedMore)
-      return std::nullopt;
+    if (check_reply(received_).check == wire::FrameCheck::kComplete) continue;
+    const Clock::Instant now = clock_.now();
+    if (now >= give_up_at_) run_out_of_time();
+    if (now >= deadline) return std::nullopt;
   }
   return ScanOutcome{{}, clock_.now(), Fault::kNotReady, "an error ended the scan"};
 }

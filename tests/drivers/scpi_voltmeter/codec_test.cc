@@ -60,8 +60,9 @@ TEST(ScpiErrorTest, HasACodeAndWords) {
 }
 
 TEST(ScpiReadingsTest, AreInTheOrderInWhichTheyCame) {
-  EXPECT_THAT(parse_readings(kKeysightScan, false),
-              Eq(std::vector<ChannelReading>{{0.0122994148, 0, {}}, {-0.456000771, 0, {}}, {4.90120051, 0, {}}}));
+  EXPECT_THAT(
+      parse_readings(kKeysightScan, false),
+      Eq(std::vector<ChannelReading>{{0.0122994148, 0, {}}, {-0.456000771, 0, {}}, {4.90120051, 0, {}}}));
   EXPECT_THAT(parse_readings(kKeithleyReading, true), Eq(std::vector<ChannelReading>{{7.22491127, 0, 0}}));
   EXPECT_THAT(parse_readings("+5.0E-01,101,-2.5E-01,102", true),
               Eq(std::vector<ChannelReading>{{0.5, 0, 101}, {-0.25, 0, 102}}));
@@ -75,10 +76,29 @@ TEST(ScpiReadingsTest, SayOverload) {
 }
 
 TEST(ScpiReadingsTest, AreRefusedIfOneOfThemIsNone) {
-  for (const char* text :
-       {"", ",", "1,", ",1", "1,,2", "nan", "inf", "-inf", "+-1", "1e", "1e999", "9.91E37", "1E31", "0x10",
-        "1 VAC", "1 OHM", "1;2", "1 2", "+", "V", "+0,\"No error\"", "HEWLETT-PACKARD,34970A,0,13-2-2",
-        "#214(@101,102,103)"})
+  for (const char* text : {"",
+                           ",",
+                           "1,",
+                           ",1",
+                           "1,,2",
+                           "nan",
+                           "inf",
+                           "-inf",
+                           "+-1",
+                           "1e",
+                           "1e999",
+                           "9.91E37",
+                           "1E31",
+                           "0x10",
+                           "1 VAC",
+                           "1 OHM",
+                           "1;2",
+                           "1 2",
+                           "+",
+                           "V",
+                           "+0,\"No error\"",
+                           "HEWLETT-PACKARD,34970A,0,13-2-2",
+                           "#214(@101,102,103)"})
     EXPECT_EQ(parse_readings(text, false), std::nullopt) << text;
   for (const char* text : {"1", "1,101,2", "1,-101", "1,101INT", "1,", "1,123456", "1,1.5", "101 ,1,VDC"})
     EXPECT_EQ(parse_readings(text, true), std::nullopt) << text;
@@ -92,8 +112,8 @@ TEST(ScpiBlockTest, IsAsLongAsItSays) {
   EXPECT_EQ(parse_block("#3003abc"), "abc");
   for (std::size_t n = 0; n < kScanList.size(); ++n)
     EXPECT_EQ(parse_block(kScanList.substr(0, n)), std::nullopt) << n;
-  for (const char* text : {"#215(@101,102,103)", "#213(@101,102,103)", "#0(@)", "#a", "#1x(@)", "(@101)",
-                           "#9999999999"})
+  for (const char* text :
+       {"#215(@101,102,103)", "#213(@101,102,103)", "#0(@)", "#a", "#1x(@)", "(@101)", "#9999999999"})
     EXPECT_EQ(parse_block(text), std::nullopt) << text;
 }
 
