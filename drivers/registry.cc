@@ -5,6 +5,7 @@
 #include "drivers/microstrain_mip/accelerometer.h"
 #include "drivers/newport_esp/stage.h"
 #include "drivers/pi_gcs/stage.h"
+#include "drivers/scpi_voltmeter/accelerometer.h"
 #include "drivers/text_line/accelerometer.h"
 #include "drivers/vectornav/accelerometer.h"
 #include "drivers/witmotion/accelerometer.h"
@@ -53,6 +54,11 @@ const std::vector<AccelerometerDriver>& accelerometer_drivers() {
        "Xsens (Movella) MTi sensors that speak Xbus with MTData2, output in m/s2",
        {115200, false},
        make<XsensMtiAccelerometer, Accelerometer, AccelerometerSettings>},
+      {"scpi_voltmeter",
+       "analog accelerometers behind a scanning voltmeter: Keysight 34970A, 34972A, DAQ970A, Keithley 2700, "
+       "2001",
+       {9600, false},
+       make<ScpiScanningVoltmeter, Accelerometer, AccelerometerSettings>},
       {"witmotion",
        "WitMotion sensors (WT61, WT901, HWT901, ...), output in g",
        {9600, false},

@@ -20,6 +20,7 @@ set(rules
   "drivers/xsens_mti|${wire};drivers/xsens_mti/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/witmotion|${wire};drivers/witmotion/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/text_line|${wire};drivers/text_line/|boost/;spdlog/;fmt/;Eigen/"
+  "drivers/scpi_voltmeter|${wire};drivers/scpi_voltmeter/|boost/;spdlog/;fmt/;Eigen/"
   "protocol/plan|drivers/instrument/angle.h;protocol/plan/|fmt/"
   "protocol/model|drivers/instrument/angle.h;protocol/model/|Eigen/"
   "protocol/gravity|drivers/instrument/angle.h;protocol/gravity/|fmt/"

@@ -2,12 +2,14 @@
 
 #include "drivers/wire/port_list.h"
 #include "drivers/wire/tcp_stream.h"
+#include "drivers/wire/usbtmc_stream.h"
 
 namespace abcal::wire {
 
 std::unique_ptr<ByteStream> open_stream(std::string_view port, const SerialSettings& defaults, Clock& clock) {
   const PortName name = parse_port(port);
   if (name.kind == PortName::Kind::kTcp) return std::make_unique<TcpStream>(name.host, name.tcp_port, clock);
+  if (name.kind == PortName::Kind::kUsbtmc) return std::make_unique<UsbtmcStream>(name.path, clock);
   SerialSettings settings = defaults;
   settings.path = resolve_port(port);
   return std::make_unique<SerialPort>(settings, clock);

@@ -60,7 +60,7 @@ std::string describe(const std::vector<PortInfo>& ports) {
 [[noreturn]] void malformed(std::string_view port, std::string_view why) {
   throw std::invalid_argument(fmt::format(
       "port \"{}\": {}; required is a path such as /dev/ttyUSB0, usb:VID:PID[:SERIAL] with four hexadecimal "
-      "digits each, or tcp:HOST:PORT",
+      "digits each, tcp:HOST:PORT, or usbtmc:/dev/usbtmc0",
       port, why));
 }
 
@@ -194,7 +194,9 @@ PortName parse_port(std::string_view port) {
   if (port.starts_with("tcp:")) return parse_tcp(port);
   if (port.find('/') == std::string_view::npos) malformed(port, "not the name of a port");
   PortName name;
-  name.path = port;
+  constexpr std::string_view kUsbtmc = "usbtmc:";
+  if (port.starts_with(kUsbtmc) || port.starts_with("/dev/usbtmc")) name.kind = PortName::Kind::kUsbtmc;
+  name.path = port.starts_with(kUsbtmc) ? port.substr(kUsbtmc.size()) : port;
   return name;
 }
 

@@ -36,9 +36,9 @@ std::string owner_group(const std::string& path);
 
 /// A `port` of a bench file, taken apart.
 struct PortName {
-  enum class Kind { kPath, kUsb, kTcp };
+  enum class Kind { kPath, kUsb, kTcp, kUsbtmc };
   Kind kind = Kind::kPath;
-  std::string path;  ///< kPath
+  std::string path;  ///< kPath, kUsbtmc
   std::uint16_t usb_vendor = 0;
   std::uint16_t usb_product = 0;
   std::string usb_serial_number;  ///< kUsb; empty: any
@@ -46,8 +46,9 @@ struct PortName {
   std::uint16_t tcp_port = 0;
 };
 
-/// Takes "/path", "usb:VID:PID[:SERIAL]" (VID and PID hexadecimal) or "tcp:HOST:PORT" apart
-/// ("tcp:[::1]:50000" for IPv6). Opens and looks for nothing.
+/// Takes "/path", "usb:VID:PID[:SERIAL]" (VID and PID hexadecimal), "tcp:HOST:PORT" ("tcp:[::1]:50000" for
+/// IPv6) or "usbtmc:/path" apart; a path that begins with /dev/usbtmc is of that last kind. Opens and looks
+/// for nothing.
 /// @throws std::invalid_argument saying what was found and what is required.
 PortName parse_port(std::string_view port);
 

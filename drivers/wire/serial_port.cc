@@ -4,34 +4,25 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <poll.h>
-#include <sys/file.h>
 #include <sys/ioctl.h>
 #include <sys/stat.h>
 #include <sys/sysmacros.h>
 #include <termios.h>
-#include <unistd.h>
 
 #include <boost/asio/serial_port.hpp>
 #include <cerrno>
 #include <chrono>
 #include <cstring>
-#include <filesystem>
-#include <utility>
 #include <vector>
 
 #include "drivers/wire/asio_link.h"
+#include "drivers/wire/device_file.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal::wire {
 namespace {
 
-namespace fs = std::filesystem;
-
 constexpr std::chrono::milliseconds kDrainDeadline(500);  // 5760 bytes at 115200 baud.
-
-[[noreturn]] void cannot_open(const std::string& path, const std::string& why) {
-  throw InstrumentError(path, Fault::kCannotOpen, why);
-}
 
 std::string what_there_is() {
   std::vector<std::string> names;
@@ -40,96 +31,27 @@ std::string what_there_is() {
   return fmt::format("connected are {}", fmt::join(names, ", "));
 }
 
-[[noreturn]] void held(const std::string& path) {
-  const std::string holder = find_holder(path);
-  if (!holder.empty())
-    cannot_open(path, fmt::format("held by another program: {}; close that first", holder));
-  cannot_open(
-      path,
-      "held by another program (which one cannot be seen), or by this one: is the port named twice in "
-      "the bench file?");
-}
-
-/// Owns a file descriptor until Asio does.
-class Descriptor {
- public:
-  explicit Descriptor(int fd) : fd_(fd) {}
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Descriptor(Descriptor&& other) noexcept : fd_(other.release()) {}
-  Descriptor& operator=(Descriptor&&) = delete;
-  int get() const { return fd_; }
-  int release() { return std::exchange(fd_, -1); }
-
- private:
-  int fd_;
-};
-
 /// Unix 98 pseudo-terminals have the character majors 136 to 143 (Linux,
 /// Documentation/admin-guide/devices.txt).
 bool is_pseudo_terminal(const struct stat& status) {
   return major(status.st_rdev) >= 136 && major(status.st_rdev) <= 143;
 }
 
-void check_exists(const std::string& path, struct stat& status) {
-  if (::stat(path.c_str(), &status) != 0) {
-    const int error = errno;
-    std::error_code ignored;
-    if (error == ENOENT && fs::is_symlink(fs::symlink_status(path, ignored))) {
-      cannot_open(path,
-                  fmt::format("a link to {}, which does not exist (unplugged, or the emulator has ended); {}",
-                              fs::read_symlink(path, ignored).string(), what_there_is()));
-    }
-    if (error == ENOENT || error == ENOTDIR) {
-      cannot_open(path, fmt::format("does not exist; {}", what_there_is()));
-    }
-    cannot_open(path, std::strerror(error));
-  }
-  if (S_ISDIR(status.st_mode)) cannot_open(path, "a folder, not a serial port");
-  if (!S_ISCHR(status.st_mode)) cannot_open(path, "a file, not a serial port");
-}
-
-std::string not_permitted(const std::string& path) {
-  const std::string group = owner_group(path);
-  if (group.empty()) return "not permitted to this user";
-  return fmt::format(
-      "not permitted: it belongs to group {0}; run `sudo usermod -aG {0} $USER` and log in again", group);
-}
-
 /// Opens and locks, before any setting of the port is touched: it might be somebody else's.
 Descriptor open_and_lock(const std::string& path) {
-  struct stat status {};
-  check_exists(path, status);
-  Descriptor port(::open(path.c_str(), O_RDWR | O_NONBLOCK | O_NOCTTY | O_CLOEXEC));
-  if (port.get() < 0) {
-    switch (errno) {
-      case EACCES:
-      case EPERM:
-        cannot_open(path, not_permitted(path));
-      case EBUSY:
-        held(path);
-      case ENXIO:
-      case ENODEV:
-      case EIO:
-        cannot_open(path, fmt::format("there is no working port behind it ({})", std::strerror(errno)));
-      default:
-        cannot_open(path, std::strerror(errno));
-    }
-  }
+  Descriptor port = open_device(path, O_NONBLOCK | O_NOCTTY, {"a serial port", what_there_is});
   termios ignored{};
   if (::tcgetattr(port.get(), &ignored) != 0) {
     if (errno == EIO) cannot_open(path, "there is no working port behind it (Input/output error)");
     cannot_open(path, "a device, but not a serial port");
   }
-  if (::flock(port.get(), LOCK_EX | LOCK_NB) != 0) {
-    if (errno == EWOULDBLOCK) held(path);
-    cannot_open(path, fmt::format("cannot be locked: {}", std::strerror(errno)));
-  }
+  lock_device(port, path);
+  struct stat status {};
+  if (::fstat(port.get(), &status) != 0) cannot_open(path, std::strerror(errno));
   if (!is_pseudo_terminal(status)) {
     // A program that took no lock may still read from it, and each would get part of the replies. (A
     // pseudo-terminal is rightly held open by the program that emulates the instrument.)
-    if (!find_holder(path).empty()) held(path);
+    if (!find_holder(path).empty()) held_by_another(path);
     if (::ioctl(port.get(), TIOCEXCL) != 0) {
       cannot_open(path, fmt::format("cannot be taken for this program alone: {}", std::strerror(errno)));
     }

@@ -82,17 +82,24 @@ TEST(PortListTest, NamesAreTakenApart) {
   EXPECT_EQ(tcp.tcp_port, 50000);
   EXPECT_EQ(parse_port("tcp:[::1]:50000").host, "::1");
   EXPECT_EQ(parse_port("/dev/ttyUSB0").kind, PortName::Kind::kPath);
+  for (const char* port : {"/dev/usbtmc3", "usbtmc:/dev/usbtmc3"}) {
+    EXPECT_EQ(parse_port(port).kind, PortName::Kind::kUsbtmc);
+    EXPECT_EQ(parse_port(port).path, "/dev/usbtmc3");
+  }
+  EXPECT_EQ(parse_port("usbtmc:/dev/voltmeter").kind, PortName::Kind::kUsbtmc);
 }
 
 TEST(PortListTest, MalformedNamesSayWhatIsRequired) {
-  for (const std::string port : {"", "COM3", "simulated", "usb:", "usb:0403", "usb:0403:", "usb:0403:6001:",
-                                 "usb:xyzw:6001", "usb:10403:6001", "tcp:", "tcp:host", "tcp::50000",
-                                 "tcp:host:", "tcp:host:0", "tcp:host:65536", "tcp:host:5x"}) {
+  for (const std::string port :
+       {"", "COM3", "simulated", "usb:", "usb:0403", "usb:0403:", "usb:0403:6001:", "usb:xyzw:6001",
+        "usb:10403:6001", "tcp:", "tcp:host", "tcp::50000", "tcp:host:", "tcp:host:0", "tcp:host:65536",
+        "tcp:host:5x", "usbtmc:", "usbtmc:0"}) {
     try {
       parse_port(port);
       ADD_FAILURE() << port << " was accepted";
     } catch (const std::invalid_argument& error) {
-      EXPECT_THAT(error.what(), AllOf(HasSubstr("\"" + port + "\""), HasSubstr("usb:VID:PID[:SERIAL]")));
+      EXPECT_THAT(error.what(), AllOf(HasSubstr("\"" + port + "\""), HasSubstr("usb:VID:PID[:SERIAL]"),
+                                      HasSubstr("usbtmc:/")));
     }
   }
 }
