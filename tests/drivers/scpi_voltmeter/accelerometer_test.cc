@@ -4,10 +4,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cerrno>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
 
+#include "drivers/wire/usbtmc_stream.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/sim_clock.h"
@@ -739,6 +741,48 @@ TEST_P(ScpiVoltmeterOverFirmwareTest, StartsAgainAfterStoppingInTheMiddleOfAScan
     EXPECT_FALSE(bench.accelerometer->next(bench.clock.now() + 5ms));
     bench.accelerometer->stop();
   }
+}
+
+/// The firmware behind the kernel's device file.
+class FirmwareDevice final : public wire::UsbtmcDevice {
+ public:
+  FirmwareDevice(std::shared_ptr<sim::Firmware> firmware, Clock& clock)
+      : firmware_(std::move(firmware)), clock_(clock) {}
+  long write(std::string_view message) override {
+    firmware_->receive(message, clock_.now());
+    return static_cast<long>(message.size());
+  }
+  long read(char* buffer, std::size_t size) override {
+    const std::size_t count = output_.copy(buffer, size);
+    output_.erase(0, count);
+    return count > 0 ? static_cast<long>(count) : -ETIMEDOUT;
+  }
+  int status_byte() override {
+    output_ += firmware_->transmit(clock_.now());
+    return output_.empty() ? 0 : 0x10;
+  }
+
+ private:
+  std::shared_ptr<sim::Firmware> firmware_;
+  Clock& clock_;
+  std::string output_;
+};
+
+TEST(ScpiVoltmeterOverUsbtmcTest, MeasuresTheTruth) {
+  sim::SimClock clock;
+  const auto world = std::make_shared<sim::SimBench>(truth_in_volts(0.0), clock.now());
+  const auto firmware = std::make_shared<sim::ScpiVoltmeterFirmware>(world);
+  ScpiScanningVoltmeter accelerometer(
+      std::make_unique<wire::UsbtmcStream>(std::make_unique<FirmwareDevice>(firmware, clock), "/dev/usbtmc0",
+                                           clock),
+      clock, settings_at(kRateHz));
+  accelerometer.start();
+  for (int i = 0; i < 10; ++i) {
+    const auto reading = accelerometer.next(clock.now() + 1s);
+    ASSERT_TRUE(reading);
+    EXPECT_EQ(reading->output, Eigen::Vector3d(0.5, -0.25, 3.125));
+  }
+  accelerometer.stop();
 }
 
 }  // namespace
