@@ -51,6 +51,9 @@ struct Served {
 
 /// Where an instrument is served: on the TCP port that the bench file names, else on a pseudo-terminal.
 sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links) {
+  // Any free port, which is then printed: only for listening, so no port name of a bench file otherwise.
+  if (served.port.starts_with("tcp:") && served.port.ends_with(":0"))
+    return {served.firmware, sim::TcpPort{served.port.substr(4, served.port.size() - 6), 0}};
   if (served.port.starts_with("tcp:")) {
     const wire::PortName name = wire::parse_port(served.port);
     return {served.firmware, sim::TcpPort{name.host, name.tcp_port}};
