@@ -41,15 +41,22 @@ const Driver& find_driver(const std::vector<Driver>& drivers, const std::string&
   return *found;
 }
 
-/// The bytes to and from an instrument: a real port, or simulated firmware in this process.
+/// The bytes to and from an instrument: a recording, a real port, or simulated firmware in this process.
 std::unique_ptr<wire::ByteStream> open_port(
-    const std::string& port, const std::optional<int>& baud, const SerialDefaults& defaults, Clock& clock,
+    const BenchStreams& streams, std::string_view role, const std::string& port,
+    const std::optional<int>& baud, const SerialDefaults& defaults, Clock& clock,
     const std::function<std::shared_ptr<sim::Firmware>()>& make_firmware) {
-  if (port == kSimulated) return std::make_unique<sim::FirmwareStream>(make_firmware(), clock);
-  wire::SerialSettings settings;
-  settings.baud = baud ? static_cast<unsigned>(*baud) : defaults.baud;
-  settings.rts_cts = defaults.rts_cts;
-  return wire::open_stream(port, settings, clock);
+  if (streams.replay) return streams.replay(role, clock);
+  std::unique_ptr<wire::ByteStream> stream;
+  if (port == kSimulated) {
+    stream = std::make_unique<sim::FirmwareStream>(make_firmware(), clock);
+  } else {
+    wire::SerialSettings settings;
+    settings.baud = baud ? static_cast<unsigned>(*baud) : defaults.baud;
+    settings.rts_cts = defaults.rts_cts;
+    stream = wire::open_stream(port, settings, clock);
+  }
+  return streams.wrap ? streams.wrap(role, std::move(stream), clock) : std::move(stream);
 }
 
 /// Settings that every stage's firmware has: axis names, signs and zeros, serial number.
@@ -148,12 +155,15 @@ std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& co
   return make_firmware(accelerometer_firmwares(), config.accelerometer.driver, config, std::move(world));
 }
 
-Bench make_bench(const BenchConfig& config) {
+Bench make_bench(const BenchConfig& config, BenchStreams streams) {
   Bench bench;
   const bool stage_simulated = config.stage.port == kSimulated;
   const bool accelerometer_simulated = config.accelerometer.port == kSimulated;
-  bench.simulated_time = stage_simulated && accelerometer_simulated;
-  if (bench.simulated_time) {
+  bench.replayed = static_cast<bool>(streams.replay);
+  bench.simulated_time = bench.replayed || (stage_simulated && accelerometer_simulated);
+  if (bench.replayed) {
+    bench.clock = std::move(streams.replay_clock);
+  } else if (bench.simulated_time) {
     bench.clock = std::make_unique<sim::SimClock>();
   } else {
     bench.clock = std::make_unique<RealClock>();
@@ -174,7 +184,7 @@ Bench make_bench(const BenchConfig& config) {
     settings.axis_names = {config.stage.x.axis, config.stage.z.axis};
     settings.speed_deg_per_s = {config.stage.x.speed_deg_per_s, config.stage.z.speed_deg_per_s};
     settings.address = config.stage.address;
-    auto stream = open_port(config.stage.port, config.stage.baud, driver.serial, clock,
+    auto stream = open_port(streams, "stage", config.stage.port, config.stage.baud, driver.serial, clock,
                             [&] { return make_stage_firmware(config, bench.world); });
     bench.stage = std::make_unique<MountedStage>(
         driver.make(std::move(stream), clock, settings),
@@ -193,8 +203,9 @@ Bench make_bench(const BenchConfig& config) {
     // A baud rate in the bench file means a line that has one; USB and TCP are as fast as they are. 10 bits a
     // byte.
     if (config.accelerometer.baud) settings.link_bytes_per_s = *config.accelerometer.baud / 10.0;
-    auto stream = open_port(config.accelerometer.port, config.accelerometer.baud, driver.serial, clock,
-                            [&] { return make_accelerometer_firmware(config, bench.world); });
+    auto stream =
+        open_port(streams, "accelerometer", config.accelerometer.port, config.accelerometer.baud,
+                  driver.serial, clock, [&] { return make_accelerometer_firmware(config, bench.world); });
     bench.accelerometer = driver.make(std::move(stream), clock, settings);
   }
   return bench;

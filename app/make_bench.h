@@ -1,11 +1,14 @@
 #pragma once
 
+#include <functional>
 #include <memory>
+#include <string_view>
 
 #include "app/bench_config.h"
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/rotation_stage.h"
+#include "drivers/wire/byte_stream.h"
 #include "sim/firmware/firmware.h"
 #include "sim/sim_bench.h"
 
@@ -19,11 +22,25 @@ struct Bench {
   std::unique_ptr<RotationStage> stage;  ///< In protocol angles, inside the bench's travel.
   std::unique_ptr<Accelerometer> accelerometer;
   bool simulated_time = false;  ///< Nothing real takes part: the clock jumps.
+  bool replayed = false;        ///< Its bytes come from a recording.
 };
 
-/// Opens the instruments of a bench file. The only place where real and simulated differ.
+/// What becomes of the byte streams of a bench, where they are not simply what the bench file says. `role`
+/// is "stage" or "accelerometer". All must outlive the bench.
+struct BenchStreams {
+  using Stream = std::unique_ptr<wire::ByteStream>;
+
+  /// Given each stream that was opened; the driver uses what it gives back.
+  std::function<Stream(std::string_view role, Stream opened, const Clock& clock)> wrap;
+  /// Gives the streams of a replay: no port is opened, and the bench lives in the time of `replay_clock`,
+  /// which jumps.
+  std::function<Stream(std::string_view role, Clock& clock)> replay;
+  std::unique_ptr<Clock> replay_clock;
+};
+
+/// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
-Bench make_bench(const BenchConfig& config);
+Bench make_bench(const BenchConfig& config, BenchStreams streams = {});
 
 /// The firmware behind one simulated instrument, as `abcal emulate` serves it. @throws std::invalid_argument
 /// for a driver that has none.

@@ -145,10 +145,10 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
     return timing;
   } catch (...) {
     observer.finish();
-    fmt::print(
-        stderr,
-        "The stage was halted. {} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
-        observer.measured(), plan.size(), file.path().string(), file.path().string());
+    const std::string path = file.path().string();
+    fmt::print(stderr, "The stage was halted. {} of {} angles are measured and kept in {}{}\n",
+               observer.measured(), plan.size(), path,
+               bench.replayed ? "" : "; go on with: abcal resume " + path);
     throw;
   }
 }
