@@ -146,9 +146,9 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
   } catch (...) {
     observer.finish();
     const std::string path = file.path().string();
-    fmt::print(stderr, "The stage was halted. {} of {} angles are measured and kept in {}{}\n",
-               observer.measured(), plan.size(), path,
-               bench.replayed ? "" : "; go on with: abcal resume " + path);
+    fmt::print(stderr, "{} {} of {} angles are measured and kept in {}{}\n",
+               bench.replayed ? "The replay ends here." : "The stage was halted.", observer.measured(),
+               plan.size(), path, bench.replayed ? "" : "; go on with: abcal resume " + path);
     throw;
   }
 }

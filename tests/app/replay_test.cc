@@ -170,8 +170,12 @@ TEST_F(EmulatedBenchTest, ARunThatItsOperatorStoppedIsReplayedUpToThere) {
   EXPECT_EQ(run.wait(), 130) << run.err();
   const ProgramResult replay = abcal({"replay", "a.run"});
   EXPECT_EQ(replay.exit_code, 130) << replay.err;
-  EXPECT_THAT(replay.err, HasSubstr("stopped by its operator"));
-  expect_same_dwells(RunFile::load(folder / "a.run"), RunFile::load(folder / "a-replay.run"));
+  // An angle whose last reply was under way when the signal came may be in the recorded run only.
+  const std::size_t replayed = measured("a-replay.run");
+  EXPECT_GE(replayed + 1, measured("a.run"));
+  EXPECT_THAT(replay.err, AllOf(HasSubstr("stopped by its operator"),
+                                HasSubstr("Replay: " + std::to_string(replayed) + " of " +
+                                          std::to_string(replayed) + " angles are exactly as recorded")));
 }
 
 TEST_F(EmulatedBenchTest, ARunThatWasKilledIsReplayedAsFarAsItReached) {
