@@ -150,7 +150,9 @@ void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
 
 void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
   keys.required_text("kind", fault.kind, fault_names());
-  keys.text("instrument", fault.instrument, {"", "stage", "stage-x", "stage-z", "accelerometer"});
+  keys.text("instrument", fault.instrument,
+            {"", "stage", "stage-x", "stage-z", "accelerometer", "accelerometer-u", "accelerometer-v",
+             "accelerometer-w", "environment"});
   keys.text("axis", fault.axis, {"x", "z"});
   keys.number("at_s", fault.at_s, kNotNegative);
   keys.number("for_s", fault.for_s, kNotNegative);
@@ -222,6 +224,14 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.number("temperature_degc", c.environment.temperature_degc, {-100.0, 200.0});
   keys.number("humidity_percent", c.environment.humidity_percent, {0.0, 100.0});
   keys.number("pressure_hpa", c.environment.pressure_hpa, {300.0, 1200.0});
+  keys.text("driver", c.environment.driver, {"", "text_line"});
+  keys.text("port", c.environment.port);
+  keys.integer("baud", c.environment.baud, 300, 4'000'000);
+  keys.integer("temperature_column", c.environment.temperature_column, 0, 1000);
+  keys.integer("humidity_column", c.environment.humidity_column, 0, 1000);
+  keys.integer("pressure_column", c.environment.pressure_column, 0, 1000);
+  keys.text("separator", c.environment.separator);
+  keys.text("comment", c.environment.comment);
 
   ProtocolConfig& p = c.protocol;
   keys.section("protocol");
@@ -722,6 +732,9 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
   } else if (c.accelerometer.port.empty()) {
     reader.add_problem("accelerometer.port", "nothing", kPortWords);
   }
+  if (c.environment.driver.empty() != c.environment.port.empty())
+    reader.add_problem(c.environment.port.empty() ? "environment.port" : "environment.driver", "nothing",
+                       "driver and port, or neither");
   for (int j = 0; j < 3; ++j) {
     if (c.accelerometer.scale[j] == 0.0) reader.add_problem("accelerometer.scale", "0", "no zeros");
   }

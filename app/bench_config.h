@@ -68,8 +68,16 @@ struct AccelerometerConfig {
   std::string comment = AccelerometerSettings{}.comment;
 };
 
+/// Typed in, or a sensor that prints lines of text.
 struct EnvironmentConfig {
   std::optional<double> temperature_degc, humidity_percent, pressure_hpa;
+  std::string driver, port;  ///< Empty: no sensor.
+  std::optional<int> baud;
+  int temperature_column = EnvironmentSettings{}.temperature_column;
+  int humidity_column = EnvironmentSettings{}.humidity_column;
+  int pressure_column = EnvironmentSettings{}.pressure_column;
+  std::string separator = EnvironmentSettings{}.separator;
+  std::string comment = EnvironmentSettings{}.comment;
 };
 
 /// A bench file (schema abcal.bench/1), with every default filled in.

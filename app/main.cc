@@ -42,6 +42,7 @@ int main(int argc, char** argv) {
   app.failure_message(CLI::FailureMessage::help);
   add_run(app, exit_code);
   add_resume(app, exit_code);
+  add_replay(app, exit_code);
   add_plan(app, exit_code);
   add_check(app, exit_code);
   add_analyse(app, exit_code);

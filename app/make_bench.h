@@ -1,12 +1,15 @@
 #pragma once
 
+#include <functional>
 #include <memory>
+#include <string_view>
 
 #include "app/bench_config.h"
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
+#include "drivers/instrument/environment_sensor.h"
 #include "drivers/instrument/rotation_stage.h"
-#include "sim/firmware/firmware.h"
+#include "drivers/wire/byte_stream.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -18,32 +21,29 @@ struct Bench {
   std::shared_ptr<sim::SimBench> world;  ///< The simulated world; null where everything is real.
   std::unique_ptr<RotationStage> stage;  ///< In protocol angles, inside the bench's travel.
   std::unique_ptr<Accelerometer> accelerometer;
-  bool simulated_time = false;  ///< Nothing real takes part: the clock jumps.
+  std::unique_ptr<EnvironmentSensor> environment;  ///< Null: temperature and so on are typed in.
+  bool simulated_time = false;                     ///< Nothing real takes part: the clock jumps.
+  bool replayed = false;                           ///< Its bytes come from a recording.
 };
 
-/// Opens the instruments of a bench file. The only place where real and simulated differ.
+/// What becomes of the byte streams of a bench, where they are not simply what the bench file says. `role`
+/// is InstrumentPort::name. All must outlive the bench.
+struct BenchStreams {
+  using Stream = std::unique_ptr<wire::ByteStream>;
+
+  /// Given each stream that was opened; the driver uses what it gives back.
+  std::function<Stream(std::string_view role, Stream opened, const Clock& clock)> wrap;
+  /// Gives the streams of a replay: no port is opened, and the bench lives in the time of `replay_clock`,
+  /// which jumps.
+  std::function<Stream(std::string_view role, Clock& clock)> replay;
+  std::unique_ptr<Clock> replay_clock;
+};
+
+/// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
-Bench make_bench(const BenchConfig& config);
+Bench make_bench(const BenchConfig& config, BenchStreams streams = {});
 
-/// One controller of the stage: of both axes, or of the one that has a controller of its own.
-struct StagePort {
-  std::string
-      name;  ///< "stage", "stage-x", "stage-z": as [[fault]] and the links of `abcal emulate` call it.
-  std::string driver, port;
-  std::optional<int> baud;
-  std::string address;
-};
-std::vector<StagePort> stage_ports(const StageConfig& stage);
-
-/// The stage of a bench file alone, in protocol angles. `world` may be null if no part of it is simulated.
-std::unique_ptr<RotationStage> make_stage(const BenchConfig& config,
-                                          const std::shared_ptr<sim::SimBench>& world, Clock& clock);
-
-/// The firmware behind one simulated instrument, as `abcal emulate` serves it. @throws std::invalid_argument
-/// for a driver that has none.
-std::shared_ptr<sim::Firmware> make_stage_firmware(const BenchConfig& config, const StagePort& port,
-                                                   std::shared_ptr<sim::SimBench> world);
-std::shared_ptr<sim::Firmware> make_accelerometer_firmware(const BenchConfig& config,
-                                                           std::shared_ptr<sim::SimBench> world);
+/// The stage of a bench file alone, in protocol angles; none of it simulated without bytes.
+std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock);
 
 }  // namespace abcal

@@ -29,21 +29,28 @@ bool is_another_instrument(const InstrumentError& error) {
 
 std::optional<ProbeAnswer> probe_port(const std::string& port, Clock& clock,
                                       const std::function<void(const std::string&)>& trying) {
-  const auto ask = [&](const auto& driver, bool stage, const auto& settings) -> std::optional<ProbeAnswer> {
+  const auto ask = [&](const auto& driver, bool stage, const auto& make) -> std::optional<ProbeAnswer> {
     trying(driver.name);
     auto stream = open(port, driver.serial, clock);
     try {
-      return answer(driver.name, stage, driver.make(std::move(stream), clock, settings)->identify());
+      return answer(driver.name, stage, make(std::move(stream))->identify());
     } catch (const InstrumentError& error) {
       if (!is_another_instrument(error)) throw;
       return std::nullopt;
     }
   };
   for (const StageDriver& driver : stage_drivers()) {
-    if (auto found = ask(driver, true, StageSettings{})) return found;
+    const auto make = [&](auto stream) { return driver.make(std::move(stream), clock, StageSettings{}); };
+    if (auto found = ask(driver, true, make)) return found;
   }
   for (const AccelerometerDriver& driver : accelerometer_drivers()) {
-    if (auto found = ask(driver, false, AccelerometerSettings{})) return found;
+    if (driver.ports != 1) continue;  // one port tells too little of them
+    const auto make = [&](auto stream) {
+      std::vector<std::unique_ptr<wire::ByteStream>> streams;
+      streams.push_back(std::move(stream));
+      return driver.make(std::move(streams), clock, AccelerometerSettings{});
+    };
+    if (auto found = ask(driver, false, make)) return found;
   }
   return std::nullopt;
 }

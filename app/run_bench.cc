@@ -130,9 +130,31 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
                      fmt::gmtime(now), extension);
 }
 
+void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, std::string_view moment) {
+  constexpr Clock::Duration kPatience = std::chrono::seconds(30);  // some sensors speak every ten seconds
+  EnvironmentReading now;
+  if (bench.environment) {
+    try {
+      now = bench.environment->read(bench.clock->now() + kPatience);
+    } catch (const InstrumentError& error) {
+      if (moment == "start") throw;
+      file.append_event(format_utc(bench.clock->utc_now()), "environment not read", error.what());
+      fmt::print(stderr, "warning: the environment could not be read: {}\n", error.what());
+    }
+  }
+  const auto either = [](const std::optional<double>& measured, const std::optional<double>& typed) {
+    return measured ? measured : typed;
+  };
+  file.append_environment(format_utc(bench.clock->utc_now()), moment,
+                          either(now.temperature_degc, config.environment.temperature_degc),
+                          either(now.humidity_percent, config.environment.humidity_percent),
+                          either(now.pressure_hpa, config.environment.pressure_hpa));
+}
+
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
                   const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
-                  const RunTiming& spent, const std::string& title, bool resumable) {
+                  const RunTiming& spent, const std::string& title,
+                  const std::optional<std::string>& on_failure) {
   TerminalObserver observer(title, plan, measured.size());
   try {
     // Simulated time has one thread only.
@@ -145,9 +167,9 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
     return timing;
   } catch (...) {
     observer.finish();
-    if (resumable) {
-      fmt::print(stderr, "{} of {} angles are measured and kept in {}; go on with: abcal resume {}\n",
-                 observer.measured(), plan.size(), file.path().string(), file.path().string());
+    if (on_failure) {
+      fmt::print(stderr, "{} of {} angles are measured and kept in {}{}\n", observer.measured(), plan.size(),
+                 file.path().string(), *on_failure);
     }
     throw;
   }

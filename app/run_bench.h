@@ -58,11 +58,17 @@ RunHeader make_header(const BenchConfig& config, const Identities& who, std::vec
 std::filesystem::path output_path(const std::string& given, const std::string& bench_file,
                                   const std::string& extension);
 
+/// Stores temperature, humidity and pressure as the sensor says, or as typed into the bench file. At the
+/// start a sensor that fails throws InstrumentError; at the end of a run it is noted only: nothing is lost
+/// for it.
+void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, std::string_view moment);
+
 /// Measures what is missing of the plan. In real time an interrupt halts the stage at once, whatever the
-/// measuring thread waits for. On failure the person is told what is kept, if the run is `resumable`, and the
-/// exception goes on.
+/// measuring thread waits for. On failure the person is told how much is kept, and `on_failure` (nothing: the
+/// file is of no further use), and the exception goes on.
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
                   const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
-                  const RunTiming& spent, const std::string& title, bool resumable);
+                  const RunTiming& spent, const std::string& title,
+                  const std::optional<std::string>& on_failure);
 
 }  // namespace abcal

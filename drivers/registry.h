@@ -31,9 +31,11 @@ struct AccelerometerDriver {
   std::string name;
   std::string description;
   SerialDefaults serial;
-  std::function<std::unique_ptr<Accelerometer>(std::unique_ptr<wire::ByteStream>, Clock&,
+  /// From as many streams as there are ports, nearly always one.
+  std::function<std::unique_ptr<Accelerometer>(std::vector<std::unique_ptr<wire::ByteStream>>, Clock&,
                                                const AccelerometerSettings&)>
       make;
+  std::size_t ports = 1;
 };
 
 /// The one list of drivers. A new instrument is a folder and a line here.

@@ -8,7 +8,8 @@
 namespace abcal::sim {
 
 /// A clock that jumps: sleeping costs nothing, so an hour's measurement is dry-run in seconds, and every run
-/// sees the same times bit for bit. Time passes only inside sleep_until(). One thread sleeps; any may read.
+/// sees the same times bit for bit. Time passes only inside sleep_until(). Any thread may
+/// sleep; it never goes back.
 class SimClock final : public Clock {
  public:
   static constexpr UtcTime kDefaultStart = std::chrono::sys_days{std::chrono::January / 1 / 2000};
@@ -20,7 +21,9 @@ class SimClock final : public Clock {
   UtcTime utc_now() const override { return utc_start_ + Duration(since_start_ns_.load()); }
   void sleep_until(Instant instant) override {
     const Duration::rep target = instant.time_since_epoch().count();
-    if (target > since_start_ns_.load()) since_start_ns_.store(target);
+    Duration::rep seen = since_start_ns_.load();
+    while (seen < target && !since_start_ns_.compare_exchange_weak(seen, target)) {
+    }
   }
 
  private:

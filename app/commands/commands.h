@@ -9,6 +9,7 @@ namespace abcal {
 
 CLI::App* add_run(CLI::App& parent, int& exit_code);
 CLI::App* add_resume(CLI::App& parent, int& exit_code);
+CLI::App* add_replay(CLI::App& parent, int& exit_code);
 CLI::App* add_plan(CLI::App& parent, int& exit_code);
 CLI::App* add_check(CLI::App& parent, int& exit_code);
 CLI::App* add_analyse(CLI::App& parent, int& exit_code);

@@ -14,6 +14,7 @@
 #include "app/exit_code.h"
 #include "app/interrupt.h"
 #include "app/make_bench.h"
+#include "app/make_firmware.h"
 #include "app/real_clock.h"
 #include "drivers/wire/port_list.h"
 #include "sim/emulator.h"
@@ -66,7 +67,7 @@ class StageFollower {
  public:
   /// @param end Asked to stop when the stage cannot be read any more.
   StageFollower(const BenchConfig& config, std::shared_ptr<sim::SimBench> world, std::stop_source end)
-      : end_(std::move(end)), stage_(make_stage(config, nullptr, clock_), std::move(world), clock_) {
+      : end_(std::move(end)), stage_(make_stage(config, clock_), std::move(world), clock_) {
     stage_.identify();
     thread_ = std::jthread([this](const std::stop_token& stop) { follow(stop); });
   }
@@ -133,13 +134,9 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
     std::filesystem::create_directories(options->link_dir, error);
     if (error) throw std::runtime_error(options->link_dir + ": cannot be created: " + error.message());
 
-    std::vector<Served> all;
-    const auto serve = [&](const std::string& name, const std::string& driver, const std::string& port,
-                           std::shared_ptr<sim::Firmware> firmware) {
-      all.push_back({name, driver, port,
-                     std::make_shared<sim::FaultyPort>(std::move(firmware), clock,
-                                                       wire_faults(config.faults, name, world->start()),
-                                                       config.simulation.seed, config.link)});
+    std::vector<InstrumentPort> ports;
+    const auto serve = [&](const std::vector<InstrumentPort>& more) {
+      ports.insert(ports.end(), more.begin(), more.end());
     };
     std::stop_source end;
     const std::stop_callback on_interrupt(interrupt_token(), [&end] { end.request_stop(); });
@@ -147,11 +144,20 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
     if (options->follow_stage) {
       follower.emplace(config, world, end);
     } else {
-      for (const StagePort& port : stage_ports(config.stage))
-        serve(port.name, port.driver, port.port, make_stage_firmware(config, port, world));
+      serve(stage_ports(config.stage));
     }
-    serve("accelerometer", config.accelerometer.driver, config.accelerometer.port,
-          make_accelerometer_firmware(config, world));
+    serve(accelerometer_ports(config.accelerometer));
+    serve(environment_ports(config.environment));
+    if (ports.empty())
+      throw std::invalid_argument(
+          "nothing on this bench has bytes to serve: choose drivers of real instruments");
+    std::vector<Served> all;
+    for (const InstrumentPort& port : ports) {
+      all.push_back({port.name, port.driver, port.port,
+                     std::make_shared<sim::FaultyPort>(make_firmware(config, port, world), clock,
+                                                       wire_faults(config.faults, port.name, world->start()),
+                                                       config.simulation.seed, config.link)});
+    }
 
     std::vector<sim::Endpoint> endpoints;
     std::map<std::string, sim::FaultyStream*> links;

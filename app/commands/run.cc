@@ -8,6 +8,7 @@
 #include "app/analyses.h"
 #include "app/bench_config.h"
 #include "app/commands/commands.h"
+#include "app/commands/run.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
 #include "app/progress.h"
@@ -15,6 +16,7 @@
 #include "app/report/result_text.h"
 #include "app/run_bench.h"
 #include "app/terminal.h"
+#include "app/transcript.h"
 #include "app/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/rotation_plan.h"
@@ -34,15 +36,37 @@ std::string timing_text(const RunTiming& t) {
                      part(t.overhead_s));
 }
 
-/// Measures what is missing, closes the run, analyses and prints. Shared by run and resume.
+void print_warnings(const BenchConfig& config) {
+  for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
+}
+
+/// The instruments could not be identified, so there is no run; but what they said is worth keeping.
+void keep_recording_without_run(BenchConfig config, const Clock& clock, const std::filesystem::path& path,
+                                Transcript& transcript, std::string_view why) {
+  try {
+    config.stage.level_file.clear();  // Only an identified stage can be compared with it.
+    RunHeader header = make_header(config, {}, {}, clock);
+    header.instruments.clear();
+    RunFile file = RunFile::create(path, header);
+    transcript.keep_in(file);
+    file.set_state(RunState::kAbandoned, format_utc(clock.utc_now()), why);
+    fmt::print(stderr, "Nothing was measured; the recording is kept in {}\n", path.string());
+  } catch (const RunFileError& error) {
+    fmt::print(stderr, "The recording is lost: {}\n", error.what());
+  }
+}
+
+}  // namespace
+
 int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
                        const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
                        const RunTiming& spent, bool json) {
   const std::filesystem::path path = file.path();
-  const RunTiming timing = measure(bench, config, file, plan, measured, spent, "Calibrating", true);
+  const RunTiming timing =
+      measure(bench, config, file, plan, measured, spent, bench.replayed ? "Replaying" : "Calibrating",
+              bench.replayed ? "" : "; go on with: abcal resume " + path.string());
   const std::string utc = format_utc(bench.clock->utc_now());
-  file.append_environment(utc, "end", config.environment.temperature_degc,
-                          config.environment.humidity_percent, config.environment.pressure_hpa);
+  note_environment(bench, config, file, "end");
   const std::string sha256 = file.close_complete(utc);
 
   const StoredRun stored = RunFile::load(path);
@@ -72,16 +96,11 @@ int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
 
-void print_warnings(const BenchConfig& config) {
-  for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
-}
-
-}  // namespace
-
 CLI::App* add_run(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string bench_file;
     std::string output;
+    bool record = false;
     bool json = false;
   };
   auto options = std::make_shared<Options>();
@@ -89,14 +108,28 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
       parent.add_subcommand("run", "Calibrate: drive the stage through the three experiments");
   command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
   command->add_option("-o,--output", options->output, "run file to create (default: BENCH-UTC.run here)");
+  command->add_flag("--record", options->record,
+                    "keep every byte to and from the instruments in the run file, for `abcal replay`");
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file);
     print_warnings(config);
-    Bench bench = make_bench(config);
-    const Identities who = identify(bench, config);
-    std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
     const std::filesystem::path path = output_path(options->output, options->bench_file, ".run");
+    Transcript transcript(interrupt_token());
+    Bench bench = make_bench(config, options->record ? transcript.streams() : BenchStreams{});
+    if (options->record && !transcript.has_streams()) {
+      throw std::invalid_argument(
+          "--record: nothing on this bench has bytes to record, its drivers are simulated without a wire; "
+          "required: at least one other driver (its port may be \"simulated\")");
+    }
+    Identities who;
+    try {
+      who = identify(bench, config);
+    } catch (const InstrumentError& error) {
+      if (options->record) keep_recording_without_run(config, *bench.clock, path, transcript, error.what());
+      throw;
+    }
+    std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
     const PlanDuration estimate = estimate_duration(
         plan, config.protocol, {who.stage.axes[0].speed_deg_per_s, who.stage.axes[1].speed_deg_per_s},
         who.accelerometer.rate_hz);
@@ -108,10 +141,10 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
         who.accelerometer.output_unit, plan.size(), describe_duration(estimate.total_s()),
         bench.simulated_time ? " of simulated time (nothing real takes part)" : "");
     RunFile file = RunFile::create(path, make_header(config, who, plan, *bench.clock));
+    if (options->record) transcript.keep_in(file);
     const std::string utc = format_utc(bench.clock->utc_now());
     file.append_event(utc, "started", "run started");
-    file.append_environment(utc, "start", config.environment.temperature_degc,
-                            config.environment.humidity_percent, config.environment.pressure_hpa);
+    note_environment(bench, config, file, "start");
     exit_code = measure_and_report(bench, config, std::move(file), plan, {}, {}, options->json);
   });
   return command;

@@ -1,53 +1,70 @@
 #include "drivers/wire/recording_stream.h"
 
-#include <fmt/format.h>
-
-#include <iterator>
-#include <ostream>
 #include <utility>
 
 namespace abcal::wire {
 
-RecordingStream::RecordingStream(std::unique_ptr<ByteStream> inner, const Clock& clock, std::ostream& log)
-    : inner_(std::move(inner)), clock_(clock), start_(clock.now()), log_(log) {}
+RecordingStream::RecordingStream(std::unique_ptr<ByteStream> inner, const Clock& clock, Sink sink)
+    : inner_(std::move(inner)), clock_(clock), sink_(std::move(sink)) {
+  note(WireEvent::Kind::kOpened, inner_->name());
+}
 
 void RecordingStream::write(std::string_view bytes) {
-  note('>', bytes, clock_.now());  // Before the write: a command that kills the link is still on file.
-  inner_->write(bytes);
-}
-
-ReceivedBytes RecordingStream::read_until(Clock::Instant deadline) {
-  ReceivedBytes received = inner_->read_until(deadline);
-  note('<', received.bytes, received.arrival);
-  return received;
-}
-
-void RecordingStream::discard_input() {
-  // Read rather than dropped: a replay must know also what nobody wanted.
-  for (;;) {
-    const ReceivedBytes received = inner_->read_until(clock_.now());
-    if (received.bytes.empty()) return;
-    note('<', received.bytes, received.arrival);
+  // Before the write: a command that kills the link is still on file, and no answer stands before its
+  // question.
+  note(WireEvent::Kind::kWritten, std::string(bytes));
+  try {
+    inner_->write(bytes);
+  } catch (const InstrumentError& error) {
+    note_failure(WireCall::kWrite, error);
+    throw;
   }
 }
 
+ReceivedBytes RecordingStream::read_until(Clock::Instant deadline) {
+  try {
+    ReceivedBytes received = inner_->read_until(deadline);
+    note(WireEvent::Kind::kReceived, received.bytes, received.arrival);
+    return received;
+  } catch (const InstrumentError& error) {
+    note_failure(WireCall::kRead, error);
+    throw;
+  }
+}
+
+void RecordingStream::discard_input() {
+  // Read rather than dropped: the recording has also what nobody wanted.
+  std::string discarded;
+  try {
+    for (;;) {
+      const std::string bytes = inner_->read_until(clock_.now()).bytes;
+      if (bytes.empty()) break;
+      discarded += bytes;
+    }
+  } catch (const InstrumentError& error) {
+    if (!discarded.empty()) note(WireEvent::Kind::kDiscarded, std::move(discarded));
+    note_failure(WireCall::kDiscard, error);
+    throw;
+  }
+  if (!discarded.empty()) note(WireEvent::Kind::kDiscarded, std::move(discarded));
+}
+
 std::size_t RecordingStream::dropped_bytes() const {
-  return inner_->dropped_bytes();
+  const std::size_t dropped = inner_->dropped_bytes();
+  if (dropped_.exchange(dropped) != dropped) note(WireEvent::Kind::kDropped, std::to_string(dropped));
+  return dropped;
 }
 
 std::string RecordingStream::name() const {
   return inner_->name();
 }
 
-void RecordingStream::note(char direction, std::string_view bytes, Clock::Instant when) {
-  if (bytes.empty()) return;
-  std::string line = fmt::format("{} {} ", (when - start_).count(), direction);
-  for (const char byte : bytes) {
-    fmt::format_to(std::back_inserter(line), "{:02x}", static_cast<unsigned char>(byte));
-  }
-  line += '\n';
-  const std::lock_guard lock(log_mutex_);
-  log_ << line;
+void RecordingStream::note(WireEvent::Kind kind, std::string bytes, Clock::Instant arrival) const {
+  sink_({kind, clock_.now(), arrival, std::move(bytes)});
+}
+
+void RecordingStream::note_failure(WireCall call, const InstrumentError& error) const {
+  note(WireEvent::Kind::kFailed, failure_text(call, error));
 }
 
 }  // namespace abcal::wire

@@ -1,21 +1,26 @@
 #pragma once
 
-#include <iosfwd>
+#include <atomic>
+#include <functional>
 #include <memory>
-#include <mutex>
 
 #include "drivers/wire/byte_stream.h"
+#include "drivers/wire/wire_event.h"
 
 namespace abcal::wire {
 
-/// Passes everything through to another stream and notes it, one chunk a line:
-/// "<nanoseconds since this object was made> <direction> <hex bytes>", direction '>' for what we wrote and
-/// '<' for what came in (with its time of arrival, as the inner stream gave it). Safe with writers in other
-/// threads.
+/// Passes everything through to another stream and tells a sink of every call, so that a ReplayStream can
+/// give a driver the same outcomes again.
+///
+/// Reads that came back with nothing are told too: which bytes were there when the driver looked decides what
+/// it does next, and cannot be told from times of arrival alone.
 class RecordingStream final : public ByteStream {
  public:
-  /// @param log Must outlive the stream; lines of several streams may not go to one log.
-  RecordingStream(std::unique_ptr<ByteStream> inner, const Clock& clock, std::ostream& log);
+  /// Called in the thread that made the call, also in several at once; must not throw.
+  using Sink = std::function<void(WireEvent&&)>;
+
+  /// The sink is told at once that `inner` is open.
+  RecordingStream(std::unique_ptr<ByteStream> inner, const Clock& clock, Sink sink);
 
   void write(std::string_view bytes) override;
   ReceivedBytes read_until(Clock::Instant deadline) override;
@@ -24,13 +29,13 @@ class RecordingStream final : public ByteStream {
   std::string name() const override;
 
  private:
-  void note(char direction, std::string_view bytes, Clock::Instant when);
+  void note(WireEvent::Kind kind, std::string bytes, Clock::Instant arrival = {}) const;
+  void note_failure(WireCall call, const InstrumentError& error) const;
 
   std::unique_ptr<ByteStream> inner_;
   const Clock& clock_;
-  const Clock::Instant start_;
-  std::mutex log_mutex_;
-  std::ostream& log_;
+  Sink sink_;
+  mutable std::atomic<std::size_t> dropped_ = 0;  ///< As told last.
 };
 
 }  // namespace abcal::wire

@@ -39,6 +39,13 @@ create table environment(id integer primary key, utc text, moment text, temperat
 create table event(id integer primary key, utc text, kind text, text text);
 )";
 
+/// Only in a run that was recorded with a transcript.
+constexpr const char* kWireSchema =
+    "create table wire(id integer primary key, role text, time_ns integer, arrival_ns integer, kind text, "
+    "bytes "
+    "blob)";
+constexpr std::string_view kWireStart = "wire.start_utc_ns";
+
 /// The latest dwell of each planned angle: a repeated angle is a new row, the old one stays.
 constexpr const char* kLatestDwells =
     "select position, experiment, n, closing, alpha_deg, commanded_x_deg, commanded_z_deg, encoder_x_deg,"
@@ -148,6 +155,27 @@ struct RunFile::Impl {
     set_meta("timing.overhead_s", number(timing.overhead_s));
   }
 
+  /// Inside a transaction: writes what has come to the transcript. It is kept until wire_is_stored(), should
+  /// the transaction fail.
+  void append_wire() {
+    if (!take_wire) return;
+    for (WireRow& row : take_wire()) wire_waiting.push_back(std::move(row));
+    if (wire_waiting.empty()) return;
+    SqliteStatement statement = database.prepare("insert into wire values(null,?,?,?,?,?)");
+    for (const WireRow& row : wire_waiting) {
+      statement.bind(1, std::string_view(row.role))
+          .bind(2, row.time_ns)
+          .bind(3, row.arrival_ns)
+          .bind(4, std::string_view(&row.kind, 1))
+          .bind_blob(5, row.bytes)
+          .run();
+    }
+  }
+  /// After the commit.
+  void wire_is_stored() { wire_waiting.clear(); }
+
+  std::function<std::vector<WireRow>()> take_wire;
+  std::vector<WireRow> wire_waiting;
   std::filesystem::path path;
   WriterLock lock;  // Outlives the database: closing any descriptor of the file drops SQLite's own locks.
   SqliteDatabase database;
@@ -288,6 +316,16 @@ RunFile RunFile::open_for_append(const std::filesystem::path& path) {
   return RunFile(std::move(impl));
 }
 
+void RunFile::keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take) {
+  Transaction transaction(impl_->database);
+  impl_->database.execute(kWireSchema);
+  impl_->set_meta(kWireStart, std::to_string(start.time_since_epoch().count()));
+  impl_->take_wire = std::move(take);
+  impl_->append_wire();
+  transaction.commit();
+  impl_->wire_is_stored();
+}
+
 void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
                            std::span<const StoredReading> readings, const RunTiming& timing) {
   SqliteDatabase& database = impl_->database;
@@ -332,7 +370,9 @@ void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
         .run();
   }
   impl_->set_timing(timing);
+  impl_->append_wire();
   transaction.commit();
+  impl_->wire_is_stored();
 }
 
 void RunFile::append_event(const std::string& utc, std::string_view kind, std::string_view text) {
@@ -359,7 +399,9 @@ void RunFile::set_state(RunState state, const std::string& utc, std::string_view
   Transaction transaction(impl_->database);
   impl_->set_meta("state", to_string(state));
   append_event(utc, to_string(state), why);
+  impl_->append_wire();
   transaction.commit();
+  impl_->wire_is_stored();
 }
 
 std::string RunFile::close_complete(const std::string& utc) {
@@ -482,6 +524,26 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   SqliteStatement events = database.prepare("select utc, kind, text from event order by id");
   while (events.step()) run.events.push_back({events.text(0), events.text(1), events.text(2)});
   return run;
+}
+
+std::optional<WireTranscript> RunFile::load_transcript(const std::filesystem::path& path) {
+  SqliteDatabase database = open_checked(path, SqliteDatabase::Mode::kReadOnly);
+  if (!database.value("select 1 from sqlite_master where type='table' and name='wire'")) return std::nullopt;
+  SqliteStatement start = database.prepare("select cast(value as integer) from meta where key=?");
+  start.bind(1, kWireStart);
+  if (!start.step()) {
+    throw RunFileError(path.string() + ": meta \"" + std::string(kWireStart) +
+                       "\" is missing; the file is damaged");
+  }
+  WireTranscript transcript{Clock::UtcTime(Clock::Duration(start.integer(0))), {}};
+  SqliteStatement rows =
+      database.prepare("select role, time_ns, arrival_ns, kind, bytes from wire order by id");
+  while (rows.step()) {
+    const std::string kind = rows.text(3);
+    transcript.rows.push_back({rows.text(0), rows.integer(1), rows.optional_integer(2),
+                               kind.empty() ? '\0' : kind.front(), rows.blob(4)});
+  }
+  return transcript;
 }
 
 std::string sha256_of_file(const std::filesystem::path& path) {

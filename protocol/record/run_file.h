@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -74,7 +75,26 @@ struct RunEvent {
   std::string text;
 };
 
-/// All that a run file holds but the single readings.
+/// One call on the byte stream of an instrument and what came of it, as the layer of the wire describes it.
+struct WireRow {
+  std::string role;                        ///< Whose stream: "stage", "accelerometer".
+  std::int64_t time_ns = 0;                ///< From the start of the transcript.
+  std::optional<std::int64_t> arrival_ns;  ///< Of the last of the bytes received.
+  char kind = 0;                           ///< docs/run_file.md
+  std::string bytes;
+
+  bool operator==(const WireRow&) const = default;
+};
+
+/// Every byte of a run in both directions.
+struct WireTranscript {
+  Clock::UtcTime start;  ///< When time_ns was 0.
+  std::vector<WireRow> rows;
+
+  bool operator==(const WireTranscript&) const = default;
+};
+
+/// All that a run file holds but the single readings and the transcript of the wire.
 struct StoredRun {
   RunHeader header;
   RunState state = RunState::kInterrupted;
@@ -98,12 +118,19 @@ class RunFile {
   /// Reads a run in any state.
   static StoredRun load(const std::filesystem::path& path);
 
+  /// The transcript of the wire, if the run was recorded with one.
+  static std::optional<WireTranscript> load_transcript(const std::filesystem::path& path);
+
   /// Whether a file is SQLite at all, so that a run file and a CSV can be told apart.
   static bool looks_like_run_file(const std::filesystem::path& path);
 
   RunFile(RunFile&&) noexcept;
   RunFile& operator=(RunFile&&) noexcept;
   ~RunFile();
+
+  /// From now on a transcript is kept. What `take` gives (all rows since it was asked last) is written at
+  /// once, with each angle, and with each change of state.
+  void keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take);
 
   /// Commits one angle with its readings and the time spent so far; on return it is on the disk.
   void append_dwell(std::size_t plan_position, const DwellRecord& dwell,

@@ -64,6 +64,18 @@ SqliteStatement& SqliteStatement::bind(int position, const std::optional<double>
   return *this;
 }
 
+SqliteStatement& SqliteStatement::bind(int position, const std::optional<std::int64_t>& value) {
+  check(value ? sqlite3_bind_int64(handle_.get(), position, *value)
+              : sqlite3_bind_null(handle_.get(), position));
+  return *this;
+}
+
+SqliteStatement& SqliteStatement::bind_blob(int position, std::string_view bytes) {
+  check(sqlite3_bind_blob(handle_.get(), position, bytes.empty() ? "" : bytes.data(),
+                          static_cast<int>(bytes.size()), SQLITE_TRANSIENT));
+  return *this;
+}
+
 bool SqliteStatement::step() {
   const int code = sqlite3_step(handle_.get());
   check(code);
@@ -89,6 +101,18 @@ std::string SqliteStatement::text(int column) const {
   const unsigned char* bytes = sqlite3_column_text(handle_.get(), column);
   if (bytes == nullptr) return {};
   return {reinterpret_cast<const char*>(bytes),
+          static_cast<std::size_t>(sqlite3_column_bytes(handle_.get(), column))};
+}
+
+std::optional<std::int64_t> SqliteStatement::optional_integer(int column) const {
+  if (sqlite3_column_type(handle_.get(), column) == SQLITE_NULL) return std::nullopt;
+  return integer(column);
+}
+
+std::string SqliteStatement::blob(int column) const {
+  const void* bytes = sqlite3_column_blob(handle_.get(), column);
+  if (bytes == nullptr) return {};  // Empty, or NULL.
+  return {static_cast<const char*>(bytes),
           static_cast<std::size_t>(sqlite3_column_bytes(handle_.get(), column))};
 }
 

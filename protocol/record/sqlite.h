@@ -28,6 +28,8 @@ class SqliteStatement {
   SqliteStatement& bind(int position, double value);  ///< A value that is not finite is stored as NULL.
   SqliteStatement& bind(int position, std::string_view value);
   SqliteStatement& bind(int position, const std::optional<double>& value);
+  SqliteStatement& bind(int position, const std::optional<std::int64_t>& value);
+  SqliteStatement& bind_blob(int position, std::string_view bytes);
 
   /// True while there is a row.
   /// @throws RunFileError with SQLite's own words.
@@ -39,7 +41,9 @@ class SqliteStatement {
   std::int64_t integer(int column) const { return sqlite3_column_int64(handle_.get(), column); }
   double real(int column) const { return sqlite3_column_double(handle_.get(), column); }
   std::optional<double> optional_real(int column) const;
+  std::optional<std::int64_t> optional_integer(int column) const;
   std::string text(int column) const;
+  std::string blob(int column) const;
 
  private:
   void check(int code) const;

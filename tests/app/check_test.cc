@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/bench_check.h"
-#include "tests/app/program_fixture.h"
+#include "tests/app/program_fixtures.h"
 
 namespace abcal {
 namespace {

@@ -186,6 +186,16 @@ TEST(TwoControllers, EachAxisAnswersOnItsOwnPort) {
   EXPECT_NEAR(bench.world->commanded_angle(StageAxis::kX, bench.clock->now()).deg(), 10.0, 1e-3);
 }
 
+TEST(EnvironmentSensorOnTheBench, SaysWhatTheWorldIs) {
+  Bench bench = make_bench(parse_bench(kBench + "temperature_degc = 24.5\n[environment]\ndriver = "
+                                                "\"text_line\"\nport = \"simulated\"\nhumidity_column = 2\n",
+                                       "test"));
+  const EnvironmentReading reading = bench.environment->read(bench.clock->now() + 10s);
+  EXPECT_NEAR(reading.temperature_degc.value(), 24.5, 0.01);
+  EXPECT_TRUE(reading.humidity_percent.has_value());
+  EXPECT_FALSE(reading.pressure_hpa.has_value());
+}
+
 TEST(TwoControllers, HalfAConfigurationIsRefused) {
   const auto problems = [](const std::string& stage) {
     std::string text = kBench;

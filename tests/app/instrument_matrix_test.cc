@@ -6,7 +6,7 @@
 #include <string>
 #include <tuple>
 
-#include "tests/app/program_fixture.h"
+#include "tests/app/program_fixtures.h"
 
 namespace abcal {
 namespace {
@@ -52,6 +52,7 @@ const std::vector<AccelerometerCase>& accelerometers() {
       {"vectornav", "driver = \"vectornav\"\nrate_hz = 200.0\n", 9.81},
       {"xsens_mti", "driver = \"xsens_mti\"\nrate_hz = 100.0\n", 9.81},
       {"scpi_voltmeter", "driver = \"scpi_voltmeter\"\nrate_hz = 20.0\nintegration_plc = 0.02\n"},
+      {"scpi_single", "driver = \"scpi_single\"\nrate_hz = 20.0\nintegration_plc = 0.02\n"},
       // 16 g over 32768 counts: the noise must be a few counts, or averaging does not resolve them.
       {"witmotion", "driver = \"witmotion\"\nrate_hz = 100.0\nbaud = 115200\n", 1.0, 2e-3},
       {"text_line", "driver = \"text_line\"\nrate_hz = 100.0\n"},

@@ -12,7 +12,7 @@
 #include <nlohmann/json.hpp>
 
 #include "protocol/record/run_file.h"
-#include "tests/app/program_fixture.h"
+#include "tests/app/program_fixtures.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"

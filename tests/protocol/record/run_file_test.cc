@@ -185,6 +185,57 @@ TEST(RunFileTest, RefusesATruncatedFile) {
               testing::AnyOf(HasSubstr("cut short"), HasSubstr("damaged")));
 }
 
+/// Gives rows to a run file as a transcript does.
+struct WireSource {
+  std::vector<WireRow> rows;
+  std::function<std::vector<WireRow>()> take() {
+    return [this] { return std::exchange(rows, {}); };
+  }
+};
+
+const WireRow kWritten{"stage", 5, std::nullopt, '>', "POS?\n"};
+const WireRow kReceived{"stage", 2'000'005, 1'999'999, '<', std::string("1=\xB0\0\n", 5)};
+const WireRow kEmpty{"accelerometer", 3'000'000'000'000, 3'000'000'000'000, '<', ""};
+
+TEST(RunFileTest, KeepsATranscriptWithEachAngleAndEachChangeOfState) {
+  const test::TemporaryFolder folder;
+  const auto stored = [&] { return RunFile::load_transcript(folder / "a.run").value().rows; };
+  RunFile file = RunFile::create(folder / "a.run", header());
+  WireSource source{{kWritten}};
+  const Clock::UtcTime start{Clock::Duration(1'772'366'400'123'456'789)};
+  file.keep_transcript(start, source.take());
+  EXPECT_EQ(stored(), std::vector{kWritten});  // What came before the first angle, at once.
+  EXPECT_EQ(RunFile::load_transcript(folder / "a.run")->start, start);
+  source.rows = {kReceived};
+  file.append_dwell(0, dwell(1), kReadings, {});
+  EXPECT_EQ(stored(), (std::vector{kWritten, kReceived}));
+  source.rows = {kEmpty};
+  file.set_state(RunState::kInterrupted, "2026-03-01T12:00:01.000Z", "a fault");
+  EXPECT_EQ(stored(), (std::vector{kWritten, kReceived, kEmpty}));
+  EXPECT_EQ(RunFile::load(folder / "a.run").measured.size(), 1U);
+}
+
+TEST(RunFileTest, ARunWithoutATranscriptHasNone) {
+  const test::TemporaryFolder folder;
+  RunFile::create(folder / "a.run", header());
+  EXPECT_EQ(RunFile::load_transcript(folder / "a.run"), std::nullopt);
+}
+
+TEST(RunFileTest, ATransactionThatFailsLosesNothingOfTheTranscript) {
+  const test::TemporaryFolder folder;
+  RunFile file = RunFile::create(folder / "a.run", header());
+  WireSource source;
+  file.keep_transcript({}, source.take());
+  source.rows = {kWritten};
+  // The commit of an angle fails while its table is gone, after the rows were taken.
+  SqliteDatabase other(folder / "a.run", SqliteDatabase::Mode::kReadWrite);
+  other.execute("alter table wire rename to hidden");
+  EXPECT_THROW(file.append_dwell(0, dwell(1), kReadings, {}), RunFileError);
+  other.execute("alter table hidden rename to wire");
+  file.set_state(RunState::kInterrupted, "now", "a fault");
+  EXPECT_EQ(RunFile::load_transcript(folder / "a.run")->rows, std::vector{kWritten});
+}
+
 TEST(RunFileTest, ResultsRefuseARunWhoseBytesHaveChanged) {
   const test::TemporaryFolder folder;
   const std::filesystem::path path = folder / "a.run";

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <chrono>
+#include <cstddef>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -14,7 +15,7 @@
 
 namespace abcal {
 
-/// A small fast bench as a bench file.
+/// A bench file of a PI stage and a MicroStrain accelerometer, quick enough for a test.
 struct BenchText {
   std::string stage_port = "simulated";
   std::string accelerometer_port = "simulated";
@@ -33,6 +34,7 @@ struct BenchText {
   }
 };
 
+/// Runs the program in a folder of its own.
 class ProgramTest : public testing::Test {
  protected:
   std::string write_bench(const BenchText& bench, const std::string& name = "bench.toml") {

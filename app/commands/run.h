@@ -1,0 +1,20 @@
+#pragma once
+
+#include <cstddef>
+#include <set>
+#include <vector>
+
+#include "app/bench_config.h"
+#include "app/make_bench.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// Measures what is missing, closes the run, analyses and prints. Shared by run, resume and replay.
+/// @return what the program shall return to the shell.
+int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
+                       const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
+                       const RunTiming& spent, bool json);
+
+}  // namespace abcal
