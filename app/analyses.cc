@@ -13,7 +13,9 @@
 
 namespace abcal {
 
-CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
+namespace {
+
+CalibrationResult estimate(const RunRecord& record, const std::string& estimator) {
   try {
     if (estimator == "joint") {
       JointOptions options;
@@ -31,6 +33,19 @@ CalibrationResult analyse(const RunRecord& record, const std::string& estimator)
     result.why = error.what();
     return result;
   }
+}
+
+}  // namespace
+
+CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
+  CalibrationResult result = estimate(record, estimator);
+  if (record.continuations > 0) {
+    result.diagnostics.notes.push_back(
+        fmt::format("the run was interrupted and went on {}; each time the axes were referenced anew and the "
+                    "last angle was measured again and agreed",
+                    record.continuations == 1 ? "once" : fmt::format("{} times", record.continuations)));
+  }
+  return result;
 }
 
 std::vector<CalibrationResult> analyse_all(const RunRecord& record) {

@@ -248,7 +248,7 @@ class Checker {
 
     const TemporaryFile path;
     RunFile file = RunFile::create(path.path, make_header(quick, who_, plan, *bench_.clock));
-    measure(bench_, quick, file, plan, {}, {}, "Turning both axes by 30 degrees", std::nullopt);
+    measure(bench_, quick, file, plan, {}, "Turning both axes by 30 degrees", std::nullopt);
     std::vector<PoseReading> poses;
     for (const DwellRecord& dwell : RunFile::load(path.path).record.dwells) {
       poses.push_back({dwell.commanded_x, dwell.commanded_z, dwell.mean});

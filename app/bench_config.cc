@@ -89,7 +89,7 @@ std::vector<std::string> driver_names(const auto& drivers) {
 /// What [stage] driver may be; empty where each axis has a driver of its own.
 std::vector<std::string> stage_driver_names() {
   std::vector<std::string> names = driver_names(stage_drivers());
-  names.insert(names.end(), {"manual", ""});
+  names.insert(names.end(), {"manual_stage", ""});
   return names;
 }
 
@@ -662,7 +662,7 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
   if (!stage.split()) {
     if (stage.driver.empty())
       reader.add_problem("stage.driver", "nothing", "one of " + joined(stage_driver_names()));
-    const bool no_bytes = stage.driver == "simulated" || stage.driver == "manual";
+    const bool no_bytes = stage.driver == "simulated" || stage.driver == "manual_stage";
     if (no_bytes && stage.port.empty()) stage.port = stage.driver;
     if (no_bytes && stage.port != stage.driver)
       reader.add_problem("stage.port", "\"" + stage.port + "\"",

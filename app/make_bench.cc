@@ -23,7 +23,7 @@ namespace abcal {
 namespace {
 
 constexpr const char* kSimulated = "simulated";
-constexpr const char* kManual = "manual";
+constexpr const char* kManual = "manual_stage";
 constexpr SerialDefaults kEnvironmentSerial{9600, false};
 
 AxisMounting mounting(const StageAxisConfig& axis) {
@@ -41,11 +41,11 @@ const Driver& find_driver(const std::vector<Driver>& drivers, const std::string&
   return *found;
 }
 
-StageSettings stage_settings(const BenchConfig& config, const std::string& address) {
+StageSettings stage_settings(const BenchConfig& config, const InstrumentPort& port) {
   StageSettings settings;
-  settings.axis_names = {config.stage.x.axis, config.stage.z.axis};
+  settings.axis_names = port.axis_names(config.stage);
   settings.speed_deg_per_s = {config.stage.x.speed_deg_per_s, config.stage.z.speed_deg_per_s};
-  settings.address = address;
+  settings.address = port.address;
   return settings;
 }
 
@@ -97,13 +97,15 @@ class Opener {
       return std::make_unique<MountedStage>(std::make_unique<sim::SimStage>(world_, clock_), limits);
     }
     if (config_.stage.driver == kManual) {
-      return std::make_unique<MountedStage>(manual_stage::at_terminal(stage_settings(config_, "")),
-                                            mountings);
+      if (streams_.replay)
+        throw std::invalid_argument("a stage turned by hand has no bytes: what was typed is not recorded");
+      return std::make_unique<MountedStage>(
+          manual_stage::at_terminal(stage_settings(config_, InstrumentPort{})), mountings);
     }
     std::vector<std::unique_ptr<RotationStage>> parts;
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
       const StageDriver& driver = find_driver(stage_drivers(), port.driver);
-      parts.push_back(driver.make(open(port, driver.serial), clock_, stage_settings(config_, port.address)));
+      parts.push_back(driver.make(open(port, driver.serial), clock_, stage_settings(config_, port)));
     }
     std::unique_ptr<RotationStage> stage =
         parts.size() == 1 ? std::move(parts[0])

@@ -20,9 +20,9 @@ namespace {
 
 /// Settings that every stage's firmware has: axis names, signs and zeros, serial number.
 template <class Settings>
-Settings stage_firmware_settings(const StageConfig& stage) {
+Settings stage_firmware_settings(const StageConfig& stage, const InstrumentPort& port) {
   Settings settings;
-  settings.axis_names = {stage.x.axis, stage.z.axis};
+  settings.axis_names = port.axis_names(stage);
   settings.sign = {stage.x.sign, stage.z.sign};
   settings.zero = {stage.x.zero, stage.z.zero};
   if (!stage.serial_number.empty()) settings.serial_number = stage.serial_number;
@@ -31,7 +31,7 @@ Settings stage_firmware_settings(const StageConfig& stage) {
 
 std::shared_ptr<sim::Firmware> pi_gcs_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                std::shared_ptr<sim::SimBench> world) {
-  auto settings = stage_firmware_settings<sim::PiGcsSettings>(config.stage);
+  auto settings = stage_firmware_settings<sim::PiGcsSettings>(config.stage, port);
   if (!port.address.empty()) settings.address = std::stoi(port.address);
   return std::make_shared<sim::PiGcsFirmware>(std::move(world), settings);
 }
@@ -45,10 +45,10 @@ std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, const Ins
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
 }
 
-std::shared_ptr<sim::Firmware> newport_esp_firmware(const BenchConfig& config, const InstrumentPort&,
+std::shared_ptr<sim::Firmware> newport_esp_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                     std::shared_ptr<sim::SimBench> world) {
   return std::make_shared<sim::NewportEspFirmware>(
-      std::move(world), stage_firmware_settings<sim::NewportEspSettings>(config.stage));
+      std::move(world), stage_firmware_settings<sim::NewportEspSettings>(config.stage, port));
 }
 
 std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config, const InstrumentPort&,
@@ -117,7 +117,7 @@ std::shared_ptr<sim::Firmware> xsens_mti_firmware(const BenchConfig& config, con
 
 std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                     std::shared_ptr<sim::SimBench> world) {
-  auto settings = stage_firmware_settings<sim::ZaberAsciiSettings>(config.stage);
+  auto settings = stage_firmware_settings<sim::ZaberAsciiSettings>(config.stage, port);
   if (!port.address.empty()) settings.address = std::stoi(port.address);
   // Of two devices: "12345/67890", as the driver gives it.
   if (const auto slash = settings.serial_number.find('/'); slash != std::string::npos) {
@@ -146,15 +146,21 @@ const std::map<std::string, MakeFirmware>& firmwares() {
 }
 
 bool has_bytes(const std::string& driver) {
-  return driver != "simulated" && driver != "manual" && !driver.empty();
+  return driver != "simulated" && driver != "manual_stage" && !driver.empty();
 }
 
 }  // namespace
 
+std::array<std::string, 2> InstrumentPort::axis_names(const StageConfig& stage) const {
+  std::array<std::string, 2> names{stage.x.axis, stage.z.axis};
+  if (axis) names[1 - index(*axis)].clear();
+  return names;
+}
+
 std::vector<InstrumentPort> stage_ports(const StageConfig& stage) {
   if (stage.split()) {
-    return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address},
-            {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address}};
+    return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address, 0, StageAxis::kX},
+            {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address, 1, StageAxis::kZ}};
   }
   if (!has_bytes(stage.driver)) return {};
   return {{"stage", stage.driver, stage.port, stage.baud, stage.address}};

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <memory>
 #include <optional>
 #include <string>
@@ -18,7 +19,11 @@ struct InstrumentPort {
   std::string driver, port;
   std::optional<int> baud;
   std::string address{};
-  std::size_t part = 0;  ///< Of several ports of one instrument: which.
+  std::size_t part = 0;             ///< Of several ports of one instrument: which.
+  std::optional<StageAxis> axis{};  ///< Of a stage's controller that has one axis only: which.
+
+  /// The controller's names of X and Z; empty: not on this controller.
+  std::array<std::string, 2> axis_names(const StageConfig& stage) const;
 };
 
 /// The stage's controller, or one for each axis. Empty for a stage without bytes.

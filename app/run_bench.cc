@@ -152,17 +152,16 @@ void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, st
 }
 
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
-                  const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
-                  const RunTiming& spent, const std::string& title,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, const std::string& title,
                   const std::optional<std::string>& on_failure) {
-  TerminalObserver observer(title, plan, measured.size());
+  TerminalObserver observer(title, plan, so_far.measured.size());
   try {
     // Simulated time has one thread only.
     std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
     if (!bench.simulated_time) halt_at_once.emplace(interrupt_token(), [&] { bench.stage->halt(); });
     const RunTiming timing =
-        run_experiments({*bench.stage, *bench.accelerometer, *bench.clock}, plan, measured, config.protocol,
-                        config.limits, spent, file, observer, interrupt_token());
+        run_experiments({*bench.stage, *bench.accelerometer, *bench.clock}, plan, so_far, config.protocol,
+                        config.limits, file, observer, interrupt_token());
     observer.finish();
     return timing;
   } catch (...) {

@@ -67,8 +67,7 @@ void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, st
 /// measuring thread waits for. On failure the person is told how much is kept, and `on_failure` (nothing: the
 /// file is of no further use), and the exception goes on.
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
-                  const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
-                  const RunTiming& spent, const std::string& title,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, const std::string& title,
                   const std::optional<std::string>& on_failure);
 
 }  // namespace abcal

@@ -59,11 +59,10 @@ void keep_recording_without_run(BenchConfig config, const Clock& clock, const st
 }  // namespace
 
 int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
-                       const std::vector<PlannedAngle>& plan, const std::set<std::size_t>& measured,
-                       const RunTiming& spent, bool json) {
+                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far, bool json) {
   const std::filesystem::path path = file.path();
   const RunTiming timing =
-      measure(bench, config, file, plan, measured, spent, bench.replayed ? "Replaying" : "Calibrating",
+      measure(bench, config, file, plan, so_far, bench.replayed ? "Replaying" : "Calibrating",
               bench.replayed ? "" : "; go on with: abcal resume " + path.string());
   const std::string utc = format_utc(bench.clock->utc_now());
   note_environment(bench, config, file, "end");
@@ -145,7 +144,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     const std::string utc = format_utc(bench.clock->utc_now());
     file.append_event(utc, "started", "run started");
     note_environment(bench, config, file, "start");
-    exit_code = measure_and_report(bench, config, std::move(file), plan, {}, {}, options->json);
+    exit_code = measure_and_report(bench, config, std::move(file), plan, {}, options->json);
   });
   return command;
 }
@@ -171,12 +170,15 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
         if (before.role == role) require_serial_number(role, before.model, serial, before.serial_number);
       }
     }
-    const std::set<std::size_t> measured(stored.measured.begin(), stored.measured.end());
-    file.set_state(
-        RunState::kRunning, format_utc(bench.clock->utc_now()),
-        fmt::format("resumed with {} of {} angles measured", measured.size(), stored.header.plan.size()));
-    exit_code = measure_and_report(bench, config, std::move(file), stored.header.plan, measured,
-                                   stored.timing, options->json);
+    RunProgress so_far;
+    so_far.measured = {stored.measured.begin(), stored.measured.end()};
+    so_far.spent = stored.timing;
+    if (!stored.measured.empty())
+      so_far.last = {stored.measured.back(), stored.record.dwells.back(), stored.header.tolerances};
+    file.set_state(RunState::kRunning, format_utc(bench.clock->utc_now()),
+                   fmt::format("resumed with {} of {} angles measured", so_far.measured.size(),
+                               stored.header.plan.size()));
+    exit_code = measure_and_report(bench, config, std::move(file), stored.header.plan, so_far, options->json);
   });
   return command;
 }

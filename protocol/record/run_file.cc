@@ -522,7 +522,11 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
     record.dwells.push_back(dwell);
   }
   SqliteStatement events = database.prepare("select utc, kind, text from event order by id");
-  while (events.step()) run.events.push_back({events.text(0), events.text(1), events.text(2)});
+  while (events.step()) {
+    run.events.push_back({events.text(0), events.text(1), events.text(2)});
+    // set_state() wrote it when the run went on.
+    if (run.events.back().kind == to_string(RunState::kRunning)) ++record.continuations;
+  }
   return run;
 }
 

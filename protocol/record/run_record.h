@@ -79,6 +79,7 @@ struct RunRecord {
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
   Angle step = Angle::degrees(5.0);      ///< Desired rotation step D.
   int steps = 72;                        ///< N.
+  int continuations = 0;                 ///< How often the run was interrupted and went on.
   std::vector<DwellRecord> dwells;       ///< In the order of measurement, closing angles included.
 };
 

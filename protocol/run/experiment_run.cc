@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <optional>
 #include <utility>
 
@@ -43,16 +44,20 @@ class Runner {
         already_spent_(already_spent),
         timing_(already_spent) {}
 
-  RunTiming run(const std::set<std::size_t>& measured) {
+  RunTiming run(const RunProgress& so_far) {
     started_ = clock_.now();
     stage_info_ = stage_.identify();
     accelerometer_info_ = accelerometer_.identify();
-    for (const StageAxis axis : kStageAxes) reference(axis);
+    const bool anew = so_far.last.has_value();
+    for (const StageAxis axis : kStageAxes) reference(axis, anew);
     accelerometer_.start();
     warm_up();
     learn_the_noise();
+    if (so_far.last) measure_again(*so_far.last);
     for (std::size_t position = 0; position < plan_.size(); ++position) {
-      if (!measured.contains(position)) measure(position);
+      if (so_far.measured.contains(position)) continue;
+      const Measured measured = measure(position);
+      commit(position, measured);
     }
     park();
     accelerometer_.stop();
@@ -79,13 +84,14 @@ class Runner {
   std::string stage_name() const { return "stage " + stage_info_.model; }
   std::string accelerometer_name() const { return "accelerometer " + accelerometer_info_.model; }
 
-  void reference(StageAxis axis) {
-    if (stage_info_.axes[index(axis)].referenced) return;
+  /// @param anew Also where the controller still knows its reference: it may have been turned by hand since.
+  void reference(StageAxis axis, bool anew) {
+    if (stage_info_.axes[index(axis)].referenced && !anew) return;
     where_ = fmt::format("referencing axis {}", to_string(axis));
     observer_.phase(0, RunPhase::kHoming);
     const Clock::Instant begin = clock_.now();
     stage_.home(axis);
-    const Clock::Instant deadline = begin + from_seconds(protocol_.homing_timeout_s);
+    const Clock::Instant deadline = clock_.now() + from_seconds(protocol_.homing_timeout_s);
     while (stage_.motion_state(axis) == MotionState::kMoving) {
       if (clock_.now() > deadline) {
         throw InstrumentError(
@@ -154,9 +160,10 @@ class Runner {
     const Angle from = stage_.encoder_angle(axis);
     const double speed = stage_info_.axes[k].speed_deg_per_s;
     const double expected_s = speed > 0.0 ? std::abs((target - from).deg()) / speed : 0.0;
+    stage_.move_to(axis, target);
+    // From here on: a person who turns the stage by hand takes as long as it takes.
     const Clock::Instant begin = clock_.now();
     const Clock::Instant deadline = begin + from_seconds(expected_s + protocol_.motion_timeout_s);
-    stage_.move_to(axis, target);
     int inside = 0;
     std::optional<Clock::Instant> stopped_inside;
     std::optional<Clock::Instant> stopped_outside;
@@ -268,7 +275,32 @@ class Runner {
     return median;
   }
 
-  void measure(std::size_t position) {
+  struct Measured {
+    DwellRecord dwell;
+    std::vector<StoredReading> readings;
+  };
+
+  /// After an interruption: the last angle must read as it did.
+  void measure_again(const RunProgress::LastAngle& last) {
+    Measured measured = measure(last.position);
+    const Eigen::Vector3d change = measured.dwell.mean - last.dwell.mean;
+    const Eigen::Vector3d explained = explained_change(last.dwell, measured.dwell, last.tolerances);
+    for (int j = 0; j < 3; ++j) {
+      if (std::abs(change[j]) <= explained[j]) continue;
+      throw InstrumentError(
+          accelerometer_name(), Fault::kImplausible,
+          fmt::format(
+              "output {} at {} reads {:.7g} now and read {:.7g} before the interruption, a change of {:.2g}; "
+              "required: at most {:.2g}, which noise, drift and the stage's tolerances explain. The "
+              "accelerometer has moved on the stage, or the stage's reference has: begin a new run",
+              "uvw"[j], describe(plan_[last.position]), measured.dwell.mean[j], last.dwell.mean[j],
+              std::abs(change[j]), explained[j]));
+    }
+    measured.dwell.flags |= kFlagRepeated;
+    commit(last.position, measured);
+  }
+
+  Measured measure(std::size_t position) {
     const PlannedAngle& angle = plan_[position];
     where_ = describe(angle);
     observer_.phase(position, RunPhase::kMoving);
@@ -337,7 +369,12 @@ class Runner {
       stored.push_back({reading.sequence, already_spent_.total_s() + to_seconds(reading.arrival - started_),
                         reading.output, reading.temperature_degc});
     }
-    file_.append_dwell(position, dwell, stored, timing());
+    return {std::move(dwell), std::move(stored)};
+  }
+
+  void commit(std::size_t position, const Measured& measured) {
+    const DwellRecord& dwell = measured.dwell;
+    file_.append_dwell(position, dwell, measured.readings, timing());
     if (dwell.flags != kFlagNone) {
       const std::string text = fmt::format("{}: {}", where_, describe_flags(dwell.flags));
       file_.append_event(format_utc(utc()), "flag", text);
@@ -439,6 +476,21 @@ class Runner {
 
 }  // namespace
 
+Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& after,
+                                 const Tolerances& tolerances) {
+  constexpr double kOneInAMillion = 4.9;  // standard uncertainties, two-sided
+  const Eigen::Vector3d none = Eigen::Vector3d::Zero();
+  const Eigen::Vector3d u_before = before.u_mean.value_or(none), u_after = after.u_mean.value_or(none);
+  // The response to gravity is at most the norm of the outputs, offsets aside; turning by a small angle
+  // changes it by that times the angle. The reference and the step are found anew each time: both differ
+  // twice.
+  const double response = std::max(before.mean.norm(), after.mean.norm());
+  const double turned = std::hypot(tolerances.zero.rad(), tolerances.step.rad()) * std::numbers::sqrt2;
+  const double stage = response * std::hypot(turned, tolerances.drift);
+  return kOneInAMillion *
+         (u_before.array().square() + u_after.array().square() + stage * stage).sqrt().matrix();
+}
+
 std::string_view to_string(RunPhase phase) {
   switch (phase) {
     case RunPhase::kHoming:
@@ -458,15 +510,15 @@ std::string_view to_string(RunPhase phase) {
 }
 
 RunTiming run_experiments(const RunInstruments& instruments, const std::vector<PlannedAngle>& plan,
-                          const std::set<std::size_t>& measured, const ProtocolConfig& protocol,
-                          const LimitsConfig& limits, RunTiming already_spent, RunFile& file,
-                          RunObserver& observer, const std::stop_token& stop) {
-  Runner runner(instruments, plan, protocol, limits, already_spent, file, observer, stop);
+                          const RunProgress& so_far, const ProtocolConfig& protocol,
+                          const LimitsConfig& limits, RunFile& file, RunObserver& observer,
+                          const std::stop_token& stop) {
+  Runner runner(instruments, plan, protocol, limits, so_far.spent, file, observer, stop);
   std::string reason;
   std::optional<InstrumentError> instrument_error;
   bool by_operator = false;
   try {
-    return runner.run(measured);
+    return runner.run(so_far);
   } catch (const RunInterrupted& error) {
     reason = error.what();
     by_operator = true;

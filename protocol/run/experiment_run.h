@@ -1,6 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstddef>
+#include <optional>
 #include <set>
 #include <stdexcept>
 #include <stop_token>
@@ -13,6 +15,7 @@
 #include "drivers/instrument/rotation_stage.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/plan/run_config.h"
+#include "protocol/plan/tolerances.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {
@@ -44,18 +47,37 @@ struct RunInstruments {
   Clock& clock;
 };
 
-/// Measures every angle of `plan` that is not in `measured`, each committed to `file` before the stage moves
-/// on; then parks the stage at zero and stops the accelerometer. References the axes first where that is
-/// needed.
+/// What an interrupted run holds already.
+struct RunProgress {
+  std::set<std::size_t> measured;  ///< Positions in the plan.
+  RunTiming spent;
+  /// The angle measured last. It is measured again before the run goes on, after both axes were referenced
+  /// anew, and must read the same within what tolerances, noise and drift explain at a false alarm in 1e6.
+  struct LastAngle {
+    std::size_t position = 0;
+    DwellRecord dwell;
+    Tolerances tolerances;
+  };
+  std::optional<LastAngle> last;
+};
+
+/// The largest change of an output (R) between two measurements of one angle that tolerances (zero and step
+/// of the axes), noise and drift explain, at a false alarm in 1e6: 4.9 standard uncertainties of the change.
+Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& after,
+                                 const Tolerances& tolerances);
+
+/// Measures every angle of `plan` that is not in `so_far.measured`, each committed to `file` before the stage
+/// moves on; then parks the stage at zero and stops the accelerometer. References the axes first where that
+/// is needed.
 ///
 /// Whatever ends it early, the stage is halted, the accelerometer stopped, and the run left interrupted with
 /// the reason in its file.
 /// @throws InstrumentError (its text says if the stage did not acknowledge the halt), RunFileError,
 /// RunInterrupted.
-/// @return where the time went, `already_spent` included.
+/// @return where the time went, `so_far.spent` included.
 RunTiming run_experiments(const RunInstruments& instruments, const std::vector<PlannedAngle>& plan,
-                          const std::set<std::size_t>& measured, const ProtocolConfig& protocol,
-                          const LimitsConfig& limits, RunTiming already_spent, RunFile& file,
-                          RunObserver& observer, const std::stop_token& stop);
+                          const RunProgress& so_far, const ProtocolConfig& protocol,
+                          const LimitsConfig& limits, RunFile& file, RunObserver& observer,
+                          const std::stop_token& stop);
 
 }  // namespace abcal

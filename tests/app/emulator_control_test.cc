@@ -168,7 +168,7 @@ TEST(TwoControllers, EachAxisAnswersOnItsOwnPort) {
   const std::string one = "[stage]\ndriver = \"pi_gcs\"\nport = \"simulated\"\n";
   text.replace(text.find(one), one.size(),
                "[stage.x]\ndriver = \"pi_gcs\"\nport = \"simulated\"\naxis = \"1\"\n"
-               "[stage.z]\ndriver = \"newport_esp\"\nport = \"simulated\"\naxis = \"2\"\n");
+               "[stage.z]\ndriver = \"newport_esp\"\nport = \"simulated\"\naxis = \"1\"\n");
   Bench bench = make_bench(parse_bench(text, "test"));
   const StageInfo info = bench.stage->identify();
   EXPECT_THAT(info.model, testing::AllOf(HasSubstr("C-884"), HasSubstr("ESP")));
@@ -214,8 +214,9 @@ TEST(TwoControllers, HalfAConfigurationIsRefused) {
               HasSubstr("[stage.x] port"));
   EXPECT_THAT(problems("[stage]\ndriver = \"pi_gcs\"\n"), HasSubstr("[stage] port"));
   EXPECT_THAT(problems("[stage]\nport = \"simulated\"\n"), HasSubstr("[stage] driver"));
-  EXPECT_THAT(problems("[stage]\ndriver = \"manual\"\nport = \"tcp:a:1\"\n"), HasSubstr("\"manual\""));
-  EXPECT_EQ(problems("[stage]\ndriver = \"manual\"\n"), "none");
+  EXPECT_THAT(problems("[stage]\ndriver = \"manual_stage\"\nport = \"tcp:a:1\"\n"),
+              HasSubstr("\"manual_stage\""));
+  EXPECT_EQ(problems("[stage]\ndriver = \"manual_stage\"\n"), "none");
 }
 
 }  // namespace

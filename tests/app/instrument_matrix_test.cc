@@ -41,7 +41,7 @@ const std::vector<StageCase>& stages() {
       {"zaber_ascii", "[stage]\ndriver = \"zaber_ascii\"\nport = \"PORT\"\n"},
       {"two_controllers",
        "[stage.x]\ndriver = \"newport_esp\"\nport = \"PORTX\"\naxis = \"1\"\n"
-       "[stage.z]\ndriver = \"pi_gcs\"\nport = \"PORTZ\"\naxis = \"2\"\n"},
+       "[stage.z]\ndriver = \"pi_gcs\"\nport = \"PORTZ\"\naxis = \"1\"\n"},
   };
   return all;
 }

@@ -133,6 +133,7 @@ TEST_F(ProgramTest, AFullDiskHaltsTheStageKeepsTheAnglesAndCanBeResumed) {
   EXPECT_LT(stored.measured.size(), stored.header.plan.size());
   const ProgramResult resumed = abcal({"resume", "a.run"});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
+  EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and went on once"));
   EXPECT_EQ(RunFile::load(folder / "a.run").state, RunState::kComplete);
 }
 

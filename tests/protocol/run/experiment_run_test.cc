@@ -3,7 +3,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <Eigen/Geometry>
+#include <cmath>
 #include <memory>
+#include <numbers>
 
 #include "drivers/instrument/instrument_error.h"
 #include "sim/sim_accelerometer.h"
@@ -77,7 +80,7 @@ class ExperimentRunTest : public testing::Test {
   }
 
   RunTiming run(const std::set<std::size_t>& measured = {}) {
-    return run_experiments({*stage, *accelerometer, clock}, plan, measured, protocol, limits, {}, *file,
+    return run_experiments({*stage, *accelerometer, clock}, plan, {measured, {}, {}}, protocol, limits, *file,
                            observer, stop.get_token());
   }
 
@@ -166,6 +169,75 @@ TEST_F(ExperimentRunTest, LeavesOutTheAnglesThatAreMeasuredAlready) {
   for (std::size_t k = 0; k < plan.size() - 3; ++k) measured.insert(k);
   run(measured);
   EXPECT_EQ(observer.dwells.size(), 3U);
+}
+
+/// The first angles measured; then what a second program would know of them.
+class ResumedRunTest : public ExperimentRunTest {
+ protected:
+  RunProgress interrupted_after(std::size_t dwells) {
+    build();
+    observer.after_dwell = [this, dwells] {
+      if (observer.dwells.size() == dwells) stop.request_stop();
+    };
+    EXPECT_THROW(run(), RunInterrupted);
+    observer.after_dwell = {};
+    stop = std::stop_source();
+    const StoredRun stored = RunFile::load(folder / "a.run");
+    return {{stored.measured.begin(), stored.measured.end()},
+            stored.timing,
+            RunProgress::LastAngle{stored.measured.back(), stored.record.dwells.back(), tolerances}};
+  }
+  void resume(const RunProgress& so_far) {
+    run_experiments({*stage, *accelerometer, clock}, plan, so_far, protocol, limits, *file, observer,
+                    stop.get_token());
+  }
+  Tolerances tolerances;
+};
+
+TEST_F(ResumedRunTest, MeasuresTheLastAngleAgainAndGoesOn) {
+  const RunProgress so_far = interrupted_after(5);
+  resume(so_far);
+  const StoredRun stored = RunFile::load(folder / "a.run");
+  EXPECT_EQ(stored.record.dwells.size(), plan.size());
+  EXPECT_EQ(observer.dwells.size(), plan.size() + 1);
+  int repeated = 0;
+  for (const DwellRecord& dwell : stored.record.dwells)
+    repeated += (dwell.flags & kFlagRepeated) != 0U ? 1 : 0;
+  EXPECT_EQ(repeated, 1);
+}
+
+TEST_F(ResumedRunTest, RefusesToGoOnWhenTheLastAngleReadsOtherwise) {
+  const RunProgress so_far = interrupted_after(5);
+  // The accelerometer was taken off and put back, half a degree askew.
+  sim::OutputTruth slipped = truth;
+  slipped.sensitivity_matrix =
+      Eigen::AngleAxisd(0.5 * std::numbers::pi / 180.0, Eigen::Vector3d::UnitX()).toRotationMatrix();
+  world->change(slipped, clock.now());
+  try {
+    resume(so_far);
+    FAIL() << "the slip was not noticed";
+  } catch (const InstrumentError& error) {
+    EXPECT_EQ(error.fault(), Fault::kImplausible);
+    EXPECT_THAT(error.what(), AllOf(HasSubstr("before the interruption"), HasSubstr("begin a new run")));
+  }
+  const StoredRun stored = RunFile::load(folder / "a.run");
+  EXPECT_EQ(stored.record.dwells.size(), 5U);
+  EXPECT_EQ(stored.state, RunState::kInterrupted);
+  EXPECT_EQ(stored.record.dwells.back().mean, so_far.last->dwell.mean);
+}
+
+TEST(ExplainedChange, IsFivefoldTheUncertaintyOfTheChange) {
+  DwellRecord dwell;
+  dwell.mean = Eigen::Vector3d(0.0, 0.0, 1.0);
+  dwell.u_mean = Eigen::Vector3d::Constant(3e-3);
+  Tolerances none;
+  none.zero = none.step = Angle{};
+  none.drift = 0.0;
+  EXPECT_NEAR(explained_change(dwell, dwell, none)[0], 4.9 * 3e-3 * std::sqrt(2.0), 1e-12);
+  dwell.u_mean = Eigen::Vector3d::Zero();
+  none.step = Angle::degrees(0.008);
+  EXPECT_NEAR(explained_change(dwell, dwell, none)[2],
+              4.9 * 0.008 * std::numbers::pi / 180.0 * std::sqrt(2.0), 1e-12);
 }
 
 TEST_F(ExperimentRunTest, StopsBetweenTwoLooksWhenTheOperatorSaysSo) {
