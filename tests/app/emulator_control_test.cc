@@ -15,14 +15,17 @@
 #include "app/control_server.h"
 #include "app/make_bench.h"
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/sqlite.h"
 #include "sim/firmware/faulty_port.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/app/program_fixtures.h"
 
 namespace abcal {
 namespace {
 
 using namespace std::chrono_literals;
+using test::ProgramResult;
 using testing::HasSubstr;
 using Json = nlohmann::json;
 
@@ -194,6 +197,70 @@ TEST(EnvironmentSensorOnTheBench, SaysWhatTheWorldIs) {
   EXPECT_NEAR(reading.temperature_degc.value(), 24.5, 0.01);
   EXPECT_TRUE(reading.humidity_percent.has_value());
   EXPECT_FALSE(reading.pressure_hpa.has_value());
+}
+
+class EmulatorProcessTest : public EmulatedBenchTest {};
+
+TEST_F(EmulatorProcessTest, TheEnvironmentSensorsReadingsAreInTheRunFile) {
+  const BenchText simulated;
+  test::write_file(folder / "bench.toml",
+                   simulated.text() + "\n[environment]\ndriver = \"text_line\"\nport = \"simulated\"\n");
+  ASSERT_EQ(abcal({"run", "bench.toml", "-o", "a.run"}).exit_code, 0);
+  SqliteDatabase file(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(file.value("select count(*) from environment where abs(temperature_degc - 23.0) < 0.01"), "2");
+}
+
+TEST_F(EmulatorProcessTest, AnUnpluggedInstrumentsPortVanishesAndComesBack) {
+  test::write_file(folder / "bench.toml", bench.text());
+  test::Program serving({"emulate", "bench.toml", "--link-dir", "links", "--control", "0"}, folder.path());
+  ASSERT_TRUE(test::wait_for([&] { return serving.out().find("Serving") != std::string::npos; }, 20s));
+  const std::string out = serving.out();
+  const std::size_t at = out.find("127.0.0.1:") + 10;
+  const auto port = static_cast<std::uint16_t>(std::stoi(out.substr(at, out.find('\n', at) - at)));
+  boost::asio::io_context io;
+  boost::asio::ip::tcp::socket socket(io);
+  socket.connect({boost::asio::ip::address_v4::loopback(), port});
+  const std::filesystem::path link = folder / "links/accelerometer";
+  const auto there = [&] { return std::filesystem::is_symlink(std::filesystem::symlink_status(link)); };
+  ASSERT_TRUE(there());
+  boost::asio::write(
+      socket, boost::asio::buffer(std::string("{\"do\": \"fault\", \"kind\": \"unplug\", \"instrument\": "
+                                              "\"accelerometer\", \"for_s\": 1.0}\n")));
+  EXPECT_TRUE(test::wait_for([&] { return !there(); }, 10s));
+  EXPECT_TRUE(test::wait_for(there, 10s));
+  // Whoever opens it now finds the instrument again.
+  const ProgramResult check = abcal({"check", "bench.toml", "--no-motion"});
+  EXPECT_EQ(check.exit_code, 0) << check.out << check.err;
+}
+
+TEST_F(EmulatorProcessTest, AnAccelerometerOfThisProgramFollowsAStageOfAnother) {
+  // The stage is another process's, as a real one would be; the accelerometer is simulated here.
+  start_emulator();
+  BenchText mixed;
+  mixed.stage_port = "links/stage";
+  test::write_file(folder / "mixed.toml", mixed.text());
+  const ProgramResult run = abcal({"run", "mixed.toml", "-o", "a.run"});
+  ASSERT_EQ(run.exit_code, 0) << run.err;
+  // Turned by the encoder's angles, so within the run's own uncertainty of the truth.
+  const ProgramResult truth = abcal({"analyse", "a.run", "--truth", "mixed.toml"});
+  EXPECT_EQ(truth.exit_code, 0) << truth.out;
+}
+
+TEST_F(EmulatorProcessTest, AnEmulatedAccelerometerFollowsAStageThatAnotherProgramServes) {
+  start_emulator();
+  BenchText follower = bench;
+  test::write_file(folder / "follow.toml", follower.text());
+  test::Program following(
+      {"emulate", "follow.toml", "--link-dir", "follow", "--follow-stage", "--control", "0"}, folder.path());
+  ASSERT_TRUE(test::wait_for([&] { return following.out().find("Serving") != std::string::npos; }, 20s))
+      << following.err();
+  EXPECT_THAT(following.out(), HasSubstr("follows the stage"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "follow/stage"));
+  EXPECT_TRUE(std::filesystem::exists(folder / "follow/accelerometer"));
+  // A stage that is lost ends it: an accelerometer that no longer follows would tell lies.
+  emulator->signal(SIGKILL);
+  EXPECT_EQ(following.wait(), 3);
+  EXPECT_NE(following.err(), "");
 }
 
 TEST(TwoControllers, HalfAConfigurationIsRefused) {
