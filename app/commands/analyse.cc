@@ -12,6 +12,7 @@
 #include "app/terminal.h"
 #include "app/version.h"
 #include "protocol/analysis/pose_import.h"
+#include "protocol/record/sha256.h"
 
 namespace abcal {
 namespace {

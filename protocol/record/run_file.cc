@@ -3,7 +3,6 @@
 #include <fcntl.h>
 #include <fmt/chrono.h>
 #include <fmt/format.h>
-#include <openssl/evp.h>
 #include <sys/file.h>
 #include <unistd.h>
 
@@ -14,11 +13,13 @@
 #include <system_error>
 #include <utility>
 
+#include "protocol/record/sha256.h"
+
 namespace abcal {
 namespace {
 
 constexpr std::int64_t kApplicationId = 0x4142434C;  // "ABCL"
-constexpr std::int64_t kSchemaVersion = 1;
+constexpr std::int64_t kSchemaVersion = 2;           // 2: events are chained, and say who
 constexpr std::string_view kSqliteMagic{"SQLite format 3\0", 16};
 
 constexpr const char* kSchema = R"(
@@ -36,7 +37,7 @@ create table reading(dwell integer not null references dwell, k integer not null
                      u real, v real, w real, temperature_degc real, primary key(dwell, k)) without rowid;
 create table environment(id integer primary key, utc text, moment text, temperature_degc real,
                          humidity_percent real, pressure_hpa real);
-create table event(id integer primary key, utc text, kind text, text text);
+create table event(id integer primary key, utc text, who text, kind text, text text, chain text);
 )";
 
 /// Only in a run that was recorded with a transcript.
@@ -313,6 +314,12 @@ RunFile RunFile::open_for_append(const std::filesystem::path& path) {
     throw RunFileError(path.string() + ": this run is " + std::string(to_string(state)) +
                        "; a closed run cannot be resumed or changed");
   }
+  if (const auto version = impl->database.value("pragma user_version");
+      version != std::to_string(kSchemaVersion)) {
+    throw RunFileError(path.string() + ": was begun with run file version " + version.value_or("0") +
+                       ", this program goes on with version " + std::to_string(kSchemaVersion) +
+                       " only: finish it with the abcal that began it");
+  }
   return RunFile(std::move(impl));
 }
 
@@ -376,10 +383,17 @@ void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
 }
 
 void RunFile::append_event(const std::string& utc, std::string_view kind, std::string_view text) {
-  impl_->database.prepare("insert into event values(null,?,?,?)")
+  SqliteDatabase& database = impl_->database;
+  const std::string who =
+      database.value("select value from meta where key = 'label.operator.name'").value_or("abcal");
+  const std::string before = database.value("select chain from event order by id desc limit 1").value_or("");
+  const std::string link = next_link(before, {utc, who, std::string(kind), std::string(text)});
+  database.prepare("insert into event values(null,?,?,?,?,?)")
       .bind(1, std::string_view(utc))
-      .bind(2, kind)
-      .bind(3, text)
+      .bind(2, std::string_view(who))
+      .bind(3, kind)
+      .bind(4, text)
+      .bind(5, std::string_view(link))
       .run();
 }
 
@@ -550,23 +564,6 @@ std::optional<WireTranscript> RunFile::load_transcript(const std::filesystem::pa
   return transcript;
 }
 
-std::string sha256_of_file(const std::filesystem::path& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw RunFileError(path.string() + ": cannot be read to compute its hash");
-  const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(), &EVP_MD_CTX_free);
-  EVP_DigestInit_ex(context.get(), EVP_sha256(), nullptr);
-  std::array<char, 1 << 16> buffer;
-  while (file.read(buffer.data(), static_cast<std::streamsize>(buffer.size())), file.gcount() > 0) {
-    EVP_DigestUpdate(context.get(), buffer.data(), static_cast<std::size_t>(file.gcount()));
-  }
-  std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
-  unsigned length = 0;
-  EVP_DigestFinal_ex(context.get(), digest.data(), &length);
-  std::string text;
-  for (unsigned k = 0; k < length; ++k) text += fmt::format("{:02x}", digest[k]);
-  return text;
-}
-
 std::filesystem::path ResultsFile::path_beside(const std::filesystem::path& run_path) {
   return run_path.string() + ".results";
 }
@@ -578,7 +575,10 @@ ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::strin
       "create table if not exists run(sha256 text primary key) without rowid;"
       "create table if not exists analysis(id integer primary key, utc text, program_version text, estimator "
       "text,"
-      " result_json text)");
+      " result_json text, chain text)");
+  // Results of before analyses were chained: they stay readable, and `verify` says what they lack.
+  if (database_.value("select count(*) from pragma_table_info('analysis') where name = 'chain'") == "0")
+    database_.execute("alter table analysis add column chain text");
   if (const auto stored = database_.value("select sha256 from run"); stored && *stored != run_sha256) {
     throw RunFileError(path_beside(run_path).string() + ": belongs to a run with SHA-256 " + *stored +
                        ", but " + run_path.string() + " has " + run_sha256 + ": one of the two was changed");
@@ -588,15 +588,20 @@ ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::strin
 
 void ResultsFile::add_analysis(const std::string& utc, std::string_view program_version,
                                std::string_view estimator, std::string_view result_json) {
-  database_
-      .prepare(
-          "insert into analysis(utc, program_version, estimator, result_json) select ?1,?2,?3,?4 where not "
-          "exists"
-          "(select 1 from analysis where program_version=?2 and estimator=?3 and result_json=?4)")
+  SqliteStatement same = database_.prepare(
+      "select 1 from analysis where program_version=?1 and estimator=?2 and result_json=?3");
+  same.bind(1, program_version).bind(2, estimator).bind(3, result_json);
+  if (same.step()) return;
+  const std::string before =
+      database_.value("select chain from analysis order by id desc limit 1").value_or("");
+  const std::string link = next_link(
+      before, {utc, std::string(program_version), std::string(estimator), std::string(result_json)});
+  database_.prepare("insert into analysis values(null,?,?,?,?,?)")
       .bind(1, std::string_view(utc))
       .bind(2, program_version)
       .bind(3, estimator)
       .bind(4, result_json)
+      .bind(5, std::string_view(link))
       .run();
 }
 

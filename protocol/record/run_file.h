@@ -155,9 +155,6 @@ class RunFile {
   std::unique_ptr<Impl> impl_;
 };
 
-/// SHA-256 of a file's bytes, in hexadecimal.
-std::string sha256_of_file(const std::filesystem::path& path);
-
 /// `RUN.results`, beside the run: analyses, approvals and reports. Rows are only ever added.
 class ResultsFile {
  public:

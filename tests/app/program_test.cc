@@ -12,6 +12,7 @@
 #include <nlohmann/json.hpp>
 
 #include "protocol/record/run_file.h"
+#include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"

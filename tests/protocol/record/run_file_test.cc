@@ -1,4 +1,5 @@
 #include "protocol/record/run_file.h"
+#include "protocol/record/sha256.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,0 +1,18 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace abcal {
+
+/// SHA-256 of a file's bytes, in hexadecimal. @throws RunFileError if it cannot be read.
+std::string sha256_of_file(const std::filesystem::path& path);
+
+/// The next link of a chain over rows: SHA-256, in hexadecimal, of the link before (empty for the first row)
+/// and of all fields, each with its length, so that nothing can be moved from one field to the next. A row
+/// that is changed, left out or put in between breaks every link after it.
+std::string next_link(std::string_view previous, const std::vector<std::string>& fields);
+
+}  // namespace abcal

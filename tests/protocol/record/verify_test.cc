@@ -1,0 +1,145 @@
+#include "protocol/record/verify.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+
+#include "protocol/record/run_file.h"
+#include "protocol/record/sha256.h"
+#include "tests/support/temporary_folder.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+std::string read_file(const std::filesystem::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+void write_file(const std::filesystem::path& path, const std::string& bytes) {
+  std::ofstream(path, std::ios::binary) << bytes;
+}
+
+TEST(Sha256, IsThatOfThePublishedExample) {
+  const test::TemporaryFolder folder;
+  write_file(folder / "a", "abc");  // FIPS 180-4, appendix
+  EXPECT_EQ(sha256_of_file(folder / "a"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+TEST(NextLink, DependsOnWhereOneFieldEndsAndOnTheLinkBefore) {
+  EXPECT_NE(next_link("", {"ab", "c"}), next_link("", {"a", "bc"}));
+  EXPECT_NE(next_link("", {"a"}), next_link("x", {"a"}));
+  EXPECT_EQ(next_link("x", {"a"}), next_link("x", {"a"}));
+}
+
+class VerifyTest : public testing::Test {
+ protected:
+  VerifyTest() {
+    RunHeader header;
+    header.labels["operator.name"] = "day shift";
+    header.plan.push_back({1, 1, false, Angle{}, Angle{}, Angle{}});
+    RunFile file = RunFile::create(path, header);
+    file.append_event("2026-03-01T12:00:00.000Z", "started", "run started");
+    DwellRecord dwell;
+    dwell.experiment = dwell.n = 1;
+    dwell.mean = Eigen::Vector3d(0.1, 0.2, 0.3);
+    file.append_dwell(0, dwell, {}, {});
+    file.append_event("2026-03-01T12:01:00.000Z", "flag", "vibration");
+    hash = file.close_complete("2026-03-01T12:02:00.000Z");
+    ResultsFile results(path, hash);
+    results.add_analysis("2026-03-01T12:03:00.000Z", "1.0", "abc", "{\"a\": 1}");
+    results.add_analysis("2026-03-01T12:03:00.000Z", "1.0", "joint", "{\"a\": 2}");
+  }
+
+  void make_writable() {
+    std::filesystem::permissions(path, std::filesystem::perms::owner_write,
+                                 std::filesystem::perm_options::add);
+  }
+  /// The checks that are not good; every one, as words.
+  std::string bad() const {
+    std::string words;
+    for (const IntegrityCheck& check : verify_run(path))
+      if (!check.good) words += check.what + ": " + check.found + "\n";
+    return words;
+  }
+
+  test::TemporaryFolder folder;
+  std::filesystem::path path = folder / "a.run";
+  std::string hash;
+};
+
+TEST_F(VerifyTest, ARunAsItWasWrittenIsGood) {
+  EXPECT_EQ(bad(), "");
+  EXPECT_EQ(verify_run(path).size(), 5U);
+}
+
+TEST_F(VerifyTest, AnyChangedByteOfTheRunIsFound) {
+  make_writable();
+  const std::string bytes = read_file(path);
+  int refused = 0, found = 0;
+  // One in every 97 bytes, over the whole file: header, schema, rows and unused space alike.
+  for (std::size_t at = 0; at < bytes.size(); at += 97) {
+    std::string changed = bytes;
+    changed[at] = static_cast<char>(changed[at] ^ 0x01);
+    write_file(path, changed);
+    try {
+      EXPECT_NE(bad(), "") << "byte " << at;
+      ++found;
+    } catch (const RunFileError&) {
+      ++refused;  // no run file at all any more
+    }
+  }
+  EXPECT_GT(found, 0);
+  write_file(path, bytes);
+  EXPECT_EQ(bad(), "");
+}
+
+TEST_F(VerifyTest, AChangedEventBreaksTheChainEvenInARunThatIsOpen) {
+  const std::filesystem::path open = folder / "open.run";
+  {
+    RunFile file = RunFile::create(open, {});
+    file.append_event("t1", "started", "a");
+    file.append_event("t2", "flag", "b");
+    file.append_event("t3", "flag", "c");
+  }
+  const auto chain = [&] {
+    for (const IntegrityCheck& check : verify_run(open))
+      if (check.what == "event log") return check;
+    return IntegrityCheck{};
+  };
+  EXPECT_TRUE(chain().good);
+  SqliteDatabase(open, SqliteDatabase::Mode::kReadWrite).execute("update event set text = 'x' where id = 2");
+  EXPECT_FALSE(chain().good);
+  EXPECT_THAT(chain().found, HasSubstr("entry 2"));
+  SqliteDatabase(open, SqliteDatabase::Mode::kReadWrite).execute("update event set text = 'b' where id = 2");
+  EXPECT_TRUE(chain().good);
+  SqliteDatabase(open, SqliteDatabase::Mode::kReadWrite).execute("delete from event where id = 2");
+  EXPECT_FALSE(chain().good);
+}
+
+TEST_F(VerifyTest, AChangedAnalysisIsFound) {
+  SqliteDatabase(ResultsFile::path_beside(path), SqliteDatabase::Mode::kReadWrite)
+      .execute("update analysis set result_json = '{}' where estimator = 'abc'");
+  EXPECT_THAT(bad(), HasSubstr("analyses: entry 1"));
+}
+
+TEST_F(VerifyTest, MissingResultsAreSaidAndAnOpenRunHasNoHash) {
+  std::filesystem::remove(ResultsFile::path_beside(path));
+  EXPECT_THAT(bad(), HasSubstr("missing"));
+  const std::filesystem::path open = folder / "open.run";
+  RunFile::create(open, {}).append_event("t1", "started", "a");
+  EXPECT_THAT(verify_run(open).front().found, HasSubstr("only a closed run has a hash"));
+}
+
+TEST_F(VerifyTest, EventsSayWho) {
+  SqliteDatabase file(path, SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(file.value("select count(*) from event where who = 'day shift'"), "3");
+}
+
+}  // namespace
+}  // namespace abcal
