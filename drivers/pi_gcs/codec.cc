@@ -172,7 +172,7 @@ std::optional<double> parameter_number(const std::vector<std::string>& lines, un
 
 std::optional<double> parse_number(std::string_view text) {
   text = trimmed(text);
-  if (text.starts_with('+')) text.remove_prefix(1);
+  if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
   double value = 0.0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
@@ -219,7 +219,6 @@ std::optional<Identity> parse_identity(const std::vector<std::string>& lines) {
   if (lines.size() != 1) return std::nullopt;
   // "(c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-884.4DC, 123456, 1.2.3", or older
   // "(c)2013 Physik Instrumente(PI) Karlsruhe, E-861 Version 7.2.0".
-  if (lower(lines.front()).find("physik instrumente") == std::string::npos) return std::nullopt;
   std::vector<std::string> parts;
   for (std::string_view rest = lines.front();;) {
     const std::size_t comma = rest.find(',');
@@ -227,20 +226,17 @@ std::optional<Identity> parse_identity(const std::vector<std::string>& lines) {
     if (comma == std::string_view::npos) break;
     rest.remove_prefix(comma + 1);
   }
-  if (parts.size() < 2 || parts[1].empty()) return std::nullopt;
+  const std::size_t maker = lower(parts[0]).find("physik instrumente");
+  if (maker == std::string::npos || parts.size() < 2 || parts[1].empty()) return std::nullopt;
   Identity identity;
-  identity.maker = parts[0];
-  if (lower(identity.maker).starts_with("(c)")) {
-    const std::size_t space = identity.maker.find(' ');
-    if (space != std::string::npos) identity.maker.erase(0, space + 1);
-  }
+  identity.maker = parts[0].substr(maker);
   identity.model = parts[1];
   if (parts.size() >= 3) identity.serial_number = parts[2];
   if (parts.size() >= 4) identity.firmware = parts[3];
   const std::size_t version = lower(identity.model).find(" version ");
   if (parts.size() == 2 && version != std::string::npos) {
     identity.firmware = trimmed(std::string_view(identity.model).substr(version + 9));
-    identity.model.resize(version);
+    identity.model = trimmed(std::string_view(identity.model).substr(0, version));
   }
   return identity;
 }

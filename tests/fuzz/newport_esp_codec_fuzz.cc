@@ -31,7 +31,7 @@ bool matches(const std::string& text, const std::regex& pattern) {
 
 /// Regular expressions are the slow reference.
 void decode_all(const std::string& text) {
-  static const std::regex kNumber("[ \\t]*[+]?-?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?[ \\t]*");
+  static const std::regex kNumber("[ \\t]*[+-]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][+-]?[0-9]+)?[ \\t]*");
   static const std::regex kFlag("[01]");
   static const std::regex kReport("[ \\t]*([0-9]+|-0+)[ \\t]*,[ \\t]*([0-9]+)[ \\t]*,[ \\t]*(.*)");
   static const std::regex kPlainNumber("[ \\t]*[+]?[0-9.]+[ \\t]*");

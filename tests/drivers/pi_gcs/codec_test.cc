@@ -70,8 +70,8 @@ TEST(PiGcsCodecTest, AxisValuesOfOneAndOfManyLinesAreRead) {
 
 TEST(PiGcsCodecTest, AReplyOfAnotherShapeIsNoAnswer) {
   for (const std::string reply :
-       {"0\n", "\n", "1\n", "=3\n", "2=14.5\n", "1=\n", "1=1x\n", "1=nan\n", "1=inf\n", "1=1.5 2.5\n",
-        "1=1 \n0\n", "(c)2013 Physik Instrumente, C-884\n", "\xB1\xFF\n"}) {
+       {"0\n", "\n", "1\n", "=3\n", "2=14.5\n", "1=\n", "1=1x\n", "1=nan\n", "1=inf\n", "1=+-1\n", "1=++1\n",
+        "1=1.5 2.5\n", "1=1 \n0\n", "(c)2013 Physik Instrumente, C-884\n", "\xB1\xFF\n"}) {
     EXPECT_FALSE(axis_number(lines_of(reply), "1").has_value()) << printable(reply);
   }
 }
@@ -148,11 +148,17 @@ TEST(PiGcsCodecTest, IdentityIsReadInTheNewAndTheOldForm) {
   EXPECT_EQ(old->model, "E-861");
   EXPECT_EQ(old->firmware, "7.2.0");
   EXPECT_EQ(old->serial_number, "");
+  const auto sparse = parse_identity(lines_of("(c)Physik Instrumente, E-861  Version  7.2.0\n"));
+  ASSERT_TRUE(sparse.has_value());
+  EXPECT_EQ(sparse->maker, "Physik Instrumente");
+  EXPECT_EQ(sparse->model, "E-861");
+  EXPECT_EQ(sparse->firmware, "7.2.0");
 }
 
 TEST(PiGcsCodecTest, OtherInstrumentsAreNotTakenForPi) {
   for (const std::string reply :
-       {"ESP301 Version 3.0.1 6/1/99\n", "Keysight Technologies,34465A,MY54500001,A.02.14\n", "0\n", "\n"}) {
+       {"ESP301 Version 3.0.1 6/1/99\n", "Keysight Technologies,34465A,MY54500001,A.02.14\n",
+        "Somebody, not Physik Instrumente, 1\n", "0\n", "\n"}) {
     EXPECT_FALSE(parse_identity(lines_of(reply)).has_value()) << printable(reply);
   }
 }

@@ -164,8 +164,8 @@ TEST(VectorNavCodecTest, DecodesEachLineOfMeasurements) {
 TEST(VectorNavCodecTest, RefusesLinesOfMeasurementsThatHaveNotTheirNumbers) {
   for (const std::string_view line :
        {"VNACC", "VNACC,", "VNACC,1,2", "VNACC,1,2,3,4", "VNACC,1,2,x", "VNACC,1,2,3x", "VNACC,1,,3",
-        "VNACC,1,2,++3", "VNACC,1,2,3,T", "VNACC,1,2,3,S1,T1", "VNIMU,1,2,3", "VNYPR,1,2,3", "",
-        "VNRRG,18,1,2,3", "VNACC,1,2, 3"})
+        "VNACC,1,2,++3", "VNACC,1,2,+-3", "VNACC,1,2,3,T", "VNACC,1,2,3,S1,T1", "VNIMU,1,2,3", "VNYPR,1,2,3",
+        "", "VNRRG,18,1,2,3", "VNACC,1,2, 3"})
     EXPECT_FALSE(decode_text_measurement(line)) << line;
 }
 
