@@ -1,15 +1,12 @@
 // What the program itself costs on a bench in real time: the emulator runs in a process of its own, the bytes
-// go over pseudo-terminals. Prints the overhead of a run, and what a 1 kHz stream costs and loses.
+// go over pseudo-terminals. Prints the overhead of a run.
 
 #include <benchmark/benchmark.h>
 #include <fmt/format.h>
-#include <sys/resource.h>
 
 #include <nlohmann/json.hpp>
 #include <numeric>
 
-#include "app/bench_config.h"
-#include "app/make_bench.h"
 #include "protocol/record/run_file.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
@@ -50,15 +47,6 @@ class EmulatedBench {
   std::optional<test::Program> emulator;
 };
 
-double cpu_seconds() {
-  rusage usage{};
-  ::getrusage(RUSAGE_SELF, &usage);
-  const auto seconds = [](const timeval& t) {
-    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
-  };
-  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
-}
-
 /// Overhead as the run accounts for it (no motion, settling or dwell pending), and, harder, the time beyond
 /// what the motion profile, the settle time and the readings need by themselves.
 void BM_RunOverPseudoTerminals(benchmark::State& state) {
@@ -90,30 +78,6 @@ void BM_RunOverPseudoTerminals(benchmark::State& state) {
   }
 }
 BENCHMARK(BM_RunOverPseudoTerminals)->Iterations(1)->Unit(benchmark::kSecond);
-
-void BM_StreamOf1kHz(benchmark::State& state) {
-  for (auto _ : state) {
-    EmulatedBench emulated(1000.0);
-    std::filesystem::current_path(emulated.folder.path());
-    Bench bench = make_bench(read_bench("bench.toml"));
-    bench.accelerometer->start();
-    const double cpu_before = cpu_seconds();
-    const Clock::Instant begin = bench.clock->now();
-    std::int64_t readings = 0;
-    while (bench.clock->now() - begin < 10s) {
-      if (bench.accelerometer->next(bench.clock->now() + 100ms)) ++readings;
-    }
-    const double seconds = to_seconds(bench.clock->now() - begin);
-    const StreamHealth health = bench.accelerometer->health();
-    state.counters["readings_per_s"] = static_cast<double>(readings) / seconds;
-    state.counters["lost"] = static_cast<double>(health.lost_readings);
-    state.counters["bad_frames"] = static_cast<double>(health.bad_frames);
-    state.counters["cpu_percent_of_a_core"] = 100.0 * (cpu_seconds() - cpu_before) / seconds;
-    bench.accelerometer->stop();
-    std::filesystem::current_path("/");
-  }
-}
-BENCHMARK(BM_StreamOf1kHz)->Iterations(1)->Unit(benchmark::kSecond);
 
 }  // namespace
 
