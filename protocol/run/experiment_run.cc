@@ -18,7 +18,7 @@ namespace {
 /// Longest sleep or wait for bytes between two looks at the stop token.
 constexpr Clock::Duration kSlice = std::chrono::milliseconds(20);
 /// An axis that the controller calls stopped may still creep into the window; after this it will not.
-constexpr double kStoppedOutsideWindow_s = 1.0;
+constexpr double kStoppedOutsideWindowS = 1.0;
 /// Fewest readings at which an output that does not change at all is called stuck.
 constexpr std::int64_t kStuckReadings = 8;
 constexpr std::size_t kStoredSpreads = 15;
@@ -185,7 +185,7 @@ class Runner {
           inside = 0;
           stopped_inside.reset();
           if (!stopped_outside) stopped_outside = now;
-          if (to_seconds(now - *stopped_outside) > kStoppedOutsideWindow_s) {
+          if (to_seconds(now - *stopped_outside) > kStoppedOutsideWindowS) {
             throw InstrumentError(
                 stage_name(), Fault::kStalled,
                 fmt::format(

@@ -30,7 +30,6 @@ constexpr std::uint8_t kBaseSet = 0x01;
 constexpr std::uint8_t k3dmSet = 0x0C;
 constexpr std::uint8_t kSensorData = 0x80;
 constexpr std::uint8_t kFilterData = 0x82;
-constexpr std::uint8_t kSystemData = 0xA0;
 constexpr std::uint8_t kAck = 0xF1;
 
 enum AckCode : std::uint8_t { kOk = 0, kUnknown = 1, kBadChecksum = 2, kBadParameter = 3, kFailed = 4 };
