@@ -54,6 +54,9 @@ class TomlReader final : public KeyVisitor {
   /// The line of the section being visited; 0 if it is absent.
   std::uint32_t line() const { return table_ == nullptr ? 0 : table_->source().begin.line; }
 
+  /// The path of a key of the section being visited, as add_problem_at() takes it.
+  std::string name(const std::string& key) const { return path_.empty() ? key : path_ + "." + key; }
+
   /// Keys and sections that no visit asked for.
   void report_unknown();
   std::vector<Problem> take_problems();
@@ -64,7 +67,6 @@ class TomlReader final : public KeyVisitor {
                       const std::string& required);
 
  private:
-  std::string name(const std::string& key) const { return path_.empty() ? key : path_ + "." + key; }
   void problem(const toml::node& node, const std::string& where, std::string found, std::string required);
   const toml::node* find(const std::string& key);
   void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,
