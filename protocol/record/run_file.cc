@@ -541,6 +541,12 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
     // set_state() wrote it when the run went on.
     if (run.events.back().kind == to_string(RunState::kRunning)) ++record.continuations;
   }
+  SqliteStatement environment = database.prepare(
+      "select utc, moment, temperature_degc, humidity_percent, pressure_hpa from environment order by id");
+  while (environment.step()) {
+    run.environment.push_back({environment.text(0), environment.text(1), environment.optional_real(2),
+                               environment.optional_real(3), environment.optional_real(4)});
+  }
   return run;
 }
 

@@ -69,6 +69,13 @@ struct StoredReading {
   std::optional<double> temperature_degc;
 };
 
+/// One look at the room.
+struct StoredEnvironment {
+  std::string utc;
+  std::string moment;  ///< "start", "end", "resume"
+  std::optional<double> temperature_degc, humidity_percent, pressure_hpa;
+};
+
 struct RunEvent {
   std::string utc;
   std::string kind;  ///< "started", "interrupted", "flag", ...
@@ -102,6 +109,7 @@ struct StoredRun {
   RunRecord record;
   std::vector<std::size_t> measured;  ///< Positions in header.plan that have a dwell.
   std::vector<RunEvent> events;
+  std::vector<StoredEnvironment> environment;
 };
 
 /// A run on disk: one SQLite file (docs/run_file.md), append-only, each angle committed before the next move.
