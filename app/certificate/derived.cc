@@ -241,6 +241,11 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
   return groups;
 }
 
+double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, const DerivedQuantity& b) {
+  return a.gradient.head<12>().dot(*result.covariance * b.gradient.head<12>()) +
+         a.gradient[12] * b.gradient[12] * std::pow(result.g_loc.standard_uncertainty, 2);
+}
+
 std::vector<std::string> names_of_quantities() {
   std::vector<std::string> names;
   for (const char* axis : kAxes)

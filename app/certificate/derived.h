@@ -52,6 +52,9 @@ SensitivityUnit sensitivity_unit(const std::string& name, const std::string& res
 /// @throws std::invalid_argument  for a result without matrix, covariance or local gravity
 std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vector<SensitivityUnit>& units);
 
+/// Covariance of two derived quantities of one result, local gravity included.
+double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, const DerivedQuantity& b);
+
 /// Names of quantities that limits may be set on: those of the result itself and the derived ones.
 std::vector<std::string> names_of_quantities();
 

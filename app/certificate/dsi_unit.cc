@@ -104,7 +104,10 @@ UnitInDsi unit_in_dsi(const std::string& unit) {
   if (take_suffix(output, "/(m/s2)")) {
     in = unit_in_dsi(output);
     in.unit = in.unit * acceleration().to_the(-1);
-    if (in.own) in.own = *in.own * acceleration().to_the(-1);
+    if (in.own) {
+      in.own = *in.own * acceleration().to_the(-1);
+      in.definition = fmt::format("1 {} = {} {}", unit, in.factor, in.unit.text());
+    }
     return in;
   }
   if (take_suffix(output, "/g")) {
