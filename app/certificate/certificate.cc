@@ -83,7 +83,7 @@ class Inspection {
         of_file_.push_back({"[units] sensitivity", quoted(name), error.what()});
       }
     }
-    if (!run.has_numbers()) return;
+    if (!run.has_numbers() || !data.run) return;
     run.derived = derive(data.result(), units);
     for (const SpecificationLimit& limit : laboratory_.limits) {
       const auto quantity = find_quantity(data.result(), run.derived, limit.quantity, limit.unit);
@@ -237,7 +237,7 @@ std::string draft_number(const ReportData& run) {
 }
 
 Certificate make_certificate(CertificateRequest request) {
-  ReadLaboratoryFile read = read_laboratory_file(request.laboratory);
+  ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
   certificate.laboratory = std::move(read.file);
   Inspection inspection(certificate.laboratory, std::move(read.problems));
@@ -258,7 +258,8 @@ Certificate make_certificate(CertificateRequest request) {
 
   if (!inspection.of_file().empty())
     throw LaboratoryFileError(certificate.laboratory.source, inspection.all());
-  const bool may_be_draft = request.draft && certificate.run.data.run;
+  const bool may_be_draft =
+      request.draft && certificate.run.data.run && (!certificate.as_found || certificate.as_found->data.run);
   if (!inspection.of_run().empty() && !may_be_draft)
     throw CertificateRefused(certificate.run.data.path.string(), inspection.of_run());
   for (const Problem& problem : inspection.of_run()) certificate.reservations.push_back(to_string(problem));

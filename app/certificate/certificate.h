@@ -60,7 +60,7 @@ struct Certificate {
 
 /// What a certificate is to be made of.
 struct CertificateRequest {
-  std::filesystem::path laboratory;
+  ReadLaboratoryFile laboratory;  ///< With its problems, to be told beside those of the run.
   ReportData run;
   std::optional<ReportData> as_found;
   std::optional<IssueFacts> issue;

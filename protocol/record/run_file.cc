@@ -636,17 +636,17 @@ std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
 /// @throws RunFileError if a certificate cannot be issued beside those that there are
 void require_issuable(const IssuedCertificate& certificate, const std::vector<IssuedCertificate>& issued,
                       const std::string& results) {
-  std::string replaced_by;
+  bool replaces_one = false;
   for (const IssuedCertificate& one : issued) {
     if (one.number == certificate.number)
       throw RunFileError(results + ": certificate " + one.number + " was issued on " + one.date +
                          "; a number is given once");
-    if (!certificate.replaces.empty() && one.replaces == certificate.replaces) replaced_by = one.number;
+    if (!certificate.replaces.empty() && one.replaces == certificate.replaces)
+      throw RunFileError(results + ": certificate " + certificate.replaces + " is replaced by " + one.number +
+                         " already; replace that one");
+    replaces_one = replaces_one || one.number == certificate.replaces;
   }
-  if (!replaced_by.empty())
-    throw RunFileError(results + ": certificate " + certificate.replaces + " is replaced by " + replaced_by +
-                       " already; replace that one");
-  if (certificate.replaces.empty() && !issued.empty())
+  if (!issued.empty() && !replaces_one)
     throw RunFileError(results + ": certificate " + issued.back().number +
                        " was issued for this run already; amend it with --replaces " + issued.back().number +
                        " --reason TEXT");

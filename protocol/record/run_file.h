@@ -186,8 +186,8 @@ class ResultsFile {
   void add_analysis(const std::string& utc, std::string_view program_version, std::string_view estimator,
                     std::string_view result_json);
 
-  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that replaces
-  /// none, and the replacement of one that is replaced already.
+  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that does not
+  /// replace the first, and the replacement of one that is replaced already.
   void add_certificate(const IssuedCertificate& certificate);
 
   static std::filesystem::path path_beside(const std::filesystem::path& run_path);
