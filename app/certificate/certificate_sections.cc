@@ -154,8 +154,8 @@ void add_certificate_sections(Document& document, const Certificate& certificate
   if (certificate.draft()) {
     document.page_mark = "DRAFT";
     document.cautions.insert(document.cautions.begin(), "DRAFT: this certificate is not issued");
-    for (const std::string& reservation : certificate.reservations) document.cautions.push_back(reservation);
   }
+  for (const std::string& reservation : certificate.reservations) document.cautions.push_back(reservation);
   document.sections.insert(document.sections.begin(),
                            {certificate_section(certificate), equipment_section(certificate)});
   if (!certificate.run.derived.empty()) document.sections.push_back(derived_section(certificate.run));

@@ -16,6 +16,11 @@ DsiUnit acceleration() {
   return DsiUnit("\\metre") * DsiUnit("\\second").to_the(-2);
 }
 
+/// Per m/s2, in the order of the examples of the PTB.
+DsiUnit per_acceleration() {
+  return DsiUnit("\\second").to_the(2) * DsiUnit("\\metre").to_the(-1);
+}
+
 /// Units that D-SI has a name for.
 const std::map<std::string, DsiUnit>& known_units() {
   static const std::map<std::string, DsiUnit> kUnits{
@@ -103,16 +108,16 @@ UnitInDsi unit_in_dsi(const std::string& unit) {
   if (take_suffix(output, "/g_loc")) return unit_in_dsi(output);
   if (take_suffix(output, "/(m/s2)")) {
     in = unit_in_dsi(output);
-    in.unit = in.unit * acceleration().to_the(-1);
+    in.unit = in.unit * per_acceleration();
     if (in.own) {
-      in.own = *in.own * acceleration().to_the(-1);
+      in.own = *in.own * per_acceleration();
       in.definition = fmt::format("1 {} = {} {}", unit, in.factor, in.unit.text());
     }
     return in;
   }
   if (take_suffix(output, "/g")) {
     in = unit_in_dsi(output);
-    in.unit = in.unit * acceleration().to_the(-1);
+    in.unit = in.unit * per_acceleration();
     in.factor /= kStandardGravity;
     in.own = DsiUnit(non_si(unit));
     in.definition =
