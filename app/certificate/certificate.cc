@@ -207,7 +207,8 @@ std::vector<Shift> shifts_between(const CalibrationResult& found, const Calibrat
     shift.difference.unit = b.unit;
     shift.difference.value = b.value - a.value;
     shift.difference.standard_uncertainty = std::hypot(a.standard_uncertainty, b.standard_uncertainty);
-    shift.normalised_error = shift.difference.value / (2.0 * shift.difference.standard_uncertainty);
+    shift.normalised_error =
+        shift.difference.value / (kCoverageFactor * shift.difference.standard_uncertainty);
     shifts.push_back(shift);
   };
   constexpr std::array<const char*, 3> kAxes{"u", "v", "w"}, kPairs{"uv", "vw", "wu"};

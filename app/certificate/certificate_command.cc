@@ -30,12 +30,13 @@ Certificate restored(const IssuedCertificate& issued, const ReportData& data,
   facts.approved_by = issued.approved_by;
   facts.date = parse_date(issued.date).value_or(Date{});
   if (!issued.replaces.empty()) facts.replaces = Replacement{issued.replaces, issued.reason, {}};
-  request.draft = true;  // It was issued: what another program finds now is said beside it, and refuses nothing.
+  request.draft =
+      true;  // It was issued: what another program finds now is said beside it, and refuses nothing.
   Certificate certificate = make_certificate(std::move(request));
   if (issued.program_version != certificate.program_version) {
-    certificate.reservations.push_back(
-        fmt::format("The certificate was issued with abcal {}; numbers beside its XML are computed by abcal {}",
-                    issued.program_version, certificate.program_version));
+    certificate.reservations.push_back(fmt::format(
+        "The certificate was issued with abcal {}; numbers beside its XML are computed by abcal {}",
+        issued.program_version, certificate.program_version));
   }
   return certificate;
 }

@@ -86,7 +86,7 @@ Section derived_section(const CertifiedRun& run) {
   for (const DerivedGroup& group : run.derived) {
     table.rows.push_back({group.words});
     for (const DerivedQuantity& quantity : group.quantities) {
-      const double expanded = 2.0 * quantity.value.standard_uncertainty;
+      const double expanded = kCoverageFactor * quantity.value.standard_uncertainty;
       table.rows.push_back({quantity.name, rounded(quantity.value.value, expanded),
                             rounded(expanded, expanded), quantity.value.unit});
     }
@@ -125,7 +125,7 @@ Section shift_section(const Certificate& certificate) {
                    {"Unit", CellKind::kUnit},
                    {"E_n", CellKind::kNumber}};
   for (const Shift& shift : certificate.shifts) {
-    const double expanded = 2.0 * shift.difference.standard_uncertainty;
+    const double expanded = kCoverageFactor * shift.difference.standard_uncertainty;
     table.rows.push_back({shift.name, rounded(shift.difference.value, expanded), rounded(expanded, expanded),
                           shift.difference.unit, fmt::format("{:.2f}", shift.normalised_error)});
   }

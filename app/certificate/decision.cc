@@ -7,10 +7,10 @@
 #include <limits>
 #include <stdexcept>
 
+#include "app/report/report_data.h"
+
 namespace abcal {
 namespace {
-
-constexpr double kCoverageFactor = 2.0;
 
 /// Phi(z), to full relative precision in both tails.
 double normal_below(double z) {

@@ -10,6 +10,8 @@
 #include <stdexcept>
 #include <unsupported/Eigen/AutoDiff>
 
+#include "app/report/report_data.h"
+
 namespace abcal {
 namespace {
 
@@ -115,7 +117,7 @@ DerivedGroup azimuth(const Deriver& deriver, const DerivedGroup& transverse) {
       [&](std::size_t j) { return Real(atan2(in.s[j][(j + 2) % 3], in.s[j][(j + 1) % 3]) / kDegree); });
   for (std::size_t j = 0; j < 3; ++j) {
     const Quantity& size = transverse.quantities[j].value;
-    if (size.value > 2.0 * size.standard_uncertainty) continue;
+    if (size.value > kCoverageFactor * size.standard_uncertainty) continue;
     group.quantities[j].value = Quantity{};  // any direction is as likely as any other
     group.quantities[j].value.unit = "degree";
   }
