@@ -211,13 +211,13 @@ std::vector<Shift> shifts_between(const CalibrationResult& found, const Calibrat
         shift.difference.value / (kCoverageFactor * shift.difference.standard_uncertainty);
     shifts.push_back(shift);
   };
-  constexpr std::array<const char*, 3> kAxes{"u", "v", "w"}, kPairs{"uv", "vw", "wu"};
   for (std::size_t j = 0; j < 3; ++j)
-    add(std::string("intrinsic_sensitivity_") + kAxes[j], found.intrinsic_sensitivity[j],
+    add(std::string("intrinsic_sensitivity_") + kAccelerometers[j], found.intrinsic_sensitivity[j],
         left.intrinsic_sensitivity[j]);
   for (std::size_t j = 0; j < 3; ++j)
     add(std::string("intrinsic_angle_") + kPairs[j], found.intrinsic_angle[j], left.intrinsic_angle[j]);
-  for (std::size_t j = 0; j < 3; ++j) add(std::string("offset_") + kAxes[j], found.offset[j], left.offset[j]);
+  for (std::size_t j = 0; j < 3; ++j)
+    add(std::string("offset_") + kAccelerometers[j], found.offset[j], left.offset[j]);
   return shifts;
 }
 

@@ -14,10 +14,6 @@
 namespace abcal {
 namespace {
 
-constexpr std::array<const char*, 3> kAxes{"u", "v", "w"};
-constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
-constexpr std::array<const char*, 3> kPlatter{"x", "y", "z"};
-
 using Triple = std::array<Quantity, 3>;
 
 std::vector<std::string> labels(const std::string& symbol, const std::array<const char*, 3>& of) {
@@ -28,7 +24,7 @@ std::vector<std::string> labels(const std::string& symbol, const std::array<cons
 
 std::vector<std::string> row_labels(std::size_t row) {
   std::vector<std::string> list;
-  for (const char* platter : kPlatter) list.push_back(std::string("s_") + kAxes[row] + platter);
+  for (const char* platter : kPlatterAxes) list.push_back(std::string("s_") + kAccelerometers[row] + platter);
   return list;
 }
 
@@ -54,7 +50,7 @@ void add_rows(XmlElement& data, const std::string& ref_type,
   list.attribute("refType", ref_type);
   for (std::size_t j = 0; j < 3; ++j) {
     XmlElement quantity =
-        add_quantity(list, "basic_measuredValue", std::string("row of accelerometer ") + kAxes[j]);
+        add_quantity(list, "basic_measuredValue", std::string("row of accelerometer ") + kAccelerometers[j]);
     add_value_list(quantity, row(j));
   }
 }
@@ -80,7 +76,7 @@ void add_all(XmlElement& results, const CalibrationResult& result) {
     for (const Quantity& quantity : (*result.sensitivity_matrix)[j]) values.push_back(quantity);
   }
   for (std::size_t j = 0; j < 3; ++j) {
-    names.push_back(std::string("O_") + kAxes[j]);
+    names.push_back(std::string("O_") + kAccelerometers[j]);
     values.push_back(result.offset[j]);
   }
   XmlElement data = add_result(results, "abc_allOutputs",
@@ -91,9 +87,9 @@ void add_all(XmlElement& results, const CalibrationResult& result) {
 }
 
 void add_all_intrinsic(XmlElement& results, const CalibrationResult& result) {
-  std::vector<std::string> names = labels("s", kAxes);
+  std::vector<std::string> names = labels("s", kAccelerometers);
   for (const std::string& label : labels("phi", kPairs)) names.push_back(label);
-  for (const std::string& label : labels("O", kAxes)) names.push_back(label);
+  for (const std::string& label : labels("O", kAccelerometers)) names.push_back(label);
   std::vector<Quantity> values = as_vector(result.intrinsic_sensitivity);
   for (const Triple* triple : {&result.intrinsic_angle, &result.offset})
     values.insert(values.end(), triple->begin(), triple->end());
@@ -121,10 +117,10 @@ void add_outputs(XmlElement& results, const CalibrationResult& result) {
   });
   const Eigen::MatrixXd intrinsic = *result.covariance_intrinsic;
   add_triple(results, "abc_intrinsicSensitivities", "Intrinsic sensitivities per local gravity",
-             labels("s", kAxes), result.intrinsic_sensitivity, block(intrinsic, 0));
+             labels("s", kAccelerometers), result.intrinsic_sensitivity, block(intrinsic, 0));
   add_triple(results, "abc_intrinsicAngles", "Intrinsic angles between the sensitive directions",
              labels("phi", kPairs), result.intrinsic_angle, block(intrinsic, 3));
-  add_triple(results, "abc_offsets", "Zero-acceleration offsets", labels("O", kAxes), result.offset,
+  add_triple(results, "abc_offsets", "Zero-acceleration offsets", labels("O", kAccelerometers), result.offset,
              block(intrinsic, 6));
   add_all(results, result);
   add_all_intrinsic(results, result);

@@ -15,11 +15,7 @@
 namespace abcal {
 namespace {
 
-constexpr double kStandardGravity = 9.80665;  // m/s2, exact by definition (CGPM 1901)
 constexpr double kDegree = std::numbers::pi / 180.0;
-constexpr std::array<const char*, 3> kAxes{"u", "v", "w"};
-constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
-constexpr std::array<const char*, 3> kPlatter{"x", "y", "z"};
 
 using Gradient = Eigen::Matrix<double, 13, 1>;
 using Real = Eigen::AutoDiffScalar<Gradient>;  // a number with its derivatives
@@ -113,7 +109,7 @@ DerivedGroup azimuth(const Deriver& deriver, const DerivedGroup& transverse) {
       "transverse_azimuth",
       "Direction of the transverse sensitivity about the axis itself: of u from y towards z, of v "
       "from z towards x, of w from x towards y",
-      "degree", kAxes,
+      "degree", kAccelerometers,
       [&](std::size_t j) { return Real(atan2(in.s[j][(j + 2) % 3], in.s[j][(j + 1) % 3]) / kDegree); });
   for (std::size_t j = 0; j < 3; ++j) {
     const Quantity& size = transverse.quantities[j].value;
@@ -129,8 +125,9 @@ DerivedGroup sensitivity_rows(const Deriver& deriver, const std::string& name, c
   DerivedGroup group{name, words, {}};
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t k = 0; k < 3; ++k) {
-      group.quantities.push_back(deriver.quantity(std::string("sensitivity_") + kAxes[j] + kPlatter[k], unit,
-                                                  Real(deriver.inputs().s[j][k] * per)));
+      group.quantities.push_back(
+          deriver.quantity(std::string("sensitivity_") + kAccelerometers[j] + kPlatterAxes[k], unit,
+                           Real(deriver.inputs().s[j][k] * per)));
     }
   }
   return group;
@@ -155,11 +152,12 @@ std::vector<std::pair<std::string, const Quantity*>> of_result(const Calibration
   std::vector<std::pair<std::string, const Quantity*>> all;
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t k = 0; k < 3 && result.sensitivity_matrix; ++k)
-      all.emplace_back(std::string("sensitivity_") + kAxes[j] + kPlatter[k],
+      all.emplace_back(std::string("sensitivity_") + kAccelerometers[j] + kPlatterAxes[k],
                        &(*result.sensitivity_matrix)[j][k]);
-    all.emplace_back(std::string("intrinsic_sensitivity_") + kAxes[j], &result.intrinsic_sensitivity[j]);
+    all.emplace_back(std::string("intrinsic_sensitivity_") + kAccelerometers[j],
+                     &result.intrinsic_sensitivity[j]);
     all.emplace_back(std::string("intrinsic_angle_") + kPairs[j], &result.intrinsic_angle[j]);
-    all.emplace_back(std::string("offset_") + kAxes[j], &result.offset[j]);
+    all.emplace_back(std::string("offset_") + kAccelerometers[j], &result.offset[j]);
   }
   return all;
 }
@@ -204,18 +202,18 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
   groups.push_back(sensitivity_rows(deriver, "sensitivity", "Sensitivity matrix in SI units",
                                     per(unit, "(m/s2)"), one_per_gravity));
   groups.push_back(deriver.triple("intrinsic_sensitivity", "Intrinsic sensitivity in SI units",
-                                  per(unit, "(m/s2)"), kAxes,
+                                  per(unit, "(m/s2)"), kAccelerometers,
                                   [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity); }));
   groups.push_back(deriver.triple(
       "transverse_sensitivity",
       "Transverse sensitivity (ISO 16063-31), relative to the sensitivity along the platter axis; it "
       "contains "
       "the mounting",
-      "%", kAxes, [&](std::size_t j) { return Real(100.0 * in.transverse(j) / in.diagonal(j)); }));
+      "%", kAccelerometers, [&](std::size_t j) { return Real(100.0 * in.transverse(j) / in.diagonal(j)); }));
   mend_zero(groups.back(), result, 100.0);
   groups.push_back(azimuth(deriver, groups.back()));
   groups.push_back(deriver.triple(
-      "misalignment", "Angle between the sensitive direction and its platter axis", "mrad", kAxes,
+      "misalignment", "Angle between the sensitive direction and its platter axis", "mrad", kAccelerometers,
       [&](std::size_t j) { return Real(1e3 * atan2(in.transverse(j), in.diagonal(j))); }));
   mend_zero(groups.back(), result, 1e3);
   groups.push_back(deriver.triple("non_orthogonality", "Intrinsic angle minus 90 degrees", "mrad", kPairs,
@@ -227,7 +225,8 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
                                     return Real(-1e3 * atan2(cosine, sqrt(Real(1.0 - cosine * cosine))));
                                   }));
   groups.push_back(deriver.triple(
-      "bias", "Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2", "mg", kAxes,
+      "bias", "Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2", "mg",
+      kAccelerometers,
       [&](std::size_t j) { return Real(in.offset[j] / in.norm(j) * in.g_loc * (1e3 / kStandardGravity)); }));
   for (const SensitivityUnit& wanted : units) {
     const double factor = wanted.output_factor * (wanted.per_standard_gravity ? kStandardGravity : 1.0);
@@ -235,7 +234,7 @@ std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vec
                                   ? "Sensitivity in " + wanted.name + ", g = 9.80665 m/s2 (standard gravity)"
                                   : "Sensitivity in " + wanted.name;
     DerivedGroup group =
-        deriver.triple("intrinsic_sensitivity", words, wanted.name, kAxes,
+        deriver.triple("intrinsic_sensitivity", words, wanted.name, kAccelerometers,
                        [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity * factor); });
     group.name = "sensitivity [" + wanted.name + "]";
     groups.push_back(std::move(group));
@@ -250,11 +249,11 @@ double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, 
 
 std::vector<std::string> names_of_quantities() {
   std::vector<std::string> names;
-  for (const char* axis : kAxes)
-    for (const char* platter : kPlatter) names.push_back(std::string("sensitivity_") + axis + platter);
+  for (const char* axis : kAccelerometers)
+    for (const char* platter : kPlatterAxes) names.push_back(std::string("sensitivity_") + axis + platter);
   for (const std::string of_axis :
        {"intrinsic_sensitivity_", "offset_", "transverse_sensitivity_", "misalignment_", "bias_"}) {
-    for (const char* axis : kAxes) names.push_back(of_axis + axis);
+    for (const char* axis : kAccelerometers) names.push_back(of_axis + axis);
   }
   for (const std::string of_pair : {"intrinsic_angle_", "non_orthogonality_"})
     for (const char* pair : kPairs) names.push_back(of_pair + pair);

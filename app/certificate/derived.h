@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <optional>
 #include <string>
 #include <vector>
@@ -8,6 +9,13 @@
 #include "protocol/analysis/calibration_result.h"
 
 namespace abcal {
+
+inline constexpr double kStandardGravity = 9.80665;  ///< m/s2, exact by definition (CGPM 1901).
+
+// Names of the accelerometers, of their pairs, and of the axes of the platter, in the order of a result.
+inline constexpr std::array<const char*, 3> kAccelerometers{"u", "v", "w"};
+inline constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
+inline constexpr std::array<const char*, 3> kPlatterAxes{"x", "y", "z"};
 
 /// One number that a customer may ask for, with its uncertainty by propagation of the twelve outputs and of
 /// local gravity to first order (JCGM 100), correlations included.

@@ -5,12 +5,11 @@
 #include <algorithm>
 #include <map>
 
+#include "app/certificate/derived.h"
 #include "app/certificate/xml_tree.h"
 
 namespace abcal {
 namespace {
-
-constexpr double kStandardGravity = 9.80665;  // m/s2, exact by definition (CGPM 1901)
 
 DsiUnit acceleration() {
   return DsiUnit("\\metre") * DsiUnit("\\second").to_the(-2);
