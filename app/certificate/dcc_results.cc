@@ -10,6 +10,7 @@
 #include "app/certificate/dcc_conditions.h"
 #include "app/certificate/dcc_text.h"
 #include "app/certificate/dsi_list.h"
+#include "protocol/analysis/intrinsic_properties.h"
 
 namespace abcal {
 namespace {
@@ -22,9 +23,9 @@ std::vector<std::string> labels(const std::string& symbol, const std::array<cons
   return list;
 }
 
-std::vector<std::string> row_labels(std::size_t row) {
+std::vector<std::string> row_labels(const std::string& symbol, std::size_t row) {
   std::vector<std::string> list;
-  for (const char* platter : kPlatterAxes) list.push_back(std::string("s_") + kAccelerometers[row] + platter);
+  for (const char* axis : kPlatterAxes) list.push_back(symbol + "_" + kAccelerometers[row] + axis);
   return list;
 }
 
@@ -59,102 +60,159 @@ std::vector<Quantity> as_vector(const Triple& triple) {
   return {triple.begin(), triple.end()};
 }
 
-void add_triple(XmlElement& results, const std::string& ref_type, const std::string& name,
-                const std::vector<std::string>& of, const Triple& values,
-                std::optional<Eigen::MatrixXd> covariance) {
+/// Values with their covariance, so that a customer can propagate it.
+void add_values(XmlElement& results, const std::string& ref_type, const std::string& name,
+                const std::vector<std::string>& of, const std::vector<Quantity>& values,
+                const Eigen::MatrixXd& covariance) {
   XmlElement data = add_result(results, ref_type, name);
   XmlElement quantity = add_quantity(data, "basic_measuredValue", name);
-  add_value_list(quantity, list_of(of, as_vector(values), std::move(covariance)));
-}
-
-/// All outputs in one list, so that a customer can propagate their covariance.
-void add_all(XmlElement& results, const CalibrationResult& result) {
-  std::vector<std::string> names;
-  std::vector<Quantity> values;
-  for (std::size_t j = 0; j < 3; ++j) {
-    for (const std::string& label : row_labels(j)) names.push_back(label);
-    for (const Quantity& quantity : (*result.sensitivity_matrix)[j]) values.push_back(quantity);
-  }
-  for (std::size_t j = 0; j < 3; ++j) {
-    names.push_back(std::string("O_") + kAccelerometers[j]);
-    values.push_back(result.offset[j]);
-  }
-  XmlElement data = add_result(results, "abc_allOutputs",
-                               "Sensitivity matrix row by row and offsets, with their "
-                               "covariance");
-  XmlElement quantity = add_quantity(data, "basic_measuredValue", "twelve outputs");
-  add_value_list(quantity, list_of(names, values, Eigen::MatrixXd(*result.covariance)));
-}
-
-void add_all_intrinsic(XmlElement& results, const CalibrationResult& result) {
-  std::vector<std::string> names = labels("s", kAccelerometers);
-  for (const std::string& label : labels("phi", kPairs)) names.push_back(label);
-  for (const std::string& label : labels("O", kAccelerometers)) names.push_back(label);
-  std::vector<Quantity> values = as_vector(result.intrinsic_sensitivity);
-  for (const Triple* triple : {&result.intrinsic_angle, &result.offset})
-    values.insert(values.end(), triple->begin(), triple->end());
-  XmlElement data = add_result(results, "abc_allIntrinsic",
-                               "Intrinsic sensitivities, intrinsic angles and offsets, with their covariance",
-                               "What does not depend on how the accelerometer was mounted.");
-  XmlElement quantity = add_quantity(data, "basic_measuredValue", "nine outputs");
-  add_value_list(quantity, list_of(names, values, Eigen::MatrixXd(*result.covariance_intrinsic)));
+  add_value_list(quantity, list_of(of, values, covariance));
 }
 
 Eigen::MatrixXd block(const Eigen::MatrixXd& covariance, Eigen::Index first) {
   return covariance.block(first, first, 3, 3);
 }
 
-void add_outputs(XmlElement& results, const CalibrationResult& result) {
-  const std::string unit =
-      "Change of the output for an acceleration of one local gravity g_loc, which is among the conditions. "
-      "Specific force at rest points up.";
-  XmlElement matrix = add_result(results, "abc_sensitivityMatrix",
-                                 "Sensitivity matrix per local gravity: rows u, v, w; columns x, y, z", unit);
-  add_rows(matrix, "abc_matrix3x3", [&](std::size_t j) {
-    const auto& row = (*result.sensitivity_matrix)[j];
-    return list_of(row_labels(j), {row.begin(), row.end()},
-                   block(*result.covariance, static_cast<Eigen::Index>(3 * j)));
-  });
-  const Eigen::MatrixXd intrinsic = *result.covariance_intrinsic;
-  add_triple(results, "abc_intrinsicSensitivities", "Intrinsic sensitivities per local gravity",
-             labels("s", kAccelerometers), result.intrinsic_sensitivity, block(intrinsic, 0));
-  add_triple(results, "abc_intrinsicAngles", "Intrinsic angles between the sensitive directions",
-             labels("phi", kPairs), result.intrinsic_angle, block(intrinsic, 3));
-  add_triple(results, "abc_offsets", "Zero-acceleration offsets", labels("O", kAccelerometers), result.offset,
-             block(intrinsic, 6));
-  add_all(results, result);
-  add_all_intrinsic(results, result);
+/// Labels of the twelve outputs, or of the nine that do not depend on the mounting, with `s` for sensitivity.
+std::vector<std::string> output_labels(const std::string& s) {
+  std::vector<std::string> all;
+  for (std::size_t j = 0; j < 3; ++j)
+    for (const std::string& label : row_labels(s, j)) all.push_back(label);
+  for (const std::string& label : labels("O", kAccelerometers)) all.push_back(label);
+  return all;
+}
+std::vector<std::string> intrinsic_labels(const std::string& s) {
+  std::vector<std::string> all = labels(s, kAccelerometers);
+  for (const std::string& label : labels("phi", kPairs)) all.push_back(label);
+  for (const std::string& label : labels("O", kAccelerometers)) all.push_back(label);
+  return all;
 }
 
-void add_derived_group(XmlElement& results, const DerivedGroup& group, const CalibrationResult& result) {
+/// Quantities with their derivatives, so that their covariance can be had.
+using DerivedList = std::vector<DerivedQuantity>;
+
+std::vector<Quantity> values_of(const DerivedList& list) {
+  std::vector<Quantity> values;
+  for (const DerivedQuantity& quantity : list) values.push_back(quantity.value);
+  return values;
+}
+
+Eigen::MatrixXd covariance_of(const CalibrationResult& result, const DerivedList& list) {
+  const auto n = static_cast<Eigen::Index>(list.size());
+  return Eigen::MatrixXd::NullaryExpr(n, n, [&](Eigen::Index i, Eigen::Index j) {
+    return covariance_of(result, list[static_cast<std::size_t>(i)], list[static_cast<std::size_t>(j)]);
+  });
+}
+
+const DerivedList& group_of(const CertifiedRun& run, const std::string& name) {
+  const auto found = std::find_if(run.derived.begin(), run.derived.end(),
+                                  [&](const DerivedGroup& group) { return group.name == name; });
+  if (found == run.derived.end()) throw std::logic_error("nothing was derived as " + name);
+  return found->quantities;
+}
+
+DerivedList offsets_of(const CalibrationResult& result) {
+  DerivedList list;
+  for (std::size_t j = 0; j < 3; ++j) {
+    DerivedQuantity& offset = list.emplace_back();
+    offset.value = result.offset[j];
+    offset.gradient[9 + static_cast<Eigen::Index>(j)] = 1.0;
+  }
+  return list;
+}
+
+DerivedList angles_of(const CalibrationResult& result) {
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
+  DerivedList list;
+  for (std::size_t j = 0; j < 3; ++j) {
+    DerivedQuantity& angle = list.emplace_back();
+    angle.value = result.intrinsic_angle[j];
+    angle.gradient.head<12>() = jacobian.row(3 + static_cast<Eigen::Index>(j)).transpose();
+  }
+  return list;
+}
+
+DerivedList joined(DerivedList list, const DerivedList& more) {
+  list.insert(list.end(), more.begin(), more.end());
+  return list;
+}
+
+/// In SI units: sensitivities per m/s2, to which the uncertainty of local gravity belongs.
+void add_si(XmlElement& results, const CertifiedRun& run) {
+  const CalibrationResult& result = run.data.result();
+  const DerivedList &sensitivity = group_of(run, "sensitivity"),
+                    &intrinsic = group_of(run, "intrinsic_sensitivity");
+  const std::string frame = "Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up.";
+  XmlElement matrix = add_result(results, "abc_sensitivityMatrix", "Sensitivity matrix", frame);
+  add_rows(matrix, "abc_matrix3x3", [&](std::size_t j) {
+    const auto first = sensitivity.begin() + static_cast<std::ptrdiff_t>(3 * j);
+    const DerivedList row(first, first + 3);
+    return list_of(row_labels("s", j), values_of(row), covariance_of(result, row));
+  });
+  add_values(results, "abc_intrinsicSensitivities", "Intrinsic sensitivities", labels("s", kAccelerometers),
+             values_of(intrinsic), covariance_of(result, intrinsic));
+  const Eigen::MatrixXd nine = *result.covariance_intrinsic;
+  add_values(results, "abc_intrinsicAngles", "Intrinsic angles between the sensitive directions",
+             labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3));
+  add_values(results, "abc_offsets", "Zero-acceleration offsets", labels("O", kAccelerometers),
+             as_vector(result.offset), block(nine, 6));
+  const DerivedList outputs = joined(sensitivity, offsets_of(result));
+  add_values(results, "abc_allOutputs", "Sensitivity matrix row by row and offsets, with their covariance",
+             output_labels("s"), values_of(outputs), covariance_of(result, outputs));
+  const DerivedList intrinsics = joined(joined(intrinsic, angles_of(result)), offsets_of(result));
+  add_values(
+      results, "abc_allIntrinsic",
+      "Intrinsic sensitivities, intrinsic angles and offsets, with their covariance: what does not depend on "
+      "the mounting",
+      intrinsic_labels("s"), values_of(intrinsics), covariance_of(result, intrinsics));
+}
+
+/// As the analysis has them: the change of the output for one g_loc. Local gravity's uncertainty is not in
+/// them.
+void add_per_gravity(XmlElement& results, const CalibrationResult& result) {
+  const std::string s = "g_loc*s";
+  const std::string what =
+      "Change of the output for an acceleration of one local gravity g_loc, which is among the conditions; "
+      "its "
+      "uncertainty does not enter.";
+  XmlElement matrix =
+      add_result(results, "abc_sensitivityMatrixPerGravity", "Sensitivity matrix per local gravity", what);
+  std::vector<Quantity> twelve;
+  add_rows(matrix, "abc_matrix3x3", [&](std::size_t j) {
+    const auto& row = (*result.sensitivity_matrix)[j];
+    twelve.insert(twelve.end(), row.begin(), row.end());
+    return list_of(row_labels(s, j), {row.begin(), row.end()},
+                   block(*result.covariance, static_cast<Eigen::Index>(3 * j)));
+  });
+  add_values(results, "abc_intrinsicSensitivitiesPerGravity", "Intrinsic sensitivities per local gravity",
+             labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+             block(*result.covariance_intrinsic, 0));
+  twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
+  add_values(results, "abc_allOutputsPerGravity",
+             "Sensitivity matrix per local gravity row by row and offsets, with their covariance",
+             output_labels(s), twelve, *result.covariance);
+  std::vector<Quantity> nine = as_vector(result.intrinsic_sensitivity);
+  for (const Triple* triple : {&result.intrinsic_angle, &result.offset})
+    nine.insert(nine.end(), triple->begin(), triple->end());
+  add_values(results, "abc_allIntrinsicPerGravity",
+             "Intrinsic sensitivities per local gravity, intrinsic angles and offsets, with their covariance",
+             intrinsic_labels(s), nine, *result.covariance_intrinsic);
+}
+
+void add_derived_group(XmlElement& results, const DerivedGroup& group) {
   std::vector<Quantity> values;
   std::vector<std::string> names;
-  std::vector<const DerivedQuantity*> determined;
   for (const DerivedQuantity& quantity : group.quantities) {
     if (std::isnan(quantity.value.value)) continue;  // Not determined: said in the description.
     values.push_back(quantity.value);
     names.push_back(quantity.name);
-    determined.push_back(&quantity);
   }
   if (values.empty()) return;
-  const std::string missing = determined.size() == group.quantities.size()
+  const std::string missing = values.size() == group.quantities.size()
                                   ? ""
                                   : "Left out where the transverse sensitivity does not exceed its expanded "
                                     "uncertainty, so that it has no direction.";
   XmlElement data = add_result(results, "abc_derived", group.words, missing);
-  if (group.name == "sensitivity") {
-    // A matrix again: row by row, each with its covariance.
-    add_rows(data, "abc_matrix3x3", [&](std::size_t j) {
-      Eigen::MatrixXd covariance(3, 3);
-      for (Eigen::Index a = 0; a < 3; ++a)
-        for (Eigen::Index b = 0; b < 3; ++b)
-          covariance(a, b) = covariance_of(result, *determined[3 * j + static_cast<std::size_t>(a)],
-                                           *determined[3 * j + static_cast<std::size_t>(b)]);
-      const auto first = static_cast<std::ptrdiff_t>(3 * j);
-      return list_of(row_labels(j), {values.begin() + first, values.begin() + first + 3}, covariance);
-    });
-    return;
-  }
   XmlElement quantity = add_quantity(data, "basic_measuredValue", group.words);
   add_value_list(quantity, list_of(names, values));
 }
@@ -222,8 +280,12 @@ void add_results(XmlElement& measurement, const CertifiedRun& run, const std::ve
               "No numbers are given, since the run gave none that may be used: " + result.why);
     return;
   }
-  add_outputs(results, result);
-  for (const DerivedGroup& group : run.derived) add_derived_group(results, group, result);
+  add_si(results, run);
+  add_per_gravity(results, result);
+  for (const DerivedGroup& group : run.derived) {
+    const bool done = group.name == "sensitivity" || group.name == "intrinsic_sensitivity";
+    if (!done) add_derived_group(results, group);
+  }
   if (!run.decisions.empty()) {
     XmlElement data = add_result(results, "abc_conformity", "Conformity with specification");
     for (const Decision& decision : run.decisions) add_decision(data, decision);

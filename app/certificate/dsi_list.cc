@@ -31,6 +31,7 @@ std::string listed(Eigen::Index count, const std::function<std::string(Eigen::In
 
 /// One representation of a list: all in units that D-SI takes.
 struct Representation {
+  std::vector<std::string> labels;
   std::vector<DsiUnit> units;
   Eigen::VectorXd scale;  ///< Values are multiplied by this.
 };
@@ -49,7 +50,7 @@ void add_covariance(XmlElement& parent, const ValueList& list, const Representat
       parent.add("si:measurementUncertaintyMultivariateXMLList").add("si:ellipsoidalRegionMUXMLList");
   XmlElement matrix = region.add("si:covarianceMatrixXMLList");
   const auto unit_of = [&](Eigen::Index i) { return as.units[static_cast<std::size_t>(i)]; };
-  const auto label_of = [&](Eigen::Index i) { return list.labels[static_cast<std::size_t>(i)]; };
+  const auto label_of = [&](Eigen::Index i) { return as.labels[static_cast<std::size_t>(i)]; };
   for (Eigen::Index column = 0; column < n; ++column) {
     XmlElement values = matrix.add("si:columnXMLList").add("si:covarianceXMLList");
     values.add("si:valueXMLList", listed(n, [&](Eigen::Index row) {
@@ -67,7 +68,7 @@ void add_covariance(XmlElement& parent, const ValueList& list, const Representat
 
 void add_real_list(XmlElement& parent, const ValueList& list, const Representation& as) {
   const Eigen::Index n = list.values.size();
-  const auto label_of = [&](Eigen::Index i) { return list.labels[static_cast<std::size_t>(i)]; };
+  const auto label_of = [&](Eigen::Index i) { return as.labels[static_cast<std::size_t>(i)]; };
   XmlElement real = parent.add("si:realListXMLList");
   real.add("si:labelXMLList", listed(n, label_of));
   real.add("si:valueXMLList",
@@ -129,13 +130,15 @@ ValueList list_of(const std::vector<std::string>& labels, const std::vector<Quan
 
 void add_value_list(XmlElement& quantity, const ValueList& list) {
   const Eigen::Index n = list.values.size();
-  Representation si{{}, Eigen::VectorXd::Ones(n)}, own = si;
+  Representation si{list.labels, {}, Eigen::VectorXd::Ones(n)}, own{{}, {}, Eigen::VectorXd::Ones(n)};
   bool hybrid = false;
   for (Eigen::Index i = 0; i < n; ++i) {
     const UnitInDsi in = unit_in_dsi(list.units[static_cast<std::size_t>(i)]);
     si.units.push_back(in.unit);
     si.scale[i] = in.factor;
     own.units.push_back(in.own.value_or(in.unit));
+    // A reader that knows SI units only finds each label once.
+    own.labels.push_back(list.labels[static_cast<std::size_t>(i)] + "[" + own.units.back().text() + "]");
     hybrid = hybrid || in.own.has_value();
   }
   if (!hybrid) return add_real_list(quantity, list, si);

@@ -23,7 +23,8 @@ class NumberNotFinite : public std::runtime_error {
 std::string dsi_number(double value, std::string_view what);
 
 /// Several values with their uncertainty, as D-SI lists them (si:realListXMLList). Values in `units`; where
-/// D-SI does not know one of these, an si:hybrid gives them in SI units first and then as they are.
+/// D-SI does not know one of these, an si:hybrid gives them in SI units first and then as they are, with the
+/// unit behind each label ("O_u[|g]").
 struct ValueList {
   std::vector<std::string> labels;  ///< Without blanks.
   Eigen::VectorXd values;

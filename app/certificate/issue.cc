@@ -4,6 +4,7 @@
 
 #include "app/certificate/business_rules.h"
 #include "app/certificate/dcc_xml.h"
+#include "app/certificate/dsi_list.h"
 
 namespace abcal {
 namespace {

@@ -30,11 +30,11 @@ class DccTest : public CertificateTest {
 };
 
 TEST_F(DccTest, ADraftOfASimulatedRunKeepsSchemaAndRules) {
-  ABCAL_SHARED_DATA_OR_SKIP(schemas, "dcc");
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
   const Certificate draft = certificate();
   const XmlDocument document = dcc_document(draft);
   EXPECT_EQ(to_string(check_business_rules(document)), "");
-  EXPECT_EQ(to_string(DccSchema(schemas).check(parse_xml(xml_text(document), "draft"))), "");
+  EXPECT_EQ(to_string(DccSchema(path).check(parse_xml(xml_text(document), "draft"))), "");
   EXPECT_THAT(xml_text(document),
               AllOf(HasSubstr("DRAFT: this certificate is not issued"), HasSubstr("SIMULATED")));
   EXPECT_THAT(draft.number, testing::StartsWith("DRAFT-"));
@@ -60,8 +60,9 @@ TEST_F(DccTest, NumbersAreThoseOfTheAnalysis) {
     }
   };
   for (int row = 0; row < 3; ++row)
-    expect_list("abc_sensitivityMatrix", row + 1, json["sensitivity_matrix"][static_cast<std::size_t>(row)]);
-  expect_list("abc_intrinsicSensitivities", 1, json["intrinsic_sensitivity"]);
+    expect_list("abc_sensitivityMatrixPerGravity", row + 1,
+                json["sensitivity_matrix"][static_cast<std::size_t>(row)]);
+  expect_list("abc_intrinsicSensitivitiesPerGravity", 1, json["intrinsic_sensitivity"]);
   expect_list("abc_intrinsicAngles", 1, json["intrinsic_angle"]);
   expect_list("abc_offsets", 1, json["offset"]);
 
@@ -78,10 +79,10 @@ TEST_F(DccTest, NumbersAreThoseOfTheAnalysis) {
     }
   };
   for (int row = 0; row < 3; ++row)
-    expect_covariance("abc_sensitivityMatrix", json["covariance"], static_cast<std::size_t>(3 * row), 3,
-                      row + 1);
-  expect_covariance("abc_allOutputs", json["covariance"], 0, 12, 1);
-  expect_covariance("abc_allIntrinsic", json["covariance_intrinsic"], 0, 9, 1);
+    expect_covariance("abc_sensitivityMatrixPerGravity", json["covariance"],
+                      static_cast<std::size_t>(3 * row), 3, row + 1);
+  expect_covariance("abc_allOutputsPerGravity", json["covariance"], 0, 12, 1);
+  expect_covariance("abc_allIntrinsicPerGravity", json["covariance_intrinsic"], 0, 9, 1);
   EXPECT_EQ(xml.text("(//dcc:result[@refType='abc_allOutputs']//si:ellipsoidalRegionMUXMLList/"
                      "si:coverageFactorXMLList)[1]")
                 .substr(0, 5),
@@ -105,7 +106,7 @@ TEST_F(DccTest, DoesNotDependOnTheLocale) {
 }
 
 TEST_F(DccTest, MarkupAndOtherScriptsStayText) {
-  ABCAL_SHARED_DATA_OR_SKIP(schemas, "dcc");
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
   std::string laboratory = example_laboratory();
   laboratory = replaced(laboratory, "name = \"Example customer\"",
                         "name = \"<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \u0001\"");
@@ -114,7 +115,7 @@ TEST_F(DccTest, MarkupAndOtherScriptsStayText) {
   const Certificate made = make_certificate(std::move(asked));
   const std::string text = xml_text(dcc_document(made));
   const XmlDocument document = parse_xml(text, "draft");
-  EXPECT_EQ(to_string(DccSchema(schemas).check(document)), "");
+  EXPECT_EQ(to_string(DccSchema(path).check(document)), "");
   EXPECT_EQ(to_string(check_business_rules(document)), "");
   const XmlQuery xml(text);
   EXPECT_EQ(xml.text("//dcc:customer/dcc:name/dcc:content"),
@@ -318,8 +319,8 @@ void scramble(Certificate& certificate, Chance& chance) {
 }
 
 TEST_F(DccTest, TwoHundredCertificatesOfAnythingValidate) {
-  ABCAL_SHARED_DATA_OR_SKIP(schemas, "dcc");
-  const DccSchema schema(schemas);
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
+  const DccSchema schema(path);
   const Certificate base = certificate();
   int issued = 0;
   for (unsigned seed = 1; seed <= 200; ++seed) {
@@ -334,7 +335,7 @@ TEST_F(DccTest, TwoHundredCertificatesOfAnythingValidate) {
     ASSERT_EQ(to_string(schema.check(read)), "") << "seed " << seed;
     // Nothing is lost on the way: the first row of the matrix, in the unit of the output.
     const auto row = XmlQuery(text).numbers(
-        "//dcc:result[@refType='abc_sensitivityMatrix']//dcc:quantity[1]/"
+        "//dcc:result[@refType='abc_sensitivityMatrixPerGravity']//dcc:quantity[1]/"
         "descendant::si:realListXMLList[last()]/"
         "si:valueXMLList");
     ASSERT_EQ(row.size(), 3U);
@@ -346,8 +347,8 @@ TEST_F(DccTest, TwoHundredCertificatesOfAnythingValidate) {
 }
 
 TEST_F(DccTest, TheSchemaRefusesWhatItMust) {
-  ABCAL_SHARED_DATA_OR_SKIP(schemas, "dcc");
-  const DccSchema schema(schemas);
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
+  const DccSchema schema(path);
   const std::string good = xml_text(dcc_document(certificate()));
   const auto broken =
       replaced(good, "<dcc:performanceLocation>laboratory<", "<dcc:performanceLocation>moon<");
@@ -368,19 +369,19 @@ std::pair<int, std::string> shell(const std::string& command, const test::Tempor
 }
 
 TEST_F(DccTest, XmllintFindsItValid) {
-  ABCAL_SHARED_DATA_OR_SKIP(schemas, "dcc/xsd/v3.3.0/dcc.xsd");
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd/v3.3.0/dcc.xsd");
   if (shell("command -v xmllint", folder).first != 0)
     GTEST_SKIP() << "xmllint (libxml2-utils) is not installed";
   test::write_file(folder / "a.xml", xml_text(dcc_document(certificate())));
-  const auto [code, said] = shell(
-      "xmllint --nonet --noout --schema '" + schemas.string() + "' '" + (folder / "a.xml").string() + "'",
-      folder);
+  const auto [code, said] =
+      shell("xmllint --nonet --noout --schema '" + path.string() + "' '" + (folder / "a.xml").string() + "'",
+            folder);
   EXPECT_EQ(code, 0) << said;
   EXPECT_THAT(said, HasSubstr("validates"));
 }
 
 TEST_F(DccTest, TheSchematronOfThePtbFindsNoError) {
-  ABCAL_SHARED_DATA_OR_SKIP(rules, "dcc/schematron/dcc.svrl");
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/schematron/dcc.svrl");
   const std::string saxon = "/usr/share/java/Saxon-HE.jar";
   if (!std::filesystem::exists(saxon) || shell("command -v java", folder).first != 0)
     GTEST_SKIP() << "Saxon-HE (libsaxonhe-java) or java is not installed";
@@ -388,7 +389,7 @@ TEST_F(DccTest, TheSchematronOfThePtbFindsNoError) {
     test::write_file(folder / "a.xml", xml);
     const auto [code, said] =
         shell("java -cp " + saxon + " net.sf.saxon.Transform -s:'" + (folder / "a.xml").string() +
-                  "' -xsl:'" + rules.string() + "' -o:'" + (folder / "out.xml").string() + "'",
+                  "' -xsl:'" + path.string() + "' -o:'" + (folder / "out.xml").string() + "'",
               folder);
     EXPECT_EQ(code, 0) << said;
     return XmlQuery(test::read_file(folder / "out.xml")).texts("//*[@role='error']");

@@ -150,7 +150,7 @@ TEST_F(IssueTest, ASignatureIsVerifiedByXmlsec1) {
                   subject),
             0);
   std::vector<std::string> schema;
-  if (const auto schemas = test::shared_data("dcc")) schema = {"--schemas", schemas->string()};
+  if (const auto schemas = test::shared_data("dcc/xsd")) schema = {"--schemas", schemas->string()};
   const auto signing = [&](const std::string& key, const std::string& certificate,
                            std::vector<std::string> more) {
     more.insert(more.end(), {"--sign", key, "--certificate", certificate, "--dcc", key + ".xml"});
