@@ -72,6 +72,13 @@ struct StoredReading {
 /// The kind of the event that says that a port which had vanished is back; the analysis counts them.
 inline constexpr std::string_view kReconnectedEvent = "reconnected";
 
+/// One look at the room.
+struct StoredEnvironment {
+  std::string utc;
+  std::string moment;  ///< "start", "end", "resume"
+  std::optional<double> temperature_degc, humidity_percent, pressure_hpa;
+};
+
 struct RunEvent {
   std::string utc;
   std::string kind;  ///< "started", "interrupted", "flag", ...
@@ -105,6 +112,7 @@ struct StoredRun {
   RunRecord record;
   std::vector<std::size_t> measured;  ///< Positions in header.plan that have a dwell.
   std::vector<RunEvent> events;
+  std::vector<StoredEnvironment> environment;
 };
 
 /// A run on disk: one SQLite file (docs/run_file.md), append-only, each angle committed before the next move.
@@ -163,7 +171,20 @@ class RunFile {
   std::unique_ptr<Impl> impl_;
 };
 
-/// `RUN.results`, beside the run: analyses, approvals and reports. Rows are only ever added.
+/// A certificate as it was issued. Fields in the order in which they are chained.
+struct IssuedCertificate {
+  std::string utc;  ///< When it was issued.
+  std::string number;
+  std::string measured_by, approved_by;
+  std::string date;      ///< Of issue, as on the certificate: "2026-03-01".
+  std::string replaces;  ///< Number of the certificate it replaces; empty: none.
+  std::string reason;    ///< Why.
+  std::string program_version;
+  std::string laboratory_toml;  ///< The laboratory file as it was read.
+  std::string xml;              ///< Its bytes, signature included.
+};
+
+/// `RUN.results`, beside the run: analyses and issued certificates. Rows are only ever added.
 class ResultsFile {
  public:
   /// Opens or creates the results of a run; they name the hash of the closed run they belong to.
@@ -176,7 +197,14 @@ class ResultsFile {
   /// How many are stored.
   std::size_t analyses();
 
+  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that does not
+  /// replace the first, and the replacement of one that is replaced already.
+  void add_certificate(const IssuedCertificate& certificate);
+
   static std::filesystem::path path_beside(const std::filesystem::path& run_path);
+
+  /// The certificates issued for a run, oldest first; none where there are no results.
+  static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path);
 
  private:
   SqliteDatabase database_;
