@@ -49,6 +49,8 @@ int main(int argc, char** argv) {
   add_analyse(app, exit_code);
   add_uncertainty(app, exit_code);
   add_simulate(app, exit_code);
+  add_report(app, exit_code);
+  add_issue(app, exit_code);
   add_verify(app, exit_code);
   add_level(app, exit_code);
   add_emulate(app, exit_code);

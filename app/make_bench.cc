@@ -170,6 +170,19 @@ std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& cloc
   return Opener(config, {}, nullptr, clock).stage();
 }
 
+std::vector<std::string> simulated_instruments(const BenchConfig& config) {
+  const auto simulated = [](const InstrumentPort& port) { return port.port == kSimulated; };
+  const std::vector<InstrumentPort> stage = stage_ports(config.stage);
+  const std::vector<InstrumentPort> accelerometer = accelerometer_ports(config.accelerometer);
+  std::vector<std::string> list;
+  if (config.stage.driver == kSimulated || std::any_of(stage.begin(), stage.end(), simulated))
+    list.emplace_back("stage");
+  if (config.accelerometer.driver == kSimulated ||
+      std::any_of(accelerometer.begin(), accelerometer.end(), simulated))
+    list.emplace_back("accelerometer");
+  return list;
+}
+
 Bench make_bench(const BenchConfig& config, BenchStreams streams) {
   std::vector<InstrumentPort> ports = stage_ports(config.stage);
   const bool stage_is_simulated =

@@ -2,7 +2,9 @@
 
 #include <functional>
 #include <memory>
+#include <string>
 #include <string_view>
+#include <vector>
 
 #include "app/bench_config.h"
 #include "drivers/instrument/accelerometer.h"
@@ -42,6 +44,10 @@ struct BenchStreams {
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
 Bench make_bench(const BenchConfig& config, BenchStreams streams = {});
+
+/// Which of "stage" and "accelerometer" are simulated in a bench file, in whole or in part. An emulated
+/// instrument on a pseudo-terminal looks like a real one and is not among them.
+std::vector<std::string> simulated_instruments(const BenchConfig& config);
 
 /// The stage of a bench file alone, in protocol angles; none of it simulated without bytes.
 std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock);

@@ -13,6 +13,8 @@ CLI::App* add_replay(CLI::App& parent, int& exit_code);
 CLI::App* add_plan(CLI::App& parent, int& exit_code);
 CLI::App* add_check(CLI::App& parent, int& exit_code);
 CLI::App* add_analyse(CLI::App& parent, int& exit_code);
+CLI::App* add_report(CLI::App& parent, int& exit_code);
+CLI::App* add_issue(CLI::App& parent, int& exit_code);
 CLI::App* add_verify(CLI::App& parent, int& exit_code);
 CLI::App* add_level(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <libxml/parser.h>
 #include <libxml/xpath.h>
 #include <libxml/xpathInternals.h>
 
@@ -13,6 +12,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "app/certificate/xml_tree.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/sensitivity_matrix.h"
 
@@ -22,13 +22,10 @@ namespace {
 constexpr double kRadToDeg = 180.0 / 3.14159265358979323846;
 
 // libxml2 names its strings unsigned char.
-const xmlChar* xml_text(const char* text) {
+const xmlChar* as_xml(const char* text) {
   return reinterpret_cast<const xmlChar*>(text);
 }
 
-struct FreeDocument {
-  void operator()(xmlDoc* document) const { xmlFreeDoc(document); }
-};
 struct FreeContext {
   void operator()(xmlXPathContext* context) const { xmlXPathFreeContext(context); }
 };
@@ -39,23 +36,23 @@ struct FreeText {
   void operator()(xmlChar* text) const { xmlFree(text); }
 };
 
+std::string text_of(const std::filesystem::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  if (!file) throw std::runtime_error(path.string() + ": cannot be read");
+  return text.str();
+}
+
 /// A certificate as XPath sees it.
 class Certificate {
  public:
   explicit Certificate(const std::filesystem::path& path)
-      : document_(
-            xmlReadFile(path.c_str(), nullptr, XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOWARNING)) {
-    if (!document_) {
-      const xmlError* error = xmlGetLastError();
-      throw std::runtime_error(fmt::format(
-          "{}: not XML that can be read{}", path.string(),
-          error && error->message ? fmt::format(": line {}: {}", error->line, trimmed_end(error->message))
-                                  : std::string()));
-    }
+      : document_(parse_xml(text_of(path), path.string())) {
     context_.reset(xmlXPathNewContext(document_.get()));
     if (!context_) throw std::bad_alloc();
-    xmlXPathRegisterNs(context_.get(), xml_text("dcc"), xml_text("https://ptb.de/dcc"));
-    xmlXPathRegisterNs(context_.get(), xml_text("si"), xml_text("https://ptb.de/si"));
+    xmlXPathRegisterNs(context_.get(), as_xml("dcc"), as_xml("https://ptb.de/dcc"));
+    xmlXPathRegisterNs(context_.get(), as_xml("si"), as_xml("https://ptb.de/si"));
   }
 
   std::vector<xmlNode*> nodes(const char* path, xmlNode* from = nullptr) const {
@@ -91,13 +88,12 @@ class Certificate {
 
   std::unique_ptr<xmlXPathObject, FreeObject> evaluate(const char* path, xmlNode* from) const {
     context_->node = from != nullptr ? from : xmlDocGetRootElement(document_.get());
-    std::unique_ptr<xmlXPathObject, FreeObject> object(
-        xmlXPathEvalExpression(xml_text(path), context_.get()));
+    std::unique_ptr<xmlXPathObject, FreeObject> object(xmlXPathEvalExpression(as_xml(path), context_.get()));
     if (!object) throw std::logic_error(std::string("XPath ") + path);
     return object;
   }
 
-  std::unique_ptr<xmlDoc, FreeDocument> document_;
+  XmlDocument document_;
   std::unique_ptr<xmlXPathContext, FreeContext> context_;
 };
 

@@ -8,19 +8,21 @@
 #include <stdexcept>
 #include <utility>
 
+#include "app/certificate/derived.h"
+
 namespace abcal {
 namespace {
 
-constexpr double kStandardGravity = 9.80665;  // m/s2, exactly
 constexpr double kPi = 3.14159265358979323846;
 
 struct Prefix {
   std::string_view word, letters;
   double factor;
 };
-constexpr std::array<Prefix, 10> kPrefixes{{{"nano", "n", 1e-9},
+constexpr std::array<Prefix, 11> kPrefixes{{{"nano", "n", 1e-9},
                                             {"micro", "u", 1e-6},
                                             {"micro", "\u00b5", 1e-6},
+                                            {"micro", "\u03bc", 1e-6},
                                             {"milli", "m", 1e-3},
                                             {"centi", "c", 1e-2},
                                             {"deci", "d", 1e-1},

@@ -541,6 +541,12 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
     // set_state() wrote it when the run went on.
     if (run.events.back().kind == to_string(RunState::kRunning)) ++record.continuations;
   }
+  SqliteStatement environment = database.prepare(
+      "select utc, moment, temperature_degc, humidity_percent, pressure_hpa from environment order by id");
+  while (environment.step()) {
+    run.environment.push_back({environment.text(0), environment.text(1), environment.optional_real(2),
+                               environment.optional_real(3), environment.optional_real(4)});
+  }
   return run;
 }
 
@@ -575,7 +581,11 @@ ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::strin
       "create table if not exists run(sha256 text primary key) without rowid;"
       "create table if not exists analysis(id integer primary key, utc text, program_version text, estimator "
       "text,"
-      " result_json text, chain text)");
+      " result_json text, chain text);"
+      "create table if not exists certificate(id integer primary key, utc text, number text unique, "
+      "measured_by "
+      "text, approved_by text, date text, replaces text, reason text, program_version text, laboratory_toml "
+      "text, xml text, chain text)");
   // Results of before analyses were chained: they stay readable, and `verify` says what they lack.
   if (database_.value("select count(*) from pragma_table_info('analysis') where name = 'chain'") == "0")
     database_.execute("alter table analysis add column chain text");
@@ -603,6 +613,75 @@ void ResultsFile::add_analysis(const std::string& utc, std::string_view program_
       .bind(4, result_json)
       .bind(5, std::string_view(link))
       .run();
+}
+
+namespace {
+
+std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
+  std::vector<IssuedCertificate> certificates;
+  // Results of before certificates were issued have no such table.
+  if (!database.value("select 1 from sqlite_master where type='table' and name='certificate'"))
+    return certificates;
+  SqliteStatement rows = database.prepare(
+      "select utc, number, measured_by, approved_by, date, replaces, reason, program_version, "
+      "laboratory_toml, "
+      "xml from certificate order by id");
+  while (rows.step()) {
+    certificates.push_back({rows.text(0), rows.text(1), rows.text(2), rows.text(3), rows.text(4),
+                            rows.text(5), rows.text(6), rows.text(7), rows.text(8), rows.text(9)});
+  }
+  return certificates;
+}
+
+/// @throws RunFileError if a certificate cannot be issued beside those that there are
+void require_issuable(const IssuedCertificate& certificate, const std::vector<IssuedCertificate>& issued,
+                      const std::string& results) {
+  bool replaces_one = false;
+  for (const IssuedCertificate& one : issued) {
+    if (one.number == certificate.number)
+      throw RunFileError(results + ": certificate " + one.number + " was issued on " + one.date +
+                         "; a number is given once");
+    if (!certificate.replaces.empty() && one.replaces == certificate.replaces)
+      throw RunFileError(results + ": certificate " + certificate.replaces + " is replaced by " + one.number +
+                         " already; replace that one");
+    replaces_one = replaces_one || one.number == certificate.replaces;
+  }
+  if (!issued.empty() && !replaces_one)
+    throw RunFileError(results + ": certificate " + issued.back().number +
+                       " was issued for this run already; amend it with --replaces " + issued.back().number +
+                       " --reason TEXT");
+}
+
+}  // namespace
+
+void ResultsFile::add_certificate(const IssuedCertificate& certificate) {
+  Transaction transaction(database_);
+  const std::string results = database_.value("select file from pragma_database_list").value_or("results");
+  require_issuable(certificate, read_certificates(database_), results);
+  const std::vector<std::string> fields{certificate.utc,
+                                        certificate.number,
+                                        certificate.measured_by,
+                                        certificate.approved_by,
+                                        certificate.date,
+                                        certificate.replaces,
+                                        certificate.reason,
+                                        certificate.program_version,
+                                        certificate.laboratory_toml,
+                                        certificate.xml};
+  const std::string before =
+      database_.value("select chain from certificate order by id desc limit 1").value_or("");
+  SqliteStatement row = database_.prepare("insert into certificate values(null,?,?,?,?,?,?,?,?,?,?,?)");
+  int column = 0;
+  for (const std::string& field : fields) row.bind(++column, std::string_view(field));
+  row.bind(++column, std::string_view(next_link(before, fields))).run();
+  transaction.commit();
+}
+
+std::vector<IssuedCertificate> ResultsFile::certificates(const std::filesystem::path& run_path) {
+  std::error_code error;
+  if (!std::filesystem::exists(path_beside(run_path), error)) return {};
+  SqliteDatabase database(path_beside(run_path), SqliteDatabase::Mode::kReadOnly);
+  return read_certificates(database);
 }
 
 }  // namespace abcal

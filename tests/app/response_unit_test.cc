@@ -19,6 +19,7 @@ void expect_same(const UnitMeaning& a, const UnitMeaning& b) {
 TEST(ResponseUnitTest, NamesOfInstrumentsAndStringsOfCertificatesMeanTheSame) {
   expect_same(meaning_of_response_unit("V"), meaning_of_d_si("\\volt"));
   expect_same(meaning_of_response_unit("mV"), meaning_of_d_si("\\milli\\volt"));
+  expect_same(meaning_of_response_unit("\u03bcV"), meaning_of_d_si("\\micro\\volt"));
   expect_same(meaning_of_response_unit("uA"), meaning_of_d_si("\\micro\\ampere"));
   expect_same(meaning_of_response_unit("m/s2"), meaning_of_d_si("\\metre\\second\\tothe{-2}"));
   EXPECT_EQ(meaning_of_response_unit("g").factor, 9.80665);
