@@ -51,6 +51,7 @@ int main(int argc, char** argv) {
   add_verify(app, exit_code);
   add_level(app, exit_code);
   add_emulate(app, exit_code);
+  add_serve(app, exit_code);
   add_instruments(app, exit_code);
   try {
     app.parse(argc, argv);

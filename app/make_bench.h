@@ -40,8 +40,10 @@ struct BenchStreams {
 };
 
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
+/// `simulated_clock`, if given, is the clock where nothing real takes part, in place of one that jumps.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
-Bench make_bench(const BenchConfig& config, BenchStreams streams = {});
+Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
+                 std::unique_ptr<Clock> simulated_clock = nullptr);
 
 /// The stage of a bench file alone, in protocol angles; none of it simulated without bytes.
 std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock);

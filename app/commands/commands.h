@@ -16,6 +16,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code);
 CLI::App* add_verify(CLI::App& parent, int& exit_code);
 CLI::App* add_level(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);
+CLI::App* add_serve(CLI::App& parent, int& exit_code);
 CLI::App* add_instruments(CLI::App& parent, int& exit_code);
 
 }  // namespace abcal
