@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "app/analyses.h"
+#include "app/console/download.h"
 #include "app/report/result_json.h"
 
 namespace abcal::console {
@@ -143,6 +144,9 @@ Json RunLibrary::result(const std::filesystem::path& path) {
   json["events"] = Json::array();
   for (const RunEvent& event : run.events)
     json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text}});
+  json["downloads"] = Json::array();
+  for (const Download& download : downloads())
+    json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
   json["results"] = Json::array();
   for (const CalibrationResult& result : analyse_all(run.record))
     json["results"].push_back(result_json(result));
@@ -170,22 +174,7 @@ Json RunLibrary::history(const std::string& serial_number) {
   std::sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
     return a["created_utc"].get<std::string>() < b["created_utc"].get<std::string>();
   });
-  return list;
-}
-
-std::string RunLibrary::csv(const std::filesystem::path& path) {
-  const StoredRun run = RunFile::load(path);
-  std::string text = "experiment,n,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc\n";
-  for (const DwellRecord& dwell : run.record.dwells) {
-    if (dwell.closing) continue;
-    const Eigen::Vector3d u = dwell.u_mean.value_or(Eigen::Vector3d::Constant(std::nan("")));
-    text +=
-        fmt::format("{},{},{:.17g},{:.17g},{:.17g},{:.17g},{:.17g},{:.17g},{:.17g},{},{},{}\n",
-                    dwell.experiment, dwell.n, dwell.alpha.deg(), dwell.mean[0], dwell.mean[1], dwell.mean[2],
-                    u[0], u[1], u[2], dwell.time_s ? fmt::format("{:.17g}", *dwell.time_s) : "", dwell.count,
-                    dwell.temperature_degc ? fmt::format("{:.17g}", *dwell.temperature_degc) : "");
-  }
-  return text;
+  return {{"runs", std::move(list)}};
 }
 
 }  // namespace abcal::console

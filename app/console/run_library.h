@@ -33,9 +33,6 @@ class RunLibrary {
   /// The results of the default estimator of every complete run of one item, oldest first.
   nlohmann::ordered_json history(const std::string& serial_number);
 
-  /// Averaged readings as `abcal analyse` reads them. @throws RunFileError
-  static std::string csv(const std::filesystem::path& run);
-
  private:
   struct Entry {
     std::filesystem::file_time_type time;

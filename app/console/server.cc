@@ -26,6 +26,7 @@
 #include <utility>
 
 #include "app/console/asset.h"
+#include "app/console/download.h"
 #include "app/console/live_view.h"
 #include "app/console/request.h"
 #include "app/console/run_library.h"
@@ -113,12 +114,9 @@ HttpResponse respond(const HttpRequest& request, http::status status, std::strin
   response.set(http::field::server, "abcal");
   response.set(http::field::content_type, {type.data(), type.size()});
   response.set(http::field::cache_control, "no-store");
-  // 'self' does not cover WebSockets in every browser; the host has been checked.
   response.set("Content-Security-Policy",
-               fmt::format("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-                           "connect-src 'self' ws://{0} wss://{0}; form-action 'self'; base-uri 'none'; "
-                           "frame-ancestors 'none'",
-                           view(request[http::field::host])));
+               "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+               "form-action 'self'; base-uri 'none'; frame-ancestors 'none'");
   response.set("X-Content-Type-Options", "nosniff");
   response.set("X-Frame-Options", "DENY");
   response.set("Referrer-Policy", "no-referrer");
@@ -548,14 +546,13 @@ HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
   return {};
 }
 
-/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/readings.csv, /history/SERIAL. Nothing for other paths.
+/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /history/SERIAL. Nothing for other paths.
 std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::string>& words,
                                                         const HttpRequest& request) {
   // The parts of the request that an answer needs.
   HttpRequest head;
   head.version(request.version());
   head.keep_alive(request.keep_alive());
-  head.set(http::field::host, request[http::field::host]);
   const auto job = [head](auto make) {
     return [head, make = std::move(make)] {
       try {
@@ -579,10 +576,12 @@ std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::s
   if (!path) return nullptr;
   if (words[2] == "result")
     return job([this, json, run = *path](const HttpRequest& to) { return json(to, library.result(run)); });
-  if (words[2] == "readings.csv")
-    return job([run = *path](const HttpRequest& to) {
-      return respond(to, http::status::ok, "text/csv; charset=utf-8", RunLibrary::csv(run));
-    });
+  for (const Download& download : downloads()) {
+    if (words[2] == download.name)
+      return job([run = *path, download](const HttpRequest& to) {
+        return respond(to, http::status::ok, download.content_type, download.make(run));
+      });
+  }
   return nullptr;
 }
 

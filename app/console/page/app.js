@@ -1,6 +1,7 @@
 import {byId} from '/text.js';
 import {Link} from '/link.js';
 import {LiveView} from '/live.js';
+import {showChart, showCompare, showRun, showRuns} from '/runs.js';
 
 const live = new LiveView();
 let me = null, controller = null, activity = {activity: 'idle', hold_asked: false, stop_asked: false};
@@ -35,6 +36,9 @@ function offer() {
   set('do-hold', steer && what === 'running' && !activity.hold_asked && !activity.stop_asked);
   set('do-continue', steer && what === 'running' && activity.hold_asked && !activity.stop_asked);
   set('do-stop', steer && what !== 'idle' && what !== 'analysing' && !activity.stop_asked);
+  const mayResume = steer && what === 'idle';
+  document.body.classList.toggle('may-resume', mayResume);
+  for (const button of document.querySelectorAll('button.resume')) button.disabled = !mayResume;
   for (const control of byId('note-form').elements) control.disabled = !(steer && what === 'running');
 }
 
@@ -89,8 +93,17 @@ byId('jog-form').addEventListener('submit', async (event) => {
     await ask({do: 'jog', axis, by_deg: by, confirmed: true});
 });
 
+async function resume(run) {
+  if (!(await confirmed(`Resume ${run}?`, `Both axes search their reference, the last angle is measured again, and the run goes on. ${CLEAR}`, 'Resume, and turn the stage'))) return;
+  if (await ask({do: 'resume', run, confirmed: true})) location.hash = '#live';
+}
+
 function route() {
-  const name = ['live', 'runs', 'compare', 'chart'].find((view) => location.hash.slice(1).split('/')[0] === view) || 'live';
+  const [view, ...rest] = location.hash.slice(1).split('/');
+  const name = ['live', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
+  if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0])) : showRuns(resume);
+  if (name === 'compare') showCompare();
+  if (name === 'chart') showChart();
   for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${name}`;
   for (const a of document.querySelectorAll('nav a')) {
     if (a.hash === `#${name}`) a.setAttribute('aria-current', 'page'); else a.removeAttribute('aria-current');

@@ -64,3 +64,34 @@ matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => {
     chart.update('none');
   }
 });
+
+// Groups of bars, one colour an output.
+export function bars(canvas, {x = '', y, labels, sets}) {
+  const chart = new Chart(canvas, {
+    type: 'bar',
+    data: {labels, datasets: sets.map((set) => ({label: set.output, output: set.output, data: set.values}))},
+    options: {
+      animation: false, responsive: true, maintainAspectRatio: false,
+      scales: {x: {title: {display: x !== '', text: x}}, y: {title: {display: true, text: y}}},
+      plugins: {legend: {labels: {usePointStyle: true, boxHeight: 7}}},
+    },
+  });
+  dress(chart);
+  chart.update('none');
+  made.add(chart);
+  return chart;
+}
+
+// Values with a band of two standard uncertainties, and the limits of a control chart where there are any.
+export function band(canvas, {x, y, points, output, limits = null, marks = false}) {
+  const edge = (sign) => points.map((p) => ({x: p.x, y: p.y + sign * 2 * (p.u ?? 0)}));
+  const level = (name, value, dash) => ({...series('u', name), output: undefined, borderColor: 'gray', borderDash: dash, pointRadius: 0,
+    data: points.length ? [{x: points[0].x, y: value}, {x: points.at(-1).x, y: value}] : []});
+  const datasets = [
+    {...series(output, 'value', {points: marks}), borderDash: [], data: points.map(({x: at, y: value}) => ({x: at, y: value}))},
+    {...series(output, '2 std. uncertainties', {}), borderWidth: 1, borderDash: [2, 3], data: edge(+1)},
+    {...series(output, '_lower', {}), borderWidth: 1, borderDash: [2, 3], data: edge(-1)},
+  ];
+  if (limits) datasets.push(level('centre', limits.centre, []), level('limits', limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
+  return plot(canvas, {x, y, datasets, xRange: {ticks: {precision: 0}}});
+}
