@@ -9,6 +9,7 @@
 
 #include "app/bench_check.h"
 #include "app/console/watched.h"
+#include "drivers/instrument/clock.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/run_record.h"
 #include "protocol/run/experiment_run.h"
@@ -43,6 +44,7 @@ struct PhaseSeen {
 struct DwellSeen {
   std::size_t position = 0;
   DwellRecord dwell;
+  Clock::UtcTime told;  ///< When the measuring thread said so, in the time of people.
 };
 
 struct LogLine {

@@ -130,6 +130,8 @@ std::string LiveView::apply(const Event& event) {
 }
 
 Json LiveView::on(const ActivitySeen& seen) {
+  // The readings begin anew, and so does their time.
+  if (seen.activity == Activity::kChecking && activity_.activity != Activity::kChecking) strip_.clear();
   activity_ = seen;
   if (seen.activity == Activity::kIdle) phase_.reset();
   Json message = activity_json(seen);
@@ -170,6 +172,7 @@ Json LiveView::on(const DwellSeen& seen) {
   last_dwell_ = now;
   return {{"type", "dwell"},
           {"dwell", dwell_json(seen.position, seen.dwell)},
+          {"told_us", std::chrono::floor<std::chrono::microseconds>(seen.told).time_since_epoch().count()},
           {"fit", fit_of(seen.dwell.experiment)},
           {"progress", progress()}};
 }

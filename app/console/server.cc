@@ -47,6 +47,7 @@ using Text = std::shared_ptr<const std::string>;
 
 constexpr std::uint32_t kLongestHeader = 8 * 1024;
 constexpr std::uint64_t kLongestBody = 1024;
+constexpr std::size_t kLongestDrain = 64 * 1024;
 /// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead.
 constexpr std::size_t kLongestQueue = 64;
 /// What the system may buffer for one page.
@@ -92,8 +93,9 @@ struct Peer {
 
 Caller caller_of(const Peer& peer, const HttpRequest& request) {
   Caller caller;
-  caller.host = view(request[http::field::host]);
-  caller.origin = view(request[http::field::origin]);
+  // Of two, nobody knows which one counts: neither does.
+  if (request.count(http::field::host) == 1) caller.host = view(request[http::field::host]);
+  caller.origin = request.count(http::field::origin) > 1 ? "null" : view(request[http::field::origin]);
   caller.cookie = view(request[http::field::cookie]);
   caller.authorization = view(request[http::field::authorization]);
   caller.address = peer.address;
@@ -299,14 +301,14 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
       return;
     if (error) {
       log_refusal(peer_, "a request", error.message());
-      const bool long_one = error == http::error::header_limit || error == http::error::body_limit ||
-                            error == http::error::buffer_overflow;
+      http::status status = http::status::bad_request;
+      if (error == http::error::header_limit || error == http::error::buffer_overflow)
+        status = http::status::request_header_fields_too_large;
+      if (error == http::error::body_limit) status = http::status::payload_too_large;
       HttpRequest none;
-      none.keep_alive(false);
       none.version(11);
-      return write(plain(none,
-                         long_one ? http::status::request_header_fields_too_large : http::status::bad_request,
-                         "The request cannot be read: " + error.message()));
+      none.keep_alive(false);
+      return write(plain(none, status, "The request cannot be read: " + error.message()));
     }
     const HttpRequest& request = parser_->get();
     if (websocket::is_upgrade(request) && view(request.target()) == "/live") {

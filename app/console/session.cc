@@ -60,7 +60,7 @@ class Session::Observer final : public RunObserver {
     store_notes();
   }
   void dwell(std::size_t position, const DwellRecord& dwell) override {
-    session_.tell_(DwellSeen{position, dwell});
+    session_.tell_(DwellSeen{position, dwell, RealClock().utc_now()});
     store_notes();
   }
   void notice(std::string_view text) override {
@@ -118,9 +118,9 @@ void Session::work(const std::stop_token& end) {
 void Session::carry_out(const std::function<void()>& job) {
   const auto problem = [this](const char* text) { tell_(LogLine{LogLine::Grade::kProblem, text}); };
   try {
+    if (stop_.stop_requested()) throw RunInterrupted("stopped before it began");
     job();
   } catch (const RunInterrupted& error) {
-    was_stopped_ = true;
     tell_(LogLine{LogLine::Grade::kWarning, error.what()});
   } catch (const std::exception& error) {
     problem(error.what());
@@ -129,7 +129,6 @@ void Session::carry_out(const std::function<void()>& job) {
   {
     const std::lock_guard lock(mutex_);
     activity_ = Activity::kIdle;
-    current_run_.clear();
     notes_.clear();
     hold_ = false;
   }
@@ -145,16 +144,14 @@ void Session::tell_activity() {
   tell_(seen);
 }
 
-Session::Refusal Session::begin(Activity activity, std::function<void()> job, std::string current_run) {
+Session::Refusal Session::begin(Activity activity, std::function<void()> job) {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ != Activity::kIdle) return kBusy;
     if (worker_.get_stop_token().stop_requested()) return "the console is being closed";
     activity_ = activity;
-    current_run_ = std::move(current_run);
     stop_ = std::stop_source();
     hold_ = false;
-    was_stopped_ = false;
     job_ = std::move(job);
   }
   tell_activity();
@@ -169,13 +166,11 @@ Session::Refusal Session::check(bool with_motion) {
 Session::Refusal Session::start() {
   const std::string name =
       output_path("", options_.bench_file.filename().string(), ".run").filename().string();
-  return begin(
-      Activity::kRunning, [this, name] { do_start(name); }, name);
+  return begin(Activity::kRunning, [this, name] { do_start(name); });
 }
 
 Session::Refusal Session::resume(const std::filesystem::path& run) {
-  return begin(
-      Activity::kRunning, [this, run] { do_resume(run); }, run.filename().string());
+  return begin(Activity::kRunning, [this, run] { do_resume(run); });
 }
 
 Session::Refusal Session::jog(StageAxis axis, Angle by) {
@@ -206,6 +201,7 @@ Session::Refusal Session::stop() {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ == Activity::kIdle) return "nothing goes on that could be stopped";
+    if (activity_ == Activity::kAnalysing) return "the stage stands still already; the run is analysed";
     if (stop_.stop_requested()) return std::nullopt;
     // Requesting the stop sends the halt to the stage and waits for its answer: not in the caller's thread.
     stopper_ = std::jthread([source = stop_]() mutable { source.request_stop(); });
@@ -221,11 +217,6 @@ Session::Refusal Session::note(std::string text, std::string by) {
   if (notes_.size() >= kMostPending) return "many notes wait to be stored already";
   notes_.push_back({std::move(text), std::move(by)});
   return std::nullopt;
-}
-
-std::string Session::current_run() const {
-  const std::lock_guard lock(mutex_);
-  return current_run_;
 }
 
 std::vector<Session::PendingNote> Session::take_notes() {

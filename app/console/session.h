@@ -47,18 +47,13 @@ class Session {
   /// Halts the stage at once and ends what goes on.
   Refusal stop();
 
-  /// The file of the run that is on; empty where none is.
-  std::string current_run() const;
-  /// What went on was stopped, not finished.
-  bool was_stopped() const { return was_stopped_; }
-
  private:
   class Observer;
   struct PendingNote {
     std::string text, by;
   };
 
-  Refusal begin(Activity activity, std::function<void()> job, std::string current_run = {});
+  Refusal begin(Activity activity, std::function<void()> job);
   void work(const std::stop_token& end);
   void carry_out(const std::function<void()>& job);
   void tell_activity();
@@ -80,11 +75,9 @@ class Session {
   std::condition_variable_any wake_;
   std::function<void()> job_;  ///< To be begun.
   Activity activity_ = Activity::kIdle;
-  std::string current_run_;
   std::stop_source stop_;  ///< Of what goes on.
   std::vector<PendingNote> notes_;
   std::atomic<bool> hold_ = false;
-  std::atomic<bool> was_stopped_ = false;
 
   /// Kept open between jogs; of the measuring thread alone.
   struct JogBench {

@@ -46,6 +46,7 @@ class Runner {
 
   RunTiming run(const RunProgress& so_far) {
     started_ = clock_.now();
+    throw_if_stopped();
     stage_info_ = stage_.identify();
     accelerometer_info_ = accelerometer_.identify();
     const bool anew = so_far.last.has_value();

@@ -165,6 +165,8 @@ class PageClient {
 
   /// The next message, or nothing at the deadline or the end.
   std::optional<Json> next(std::chrono::steady_clock::time_point deadline) {
+    io_.restart();
+    io_.poll();
     while (messages_.empty() && !ended_ && std::chrono::steady_clock::now() < deadline) {
       io_.restart();
       io_.run_one_until(

@@ -161,7 +161,7 @@ TEST_F(SecurityTest, RefusesWhatIsNoRequest) {
   EXPECT_EQ(status("GET /\x01 HTTP/1.1\r\n" + host + "\r\n"), 400U);
   EXPECT_EQ(status("GET / HTTP/1.1\r\n" + host + "X: " + std::string(20'000, 'a') + "\r\n\r\n"), 431U);
   EXPECT_EQ(status("GET /" + std::string(20'000, 'a') + " HTTP/1.1\r\n" + host + "\r\n"), 431U);
-  EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 99999999\r\n\r\n"), 431U);
+  EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 99999999\r\n\r\n"), 413U);
   EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 0\r\n\r\n"), 405U);
   EXPECT_EQ(status("DELETE /runs HTTP/1.1\r\n" + host + "\r\n"), 405U);
   EXPECT_TRUE(is_logged("Only GET is answered here"));

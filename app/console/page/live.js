@@ -74,7 +74,11 @@ export class LiveView {
   receive(message) {
     switch (message.type) {
       case 'snapshot': this.snapshot(message); break;
-      case 'activity': this.activity = message; this.words(); break;
+      case 'activity':
+        if (message.activity === 'checking') this.stripData = [];  // The readings begin anew, and so does their time.
+        this.activity = message;
+        this.words();
+        break;
       case 'phase': this.phase = message; this.words(); break;
       case 'stage': this.stage(message.axis, message); break;
       case 'strip':
