@@ -97,18 +97,18 @@ export async function showRun(name) {
     element('h3', {id: 'run-name'}, run.name),
     verdict(abc, run),
     downloads(data.downloads, run),
-    card('Estimators side by side', estimators(results), 'wide'),
+    card('Estimators side by side', estimators(results)),
     card('Other estimators in words', element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. ${r.why}`)))),
     card('Facts', facts(data)));
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
   detail.append(card('Events', element('div', {class: 'scroll'}, table('What happened during the run, and when', ['Time', 'Kind', 'What'],
-    data.events.map((e) => [day(e.utc), e.kind, e.text]))), 'wide'));
+    data.events.map((e) => [day(e.utc), e.kind, e.text])))));
   byId('main').focus();
 }
 
-const card = (title, content, more = '') => element('section', {class: `card block ${more}`}, element('h3', {}, title), content);
+const card = (title, content) => element('section', {class: 'card block'}, element('h3', {}, title), content);
 
 function verdict(result, run) {
   const notes = result.diagnostics.notes;
@@ -178,7 +178,7 @@ function closures(result) {
     element('div', {class: 'plot'}, canvas),
     element('details', {}, element('summary', {}, 'As a table'), table(`Closures and their standard uncertainty (${result.response_unit})`,
       ['Closure', 'Output', `Value (${result.response_unit})`, `std. uncertainty (${result.response_unit})`, 'Ratio (1)'],
-      rows.map((c) => [c.name, c.accelerometer, small(c.value.value), small(c.value.standard_uncertainty), signed(c.value.value / c.value.standard_uncertainty, 2)])))), 'wide');
+      rows.map((c) => [c.name, c.accelerometer, small(c.value.value), small(c.value.standard_uncertainty), signed(c.value.value / c.value.standard_uncertainty, 2)])))));
   queueMicrotask(() => charts.push(bars(canvas, {y: 'closure / std. uncertainty (1)', labels: [...new Set(rows.map((c) => c.name))],
     sets: OUTPUTS.map((name) => ({output: name, values: rows.filter((c) => c.accelerometer === name).map((c) => c.value.value / c.value.standard_uncertainty)}))})));
   return block;
@@ -199,7 +199,7 @@ function harmonics(result) {
     element('div', {class: 'plot'}, canvas),
     element('details', {}, element('summary', {}, 'As a table'), table(`Amplitudes (${unit})`,
       ['Experiment', 'Order (1)', 'Output', `Amplitude (${unit})`, `std. uncertainty of a coefficient (${unit})`],
-      rows.map((r) => [r.experiment, r.order, r.output, small(r.amplitude), small(r.u)])))), 'wide');
+      rows.map((r) => [r.experiment, r.order, r.output, small(r.amplitude), small(r.u)])))));
   const labels = [...new Set(rows.map((r) => r.label))];
   queueMicrotask(() => charts.push(bars(canvas, {x: 'experiment, order of the harmonic', y: `amplitude (${unit})`, labels,
     sets: OUTPUTS.map((name) => ({output: name, values: labels.map((l) => rows.find((r) => r.label === l && r.output === name)?.amplitude ?? null)}))})));
@@ -220,7 +220,7 @@ function stepErrors(joint) {
   return card('Step errors of the stage, from the joint estimator', element('div', {},
     element('p', {}, 'Line: estimated error of each commanded angle; band: two standard uncertainties.'), holder,
     element('details', {}, element('summary', {}, 'As a table'), element('div', {class: 'scroll'}, table('Step errors (degrees)',
-      ['Experiment', 'n', 'Step error (degrees)', 'std. uncertainty (degrees)'], rows)))), 'wide');
+      ['Experiment', 'n', 'Step error (degrees)', 'std. uncertainty (degrees)'], rows)))));
 }
 
 // Two runs.
