@@ -33,7 +33,8 @@ struct RunBegan {
   std::vector<PlannedAngle> plan;
   std::vector<std::pair<std::size_t, DwellRecord>> measured;  ///< Before an interruption.
   double estimated_s = 0.0;                                   ///< Of real time, for the whole plan.
-  std::string stage, accelerometer;                           ///< Who they are, in words.
+  std::optional<double> pace;        ///< Where nothing real takes part: simulated over real time.
+  std::string stage, accelerometer;  ///< Who they are, in words.
 };
 
 struct PhaseSeen {

@@ -276,6 +276,7 @@ std::string LiveView::snapshot() const {
                    {"item", run_->item},
                    {"operator", run_->operator_name},
                    {"unit", run_->unit},
+                   {"pace", run_->pace ? Json(*run_->pace) : Json(nullptr)},
                    {"stage", run_->stage},
                    {"accelerometer", run_->accelerometer},
                    {"plan", std::move(plan)},

@@ -104,11 +104,31 @@ Caller caller_of(const Peer& peer, const HttpRequest& request) {
   return caller;
 }
 
-void log_refusal(const Peer& peer, std::string_view what, std::string_view why) {
-  constexpr std::size_t kShown = 200;
-  spdlog::warn("console: refused from {}: {}: {}", peer.remote, wire::bytes_as_text(what.substr(0, kShown)),
-               why);
-}
+/// Says who was refused, and why; but a flood of refusals does not drown everything else. For one thread.
+class RefusalLog {
+ public:
+  explicit RefusalLog(const Clock& clock) : clock_(clock) {}
+
+  void operator()(const Peer& peer, std::string_view what, std::string_view why) {
+    constexpr int kMost = 50;
+    constexpr Clock::Duration kWhile = std::chrono::seconds(10);
+    constexpr std::size_t kShown = 200;
+    const Clock::Instant now = clock_.now();
+    if (now - since_ > kWhile) {
+      if (count_ > kMost) spdlog::warn("console: {} more were refused", count_ - kMost);
+      since_ = now;
+      count_ = 0;
+    }
+    if (++count_ > kMost) return;
+    spdlog::warn("console: refused from {}: {}: {}", peer.remote, wire::bytes_as_text(what.substr(0, kShown)),
+                 why);
+  }
+
+ private:
+  const Clock& clock_;
+  Clock::Instant since_{};
+  int count_ = 0;
+};
 
 HttpResponse respond(const HttpRequest& request, http::status status, std::string_view type,
                      std::string body) {
@@ -146,6 +166,7 @@ struct Server::Impl {
   void accept();
   void hear(Event event);
   void broadcast(std::string message);
+  Text snapshot();
   void arrived(const std::shared_ptr<Page>& page);
   void left(Page& page);
   void received(Page& page, std::string_view text);
@@ -157,8 +178,10 @@ struct Server::Impl {
 
   ServerOptions options;
   RealClock clock;
+  RefusalLog log_refusal{clock};
   RunLibrary library;
   LiveView live;
+  Text snapshot_now;  ///< Shared by all who need it before the next event; null: to be made.
   std::size_t connections = 0;
   asio::io_context io;
   tcp::acceptor acceptor{io};
@@ -216,7 +239,8 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
     socket_.async_read(buffer_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) {
         if (error == websocket::error::message_too_big)
-          log_refusal(self->peer_, "a message", fmt::format("longer than {} bytes", kLongestRequest));
+          self->server_.log_refusal(self->peer_, "a message",
+                                    fmt::format("longer than {} bytes", kLongestRequest));
         self->server_.left(*self);
         return;
       }
@@ -238,8 +262,7 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
                             self->server_.left(*self);
                             return;
                           }
-                          if (std::exchange(self->behind_, false))
-                            self->send(std::make_shared<const std::string>(self->server_.live.snapshot()));
+                          if (std::exchange(self->behind_, false)) self->send(self->server_.snapshot());
                           if (!self->writing_ && !self->queue_.empty()) self->write();
                         });
   }
@@ -278,7 +301,8 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
     socket.set_option(tcp::no_delay(true), error);
     socket.set_option(asio::socket_base::send_buffer_size(kSendBuffer), error);
     if (server_.connections > server_.options.most_connections) {
-      log_refusal(peer_, "a connection", fmt::format("there are {} already", server_.connections - 1));
+      server_.log_refusal(peer_, "a connection",
+                          fmt::format("there are {} already", server_.connections - 1));
       return;
     }
     read();
@@ -300,7 +324,7 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
         error == asio::error::connection_reset || error == asio::error::eof)
       return;
     if (error) {
-      log_refusal(peer_, "a request", error.message());
+      server_.log_refusal(peer_, "a request", error.message());
       http::status status = http::status::bad_request;
       if (error == http::error::header_limit || error == http::error::buffer_overflow)
         status = http::status::request_header_fields_too_large;
@@ -416,7 +440,9 @@ void Server::Impl::hear(Event event) {
   ++pending;
   asio::post(io, [this, event = std::move(event)] {
     --pending;
-    broadcast(live.apply(event));
+    std::string message = live.apply(event);
+    snapshot_now.reset();
+    broadcast(std::move(message));
   });
 }
 
@@ -425,12 +451,17 @@ void Server::Impl::broadcast(std::string message) {
   for (const std::shared_ptr<Page>& page : pages) page->send(text);
 }
 
+Text Server::Impl::snapshot() {
+  if (!snapshot_now) snapshot_now = std::make_shared<const std::string>(live.snapshot());
+  return snapshot_now;
+}
+
 void Server::Impl::arrived(const std::shared_ptr<Page>& page) {
   page->number = ++pages_so_far;
   pages.insert(page);
   const auto tell = [&](const Json& json) { page->send(std::make_shared<const std::string>(json.dump())); };
   tell({{"type", "you"}, {"number", page->number}});
-  page->send(std::make_shared<const std::string>(live.snapshot()));
+  page->send(snapshot());
   tell({{"type", "control"}, {"page", controller != nullptr ? Json(controller->number) : Json(nullptr)}});
 }
 

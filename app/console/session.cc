@@ -29,8 +29,10 @@ std::string in_words(const AccelerometerInfo& info) {
                      info.output_unit);
 }
 
-RunBegan describe(const BenchConfig& config, const Identities& who, const std::vector<PlannedAngle>& plan) {
+RunBegan describe(const BenchConfig& config, const Identities& who, const std::vector<PlannedAngle>& plan,
+                  std::optional<double> pace) {
   RunBegan began;
+  began.pace = pace;
   began.bench = config.name;
   began.item =
       config.item.serial_number.empty() ? who.accelerometer.serial_number : config.item.serial_number;
@@ -41,7 +43,8 @@ RunBegan describe(const BenchConfig& config, const Identities& who, const std::v
       estimate_duration(plan, config.protocol,
                         {who.stage.axes[0].speed_deg_per_s, who.stage.axes[1].speed_deg_per_s},
                         who.accelerometer.rate_hz)
-          .total_s();
+          .total_s() /
+      pace.value_or(1.0);
   began.stage = in_words(who.stage);
   began.accelerometer = in_words(who.accelerometer);
   return began;
@@ -241,6 +244,10 @@ Bench Session::open(const BenchConfig& config) {
   return bench;
 }
 
+std::optional<double> Session::pace_of(const Bench& bench) const {
+  return bench.simulated_time ? std::optional(options_.pace) : std::nullopt;
+}
+
 void Session::do_check(bool with_motion) {
   const BenchConfig config = read_bench(options_.bench_file);
   Bench bench = open(config);
@@ -258,9 +265,8 @@ void Session::do_start(const std::string& name) {
   Bench bench = open(config);
   const Identities who = identify(bench, config);
   const std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
-  RunBegan began = describe(config, who, plan);
+  RunBegan began = describe(config, who, plan, pace_of(bench));
   began.file = name;
-  if (bench.simulated_time) began.estimated_s /= options_.pace;
   tell_(began);
   RunFile file = begin_run(bench, config, who, plan, options_.runs / name, nullptr);
   measure_and_finish(bench, config, std::move(file), plan, {});
@@ -270,9 +276,8 @@ void Session::do_resume(const std::filesystem::path& path) {
   InterruptedRun run = open_interrupted_run(path);
   Bench bench = open(run.config);
   const std::vector<PlannedAngle>& plan = run.stored.header.plan;
-  RunBegan began = describe(run.config, identify(bench, run.config), plan);
+  RunBegan began = describe(run.config, identify(bench, run.config), plan, pace_of(bench));
   began.file = path.filename().string();
-  if (bench.simulated_time) began.estimated_s /= options_.pace;
   for (std::size_t i = 0; i < run.stored.measured.size(); ++i)
     began.measured.emplace_back(run.stored.measured[i], run.stored.record.dwells[i]);
   tell_(began);

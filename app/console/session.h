@@ -61,6 +61,7 @@ class Session {
   void store_notes(RunFile& file, const Clock& clock);
 
   Bench open(const BenchConfig& config);
+  std::optional<double> pace_of(const Bench& bench) const;
   void do_check(bool with_motion);
   void do_start(const std::string& name);
   void do_resume(const std::filesystem::path& run);

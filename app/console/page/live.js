@@ -52,6 +52,7 @@ export class LiveView {
       this.setProgress(this.run.progress);
       byId('run-file').textContent = this.run.file || DASH;
       byId('item').textContent = this.run.item || DASH;
+      byId('time').textContent = this.run.pace === null ? 'real' : `simulated, ${this.run.pace} times as fast as real time`;
       for (const {response, residual} of this.charts) {
         response.options.scales.y.title.text = `output (${this.run.unit})`;
         residual.options.scales.y.title.text = `residual (${this.run.unit})`;
