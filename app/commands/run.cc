@@ -74,8 +74,7 @@ InterruptedRun open_interrupted_run(const std::filesystem::path& path) {
   RunProgress so_far;
   so_far.measured = {stored.measured.begin(), stored.measured.end()};
   so_far.spent = stored.timing;
-  if (!stored.measured.empty())
-    so_far.last = {stored.measured.back(), stored.record.dwells.back(), stored.header.tolerances};
+  if (!stored.measured.empty()) so_far.last = {stored.measured.back(), stored.record.dwells.back()};
   BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
   return {std::move(file), std::move(stored), std::move(config), std::move(so_far)};
 }
@@ -93,29 +92,32 @@ void continue_run(InterruptedRun& run, Bench& bench) {
                                  run.stored.header.plan.size()));
 }
 
-FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file) {
-  const std::filesystem::path path = file.path();
-  const std::string utc = format_utc(bench.clock->utc_now());
-  note_environment(bench, config, file, "end");
+FinishedRun analyse_closed_run(const std::filesystem::path& path, const std::string& sha256,
+                               const std::string& utc) {
   FinishedRun run;
-  run.sha256 = file.close_complete(utc);
+  run.sha256 = sha256;
   run.stored = RunFile::load(path);
   run.results = analyse_all(run.stored.record);
-  ResultsFile results_file(path, run.sha256);
+  ResultsFile results_file(path, sha256);
   for (const CalibrationResult& each : run.results) {
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
   }
   return run;
 }
 
-int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
-                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far, bool json) {
+FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file, const RunTiming& timing) {
   const std::filesystem::path path = file.path();
-  const RunTiming timing =
-      measure(bench, config, file, plan, so_far, bench.replayed ? "Replaying" : "Calibrating",
-              bench.replayed ? "" : "; go on with: abcal resume " + path.string());
-  const FinishedRun run = finish_run(bench, config, std::move(file));
+  const std::string utc = format_utc(bench.clock->utc_now());
+  note_environment(bench, config, file, "end");
+  return analyse_closed_run(path, file.close_complete(utc, timing), utc);
+}
+
+namespace {
+
+/// @return what the program shall return to the shell.
+int print_finished_run(const std::filesystem::path& path, const FinishedRun& run, bool json) {
   const CalibrationResult& result = run.results.front();
+  const RunTiming& timing = run.stored.timing;
   if (json) {
     nlohmann::ordered_json output = result_json(result);
     output["run"] = {{"file", path.string()},
@@ -134,6 +136,29 @@ int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
     fmt::print("Run file: {} (SHA-256 {})\n", path.string(), run.sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+}
+
+/// Every angle is measured, but the program was killed before it had closed the run and analysed it.
+/// @return nothing if there is nothing left to be done.
+std::optional<int> finish_killed_run(const std::filesystem::path& path, bool json) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete)
+    return std::nullopt;
+  const std::string sha256 = RunFile::finish_closing(path);
+  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
+  fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", path.string());
+  return print_finished_run(path, analyse_closed_run(path, sha256, format_utc(RealClock().utc_now())), json);
+}
+
+}  // namespace
+
+int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
+                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far, bool json) {
+  const std::filesystem::path path = file.path();
+  const RunTiming timing =
+      measure(bench, config, file, plan, so_far, bench.replayed ? "Replaying" : "Calibrating",
+              bench.replayed ? "" : "; go on with: abcal resume " + path.string());
+  return print_finished_run(path, finish_run(bench, config, std::move(file), timing), json);
 }
 
 CLI::App* add_run(CLI::App& parent, int& exit_code) {
@@ -196,6 +221,10 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
+    if (const auto finished = finish_killed_run(options->run_file, options->json)) {
+      exit_code = *finished;
+      return;
+    }
     InterruptedRun run = open_interrupted_run(options->run_file);
     Bench bench = make_bench(run.config);
     continue_run(run, bench);

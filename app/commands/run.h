@@ -42,7 +42,7 @@ struct FinishedRun {
   std::vector<CalibrationResult> results;  ///< One an estimator, in the order of kEstimators.
 };
 /// Closes a run whose angles are all measured, analyses it and keeps the analyses beside it.
-FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file);
+FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file, const RunTiming& timing);
 
 /// Measures what is missing, closes the run, analyses and prints. Shared by run, resume and replay.
 /// @return what the program shall return to the shell.

@@ -288,9 +288,10 @@ void Session::do_resume(const std::filesystem::path& path) {
 void Session::measure_and_finish(Bench& bench, const BenchConfig& config, RunFile file,
                                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far) {
   const std::string name = file.path().filename().string();
+  RunTiming timing;
   try {
     Observer observer(*this, &file, *bench.clock);
-    measure(bench, config, file, plan, so_far, observer, stop_.get_token());
+    timing = measure(bench, config, file, plan, so_far, observer, stop_.get_token());
     store_notes(file, *bench.clock);
   } catch (const std::exception& error) {
     tell_(RunEnded{name, false, error.what()});
@@ -302,7 +303,7 @@ void Session::measure_and_finish(Bench& bench, const BenchConfig& config, RunFil
     hold_ = false;
   }
   tell_activity();
-  const FinishedRun run = finish_run(bench, config, std::move(file));
+  const FinishedRun run = finish_run(bench, config, std::move(file), timing);
   const CalibrationResult& result = run.results.front();
   std::string verdict(to_string(result.verdict));
   if (result.verdict == Verdict::kNotUsable) verdict = "not usable";

@@ -10,17 +10,17 @@
 #include "app/terminal.h"
 
 namespace abcal {
+
+int decimals_for(double uncertainty) {
+  if (!(uncertainty > 0.0) || !std::isfinite(uncertainty)) return 9;
+  return std::clamp(1 - static_cast<int>(std::floor(std::log10(uncertainty))), 0, 17);
+}
+
 namespace {
 
 constexpr std::array<char, 3> kAccelerometers{'u', 'v', 'w'};
 constexpr std::array<char, 3> kAxes{'x', 'y', 'z'};
 constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
-
-/// Decimals that show two digits of the uncertainty.
-int decimals_for(double uncertainty) {
-  if (!(uncertainty > 0.0) || !std::isfinite(uncertainty)) return 9;
-  return std::clamp(1 - static_cast<int>(std::floor(std::log10(uncertainty))), 0, 17);
-}
 
 std::string uncertainty_text(const std::optional<double>& u, int decimals) {
   if (!u || !std::isfinite(*u)) return "-";
@@ -41,28 +41,6 @@ void row(std::string& text, const std::string& name, const Quantity& q) {
   text += fmt::format("  {:<8} {:>+16.{}f} {:>14} {:>14} {:>14}  {}\n", name, q.value, decimals,
                       uncertainty_text(q.standard_uncertainty, decimals), part_text(q.type_a),
                       part_text(q.type_b), q.unit);
-}
-
-struct NamedQuantity {
-  std::string name;
-  Quantity quantity;
-};
-
-std::vector<NamedQuantity> outputs(const CalibrationResult& result) {
-  std::vector<NamedQuantity> list;
-  for (std::size_t j = 0; j < 3; ++j) {
-    for (std::size_t k = 0; k < 3; ++k) {
-      list.push_back({fmt::format("s_{}{}", kAccelerometers[j], kAxes[k]),
-                      result.sensitivity_matrix ? (*result.sensitivity_matrix)[j][k] : Quantity{}});
-    }
-  }
-  for (std::size_t j = 0; j < 3; ++j)
-    list.push_back({fmt::format("s_{}", kAccelerometers[j]), result.intrinsic_sensitivity[j]});
-  for (std::size_t j = 0; j < 3; ++j)
-    list.push_back({fmt::format("phi_{}", kPairs[j]), result.intrinsic_angle[j]});
-  for (std::size_t j = 0; j < 3; ++j)
-    list.push_back({fmt::format("O_{}", kAccelerometers[j]), result.offset[j]});
-  return list;
 }
 
 void stage_errors(std::string& text, const JointResult& joint) {
@@ -101,6 +79,29 @@ void stage_errors(std::string& text, const JointResult& joint) {
 
 }  // namespace
 
+std::vector<NamedQuantity> outputs(const CalibrationResult& result) {
+  std::vector<NamedQuantity> list;
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      list.push_back({fmt::format("s_{}{}", kAccelerometers[j], kAxes[k]),
+                      result.sensitivity_matrix ? (*result.sensitivity_matrix)[j][k] : Quantity{}});
+    }
+  }
+  for (std::size_t j = 0; j < 3; ++j)
+    list.push_back({fmt::format("s_{}", kAccelerometers[j]), result.intrinsic_sensitivity[j]});
+  for (std::size_t j = 0; j < 3; ++j)
+    list.push_back({fmt::format("phi_{}", kPairs[j]), result.intrinsic_angle[j]});
+  for (std::size_t j = 0; j < 3; ++j)
+    list.push_back({fmt::format("O_{}", kAccelerometers[j]), result.offset[j]});
+  return list;
+}
+
+std::string verdict_words(Verdict verdict) {
+  std::string words(to_string(verdict));
+  std::replace(words.begin(), words.end(), '_', ' ');
+  return words;
+}
+
 std::string value_with_uncertainty(const Quantity& q) {
   if (!std::isfinite(q.value)) return "not determined";
   const int decimals = decimals_for(q.standard_uncertainty);
@@ -111,11 +112,9 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
   const Emphasis emphasis = result.verdict == Verdict::kUsable     ? Emphasis::kGood
                             : result.verdict == Verdict::kDoubtful ? Emphasis::kWarning
                                                                    : Emphasis::kBad;
-  std::string verdict(to_string(result.verdict));
-  std::replace(verdict.begin(), verdict.end(), '_', ' ');
   std::string text =
       fmt::format("{} {} ({} estimator): {}\n", emphasised(stream, Emphasis::kHeading, "Result:"),
-                  emphasised(stream, emphasis, verdict), result.estimator, result.why);
+                  emphasised(stream, emphasis, verdict_words(result.verdict)), result.estimator, result.why);
   const Diagnostics& d = result.diagnostics;
   for (const std::string& note : d.notes) text += "  note: " + note + "\n";
   if (result.verdict == Verdict::kNotUsable) return text;  // No numbers beside a bad verdict.

@@ -8,6 +8,22 @@
 
 namespace abcal {
 
+/// An output with its symbol: "s_ux", "s_u", "phi_uv", "O_u".
+struct NamedQuantity {
+  std::string name;
+  Quantity quantity;
+};
+
+/// The 18 outputs in the order of the reports: matrix row by row, intrinsic sensitivities, intrinsic angles,
+/// offsets. What an estimator does not give has the value NaN.
+std::vector<NamedQuantity> outputs(const CalibrationResult& result);
+
+/// Decimals that show two digits of the uncertainty.
+int decimals_for(double uncertainty);
+
+/// "not usable", "doubtful", "usable".
+std::string verdict_words(Verdict verdict);
+
 /// "+1.084557(12)e0"-style would hide the uncertainty: value and standard uncertainty to two digits of the
 /// latter,
 /// "+1.0845574 +- 0.0000012".

@@ -145,8 +145,9 @@ std::string csv_number(double value) {
   return std::isfinite(value) ? fmt::format("{:.17g}", value) : "";
 }
 
-// The largest combined uncertainty of each group stands for it.
-std::vector<int> worst_of_each_group(const OutputVector& u) {
+}  // namespace
+
+std::vector<int> worst_of_each_kind(const OutputVector& u) {
   std::vector<int> worst;
   const auto largest = [&](const std::vector<int>& members) {
     int best = members.front();
@@ -162,8 +163,6 @@ std::vector<int> worst_of_each_group(const OutputVector& u) {
   largest({15, 16, 17});
   return worst;
 }
-
-}  // namespace
 
 std::string study_text(const StudyResult& study) {
   std::string text = fmt::format("{}\n", study.title);
@@ -234,7 +233,7 @@ std::string study_text(const RunUncertainty& study) {
   }
   text += wrapped(study.type_a.note, "  ");
 
-  for (const int k : worst_of_each_group(study.budget.combined)) {
+  for (const int k : worst_of_each_kind(study.budget.combined)) {
     text += fmt::format("\nBudget of {} ({}), the largest of its kind\n", output_symbol(k),
                         output_unit(k, study.response_unit));
     text += fmt::format("  {:<32}{:>11} {:<7}{:<12}{:>9} {:>11} {:>10} {:>6}\n", "input", "value", "unit",

@@ -1,9 +1,11 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "protocol/uncertainty/run_uncertainty.h"
 #include "protocol/uncertainty/simulation_sets.h"
+#include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
 
@@ -12,6 +14,10 @@ std::string study_text(const StudyResult& study);
 
 /// The uncertainty of a run: outputs, budget, validation, what is not covered.
 std::string study_text(const RunUncertainty& study);
+
+/// One output for each kind (diagonal and other elements of s, O, s_j, phi): that with the largest
+/// uncertainty. Positions as in study_output.h.
+std::vector<int> worst_of_each_kind(const OutputVector& u);
 
 /// One row for each case and output:
 /// `case,output,unit,error,mean,standard_deviation,symmetric_low,symmetric_high,

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace abcal {
+
+/// A file that is written beside its place under a name of its own and takes its place only when it is whole:
+/// what fails half-way leaves nothing behind, and an older file stays as it was.
+class OutputFile {
+ public:
+  /// @throws std::runtime_error if the folder cannot be written to
+  explicit OutputFile(std::filesystem::path path);
+  OutputFile(const OutputFile&) = delete;
+  OutputFile& operator=(const OutputFile&) = delete;
+  OutputFile(OutputFile&& other) noexcept;
+  OutputFile& operator=(OutputFile&&) = delete;
+  ~OutputFile();  ///< Removes what was not committed.
+
+  const std::filesystem::path& path() const { return path_; }
+  /// Where to write until commit(): an empty file in the same folder, with the same extension.
+  const std::filesystem::path& temporary() const { return temporary_; }
+
+  /// Brings the file to the disk and gives it its name.
+  /// @throws std::runtime_error
+  void commit();
+
+  /// Writes the whole of it and commits. @throws std::runtime_error
+  void write(const std::string& content);
+
+ private:
+  std::filesystem::path path_, temporary_;
+};
+
+/// A file that a command was asked to write.
+struct RequestedOutput {
+  std::string option;  ///< "--html"
+  std::filesystem::path path;
+};
+
+/// Why these files may not be written, all problems at once, before anything is: one exists and `force` is
+/// not given, is a folder, is the same as another, or is one of `inputs` (never, `force` or not), or its
+/// folder is not there.
+/// @throws std::invalid_argument
+void require_writable(const std::vector<RequestedOutput>& outputs,
+                      const std::vector<std::filesystem::path>& inputs, bool force);
+
+}  // namespace abcal

@@ -1,0 +1,526 @@
+#include "app/report/calibration_document.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <optional>
+#include <set>
+
+#include "app/progress.h"
+#include "app/report/result_text.h"
+#include "app/report/study_text.h"
+#include "protocol/uncertainty/study_output.h"
+
+namespace abcal {
+namespace {
+
+constexpr std::array<char, 3> kAccelerometers{'u', 'v', 'w'};
+constexpr const char* kNotStated = "not stated";
+constexpr const char* kNone = "-";
+
+std::string or_not_stated(const std::string& text) {
+  return text.empty() ? kNotStated : text;
+}
+
+std::string number(double value, const char* format = "{:.6g}") {
+  return std::isfinite(value) ? fmt::format(fmt::runtime(format), value) : kNone;
+}
+std::string number(const std::optional<double>& value, const char* format = "{:.6g}") {
+  return value ? number(*value, format) : kNone;
+}
+
+/// Two digits of an uncertainty that may be of any size.
+std::string two_digits(const std::optional<double>& u) {
+  return number(u, "{:.1e}");
+}
+
+std::string first_of(const std::string& utc) {
+  return utc.size() < 19 ? utc : utc.substr(0, 10) + " " + utc.substr(11, 8) + " UTC";
+}
+
+// --- What was calibrated, where and by whom ----------------------------------------------------------------
+
+Section item_section(const ReportData& data) {
+  FactList facts;
+  if (!data.run) {
+    facts.facts = {
+        {"Record", fmt::format("{}, averaged readings without a run file: item, bench, operator and "
+                               "conditions are not part of it",
+                               data.path.filename().string())}};
+    return {"Item", {facts}};
+  }
+  for (const auto& [name, key] : {std::pair{"Maker", "item.maker"},
+                                  {"Model", "item.model"},
+                                  {"Serial number", "item.serial_number"},
+                                  {"Range", "item.range"},
+                                  {"Filter", "item.filter"},
+                                  {"Firmware", "item.firmware"},
+                                  {"Supply", "item.supply"}}) {
+    facts.facts.emplace_back(name, or_not_stated(data.label(key)));
+  }
+  facts.facts.emplace_back("Unit of its response", data.record.response_unit);
+  return {"Item", {facts}};
+}
+
+Section run_section(const ReportData& data) {
+  const StoredRun& run = *data.run;
+  FactList facts{{{"Bench", or_not_stated(data.label("bench.name"))},
+                  {"Operator", or_not_stated(data.label("operator.name"))},
+                  {"Begun", first_of(data.started_utc())},
+                  {"Ended", first_of(data.ended_utc())},
+                  {"State", fmt::format("{}: {} of {} angles measured", to_string(run.state),
+                                        run.measured.size(), run.header.plan.size())}}};
+  const int continuations = data.record.continuations;
+  facts.facts.emplace_back(
+      "Interruptions",
+      continuations == 0 ? "none"
+                         : fmt::format("continued {}",
+                                       continuations == 1 ? "once" : fmt::format("{} times", continuations)));
+  const RunTiming& t = run.timing;
+  facts.facts.emplace_back(
+      "Time", fmt::format("{}: moving {}, settling {}, reading {}, other {}", describe_duration(t.total_s()),
+                          describe_duration(t.moving_s), describe_duration(t.settling_s),
+                          describe_duration(t.dwelling_s), describe_duration(t.overhead_s)));
+  DocumentTable instruments{"Instruments, as they identified themselves",
+                            {{"role"}, {"maker and model"}, {"serial number"}, {"firmware"}, {"details"}},
+                            {}};
+  for (const InstrumentIdentity& i : run.header.instruments) {
+    const std::string model = i.maker.empty() ? i.model : i.maker + " " + i.model;
+    instruments.rows.push_back(
+        {i.role, or_not_stated(model), or_not_stated(i.serial_number), or_not_stated(i.firmware), i.details});
+  }
+  return {"Bench and run", {facts, instruments}};
+}
+
+// --- Conditions --------------------------------------------------------------------------------------------
+
+std::string gravity_text(const RunRecord& record) {
+  const LocalGravity& g = record.g_loc;
+  if (!record.g_loc_known) return "not known: sensitivities are per local gravity g_loc";
+  std::string text = fmt::format("{:.9g} m/s2", g.value_mps2);
+  text += g.expanded_uncertainty_mps2 > 0.0
+              ? fmt::format(", U = {:.2g} m/s2 (k = {:g})", g.expanded_uncertainty_mps2, g.coverage_factor)
+              : ", uncertainty not stated";
+  return text + "; source: " + or_not_stated(g.source);
+}
+
+std::string sensor_temperature_text(const RunRecord& record) {
+  double sum = 0.0, lowest = 0.0, highest = 0.0;
+  int count = 0;
+  for (const DwellRecord& dwell : record.dwells) {
+    if (!dwell.temperature_degc) continue;
+    const double t = *dwell.temperature_degc;
+    lowest = count == 0 ? t : std::min(lowest, t);
+    highest = count == 0 ? t : std::max(highest, t);
+    sum += t;
+    ++count;
+  }
+  if (count == 0) return "not measured";
+  return fmt::format("{:.2f} °C to {:.2f} °C, mean {:.2f} °C, at {} of {} angles", lowest, highest,
+                     sum / count, count, record.dwells.size());
+}
+
+Section conditions_section(const ReportData& data) {
+  Section section{"Conditions", {}};
+  if (data.run) {
+    DocumentTable room{"Room",
+                       {{"moment"},
+                        {"time (UTC)"},
+                        {"temperature (°C)", CellKind::kNumber},
+                        {"relative humidity (%)", CellKind::kNumber},
+                        {"pressure (hPa)", CellKind::kNumber}},
+                       {}};
+    for (const StoredEnvironment& e : data.run->environment) {
+      room.rows.push_back({e.moment, first_of(e.utc), number(e.temperature_degc), number(e.humidity_percent),
+                           number(e.pressure_hpa)});
+    }
+    if (room.rows.empty()) {
+      section.blocks.push_back(Paragraph{"Room: not recorded."});
+    } else {
+      section.blocks.push_back(std::move(room));
+    }
+  }
+  section.blocks.push_back(FactList{{{"Sensor temperature", sensor_temperature_text(data.record)},
+                                     {"Local gravity", gravity_text(data.record)}}});
+  return section;
+}
+
+// --- Method ------------------------------------------------------------------------------------------------
+
+std::string tolerances_text(const RunRecord& record) {
+  const Tolerances& t = record.tolerances;
+  std::string text = fmt::format(
+      "Type B, from the stage's tolerances taken as standard uncertainties: alignment of the axes {:g} "
+      "degree, "
+      "each rotation step {:g} degree, initial turns {:g} degree, zeros of the axes {:g} degree; drift of "
+      "the "
+      "accelerometer over the run {:g} of its sensitivity.",
+      t.alignment.deg(), t.step.deg(), t.initial_turn.deg(), t.zero.deg(), t.drift);
+  const MeasuredAlignment& a = record.measured_alignment;
+  if (a.zx || a.zy || a.xz)
+    text += " The alignment was measured besides (abcal level); the joint estimator makes use of it.";
+  return text;
+}
+
+Section method_section(const ReportData& data) {
+  const RunRecord& record = data.record;
+  Section section{"Method", {}};
+  section.blocks.push_back(Paragraph{fmt::format(
+      "Three rotation experiments in the local field of gravity (ABC protocol: J. Geist and M. Gaitan, J. "
+      "Res. "
+      "NIST 126, 126038, 2021): 1 about the horizontal axis X; 2 about X with Z turned by -90 degrees; 3 "
+      "about Z "
+      "with X turned by -90 degrees; in each, {} angles {:g} degrees apart. At each angle the stage stands "
+      "still and the readings are averaged; a sine, a cosine and a constant are fitted to the averages of "
+      "each "
+      "output by least squares, and the sensitivity matrix and the offsets follow from the coefficients.",
+      record.steps, record.step.deg())});
+  if (data.bench) {
+    const ProtocolConfig& p = data.bench->protocol;
+    std::string text = fmt::format("Settling at least {:g} s, {} readings averaged at each angle; ",
+                                   p.settle_s, p.dwell_readings);
+    text += p.approach.deg() != 0.0
+                ? fmt::format("every angle is approached from below by {:g} degree; ", p.approach.deg())
+                : std::string("angles are approached from either side; ");
+    text += p.closing_angle ? "at the end of each experiment the first angle is measured again; "
+                            : "no closing angle; ";
+    text += fmt::format("warm-up {:g} s.", p.warm_up_s);
+    section.blocks.push_back(Paragraph{text});
+  }
+  section.blocks.push_back(Paragraph{
+      "Uncertainty: type A from the scatter of the readings inside each dwell, autocorrelation taken into "
+      "account. " +
+      tolerances_text(record)});
+  section.blocks.push_back(Paragraph{fmt::format(
+      "Expanded uncertainties are U = k u with the coverage factor k = {:g}, which for a normal distribution "
+      "corresponds to a coverage probability of approximately {:g} %.",
+      kCoverageFactor, 100.0 * kCoverageProbability)});
+  return section;
+}
+
+// --- Results -----------------------------------------------------------------------------------------------
+
+const char* group_of(const std::string& name) {
+  if (name.starts_with("phi")) return "Intrinsic angles";
+  if (name.starts_with("O")) return "Zero-acceleration offsets";
+  return name.size() == 4 ? "Sensitivity matrix (default orientation, local gravitational coordinate system)"
+                          : "Intrinsic sensitivities";
+}
+
+std::vector<std::string> result_row(const NamedQuantity& output) {
+  const Quantity& q = output.quantity;
+  if (!std::isfinite(q.value)) return {output.name, "not determined", kNone, kNone, kNone, kNone, q.unit};
+  const int decimals = decimals_for(q.standard_uncertainty);
+  const auto rounded = [&](double u) {
+    return std::isfinite(u) ? fmt::format("{:.{}f}", u, decimals) : kNone;
+  };
+  return {output.name,
+          fmt::format("{:+.{}f}", q.value, decimals),
+          rounded(q.standard_uncertainty),
+          rounded(kCoverageFactor * q.standard_uncertainty),
+          two_digits(q.type_a),
+          two_digits(q.type_b),
+          q.unit};
+}
+
+Section result_section(const ReportData& data) {
+  const CalibrationResult& result = data.result();
+  Section section{"Result", {}};
+  FactList verdict{{{"Verdict", fmt::format("{}: {}", verdict_words(result.verdict), result.why)},
+                    {"Estimator", result.estimator}}};
+  section.blocks.push_back(verdict);
+  if (result.verdict == Verdict::kNotUsable) {
+    section.blocks.push_back(Paragraph{"No numbers are given beside this verdict."});
+  } else {
+    DocumentTable table{"",
+                        {{"quantity", CellKind::kSymbol},
+                         {"value", CellKind::kNumber},
+                         {"standard unc. u", CellKind::kNumber},
+                         {fmt::format("expanded unc. U (k = {:g})", kCoverageFactor), CellKind::kNumber},
+                         {"type A", CellKind::kNumber},
+                         {"type B", CellKind::kNumber},
+                         {"unit", CellKind::kUnit}},
+                        {}};
+    std::string group;
+    for (const NamedQuantity& output : outputs(result)) {
+      if (group != group_of(output.name)) table.rows.push_back({group = group_of(output.name)});
+      table.rows.push_back(result_row(output));
+    }
+    section.blocks.push_back(std::move(table));
+  }
+  if (!result.diagnostics.notes.empty()) section.blocks.push_back(BulletList{result.diagnostics.notes});
+  return section;
+}
+
+// --- Checks ------------------------------------------------------------------------------------------------
+
+Section estimators_section(const ReportData& data) {
+  DocumentTable table{"", {{"quantity", CellKind::kSymbol}}, {}};
+  std::vector<std::vector<NamedQuantity>> columns;
+  for (const CalibrationResult& result : data.results) {
+    table.columns.push_back(
+        {fmt::format("{} ({})", result.estimator, verdict_words(result.verdict)), CellKind::kNumber});
+    columns.push_back(outputs(result));
+  }
+  for (std::size_t c = 1; c < data.results.size(); ++c) {
+    table.columns.push_back(
+        {fmt::format("{} - {}, in u", data.results[c].estimator, data.results[0].estimator),
+         CellKind::kNumber});
+  }
+  for (std::size_t row = 0; row < columns.front().size(); ++row) {
+    std::vector<std::string> cells{columns.front()[row].name};
+    std::vector<std::string> differences;
+    const auto known = [&](std::size_t c) {
+      return data.results[c].verdict != Verdict::kNotUsable && std::isfinite(columns[c][row].quantity.value);
+    };
+    for (std::size_t c = 0; c < columns.size(); ++c) {
+      const Quantity& q = columns[c][row].quantity;
+      cells.push_back(known(c) ? value_with_uncertainty(q) : kNone);
+      if (c == 0) continue;
+      const Quantity& first = columns[0][row].quantity;
+      const double u = std::hypot(q.standard_uncertainty, first.standard_uncertainty);
+      differences.push_back(known(0) && known(c) ? number((q.value - first.value) / u, "{:+.2f}") : kNone);
+    }
+    cells.insert(cells.end(), differences.begin(), differences.end());
+    table.rows.push_back(std::move(cells));
+  }
+  Section section{
+      "Three estimators side by side",
+      {Paragraph{
+           "Three ways to the same quantities, as a check of each other: abc as published; joint, one "
+           "least-squares fit of all readings with the stage's errors as unknowns; norm, which uses the "
+           "magnitude of gravity alone and no angles, and so gives no matrix. Values with standard "
+           "uncertainty; differences in combined standard uncertainties."},
+       std::move(table)}};
+  BulletList reasons;
+  for (const CalibrationResult& result : data.results)
+    reasons.items.push_back(
+        fmt::format("{}: {}: {}", result.estimator, verdict_words(result.verdict), result.why));
+  section.blocks.push_back(std::move(reasons));
+  return section;
+}
+
+std::vector<std::string> check_row(std::string what, int accelerometer, const Quantity& q) {
+  return {std::move(what),
+          std::string(1, kAccelerometers[static_cast<std::size_t>(accelerometer)]),
+          number(q.value, "{:+.2e}"),
+          two_digits(q.standard_uncertainty),
+          number(q.value / q.standard_uncertainty, "{:+.1f}"),
+          q.unit};
+}
+
+const std::vector<Column> kCheckColumns{{"check", CellKind::kSymbol},     {"output"},
+                                        {"value", CellKind::kNumber},     {"u", CellKind::kNumber},
+                                        {"value / u", CellKind::kNumber}, {"unit", CellKind::kUnit}};
+
+Section closures_section(const Diagnostics& d) {
+  Section section{"Closures", {}};
+  if (!d.closures.empty()) {
+    DocumentTable table{
+        "Combinations of the coefficients of different experiments that vanish for a perfect "
+        "stage; their uncertainty covers readings and tolerances.",
+        kCheckColumns,
+        {}};
+    for (const Closure& closure : d.closures)
+      table.rows.push_back(check_row(closure.name, closure.accelerometer, closure.value));
+    section.blocks.push_back(std::move(table));
+  }
+  if (!d.closing_differences.empty()) {
+    DocumentTable table{"First angle measured again at the end of each experiment, minus the first reading.",
+                        kCheckColumns,
+                        {}};
+    for (const ClosingDifference& c : d.closing_differences)
+      table.rows.push_back(check_row(fmt::format("experiment {}", c.experiment), c.accelerometer, c.value));
+    section.blocks.push_back(std::move(table));
+  }
+  return section;
+}
+
+Section fits_section(const CalibrationResult& result) {
+  const std::string& unit = result.response_unit;
+  DocumentTable table{
+      fmt::format(
+          "Residuals of the fits (rms) and amplitudes of harmonics 2 to 5, which an ideal accelerometer "
+          "on an ideal stage does not have; in {}.",
+          unit),
+      {{"experiment"}, {"output"}, {"angles", CellKind::kNumber}, {"residual rms", CellKind::kNumber}},
+      {}};
+  for (int order = 2; order <= 5; ++order)
+    table.columns.push_back({fmt::format("harmonic {}", order), CellKind::kNumber});
+  table.columns.push_back({"u of a harmonic", CellKind::kNumber});
+  for (const FitDiagnostic& fit : result.diagnostics.fits) {
+    std::vector<std::string> row{std::to_string(fit.experiment),
+                                 std::string(1, kAccelerometers[static_cast<std::size_t>(fit.accelerometer)]),
+                                 std::to_string(fit.angles), number(fit.residual_rms, "{:.2e}")};
+    double u = std::numeric_limits<double>::quiet_NaN();
+    for (int order = 2; order <= 5; ++order) {
+      const auto found = std::find_if(fit.harmonics.begin(), fit.harmonics.end(),
+                                      [&](const Harmonic& h) { return h.order == order; });
+      if (found == fit.harmonics.end()) {
+        row.emplace_back(kNone);
+        continue;
+      }
+      row.push_back(number(std::hypot(found->sin_amplitude.value, found->cos_amplitude.value), "{:.2e}"));
+      u = std::fmax(
+          u, std::fmax(found->sin_amplitude.standard_uncertainty, found->cos_amplitude.standard_uncertainty));
+    }
+    row.push_back(number(u, "{:.1e}"));
+    table.rows.push_back(std::move(row));
+  }
+  return {"Fits and harmonics", {std::move(table)}};
+}
+
+Section stage_section(const JointResult& joint) {
+  DocumentTable table{
+      "Errors of the stage and the accelerometer that the joint estimator finds in the same "
+      "readings.",
+      {{"quantity", CellKind::kSymbol},
+       {"value", CellKind::kNumber},
+       {"standard unc. u", CellKind::kNumber},
+       {"unit", CellKind::kUnit}},
+      {}};
+  const auto add = [&](const std::string& name, const Quantity& q) {
+    if (!std::isfinite(q.value)) return;
+    table.rows.push_back({name, number(q.value, "{:+.3e}"), two_digits(q.standard_uncertainty), q.unit});
+  };
+  add("Zx", joint.alignment[0]);
+  add("Zy", joint.alignment[1]);
+  add("Xz", joint.alignment[2]);
+  add("d_2", joint.initial_turn_error[0]);
+  add("d_3", joint.initial_turn_error[1]);
+  add("F_X", joint.mean_step_error[0]);
+  add("F_Z", joint.mean_step_error[1]);
+  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("b_{}", kAccelerometers[j]), joint.drift[j]);
+  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("k2_{}", kAccelerometers[j]), joint.k2[j]);
+  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("k3_{}", kAccelerometers[j]), joint.k3[j]);
+  Section section{"Stage and drift, by the joint estimator", {std::move(table)}};
+  if (!joint.nonlinearity_fitted)
+    section.blocks.push_back(Paragraph{"k2, k3: left out of the fit, the readings show no non-linearity."});
+  return section;
+}
+
+// --- Budget ------------------------------------------------------------------------------------------------
+
+Section budget_section(const ReportData& data) {
+  const Budget& budget = *data.budget;
+  Section section{"Uncertainty budget",
+                  {Paragraph{"To first order (JCGM 100), for the output with the largest uncertainty of each "
+                             "kind. A budget also holds what the stated uncertainty leaves to it: the "
+                             "non-linearity that the harmonics show."}}};
+  const auto bare = [](double value) { return number(value, "{:.2e}"); };
+  for (const int k : worst_of_each_kind(budget.combined)) {
+    DocumentTable table{fmt::format("{} ({})", output_symbol(k), output_unit(k, data.record.response_unit)),
+                        {{"input"},
+                         {"value", CellKind::kNumber},
+                         {"unit", CellKind::kUnit},
+                         {"distribution"},
+                         {"type"},
+                         {"u of the input", CellKind::kNumber},
+                         {"sensitivity", CellKind::kNumber},
+                         {"contribution", CellKind::kNumber},
+                         {"share", CellKind::kNumber}},
+                        {}};
+    for (const BudgetLine& line : budget.lines) {
+      table.rows.push_back({line.input, line.value, line.unit, line.distribution, line.type_a ? "A" : "B",
+                            bare(line.standard_uncertainty), number(line.sensitivity(k), "{:+.2e}"),
+                            bare(line.contribution(k)),
+                            fmt::format("{:.1f} %", 100.0 * budget.share(line, k))});
+    }
+    table.rows.push_back({"combined", "", "", "", "", "", "", bare(budget.combined(k)), ""});
+    section.blocks.push_back(std::move(table));
+  }
+  std::string not_covered = "Not covered: ";
+  for (std::size_t i = 0; i < budget.not_covered.size(); ++i)
+    not_covered += (i > 0 ? "; " : "") + budget.not_covered[i];
+  section.blocks.push_back(Paragraph{not_covered + "."});
+  if (!budget.notes.empty()) section.blocks.push_back(BulletList{budget.notes});
+  return section;
+}
+
+// --- Flags and events --------------------------------------------------------------------------------------
+
+Section flags_section(const ReportData& data) {
+  constexpr std::size_t kMostShown = 40;
+  Section section{"Flags and events", {}};
+  DocumentTable flagged{"Flagged angles", {{"experiment"}, {"angle", CellKind::kNumber}, {"flags"}}, {}};
+  std::size_t count = 0;
+  for (const DwellRecord& dwell : data.record.dwells) {
+    if (dwell.flags == kFlagNone || ++count > kMostShown) continue;
+    flagged.rows.push_back({std::to_string(dwell.experiment), fmt::format("{:g}", dwell.alpha.deg()),
+                            describe_flags(dwell.flags)});
+  }
+  if (count > kMostShown) flagged.rows.push_back({fmt::format("and {} more", count - kMostShown)});
+  if (count > 0) {
+    section.blocks.push_back(std::move(flagged));
+  } else if (data.run) {
+    section.blocks.push_back(Paragraph{"No angle is flagged."});
+  } else {
+    section.blocks.push_back(Paragraph{"A CSV carries no flags and no events."});
+  }
+  if (!data.run) return section;
+  DocumentTable events{"Events", {{"time (UTC)"}, {"kind"}, {"text"}}, {}};
+  for (const RunEvent& event : data.run->events) {
+    // Flags stand in the table of angles.
+    if (event.kind != "flag") events.rows.push_back({first_of(event.utc), event.kind, event.text});
+  }
+  if (!events.rows.empty()) section.blocks.push_back(std::move(events));
+  return section;
+}
+
+Section origin_section(const ReportData& data) {
+  FactList facts{{{"Raw data", data.path.filename().string()},
+                  {"SHA-256", data.sha256.value_or("none: only a closed run has one")}}};
+  for (const IntegrityCheck& check : data.integrity) {
+    if (check.what == "SHA-256" && check.good) continue;
+    facts.facts.emplace_back("Integrity, " + check.what,
+                             (check.good ? "good: " : "NOT GOOD: ") + check.found);
+  }
+  if (data.run) facts.facts.emplace_back("Measured with", "abcal " + data.run->header.program_version);
+  facts.facts.emplace_back("Analysed and reported with", "abcal " + data.program_version);
+  facts.facts.emplace_back("Report made", first_of(data.created_utc));
+  return {"Raw data and program", {facts}};
+}
+
+std::string identification(const ReportData& data) {
+  std::string text = data.path.filename().string();
+  const std::string item = data.label("item.model"), serial = data.label("item.serial_number");
+  if (!item.empty()) text += " · " + item;
+  if (!serial.empty()) text += " · serial number " + serial;
+  constexpr std::size_t kShort = 16;  // of 64 digits: enough to tell runs apart; the whole stands inside
+  if (data.sha256) text += " · SHA-256 " + data.sha256->substr(0, kShort) + "...";
+  return text;
+}
+
+}  // namespace
+
+Document calibration_document(const ReportData& data) {
+  Document document;
+  document.title = "Calibration report: triaxial accelerometer";
+  document.subtitle = identification(data);
+  document.identification = identification(data);
+  document.cautions = cautions(data);
+  document.sections.push_back(item_section(data));
+  if (data.run) document.sections.push_back(run_section(data));
+  document.sections.push_back(conditions_section(data));
+  document.sections.push_back(method_section(data));
+  document.sections.push_back(result_section(data));
+  const CalibrationResult& result = data.result();
+  if (result.verdict != Verdict::kNotUsable) {
+    document.sections.push_back(estimators_section(data));
+    const Section closures = closures_section(result.diagnostics);
+    if (!closures.blocks.empty()) document.sections.push_back(closures);
+    if (!result.diagnostics.fits.empty()) document.sections.push_back(fits_section(result));
+    for (const CalibrationResult& each : data.results) {
+      if (each.joint && each.verdict != Verdict::kNotUsable)
+        document.sections.push_back(stage_section(*each.joint));
+    }
+    if (data.budget) document.sections.push_back(budget_section(data));
+  }
+  document.sections.push_back(flags_section(data));
+  document.sections.push_back(origin_section(data));
+  return document;
+}
+
+}  // namespace abcal

@@ -1,0 +1,13 @@
+#pragma once
+
+#include "app/report/document.h"
+#include "app/report/report_data.h"
+
+namespace abcal {
+
+/// The report of a record, as far as the record goes: item, bench, conditions, method, results with standard
+/// and expanded uncertainty, checks, budget, flags and events, raw data and program. Without a usable verdict
+/// it has no numbers but says why. Who adds to it (a certificate, its laboratory) inserts sections.
+Document calibration_document(const ReportData& data);
+
+}  // namespace abcal

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <string>
+#include <utility>
+#include <variant>
+#include <vector>
+
+namespace abcal {
+
+// A report as content without form: written once, shown on a terminal (document_text.h) and as a page
+// (document_html.h). Texts are plain: what makes them safe in HTML is done where HTML is written.
+
+/// A sentence or several.
+struct Paragraph {
+  std::string text;
+};
+
+/// Sentences that stand for themselves, one a line.
+struct BulletList {
+  std::vector<std::string> items;
+};
+
+/// Facts, each with its name.
+struct FactList {
+  std::vector<std::pair<std::string, std::string>> facts;
+};
+
+/// How the cells of a column are set.
+enum class CellKind {
+  kText,
+  kSymbol,  ///< "s_ux", "phi_uv": what stands behind "_" is an index.
+  kNumber,
+  kUnit,  ///< "g/g_loc", "degree", "m/s2"
+};
+
+struct Column {
+  std::string heading;
+  CellKind kind = CellKind::kText;
+};
+
+/// A row with one cell is a heading within the table.
+struct DocumentTable {
+  std::string caption;  ///< May be empty.
+  std::vector<Column> columns;
+  std::vector<std::vector<std::string>> rows;
+};
+
+/// A picture, drawn by gnuplot from a script that says neither terminal nor output. Pages only.
+struct Figure {
+  std::string caption;
+  std::string script;
+  int height = 300;  ///< Of a picture that is 800 wide.
+};
+
+using Block = std::variant<Paragraph, BulletList, FactList, DocumentTable, Figure>;
+
+struct Section {
+  std::string title;
+  std::vector<Block> blocks;
+};
+
+/// What a page or a terminal shows.
+struct Document {
+  std::string title;
+  std::string subtitle;
+  std::string identification;  ///< Of run and item; on every page.
+  /// What must be seen before anything else, in large letters.
+  std::vector<std::string> cautions;
+  /// A word across every page ("DRAFT"); empty for none.
+  std::string page_mark;
+  std::vector<Section> sections;
+};
+
+}  // namespace abcal

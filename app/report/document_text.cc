@@ -1,0 +1,136 @@
+#include "app/report/document_text.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <string_view>
+#include <vector>
+
+#include "app/terminal.h"
+
+namespace abcal {
+namespace {
+
+constexpr std::size_t kWidth = 110;
+
+/// Columns that a UTF-8 text takes: the bytes that begin a character.
+std::size_t width_of(std::string_view text) {
+  return static_cast<std::size_t>(std::count_if(
+      text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0U) != 0x80U; }));
+}
+
+/// A name out of a bench file must not move the cursor or clear the screen.
+std::string shown(std::string text) {
+  for (char& c : text) {
+    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7F) c = '?';
+  }
+  return text;
+}
+
+std::string wrapped(const std::string& text, const std::string& first, const std::string& next) {
+  std::string out, line = first;
+  bool empty = true;
+  std::string_view rest = text;
+  while (!rest.empty()) {
+    const std::size_t end = std::min(rest.find(' '), rest.size());
+    const std::string_view word = rest.substr(0, end);
+    if (!empty && width_of(line) + 1 + width_of(word) > kWidth) {
+      out += line + "\n";
+      line = next;
+      empty = true;
+    }
+    if (!empty) line += ' ';
+    line += word;
+    empty = false;
+    rest.remove_prefix(std::min(end + 1, rest.size()));
+  }
+  return out + line + "\n";
+}
+
+std::string padded(const std::string& text, std::size_t width, bool right) {
+  const std::string blank(width - std::min(width, width_of(text)), ' ');
+  return right ? blank + text : text + blank;
+}
+
+struct TextOf {
+  std::FILE* stream;
+
+  std::string operator()(const Paragraph& paragraph) const { return wrapped(shown(paragraph.text), "", ""); }
+
+  std::string operator()(const BulletList& list) const {
+    std::string text;
+    for (const std::string& item : list.items) text += wrapped(shown(item), "- ", "  ");
+    return text;
+  }
+
+  std::string operator()(const FactList& list) const {
+    std::size_t width = 0;
+    for (const auto& [name, value] : list.facts) width = std::max(width, width_of(name));
+    std::string text;
+    for (const auto& [name, value] : list.facts) {
+      text += wrapped(shown(value), "  " + padded(name, width, false) + "  ", std::string(width + 4, ' '));
+    }
+    return text;
+  }
+
+  std::string operator()(const DocumentTable& table) const {
+    std::vector<std::size_t> widths;
+    for (const Column& column : table.columns) widths.push_back(width_of(column.heading));
+    for (const auto& row : table.rows) {
+      if (row.size() == 1) continue;
+      for (std::size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], width_of(row[c]));
+    }
+    const auto line = [&](const auto& cell_of) {
+      std::string text = " ";
+      for (std::size_t c = 0; c < table.columns.size(); ++c) {
+        text += " " + padded(cell_of(c), widths[c], table.columns[c].kind == CellKind::kNumber);
+        if (c + 1 < table.columns.size()) text += " ";
+      }
+      text.erase(text.find_last_not_of(' ') + 1);
+      return text + "\n";
+    };
+    std::string text = table.caption.empty() ? "" : wrapped(shown(table.caption), "", "");
+    text += line([&](std::size_t c) { return table.columns[c].heading; });
+    for (const auto& row : table.rows) {
+      text += row.size() == 1 ? "  " + emphasised(stream, Emphasis::kHeading, shown(row.front())) + "\n"
+                              : line([&](std::size_t c) { return shown(row[c]); });
+    }
+    return text;
+  }
+
+  std::string operator()(const Figure&) const { return {}; }
+};
+
+bool has_text(const Section& section) {
+  return std::any_of(section.blocks.begin(), section.blocks.end(),
+                     [](const Block& block) { return !std::holds_alternative<Figure>(block); });
+}
+
+}  // namespace
+
+std::string document_text(const Document& document, std::FILE* stream) {
+  std::string text = emphasised(stream, Emphasis::kHeading, document.title) + "\n";
+  if (!document.subtitle.empty()) text += shown(document.subtitle) + "\n";
+  if (!document.page_mark.empty()) text += emphasised(stream, Emphasis::kBad, document.page_mark) + "\n";
+  for (const std::string& caution : document.cautions) {
+    std::string large = wrapped(shown(caution), "!!! ", "    ");
+    large.pop_back();
+    text += emphasised(stream, Emphasis::kBad, large) + "\n";
+  }
+  for (const Section& section : document.sections) {
+    if (!has_text(section)) continue;
+    text += "\n" + emphasised(stream, Emphasis::kHeading, section.title) + "\n";
+    bool first = true;
+    for (const Block& block : section.blocks) {
+      const std::string part = std::visit(TextOf{stream}, block);
+      if (part.empty()) continue;
+      if (!first) text += "\n";
+      text += part;
+      first = false;
+    }
+  }
+  return text;
+}
+
+}  // namespace abcal

@@ -1,0 +1,90 @@
+#include "app/report/report_data.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "app/analyses.h"
+#include "app/load_record.h"
+#include "app/make_bench.h"
+#include "app/report/result_text.h"
+#include "app/version.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal {
+namespace {
+
+std::optional<BenchConfig> bench_of(const StoredRun& run, const std::filesystem::path& path) {
+  try {
+    return parse_bench(run.header.bench_toml, path.string());
+  } catch (const BenchError&) {
+    // Of an older program: what is needed most stands in the header of the run as well.
+    return std::nullopt;
+  }
+}
+
+}  // namespace
+
+std::string ReportData::label(const std::string& key) const {
+  if (!run) return {};
+  const auto found = run->header.labels.find(key);
+  return found == run->header.labels.end() ? std::string() : found->second;
+}
+
+std::string ReportData::started_utc() const {
+  return run ? run->header.created_utc : std::string();
+}
+
+std::string ReportData::ended_utc() const {
+  return run && !run->events.empty() ? run->events.back().utc : std::string();
+}
+
+std::vector<std::string> cautions(const ReportData& data) {
+  std::vector<std::string> list;
+  if (!data.complete()) {
+    list.push_back(fmt::format("Not complete: this run is {}, {} of {} angles are measured",
+                               to_string(data.run->state), data.run->measured.size(),
+                               data.run->header.plan.size()));
+  }
+  const CalibrationResult& result = data.result();
+  if (result.verdict != Verdict::kUsable) {
+    std::string word = verdict_words(result.verdict);
+    word.front() = static_cast<char>(word.front() - 'a' + 'A');
+    list.push_back(fmt::format("{}: {}", word, result.why));
+  }
+  if (data.complete()) {
+    for (const IntegrityCheck& check : data.integrity) {
+      if (!check.good)
+        list.push_back(fmt::format("Not shown to be as it was written: {}: {}", check.what, check.found));
+    }
+  }
+  if (!data.simulated.empty()) {
+    list.push_back(fmt::format("Simulated: the {} {} not real", fmt::join(data.simulated, " and the "),
+                               data.simulated.size() == 1 ? "was" : "were"));
+  }
+  if (!data.label("replay.of").empty()) {
+    list.push_back(fmt::format("Replayed: driven again from the recording in {}, not measured anew",
+                               data.label("replay.of")));
+  }
+  return list;
+}
+
+ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) {
+  ReportData data;
+  LoadedRecord loaded = load_record(path);
+  data.path = path;
+  data.record = std::move(loaded.record);
+  data.run = std::move(loaded.run);
+  data.program_version = program_version();
+  data.created_utc = format_utc(now);
+  if (data.run) {
+    data.bench = bench_of(*data.run, path);
+    data.integrity = verify_run(path);
+    if (data.bench) data.simulated = simulated_instruments(*data.bench);
+  }
+  if (data.complete()) data.sha256 = sha256_of_file(path);
+  data.results = analyse_all(data.record);
+  if (data.result().verdict != Verdict::kNotUsable) data.budget = make_budget(data.record, data.result());
+  return data;
+}
+
+}  // namespace abcal

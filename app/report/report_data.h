@@ -1,0 +1,57 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/bench_config.h"
+#include "drivers/instrument/clock.h"
+#include "protocol/analysis/calibration_result.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/run_record.h"
+#include "protocol/record/verify.h"
+#include "protocol/uncertainty/budget.h"
+
+namespace abcal {
+
+/// Expanded uncertainties are U = k u with this k ...
+inline constexpr double kCoverageFactor = 2.0;
+/// ... which for a normal distribution covers approximately this probability (JCGM 100:2008, 6.2.2, G.1.3).
+inline constexpr double kCoverageProbability = 0.95;
+
+/// All that is known of one record, gathered once: what the report, the certificate and the console show.
+struct ReportData {
+  std::filesystem::path path;        ///< The run file or CSV.
+  RunRecord record;                  ///< What was analysed.
+  std::optional<StoredRun> run;      ///< Absent for a CSV.
+  std::optional<BenchConfig> bench;  ///< As it was at the run. Absent for a CSV, and where it cannot be read.
+  std::vector<CalibrationResult> results;  ///< abc, joint, norm; a refusal is a result too.
+  std::optional<Budget> budget;            ///< Of the ABC result; absent where that is not usable.
+  /// SHA-256 of the raw data: of the closed run file, or of the CSV. Absent while a run is not closed, since
+  /// its file still changes.
+  std::optional<std::string> sha256;
+  std::vector<IntegrityCheck> integrity;  ///< Of a run: as `abcal verify` finds it.
+  std::vector<std::string> simulated;     ///< Instruments that were not real: "stage", "accelerometer".
+  std::string program_version;            ///< Of the program that makes the report.
+  std::string created_utc;                ///< When the report was made.
+
+  /// The ABC result: what is reported; the others are its independent check.
+  const CalibrationResult& result() const { return results.front(); }
+  bool complete() const { return !run || run->state == RunState::kComplete; }
+  /// A label of the run ("item.serial_number", "operator.name"); empty where it was not stated.
+  std::string label(const std::string& key) const;
+  /// UTC of the first angle's run start, and of the last event; empty for a CSV.
+  std::string started_utc() const;
+  std::string ended_utc() const;
+};
+
+/// What must stand in large letters on top of whatever is made of the data: not complete, not usable,
+/// doubtful, simulated, changed since it was written. Empty: nothing speaks against handing it out.
+std::vector<std::string> cautions(const ReportData& data);
+
+/// Reads and analyses a run file or a CSV. `now` is the time of the report.
+/// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
+ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now);
+
+}  // namespace abcal
