@@ -230,7 +230,7 @@ std::string Certificate::measured_by() const {
 
 CertificateRefused::CertificateRefused(const std::string& run, std::vector<Problem> problems)
     : std::runtime_error(problem_list("no certificate for " + run, problems) +
-                         "\n  --draft makes a draft all the same, which says so"),
+                         "\n  `abcal report --draft` makes a draft all the same, which says so"),
       problems_(std::move(problems)) {}
 
 std::string draft_number(const ReportData& run) {
