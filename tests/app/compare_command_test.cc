@@ -243,6 +243,33 @@ TEST_F(CompareCommand, GroupsAreJudgedByAnalysisOfVariance) {
   EXPECT_THAT(unknown.err, AllOf(HasSubstr("item.colour"), HasSubstr("operator.name")));
 }
 
+// The run is per g_loc and in g, its certificate per m/s2 and in m/s2: nothing may get lost on the way.
+TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
+  const std::filesystem::path examples = std::filesystem::path(ABCAL_SOURCE_DIR) / "docs/examples";
+  ASSERT_EQ(abcal({"run", (examples / "simulated.toml").string(), "-o", "a.run"}).exit_code, 0);
+  const ProgramResult written = abcal({"report", "a.run", "--dcc", "a.xml", "--laboratory",
+                                       (examples / "laboratory.toml").string(), "--draft"});
+  ASSERT_EQ(written.exit_code, 0) << written.err;
+  for (const std::vector<std::string>& files :
+       {std::vector<std::string>{"a.run", "a.xml"}, std::vector<std::string>{"a.xml", "a.run"}}) {
+    const Json json = json_of(files);
+    const Json& pair = json["pairs"][0];
+    EXPECT_EQ(pair["degrees_of_freedom"], 9);
+    for (const auto& [name, property] : pair["properties"].items()) {
+      EXPECT_NEAR(property["e_n"], 0.0, 1e-6) << name;
+      const double u_run = json["results"][0]["properties"][name]["standard_uncertainty"];
+      const double u_certificate = json["results"][1]["properties"][name]["standard_uncertainty"];
+      EXPECT_NEAR(u_certificate, u_run, 1e-6 * u_run) << name;
+    }
+    EXPECT_NEAR(pair["rotation"]["angle"]["value"], 0.0, 1e-6);
+    EXPECT_EQ(json["results"][1]["item"], json["results"][0]["item"]);
+    EXPECT_TRUE(json["results"][1]["covariances_known"]);
+  }
+  const ProgramResult shared = compare({"a.run", "a.xml", "--shared"});
+  EXPECT_EQ(shared.exit_code, 2);
+  EXPECT_THAT(shared.err, AllOf(HasSubstr("a.xml"), HasSubstr("does not tell what part")));
+}
+
 TEST_F(CompareCommand, BadFilesAreNamed) {
   write("a.csv", readings(kMatrix, 1));
   EXPECT_EQ(compare({"a.csv"}).exit_code, 2);
