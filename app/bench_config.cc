@@ -187,6 +187,7 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.number("mains_hz", p.mains_hz, {0.0, 1000.0});
   keys.number("reading_timeout_s", p.reading_timeout_s, {0.0, 3600.0, true});
   keys.number("warm_up_s", p.warm_up_s, {0.0, 604'800.0});
+  keys.number("replug_timeout_s", p.replug_timeout_s, {0.0, 604'800.0});
 
   Tolerances& t = c.tolerances;
   keys.section("tolerances");
@@ -200,6 +201,7 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.number("max_lost_fraction", c.limits.max_lost_fraction, {0.0, 1.0});
   keys.number("temperature_min_degc", c.limits.temperature_min_degc, kAny);
   keys.number("temperature_max_degc", c.limits.temperature_max_degc, kAny);
+  keys.integer("max_replugs", c.limits.max_replugs, 0, 1000);
 
   sim::BenchTruth& s = c.simulation;
   keys.section("simulation");

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -18,18 +19,18 @@ namespace abcal {
 /// Shows a run on the terminal's last line.
 class TerminalObserver final : public RunObserver {
  public:
-  TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan, std::size_t already_measured);
+  TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan, std::set<std::size_t> measured);
 
   void phase(std::size_t position, RunPhase phase) override;
   void dwell(std::size_t position, const DwellRecord& dwell) override;
   void notice(std::string_view text) override;
   void finish() { bar_.clear(); }
-  std::size_t measured() const { return measured_; }
+  std::size_t measured() const { return measured_.size(); }
 
  private:
   RealClock clock_;  // People live in real time, also when the run's time is simulated.
   const std::vector<PlannedAngle>& plan_;
-  std::size_t measured_;
+  std::set<std::size_t> measured_;  ///< Positions in the plan.
   ProgressBar bar_;
 };
 

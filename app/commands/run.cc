@@ -56,19 +56,11 @@ void keep_recording_without_run(BenchConfig config, const Clock& clock, const st
   }
 }
 
-}  // namespace
-
-int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
-                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far, bool json) {
-  const std::filesystem::path path = file.path();
-  const RunTiming timing =
-      measure(bench, config, file, plan, so_far, bench.replayed ? "Replaying" : "Calibrating",
-              bench.replayed ? "" : "; go on with: abcal resume " + path.string());
-  const std::string utc = format_utc(bench.clock->utc_now());
-  note_environment(bench, config, file, "end");
-  const std::string sha256 = file.close_complete(utc);
-
+/// Analyses a closed run, stores the analyses beside it and prints them.
+int report_closed_run(const std::filesystem::path& path, const std::string& sha256, const std::string& utc,
+                      bool json) {
   const StoredRun stored = RunFile::load(path);
+  const RunTiming& timing = stored.timing;
   const std::vector<CalibrationResult> results = analyse_all(stored.record);
   const CalibrationResult& result = results.front();
   ResultsFile results_file(path, sha256);
@@ -93,6 +85,32 @@ int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
     fmt::print("Run file: {} (SHA-256 {})\n", path.string(), sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+}
+
+/// Every angle is measured, but the program was killed before it had closed the run and analysed it.
+/// @return nothing if there is nothing left to be done.
+std::optional<int> finish_killed_run(const std::filesystem::path& path, bool json) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete)
+    return std::nullopt;
+  const std::string sha256 = RunFile::finish_closing(path);
+  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
+  fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", path.string());
+  return report_closed_run(path, sha256, format_utc(RealClock().utc_now()), json);
+}
+
+}  // namespace
+
+int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
+                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far, bool json) {
+  const std::filesystem::path path = file.path();
+  const RunTiming timing =
+      measure(bench, config, file, plan, so_far, bench.replayed ? "Replaying" : "Calibrating",
+              bench.replayed ? "" : "; go on with: abcal resume " + path.string());
+  const std::string utc = format_utc(bench.clock->utc_now());
+  note_environment(bench, config, file, "end");
+  const std::string sha256 = file.close_complete(utc, timing);
+  return report_closed_run(path, sha256, utc, json);
 }
 
 CLI::App* add_run(CLI::App& parent, int& exit_code) {
@@ -144,7 +162,8 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     const std::string utc = format_utc(bench.clock->utc_now());
     file.append_event(utc, "started", "run started");
     note_environment(bench, config, file, "start");
-    exit_code = measure_and_report(bench, config, std::move(file), plan, {}, options->json);
+    exit_code = measure_and_report(bench, config, std::move(file), plan, {{}, {}, {}, config.tolerances},
+                                   options->json);
   });
   return command;
 }
@@ -159,6 +178,10 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
+    if (const auto finished = finish_killed_run(options->run_file, options->json)) {
+      exit_code = *finished;
+      return;
+    }
     RunFile file = RunFile::open_for_append(options->run_file);
     const StoredRun stored = RunFile::load(options->run_file);
     const BenchConfig config = parse_bench(stored.header.bench_toml, options->run_file);
@@ -173,8 +196,8 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
     RunProgress so_far;
     so_far.measured = {stored.measured.begin(), stored.measured.end()};
     so_far.spent = stored.timing;
-    if (!stored.measured.empty())
-      so_far.last = {stored.measured.back(), stored.record.dwells.back(), stored.header.tolerances};
+    so_far.tolerances = stored.header.tolerances;
+    if (!stored.measured.empty()) so_far.last = {stored.measured.back(), stored.record.dwells.back()};
     file.set_state(RunState::kRunning, format_utc(bench.clock->utc_now()),
                    fmt::format("resumed with {} of {} angles measured", so_far.measured.size(),
                                stored.header.plan.size()));

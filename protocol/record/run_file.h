@@ -69,6 +69,9 @@ struct StoredReading {
   std::optional<double> temperature_degc;
 };
 
+/// The kind of the event that says that a port which had vanished is back; the analysis counts them.
+inline constexpr std::string_view kReconnectedEvent = "reconnected";
+
 /// One look at the room.
 struct StoredEnvironment {
   std::string utc;
@@ -153,13 +156,18 @@ class RunFile {
 
   /// Closes a complete run: state, checkpoint, one single file again, read-only.
   /// @return SHA-256 of the closed file's bytes, in hexadecimal.
-  std::string close_complete(const std::string& utc);
+  std::string close_complete(const std::string& utc, const RunTiming& timing);
+
+  /// Closes a run that is complete, but whose program was killed before it had closed it; does nothing to one
+  /// that is closed. @return SHA-256 of the closed file's bytes.
+  static std::string finish_closing(const std::filesystem::path& path);
 
   const std::filesystem::path& path() const;
 
  private:
   struct Impl;
   explicit RunFile(std::unique_ptr<Impl> impl);
+  std::string close();
   std::unique_ptr<Impl> impl_;
 };
 
@@ -185,6 +193,9 @@ class ResultsFile {
   /// Stores an analysis unless the very same one is there already.
   void add_analysis(const std::string& utc, std::string_view program_version, std::string_view estimator,
                     std::string_view result_json);
+
+  /// How many are stored.
+  std::size_t analyses();
 
   /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that does not
   /// replace the first, and the replacement of one that is replaced already.

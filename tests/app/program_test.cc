@@ -194,14 +194,16 @@ TEST_F(EmulatedBenchTest, AKilledRunKeepsItsAnglesAndGoesOn) {
   EXPECT_EQ(measured("a.run"), 39U);
 }
 
-TEST_F(EmulatedBenchTest, AnAccelerometerThatGoesAwayEndsTheRunWith3) {
+TEST_F(EmulatedBenchTest, InstrumentsThatGoAwayForGoodEndTheRunWith3) {
+  bench.protocol += "replug_timeout_s = 1.0\n";
   start_emulator();
   Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 3; }, 60s)) << run.err();
   emulator->signal(SIGKILL);  // both ports vanish
   emulator->wait();
   EXPECT_EQ(run.wait(), 3) << run.err();
-  EXPECT_THAT(run.err(), AllOf(HasSubstr("link lost"), HasSubstr("did not acknowledge the halt")));
+  EXPECT_THAT(run.err(), AllOf(HasSubstr("link lost"), HasSubstr("did not come back within 1 s"),
+                               HasSubstr("did not acknowledge the halt")));
   EXPECT_GE(measured("a.run"), 3U);
 }
 
