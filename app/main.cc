@@ -56,6 +56,7 @@ int main(int argc, char** argv) {
   add_emulate(app, exit_code);
   add_compare(app, exit_code);
   add_gravity(app, exit_code);
+  add_serve(app, exit_code);
   add_instruments(app, exit_code);
   add_manual_option(app, std::string("abcal ") + program_version());
   try {

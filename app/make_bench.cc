@@ -242,7 +242,7 @@ std::vector<std::string> simulated_instruments(const BenchConfig& config) {
   return list;
 }
 
-Bench make_bench(const BenchConfig& config, BenchStreams streams) {
+Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_ptr<Clock> simulated_clock) {
   std::vector<InstrumentPort> ports = stage_ports(config.stage);
   const bool stage_is_simulated =
       config.stage.driver == kSimulated ||
@@ -260,7 +260,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams) {
   if (bench.replayed) {
     bench.clock = std::move(streams.replay_clock);
   } else if (bench.simulated_time) {
-    bench.clock = std::make_unique<sim::SimClock>();
+    bench.clock = simulated_clock ? std::move(simulated_clock) : std::make_unique<sim::SimClock>();
   } else {
     bench.clock = std::make_unique<RealClock>();
   }

@@ -44,8 +44,10 @@ struct BenchStreams {
 };
 
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
+/// `simulated_clock`, if given, is the clock where nothing real takes part, in place of one that jumps.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
-Bench make_bench(const BenchConfig& config, BenchStreams streams = {});
+Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
+                 std::unique_ptr<Clock> simulated_clock = nullptr);
 
 /// Which of "stage" and "accelerometer" are simulated in a bench file, in whole or in part. An emulated
 /// instrument on a pseudo-terminal looks like a real one and is not among them.

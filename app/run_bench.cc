@@ -152,16 +152,23 @@ void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, st
 }
 
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, RunObserver& observer,
+                  const std::stop_token& stop) {
+  // Simulated time has one thread only.
+  std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
+  if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
+  RunProgress progress = so_far;
+  progress.tolerances = config.tolerances;
+  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()}, plan,
+                         progress, config.protocol, config.limits, file, observer, stop);
+}
+
+RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
                   const std::vector<PlannedAngle>& plan, const RunProgress& so_far, const std::string& title,
                   const std::optional<std::string>& on_failure) {
   TerminalObserver observer(title, plan, so_far.measured);
   try {
-    // Simulated time has one thread only.
-    std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
-    if (!bench.simulated_time) halt_at_once.emplace(interrupt_token(), [&] { bench.stage->halt(); });
-    const RunTiming timing =
-        run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()}, plan,
-                        so_far, config.protocol, config.limits, file, observer, interrupt_token());
+    const RunTiming timing = measure(bench, config, file, plan, so_far, observer, interrupt_token());
     observer.finish();
     return timing;
   } catch (...) {

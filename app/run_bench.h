@@ -64,7 +64,13 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
 /// for it.
 void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, std::string_view moment);
 
-/// Measures what is missing of the plan. In real time an interrupt halts the stage at once, whatever the
+/// Measures what is missing of the plan. In real time `stop` halts the stage at once, whatever the measuring
+/// thread waits for: the halt is sent by the thread that requests the stop.
+RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, RunObserver& observer,
+                  const std::stop_token& stop);
+
+/// The same for a person at the terminal. In real time an interrupt halts the stage at once, whatever the
 /// measuring thread waits for. On failure the person is told how much is kept, and `on_failure` (nothing: the
 /// file is of no further use), and the exception goes on.
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,

@@ -20,6 +20,7 @@ CLI::App* add_level(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);
 CLI::App* add_compare(CLI::App& parent, int& exit_code);
 CLI::App* add_gravity(CLI::App& parent, int& exit_code);
+CLI::App* add_serve(CLI::App& parent, int& exit_code);
 CLI::App* add_instruments(CLI::App& parent, int& exit_code);
 
 }  // namespace abcal

@@ -50,7 +50,7 @@ CLI::App* add_gravity(CLI::App& parent, int& exit_code) {
   struct Options {
     double latitude_deg = 0.0;
     double height_m = 0.0;
-    GravityFormula formula = GravityFormula::kGrs80;
+    std::string formula = "grs80";
     bool json = false;
   };
   auto options = std::make_shared<Options>();
@@ -59,20 +59,20 @@ CLI::App* add_gravity(CLI::App& parent, int& exit_code) {
   command->add_option("--latitude", options->latitude_deg, "geodetic latitude in degrees, south negative")
       ->required();
   command->add_option("--height", options->height_m, "height above sea level in metres")->required();
-  const std::map<std::string, GravityFormula> formulas{{"grs80", GravityFormula::kGrs80},
-                                                       {"wgs84", GravityFormula::kWgs84},
-                                                       {"welmec", GravityFormula::kWelmec},
-                                                       {"npl", GravityFormula::kNpl}};
+  static const std::map<std::string, GravityFormula> formulas{{"grs80", GravityFormula::kGrs80},
+                                                              {"wgs84", GravityFormula::kWgs84},
+                                                              {"welmec", GravityFormula::kWelmec},
+                                                              {"npl", GravityFormula::kNpl}};
   command->add_option("--formula", options->formula, "grs80, wgs84, welmec or npl (default: grs80)")
-      ->transform(CLI::CheckedTransformer(formulas, CLI::ignore_case))
+      ->check(CLI::IsMember(&formulas, CLI::ignore_case))
       ->option_text("NAME");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.gravity/1");
   command->callback([options, &exit_code] {
+    const GravityFormula formula = formulas.at(CLI::detail::to_lower(options->formula));
     const FormulaGravity gravity =
-        formula_gravity(Angle::degrees(options->latitude_deg), options->height_m, options->formula);
+        formula_gravity(Angle::degrees(options->latitude_deg), options->height_m, formula);
     if (options->json) {
-      fmt::print("{}\n",
-                 gravity_json(gravity, options->formula, options->latitude_deg, options->height_m).dump(2));
+      fmt::print("{}\n", gravity_json(gravity, formula, options->latitude_deg, options->height_m).dump(2));
     } else {
       fmt::print("g_loc  {:.10f} m/s2  ({})\n", gravity.value_mps2, gravity.source);
       fmt::print("u      {:.7f} m/s2  (standard; rectangular, half width {:.7f} m/s2 = 5e-5 of the value)\n",

@@ -83,8 +83,7 @@ CLI::App* add_level(CLI::App& parent, int& exit_code) {
     RunFile file = RunFile::create(output_path(options->run_output, options->bench_file, ".level.run"),
                                    make_header(config, who, plan, *bench.clock));
     const std::filesystem::path run_path = file.path();
-    const RunTiming timing =
-        measure(bench, config, file, plan, {{}, {}, {}, config.tolerances}, "Levelling", "");
+    const RunTiming timing = measure(bench, config, file, plan, {}, "Levelling", "");
     const std::string utc = format_utc(bench.clock->utc_now());
     file.close_complete(utc, timing);
 

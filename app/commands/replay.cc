@@ -95,8 +95,7 @@ int replay(const std::filesystem::path& run, const std::filesystem::path& output
   file.append_event(header.created_utc, "started", "replay of " + run.filename().string());
   note_environment(bench, config, file, "start");
   try {
-    const int exit_code = measure_and_report(bench, config, std::move(file), header.plan,
-                                             {{}, {}, {}, config.tolerances}, json);
+    const int exit_code = measure_and_report(bench, config, std::move(file), header.plan, {}, json);
     compare(recorded, RunFile::load(path));
     return exit_code;
   } catch (const InstrumentError& error) {

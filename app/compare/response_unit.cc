@@ -104,10 +104,12 @@ UnitMeaning meaning_of_d_si(std::string_view text) {
   };
   UnitMeaning product;
   double prefix = 1.0;
-  std::optional<UnitMeaning> last;  // not yet multiplied in: a power may follow
+  UnitMeaning last;  // Not yet multiplied in: a power may follow.
+  bool power_may_follow = false;
   const auto take_last = [&] {
-    if (last) product = product * *last;
-    last.reset();
+    product = product * last;
+    last = {};
+    power_may_follow = false;
   };
   std::string_view rest = text;
   if (rest.empty()) refuse("empty");
@@ -122,8 +124,8 @@ UnitMeaning meaning_of_d_si(std::string_view text) {
       const auto [stop, error] = std::from_chars(digits.data(), digits.data() + digits.size(), power);
       if (error != std::errc() || stop != digits.data() + digits.size() || std::abs(power) > 12)
         refuse(fmt::format("power \"{}\"; required: a whole number", digits));
-      if (!last) refuse("a power without a unit before it");
-      last = to_the(*last, power);
+      if (!power_may_follow) refuse("a power without a unit before it");
+      last = to_the(last, power);
     } else if (const auto factor = prefix_word(word)) {
       take_last();
       prefix *= *factor;
@@ -132,6 +134,7 @@ UnitMeaning meaning_of_d_si(std::string_view text) {
       unit->factor *= prefix;
       prefix = 1.0;
       last = *unit;
+      power_may_follow = true;
     } else {
       refuse(fmt::format("\\{} is not a unit that outputs of accelerometers have", word));
     }

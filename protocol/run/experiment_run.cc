@@ -51,6 +51,7 @@ class Runner {
     started_ = clock_.now();
     measured_ = so_far.measured;
     last_ = so_far.last;
+    throw_if_stopped();
     tolerances_ = so_far.tolerances;
     stage_info_ = stage_.identify();
     accelerometer_info_ = accelerometer_.identify();
@@ -122,6 +123,7 @@ class Runner {
   void measure_the_rest() {
     for (std::size_t position = 0; position < plan_.size(); ++position) {
       if (measured_.contains(position)) continue;
+      hold(position);
       const Measured measured = measure(position);
       commit(position, measured);
     }
@@ -240,6 +242,16 @@ class Runner {
       }
     }
     timing_.settling_s += to_seconds(clock_.now() - begin);
+  }
+
+  /// Waits between two angles while a person wants it.
+  void hold(std::size_t position) {
+    if (!observer_.hold_wanted()) return;
+    where_ = "held before " + describe(plan_[position]);
+    file_.append_event(format_utc(utc()), "held", where_);
+    observer_.phase(position, RunPhase::kHolding);
+    while (observer_.hold_wanted()) wait_until(clock_.now() + kSlice);
+    file_.append_event(format_utc(utc()), "continued", describe(plan_[position]));
   }
 
   /// Moves one axis and waits until the controller says stopped and the encoder stays inside the window.
@@ -591,6 +603,8 @@ std::string_view to_string(RunPhase phase) {
       return "referencing";
     case RunPhase::kWarmingUp:
       return "warming up";
+    case RunPhase::kHolding:
+      return "held";
     case RunPhase::kMoving:
       return "moving";
     case RunPhase::kSettling:

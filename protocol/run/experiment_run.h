@@ -26,7 +26,7 @@ class RunInterrupted : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-enum class RunPhase { kHoming, kWarmingUp, kMoving, kSettling, kDwelling, kReconnecting, kParking };
+enum class RunPhase { kHoming, kWarmingUp, kHolding, kMoving, kSettling, kDwelling, kReconnecting, kParking };
 std::string_view to_string(RunPhase phase);
 
 /// Told what a run does, while it does it. Must return at once: the hardware never waits for a screen.
@@ -38,6 +38,8 @@ class RunObserver {
   virtual void dwell(std::size_t position, const DwellRecord& dwell) = 0;
   /// Something a person should know; it is in the run file too.
   virtual void notice(std::string_view text) = 0;
+  /// Asked between two angles, and again and again while it says so: the stage stays where it is.
+  virtual bool hold_wanted() { return false; }
 };
 
 /// Opens the ports of a run again that vanished: a cable was pulled, a hub reset itself.
