@@ -2,7 +2,7 @@
 import {byId, duration, element, number, signed, small, table, DASH} from '/text.js';
 import {OUTPUTS, plot, series} from '/plots.js';
 
-const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still',
+const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still', reconnecting: 'A port has vanished; waiting for it to come back',
   moving: 'The stage moves', settling: 'Waiting until all is still', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 

@@ -250,11 +250,17 @@ async function compare(a, b) {
   } catch (error) {
     return say('compare-table', error);
   }
+  const [pair] = data.pairs;
+  const row = (name) => {
+    const first = data.results[0].properties[name], second = data.results[1].properties[name], both = pair.properties[name];
+    return [name, first.unit, ...[first, second].flatMap((q) => [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)]),
+      small(both.difference), small(both.standard_uncertainty), signed(both.e_n, 2)];
+  };
   byId('compare-table').replaceChildren(
-    element('p', {id: 'compare-words', role: 'status'}, data.words),
-    element('div', {class: 'scroll-x'}, table(`Properties that do not depend on mounting; E_n at k = 2 (1). A: ${a}. B: ${b}.`,
-      ['Property', 'Unit', 'A', 'std. unc. of A', 'B', 'std. unc. of B', 'B minus A', 'E_n (1)'],
-      data.properties.map((p) => [p.name, p.unit, signed(p.a, decimals(p.u_a)), small(p.u_a), signed(p.b, decimals(p.u_b)), small(p.u_b), small(p.difference), signed(p.e_n, 2)]))));
+    element('p', {id: 'compare-words', role: 'status'}, pair.why),
+    element('div', {class: 'scroll-x'}, table(`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
+      ['Property', 'Unit', 'A', 'std. unc. of A', 'B', 'std. unc. of B', 'B minus A', 'std. unc. of it', 'E_n (1)'], PROPERTIES.map(row))),
+    element('ul', {}, ...data.notes.map((note) => element('li', {}, note))));
 }
 
 // The control chart.
