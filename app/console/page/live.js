@@ -2,7 +2,7 @@
 import {byId, duration, element, number, signed, small, table, DASH} from '/text.js';
 import {OUTPUTS, plot, series} from '/plots.js';
 
-const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still', reconnecting: 'A port has vanished; waiting for it to come back',
+const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
   moving: 'The stage moves', settling: 'Waiting until all is still', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 
@@ -104,7 +104,7 @@ export class LiveView {
     const what = this.activity ? this.activity.activity : 'idle';
     let text = 'No run is on.';
     if (what === 'running') {
-      text = this.phase ? PHASES[this.phase.phase] : 'The run begins';
+      text = this.phase ? PHASES[this.phase.phase] ?? this.phase.phase : 'The run begins';
       if (this.activity.hold_asked && this.phase && this.phase.phase !== 'held') text += '; it holds after this angle';
     } else if (what === 'checking') {
       text = 'Checking the bench';
