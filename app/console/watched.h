@@ -21,7 +21,9 @@ struct StageSeen {
 /// The readings of a short while of real time.
 struct StripSeen {
   double time_s = 0.0;  ///< Of the last of them, in the bench's time from the start of the stream.
-  Eigen::Vector3d mean, lowest, highest;  ///< R
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  Eigen::Vector3d lowest = Eigen::Vector3d::Zero();
+  Eigen::Vector3d highest = Eigen::Vector3d::Zero();  ///< R, all three.
   int readings = 0;
   std::optional<double> temperature_degc;
 };
