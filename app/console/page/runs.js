@@ -5,6 +5,7 @@ import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 const VERDICTS = {usable: 'Usable', doubtful: 'Doubtful', not_usable: 'Not usable'};
 const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read'};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
+const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Steer'];
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
 
 let list = [];
@@ -61,19 +62,20 @@ function drawList(resume) {
       button.disabled = !document.body.classList.contains('may-resume');
       actions.append(button);
     }
+    const cell = (i, ...content) => element('td', {'data-heading': HEADINGS[i]}, ...content);
     return element('tr', {},
       element('th', {scope: 'row'}, run.state === 'unreadable' ? run.name : link),
-      element('td', {}, run.item || DASH),
-      element('td', {}, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
-      element('td', {}, day(run.created_utc)),
-      element('td', {}, run.why ? `${STATES[run.state]}: ${run.why}` : STATES[run.state] || run.state),
-      element('td', {class: 'number'}, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
-      element('td', {class: 'number'}, duration(run.duration_s)),
+      cell(1, run.item || DASH),
+      cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
+      cell(3, day(run.created_utc)),
+      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : STATES[run.state] || run.state),
+      cell(5, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
+      cell(6, duration(run.duration_s)),
       actions);
   };
   byId('run-table').replaceChildren(element('table', {},
     element('caption', {class: 'visually-hidden'}, 'Runs in the run folder, newest first'),
-    element('thead', {}, element('tr', {}, ...['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Steer'].map((w) => element('th', {scope: 'col'}, w)))),
+    element('thead', {}, element('tr', {}, ...HEADINGS.map((w) => element('th', {scope: 'col'}, w)))),
     element('tbody', {}, ...found.map(row))));
 }
 
