@@ -170,8 +170,10 @@ Json RunLibrary::result(const std::filesystem::path& path) {
   for (const RunEvent& event : run.events)
     json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text}});
   json["downloads"] = Json::array();
-  for (const Download& download : downloads())
-    json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
+  for (const Download& download : downloads()) {
+    if (!download.available || download.available(path))
+      json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
+  }
   json["results"] = Json::array();
   for (const CalibrationResult& result : analyse_all(run.record))
     json["results"].push_back(result_json(result));
