@@ -108,28 +108,51 @@ std::string page_style(const Document& document) {
 
 // --- Pictures ----------------------------------------------------------------------------------------------
 
+std::string value_of(const xmlNode* node, const char* attribute) {
+  const std::unique_ptr<xmlChar, decltype(xmlFree)> value(xmlGetNoNsProp(node, xml(attribute)), xmlFree);
+  return std::string(text_of(value.get()));
+}
+
+bool is(const xmlNode* node, const char* name) {
+  return node != nullptr && text_of(node->name) == name;
+}
+
 /// Several pictures on one page: gnuplot gives each the same ids, so each gets a prefix of its own, where an
 /// id is given and where it is referred to ("#gpDot", "url(#greybox)").
 void prefix_ids(xmlNode* node, const std::string& prefix) {
+  for (xmlAttr* attribute = node->properties; attribute != nullptr; attribute = attribute->next) {
+    const std::unique_ptr<xmlChar, decltype(xmlFree)> content(
+        xmlNodeListGetString(node->doc, attribute->children, 1), xmlFree);
+    std::string value(text_of(content.get()));
+    const std::string_view name = text_of(attribute->name);
+    if (name == "id") {
+      value = prefix + value;
+    } else if (name == "href" && value.starts_with('#')) {
+      value = "#" + prefix + value.substr(1);
+    } else if (const std::size_t at = value.find("url(#"); at != std::string::npos) {
+      value.insert(at + std::strlen("url(#"), prefix);
+    } else {
+      continue;
+    }
+    xmlSetNsProp(node, attribute->ns, attribute->name, xml(value.c_str()));
+  }
+}
+
+/// gnuplot draws a mark in the colour of where it is used ("currentColor"), on which WeasyPrint fails. The
+/// mark takes its stroke from the place of use as well, which all readers of SVG do alike.
+void colour_marks(xmlNode* node) {
+  const bool defined = is(node->parent, "defs");
+  if (defined && value_of(node, "stroke") == "currentColor") xmlUnsetProp(node, xml("stroke"));
+  const std::string colour = value_of(node, "color");
+  if (!defined && is(node, "use") && !colour.empty()) xmlSetProp(node, xml("stroke"), xml(colour.c_str()));
+}
+
+void prepare_picture(xmlNode* node, const std::string& prefix) {
   for (; node != nullptr; node = node->next) {
     if (node->type != XML_ELEMENT_NODE) continue;
-    for (xmlAttr* attribute = node->properties; attribute != nullptr; attribute = attribute->next) {
-      const std::unique_ptr<xmlChar, decltype(xmlFree)> content(
-          xmlNodeListGetString(node->doc, attribute->children, 1), xmlFree);
-      std::string value(text_of(content.get()));
-      const std::string_view name = text_of(attribute->name);
-      if (name == "id") {
-        value = prefix + value;
-      } else if (name == "href" && value.starts_with('#')) {
-        value = "#" + prefix + value.substr(1);
-      } else if (const std::size_t at = value.find("url(#"); at != std::string::npos) {
-        value.insert(at + std::strlen("url(#"), prefix);
-      } else {
-        continue;
-      }
-      xmlSetNsProp(node, attribute->ns, attribute->name, xml(value.c_str()));
-    }
-    prefix_ids(node->children, prefix);
+    prefix_ids(node, prefix);
+    colour_marks(node);
+    prepare_picture(node->children, prefix);
   }
 }
 
@@ -262,7 +285,7 @@ class PageBuilder {
                                           XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOBLANKS));
     xmlNode* root = drawn ? xmlDocGetRootElement(drawn.get()) : nullptr;
     if (root == nullptr) throw std::runtime_error("gnuplot drew no picture: \"" + figure.caption + "\"");
-    prefix_ids(root, fmt::format("f{}_", figures_ + 1));
+    prepare_picture(root, fmt::format("f{}_", figures_ + 1));
     xmlSetProp(root, xml("role"), xml("img"));
     xmlSetProp(root, xml("aria-label"), xml(valid_text(figure.caption).c_str()));
     xmlNode* copy = xmlDocCopyNode(root, document_.get(), 1);
@@ -298,12 +321,12 @@ class PageBuilder {
   }
 
   std::string serialised() const {
-    xmlChar* memory = nullptr;
-    int size = 0;
-    htmlDocDumpMemoryFormat(document_.get(), &memory, &size, 0);
-    const std::unique_ptr<xmlChar, decltype(xmlFree)> owner(memory, xmlFree);
-    if (memory == nullptr) throw std::bad_alloc();
-    return {reinterpret_cast<const char*>(memory), static_cast<std::size_t>(size)};
+    const std::unique_ptr<xmlOutputBuffer, decltype(&xmlOutputBufferClose)> buffer(
+        xmlAllocOutputBuffer(nullptr), xmlOutputBufferClose);
+    if (!buffer) throw std::bad_alloc();
+    htmlDocContentDumpFormatOutput(buffer.get(), document_.get(), "UTF-8", 0);
+    return {reinterpret_cast<const char*>(xmlOutputBufferGetContent(buffer.get())),
+            xmlOutputBufferGetSize(buffer.get())};
   }
 
   const Document& content_;
