@@ -173,6 +173,7 @@ async function look(name) {
       assert.ok(wide <= room, `${name}, ${size}: ${wide} px wide in ${room} px`);
       assert.deepEqual(await unlabelled(), [], name);
       assert.deepEqual(await faint(), [], `${name}, ${colorScheme}`);
+      await page.evaluate(() => scrollTo(0, 0));
       await page.screenshot({path: path.join(pictures, `${name}-${size}-${colorScheme}.png`)});
     }
   }
@@ -232,7 +233,7 @@ test('starts a run, and points appear', async () => {
   });
   for (const n of drawn.response.slice(0, 3)) assert.ok(n >= 3, JSON.stringify(drawn));
   for (const n of drawn.strip) assert.ok(n >= 2, JSON.stringify(drawn));
-  assert.match(await text('#x-encoder'), /^-?\d+\.\d{4} degrees$/);
+  assert.match(await text('#x-encoder'), /^−?\d+\.\d{4}°$/);
   assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
   assert.match(await text('#left'), /about \d+ s/);
 });
