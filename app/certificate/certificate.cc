@@ -42,9 +42,9 @@ class Inspection {
     if (found.record.response_unit != left.record.response_unit)
       of_run_.push_back(
           {"as-found run, response unit", found.record.response_unit, left.record.response_unit});
-    if (found.started_utc() >= left.started_utc())
+    if (found.started_utc() > left.started_utc())
       of_run_.push_back({"as-found run", "began " + found.started_utc(),
-                         "a beginning before that of the other run, " + left.started_utc()});
+                         "a beginning not after that of the other run, " + left.started_utc()});
     if (laboratory_.job.adjustment.empty())
       of_file_.push_back({"[job] adjustment", "nothing",
                           "what was done to the item between the as-found and the as-left run"});
