@@ -35,8 +35,11 @@ install(FILES ${manual_folder}/_abcal DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/v
 
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal)
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
-configure_file(${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-console.service.in
-  ${PROJECT_BINARY_DIR}/packaging/abcal-console.service @ONLY)
+# The service names the program by its path, which only the installation knows (cmake --install --prefix).
+install(CODE "
+  set(ABCAL_PROGRAM_PATH \"\${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_BINDIR}/abcal\")
+  configure_file(\"${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-console.service.in\"
+    \"${PROJECT_BINARY_DIR}/packaging/abcal-console.service\" @ONLY)" COMPONENT abcal)
 install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-console.service DESTINATION lib/systemd/system COMPONENT abcal)
 
 # --- the estimators as a library -------------------------------------------------------------------------------------
@@ -87,7 +90,8 @@ set(CPACK_PACKAGE_NAME abcal)
 set(CPACK_PACKAGE_CONTACT "abcal maintainers <maintainers@example.org>")
 set(CPACK_PACKAGE_DESCRIPTION_SUMMARY "")  # each package has its own, the first line of its description
 set(CPACK_COMPONENTS_ALL abcal dev)
-set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_SET_DESTDIR ON)  # so that what is installed sees the final prefix
+set(CPACK_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
 set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS
   OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
