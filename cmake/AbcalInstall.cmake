@@ -35,8 +35,11 @@ install(FILES ${manual_folder}/_abcal DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/v
 
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal)
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
-configure_file(${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-console.service.in
-  ${PROJECT_BINARY_DIR}/packaging/abcal-console.service @ONLY)
+# The service names the program by its path, which only the installation knows (cmake --install --prefix).
+install(CODE "
+  set(ABCAL_PROGRAM_PATH \"\${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_BINDIR}/abcal\")
+  configure_file(\"${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-console.service.in\"
+    \"${PROJECT_BINARY_DIR}/packaging/abcal-console.service\" @ONLY)" COMPONENT abcal)
 install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-console.service DESTINATION lib/systemd/system COMPONENT abcal)
 
 # --- the estimators as a library -------------------------------------------------------------------------------------
@@ -85,9 +88,10 @@ endforeach()
 set(CPACK_GENERATOR DEB)
 set(CPACK_PACKAGE_NAME abcal)
 set(CPACK_PACKAGE_CONTACT "abcal maintainers <maintainers@example.org>")
-set(CPACK_PACKAGE_DESCRIPTION_SUMMARY "calibrates triaxial accelerometers with gravity")
+set(CPACK_PACKAGE_DESCRIPTION_SUMMARY "")  # each package has its own, the first line of its description
 set(CPACK_COMPONENTS_ALL abcal dev)
-set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_SET_DESTDIR ON)  # so that what is installed sees the final prefix
+set(CPACK_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
 set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS
   OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
@@ -105,19 +109,19 @@ set(CPACK_DEBIAN_ABCAL_PACKAGE_RECOMMENDS "gnuplot-nox, weasyprint")
 set(CPACK_DEBIAN_ABCAL_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/cmake/packaging/postinst
   ${PROJECT_SOURCE_DIR}/cmake/packaging/prerm)
 set(CPACK_COMPONENT_ABCAL_DESCRIPTION "calibrates triaxial accelerometers with gravity
- abcal drives a two-axis rotation stage through three rotation experiments,
- averages the accelerometer's readings at each angle, and computes the 3x3
- sensitivity matrix, the offsets and the intrinsic properties with their
- uncertainties (NIST's ABC protocol). Instruments may be real, emulated by
- another process, or simulated in the program.")
+abcal drives a two-axis rotation stage through three rotation experiments,
+averages the accelerometer's readings at each angle, and computes the 3x3
+sensitivity matrix, the offsets and the intrinsic properties with their
+uncertainties (NIST's ABC protocol). Instruments may be real, emulated by
+another process, or simulated in the program.")
 
 set(CPACK_DEBIAN_DEV_PACKAGE_NAME libabcal-dev)
 set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS
-  "libeigen3-dev, libfmt-dev, libsqlite3-dev, libssl-dev, cmake")
+  "libeigen3-dev, libfmt-dev, libsqlite3-dev, libssl-dev")
 set(CPACK_COMPONENT_DEV_DESCRIPTION "estimators of accelerometer calibrations, for C++
- Static libraries, headers and a CMake package with the estimators of abcal:
- find_package(abcal) gives the target abcal::estimators, which computes
- sensitivity matrix, offsets and intrinsic properties with uncertainties from
- a run file or a table of averaged readings.")
+Static libraries, headers and a CMake package with the estimators of abcal:
+find_package(abcal) gives the target abcal::estimators, which computes
+sensitivity matrix, offsets and intrinsic properties with uncertainties from
+a run file or a table of averaged readings.")
 include(CPack)

@@ -30,6 +30,8 @@ done
 grep -q '/cmake/abcal/abcal-config.cmake$' "$work/library.list" || fail "libabcal-dev has no abcal-config.cmake"
 grep -q '/libabcal_estimators.a$' "$work/library.list" || fail "libabcal-dev has no libabcal_estimators.a"
 if grep -E '\.(a|h|cmake)$' "$work/program.list"; then fail "these belong into libabcal-dev"; fi
+dpkg-deb --fsys-tarfile "$program" | tar -xO ./usr/lib/systemd/system/abcal-console.service |
+  grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' || fail "the service starts another program"
 # Installed, but nobody enabled it.
 if grep -q 'systemd/system/.*\.wants/' "$work/program.list"; then fail "the service is enabled"; fi
 

@@ -12,6 +12,10 @@ if grep -rlE -- "$source|$build" "$work/prefix" --include='*.cmake' --include='*
   echo "these installed files name the folder of the build" >&2
   exit 1
 fi
+grep -q "^ExecStart=$work/prefix/bin/abcal " "$work/prefix/lib/systemd/system/abcal-console.service" || {
+  echo "the service does not start the installed program" >&2
+  exit 1
+}
 "$cmake" -S "$source/tests/install/consumer" -B "$work/consumer" -DCMAKE_PREFIX_PATH="$work/prefix" \
   -DCMAKE_CXX_COMPILER="$compiler" -DCMAKE_BUILD_TYPE=Release >"$work/configure.log" || { cat "$work/configure.log"; exit 1; }
 "$cmake" --build "$work/consumer" >"$work/build.log" || { cat "$work/build.log"; exit 1; }
