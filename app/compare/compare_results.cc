@@ -64,7 +64,8 @@ void note_common_stage(const ComparedResult& first, const ComparedResult& second
   if (subtracted) {
     notes.push_back(fmt::format(
         "{} and {}: what the same stage does to both (type B at equal angles; drift is each run's own) was "
-        "subtracted from the uncertainty of the differences{}",
+        "subtracted from the uncertainty of the differences{}. What the stage did not do the same way twice "
+        "(homing, temperature) is then a difference too",
         first.file, second.file,
         first.stage.empty() || second.stage.empty() ? "; that the stage is the same was taken from --shared"
                                                     : ", stage " + first.stage));

@@ -19,7 +19,7 @@ namespace abcal {
 struct ComparedResult {
   std::string file;  ///< As given.
   std::string kind;  ///< "run", "CSV", "certificate"
-  std::string what;  ///< "abc estimator", "certificate LAB-2026-0001"
+  std::string what;  ///< "abc estimator"; number of a certificate
   std::string date;  ///< ISO 8601, of the measurement; empty: not known.
   std::string item;  ///< Maker, model and serial number in words; empty: not known.
   std::string item_serial_number;

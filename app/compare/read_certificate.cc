@@ -380,8 +380,7 @@ void fill_identity(const Certificate& certificate, ComparedResult& result) {
   }
   const std::string core = "dcc:administrativeData/dcc:coreData/";
   result.date = certificate.text((core + "dcc:endPerformanceDate").c_str());
-  const std::string number = certificate.text((core + "dcc:uniqueIdentifier").c_str());
-  result.what = number.empty() ? "certificate" : "certificate " + number;
+  result.what = certificate.text((core + "dcc:uniqueIdentifier").c_str());
 }
 
 void fill_gravity(const Certificate& certificate, xmlNode* measurement, ComparedResult& result) {
@@ -395,7 +394,7 @@ void fill_gravity(const Certificate& certificate, xmlNode* measurement, Compared
   const std::string value = certificate.text("si:value", found.front());
   std::from_chars(value.data(), value.data() + value.size(), g.value);
   if (std::isfinite(g.value)) result.g_loc = g;
-  result.g_loc_source = result.what;
+  result.g_loc_source = "certificate " + result.what;
 }
 
 }  // namespace

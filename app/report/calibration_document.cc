@@ -10,6 +10,7 @@
 
 #include "app/progress.h"
 #include "app/report/result_text.h"
+#include "app/report/run_figures.h"
 #include "app/report/study_text.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -99,9 +100,9 @@ Section run_section(const ReportData& data) {
 std::string gravity_text(const RunRecord& record) {
   const LocalGravity& g = record.g_loc;
   if (!record.g_loc_known) return "not known: sensitivities are per local gravity g_loc";
-  std::string text = fmt::format("{:.9g} m/s2", g.value_mps2);
+  std::string text = fmt::format("{:.9g} m/s²", g.value_mps2);
   text += g.expanded_uncertainty_mps2 > 0.0
-              ? fmt::format(", U = {:.2g} m/s2 (k = {:g})", g.expanded_uncertainty_mps2, g.coverage_factor)
+              ? fmt::format(", U = {:.2g} m/s² (k = {:g})", g.expanded_uncertainty_mps2, g.coverage_factor)
               : ", uncertainty not stated";
   return text + "; source: " + or_not_stated(g.source);
 }
@@ -338,7 +339,8 @@ Section closures_section(const Diagnostics& d) {
   return section;
 }
 
-Section fits_section(const CalibrationResult& result) {
+Section fits_section(const ReportData& data) {
+  const CalibrationResult& result = data.result();
   const std::string& unit = result.response_unit;
   DocumentTable table{
       fmt::format(
@@ -369,10 +371,15 @@ Section fits_section(const CalibrationResult& result) {
     row.push_back(number(u, "{:.1e}"));
     table.rows.push_back(std::move(row));
   }
-  return {"Fits and harmonics", {std::move(table)}};
+  Section section{"Fits and harmonics", {}};
+  for (int experiment = 1; experiment <= 3; ++experiment)
+    section.blocks.push_back(response_figure(data, experiment));
+  section.blocks.push_back(std::move(table));
+  section.blocks.push_back(harmonics_figure(result));
+  return section;
 }
 
-Section stage_section(const JointResult& joint) {
+Section stage_section(const RunRecord& record, const JointResult& joint) {
   DocumentTable table{
       "Errors of the stage and the accelerometer that the joint estimator finds in the same "
       "readings.",
@@ -398,6 +405,7 @@ Section stage_section(const JointResult& joint) {
   Section section{"Stage and drift, by the joint estimator", {std::move(table)}};
   if (!joint.nonlinearity_fitted)
     section.blocks.push_back(Paragraph{"k2, k3: left out of the fit, the readings show no non-linearity."});
+  section.blocks.push_back(step_error_figure(record, joint));
   return section;
 }
 
@@ -500,6 +508,7 @@ Document calibration_document(const ReportData& data) {
   document.title = "Calibration report: triaxial accelerometer";
   document.subtitle = identification(data);
   document.identification = identification(data);
+  document.origin = fmt::format("abcal {}, report made {}", data.program_version, first_of(data.created_utc));
   document.cautions = cautions(data);
   document.sections.push_back(item_section(data));
   if (data.run) document.sections.push_back(run_section(data));
@@ -511,10 +520,10 @@ Document calibration_document(const ReportData& data) {
     document.sections.push_back(estimators_section(data));
     const Section closures = closures_section(result.diagnostics);
     if (!closures.blocks.empty()) document.sections.push_back(closures);
-    if (!result.diagnostics.fits.empty()) document.sections.push_back(fits_section(result));
+    if (!result.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
     for (const CalibrationResult& each : data.results) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
-        document.sections.push_back(stage_section(*each.joint));
+        document.sections.push_back(stage_section(data.record, *each.joint));
     }
     if (data.budget) document.sections.push_back(budget_section(data));
   }

@@ -30,7 +30,8 @@ std::string heading(std::FILE* stream, const std::string& text) {
 void list_results(const ResultsComparison& comparison, std::string& text) {
   for (std::size_t i = 0; i < comparison.results.size(); ++i) {
     const ComparedResult& r = comparison.results[i];
-    text += fmt::format("  {:>2}  {}: {}, {}", i + 1, r.file, r.kind, r.what);
+    text += fmt::format("  {:>2}  {}: {}, {}", i + 1, r.file, r.kind,
+                        r.what.empty() ? "without a number" : r.what);
     if (!r.date.empty()) text += ", " + r.date;
     if (!r.item.empty()) text += "; item " + r.item;
     if (!r.stage.empty()) text += "; stage " + r.stage;

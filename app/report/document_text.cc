@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "app/report/valid_text.h"
 #include "app/terminal.h"
 
 namespace abcal {
@@ -21,11 +22,11 @@ std::size_t width_of(std::string_view text) {
 }
 
 /// A name out of a bench file must not move the cursor or clear the screen.
-std::string shown(std::string text) {
-  for (char& c : text) {
-    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7F) c = '?';
-  }
-  return text;
+std::string shown(const std::string& text) {
+  std::string line = valid_text(text);
+  std::replace_if(
+      line.begin(), line.end(), [](char c) { return c == '\n' || c == '\t'; }, ' ');
+  return line;
 }
 
 std::string wrapped(const std::string& text, const std::string& first, const std::string& next) {

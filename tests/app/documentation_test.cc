@@ -5,6 +5,7 @@
 
 #include <cstdlib>
 #include <nlohmann/json.hpp>
+#include <regex>
 
 #include "tests/app/program_fixtures.h"
 
@@ -66,6 +67,24 @@ TEST_F(DocumentationTest, PythonReadsARunAsThePageShows) {
       EXPECT_NEAR(numbers[0][j][k], s["value"], 3.0 * s["type_a"].get<double>());
     }
   }
+}
+
+TEST(ValidationPageTest, EveryTestThatItNamesExists) {
+  std::string sources;
+  const std::filesystem::path root = ABCAL_SOURCE_DIR;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(root / "tests")) {
+    if (entry.path().filename().string().ends_with("_test.cc")) sources += test::read_file(entry.path());
+  }
+  // "TEST_F(Suite,\n      Name" and "TEST(Suite, Name" are the same.
+  std::erase_if(sources, [](char c) { return c == ' ' || c == '\n'; });
+  const std::string page = test::read_file(root / "docs/validation.md");
+  const std::regex name("`([A-Z][A-Za-z0-9]+)\\.([A-Z][A-Za-z0-9]+)`");
+  int named = 0;
+  for (std::sregex_iterator match(page.begin(), page.end(), name), end; match != end; ++match, ++named) {
+    const std::string test = "(" + (*match)[1].str() + "," + (*match)[2].str() + ")";
+    EXPECT_NE(sources.find(test), std::string::npos) << "docs/validation.md names " << match->str();
+  }
+  EXPECT_GT(named, 50);
 }
 
 }  // namespace

@@ -173,7 +173,7 @@ TEST_F(MakeCertificateTest, AsFoundIsTheSameItemBefore) {
   asked.as_found->run->header.labels["item.serial_number"] = "SN-43";
   EXPECT_THAT(refusal(std::move(asked)),
               AllOf(HasSubstr("as-found run, item.serial_number"), HasSubstr("[job] adjustment"),
-                    HasSubstr("an end before the other run began")));
+                    HasSubstr("a beginning before that of the other run")));
 }
 
 TEST_F(MakeCertificateTest, ShiftsCompareWhatDoesNotDependOnTheMounting) {

@@ -109,7 +109,7 @@ TEST_F(DccTest, MarkupAndOtherScriptsStayText) {
   ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
   std::string laboratory = example_laboratory();
   laboratory = replaced(laboratory, "name = \"Example customer\"",
-                        "name = \"<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \u0001\"");
+                        "name = \"<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \\u0001\"");
   CertificateRequest asked = request(laboratory);
   asked.run.run->header.labels["item.model"] = "</dcc:model><!-- & \"quoted\" 'single' \xff\xfe";
   const Certificate made = make_certificate(std::move(asked));
