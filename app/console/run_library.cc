@@ -192,7 +192,9 @@ Json RunLibrary::compare(const std::filesystem::path& first, const std::filesyst
 Json RunLibrary::history(const std::string& serial_number) {
   const std::lock_guard lock(mutex_);
   Json list = Json::array();
-  for (const std::string& name : names()) {
+  std::vector<std::string> oldest_first = names();
+  std::reverse(oldest_first.begin(), oldest_first.end());
+  for (const std::string& name : oldest_first) {
     try {
       Entry& known = entry(name);
       if (known.summary["item"] != serial_number || known.summary["state"] != "complete") continue;
@@ -207,7 +209,8 @@ Json RunLibrary::history(const std::string& serial_number) {
       continue;  // list() says why.
     }
   }
-  std::sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
+  // Stable: runs in simulated time may all begin at one time.
+  std::stable_sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
     return a["created_utc"].get<std::string>() < b["created_utc"].get<std::string>();
   });
   Json limits = limits_of(list);
