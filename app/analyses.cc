@@ -38,12 +38,19 @@ CalibrationResult estimate(const RunRecord& record, const std::string& estimator
 }  // namespace
 
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
+  const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
   CalibrationResult result = estimate(record, estimator);
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("the run was interrupted and went on {}; each time the axes were referenced anew and the "
                     "last angle was measured again and agreed",
-                    record.continuations == 1 ? "once" : fmt::format("{} times", record.continuations)));
+                    times(record.continuations)));
+  }
+  if (record.reconnections > 0) {
+    result.diagnostics.notes.push_back(fmt::format(
+        "the port of an instrument vanished and came back {}; each time it was the same instrument "
+        "and the last angle was measured again and agreed",
+        times(record.reconnections)));
   }
   return result;
 }

@@ -96,8 +96,8 @@ std::optional<double> gravity_in(const std::string& unit, const LocalGravity& g_
 
 class Checker {
  public:
-  Checker(Bench& bench, const BenchConfig& config, bool no_motion)
-      : bench_(bench), config_(config), no_motion_(no_motion) {}
+  Checker(Bench& bench, const BenchConfig& config, bool no_motion, const MeasureTurn& measure_turn)
+      : bench_(bench), config_(config), no_motion_(no_motion), measure_turn_(measure_turn) {}
 
   std::vector<Finding> run() {
     for (const std::string& warning : config_.warnings) add(Grade::kWarning, "bench file", warning);
@@ -248,7 +248,7 @@ class Checker {
 
     const TemporaryFile path;
     RunFile file = RunFile::create(path.path, make_header(quick, who_, plan, *bench_.clock));
-    measure(bench_, quick, file, plan, {}, "Turning both axes by 30 degrees", std::nullopt);
+    measure_turn_(bench_, quick, file, plan);
     std::vector<PoseReading> poses;
     for (const DwellRecord& dwell : RunFile::load(path.path).record.dwells) {
       poses.push_back({dwell.commanded_x, dwell.commanded_z, dwell.mean});
@@ -278,6 +278,7 @@ class Checker {
   Bench& bench_;
   const BenchConfig& config_;
   bool no_motion_;
+  const MeasureTurn& measure_turn_;
   bool failed_ = false;
   Identities who_;
   std::vector<Finding> findings_;
@@ -320,7 +321,16 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
 }
 
 std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion) {
-  return Checker(bench, config, no_motion).run();
+  return check_bench(
+      bench, config, no_motion,
+      [](Bench& the_bench, const BenchConfig& quick, RunFile& file, const std::vector<PlannedAngle>& plan) {
+        measure(the_bench, quick, file, plan, {}, "Turning both axes by 30 degrees", std::nullopt);
+      });
+}
+
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion,
+                                 const MeasureTurn& measure_turn) {
+  return Checker(bench, config, no_motion, measure_turn).run();
 }
 
 }  // namespace abcal

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -8,6 +9,8 @@
 #include "app/bench_config.h"
 #include "app/make_bench.h"
 #include "drivers/instrument/angle.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal {
 
@@ -25,6 +28,14 @@ struct Finding {
 /// agree with gravity. The stage ends at zero, or halted.
 /// @throws RunInterrupted; an instrument that fails is a finding.
 std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion);
+
+/// How the small turn is measured: as measure() of run_bench.h does, shown wherever a person looks.
+using MeasureTurn =
+    std::function<void(Bench&, const BenchConfig&, RunFile&, const std::vector<PlannedAngle>& plan)>;
+
+/// The same where no terminal watches.
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion,
+                                 const MeasureTurn& measure_turn);
 
 /// Readings (mean output, R) at one pose of the stage.
 struct PoseReading {

@@ -3,81 +3,18 @@
 #include <fmt/format.h>
 
 #include <toml++/toml.h>
-#include <algorithm>
-#include <array>
 #include <cmath>
-#include <fstream>
 #include <functional>
-#include <limits>
-#include <map>
 #include <nlohmann/json.hpp>
-#include <set>
 #include <sstream>
 
+#include "app/key_visitor.h"
+#include "app/toml_reader.h"
 #include "drivers/registry.h"
 #include "protocol/gravity/local_gravity.h"
 
 namespace abcal {
 namespace {
-
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
-
-/// What a number must be. NaN is outside every range.
-struct Range {
-  double min = -kInfinity;
-  double max = kInfinity;
-  bool min_excluded = false;
-
-  bool contains(double value) const { return (min_excluded ? value > min : value >= min) && value <= max; }
-  std::string words() const {
-    if (min == -kInfinity && max == kInfinity) return "a finite number";
-    if (max == kInfinity) return fmt::format("a number {} {}", min_excluded ? ">" : ">=", min);
-    return fmt::format("a number from {}{} to {}", min_excluded ? "above " : "", min, max);
-  }
-};
-
-constexpr Range kAny{};
-constexpr Range kPositive{0.0, kInfinity, true};
-constexpr Range kNotNegative{0.0, kInfinity};
-
-/// Each key of a bench file is named once, in visit() below; reading, writing and the list of known keys all
-/// follow from it.
-class KeyVisitor {
- public:
-  virtual ~KeyVisitor() = default;
-  virtual void section(const std::string& path) = 0;
-  virtual void text(const std::string& key, std::string& value,
-                    const std::vector<std::string>& choices = {}) = 0;
-  virtual void required_text(const std::string& key, std::string& value,
-                             const std::vector<std::string>& choices = {}) = 0;
-  virtual void number(const std::string& key, double& value, Range range) = 0;
-  virtual void number(const std::string& key, std::optional<double>& value, Range range) = 0;
-  virtual void integer(const std::string& key, int& value, int min, int max) = 0;
-  virtual void integer(const std::string& key, std::optional<int>& value, int min, int max) = 0;
-  virtual void seed(const std::string& key, std::uint64_t& value) = 0;
-  virtual void boolean(const std::string& key, bool& value) = 0;
-  virtual void vector(const std::string& key, Eigen::Vector3d& value) = 0;
-  virtual void integers(const std::string& key, std::array<int, 3>& value, int min, int max) = 0;
-  virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
-  /// An array of tables below the current section: visits each entry; those that are not there yet
-  /// (index >= size) come from the file.
-  virtual void tables(const std::string& key, std::size_t size,
-                      const std::function<void(std::size_t)>& visit_entry) = 0;
-
-  template <class T, class Visit>
-  void list(const std::string& key, std::vector<T>& value, const T& fresh, Visit visit_entry) {
-    tables(key, value.size(), [&](std::size_t i) {
-      if (i >= value.size()) value.push_back(fresh);
-      visit_entry(*this, value[i]);
-    });
-  }
-
-  void angle(const std::string& key, Angle& value, Range range) {
-    double degrees = value.deg();
-    number(key, degrees, range);
-    value = Angle::degrees(degrees);
-  }
-};
 
 std::vector<std::string> driver_names(const auto& drivers) {
   std::vector<std::string> names;
@@ -250,6 +187,7 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.number("mains_hz", p.mains_hz, {0.0, 1000.0});
   keys.number("reading_timeout_s", p.reading_timeout_s, {0.0, 3600.0, true});
   keys.number("warm_up_s", p.warm_up_s, {0.0, 604'800.0});
+  keys.number("replug_timeout_s", p.replug_timeout_s, {0.0, 604'800.0});
 
   Tolerances& t = c.tolerances;
   keys.section("tolerances");
@@ -263,6 +201,7 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.number("max_lost_fraction", c.limits.max_lost_fraction, {0.0, 1.0});
   keys.number("temperature_min_degc", c.limits.temperature_min_degc, kAny);
   keys.number("temperature_max_degc", c.limits.temperature_max_degc, kAny);
+  keys.integer("max_replugs", c.limits.max_replugs, 0, 1000);
 
   sim::BenchTruth& s = c.simulation;
   keys.section("simulation");
@@ -289,314 +228,6 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
     visit_change(keys, c.changes[i]);
   });
 }
-
-std::string words_of(const toml::node& node) {
-  std::ostringstream text;
-  if (const auto* string = node.as_string()) {
-    text << '"' << string->get() << '"';
-  } else if (node.is_table()) {
-    text << "a table";
-  } else if (node.is_array()) {
-    text << "an array of " << node.as_array()->size();
-  } else if (const auto number = node.as_floating_point()) {
-    text << number->get();
-  } else if (const auto whole = node.as_integer()) {
-    text << whole->get();
-  } else if (const auto truth = node.as_boolean()) {
-    text << (truth->get() ? "true" : "false");
-  } else {
-    text << "a date or time";
-  }
-  return text.str();
-}
-
-std::string joined(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + ("\"" + word + "\"");
-  return text;
-}
-
-std::size_t edit_distance(std::string_view a, std::string_view b) {
-  std::vector<std::size_t> row(b.size() + 1);
-  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
-  for (std::size_t i = 1; i <= a.size(); ++i) {
-    std::size_t diagonal = row[0];
-    row[0] = i;
-    for (std::size_t j = 1; j <= b.size(); ++j) {
-      const std::size_t above = row[j];
-      row[j] = std::min({row[j] + 1, row[j - 1] + 1, diagonal + (a[i - 1] == b[j - 1] ? 0 : 1)});
-      diagonal = above;
-    }
-  }
-  return row[b.size()];
-}
-
-class TomlReader final : public KeyVisitor {
- public:
-  explicit TomlReader(const toml::table& root) : root_(root) {}
-
-  void section(const std::string& path) override {
-    path_ = path;
-    table_ = &root_;
-    std::istringstream parts(path);
-    for (std::string part, so_far; std::getline(parts, part, '.');) {
-      so_far += (so_far.empty() ? "" : ".") + part;
-      known_[parent_of(so_far)].insert(part);
-      if (table_ == nullptr) continue;
-      const toml::node* node = table_->get(part);
-      if (node != nullptr && !node->is_table() && reported_.insert(so_far).second) {
-        problem(*node, so_far, words_of(*node), "a table [" + so_far + "]");
-      }
-      table_ = node == nullptr ? nullptr : node->as_table();
-    }
-    known_[path];
-  }
-
-  void text(const std::string& key, std::string& value, const std::vector<std::string>& choices) override {
-    read_text(key, value, choices, false);
-  }
-  void required_text(const std::string& key, std::string& value,
-                     const std::vector<std::string>& choices) override {
-    read_text(key, value, choices, true);
-  }
-
-  void number(const std::string& key, double& value, Range range) override {
-    const toml::node* node = find(key);
-    if (node == nullptr) return;
-    if (const auto found = number_of(*node); found && std::isfinite(*found) && range.contains(*found)) {
-      value = *found;
-    } else {
-      problem(*node, name(key), words_of(*node), range.words());
-    }
-  }
-
-  void number(const std::string& key, std::optional<double>& value, Range range) override {
-    if (find(key) == nullptr) return;
-    double found = value.value_or(std::numeric_limits<double>::quiet_NaN());
-    number(key, found, range);
-    value = found;
-  }
-
-  void integer(const std::string& key, int& value, int min, int max) override {
-    const toml::node* node = find(key);
-    if (node == nullptr) return;
-    const auto* whole = node->as_integer();
-    if (whole != nullptr && whole->get() >= min && whole->get() <= max) {
-      value = static_cast<int>(whole->get());
-    } else {
-      problem(*node, name(key), words_of(*node), fmt::format("a whole number from {} to {}", min, max));
-    }
-  }
-
-  void integer(const std::string& key, std::optional<int>& value, int min, int max) override {
-    if (find(key) == nullptr) return;
-    int found = value.value_or(min);
-    integer(key, found, min, max);
-    value = found;
-  }
-
-  void seed(const std::string& key, std::uint64_t& value) override {
-    const toml::node* node = find(key);
-    if (node == nullptr) return;
-    const auto* whole = node->as_integer();
-    if (whole != nullptr && whole->get() >= 0) {
-      value = static_cast<std::uint64_t>(whole->get());
-    } else {
-      problem(*node, name(key), words_of(*node), "a whole number >= 0");
-    }
-  }
-
-  void boolean(const std::string& key, bool& value) override {
-    const toml::node* node = find(key);
-    if (node == nullptr) return;
-    if (const auto* truth = node->as_boolean()) {
-      value = truth->get();
-    } else {
-      problem(*node, name(key), words_of(*node), "true or false");
-    }
-  }
-
-  void vector(const std::string& key, Eigen::Vector3d& value) override {
-    if (const toml::node* node = find(key)) read_triple(*node, name(key), value);
-  }
-
-  void matrix(const std::string& key, Eigen::Matrix3d& value) override {
-    const toml::node* node = find(key);
-    if (node == nullptr) return;
-    const toml::array* rows = node->as_array();
-    if (rows == nullptr || rows->size() != 3) {
-      problem(*node, name(key), words_of(*node),
-              "three rows of three numbers, [[ux, uy, uz], [vx, ...], [wx, ...]]");
-      return;
-    }
-    for (int j = 0; j < 3; ++j) {
-      Eigen::Vector3d row = value.row(j);
-      read_triple(*rows->get(static_cast<std::size_t>(j)), name(key), row);
-      value.row(j) = row;
-    }
-  }
-
-  void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override {
-    const toml::node* node = find(key);
-    if (node == nullptr) return;
-    const toml::array* list = node->as_array();
-    std::array<int, 3> found{};
-    bool good = list != nullptr && list->size() == 3;
-    for (std::size_t i = 0; good && i < 3; ++i) {
-      const auto* whole = list->get(i)->as_integer();
-      good = whole != nullptr && whole->get() >= min && whole->get() <= max;
-      if (good) found[i] = static_cast<int>(whole->get());
-    }
-    if (good) {
-      value = found;
-    } else {
-      problem(*node, name(key), words_of(*node),
-              fmt::format("three whole numbers from {} to {}, [u, v, w]", min, max));
-    }
-  }
-
-  void tables(const std::string& key, std::size_t,
-              const std::function<void(std::size_t)>& visit_entry) override {
-    const toml::node* node = find(key);
-    if (node == nullptr) return;
-    const toml::array* entries = node->as_array();
-    if (entries == nullptr) {
-      problem(*node, name(key), words_of(*node), "a list of tables [[" + name(key) + "]]");
-      return;
-    }
-    const toml::table* outer = table_;
-    const std::string outer_path = path_;
-    std::size_t index = 0;
-    for (const toml::node& entry : *entries) {
-      path_ = outer_path.empty() ? key : outer_path + "." + key;
-      table_ = entry.as_table();
-      if (table_ == nullptr) {
-        problem(entry, path_, words_of(entry), "a table [[" + path_ + "]]");
-        continue;
-      }
-      visit_entry(index++);
-      report_unknown(*table_, path_);
-    }
-    table_ = outer;
-    path_ = outer_path;
-  }
-
-  /// Keys and sections that no visit asked for.
-  void report_unknown() {
-    report_unknown(root_, "");
-    for (const auto& [path, keys] : known_) {
-      if (path.empty()) continue;
-      if (const toml::node* node = root_.at_path(path).node(); node != nullptr && node->is_table()) {
-        report_unknown(*node->as_table(), path);
-      }
-    }
-  }
-
-  std::vector<Problem> take_problems() {
-    std::stable_sort(found_.begin(), found_.end(),
-                     [](const auto& a, const auto& b) { return a.first < b.first; });
-    std::vector<Problem> problems;
-    for (auto& [line, problem] : found_) problems.push_back(std::move(problem));
-    return problems;
-  }
-
-  void add_problem(const std::string& where, const std::string& found, const std::string& required) {
-    std::uint32_t line = 0;
-    if (const toml::node* node = root_.at_path(where).node()) line = node->source().begin.line;
-    found_.emplace_back(line == 0 ? std::numeric_limits<std::uint32_t>::max() : line,
-                        Problem{at(line) + display(where), found, required});
-  }
-
- private:
-  static std::string parent_of(const std::string& path) {
-    const auto dot = path.rfind('.');
-    return dot == std::string::npos ? std::string() : path.substr(0, dot);
-  }
-  static std::string at(std::uint32_t line) { return line == 0 ? "" : fmt::format("line {}, ", line); }
-  /// "[stage.x] sign" for "stage.x.sign".
-  static std::string display(const std::string& name) {
-    const std::string parent = parent_of(name);
-    return parent.empty() ? name : "[" + parent + "] " + name.substr(parent.size() + 1);
-  }
-  std::string name(const std::string& key) const { return path_.empty() ? key : path_ + "." + key; }
-
-  void problem(const toml::node& node, const std::string& where, std::string found, std::string required) {
-    const std::uint32_t line = node.source().begin.line;
-    found_.emplace_back(line, Problem{at(line) + display(where), std::move(found), std::move(required)});
-  }
-
-  const toml::node* find(const std::string& key) {
-    known_[path_].insert(key);
-    return table_ == nullptr ? nullptr : table_->get(key);
-  }
-
-  static std::optional<double> number_of(const toml::node& node) {
-    if (const auto* real = node.as_floating_point()) return real->get();
-    if (const auto* whole = node.as_integer()) return static_cast<double>(whole->get());
-    return std::nullopt;
-  }
-
-  void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,
-                 bool required) {
-    const std::string wanted = choices.empty() ? "text in quotes" : "one of " + joined(choices);
-    const toml::node* node = find(key);
-    if (node == nullptr) {
-      if (required)
-        found_.emplace_back(std::numeric_limits<std::uint32_t>::max(),
-                            Problem{display(name(key)), "nothing", wanted});
-      return;
-    }
-    const auto* string = node->as_string();
-    const bool allowed = string != nullptr && (choices.empty() || std::find(choices.begin(), choices.end(),
-                                                                            string->get()) != choices.end());
-    if (allowed && !(required && string->get().empty())) {
-      value = string->get();
-    } else {
-      problem(*node, name(key), words_of(*node), wanted);
-    }
-  }
-
-  void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value) {
-    const toml::array* list = node.as_array();
-    if (list != nullptr && list->size() == 3) {
-      Eigen::Vector3d found;
-      bool good = true;
-      for (int j = 0; j < 3; ++j) {
-        const auto number = number_of(*list->get(static_cast<std::size_t>(j)));
-        good = good && number && std::isfinite(*number);
-        if (good) found[j] = *number;
-      }
-      if (good) {
-        value = found;
-        return;
-      }
-    }
-    problem(node, where, words_of(node), "three finite numbers, [u, v, w]");
-  }
-
-  void report_unknown(const toml::table& table, const std::string& path) {
-    const std::set<std::string>& known = known_[path];
-    for (const auto& [key, node] : table) {
-      const std::string word(key.str());
-      if (known.contains(word)) continue;
-      const auto nearest = std::min_element(known.begin(), known.end(), [&](const auto& a, const auto& b) {
-        return edit_distance(word, a) < edit_distance(word, b);
-      });
-      const bool close = nearest != known.end() && edit_distance(word, *nearest) <= 2 + word.size() / 5;
-      problem(node, path.empty() ? word : path + "." + word,
-              node.is_table() ? "a section of this name" : "a key of this name",
-              close ? "a known one: did you mean \"" + *nearest + "\"?"
-                    : "one of " + joined({known.begin(), known.end()}));
-    }
-  }
-
-  const toml::table& root_;
-  const toml::table* table_ = nullptr;
-  std::string path_;
-  std::map<std::string, std::set<std::string>> known_;
-  std::set<std::string> reported_;
-  std::vector<std::pair<std::uint32_t, Problem>> found_;
-};
 
 class TomlWriter final : public KeyVisitor {
  public:
@@ -764,18 +395,10 @@ BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
       problems_(std::move(problems)) {}
 
 BenchConfig parse_bench(std::string_view text, const std::string& source) {
-  if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) {
-    throw BenchError(source,
-                     {{"the file", "nothing in it", "a bench file; docs/examples holds commented ones"}});
-  }
-  toml::table root;
-  try {
-    root = toml::parse(text, source);
-  } catch (const toml::parse_error& error) {
-    throw BenchError(
-        source, {{fmt::format("line {}, column {}", error.source().begin.line, error.source().begin.column),
-                  std::string(error.description()), "TOML (key = value under [section]; text in quotes)"}});
-  }
+  std::vector<Problem> unreadable;
+  const toml::table root =
+      parse_toml(text, source, "a bench file; docs/examples holds commented ones", unreadable);
+  if (!unreadable.empty()) throw BenchError(source, std::move(unreadable));
   BenchConfig config;
   TomlReader reader(root);
   visit(reader, config);
@@ -787,17 +410,10 @@ BenchConfig parse_bench(std::string_view text, const std::string& source) {
 }
 
 BenchConfig read_bench(const std::filesystem::path& path) {
-  std::error_code error;
-  if (!std::filesystem::exists(path, error))
-    throw BenchError(path.string(), {{"the file", "no such file", "an existing bench file"}});
-  if (std::filesystem::is_directory(path, error))
-    throw BenchError(path.string(), {{"the file", "a folder", "a bench file"}});
-  std::ifstream file(path, std::ios::binary);
-  if (!file)
-    throw BenchError(path.string(), {{"the file", "it cannot be opened", "a file that this user may read"}});
-  std::ostringstream text;
-  text << file.rdbuf();
-  return parse_bench(text.str(), path.string());
+  std::vector<Problem> unreadable;
+  const std::string text = read_text_file(path.string(), "bench file", unreadable);
+  if (!unreadable.empty()) throw BenchError(path.string(), std::move(unreadable));
+  return parse_bench(text, path.string());
 }
 
 namespace {

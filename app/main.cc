@@ -10,6 +10,7 @@
 #include "app/commands/uncertainty.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
+#include "app/manual.h"
 #include "app/terminal.h"
 #include "app/version.h"
 #include "drivers/instrument/instrument_error.h"
@@ -49,10 +50,15 @@ int main(int argc, char** argv) {
   add_uncertainty(app, exit_code);
   add_simulate(app, exit_code);
   add_report(app, exit_code);
+  add_issue(app, exit_code);
   add_verify(app, exit_code);
   add_level(app, exit_code);
   add_emulate(app, exit_code);
+  add_compare(app, exit_code);
+  add_gravity(app, exit_code);
+  add_serve(app, exit_code);
   add_instruments(app, exit_code);
+  add_manual_option(app, std::string("abcal ") + program_version());
   try {
     app.parse(argc, argv);
     return exit_code;

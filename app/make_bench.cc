@@ -1,17 +1,21 @@
 #include "app/make_bench.h"
 
 #include <algorithm>
+#include <map>
 #include <stdexcept>
 #include <utility>
 
 #include "app/make_firmware.h"
 #include "app/real_clock.h"
+#include "app/stage_watchdog.h"
 #include "drivers/instrument/mounted_stage.h"
+#include "drivers/instrument/replaceable.h"
 #include "drivers/instrument/split_stage.h"
 #include "drivers/manual_stage/manual_stage.h"
 #include "drivers/registry.h"
 #include "drivers/text_line/environment.h"
 #include "drivers/wire/open_stream.h"
+#include "drivers/wire/reopenable_stream.h"
 #include "sim/faults.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/followed_stage.h"
@@ -80,14 +84,29 @@ EnvironmentSettings environment_settings(const EnvironmentConfig& config) {
   return settings;
 }
 
-/// Opens the instruments of one bench file.
+/// The use of a stream by one driver; the next driver on the same port gets another.
+class SharedStream final : public wire::ByteStream {
+ public:
+  explicit SharedStream(std::shared_ptr<wire::ByteStream> stream) : stream_(std::move(stream)) {}
+
+  void write(std::string_view bytes) override { stream_->write(bytes); }
+  wire::ReceivedBytes read_until(Clock::Instant deadline) override { return stream_->read_until(deadline); }
+  void discard_input() override { stream_->discard_input(); }
+  std::size_t dropped_bytes() const override { return stream_->dropped_bytes(); }
+  std::string name() const override { return stream_->name(); }
+
+ private:
+  std::shared_ptr<wire::ByteStream> stream_;
+};
+
+/// Opens the instruments of one bench file, also again. The streams outlive the drivers, so that a recording,
+/// scripted faults and simulated firmware go on when a port was gone for a while.
 class Opener {
  public:
-  Opener(const BenchConfig& config, const BenchStreams& streams, std::shared_ptr<sim::SimBench> world,
-         Clock& clock)
-      : config_(config), streams_(streams), world_(std::move(world)), clock_(clock) {}
+  Opener(const BenchConfig& config, BenchStreams streams, std::shared_ptr<sim::SimBench> world, Clock& clock)
+      : config_(config), streams_(std::move(streams)), world_(std::move(world)), clock_(clock) {}
 
-  std::unique_ptr<RotationStage> stage() const {
+  std::unique_ptr<RotationStage> stage() {
     const std::array<AxisMounting, 2> mountings{mounting(config_.stage.x), mounting(config_.stage.z)};
     if (config_.stage.driver == kSimulated) {
       // In-process and without a controller: protocol angles all the way.
@@ -113,7 +132,7 @@ class Opener {
     return std::make_unique<MountedStage>(std::move(stage), mountings);
   }
 
-  std::unique_ptr<Accelerometer> accelerometer() const {
+  std::unique_ptr<Accelerometer> accelerometer() {
     const AccelerometerConfig& config = config_.accelerometer;
     if (config.driver == kSimulated) {
       return std::make_unique<sim::SimAccelerometer>(
@@ -126,7 +145,7 @@ class Opener {
     return driver.make(std::move(streams), clock_, accelerometer_settings(config));
   }
 
-  std::unique_ptr<EnvironmentSensor> environment() const {
+  std::unique_ptr<EnvironmentSensor> environment() {
     for (const InstrumentPort& port : environment_ports(config_.environment)) {
       return std::make_unique<TextLineEnvironment>(open(port, kEnvironmentSerial), clock_,
                                                    environment_settings(config_.environment));
@@ -135,11 +154,29 @@ class Opener {
   }
 
  private:
-  /// The bytes to and from an instrument: a recording, a real port, or simulated firmware in this process;
-  /// with the faults and the delays that the bench file asks for.
-  std::unique_ptr<wire::ByteStream> open(const InstrumentPort& port, const SerialDefaults& defaults) const {
-    if (streams_.replay) return streams_.replay(port.name, clock_);
+  struct Opened {
+    std::shared_ptr<wire::ByteStream> stream;
+    wire::ReopenableStream* port = nullptr;  ///< At the end of `stream`; null: nothing real to be opened.
+  };
+
+  /// The bytes to and from an instrument; the port is opened again if it was gone.
+  std::unique_ptr<wire::ByteStream> open(const InstrumentPort& port, const SerialDefaults& defaults) {
+    auto found = opened_.find(port.name);
+    if (found == opened_.end()) {
+      found = opened_.emplace(port.name, open_first(port, defaults)).first;
+    } else {
+      if (found->second.port != nullptr) found->second.port->reopen();
+      found->second.stream->discard_input();
+    }
+    return std::make_unique<SharedStream>(found->second.stream);
+  }
+
+  /// A recording, a real port, or simulated firmware in this process; with the faults and the delays that the
+  /// bench file asks for.
+  Opened open_first(const InstrumentPort& port, const SerialDefaults& defaults) {
+    if (streams_.replay) return {streams_.replay(port.name, clock_)};
     const bool simulated = port.port == kSimulated;
+    Opened opened;
     std::unique_ptr<wire::ByteStream> stream;
     if (simulated) {
       stream = std::make_unique<sim::FirmwareStream>(make_firmware(config_, port, world_), clock_);
@@ -147,7 +184,10 @@ class Opener {
       wire::SerialSettings settings;
       settings.baud = port.baud ? static_cast<unsigned>(*port.baud) : defaults.baud;
       settings.rts_cts = defaults.rts_cts;
-      stream = wire::open_stream(port.port, settings, clock_);
+      auto reopenable = std::make_unique<wire::ReopenableStream>(
+          [name = port.port, settings, &clock = clock_] { return wire::open_stream(name, settings, clock); });
+      opened.port = reopenable.get();
+      stream = std::move(reopenable);
     }
     auto faults = wire_faults(config_.faults, port.name, clock_.now());
     const sim::LinkTiming timing = simulated ? config_.link : sim::LinkTiming{};
@@ -155,13 +195,33 @@ class Opener {
       stream = std::make_unique<sim::FaultyStream>(std::move(stream), clock_, std::move(faults),
                                                    config_.simulation.seed, timing);
     }
-    return streams_.wrap ? streams_.wrap(port.name, std::move(stream), clock_) : std::move(stream);
+    opened.stream = streams_.wrap ? streams_.wrap(port.name, std::move(stream), clock_) : std::move(stream);
+    return opened;
   }
 
-  const BenchConfig& config_;
-  const BenchStreams& streams_;
+  const BenchConfig config_;
+  const BenchStreams streams_;
   std::shared_ptr<sim::SimBench> world_;
   Clock& clock_;
+  std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
+};
+
+/// The instruments of a bench whose drivers can be made anew.
+class BenchReconnector final : public Reconnector {
+ public:
+  BenchReconnector(ReplaceableStage& stage, ReplaceableAccelerometer& accelerometer)
+      : stage_(stage), accelerometer_(accelerometer) {}
+
+  bool stage_lost() const override { return stage_.lost(); }
+
+  void reconnect() override {
+    if (stage_.lost()) stage_.replace();
+    if (accelerometer_.lost()) accelerometer_.replace();
+  }
+
+ private:
+  ReplaceableStage& stage_;
+  ReplaceableAccelerometer& accelerometer_;
 };
 
 }  // namespace
@@ -183,7 +243,7 @@ std::vector<std::string> simulated_instruments(const BenchConfig& config) {
   return list;
 }
 
-Bench make_bench(const BenchConfig& config, BenchStreams streams) {
+Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_ptr<Clock> simulated_clock) {
   std::vector<InstrumentPort> ports = stage_ports(config.stage);
   const bool stage_is_simulated =
       config.stage.driver == kSimulated ||
@@ -201,7 +261,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams) {
   if (bench.replayed) {
     bench.clock = std::move(streams.replay_clock);
   } else if (bench.simulated_time) {
-    bench.clock = std::make_unique<sim::SimClock>();
+    bench.clock = simulated_clock ? std::move(simulated_clock) : std::make_unique<sim::SimClock>();
   } else {
     bench.clock = std::make_unique<RealClock>();
   }
@@ -215,13 +275,24 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams) {
         "[[change]]: nothing on this bench is simulated, so that nothing would change");
   }
 
-  const Opener opener(config, streams, bench.world, *bench.clock);
-  bench.stage = opener.stage();
+  const auto opener = std::make_shared<Opener>(config, std::move(streams), bench.world, *bench.clock);
   // A real stage turns the simulated world by what its encoder says.
-  if (accelerometer_is_simulated && !stage_is_simulated)
-    bench.stage = std::make_unique<sim::FollowedStage>(std::move(bench.stage), bench.world, *bench.clock);
-  bench.accelerometer = opener.accelerometer();
-  bench.environment = opener.environment();
+  const bool followed = accelerometer_is_simulated && !stage_is_simulated;
+  auto stage = std::make_unique<ReplaceableStage>(
+      [opener, followed, world = bench.world, &clock = *bench.clock]() -> std::unique_ptr<RotationStage> {
+        auto made = opener->stage();
+        if (followed) made = std::make_unique<sim::FollowedStage>(std::move(made), world, clock);
+        return made;
+      });
+  auto accelerometer =
+      std::make_unique<ReplaceableAccelerometer>([opener] { return opener->accelerometer(); });
+  bench.environment = opener->environment();
+  bench.reconnector = std::make_unique<BenchReconnector>(*stage, *accelerometer);
+  bench.stage = std::move(stage);
+  // A person who turns a stage by hand cannot be halted, and jumping time needs no second thread.
+  if (!bench.simulated_time && config.stage.driver != kManual)
+    bench.stage = std::make_unique<StageWatchdog>(std::move(bench.stage), *bench.clock);
+  bench.accelerometer = std::move(accelerometer);
   return bench;
 }
 

@@ -12,6 +12,7 @@
 #include "drivers/instrument/environment_sensor.h"
 #include "drivers/instrument/rotation_stage.h"
 #include "drivers/wire/byte_stream.h"
+#include "protocol/run/experiment_run.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -23,6 +24,7 @@ struct Bench {
   std::shared_ptr<sim::SimBench> world;  ///< The simulated world; null where everything is real.
   std::unique_ptr<RotationStage> stage;  ///< In protocol angles, inside the bench's travel.
   std::unique_ptr<Accelerometer> accelerometer;
+  std::unique_ptr<Reconnector> reconnector;        ///< Opens again what was unplugged.
   std::unique_ptr<EnvironmentSensor> environment;  ///< Null: temperature and so on are typed in.
   bool simulated_time = false;                     ///< Nothing real takes part: the clock jumps.
   bool replayed = false;                           ///< Its bytes come from a recording.
@@ -42,8 +44,10 @@ struct BenchStreams {
 };
 
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
+/// `simulated_clock`, if given, is the clock where nothing real takes part, in place of one that jumps.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
-Bench make_bench(const BenchConfig& config, BenchStreams streams = {});
+Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
+                 std::unique_ptr<Clock> simulated_clock = nullptr);
 
 /// Which of "stage" and "accelerometer" are simulated in a bench file, in whole or in part. An emulated
 /// instrument on a pseudo-terminal looks like a real one and is not among them.

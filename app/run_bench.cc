@@ -37,8 +37,8 @@ InstrumentIdentity identity(const AccelerometerInfo& info) {
 }  // namespace
 
 TerminalObserver::TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan,
-                                   std::size_t already_measured)
-    : plan_(plan), measured_(already_measured), bar_(std::move(title), clock_) {}
+                                   std::set<std::size_t> measured)
+    : plan_(plan), measured_(std::move(measured)), bar_(std::move(title), clock_) {}
 
 void TerminalObserver::phase(std::size_t position, RunPhase phase) {
   std::string words(to_string(phase));
@@ -48,11 +48,11 @@ void TerminalObserver::phase(std::size_t position, RunPhase phase) {
                  ? fmt::format(", experiment {}, alpha = {:g} deg", angle.experiment, angle.alpha.deg())
                  : fmt::format(", X = {:g} deg, Z = {:g} deg", angle.x.deg(), angle.z.deg());
   }
-  bar_.show(static_cast<double>(measured_), static_cast<double>(plan_.size()), words);
+  bar_.show(static_cast<double>(measured_.size()), static_cast<double>(plan_.size()), words);
 }
 
-void TerminalObserver::dwell(std::size_t, const DwellRecord&) {
-  ++measured_;
+void TerminalObserver::dwell(std::size_t position, const DwellRecord&) {
+  measured_.insert(position);
 }
 
 void TerminalObserver::notice(std::string_view text) {
@@ -152,16 +152,23 @@ void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, st
 }
 
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, RunObserver& observer,
+                  const std::stop_token& stop) {
+  // Simulated time has one thread only.
+  std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
+  if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
+  RunProgress progress = so_far;
+  progress.tolerances = config.tolerances;
+  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()}, plan,
+                         progress, config.protocol, config.limits, file, observer, stop);
+}
+
+RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
                   const std::vector<PlannedAngle>& plan, const RunProgress& so_far, const std::string& title,
                   const std::optional<std::string>& on_failure) {
-  TerminalObserver observer(title, plan, so_far.measured.size());
+  TerminalObserver observer(title, plan, so_far.measured);
   try {
-    // Simulated time has one thread only.
-    std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
-    if (!bench.simulated_time) halt_at_once.emplace(interrupt_token(), [&] { bench.stage->halt(); });
-    const RunTiming timing =
-        run_experiments({*bench.stage, *bench.accelerometer, *bench.clock}, plan, so_far, config.protocol,
-                        config.limits, file, observer, interrupt_token());
+    const RunTiming timing = measure(bench, config, file, plan, so_far, observer, interrupt_token());
     observer.finish();
     return timing;
   } catch (...) {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -18,18 +19,18 @@ namespace abcal {
 /// Shows a run on the terminal's last line.
 class TerminalObserver final : public RunObserver {
  public:
-  TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan, std::size_t already_measured);
+  TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan, std::set<std::size_t> measured);
 
   void phase(std::size_t position, RunPhase phase) override;
   void dwell(std::size_t position, const DwellRecord& dwell) override;
   void notice(std::string_view text) override;
   void finish() { bar_.clear(); }
-  std::size_t measured() const { return measured_; }
+  std::size_t measured() const { return measured_.size(); }
 
  private:
   RealClock clock_;  // People live in real time, also when the run's time is simulated.
   const std::vector<PlannedAngle>& plan_;
-  std::size_t measured_;
+  std::set<std::size_t> measured_;  ///< Positions in the plan.
   ProgressBar bar_;
 };
 
@@ -63,7 +64,13 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
 /// for it.
 void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, std::string_view moment);
 
-/// Measures what is missing of the plan. In real time an interrupt halts the stage at once, whatever the
+/// Measures what is missing of the plan. In real time `stop` halts the stage at once, whatever the measuring
+/// thread waits for: the halt is sent by the thread that requests the stop.
+RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, RunObserver& observer,
+                  const std::stop_token& stop);
+
+/// The same for a person at the terminal. In real time an interrupt halts the stage at once, whatever the
 /// measuring thread waits for. On failure the person is told how much is kept, and `on_failure` (nothing: the
 /// file is of no further use), and the exception goes on.
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,

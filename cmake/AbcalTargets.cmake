@@ -20,7 +20,7 @@ endif()
 # Folder path = include path from the repository root. A result must not depend on the machine that printed
 # it: no -march=native, no contraction of a*b+c into fused operations, no -ffast-math.
 function(abcal_target_options target)
-  target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR})
+  target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}>)
   target_compile_options(${target} PRIVATE ${ABCAL_WARNINGS} -ffp-contract=off)
 endfunction()
 

@@ -14,9 +14,13 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code);
 CLI::App* add_check(CLI::App& parent, int& exit_code);
 CLI::App* add_analyse(CLI::App& parent, int& exit_code);
 CLI::App* add_report(CLI::App& parent, int& exit_code);
+CLI::App* add_issue(CLI::App& parent, int& exit_code);
 CLI::App* add_verify(CLI::App& parent, int& exit_code);
 CLI::App* add_level(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);
+CLI::App* add_compare(CLI::App& parent, int& exit_code);
+CLI::App* add_gravity(CLI::App& parent, int& exit_code);
+CLI::App* add_serve(CLI::App& parent, int& exit_code);
 CLI::App* add_instruments(CLI::App& parent, int& exit_code);
 
 }  // namespace abcal

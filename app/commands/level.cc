@@ -83,9 +83,9 @@ CLI::App* add_level(CLI::App& parent, int& exit_code) {
     RunFile file = RunFile::create(output_path(options->run_output, options->bench_file, ".level.run"),
                                    make_header(config, who, plan, *bench.clock));
     const std::filesystem::path run_path = file.path();
-    measure(bench, config, file, plan, {}, "Levelling", "");
+    const RunTiming timing = measure(bench, config, file, plan, {}, "Levelling", "");
     const std::string utc = format_utc(bench.clock->utc_now());
-    file.close_complete(utc);
+    file.close_complete(utc, timing);
 
     const std::vector<DwellRecord> dwells = RunFile::load(run_path).record.dwells;
     const auto spin_end = dwells.begin() + static_cast<std::ptrdiff_t>(plan.size() - 4);

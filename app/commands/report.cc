@@ -1,11 +1,15 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "app/certificate/certificate_command.h"
+#include "app/certificate/certificate_sections.h"
+#include "app/certificate/issue.h"
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
 #include "app/interrupt.h"
@@ -28,8 +32,9 @@ namespace {
 struct Options {
   std::string file;
   std::string html, pdf, csv, csv_raw, hdf5;
-  std::string attachment;
-  bool json = false, force = false;
+  std::string attachment, dcc;
+  CertificateOptions certificate;
+  bool draft = false, json = false, force = false;
 };
 
 /// What is to be written, each with what writes it.
@@ -42,28 +47,45 @@ void print_warnings(const HtmlPage& page) {
   for (const std::string& warning : page.warnings) fmt::print(stderr, "warning: {}\n", warning);
 }
 
-void write_pdf(const HtmlPage& page, OutputFile& file,
-               const std::optional<std::filesystem::path>& attachment) {
+/// The certificate goes with its page: its XML is inside the PDF unless another file is asked for.
+void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attached,
+               const ReportedCertificate* certificate) {
   const TemporaryFolder folder;
+  std::optional<std::filesystem::path> attachment;
+  if (!attached.empty()) {
+    attachment = attached;
+  } else if (certificate != nullptr) {
+    attachment = folder / "certificate.xml";
+    OutputFile(*attachment).write(certificate->xml);
+  }
   OutputFile html(folder / "report.html");
   html.write(page.html);
   print_pdf(html.path(), file.temporary(), attachment);
   file.commit();
 }
 
+/// Whether the report is one of a certificate: where one is asked for, and where one was issued for the run
+/// as it still is.
+bool of_certificate(const Options& options, const ReportData& data) {
+  if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
+  const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
+                                                 [](const IntegrityCheck& check) { return check.good; });
+  return unchanged && current_certificate(data.path);
+}
+
 /// The outputs asked for. `page` makes the HTML page, once for all who need it.
 std::vector<Output> outputs_of(const Options& options, const ReportData& data,
+                               const ReportedCertificate* certificate,
                                const std::function<const HtmlPage&()>& page) {
   std::vector<Output> outputs;
   const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
     if (!path.empty()) outputs.push_back({{option, path}, std::move(write)});
   };
   add("--html", options.html, [page](OutputFile& file) { file.write(page().html); });
-  add("--pdf", options.pdf, [page, &options](OutputFile& file) {
-    std::optional<std::filesystem::path> attachment;
-    if (!options.attachment.empty()) attachment = options.attachment;
-    write_pdf(page(), file, attachment);
+  add("--pdf", options.pdf, [page, &options, certificate](OutputFile& file) {
+    write_pdf(page(), file, options.attachment, certificate);
   });
+  add("--dcc", options.dcc, [certificate](OutputFile& file) { file.write(certificate->xml); });
   add("--csv", options.csv, [&data](OutputFile& file) { file.write(averaged_csv(data)); });
   add("--csv-raw", options.csv_raw, [&data](OutputFile& file) {
     write_raw_csv(data, file.temporary());
@@ -82,7 +104,9 @@ void check(const Options& options, const ReportData& data, const std::vector<Out
   for (const Output& output : outputs) requested.push_back(output.requested);
   std::vector<std::filesystem::path> inputs{data.path};
   if (data.run) inputs.push_back(ResultsFile::path_beside(data.path));
-  if (!options.attachment.empty()) inputs.emplace_back(options.attachment);
+  for (const std::string& input :
+       {options.attachment, options.certificate.laboratory, options.certificate.as_found})
+    if (!input.empty()) inputs.emplace_back(input);
   require_writable(requested, inputs, options.force);
   if (!options.pdf.empty()) require_installed(kWeasyPrint);
   if (!options.attachment.empty() && !std::filesystem::is_regular_file(options.attachment))
@@ -106,11 +130,23 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
                       "write the averaged readings as CSV, which `abcal analyse` reads");
   command->add_option("--csv-raw", options->csv_raw, "write the single readings as CSV");
   command->add_option("--hdf5", options->hdf5, "write readings and results as HDF5 with NeXus conventions");
+  command->add_option(
+      "--dcc", options->dcc,
+      "write the digital calibration certificate (XML, DCC 3.3.0): the one that was issued, or "
+      "a draft; docs/certificate.md");
+  add_certificate_options(*command, options->certificate);
+  command->add_flag("--draft", options->draft,
+                    "make a draft of a certificate whatever speaks against the run or its equipment");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {
     const ReportData data = gather_report(options->file, RealClock().utc_now());
-    const Document document = calibration_document(data);
+    Document document = calibration_document(data);
+    std::optional<ReportedCertificate> certificate;
+    if (of_certificate(*options, data)) {
+      certificate = certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
+      add_certificate_sections(document, certificate->certificate);
+    }
     std::optional<HtmlPage> made;
     const auto page = [&]() -> const HtmlPage& {
       if (!made) {
@@ -119,7 +155,8 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       }
       return *made;
     };
-    const std::vector<Output> outputs = outputs_of(*options, data, page);
+    const std::vector<Output> outputs =
+        outputs_of(*options, data, certificate ? &*certificate : nullptr, page);
     check(*options, data, outputs);
     for (const Output& output : outputs) {
       OutputFile file(output.requested.path);
@@ -134,7 +171,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
     } else if (outputs.empty()) {
       fmt::print("{}", document_text(document, stdout));
     }
-    for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : cautions(data))
+    for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : document.cautions)
       fmt::print(stderr, "caution: {}\n", caution);
     exit_code = data.result().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
   });

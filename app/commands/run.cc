@@ -58,28 +58,71 @@ void keep_recording_without_run(BenchConfig config, const Clock& clock, const st
 
 }  // namespace
 
-int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
-                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far, bool json) {
-  const std::filesystem::path path = file.path();
-  const RunTiming timing =
-      measure(bench, config, file, plan, so_far, bench.replayed ? "Replaying" : "Calibrating",
-              bench.replayed ? "" : "; go on with: abcal resume " + path.string());
-  const std::string utc = format_utc(bench.clock->utc_now());
-  note_environment(bench, config, file, "end");
-  const std::string sha256 = file.close_complete(utc);
+RunFile begin_run(Bench& bench, const BenchConfig& config, const Identities& who,
+                  const std::vector<PlannedAngle>& plan, const std::filesystem::path& path,
+                  Transcript* transcript) {
+  RunFile file = RunFile::create(path, make_header(config, who, plan, *bench.clock));
+  if (transcript != nullptr) transcript->keep_in(file);
+  file.append_event(format_utc(bench.clock->utc_now()), "started", "run started");
+  note_environment(bench, config, file, "start");
+  return file;
+}
 
-  const StoredRun stored = RunFile::load(path);
-  const std::vector<CalibrationResult> results = analyse_all(stored.record);
-  const CalibrationResult& result = results.front();
+InterruptedRun open_interrupted_run(const std::filesystem::path& path) {
+  RunFile file = RunFile::open_for_append(path);
+  StoredRun stored = RunFile::load(path);
+  RunProgress so_far;
+  so_far.measured = {stored.measured.begin(), stored.measured.end()};
+  so_far.spent = stored.timing;
+  if (!stored.measured.empty()) so_far.last = {stored.measured.back(), stored.record.dwells.back()};
+  BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
+  return {std::move(file), std::move(stored), std::move(config), std::move(so_far)};
+}
+
+void continue_run(InterruptedRun& run, Bench& bench) {
+  const Identities who = identify(bench, run.config);
+  for (const auto& [role, serial] : {std::pair{"stage", who.stage.serial_number},
+                                     std::pair{"accelerometer", who.accelerometer.serial_number}}) {
+    for (const InstrumentIdentity& before : run.stored.header.instruments) {
+      if (before.role == role) require_serial_number(role, before.model, serial, before.serial_number);
+    }
+  }
+  run.file.set_state(RunState::kRunning, format_utc(bench.clock->utc_now()),
+                     fmt::format("resumed with {} of {} angles measured", run.so_far.measured.size(),
+                                 run.stored.header.plan.size()));
+}
+
+FinishedRun analyse_closed_run(const std::filesystem::path& path, const std::string& sha256,
+                               const std::string& utc) {
+  FinishedRun run;
+  run.sha256 = sha256;
+  run.stored = RunFile::load(path);
+  run.results = analyse_all(run.stored.record);
   ResultsFile results_file(path, sha256);
-  for (const CalibrationResult& each : results) {
+  for (const CalibrationResult& each : run.results) {
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
   }
+  return run;
+}
+
+FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file, const RunTiming& timing) {
+  const std::filesystem::path path = file.path();
+  const std::string utc = format_utc(bench.clock->utc_now());
+  note_environment(bench, config, file, "end");
+  return analyse_closed_run(path, file.close_complete(utc, timing), utc);
+}
+
+namespace {
+
+/// @return what the program shall return to the shell.
+int print_finished_run(const std::filesystem::path& path, const FinishedRun& run, bool json) {
+  const CalibrationResult& result = run.results.front();
+  const RunTiming& timing = run.stored.timing;
   if (json) {
     nlohmann::ordered_json output = result_json(result);
     output["run"] = {{"file", path.string()},
-                     {"sha256", sha256},
-                     {"state", std::string(to_string(stored.state))},
+                     {"sha256", run.sha256},
+                     {"state", std::string(to_string(run.stored.state))},
                      {"timing",
                       {{"moving_s", timing.moving_s},
                        {"settling_s", timing.settling_s},
@@ -89,10 +132,33 @@ int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
   } else {
     fmt::print("{}\n{}\n", result_text(result, stdout),
                emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
-    fmt::print("{}\n{}\n", comparison_text(results), timing_text(timing));
-    fmt::print("Run file: {} (SHA-256 {})\n", path.string(), sha256);
+    fmt::print("{}\n{}\n", comparison_text(run.results), timing_text(timing));
+    fmt::print("Run file: {} (SHA-256 {})\n", path.string(), run.sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+}
+
+/// Every angle is measured, but the program was killed before it had closed the run and analysed it.
+/// @return nothing if there is nothing left to be done.
+std::optional<int> finish_killed_run(const std::filesystem::path& path, bool json) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete)
+    return std::nullopt;
+  const std::string sha256 = RunFile::finish_closing(path);
+  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
+  fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", path.string());
+  return print_finished_run(path, analyse_closed_run(path, sha256, format_utc(RealClock().utc_now())), json);
+}
+
+}  // namespace
+
+int measure_and_report(Bench& bench, const BenchConfig& config, RunFile file,
+                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far, bool json) {
+  const std::filesystem::path path = file.path();
+  const RunTiming timing =
+      measure(bench, config, file, plan, so_far, bench.replayed ? "Replaying" : "Calibrating",
+              bench.replayed ? "" : "; go on with: abcal resume " + path.string());
+  return print_finished_run(path, finish_run(bench, config, std::move(file), timing), json);
 }
 
 CLI::App* add_run(CLI::App& parent, int& exit_code) {
@@ -139,11 +205,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
         who.accelerometer.model, who.accelerometer.serial_number, who.accelerometer.rate_hz,
         who.accelerometer.output_unit, plan.size(), describe_duration(estimate.total_s()),
         bench.simulated_time ? " of simulated time (nothing real takes part)" : "");
-    RunFile file = RunFile::create(path, make_header(config, who, plan, *bench.clock));
-    if (options->record) transcript.keep_in(file);
-    const std::string utc = format_utc(bench.clock->utc_now());
-    file.append_event(utc, "started", "run started");
-    note_environment(bench, config, file, "start");
+    RunFile file = begin_run(bench, config, who, plan, path, options->record ? &transcript : nullptr);
     exit_code = measure_and_report(bench, config, std::move(file), plan, {}, options->json);
   });
   return command;
@@ -159,26 +221,15 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
-    RunFile file = RunFile::open_for_append(options->run_file);
-    const StoredRun stored = RunFile::load(options->run_file);
-    const BenchConfig config = parse_bench(stored.header.bench_toml, options->run_file);
-    Bench bench = make_bench(config);
-    const Identities who = identify(bench, config);
-    for (const auto& [role, serial] : {std::pair{"stage", who.stage.serial_number},
-                                       std::pair{"accelerometer", who.accelerometer.serial_number}}) {
-      for (const InstrumentIdentity& before : stored.header.instruments) {
-        if (before.role == role) require_serial_number(role, before.model, serial, before.serial_number);
-      }
+    if (const auto finished = finish_killed_run(options->run_file, options->json)) {
+      exit_code = *finished;
+      return;
     }
-    RunProgress so_far;
-    so_far.measured = {stored.measured.begin(), stored.measured.end()};
-    so_far.spent = stored.timing;
-    if (!stored.measured.empty())
-      so_far.last = {stored.measured.back(), stored.record.dwells.back(), stored.header.tolerances};
-    file.set_state(RunState::kRunning, format_utc(bench.clock->utc_now()),
-                   fmt::format("resumed with {} of {} angles measured", so_far.measured.size(),
-                               stored.header.plan.size()));
-    exit_code = measure_and_report(bench, config, std::move(file), stored.header.plan, so_far, options->json);
+    InterruptedRun run = open_interrupted_run(options->run_file);
+    Bench bench = make_bench(run.config);
+    continue_run(run, bench);
+    exit_code = measure_and_report(bench, run.config, std::move(run.file), run.stored.header.plan, run.so_far,
+                                   options->json);
   });
   return command;
 }

@@ -170,8 +170,10 @@ struct NewportEspStage::Impl {
                         fmt::format("\"{}\" is no answer to \"{}\"", printable(*line), query));
         continue;
       }
-      // It is there, but said nothing to this query: then it has put the reason into its error buffer.
-      if (const int code = read_errors(query); code != 0) return Answer<T>{std::nullopt, code};
+      // It is there, but said nothing to this query: then it has put the reason into its error buffer, unless
+      // that was there before (an unacknowledged halt leaves one).
+      const bool was_there = error_may_wait_;
+      if (const int code = read_errors(query); code != 0 && !was_there) return Answer<T>{std::nullopt, code};
       if (attempt == 2) return Answer<T>{};
     }
   }

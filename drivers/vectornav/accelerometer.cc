@@ -227,15 +227,16 @@ VectorNavAccelerometer::Answer VectorNavAccelerometer::try_exchange(std::string_
   // A device that streams may need more than a second try: the line is full, and an answer may get damaged.
   constexpr int kTries = 2;
   constexpr int kTriesWhileStreaming = 4;
-  if (answers_outstanding_) settle();  // If that fails too, it is tried again behind the answer.
+  // If that fails too, it is tried again behind the answer; and until then an error may be a late answer.
+  const bool heed_errors = !answers_outstanding_ || settle();
   const Clock::Instant begin = clock_.now();
   Evidence evidence;
-  auto answer = ask(command, true, evidence);
+  auto answer = ask(command, heed_errors, evidence);
   for (int tries = 1; !answer; ++tries) {
     if (tries >= (evidence.messages > 0 ? kTriesWhileStreaming : kTries))
       fail_without_answer(command, evidence, clock_.now() - begin);
     evidence = Evidence();
-    answer = ask(command, true, evidence);
+    answer = ask(command, heed_errors, evidence);
   }
   if (answers_outstanding_ && !settle())
     fail(Fault::kNoReply, fmt::format("it answered \"{}\" late, and nothing after that", command));

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstddef>
 #include <set>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -577,6 +578,36 @@ std::string dead_output(const Estimate& estimate) {
   return {};
 }
 
+// Fits, outputs and what the tolerances do to them, before any judgement. Gives the reason why not, or
+// nothing.
+std::string estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
+  estimate.series = series_of(selection);
+  for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
+    const ReadingSeries& series = estimate.series[i];
+    try {
+      estimate.fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
+    } catch (const UndeterminedFit& error) {
+      return not_determined(series, error.what());
+    }
+    const Eigen::VectorXd& c = estimate.fits[i].coefficients;
+    estimate.coefficients.segment<3>(static_cast<Eigen::Index>(3 * i)) << c(1), c(2), c(0);
+  }
+  estimate.outputs = abc_outputs(estimate.coefficients);
+  if (!selection.with_uncertainty) estimate.reading_variance = pooled_variances(estimate.fits);
+  estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
+  std::string reason = dead_output(estimate);
+  if (!reason.empty()) return reason;
+
+  AccelerometerModel accelerometer;
+  accelerometer.sensitivity_matrix = sensitivity_matrix_of(estimate.outputs);
+  accelerometer.offset = offset_of(estimate.outputs);
+  estimate.effects = first_order_effects(selection.dwells, selection.time_fractions, accelerometer,
+                                         record.tolerances, record.response_unit);
+  std::erase_if(estimate.effects,
+                [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
+  return {};
+}
+
 void fill_gravity(const RunRecord& record, CalibrationResult& result) {
   result.g_loc.unit = "m/s2";
   if (!record.g_loc_known) return;
@@ -605,31 +636,8 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   if (!result.why.empty()) return result;
 
   Estimate estimate;
-  estimate.series = series_of(selection);
-  for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
-    const ReadingSeries& series = estimate.series[i];
-    try {
-      estimate.fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
-    } catch (const UndeterminedFit& error) {
-      result.why = not_determined(series, error.what());
-      return result;
-    }
-    const Eigen::VectorXd& c = estimate.fits[i].coefficients;
-    estimate.coefficients.segment<3>(static_cast<Eigen::Index>(3 * i)) << c(1), c(2), c(0);
-  }
-  estimate.outputs = abc_outputs(estimate.coefficients);
-  if (!selection.with_uncertainty) estimate.reading_variance = pooled_variances(estimate.fits);
-  estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
-  result.why = dead_output(estimate);
+  result.why = estimate_from(record, selection, estimate);
   if (!result.why.empty()) return result;
-
-  AccelerometerModel accelerometer;
-  accelerometer.sensitivity_matrix = sensitivity_matrix_of(estimate.outputs);
-  accelerometer.offset = offset_of(estimate.outputs);
-  estimate.effects = first_order_effects(selection.dwells, selection.time_fractions, accelerometer,
-                                         record.tolerances, record.response_unit);
-  std::erase_if(estimate.effects,
-                [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
   estimate.covariance_b = type_b_of_coefficients(estimate, resolution);
 
   Objections objections;
@@ -655,6 +663,22 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
       "uncertainties",
       selection.dwells.size());
   return result;
+}
+
+std::vector<OutputEffect> type_b_effects(const RunRecord& record) {
+  const Selection selection = select(record);
+  std::string reason = refusal(record, selection);
+  Estimate estimate;
+  if (reason.empty()) reason = estimate_from(record, selection, estimate);
+  if (!reason.empty()) throw std::invalid_argument(reason);
+  std::vector<OutputEffect> effects;
+  effects.reserve(estimate.effects.size());
+  for (const InputEffect& effect : estimate.effects) {
+    effects.push_back({effect.name, effect.standard_uncertainty *
+                                        (abc_equations() *
+                                         effect_on_coefficients(effect, estimate.series, estimate.fits))});
+  }
+  return effects;
 }
 
 }  // namespace abcal

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <stdexcept>
+#include <vector>
 
 namespace abcal {
 
@@ -41,9 +42,27 @@ double normal_gravity(const Ellipsoid& ellipsoid, double sin2_latitude, double h
   return at_surface * (1.0 - 2.0 * (1.0 + f + ellipsoid.m - 2.0 * f * sin2_latitude) * h + 3.0 * h * h);
 }
 
-double welmec_gravity(double sin2_latitude, double sin2_twice_latitude, double height_m) {
-  return 9.780318 * (1.0 + 0.0053024 * sin2_latitude - 0.0000058 * sin2_twice_latitude) -
-         0.000003085 * height_m;
+// The series of 1967, linear in height.
+double series_gravity(double equator_mps2, double per_metre, Angle latitude, double height_m) {
+  const SinCos sc = sincos(latitude);
+  const double sin_twice = 2.0 * sc.sin * sc.cos;
+  return equator_mps2 * (1.0 + 0.0053024 * sc.sin * sc.sin - 0.0000058 * sin_twice * sin_twice) -
+         per_metre * height_m;
+}
+
+double value_mps2(Angle latitude, double height_m, GravityFormula formula) {
+  const double sine = sincos(latitude).sin;
+  switch (formula) {
+    case GravityFormula::kWgs84:
+      return normal_gravity(kWgs84Ellipsoid, sine * sine, height_m);
+    case GravityFormula::kWelmec:
+      return series_gravity(9.780318, 3.085e-6, latitude, height_m);
+    case GravityFormula::kNpl:
+      return series_gravity(9.780327, 3.086e-6, latitude, height_m);
+    case GravityFormula::kGrs80:
+      break;
+  }
+  return normal_gravity(kGrs80Ellipsoid, sine * sine, height_m);
 }
 
 }  // namespace
@@ -54,6 +73,8 @@ std::string_view to_string(GravityFormula formula) {
       return "WGS84";
     case GravityFormula::kWelmec:
       return "WELMEC";
+    case GravityFormula::kNpl:
+      return "NPL";
     case GravityFormula::kGrs80:
       break;
   }
@@ -61,40 +82,25 @@ std::string_view to_string(GravityFormula formula) {
 }
 
 FormulaGravity formula_gravity(Angle latitude, double height_m, GravityFormula formula) {
-  if (!(std::abs(latitude.deg()) <= 90.0)) {
-    throw std::invalid_argument(
-        fmt::format("local gravity: latitude {} degrees; required: -90 to 90", latitude.deg()));
-  }
+  std::vector<std::string> problems;
+  if (!(std::abs(latitude.deg()) <= 90.0))
+    problems.push_back(fmt::format("latitude {} degrees; required: -90 to 90", latitude.deg()));
   if (!(height_m >= kLowestHeightM && height_m <= kHighestHeightM)) {
-    throw std::invalid_argument(fmt::format("local gravity: height {} m; required: {} to {}", height_m,
-                                            kLowestHeightM, kHighestHeightM));
+    problems.push_back(
+        fmt::format("height {} m; required: {} to {}", height_m, kLowestHeightM, kHighestHeightM));
   }
-  const SinCos sc = sincos(latitude);
-  const double sin2 = sc.sin * sc.sin;
+  if (!problems.empty())
+    throw std::invalid_argument(fmt::format("local gravity: {}", fmt::join(problems, ". Also: ")));
   FormulaGravity gravity;
-  switch (formula) {
-    case GravityFormula::kGrs80:
-      gravity.value_mps2 = normal_gravity(kGrs80Ellipsoid, sin2, height_m);
-      break;
-    case GravityFormula::kWgs84:
-      gravity.value_mps2 = normal_gravity(kWgs84Ellipsoid, sin2, height_m);
-      break;
-    case GravityFormula::kWelmec: {
-      const double sin_twice = 2.0 * sc.sin * sc.cos;
-      gravity.value_mps2 = welmec_gravity(sin2, sin_twice * sin_twice, height_m);
-      break;
-    }
-  }
+  gravity.value_mps2 = value_mps2(latitude, height_m, formula);
   gravity.half_width_mps2 = kRelativeHalfWidth * gravity.value_mps2;
   gravity.standard_uncertainty_mps2 = gravity.half_width_mps2 / std::sqrt(3.0);
   gravity.source = fmt::format("formula {}, latitude {} degrees, height {} m", to_string(formula),
                                latitude.deg(), height_m);
   gravity.warning = fmt::format(
-      "gravity from a formula may be wrong by {:.1e} m/s2 (5e-5 of it), several times the uncertainty of an "
-      "intrinsic "
-      "sensitivity (1e-5); use a survey of the site. Angles, and offsets and sensitivities per g_loc, do not "
-      "depend on "
-      "it",
+      "gravity from a formula stands in for a survey: it may be wrong by {:.1e} m/s2 (5e-5 of it), several "
+      "times the uncertainty of an intrinsic sensitivity (1e-5); have the site surveyed. Angles, and offsets "
+      "and sensitivities per g_loc, do not depend on it",
       gravity.half_width_mps2);
   return gravity;
 }

@@ -12,9 +12,10 @@ enum class GravityFormula {
   kGrs80,   ///< Somigliana on the ellipsoid of the Geodetic Reference System 1980.
   kWgs84,   ///< The same on WGS 84.
   kWelmec,  ///< WELMEC guide 2 (weighing instruments), height term linear.
+  kNpl,     ///< NPL and BGS, the same series with its own constants.
 };
 
-/// "GRS80", "WGS84", "WELMEC".
+/// "GRS80", "WGS84", "WELMEC", "NPL".
 std::string_view to_string(GravityFormula formula);
 
 /// Gravity from a formula alone, to be replaced by a survey.
@@ -28,8 +29,8 @@ struct FormulaGravity {
 
 /// Normal gravity at a geodetic latitude and a height above the ellipsoid (in practice above sea level), m.
 /// @throws std::invalid_argument latitude outside +-90 degrees, height outside -500 m .. 9000 m (habitable
-/// ground;
-///         the series in height is of second order), or not finite
+///         ground; the series in height is of second order), or not finite; the message names both if both
+///         are
 FormulaGravity formula_gravity(Angle latitude, double height_m,
                                GravityFormula formula = GravityFormula::kGrs80);
 

@@ -28,12 +28,13 @@ struct ProtocolConfig {
   double poll_interval_s = 0.01;
   double motion_timeout_s = 30.0;  ///< Longest wait for a move beyond the time its speed needs.
   double homing_timeout_s = 120.0;
-  double settle_s = 5.0;           ///< From stopped to the first reading used.
-  double quiet_timeout_s = 10.0;   ///< Longest further wait for the accelerometer to be quiet; then flagged.
-  int dwell_readings = 1000;       ///< Readings averaged at one angle.
-  double mains_hz = 0.0;           ///< > 0: the dwell lasts a whole number of mains periods.
-  double reading_timeout_s = 2.0;  ///< So long without any reading means that the accelerometer is silent.
-  double warm_up_s = 0.0;          ///< Waited, with everything on, before the first angle.
+  double settle_s = 5.0;            ///< From stopped to the first reading used.
+  double quiet_timeout_s = 10.0;    ///< Longest further wait for the accelerometer to be quiet; then flagged.
+  int dwell_readings = 1000;        ///< Readings averaged at one angle.
+  double mains_hz = 0.0;            ///< > 0: the dwell lasts a whole number of mains periods.
+  double reading_timeout_s = 2.0;   ///< So long without any reading means that the accelerometer is silent.
+  double warm_up_s = 0.0;           ///< Waited, with everything on, before the first angle.
+  double replug_timeout_s = 120.0;  ///< Longest wait for a port that vanished to come back.
 };
 
 /// What the program flags (`[limits]` of a bench file).
@@ -41,6 +42,7 @@ struct LimitsConfig {
   double max_lost_fraction = 0.5;  ///< More readings than this lost at one angle stops the run.
   double temperature_min_degc = -1e9;
   double temperature_max_degc = +1e9;
+  int max_replugs = 3;  ///< A port that vanishes once more than this stops the run.
 };
 
 }  // namespace abcal

@@ -47,12 +47,13 @@ constexpr const char* kWireSchema =
     "blob)";
 constexpr std::string_view kWireStart = "wire.start_utc_ns";
 
-/// The latest dwell of each planned angle: a repeated angle is a new row, the old one stays.
-constexpr const char* kLatestDwells =
+/// The first dwell of each planned angle: one that is measured again after an interruption is a check, in a
+/// row of its own.
+constexpr const char* kDwells =
     "select position, experiment, n, closing, alpha_deg, commanded_x_deg, commanded_z_deg, encoder_x_deg,"
     " encoder_z_deg, time_s, settle_s, count, lost, r_u, r_v, r_w, spread_u, spread_v, spread_w, u_u, u_v, "
     "u_w,"
-    " temperature_degc, flags from dwell where id in (select max(id) from dwell group by position) order by "
+    " temperature_degc, flags from dwell where id in (select min(id) from dwell group by position) order by "
     "id";
 
 std::string number(double value) {
@@ -78,6 +79,18 @@ class WriterLock {
   int fd_;
 };
 
+[[noreturn]] void refuse_to_overwrite(const std::filesystem::path& path) {
+  throw RunFileError(path.string() +
+                     ": exists already; a run is never overwritten: choose another name with -o");
+}
+
+/// A program that was killed may leave a change half made, which a read-only connection cannot take back.
+void recover(const std::filesystem::path& path) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path.string() + "-journal", ignored)) return;
+  SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).value("pragma schema_version");
+}
+
 /// Opens a run file and refuses what is not one.
 SqliteDatabase open_checked(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
   std::error_code error;
@@ -89,6 +102,7 @@ SqliteDatabase open_checked(const std::filesystem::path& path, SqliteDatabase::M
   if (!RunFile::looks_like_run_file(path)) {
     throw RunFileError(path.string() + ": is not a run file (it does not begin as an SQLite file does)");
   }
+  recover(path);
   SqliteDatabase database(path, mode);
   const std::string application = database.value("pragma application_id").value_or("");
   if (application != std::to_string(kApplicationId)) {
@@ -105,6 +119,122 @@ SqliteDatabase open_checked(const std::filesystem::path& path, SqliteDatabase::M
                        "); restore it from a copy");
   }
   return database;
+}
+
+void set_meta(SqliteDatabase& database, std::string_view key, std::string_view value) {
+  database.prepare("insert or replace into meta values(?,?)").bind(1, key).bind(2, value).run();
+}
+
+void set_timing(SqliteDatabase& database, const RunTiming& timing) {
+  set_meta(database, "timing.moving_s", number(timing.moving_s));
+  set_meta(database, "timing.settling_s", number(timing.settling_s));
+  set_meta(database, "timing.dwelling_s", number(timing.dwelling_s));
+  set_meta(database, "timing.overhead_s", number(timing.overhead_s));
+}
+
+/// A transaction that is rolled back unless it is committed.
+class Transaction {
+ public:
+  explicit Transaction(SqliteDatabase& database) : database_(database) {
+    database_.execute("begin immediate");
+  }
+  Transaction(const Transaction&) = delete;
+  Transaction& operator=(const Transaction&) = delete;
+  ~Transaction() {
+    if (committed_) return;
+    try {
+      database_.execute("rollback");
+    } catch (const RunFileError&) {
+      // SQLite has rolled back by itself already (a full disk does that); the first error is the one to
+      // report.
+    }
+  }
+  void commit() {
+    database_.execute("commit");
+    committed_ = true;
+  }
+
+ private:
+  SqliteDatabase& database_;
+  bool committed_ = false;
+};
+
+/// All that a run file holds before the first angle, in one transaction.
+void write_header(SqliteDatabase& database, const RunHeader& header) {
+  Transaction transaction(database);
+  database.execute(
+      fmt::format("pragma application_id={}; pragma user_version={};", kApplicationId, kSchemaVersion));
+  database.execute(kSchema);
+  const std::map<std::string, std::string> meta{
+      {"schema", "abcal.run/1"},
+      {"state", std::string(to_string(RunState::kRunning))},
+      {"program_version", header.program_version},
+      {"created_utc", header.created_utc},
+      {"bench_toml", header.bench_toml},
+      {"response_unit", header.response_unit},
+      {"g_loc.value_mps2", number(header.g_loc.value_mps2)},
+      {"g_loc.expanded_uncertainty_mps2", number(header.g_loc.expanded_uncertainty_mps2)},
+      {"g_loc.coverage_factor", number(header.g_loc.coverage_factor)},
+      {"g_loc.source", header.g_loc.source},
+      {"tolerances.alignment_deg", number(header.tolerances.alignment.deg())},
+      {"tolerances.step_deg", number(header.tolerances.step.deg())},
+      {"tolerances.initial_turn_deg", number(header.tolerances.initial_turn.deg())},
+      {"tolerances.zero_deg", number(header.tolerances.zero.deg())},
+      {"tolerances.drift", number(header.tolerances.drift)},
+      {"protocol.step_deg", number(header.step.deg())},
+      {"protocol.steps", std::to_string(header.steps)},
+  };
+  for (const auto& [key, value] : meta) set_meta(database, key, value);
+  const auto alignment = [&](const std::string& name, const std::optional<MeasuredValue>& measured) {
+    if (!measured) return;
+    set_meta(database, "alignment." + name, number(measured->value));
+    set_meta(database, "alignment.u_" + name, number(measured->standard_uncertainty));
+  };
+  alignment("zx", header.measured_alignment.zx);
+  alignment("zy", header.measured_alignment.zy);
+  alignment("xz", header.measured_alignment.xz);
+  for (const auto& [key, value] : header.labels) set_meta(database, "label." + key, value);
+  set_timing(database, {});
+  SqliteStatement instrument = database.prepare("insert into instrument values(?,?,?,?,?,?)");
+  for (const InstrumentIdentity& identity : header.instruments) {
+    instrument.bind(1, std::string_view(identity.role))
+        .bind(2, std::string_view(identity.maker))
+        .bind(3, std::string_view(identity.model))
+        .bind(4, std::string_view(identity.serial_number))
+        .bind(5, std::string_view(identity.firmware))
+        .bind(6, std::string_view(identity.details))
+        .run();
+  }
+  SqliteStatement plan = database.prepare("insert into plan values(?,?,?,?,?,?,?)");
+  for (std::size_t position = 0; position < header.plan.size(); ++position) {
+    const PlannedAngle& angle = header.plan[position];
+    plan.bind(1, static_cast<std::int64_t>(position))
+        .bind(2, std::int64_t{angle.experiment})
+        .bind(3, std::int64_t{angle.n})
+        .bind(4, std::int64_t{angle.closing})
+        .bind(5, angle.alpha.deg())
+        .bind(6, angle.x.deg())
+        .bind(7, angle.z.deg())
+        .run();
+  }
+  transaction.commit();
+}
+
+/// Gives a file its name, which must be free: two programs that are started at once cannot both have it.
+void name_file(const std::filesystem::path& draft, const std::filesystem::path& path) {
+  if (::renameat2(AT_FDCWD, draft.c_str(), AT_FDCWD, path.c_str(), RENAME_NOREPLACE) == 0) return;
+  int error = errno;
+  if (error == EINVAL) {  // This file system cannot.
+    if (std::filesystem::exists(path)) {
+      error = EEXIST;
+    } else if (::rename(draft.c_str(), path.c_str()) == 0) {
+      return;
+    } else {
+      error = errno;
+    }
+  }
+  if (error == EEXIST) refuse_to_overwrite(path);
+  throw RunFileError(path.string() + ": cannot be created: " + std::strerror(error));
 }
 
 RunState state_from(const std::string& word) {
@@ -145,16 +275,8 @@ struct RunFile::Impl {
     database.execute("pragma journal_mode=wal; pragma synchronous=full");
   }
 
-  void set_meta(std::string_view key, std::string_view value) {
-    database.prepare("insert or replace into meta values(?,?)").bind(1, key).bind(2, value).run();
-  }
-
-  void set_timing(const RunTiming& timing) {
-    set_meta("timing.moving_s", number(timing.moving_s));
-    set_meta("timing.settling_s", number(timing.settling_s));
-    set_meta("timing.dwelling_s", number(timing.dwelling_s));
-    set_meta("timing.overhead_s", number(timing.overhead_s));
-  }
+  void set_meta(std::string_view key, std::string_view value) { abcal::set_meta(database, key, value); }
+  void set_timing(const RunTiming& timing) { abcal::set_timing(database, timing); }
 
   /// Inside a transaction: writes what has come to the transcript. It is kept until wire_is_stored(), should
   /// the transaction fail.
@@ -182,35 +304,6 @@ struct RunFile::Impl {
   SqliteDatabase database;
 };
 
-namespace {
-/// A transaction that is rolled back unless it is committed.
-class Transaction {
- public:
-  explicit Transaction(SqliteDatabase& database) : database_(database) {
-    database_.execute("begin immediate");
-  }
-  Transaction(const Transaction&) = delete;
-  Transaction& operator=(const Transaction&) = delete;
-  ~Transaction() {
-    if (committed_) return;
-    try {
-      database_.execute("rollback");
-    } catch (const RunFileError&) {
-      // SQLite has rolled back by itself already (a full disk does that); the first error is the one to
-      // report.
-    }
-  }
-  void commit() {
-    database_.execute("commit");
-    committed_ = true;
-  }
-
- private:
-  SqliteDatabase& database_;
-  bool committed_ = false;
-};
-}  // namespace
-
 RunFile::RunFile(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 RunFile::RunFile(RunFile&&) noexcept = default;
 RunFile& RunFile::operator=(RunFile&&) noexcept = default;
@@ -228,99 +321,48 @@ bool RunFile::looks_like_run_file(const std::filesystem::path& path) {
 }
 
 RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& header) {
-  // O_EXCL: two programs that are started at once cannot both believe the file is theirs.
-  const int fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
-  if (fd < 0) {
-    if (errno == EEXIST) {
-      throw RunFileError(path.string() +
-                         ": exists already; a run is never overwritten: choose another name with -o");
-    }
-    throw RunFileError(path.string() + ": cannot be created: " + std::strerror(errno));
-  }
-  ::close(fd);
+  std::error_code ignored;
+  if (std::filesystem::exists(path, ignored)) refuse_to_overwrite(path);
+  // It gets its name when all of its head is in it: a program that is killed meanwhile leaves no run that
+  // cannot be read.
+  const std::filesystem::path draft = fmt::format("{}.new-{}", path.string(), ::getpid());
+  const auto remove_draft = [&] {
+    for (const char* suffix : {"", "-wal", "-shm", "-journal"})
+      std::filesystem::remove(draft.string() + suffix, ignored);
+  };
+  remove_draft();
   try {
-    auto impl = std::make_unique<Impl>(path, SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite));
-    Transaction transaction(impl->database);
-    impl->database.execute(
-        fmt::format("pragma application_id={}; pragma user_version={};", kApplicationId, kSchemaVersion));
-    impl->database.execute(kSchema);
-    const std::map<std::string, std::string> meta{
-        {"schema", "abcal.run/1"},
-        {"state", std::string(to_string(RunState::kRunning))},
-        {"program_version", header.program_version},
-        {"created_utc", header.created_utc},
-        {"bench_toml", header.bench_toml},
-        {"response_unit", header.response_unit},
-        {"g_loc.value_mps2", number(header.g_loc.value_mps2)},
-        {"g_loc.expanded_uncertainty_mps2", number(header.g_loc.expanded_uncertainty_mps2)},
-        {"g_loc.coverage_factor", number(header.g_loc.coverage_factor)},
-        {"g_loc.source", header.g_loc.source},
-        {"tolerances.alignment_deg", number(header.tolerances.alignment.deg())},
-        {"tolerances.step_deg", number(header.tolerances.step.deg())},
-        {"tolerances.initial_turn_deg", number(header.tolerances.initial_turn.deg())},
-        {"tolerances.zero_deg", number(header.tolerances.zero.deg())},
-        {"tolerances.drift", number(header.tolerances.drift)},
-        {"protocol.step_deg", number(header.step.deg())},
-        {"protocol.steps", std::to_string(header.steps)},
-    };
-    for (const auto& [key, value] : meta) impl->set_meta(key, value);
-    const auto alignment = [&](const std::string& name, const std::optional<MeasuredValue>& measured) {
-      if (!measured) return;
-      impl->set_meta("alignment." + name, number(measured->value));
-      impl->set_meta("alignment.u_" + name, number(measured->standard_uncertainty));
-    };
-    alignment("zx", header.measured_alignment.zx);
-    alignment("zy", header.measured_alignment.zy);
-    alignment("xz", header.measured_alignment.xz);
-    for (const auto& [key, value] : header.labels) impl->set_meta("label." + key, value);
-    impl->set_timing({});
-    SqliteStatement instrument = impl->database.prepare("insert into instrument values(?,?,?,?,?,?)");
-    for (const InstrumentIdentity& identity : header.instruments) {
-      instrument.bind(1, std::string_view(identity.role))
-          .bind(2, std::string_view(identity.maker))
-          .bind(3, std::string_view(identity.model))
-          .bind(4, std::string_view(identity.serial_number))
-          .bind(5, std::string_view(identity.firmware))
-          .bind(6, std::string_view(identity.details))
-          .run();
+    {
+      SqliteDatabase database(draft, SqliteDatabase::Mode::kCreate);
+      database.execute("pragma journal_mode=wal; pragma synchronous=full");
+      write_header(database, header);
     }
-    SqliteStatement plan = impl->database.prepare("insert into plan values(?,?,?,?,?,?,?)");
-    for (std::size_t position = 0; position < header.plan.size(); ++position) {
-      const PlannedAngle& angle = header.plan[position];
-      plan.bind(1, static_cast<std::int64_t>(position))
-          .bind(2, std::int64_t{angle.experiment})
-          .bind(3, std::int64_t{angle.n})
-          .bind(4, std::int64_t{angle.closing})
-          .bind(5, angle.alpha.deg())
-          .bind(6, angle.x.deg())
-          .bind(7, angle.z.deg())
-          .run();
-    }
-    transaction.commit();
-    return RunFile(std::move(impl));
+    name_file(draft, path);
   } catch (...) {
-    // Nothing half-written stays behind: this file holds no measurement yet.
-    std::error_code ignored;
-    for (const char* suffix : {"", "-wal", "-shm"}) std::filesystem::remove(path.string() + suffix, ignored);
+    remove_draft();  // It holds no measurement.
     throw;
   }
+  return RunFile(std::make_unique<Impl>(path, SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite)));
 }
 
 RunFile RunFile::open_for_append(const std::filesystem::path& path) {
-  auto impl = std::make_unique<Impl>(path, open_checked(path, SqliteDatabase::Mode::kReadWrite));
-  const RunState state =
-      state_from(impl->database.value("select value from meta where key='state'").value_or(""));
-  if (state == RunState::kComplete || state == RunState::kAbandoned) {
-    throw RunFileError(path.string() + ": this run is " + std::string(to_string(state)) +
-                       "; a closed run cannot be resumed or changed");
+  {
+    // Looked at without writing: even opening a closed run to write would change its bytes.
+    SqliteDatabase database = open_checked(path, SqliteDatabase::Mode::kReadOnly);
+    const RunState state =
+        state_from(database.value("select value from meta where key='state'").value_or(""));
+    if (state == RunState::kComplete || state == RunState::kAbandoned) {
+      throw RunFileError(path.string() + ": this run is " + std::string(to_string(state)) +
+                         "; a closed run cannot be resumed or changed");
+    }
+    if (const auto version = database.value("pragma user_version");
+        version != std::to_string(kSchemaVersion)) {
+      throw RunFileError(path.string() + ": was begun with run file version " + version.value_or("0") +
+                         ", this program goes on with version " + std::to_string(kSchemaVersion) +
+                         " only: finish it with the abcal that began it");
+    }
   }
-  if (const auto version = impl->database.value("pragma user_version");
-      version != std::to_string(kSchemaVersion)) {
-    throw RunFileError(path.string() + ": was begun with run file version " + version.value_or("0") +
-                       ", this program goes on with version " + std::to_string(kSchemaVersion) +
-                       " only: finish it with the abcal that began it");
-  }
-  return RunFile(std::move(impl));
+  return RunFile(std::make_unique<Impl>(path, SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite)));
 }
 
 void RunFile::keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take) {
@@ -418,8 +460,13 @@ void RunFile::set_state(RunState state, const std::string& utc, std::string_view
   impl_->wire_is_stored();
 }
 
-std::string RunFile::close_complete(const std::string& utc) {
+std::string RunFile::close_complete(const std::string& utc, const RunTiming& timing) {
+  impl_->set_timing(timing);
   set_state(RunState::kComplete, utc, "all angles measured");
+  return close();
+}
+
+std::string RunFile::close() {
   impl_->database.execute("pragma wal_checkpoint(truncate)");
   impl_->database.execute("pragma journal_mode=delete");
   const std::filesystem::path path = impl_->path;
@@ -428,6 +475,13 @@ std::string RunFile::close_complete(const std::string& utc) {
   std::filesystem::permissions(path, perms::owner_write | perms::group_write | perms::others_write,
                                std::filesystem::perm_options::remove);
   return sha256_of_file(path);
+}
+
+std::string RunFile::finish_closing(const std::filesystem::path& path) {
+  using std::filesystem::perms;
+  if ((std::filesystem::status(path).permissions() & perms::owner_write) == perms::none)
+    return sha256_of_file(path);
+  return RunFile(std::make_unique<Impl>(path, open_checked(path, SqliteDatabase::Mode::kReadWrite))).close();
 }
 
 StoredRun RunFile::load(const std::filesystem::path& path) {
@@ -507,7 +561,7 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   const auto or_nan = [](const std::optional<double>& value) {
     return value.value_or(std::numeric_limits<double>::quiet_NaN());
   };
-  SqliteStatement dwells = database.prepare(kLatestDwells);
+  SqliteStatement dwells = database.prepare(kDwells);
   while (dwells.step()) {
     run.measured.push_back(static_cast<std::size_t>(dwells.integer(0)));
     DwellRecord dwell;
@@ -540,6 +594,7 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
     run.events.push_back({events.text(0), events.text(1), events.text(2)});
     // set_state() wrote it when the run went on.
     if (run.events.back().kind == to_string(RunState::kRunning)) ++record.continuations;
+    if (run.events.back().kind == kReconnectedEvent) ++record.reconnections;
   }
   SqliteStatement environment = database.prepare(
       "select utc, moment, temperature_degc, humidity_percent, pressure_hpa from environment order by id");
@@ -613,7 +668,11 @@ ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::strin
       "create table if not exists run(sha256 text primary key) without rowid;"
       "create table if not exists analysis(id integer primary key, utc text, program_version text, estimator "
       "text,"
-      " result_json text, chain text)");
+      " result_json text, chain text);"
+      "create table if not exists certificate(id integer primary key, utc text, number text unique, "
+      "measured_by "
+      "text, approved_by text, date text, replaces text, reason text, program_version text, laboratory_toml "
+      "text, xml text, chain text)");
   // Results of before analyses were chained: they stay readable, and `verify` says what they lack.
   if (database_.value("select count(*) from pragma_table_info('analysis') where name = 'chain'") == "0")
     database_.execute("alter table analysis add column chain text");
@@ -622,6 +681,11 @@ ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::strin
                        ", but " + run_path.string() + " has " + run_sha256 + ": one of the two was changed");
   }
   database_.prepare("insert or ignore into run values(?)").bind(1, std::string_view(run_sha256)).run();
+}
+
+std::size_t ResultsFile::analyses() {
+  return static_cast<std::size_t>(
+      std::stoull(database_.value("select count(*) from analysis").value_or("0")));
 }
 
 void ResultsFile::add_analysis(const std::string& utc, std::string_view program_version,
@@ -641,6 +705,75 @@ void ResultsFile::add_analysis(const std::string& utc, std::string_view program_
       .bind(4, result_json)
       .bind(5, std::string_view(link))
       .run();
+}
+
+namespace {
+
+std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
+  std::vector<IssuedCertificate> certificates;
+  // Results of before certificates were issued have no such table.
+  if (!database.value("select 1 from sqlite_master where type='table' and name='certificate'"))
+    return certificates;
+  SqliteStatement rows = database.prepare(
+      "select utc, number, measured_by, approved_by, date, replaces, reason, program_version, "
+      "laboratory_toml, "
+      "xml from certificate order by id");
+  while (rows.step()) {
+    certificates.push_back({rows.text(0), rows.text(1), rows.text(2), rows.text(3), rows.text(4),
+                            rows.text(5), rows.text(6), rows.text(7), rows.text(8), rows.text(9)});
+  }
+  return certificates;
+}
+
+/// @throws RunFileError if a certificate cannot be issued beside those that there are
+void require_issuable(const IssuedCertificate& certificate, const std::vector<IssuedCertificate>& issued,
+                      const std::string& results) {
+  bool replaces_one = false;
+  for (const IssuedCertificate& one : issued) {
+    if (one.number == certificate.number)
+      throw RunFileError(results + ": certificate " + one.number + " was issued on " + one.date +
+                         "; a number is given once");
+    if (!certificate.replaces.empty() && one.replaces == certificate.replaces)
+      throw RunFileError(results + ": certificate " + certificate.replaces + " is replaced by " + one.number +
+                         " already; replace that one");
+    replaces_one = replaces_one || one.number == certificate.replaces;
+  }
+  if (!issued.empty() && !replaces_one)
+    throw RunFileError(results + ": certificate " + issued.back().number +
+                       " was issued for this run already; amend it with --replaces " + issued.back().number +
+                       " --reason TEXT");
+}
+
+}  // namespace
+
+void ResultsFile::add_certificate(const IssuedCertificate& certificate) {
+  Transaction transaction(database_);
+  const std::string results = database_.value("select file from pragma_database_list").value_or("results");
+  require_issuable(certificate, read_certificates(database_), results);
+  const std::vector<std::string> fields{certificate.utc,
+                                        certificate.number,
+                                        certificate.measured_by,
+                                        certificate.approved_by,
+                                        certificate.date,
+                                        certificate.replaces,
+                                        certificate.reason,
+                                        certificate.program_version,
+                                        certificate.laboratory_toml,
+                                        certificate.xml};
+  const std::string before =
+      database_.value("select chain from certificate order by id desc limit 1").value_or("");
+  SqliteStatement row = database_.prepare("insert into certificate values(null,?,?,?,?,?,?,?,?,?,?,?)");
+  int column = 0;
+  for (const std::string& field : fields) row.bind(++column, std::string_view(field));
+  row.bind(++column, std::string_view(next_link(before, fields))).run();
+  transaction.commit();
+}
+
+std::vector<IssuedCertificate> ResultsFile::certificates(const std::filesystem::path& run_path) {
+  std::error_code error;
+  if (!std::filesystem::exists(path_beside(run_path), error)) return {};
+  SqliteDatabase database(path_beside(run_path), SqliteDatabase::Mode::kReadOnly);
+  return read_certificates(database);
 }
 
 }  // namespace abcal

@@ -69,6 +69,9 @@ struct StoredReading {
   std::optional<double> temperature_degc;
 };
 
+/// The kind of the event that says that a port which had vanished is back; the analysis counts them.
+inline constexpr std::string_view kReconnectedEvent = "reconnected";
+
 /// One look at the room.
 struct StoredEnvironment {
   std::string utc;
@@ -169,17 +172,35 @@ class RunFile {
 
   /// Closes a complete run: state, checkpoint, one single file again, read-only.
   /// @return SHA-256 of the closed file's bytes, in hexadecimal.
-  std::string close_complete(const std::string& utc);
+  std::string close_complete(const std::string& utc, const RunTiming& timing);
+
+  /// Closes a run that is complete, but whose program was killed before it had closed it; does nothing to one
+  /// that is closed. @return SHA-256 of the closed file's bytes.
+  static std::string finish_closing(const std::filesystem::path& path);
 
   const std::filesystem::path& path() const;
 
  private:
   struct Impl;
   explicit RunFile(std::unique_ptr<Impl> impl);
+  std::string close();
   std::unique_ptr<Impl> impl_;
 };
 
-/// `RUN.results`, beside the run: analyses, approvals and reports. Rows are only ever added.
+/// A certificate as it was issued. Fields in the order in which they are chained.
+struct IssuedCertificate {
+  std::string utc;  ///< When it was issued.
+  std::string number;
+  std::string measured_by, approved_by;
+  std::string date;      ///< Of issue, as on the certificate: "2026-03-01".
+  std::string replaces;  ///< Number of the certificate it replaces; empty: none.
+  std::string reason;    ///< Why.
+  std::string program_version;
+  std::string laboratory_toml;  ///< The laboratory file as it was read.
+  std::string xml;              ///< Its bytes, signature included.
+};
+
+/// `RUN.results`, beside the run: analyses and issued certificates. Rows are only ever added.
 class ResultsFile {
  public:
   /// Opens or creates the results of a run; they name the hash of the closed run they belong to.
@@ -189,7 +210,17 @@ class ResultsFile {
   void add_analysis(const std::string& utc, std::string_view program_version, std::string_view estimator,
                     std::string_view result_json);
 
+  /// How many are stored.
+  std::size_t analyses();
+
+  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that does not
+  /// replace the first, and the replacement of one that is replaced already.
+  void add_certificate(const IssuedCertificate& certificate);
+
   static std::filesystem::path path_beside(const std::filesystem::path& run_path);
+
+  /// The certificates issued for a run, oldest first; none where there are no results.
+  static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path);
 
  private:
   SqliteDatabase database_;

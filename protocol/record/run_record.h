@@ -80,6 +80,7 @@ struct RunRecord {
   Angle step = Angle::degrees(5.0);      ///< Desired rotation step D.
   int steps = 72;                        ///< N.
   int continuations = 0;                 ///< How often the run was interrupted and went on.
+  int reconnections = 0;                 ///< How often a port vanished, came back, and the run went on.
   std::vector<DwellRecord> dwells;       ///< In the order of measurement, closing angles included.
 };
 

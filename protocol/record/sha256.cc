@@ -41,6 +41,12 @@ std::string sha256_of_file(const std::filesystem::path& path) {
   return hash.hexadecimal();
 }
 
+std::string sha256_of(std::string_view bytes) {
+  Sha256 hash;
+  hash.add(bytes);
+  return hash.hexadecimal();
+}
+
 std::string next_link(std::string_view previous, const std::vector<std::string>& fields) {
   Sha256 hash;
   hash.add(previous);

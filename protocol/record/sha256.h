@@ -10,6 +10,9 @@ namespace abcal {
 /// SHA-256 of a file's bytes, in hexadecimal. @throws RunFileError if it cannot be read.
 std::string sha256_of_file(const std::filesystem::path& path);
 
+/// SHA-256 of some bytes, in hexadecimal.
+std::string sha256_of(std::string_view bytes);
+
 /// The next link of a chain over rows: SHA-256, in hexadecimal, of the link before (empty for the first row)
 /// and of all fields, each with its length, so that nothing can be moved from one field to the next. A row
 /// that is changed, left out or put in between breaks every link after it.

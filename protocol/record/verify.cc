@@ -63,6 +63,12 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
   checks.push_back({"results file", sound == "ok", sound});
   checks.push_back(
       check_chain(database, "analyses", "analysis", {"utc", "program_version", "estimator", "result_json"}));
+  // Results of before certificates were issued have no such table.
+  if (database.value("select 1 from sqlite_master where type='table' and name='certificate'")) {
+    checks.push_back(check_chain(database, "certificates", "certificate",
+                                 {"utc", "number", "measured_by", "approved_by", "date", "replaces", "reason",
+                                  "program_version", "laboratory_toml", "xml"}));
+  }
   return checks;
 }
 

@@ -14,8 +14,8 @@ struct IntegrityCheck {
 };
 
 /// Whether a closed run and its results are as they were written: every byte of the run by its SHA-256, which
-/// the results name; the event log and the analyses by their hash chains. A run that is not closed has no
-/// hash yet, which is said and is not good.
+/// the results name; the event log, the analyses and the certificates by their hash chains. A run that is not
+/// closed has no hash yet, which is said and is not good.
 /// @throws RunFileError if the file is no run file at all.
 std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run);
 

@@ -22,6 +22,8 @@ constexpr double kStoppedOutsideWindowS = 1.0;
 /// Fewest readings at which an output that does not change at all is called stuck.
 constexpr std::int64_t kStuckReadings = 8;
 constexpr std::size_t kStoredSpreads = 15;
+/// Between two attempts to open a port that vanished.
+constexpr Clock::Duration kReconnectInterval = std::chrono::milliseconds(500);
 
 std::string describe(const PlannedAngle& angle) {
   return fmt::format("experiment {}, alpha = {} deg", angle.experiment, angle.alpha.deg());
@@ -35,6 +37,7 @@ class Runner {
       : stage_(instruments.stage),
         accelerometer_(instruments.accelerometer),
         clock_(instruments.clock),
+        reconnector_(instruments.reconnector),
         plan_(plan),
         protocol_(protocol),
         limits_(limits),
@@ -46,22 +49,30 @@ class Runner {
 
   RunTiming run(const RunProgress& so_far) {
     started_ = clock_.now();
+    measured_ = so_far.measured;
+    last_ = so_far.last;
+    throw_if_stopped();
+    tolerances_ = so_far.tolerances;
     stage_info_ = stage_.identify();
     accelerometer_info_ = accelerometer_.identify();
-    const bool anew = so_far.last.has_value();
-    for (const StageAxis axis : kStageAxes) reference(axis, anew);
-    accelerometer_.start();
-    warm_up();
-    learn_the_noise();
-    if (so_far.last) measure_again(*so_far.last);
-    for (std::size_t position = 0; position < plan_.size(); ++position) {
-      if (so_far.measured.contains(position)) continue;
-      const Measured measured = measure(position);
-      commit(position, measured);
+    bool anew = last_.has_value();
+    bool warm = false;
+    while (true) {
+      try {
+        for (const StageAxis axis : kStageAxes) reference(axis, anew);
+        accelerometer_.start();
+        if (!std::exchange(warm, true)) warm_up();
+        learn_the_noise();
+        if (last_) measure_again(*last_);
+        measure_the_rest();
+        park();
+        accelerometer_.stop();
+        return timing();
+      } catch (const InstrumentError& error) {
+        if (error.fault() != Fault::kLinkLost || reconnector_ == nullptr || stop_.stop_requested()) throw;
+        anew = wait_for_reconnection(error);
+      }
     }
-    park();
-    accelerometer_.stop();
-    return timing();
   }
 
   std::string where() const { return where_; }
@@ -109,6 +120,86 @@ class Runner {
     timing_.moving_s += to_seconds(clock_.now() - begin);
   }
 
+  void measure_the_rest() {
+    for (std::size_t position = 0; position < plan_.size(); ++position) {
+      if (measured_.contains(position)) continue;
+      hold(position);
+      const Measured measured = measure(position);
+      commit(position, measured);
+    }
+  }
+
+  /// Waits until what was unplugged is back, and makes sure that it is the same.
+  /// @return whether the stage must be referenced anew: it was the one, and may have lost its supply.
+  bool wait_for_reconnection(const InstrumentError& lost) {
+    if (++replugs_ > limits_.max_replugs) {
+      throw InstrumentError(
+          lost.instrument(), Fault::kLinkLost,
+          fmt::format("{}; ports have vanished {} times in this run; required: at most {} ([limits] "
+                      "max_replugs). Mend the cable, the plug or the hub before going on",
+                      lost.detail(), replugs_, limits_.max_replugs));
+    }
+    bool stage_lost = reconnector_->stage_lost();
+    const std::string who = stage_lost ? stage_name() : accelerometer_name();
+    // What stands still stays still meanwhile, also where the accelerometer was lost while the stage moved.
+    const bool halted = !stage_lost && stage_.halt();
+    note("lost", fmt::format("the port of {} is gone: {} ({}){}; waiting up to {} s for it to come back", who,
+                             lost.detail(), where_, halted ? "; the stage is halted" : "",
+                             protocol_.replug_timeout_s));
+    observer_.phase(measured_.size(), RunPhase::kReconnecting);
+    const Clock::Instant deadline = clock_.now() + from_seconds(protocol_.replug_timeout_s);
+    while (true) {
+      wait_until(clock_.now() + kReconnectInterval);
+      stage_lost =
+          stage_lost || reconnector_->stage_lost();  // Found out only now, on a hub that both are on.
+      try {
+        reconnector_->reconnect();
+        recognise();
+        break;
+      } catch (const InstrumentError& error) {
+        const bool may_come = error.fault() == Fault::kCannotOpen || error.fault() == Fault::kLinkLost ||
+                              error.fault() == Fault::kNoReply;  // Its firmware may still be starting.
+        if (!may_come || stop_.stop_requested()) throw;
+        if (clock_.now() < deadline) continue;
+        note("lost", fmt::format("the last attempt to open it again: {}", error.what()));
+        throw InstrumentError(who, Fault::kLinkLost,
+                              fmt::format("{}; it did not come back within {} s (replug_timeout_s)",
+                                          lost.detail(), protocol_.replug_timeout_s));
+      }
+    }
+    if (!stage_.halt()) {
+      throw InstrumentError(stage_name(), Fault::kNoReply,
+                            "it is back, but does not acknowledge the halt: stop it by its own switch");
+    }
+    at_ = {};
+    note(kReconnectedEvent, fmt::format("{} is back; the run goes on{}", who,
+                                        stage_lost ? " when the axes are referenced anew" : ""));
+    return stage_lost;
+  }
+
+  /// The instruments on the ports that came back must be those that went.
+  void recognise() {
+    const auto require_same = [](const std::string& name, const std::string& before, const std::string& now) {
+      if (before == now) return;
+      throw InstrumentError(
+          name, Fault::kWrongIdentity,
+          fmt::format("\"{}\" came back; required: the one that was unplugged, \"{}\"", now, before));
+    };
+    const StageInfo stage = stage_.identify();
+    require_same(stage_name(), stage_info_.model + " SN " + stage_info_.serial_number,
+                 stage.model + " SN " + stage.serial_number);
+    const AccelerometerInfo accelerometer = accelerometer_.identify();
+    require_same(accelerometer_name(), accelerometer_info_.model + " SN " + accelerometer_info_.serial_number,
+                 accelerometer.model + " SN " + accelerometer.serial_number);
+    stage_info_ = stage;
+  }
+
+  /// Into the run file, and before the person.
+  void note(std::string_view kind, const std::string& text) {
+    file_.append_event(format_utc(utc()), kind, text);
+    observer_.notice(text);
+  }
+
   void warm_up() {
     if (!(protocol_.warm_up_s > 0.0)) return;
     where_ = "warming up";
@@ -151,6 +242,16 @@ class Runner {
       }
     }
     timing_.settling_s += to_seconds(clock_.now() - begin);
+  }
+
+  /// Waits between two angles while a person wants it.
+  void hold(std::size_t position) {
+    if (!observer_.hold_wanted()) return;
+    where_ = "held before " + describe(plan_[position]);
+    file_.append_event(format_utc(utc()), "held", where_);
+    observer_.phase(position, RunPhase::kHolding);
+    while (observer_.hold_wanted()) wait_until(clock_.now() + kSlice);
+    file_.append_event(format_utc(utc()), "continued", describe(plan_[position]));
   }
 
   /// Moves one axis and waits until the controller says stopped and the encoder stays inside the window.
@@ -284,7 +385,7 @@ class Runner {
   void measure_again(const RunProgress::LastAngle& last) {
     Measured measured = measure(last.position);
     const Eigen::Vector3d change = measured.dwell.mean - last.dwell.mean;
-    const Eigen::Vector3d explained = explained_change(last.dwell, measured.dwell, last.tolerances);
+    const Eigen::Vector3d explained = explained_change(last.dwell, measured.dwell, tolerances_);
     for (int j = 0; j < 3; ++j) {
       if (std::abs(change[j]) <= explained[j]) continue;
       throw InstrumentError(
@@ -377,10 +478,11 @@ class Runner {
     file_.append_dwell(position, dwell, measured.readings, timing());
     if (dwell.flags != kFlagNone) {
       const std::string text = fmt::format("{}: {}", where_, describe_flags(dwell.flags));
-      file_.append_event(format_utc(utc()), "flag", text);
-      observer_.notice(text);
+      note("flag", text);
     }
+    if (!measured_.insert(position).second) return;  // A check of what is there already.
     observer_.dwell(position, dwell);
+    last_ = {position, dwell};
   }
 
   bool inside_window(Angle encoder, Angle commanded) const {
@@ -439,8 +541,7 @@ class Runner {
       const std::string text =
           fmt::format("all angles are measured, but the stage could not be parked: {}{}", error.what(),
                       acknowledged ? "" : "; it did not acknowledge the halt");
-      file_.append_event(format_utc(utc()), "park failed", text);
-      observer_.notice(text);
+      note("park failed", text);
     }
     timing_.moving_s += to_seconds(clock_.now() - begin);
   }
@@ -457,6 +558,7 @@ class Runner {
   RotationStage& stage_;
   Accelerometer& accelerometer_;
   Clock& clock_;
+  Reconnector* reconnector_;
   const std::vector<PlannedAngle>& plan_;
   const ProtocolConfig& protocol_;
   const LimitsConfig& limits_;
@@ -471,6 +573,10 @@ class Runner {
   std::array<std::optional<Angle>, 2> at_;  ///< Where each axis was brought last; nothing: not known.
   std::optional<Eigen::Vector3d> previous_mean_;
   std::vector<Eigen::Vector3d> spreads_;
+  std::set<std::size_t> measured_;
+  std::optional<RunProgress::LastAngle> last_;
+  Tolerances tolerances_;
+  int replugs_ = 0;
   std::string where_ = "starting";
 };
 
@@ -497,12 +603,16 @@ std::string_view to_string(RunPhase phase) {
       return "referencing";
     case RunPhase::kWarmingUp:
       return "warming up";
+    case RunPhase::kHolding:
+      return "held";
     case RunPhase::kMoving:
       return "moving";
     case RunPhase::kSettling:
       return "settling";
     case RunPhase::kDwelling:
       return "reading";
+    case RunPhase::kReconnecting:
+      return "waiting for a port to come back";
     case RunPhase::kParking:
       return "parking";
   }

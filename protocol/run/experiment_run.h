@@ -26,7 +26,7 @@ class RunInterrupted : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-enum class RunPhase { kHoming, kWarmingUp, kMoving, kSettling, kDwelling, kParking };
+enum class RunPhase { kHoming, kWarmingUp, kHolding, kMoving, kSettling, kDwelling, kReconnecting, kParking };
 std::string_view to_string(RunPhase phase);
 
 /// Told what a run does, while it does it. Must return at once: the hardware never waits for a screen.
@@ -38,6 +38,19 @@ class RunObserver {
   virtual void dwell(std::size_t position, const DwellRecord& dwell) = 0;
   /// Something a person should know; it is in the run file too.
   virtual void notice(std::string_view text) = 0;
+  /// Asked between two angles, and again and again while it says so: the stage stays where it is.
+  virtual bool hold_wanted() { return false; }
+};
+
+/// Opens the ports of a run again that vanished: a cable was pulled, a hub reset itself.
+class Reconnector {
+ public:
+  virtual ~Reconnector() = default;
+  /// Whether the stage is one of those that are gone.
+  virtual bool stage_lost() const = 0;
+  /// Opens what is gone, with drivers that know nothing yet of their instruments.
+  /// @throws InstrumentError kCannotOpen, kLinkLost: not back yet; what is back stays open.
+  virtual void reconnect() = 0;
 };
 
 /// The instruments of a run, and the time they live in.
@@ -45,9 +58,10 @@ struct RunInstruments {
   RotationStage& stage;
   Accelerometer& accelerometer;
   Clock& clock;
+  Reconnector* reconnector = nullptr;  ///< Null: a port that vanishes ends the run.
 };
 
-/// What an interrupted run holds already.
+/// What a run may rely on: what it holds already if it was interrupted, and how well the stage finds back.
 struct RunProgress {
   std::set<std::size_t> measured;  ///< Positions in the plan.
   RunTiming spent;
@@ -56,9 +70,9 @@ struct RunProgress {
   struct LastAngle {
     std::size_t position = 0;
     DwellRecord dwell;
-    Tolerances tolerances;
   };
   std::optional<LastAngle> last;
+  Tolerances tolerances;
 };
 
 /// The largest change of an output (R) between two measurements of one angle that tolerances (zero and step
@@ -69,6 +83,10 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
 /// Measures every angle of `plan` that is not in `so_far.measured`, each committed to `file` before the stage
 /// moves on; then parks the stage at zero and stops the accelerometer. References the axes first where that
 /// is needed.
+///
+/// Where a port vanishes, waits for it (limits: replug_timeout_s, max_replugs), and goes on as after an
+/// interruption: same instruments, the stage referenced anew if it was the stage's, the last angle measured
+/// again and compared, the angle under way repeated.
 ///
 /// Whatever ends it early, the stage is halted, the accelerometer stopped, and the run left interrupted with
 /// the reason in its file.

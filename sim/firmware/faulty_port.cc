@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "drivers/instrument/instrument_error.h"
 #include "sim/firmware/firmware_stream.h"
 
 namespace abcal::sim {
@@ -14,20 +15,27 @@ FaultyPort::FaultyPort(std::shared_ptr<Firmware> inner, Clock& clock, std::vecto
               timing) {}
 
 void FaultyPort::receive(std::string_view bytes, Clock::Instant) {
-  if (plugged_in()) stream_.write(bytes);
+  try {
+    stream_.write(bytes);
+  } catch (const InstrumentError& error) {
+    if (error.fault() != Fault::kLinkLost) throw;  // Unplugged: it hears nothing.
+  }
 }
 
 std::string FaultyPort::transmit(Clock::Instant now) {
-  if (!plugged_in()) {
+  std::string bytes;
+  try {
+    for (;;) {
+      // A deadline that has passed: what is there, without waiting.
+      const wire::ReceivedBytes received = stream_.read_until(now);
+      if (received.bytes.empty()) return bytes;
+      bytes += received.bytes;
+    }
+  } catch (const InstrumentError& error) {
+    // Asked for beforehand, it might be unplugged by now.
+    if (error.fault() != Fault::kLinkLost) throw;
     inner_->transmit(now);
     return {};
-  }
-  std::string bytes;
-  for (;;) {
-    // A deadline that has passed: what is there, without waiting.
-    const wire::ReceivedBytes received = stream_.read_until(now);
-    if (received.bytes.empty()) return bytes;
-    bytes += received.bytes;
   }
 }
 

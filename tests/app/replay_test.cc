@@ -146,6 +146,7 @@ TEST_F(EmulatedBenchTest, AReplayOfARunInRealTimeGivesExactlyItsAngles) {
 }
 
 TEST_F(EmulatedBenchTest, AReplayEndsWithTheFaultOfTheRecordedRun) {
+  bench.protocol += "replug_timeout_s = 1.0\n";
   start_emulator();
   Program run({"run", "bench.toml", "--record", "-o", "a.run"}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 3; }, 60s)) << run.err();

@@ -83,6 +83,7 @@ class Program {
     }
   }
 
+  pid_t pid() const { return pid_; }
   void signal(int number) const { ::kill(pid_, number); }
 
   /// Waits for the end. 128 + signal for a program that a signal ended.

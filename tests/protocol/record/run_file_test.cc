@@ -105,7 +105,7 @@ TEST(RunFileTest, IsReadableWithTheSqliteShell) {
   EXPECT_EQ(database.value("pragma integrity_check"), "ok");
 }
 
-TEST(RunFileTest, KeepsBothRowsOfARepeatedAngleAndReadsTheLatest) {
+TEST(RunFileTest, KeepsBothRowsOfARepeatedAngleAndTheFirstCounts) {
   const test::TemporaryFolder folder;
   RunFile file = RunFile::create(folder / "a.run", header());
   file.append_dwell(0, dwell(1), kReadings, {});
@@ -114,7 +114,7 @@ TEST(RunFileTest, KeepsBothRowsOfARepeatedAngleAndReadsTheLatest) {
   file.append_dwell(0, again, kReadings, {});
   const StoredRun run = RunFile::load(folder / "a.run");
   ASSERT_EQ(run.record.dwells.size(), 1U);
-  EXPECT_EQ(run.record.dwells[0].mean[0], 42.0);
+  EXPECT_EQ(run.record.dwells[0].mean[0], dwell(1).mean[0]);
   SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(database.value("select count(*) from dwell"), "2");
 }
@@ -124,7 +124,7 @@ TEST(RunFileTest, ACompleteRunIsOneReadOnlyFileThatCannotBeContinued) {
   const std::filesystem::path path = folder / "a.run";
   RunFile file = RunFile::create(path, header());
   file.append_dwell(0, dwell(1), kReadings, {});
-  const std::string hash = file.close_complete("2026-03-01T13:00:00.000Z");
+  const std::string hash = file.close_complete("2026-03-01T13:00:00.000Z", {});
   EXPECT_EQ(hash, sha256_of_file(path));
   EXPECT_FALSE(std::filesystem::exists(path.string() + "-wal"));
   using std::filesystem::perms;
@@ -177,7 +177,7 @@ TEST(RunFileTest, RefusesATruncatedFile) {
   {
     RunFile file = RunFile::create(folder / "a.run", header());
     for (int n = 1; n <= 12; ++n) file.append_dwell(static_cast<std::size_t>(n - 1), dwell(n), kReadings, {});
-    file.close_complete("2026-03-01T13:00:00.000Z");
+    file.close_complete("2026-03-01T13:00:00.000Z", {});
   }
   const std::filesystem::path path = folder / "a.run";
   std::filesystem::permissions(path, std::filesystem::perms::owner_all);

@@ -50,7 +50,7 @@ class VerifyTest : public testing::Test {
     dwell.mean = Eigen::Vector3d(0.1, 0.2, 0.3);
     file.append_dwell(0, dwell, {}, {});
     file.append_event("2026-03-01T12:01:00.000Z", "flag", "vibration");
-    hash = file.close_complete("2026-03-01T12:02:00.000Z");
+    hash = file.close_complete("2026-03-01T12:02:00.000Z", {});
     ResultsFile results(path, hash);
     results.add_analysis("2026-03-01T12:03:00.000Z", "1.0", "abc", "{\"a\": 1}");
     results.add_analysis("2026-03-01T12:03:00.000Z", "1.0", "joint", "{\"a\": 2}");
@@ -75,7 +75,7 @@ class VerifyTest : public testing::Test {
 
 TEST_F(VerifyTest, ARunAsItWasWrittenIsGood) {
   EXPECT_EQ(bad(), "");
-  EXPECT_EQ(verify_run(path).size(), 5U);
+  EXPECT_EQ(verify_run(path).size(), 6U);  // State, events, hash, results file, analyses, certificates.
 }
 
 TEST_F(VerifyTest, AnyChangedByteOfTheRunIsFound) {

@@ -1,0 +1,289 @@
+#include "app/certificate/business_rules.h"
+
+#include <fmt/format.h>
+#include <libxml/xpath.h>
+#include <libxml/xpathInternals.h>
+
+#include <algorithm>
+#include <cctype>
+#include <functional>
+#include <memory>
+#include <regex>
+#include <set>
+#include <stdexcept>
+
+#include "app/certificate/iso_codes.h"
+#include "app/certificate/laboratory_file.h"
+
+namespace abcal {
+namespace {
+
+const xmlChar* as_xml(const char* text) {
+  return reinterpret_cast<const xmlChar*>(text);
+}
+
+/// Owns what libxml2 gives away.
+std::string take(xmlChar* text) {
+  if (text == nullptr) return {};
+  std::string copy(reinterpret_cast<const char*>(text));
+  xmlFree(text);
+  return copy;
+}
+
+std::string text_of(xmlNode* node) {
+  return take(xmlNodeGetContent(node));
+}
+
+std::vector<std::string> words_of(const std::string& list) {
+  std::vector<std::string> words;
+  std::string word;
+  for (const char c : list + " ") {
+    if (c != ' ' && c != '\t' && c != '\n' && c != '\r') {
+      word += c;
+    } else if (!word.empty()) {
+      words.push_back(std::move(word));
+      word.clear();
+    }
+  }
+  return words;
+}
+
+/// Selects nodes of a document with XPath; the prefixes dcc and si are known.
+class Selector {
+ public:
+  explicit Selector(xmlDoc* document) : context_(xmlXPathNewContext(document)) {
+    xmlXPathRegisterNs(context_.get(), as_xml("dcc"), as_xml("https://ptb.de/dcc"));
+    xmlXPathRegisterNs(context_.get(), as_xml("si"), as_xml("https://ptb.de/si"));
+  }
+
+  std::vector<xmlNode*> all(const char* path, xmlNode* from = nullptr) const {
+    context_->node = from != nullptr ? from : xmlDocGetRootElement(context_->doc);
+    const std::unique_ptr<xmlXPathObject, decltype(&xmlXPathFreeObject)> found(
+        xmlXPathEvalExpression(as_xml(path), context_.get()), xmlXPathFreeObject);
+    if (!found) throw std::logic_error(std::string("not an XPath: ") + path);
+    std::vector<xmlNode*> nodes;
+    for (int i = 0; found->nodesetval != nullptr && i < found->nodesetval->nodeNr; ++i)
+      nodes.push_back(found->nodesetval->nodeTab[i]);
+    return nodes;
+  }
+  bool any(const char* path, xmlNode* from = nullptr) const { return !all(path, from).empty(); }
+
+ private:
+  struct Free {
+    void operator()(xmlXPathContext* context) const { xmlXPathFreeContext(context); }
+  };
+  std::unique_ptr<xmlXPathContext, Free> context_;
+};
+
+class Rules {
+ public:
+  explicit Rules(xmlDoc* document) : select_(document) {}
+
+  std::vector<DccProblem> check() {
+    check_version();
+    check_everything_declared();
+    check_ids();
+    check_languages();
+    check_codes();
+    check_dates();
+    check_releases();
+    check_units();
+    check_lists();
+    check_non_si();
+    check_numbers();
+    return std::move(problems_);
+  }
+
+ private:
+  void add(xmlNode* node, std::string what) {
+    problems_.push_back({take(xmlGetNodePath(node)), std::move(what)});
+  }
+
+  /// Each node of `path` must be good.
+  void each(const char* path, const std::function<bool(xmlNode*)>& good,
+            const std::function<std::string(xmlNode*)>& what) {
+    for (xmlNode* node : select_.all(path))
+      if (!good(node)) add(node, what(node));
+  }
+
+  void check_version() {
+    each(
+        "/dcc:digitalCalibrationCertificate",
+        [this](xmlNode* node) { return select_.any("self::*[@schemaVersion='3.3.0']", node); },
+        [](xmlNode*) { return std::string("schemaVersion is not 3.3.0"); });
+  }
+
+  /// Methods and conditions: for the whole measurement, for the list, or for every quantity.
+  void check_everything_declared() {
+    for (const std::string element : {"dcc:usedMethods", "dcc:influenceConditions"}) {
+      const std::string lists = fmt::format(
+          "//dcc:measurementResults//dcc:list[not(ancestor::dcc:metaData)][not({0}) and "
+          "not(ancestor::dcc:measurementResult/{0}) and count(dcc:quantity) > count(dcc:quantity/{0})]",
+          element);
+      const std::string quantities = fmt::format(
+          "//dcc:result/dcc:data/dcc:quantity[not({0}) and not(ancestor::dcc:measurementResult/{0})]",
+          element);
+      for (const std::string& path : {lists, quantities})
+        for (xmlNode* node : select_.all(path.c_str()))
+          add(node, element + " are missing: neither here nor for the whole measurement");
+    }
+  }
+
+  void check_ids() {
+    std::set<std::string> ids, referred;
+    for (xmlNode* id : select_.all("//@id")) ids.insert(text_of(id));
+    for (xmlNode* reference : select_.all("//@refId")) {
+      for (const std::string& word : words_of(text_of(reference))) {
+        referred.insert(word);
+        if (!ids.contains(word)) add(reference, "refId \"" + word + "\" is no id of this certificate");
+      }
+    }
+    for (xmlNode* id : select_.all("//@id"))
+      if (!referred.contains(text_of(id))) add(id, "id \"" + text_of(id) + "\" is referred to by no refId");
+  }
+
+  void check_languages() {
+    std::set<std::string> used;
+    for (xmlNode* node : select_.all("//dcc:usedLangCodeISO639_1"))
+      if (!used.insert(text_of(node)).second)
+        add(node, "language \"" + text_of(node) + "\" is declared twice");
+    for (xmlNode* parent : select_.all("//*[dcc:content[@lang]]")) {
+      std::set<std::string> here;
+      for (xmlNode* lang : select_.all("dcc:content/@lang", parent)) {
+        const std::string code = text_of(lang);
+        if (!used.contains(code)) add(lang, "language \"" + code + "\" is not declared");
+        if (!here.insert(code).second) add(lang, "language \"" + code + "\" stands twice");
+      }
+      for (const std::string& code : used)
+        if (!here.contains(code)) add(parent, "nothing in the declared language \"" + code + "\"");
+    }
+  }
+
+  void check_codes() {
+    for (const char* path : {"//dcc:usedLangCodeISO639_1", "//dcc:mandatoryLangCodeISO639_1"}) {
+      each(
+          path, [](xmlNode* node) { return is_language_code(text_of(node)); },
+          [](xmlNode* node) { return "\"" + text_of(node) + "\" is no language code of ISO 639-1"; });
+    }
+    for (const char* path : {"//dcc:countryCodeISO3166_1", "//dcc:countryCode"}) {
+      each(
+          path, [](xmlNode* node) { return is_country_code(text_of(node)); },
+          [](xmlNode* node) { return "\"" + text_of(node) + "\" is no country code of ISO 3166-1"; });
+    }
+  }
+
+  void check_dates() {
+    for (xmlNode* end : select_.all("//dcc:coreData/dcc:endPerformanceDate")) {
+      for (xmlNode* begin : select_.all("../dcc:beginPerformanceDate", end)) {
+        const auto from = parse_date(text_of(begin)), to = parse_date(text_of(end));
+        if (!from || !to || *to < *from)
+          add(end, fmt::format("ends {}, before it begins, {}", text_of(end), text_of(begin)));
+      }
+    }
+  }
+
+  void check_releases() {
+    static const std::regex kRelease("^[a-zA-Z] ?([0-9]{1,3}\\.){0,3}[0-9]{1,3}$");
+    each(
+        "//dcc:release", [](xmlNode* node) { return std::regex_match(text_of(node), kRelease); },
+        [](xmlNode* node) {
+          return "release \"" + text_of(node) + "\"; required: a letter and numbers, \"v1.2.3\"";
+        });
+  }
+
+  void check_units() {
+    each(
+        "//si:unit", [](xmlNode* node) { return text_of(node).find(' ') == std::string::npos; },
+        [](xmlNode* node) { return "blanks in the unit \"" + text_of(node) + "\""; });
+    for (xmlNode* units : select_.all("//si:unitXMLList")) {
+      const std::vector<std::string> words = words_of(text_of(units));
+      if (words.size() < 2) continue;
+      for (xmlNode* values : select_.all("preceding-sibling::si:valueXMLList", units)) {
+        const std::size_t count = words_of(text_of(values)).size();
+        if (count != words.size()) add(units, fmt::format("{} units for {} values", words.size(), count));
+      }
+      if (std::count(words.begin(), words.end(), words.front()) == static_cast<std::ptrdiff_t>(words.size()))
+        add(units, "the same unit several times; once is enough");
+    }
+  }
+
+  /// One blank between entries and none at the ends; as many entries as values, or one.
+  void check_lists() {
+    const auto well_spaced = [](xmlNode* node) {
+      const std::string text = text_of(node);
+      return !text.empty() && std::string(" \t\r\n").find(text.front()) == std::string::npos &&
+             std::string(" \t\r\n").find(text.back()) == std::string::npos &&
+             std::adjacent_find(text.begin(), text.end(), [](char a, char b) {
+               return std::isspace(static_cast<unsigned char>(a)) != 0 &&
+                      std::isspace(static_cast<unsigned char>(b)) != 0;
+             }) == text.end();
+    };
+    const auto what = [](xmlNode*) {
+      return std::string("a list has one blank between entries and none at its ends");
+    };
+    each("//si:*[substring(local-name(), string-length(local-name()) - 6) = 'XMLList'][not(*)]", well_spaced,
+         what);
+    each("//@refType | //@refId", well_spaced, what);
+    for (xmlNode* list : select_.all("//si:realListXMLList")) {
+      const std::vector<xmlNode*> values = select_.all("si:valueXMLList", list);
+      if (values.empty()) continue;
+      const std::size_t count = words_of(text_of(values.front())).size();
+      for (xmlNode* beside : select_.all("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* | "
+                                         ".//si:covarianceXMLList/si:valueXMLList",
+                                         list)) {
+        const std::size_t found = words_of(text_of(beside)).size();
+        if (found != count && found != 1) add(beside, fmt::format("{} entries for {} values", found, count));
+      }
+      const std::size_t columns = select_.all(".//si:columnXMLList", list).size();
+      if (columns != 0 && columns != count)
+        add(list, fmt::format("{} columns of covariance for {} values", columns, count));
+    }
+  }
+
+  void check_non_si() {
+    std::set<std::string> declared;
+    for (xmlNode* unit : select_.all("//dcc:statement/dcc:nonSIUnit")) declared.insert(text_of(unit));
+    each(
+        "//si:hybrid/si:real/si:unit",
+        [&](xmlNode* node) {
+          const std::string unit = text_of(node);
+          return unit.size() < 2 || unit.front() != '|' || declared.contains(unit);
+        },
+        [](xmlNode* node) { return "unit \"" + text_of(node) + "\" is declared by no statement"; });
+    for (const char* path : {"//*[dcc:nonSIUnit and not(dcc:nonSIDefinition)]",
+                             "//*[dcc:nonSIDefinition and not(dcc:nonSIUnit)]"}) {
+      each(
+          path, [](xmlNode*) { return false; },
+          [](xmlNode*) { return std::string("nonSIUnit and nonSIDefinition go together"); });
+    }
+  }
+
+  /// A certificate without numbers is none: NaN, which the schema would let pass, is refused.
+  void check_numbers() {
+    each(
+        "//si:*[not(*)]",
+        [](xmlNode* node) {
+          const std::vector<std::string> words = words_of(text_of(node));
+          return std::find(words.begin(), words.end(), "NaN") == words.end() ||
+                 std::string(reinterpret_cast<const char*>(node->name)).starts_with("label");
+        },
+        [](xmlNode*) { return std::string("NaN where a number must stand"); });
+  }
+
+  Selector select_;
+  std::vector<DccProblem> problems_;
+};
+
+}  // namespace
+
+std::vector<DccProblem> check_business_rules(const XmlDocument& document) {
+  return Rules(document.get()).check();
+}
+
+std::string to_string(const std::vector<DccProblem>& problems) {
+  std::string text;
+  for (const DccProblem& problem : problems) text += fmt::format("\n  {}: {}", problem.where, problem.what);
+  return text;
+}
+
+}  // namespace abcal

@@ -1,0 +1,276 @@
+#include "app/certificate/certificate.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace abcal {
+namespace {
+
+std::string problem_list(const std::string& head, const std::vector<Problem>& problems) {
+  std::string text = fmt::format("{}: {} problem{}", head, problems.size(), problems.size() == 1 ? "" : "s");
+  for (const Problem& problem : problems) text += "\n  " + to_string(problem);
+  return text;
+}
+
+/// Collects what speaks against a certificate, in two lists: what a draft cannot do without, and the rest.
+class Inspection {
+ public:
+  Inspection(const LaboratoryFile& laboratory, std::vector<Problem> of_file)
+      : laboratory_(laboratory), of_file_(std::move(of_file)) {}
+
+  void look_at(const ReportData& data, const std::string& which) {
+    if (!data.run) {
+      of_run_.push_back(
+          {which, "a CSV of averages", "a run file: a certificate names item, operator and bench"});
+      return;
+    }
+    look_at_state(data, which);
+    look_at_labels(data, which);
+    look_at_conditions(data, which);
+    look_at_equipment(data, which);
+  }
+
+  void look_at_pair(const ReportData& found, const ReportData& left) {
+    for (const char* key : {"item.maker", "item.model", "item.serial_number"}) {
+      if (found.label(key) != left.label(key)) {
+        of_run_.push_back({std::string("as-found run, ") + key, "\"" + found.label(key) + "\"",
+                           "the item of the other run, \"" + left.label(key) + "\""});
+      }
+    }
+    if (found.record.response_unit != left.record.response_unit)
+      of_run_.push_back(
+          {"as-found run, response unit", found.record.response_unit, left.record.response_unit});
+    if (found.started_utc() > left.started_utc())
+      of_run_.push_back({"as-found run", "began " + found.started_utc(),
+                         "a beginning not after that of the other run, " + left.started_utc()});
+    if (laboratory_.job.adjustment.empty())
+      of_file_.push_back({"[job] adjustment", "nothing",
+                          "what was done to the item between the as-found and the as-left run"});
+  }
+
+  void look_at_issue(const IssueFacts& issue, const ReportData& data) {
+    const std::string measured_by =
+        issue.measured_by.empty() ? data.label("operator.name") : issue.measured_by;
+    if (one_of("measure", measured_by) == nullptr)
+      of_run_.push_back(
+          {"measured by", quoted(measured_by), "one of " + names("measure") + ", who may measure"});
+    if (one_of("approve", issue.approved_by) == nullptr)
+      of_run_.push_back(
+          {"approved by", quoted(issue.approved_by), "one of " + names("approve") + ", who may approve"});
+    if (!measured_by.empty() && measured_by == issue.approved_by)
+      of_run_.push_back({"approved by", quoted(issue.approved_by), "another person than who measured"});
+    if (issue.number.find_first_not_of(" \t\r\n") == std::string::npos)
+      of_run_.push_back({"number", quoted(issue.number), "the unique number of the certificate"});
+    if (const auto end = parse_date(data.ended_utc()); end && issue.date < *end)
+      of_run_.push_back(
+          {"date of issue", format_date(issue.date), "not before the run's end, " + format_date(*end)});
+    if (issue.replaces && issue.replaces->reason.find_first_not_of(" \t\r\n") == std::string::npos)
+      of_run_.push_back({"reason", "nothing", "why certificate " + issue.replaces->number + " is replaced"});
+    if (issue.replaces && issue.replaces->number == issue.number)
+      of_run_.push_back(
+          {"number", quoted(issue.number), "another number than that of the replaced certificate"});
+  }
+
+  /// Limits and units that the result does not offer.
+  void look_at_wishes(const ReportData& data, CertifiedRun& run) {
+    std::vector<SensitivityUnit> units;
+    for (const std::string& name : laboratory_.units) {
+      try {
+        units.push_back(sensitivity_unit(name, data.record.response_unit));
+      } catch (const std::invalid_argument& error) {
+        of_file_.push_back({"[units] sensitivity", quoted(name), error.what()});
+      }
+    }
+    if (!run.has_numbers() || !data.run) return;
+    run.derived = derive(data.result(), units);
+    for (const SpecificationLimit& limit : laboratory_.limits) {
+      const auto quantity = find_quantity(data.result(), run.derived, limit.quantity, limit.unit);
+      if (!quantity) {
+        std::string offered;
+        for (const std::string& unit : units_of(data.result(), run.derived, limit.quantity))
+          offered += (offered.empty() ? "" : ", ") + quoted(unit);
+        of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
+                            quoted(limit.unit), "one of " + offered});
+      } else if (laboratory_.decision) {
+        run.decisions.push_back(
+            decide(*laboratory_.decision, limit, quantity->value, quantity->standard_uncertainty));
+      }
+    }
+  }
+
+  const std::vector<Problem>& of_file() const { return of_file_; }
+  const std::vector<Problem>& of_run() const { return of_run_; }
+  std::vector<Problem> all() const {
+    std::vector<Problem> all = of_file_;
+    all.insert(all.end(), of_run_.begin(), of_run_.end());
+    return all;
+  }
+
+ private:
+  static std::string quoted(const std::string& text) { return text.empty() ? "nothing" : "\"" + text + "\""; }
+
+  const Person* one_of(const std::string& may, const std::string& name) const {
+    for (const Person& person : laboratory_.persons)
+      if (person.name == name && std::find(person.may.begin(), person.may.end(), may) != person.may.end())
+        return &person;
+    return nullptr;
+  }
+  std::string names(const std::string& may) const {
+    std::string text;
+    for (const Person& person : laboratory_.persons)
+      if (one_of(may, person.name) == &person) text += (text.empty() ? "" : ", ") + quoted(person.name);
+    return text.empty() ? "the [[person]] entries" : text;
+  }
+
+  void look_at_state(const ReportData& data, const std::string& which) {
+    if (!data.complete()) {
+      of_run_.push_back({which,
+                         fmt::format("{}, {} of {} angles measured", to_string(data.run->state),
+                                     data.run->measured.size(), data.run->header.plan.size()),
+                         "a complete run: `abcal resume`"});
+    } else {
+      for (const IntegrityCheck& check : data.integrity)
+        if (!check.good) of_run_.push_back({which + ", " + check.what, check.found, "as it was written"});
+    }
+    const CalibrationResult& result = data.result();
+    if (result.verdict != Verdict::kUsable)
+      of_run_.push_back(
+          {which + ", verdict", fmt::format("{}: {}", to_string(result.verdict), result.why), "usable"});
+  }
+
+  void look_at_labels(const ReportData& data, const std::string& which) {
+    for (const auto& [key, words] : {std::pair{"item.maker", "[item] maker"},
+                                     {"item.model", "[item] model"},
+                                     {"item.serial_number", "[item] serial_number"},
+                                     {"operator.name", "[operator] name"}}) {
+      if (data.label(key).find_first_not_of(" \t\r\n") == std::string::npos)
+        of_run_.push_back({which + ", " + words, "nothing", "given in the bench file before the run"});
+    }
+    const std::string& name = data.label("operator.name");
+    if (!name.empty() && one_of("measure", name) == nullptr)
+      of_run_.push_back(
+          {which + ", operator", quoted(name), "one of " + names("measure") + ", who may measure"});
+  }
+
+  void look_at_conditions(const ReportData& data, const std::string& which) {
+    const auto& environment = data.run->environment;
+    if (std::none_of(environment.begin(), environment.end(),
+                     [](const StoredEnvironment& look) { return look.temperature_degc.has_value(); })) {
+      of_run_.push_back({which + ", temperature of the room", "nothing",
+                         "[environment] temperature_degc in the bench file, or a sensor"});
+    }
+    if (!(data.record.g_loc.expanded_uncertainty_mps2 > 0.0))
+      of_run_.push_back({which + ", local gravity", "no uncertainty",
+                         "[bench] g_loc_expanded_uncertainty_mps2, as the survey states it"});
+    if (data.record.g_loc.source.empty())
+      of_run_.push_back({which + ", local gravity", "no source", "[bench] g_loc_source"});
+  }
+
+  void look_at_equipment(const ReportData& data, const std::string& which) {
+    const auto day = parse_date(data.ended_utc());
+    for (const Equipment& one : laboratory_.equipment) {
+      if (day && one.due && *one.due < *day)
+        of_run_.push_back({fmt::format("line {}, [[equipment]] {}, due", one.line, one.name),
+                           format_date(*one.due),
+                           fmt::format("a date not before that of the {}, {}", which, format_date(*day))});
+    }
+    for (const InstrumentIdentity& instrument : data.run->header.instruments) {
+      if (!instrument.role.starts_with("stage") || instrument.serial_number.empty()) continue;
+      const bool listed =
+          std::any_of(laboratory_.equipment.begin(), laboratory_.equipment.end(), [&](const Equipment& one) {
+            return one.quantity == "angle" &&
+                   instrument.serial_number.find(one.serial_number) != std::string::npos;
+          });
+      if (!listed)
+        of_run_.push_back({which + ", stage", fmt::format("serial number {}", instrument.serial_number),
+                           "an [[equipment]] with quantity = \"angle\" and this serial_number"});
+    }
+    const bool volts = data.record.response_unit.ends_with("V");
+    if (volts && std::none_of(laboratory_.equipment.begin(), laboratory_.equipment.end(),
+                              [](const Equipment& one) { return one.quantity == "voltage"; })) {
+      of_run_.push_back({which + ", output in " + data.record.response_unit, "no calibrated voltmeter",
+                         "an [[equipment]] with quantity = \"voltage\""});
+    }
+  }
+
+  const LaboratoryFile& laboratory_;
+  std::vector<Problem> of_file_, of_run_;
+};
+
+std::vector<Shift> shifts_between(const CalibrationResult& found, const CalibrationResult& left) {
+  std::vector<Shift> shifts;
+  const auto add = [&](const std::string& name, const Quantity& a, const Quantity& b) {
+    Shift shift;
+    shift.name = name;
+    shift.difference.unit = b.unit;
+    shift.difference.value = b.value - a.value;
+    shift.difference.standard_uncertainty = std::hypot(a.standard_uncertainty, b.standard_uncertainty);
+    shift.normalised_error =
+        shift.difference.value / (kCoverageFactor * shift.difference.standard_uncertainty);
+    shifts.push_back(shift);
+  };
+  for (std::size_t j = 0; j < 3; ++j)
+    add(std::string("intrinsic_sensitivity_") + kAccelerometers[j], found.intrinsic_sensitivity[j],
+        left.intrinsic_sensitivity[j]);
+  for (std::size_t j = 0; j < 3; ++j)
+    add(std::string("intrinsic_angle_") + kPairs[j], found.intrinsic_angle[j], left.intrinsic_angle[j]);
+  for (std::size_t j = 0; j < 3; ++j)
+    add(std::string("offset_") + kAccelerometers[j], found.offset[j], left.offset[j]);
+  return shifts;
+}
+
+}  // namespace
+
+std::string Certificate::measured_by() const {
+  if (issue && !issue->measured_by.empty()) return issue->measured_by;
+  return run.data.label("operator.name");
+}
+
+CertificateRefused::CertificateRefused(const std::string& run, std::vector<Problem> problems)
+    : std::runtime_error(problem_list("no certificate for " + run, problems) +
+                         "\n  `abcal report --draft` makes a draft all the same, which says so"),
+      problems_(std::move(problems)) {}
+
+std::string draft_number(const ReportData& run) {
+  return "DRAFT-" + (run.sha256 ? run.sha256->substr(0, 12) : std::string("open"));
+}
+
+Certificate make_certificate(CertificateRequest request) {
+  ReadLaboratoryFile read = std::move(request.laboratory);
+  Certificate certificate;
+  certificate.laboratory = std::move(read.file);
+  Inspection inspection(certificate.laboratory, std::move(read.problems));
+  inspection.look_at(request.run, request.as_found ? "as-left run" : "run");
+  if (request.as_found) {
+    inspection.look_at(*request.as_found, "as-found run");
+    inspection.look_at_pair(*request.as_found, request.run);
+  }
+  if (request.issue) inspection.look_at_issue(*request.issue, request.run);
+
+  certificate.run.data = std::move(request.run);
+  inspection.look_at_wishes(certificate.run.data, certificate.run);
+  if (request.as_found) {
+    certificate.as_found.emplace().data = std::move(*request.as_found);
+    Inspection silent(certificate.laboratory, {});  // The same wishes: said once is enough.
+    silent.look_at_wishes(certificate.as_found->data, *certificate.as_found);
+  }
+
+  if (!inspection.of_file().empty())
+    throw LaboratoryFileError(certificate.laboratory.source, inspection.all());
+  const bool may_be_draft =
+      request.draft && certificate.run.data.run && (!certificate.as_found || certificate.as_found->data.run);
+  if (!inspection.of_run().empty() && !may_be_draft)
+    throw CertificateRefused(certificate.run.data.path.string(), inspection.of_run());
+  for (const Problem& problem : inspection.of_run()) certificate.reservations.push_back(to_string(problem));
+
+  if (certificate.as_found && certificate.as_found->has_numbers() && certificate.run.has_numbers())
+    certificate.shifts = shifts_between(certificate.as_found->data.result(), certificate.run.data.result());
+  certificate.issue = std::move(request.issue);
+  certificate.number = certificate.issue ? certificate.issue->number : draft_number(certificate.run.data);
+  certificate.program_version = certificate.run.data.program_version;
+  return certificate;
+}
+
+}  // namespace abcal

@@ -1,0 +1,94 @@
+#include "app/certificate/certificate_command.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "app/certificate/issue.h"
+
+namespace abcal {
+namespace {
+
+void require_unchanged(const ReportData& data) {
+  std::vector<Problem> problems;
+  for (const IntegrityCheck& check : data.integrity)
+    if (!check.good) problems.push_back({check.what, check.found, "as it was written"});
+  if (!problems.empty()) throw CertificateRefused(data.path.string(), std::move(problems));
+}
+
+/// The certificate again as it was issued, from what was kept with it.
+Certificate restored(const IssuedCertificate& issued, const ReportData& data,
+                     std::optional<ReportData> as_found) {
+  CertificateRequest request;
+  request.laboratory =
+      parse_laboratory_file(issued.laboratory_toml, "as kept with certificate " + issued.number);
+  request.run = data;
+  request.as_found = std::move(as_found);
+  IssueFacts& facts = request.issue.emplace();
+  facts.number = issued.number;
+  facts.measured_by = issued.measured_by;
+  facts.approved_by = issued.approved_by;
+  facts.date = parse_date(issued.date).value_or(Date{});
+  if (!issued.replaces.empty()) facts.replaces = Replacement{issued.replaces, issued.reason, {}};
+  request.draft =
+      true;  // It was issued: what another program finds now is said beside it, and refuses nothing.
+  Certificate certificate = make_certificate(std::move(request));
+  if (issued.program_version != certificate.program_version) {
+    certificate.reservations.push_back(fmt::format(
+        "The certificate was issued with abcal {}; numbers beside its XML are computed by abcal {}",
+        issued.program_version, certificate.program_version));
+  }
+  return certificate;
+}
+
+}  // namespace
+
+void add_certificate_options(CLI::App& command, CertificateOptions& options) {
+  command.add_option(
+      "--laboratory", options.laboratory,
+      "laboratory file (docs/examples/laboratory.toml): who, for whom, with what, which limits");
+  command.add_option("--as-found", options.as_found, "run of the same item before it was adjusted");
+  command.add_option("--schemas", options.schemas,
+                     "folder with the schemas of the certificate (v3.3.0/dcc.xsd): validate it");
+}
+
+std::optional<DccSchema> schema_for(const CertificateOptions& options) {
+  if (!options.schemas.empty()) return DccSchema(options.schemas);
+  fmt::print(stderr,
+             "note: the certificate follows the business rules; --schemas DIR validates it as well\n");
+  return std::nullopt;
+}
+
+ReportedCertificate certificate_for_report(const ReportData& data, const CertificateOptions& options,
+                                           bool draft, Clock::UtcTime now) {
+  std::optional<ReportData> as_found;
+  if (!options.as_found.empty()) as_found = gather_report(options.as_found, now);
+  if (data.run && !draft) {
+    if (const auto issued = current_certificate(data.path)) {
+      require_unchanged(data);
+      ReportedCertificate reported{restored(*issued, data, std::move(as_found)), issued->xml};
+      if (!options.schemas.empty()) {
+        std::vector<Problem> problems;
+        for (const DccProblem& problem :
+             DccSchema(options.schemas).check(parse_xml(issued->xml, issued->number)))
+          problems.push_back({problem.where, problem.what, "the schema of DCC 3.3.0"});
+        if (!problems.empty()) throw CertificateRefused(data.path.string(), std::move(problems));
+      }
+      return reported;
+    }
+  }
+  if (options.laboratory.empty())
+    throw std::invalid_argument(
+        "a certificate needs --laboratory LAB.toml (docs/examples/laboratory.toml is one)");
+  const std::optional<DccSchema> schema = schema_for(options);
+  CertificateRequest request;
+  request.laboratory = read_laboratory_file(options.laboratory);
+  request.run = data;
+  request.as_found = std::move(as_found);
+  request.draft = draft;
+  Certificate certificate = make_certificate(std::move(request));
+  std::string xml = checked_xml(certificate, schema ? &*schema : nullptr);
+  return {std::move(certificate), std::move(xml)};
+}
+
+}  // namespace abcal

@@ -1,0 +1,171 @@
+#include "app/certificate/certificate_sections.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+
+#include "app/certificate/statements.h"
+
+namespace abcal {
+namespace {
+
+std::string joined_lines(const std::vector<std::string>& parts) {
+  std::string text;
+  for (const std::string& part : parts)
+    if (!part.empty()) text += (text.empty() ? "" : ", ") + part;
+  return text;
+}
+
+std::string address(const Contact& contact) {
+  return joined_lines({contact.name, contact.street,
+                       contact.post_code.empty() ? contact.city : contact.post_code + " " + contact.city,
+                       contact.state, contact.country_code, contact.email, contact.phone});
+}
+
+std::string role_of(const LaboratoryFile& laboratory, const std::string& name) {
+  for (const Person& person : laboratory.persons)
+    if (person.name == name) return joined_lines({name, person.role});
+  return name.empty() ? "not stated" : name;
+}
+
+Section certificate_section(const Certificate& certificate) {
+  const LaboratoryFile& from = certificate.laboratory;
+  FactList list;
+  const auto add = [&](const std::string& name, const std::string& text) {
+    if (!text.empty()) list.facts.emplace_back(name, text);
+  };
+  add("Certificate", certificate.number);
+  if (certificate.issue && certificate.issue->replaces)
+    add("Replaces", certificate.issue->replaces->number + ": " + certificate.issue->replaces->reason);
+  add("Laboratory", address(from.laboratory.contact));
+  add("Accreditation", from.laboratory.accreditation);
+  add("Place of calibration", from.laboratory.performance_location);
+  add("Customer", address(from.customer));
+  add("Order", from.job.order);
+  add("Item", joined_lines({from.job.item_name, from.job.owner_id}));
+  add("Condition on receipt", from.job.condition);
+  if (from.job.received) add("Received", format_date(*from.job.received));
+  add("Procedure", from.job.procedure);
+  add("Measured by", role_of(from, certificate.measured_by()));
+  add("Approved by",
+      certificate.issue ? role_of(from, certificate.issue->approved_by) : "not approved: DRAFT");
+  add("Date of issue", certificate.issue ? format_date(certificate.issue->date) : "not issued: DRAFT");
+  return {"Certificate", {list}};
+}
+
+Section equipment_section(const Certificate& certificate) {
+  DocumentTable table;
+  table.columns = {{"Equipment", CellKind::kText},
+                   {"Serial number", CellKind::kText},
+                   {"For", CellKind::kText},
+                   {"Certificate", CellKind::kText},
+                   {"Valid until", CellKind::kText}};
+  for (const Equipment& one : certificate.laboratory.equipment) {
+    table.rows.push_back({joined_lines({one.name, one.maker, one.model}), one.serial_number, one.quantity,
+                          joined_lines({one.certificate, one.certificate_issuer}),
+                          one.due ? format_date(*one.due) : "not stated"});
+  }
+  return {"Equipment and its calibration", {table}};
+}
+
+std::string rounded(double value, double u) {
+  // Two digits of the uncertainty; the value to the same place.
+  if (!std::isfinite(value)) return "-";
+  if (!(u > 0.0) || !std::isfinite(u)) return fmt::format("{:.6g}", value);
+  const int places = std::max(0, 1 - static_cast<int>(std::floor(std::log10(u))));
+  return places > 15 ? fmt::format("{:.6g}", value) : fmt::format("{:.{}f}", value, places);
+}
+
+Section derived_section(const CertifiedRun& run) {
+  Section section{"Further quantities", {}};
+  DocumentTable table;
+  table.columns = {{"Quantity", CellKind::kText},
+                   {"Value", CellKind::kNumber},
+                   {"U (k = 2)", CellKind::kNumber},
+                   {"Unit", CellKind::kUnit}};
+  for (const DerivedGroup& group : run.derived) {
+    table.rows.push_back({group.words});
+    for (const DerivedQuantity& quantity : group.quantities) {
+      const double expanded = kCoverageFactor * quantity.value.standard_uncertainty;
+      table.rows.push_back({quantity.name, rounded(quantity.value.value, expanded),
+                            rounded(expanded, expanded), quantity.value.unit});
+    }
+  }
+  section.blocks.push_back(table);
+  return section;
+}
+
+Section decision_section(const std::string& title, const Certificate& certificate, const CertifiedRun& run) {
+  DocumentTable table;
+  table.columns = {{"Quantity", CellKind::kText},    {"Value", CellKind::kNumber},
+                   {"U (k = 2)", CellKind::kNumber}, {"Limits", CellKind::kText},
+                   {"Acceptance", CellKind::kText},  {"Unit", CellKind::kUnit},
+                   {"Inside with", CellKind::kText}, {"Decision", CellKind::kText}};
+  const auto interval = [](const std::optional<double>& low, const std::optional<double>& high) {
+    return fmt::format("{} to {}", low ? fmt::format("{:.6g}", *low) : "-",
+                       high ? fmt::format("{:.6g}", *high) : "-");
+  };
+  for (const Decision& decision : run.decisions) {
+    table.rows.push_back({decision.limit.quantity, rounded(decision.value, decision.expanded_uncertainty),
+                          rounded(decision.expanded_uncertainty, decision.expanded_uncertainty),
+                          interval(decision.limit.lower, decision.limit.upper),
+                          interval(decision.lower_acceptance, decision.upper_acceptance), decision.limit.unit,
+                          fmt::format("{:.4g} %", 100.0 * decision.conformance_probability),
+                          std::string(to_string(decision.conformity))});
+  }
+  return {title, {Paragraph{describe(*certificate.laboratory.decision)}, table}};
+}
+
+Section shift_section(const Certificate& certificate) {
+  DocumentTable table;
+  table.caption = "As left minus as found; uncertainties take both calibrations as independent.";
+  table.columns = {{"Quantity", CellKind::kText},
+                   {"Difference", CellKind::kNumber},
+                   {"U (k = 2)", CellKind::kNumber},
+                   {"Unit", CellKind::kUnit},
+                   {"E_n", CellKind::kNumber}};
+  for (const Shift& shift : certificate.shifts) {
+    const double expanded = kCoverageFactor * shift.difference.standard_uncertainty;
+    table.rows.push_back({shift.name, rounded(shift.difference.value, expanded), rounded(expanded, expanded),
+                          shift.difference.unit, fmt::format("{:.2f}", shift.normalised_error)});
+  }
+  Section section{"As found and as left", {table}};
+  section.blocks.push_back(Paragraph{"Adjustment: " + certificate.laboratory.job.adjustment});
+  return section;
+}
+
+Section statement_section(const Certificate& certificate) {
+  FactList list;
+  for (const Statement& statement : statements_of(certificate)) {
+    std::string text = statement.text;
+    if (statement.date) text += " " + format_date(*statement.date);
+    for (const std::string& reference : statement.references) text += " " + reference + ".";
+    list.facts.emplace_back(statement.title, text);
+  }
+  return {"Statements", {list}};
+}
+
+}  // namespace
+
+void add_certificate_sections(Document& document, const Certificate& certificate) {
+  document.title = "Calibration certificate";
+  document.subtitle = certificate.number;
+  document.identification = certificate.number + "; " + document.identification;
+  if (certificate.draft()) {
+    document.page_mark = "DRAFT";
+    document.cautions.insert(document.cautions.begin(), "DRAFT: this certificate is not issued");
+  }
+  for (const std::string& reservation : certificate.reservations) document.cautions.push_back(reservation);
+  document.sections.insert(document.sections.begin(),
+                           {certificate_section(certificate), equipment_section(certificate)});
+  if (!certificate.run.derived.empty()) document.sections.push_back(derived_section(certificate.run));
+  if (certificate.as_found && !certificate.as_found->decisions.empty())
+    document.sections.push_back(decision_section("Conformity as found", certificate, *certificate.as_found));
+  if (!certificate.run.decisions.empty())
+    document.sections.push_back(decision_section(certificate.as_found ? "Conformity as left" : "Conformity",
+                                                 certificate, certificate.run));
+  if (!certificate.shifts.empty()) document.sections.push_back(shift_section(certificate));
+  document.sections.push_back(statement_section(certificate));
+}
+
+}  // namespace abcal

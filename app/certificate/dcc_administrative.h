@@ -1,0 +1,11 @@
+#pragma once
+
+#include "app/certificate/certificate.h"
+#include "app/certificate/xml_tree.h"
+
+namespace abcal {
+
+/// Adds who, what, where, when and the statements of a certificate (dcc:administrativeData).
+void add_administrative_data(XmlElement& root, const Certificate& certificate);
+
+}  // namespace abcal

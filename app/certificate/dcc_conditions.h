@@ -1,0 +1,28 @@
+#pragma once
+
+#include <string>
+
+#include "app/certificate/certificate.h"
+#include "app/certificate/xml_tree.h"
+
+namespace abcal {
+
+/// Whether the item was adjusted before or after; empty where it was not adjusted.
+struct ItemState {
+  std::string words;   ///< "as found"
+  std::string status;  ///< As the schema names it: "beforeAdjustment".
+};
+
+// The parts of one measurement result around its numbers, in the order of the schema.
+
+void add_methods(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
+void add_used_software(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
+/// The laboratory's equipment with its certificates, and the instruments as they identified themselves.
+void add_equipment(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
+/// Room, temperature of the item, local gravity, state of the item.
+void add_conditions(XmlElement& measurement, const Certificate& certificate, const ReportData& data,
+                    const ItemState& state);
+/// Hash of the raw data, when it was measured, verdict of the analysis.
+void add_metadata(XmlElement& measurement, const ReportData& data);
+
+}  // namespace abcal

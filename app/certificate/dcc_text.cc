@@ -1,0 +1,55 @@
+#include "app/certificate/dcc_text.h"
+
+#include "app/certificate/dcc_xml.h"
+
+namespace abcal {
+
+XmlElement add_words(XmlElement& parent, std::string_view element, std::string_view words) {
+  XmlElement child = parent.add(element);
+  child.add("dcc:content", words).attribute("lang", kLanguage);
+  return child;
+}
+
+XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name) {
+  XmlElement child = parent.add(element);
+  const std::string line = one_line(name);
+  child.add("dcc:content", line.empty() ? "not stated" : line);
+  return child;
+}
+
+void add_line(XmlElement& parent, std::string_view element, std::string_view text) {
+  if (const std::string line = one_line(text); !line.empty()) parent.add(element, line);
+}
+
+std::string release_of(const std::string& program_version) {
+  return "v" + program_version.substr(0, program_version.find(' '));
+}
+
+void add_software(XmlElement& list, std::string_view name, const std::string& version,
+                  std::string_view type) {
+  XmlElement software = list.add("dcc:software");
+  add_name(software, "dcc:name", name);
+  software.add("dcc:release", release_of(version));
+  software.add("dcc:type", type);
+  add_words(software, "dcc:description", "version and commit: " + one_line(version));
+}
+
+void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
+                        std::string_view name) {
+  const std::string line = one_line(value);
+  XmlElement identification = list.add("dcc:identification");
+  identification.add("dcc:issuer", issuer);
+  identification.add("dcc:value", line.empty() ? "not stated" : line);
+  add_words(identification, "dcc:name", name);
+}
+
+void add_hash(XmlElement& parent, std::string_view element, std::string_view words, std::string_view id,
+              std::string_view sha256) {
+  XmlElement hash = parent.add(element);
+  add_words(hash, "dcc:referral", words);
+  add_line(hash, "dcc:referralID", id);
+  hash.add("dcc:procedure", "SHA-256");
+  add_line(hash, "dcc:value", sha256);
+}
+
+}  // namespace abcal

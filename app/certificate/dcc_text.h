@@ -1,0 +1,34 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+
+#include "app/certificate/xml_tree.h"
+
+namespace abcal {
+
+/// The language of the program's own sentences; names of persons, places and things have none.
+inline constexpr const char* kLanguage = "en";
+
+/// Adds an element of a sentence or name of ours, in the language of the certificate.
+XmlElement add_words(XmlElement& parent, std::string_view element, std::string_view words);
+
+/// Adds an element with a name that belongs to no language.
+XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name);
+
+/// Adds an element whose text must not be empty and is one line; nothing where there is no text.
+void add_line(XmlElement& parent, std::string_view element, std::string_view text);
+
+/// Adds software with its release as the business rules want it ("v0.1.0") and its version in full.
+void add_software(XmlElement& list, std::string_view name, const std::string& version,
+                  std::string_view type = "application");
+
+/// Adds an identification: who issued it, its value and what it is.
+void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
+                        std::string_view name);
+
+/// Adds a referral to another document by the hash of its file.
+void add_hash(XmlElement& parent, std::string_view element, std::string_view words, std::string_view id,
+              std::string_view sha256);
+
+}  // namespace abcal

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace abcal {
+
+/// A product of powers of units in the notation of D-SI: "\volt\second\tothe{2}\metre\tothe{-1}".
+class DsiUnit {
+ public:
+  DsiUnit() = default;  ///< \one
+  explicit DsiUnit(std::string unit) : factors_{{std::move(unit), 1}} {}
+
+  DsiUnit to_the(int power) const;
+  DsiUnit operator*(const DsiUnit& other) const;
+  std::string text() const;
+
+ private:
+  std::vector<std::pair<std::string, int>> factors_;
+};
+
+/// How a unit of ours is given in a certificate.
+struct UnitInDsi {
+  DsiUnit unit;
+  double factor = 1.0;  ///< Value in `unit` for 1 of ours; exactly 1 where D-SI knows our unit.
+  /// Ours, where D-SI does not know it: then both are given.
+  std::optional<DsiUnit> own;
+  std::string definition;  ///< Of our own, in words.
+  std::string note;        ///< What 1 stands for, where the output has no physical unit.
+};
+
+/// "V", "g", "LSB", "degree", "%", "mrad"; per local gravity "V/g_loc", which has the unit of the output
+/// since the quantity is the change of the output for one g_loc; "V/(m/s2)", "mV/g" (standard gravity). What
+/// nobody knows is a count: \one, with a note.
+UnitInDsi unit_in_dsi(const std::string& unit);
+
+}  // namespace abcal

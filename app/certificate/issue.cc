@@ -1,0 +1,72 @@
+#include "app/certificate/issue.h"
+
+#include <utility>
+
+#include "app/certificate/business_rules.h"
+#include "app/certificate/dcc_xml.h"
+#include "app/certificate/dsi_list.h"
+
+namespace abcal {
+namespace {
+
+void add(std::vector<Problem>& problems, const std::vector<DccProblem>& found, const std::string& required) {
+  for (const DccProblem& problem : found) problems.push_back({problem.where, problem.what, required});
+}
+
+}  // namespace
+
+std::string checked_xml(const Certificate& certificate, const DccSchema* schema) {
+  XmlDocument document;
+  try {
+    document = dcc_document(certificate);
+  } catch (const NumberNotFinite& error) {
+    throw CertificateRefused(certificate.run.data.path.string(),
+                             {{"results", error.what(), "finite numbers"}});
+  }
+  std::vector<Problem> problems;
+  add(problems, check_business_rules(document), "the business rules of the DCC");
+  if (schema != nullptr) add(problems, schema->check(document), "the schema of DCC 3.3.0");
+  if (!problems.empty()) throw CertificateRefused(certificate.run.data.path.string(), std::move(problems));
+  return xml_text(document);
+}
+
+IssuedCertificate issue_certificate(const Certificate& certificate, const DccSchema* schema,
+                                    const std::optional<SigningKey>& key, const std::string& utc) {
+  if (!certificate.issue) throw std::logic_error("a draft is not issued");
+  const IssueFacts& facts = *certificate.issue;
+  std::string xml = checked_xml(certificate, schema);
+  if (key) {
+    xml = sign_xml(xml, *key);
+    // The signature is part of the document, and of its schema.
+    if (schema != nullptr) {
+      std::vector<Problem> problems;
+      add(problems, schema->check(parse_xml(xml, facts.number)), "the schema of DCC 3.3.0");
+      if (!problems.empty())
+        throw CertificateRefused(certificate.run.data.path.string(), std::move(problems));
+    }
+  }
+  IssuedCertificate issued;
+  issued.utc = utc;
+  issued.number = facts.number;
+  issued.measured_by = certificate.measured_by();
+  issued.approved_by = facts.approved_by;
+  issued.date = format_date(facts.date);
+  if (facts.replaces) {
+    issued.replaces = facts.replaces->number;
+    issued.reason = facts.replaces->reason;
+  }
+  issued.program_version = certificate.program_version;
+  issued.laboratory_toml = certificate.laboratory.text;
+  issued.xml = std::move(xml);
+  const ReportData& data = certificate.run.data;
+  ResultsFile(data.path, data.sha256.value()).add_certificate(issued);
+  return issued;
+}
+
+std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run) {
+  std::vector<IssuedCertificate> issued = ResultsFile::certificates(run);
+  if (issued.empty()) return std::nullopt;
+  return std::move(issued.back());
+}
+
+}  // namespace abcal

@@ -1,0 +1,31 @@
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "app/certificate/business_rules.h"
+#include "app/certificate/xml_tree.h"
+
+namespace abcal {
+
+/// The XML schemas of the digital calibration certificate, read once. Nothing is loaded from the network.
+class DccSchema {
+ public:
+  /// @param folder  that holds v3.3.0/dcc.xsd, itself or in xsd/, with what that imports beside it
+  /// @throws std::invalid_argument  if there is none, or it cannot be read, with libxml2's words
+  explicit DccSchema(const std::filesystem::path& folder);
+  DccSchema(DccSchema&&) noexcept;
+  DccSchema& operator=(DccSchema&&) noexcept;
+  ~DccSchema();
+
+  /// Every violation, with its line.
+  std::vector<DccProblem> check(const XmlDocument& document) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace abcal

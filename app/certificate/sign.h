@@ -1,0 +1,20 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+namespace abcal {
+
+/// What a certificate is signed with: a private key (RSA or elliptic curve, PEM, not encrypted) and the X.509
+/// certificate that belongs to it (PEM).
+struct SigningKey {
+  std::filesystem::path key, certificate;
+};
+
+/// Adds an enveloped XML signature (XML-DSig: exclusive canonicalisation, SHA-256) with the X.509 certificate
+/// as the last element, and verifies it with the certificate's public key. The bytes before it stay as they
+/// are.
+/// @throws std::invalid_argument  if key or certificate cannot be read, or do not belong together
+std::string sign_xml(const std::string& xml, const SigningKey& with);
+
+}  // namespace abcal

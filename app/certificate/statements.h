@@ -1,0 +1,27 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/certificate/certificate.h"
+
+namespace abcal {
+
+/// A sentence that a certificate must or may hold, for the XML and for people alike.
+struct Statement {
+  std::string ref_type;  ///< "abc_traceability"
+  std::string title;
+  std::string text;
+  std::vector<std::string> norms, references;
+  bool traceable = false;
+  std::optional<Date> date;
+  bool of_customer = false;  ///< The customer asked for it.
+  std::string non_si_definition, non_si_unit;
+};
+
+/// All statements of a certificate: draft, simulation, what it relates to, traceability, uncertainty,
+/// decision rule, deviations, what the customer said, opinions, amendment, units.
+std::vector<Statement> statements_of(const Certificate& certificate);
+
+}  // namespace abcal

@@ -1,0 +1,50 @@
+#include <fmt/format.h>
+
+#include "app/analyses.h"
+#include "app/commands/commands.h"
+#include "app/compare/compare_results.h"
+#include "app/exit_code.h"
+#include "app/report/compare_json.h"
+#include "app/report/compare_text.h"
+
+namespace abcal {
+
+CLI::App* add_compare(CLI::App& parent, int& exit_code) {
+  struct Options {
+    std::vector<std::string> files;
+    std::string estimator = "abc";
+    CompareOptions compare;
+    bool json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand(
+      "compare", "Whether results of one item agree: E_n, mounting, repeatability, control charts");
+  command
+      ->add_option("FILE", options->files,
+                   "two or more: run files, CSVs of averaged readings, or certificates (DCC XML)")
+      ->required()
+      ->expected(2, 10'000);
+  command
+      ->add_option("--estimator", options->estimator, "of runs and CSVs: abc, joint or norm (default: abc)")
+      ->check(CLI::IsMember(kEstimators));
+  command->add_flag("--shared", options->compare.shared_stage,
+                    "all were measured on one stage: subtract its common type B from the differences");
+  command->add_flag("--any-item", options->compare.any_item, "compare results of different items");
+  command->add_option("--group-by", options->compare.group_by,
+                      "analysis of variance between groups: day, stage, or a label such as operator.name");
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.compare/1");
+  command->callback([options, &exit_code] {
+    std::vector<ComparedResult> results;
+    for (const std::string& file : options->files) results.push_back(load_compared(file, options->estimator));
+    const ResultsComparison comparison = compare_results(std::move(results), options->compare);
+    if (options->json) {
+      fmt::print("{}\n", compare_json(comparison).dump(2));
+    } else {
+      fmt::print("{}", compare_text(comparison, stdout));
+    }
+    exit_code = comparison.agree() ? kExitDone : kExitFailed;
+  });
+  return command;
+}
+
+}  // namespace abcal

@@ -1,0 +1,59 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/compare/compared_result.h"
+#include "protocol/analysis/comparison.h"
+#include "protocol/uncertainty/analysis_of_variance.h"
+#include "protocol/uncertainty/control_chart.h"
+
+namespace abcal {
+
+struct CompareOptions {
+  bool shared_stage = false;  ///< All were measured on one stage: its type B is subtracted.
+  bool any_item = false;      ///< Results of different items may be compared.
+  std::string group_by;       ///< "day", "stage" or a label of the runs; empty: no groups.
+  double ewma_weight = 0.2;
+};
+
+/// One result against the first.
+struct PairComparison {
+  std::size_t second = 1;  ///< Position in the list.
+  IntrinsicComparison intrinsic;
+  std::optional<RotationBetween> rotation;  ///< Absent where one of the two has no matrix.
+  bool agrees() const { return intrinsic.agrees() && (!rotation || rotation->same_handedness); }
+  std::string why;  ///< One sentence.
+};
+
+/// One of the nine properties over several results. What is absent could not be determined.
+struct PropertySeries {
+  std::vector<double> values;  ///< In the order of `order`.
+  std::optional<RunSpread> spread;
+  std::optional<OneWayAnova> anova;
+  std::optional<ControlChart> individuals, means, ewma;
+};
+
+struct ResultsComparison {
+  std::vector<ComparedResult> results;  ///< As given, in common units.
+  std::array<std::string, 9> units;
+  bool shared_subtracted = false;
+  std::vector<PairComparison> pairs;  ///< Each of the others against the first.
+  // From three results on.
+  std::vector<std::size_t> order;                ///< Positions by time, or as given if times are not known.
+  std::vector<std::string> group_names;          ///< Empty without groups.
+  std::vector<std::vector<std::size_t>> groups;  ///< Positions in `results`.
+  std::optional<std::array<PropertySeries, 9>> series;  ///< Absent for two.
+  std::vector<std::string> notes;
+
+  bool agree() const;
+};
+
+/// @param results  at least two
+/// @throws CompareError different items, units of different kinds, nothing to group by, a shared stage that
+///         cannot be subtracted; std::runtime_error where the numbers do not allow the comparison
+ResultsComparison compare_results(std::vector<ComparedResult> results, const CompareOptions& options);
+
+}  // namespace abcal

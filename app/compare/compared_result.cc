@@ -1,0 +1,193 @@
+#include "app/compare/compared_result.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "app/analyses.h"
+#include "app/compare/read_certificate.h"
+#include "app/load_record.h"
+#include "protocol/analysis/intrinsic_properties.h"
+
+namespace abcal {
+namespace {
+
+std::string joined(const std::vector<std::string>& words) {
+  std::string text;
+  for (const std::string& word : words) {
+    if (!word.empty()) text += (text.empty() ? "" : " ") + word;
+  }
+  return text;
+}
+
+std::string label(const ComparedResult& result, const std::string& key) {
+  const auto found = result.labels.find(key);
+  return found == result.labels.end() ? "" : found->second;
+}
+
+void describe_run(const StoredRun& run, ComparedResult& result) {
+  result.kind = "run";
+  result.date = run.header.created_utc;
+  result.labels = run.header.labels;
+  result.item_serial_number = label(result, "item.serial_number");
+  result.item = joined({label(result, "item.maker"), label(result, "item.model"), result.item_serial_number});
+  for (const InstrumentIdentity& instrument : run.header.instruments) {
+    if (instrument.role == "stage") result.stage = joined({instrument.model, instrument.serial_number});
+  }
+  if (run.state != RunState::kComplete)
+    result.notes.push_back(fmt::format("the run is {}", to_string(run.state)));
+}
+
+void take(const CalibrationResult& calibration, ComparedResult& result) {
+  result.what = calibration.estimator + " estimator";
+  result.unit_name = calibration.response_unit;
+  result.unit = meaning_of_response_unit(calibration.response_unit);
+  if (std::isfinite(calibration.g_loc.value)) {
+    result.g_loc = calibration.g_loc;
+    result.g_loc_source = calibration.g_loc_source;
+  }
+  IntrinsicValues type_a;
+  const auto property = [&](Eigen::Index i, const Quantity& quantity) {
+    result.values(i) = quantity.value;
+    type_a(i) = quantity.type_a.value_or(std::nan(""));
+  };
+  for (std::size_t j = 0; j < 3; ++j) {
+    const auto row = static_cast<Eigen::Index>(j);
+    property(row, calibration.intrinsic_sensitivity[j]);
+    property(3 + row, calibration.intrinsic_angle[j]);
+    property(6 + row, calibration.offset[j]);
+  }
+  if (!calibration.covariance_intrinsic) {
+    throw std::runtime_error(result.file + ": the " + calibration.estimator +
+                             " estimator gives no uncertainties, so that nothing can be compared");
+  }
+  result.covariance = *calibration.covariance_intrinsic;
+  if (type_a.allFinite()) result.type_a = type_a;
+  if (calibration.sensitivity_matrix && calibration.covariance) {
+    result.matrix = calibration.sensitivity_values();
+    result.output_covariance = *calibration.covariance;
+  }
+  if (calibration.verdict == Verdict::kDoubtful)
+    result.notes.push_back("its result is doubtful: " + calibration.why);
+}
+
+/// Multiplies outputs by factors: sensitivities by one, offsets by another.
+void scale(ComparedResult& result, double sensitivity, double offset) {
+  IntrinsicValues factors = IntrinsicValues::Ones();
+  factors.head<3>().setConstant(sensitivity);
+  factors.tail<3>().setConstant(offset);
+  result.values = result.values.cwiseProduct(factors);
+  result.covariance = factors.asDiagonal() * result.covariance * factors.asDiagonal();
+  if (result.type_a) result.type_a = result.type_a->cwiseProduct(factors);
+  if (!result.matrix) return;
+  *result.matrix *= sensitivity;
+  Eigen::Matrix<double, 12, 1> output_factors = Eigen::Matrix<double, 12, 1>::Constant(sensitivity);
+  output_factors.tail<3>().setConstant(offset);
+  result.output_covariance =
+      output_factors.asDiagonal() * result.output_covariance * output_factors.asDiagonal();
+}
+
+/// R/g_loc to R/(m/s2): all sensitivities take part in the uncertainty of g_loc together.
+void divide_by_gravity(ComparedResult& result) {
+  const double g = result.g_loc->value;
+  const double u = result.g_loc->standard_uncertainty / g;
+  scale(result, 1.0 / g, 1.0);
+  result.per_g_loc = false;
+  if (!(u > 0.0)) return;
+  IntrinsicValues change = IntrinsicValues::Zero();
+  change.head<3>() = -u * result.values.head<3>();
+  result.covariance += change * change.transpose();
+  if (!result.matrix) return;
+  Eigen::Matrix<double, 12, 1> output_change = Eigen::Matrix<double, 12, 1>::Zero();
+  for (Eigen::Index j = 0; j < 3; ++j)
+    output_change.segment<3>(3 * j) = -u * result.matrix->row(j).transpose();
+  result.output_covariance += output_change * output_change.transpose();
+}
+
+bool same_gravity(const ComparedResult& a, const ComparedResult& b) {
+  return a.g_loc && b.g_loc && a.g_loc->value == b.g_loc->value && a.g_loc_source == b.g_loc_source;
+}
+
+void convert_response(const ComparedResult& first, ComparedResult& result) {
+  if (result.unit_name == first.unit_name) return;
+  UnitMeaning meaning = result.unit;
+  UnitMeaning wanted = first.unit;
+  // A certificate knows no counts: it says one and explains it in words.
+  const auto is_count = [](const UnitMeaning& unit) {
+    return unit.powers == std::map<std::string, int>{{"LSB", 1}};
+  };
+  if (meaning.powers.empty() && is_count(wanted)) meaning.powers = wanted.powers;
+  if (wanted.powers.empty() && is_count(meaning)) wanted.powers = meaning.powers;
+  if (!meaning.same_kind(wanted)) {
+    throw CompareError(fmt::format(
+        "{} is in {} and {} in {}: these cannot be made into one another; required: results in units of one "
+        "kind",
+        first.file, first.unit_name, result.file, result.unit_name));
+  }
+  const double factor = meaning.factor / wanted.factor;
+  if (factor != 1.0) scale(result, factor, factor);
+  result.notes.push_back(fmt::format("given in {}, here in {}", result.unit_name, first.unit_name));
+  result.unit_name = first.unit_name;
+  result.unit = first.unit;
+}
+
+}  // namespace
+
+ComparedResult load_compared(const std::filesystem::path& path, const std::string& estimator) {
+  if (looks_like_xml(path)) return read_certificate(path);
+  ComparedResult result;
+  result.file = path.string();
+  result.kind = "CSV";
+  LoadedRecord loaded = load_record(path);
+  if (loaded.run) describe_run(*loaded.run, result);
+  const CalibrationResult calibration = analyse(loaded.record, estimator);
+  if (calibration.verdict == Verdict::kNotUsable)
+    throw std::runtime_error(fmt::format("{}: no usable result: {}", path.string(), calibration.why));
+  take(calibration, result);
+  result.record = std::move(loaded.record);
+  return result;
+}
+
+std::vector<std::string> bring_together(std::vector<ComparedResult>& results) {
+  std::vector<std::string> notes;
+  const ComparedResult& first = results.front();
+  const bool all_per_g_loc =
+      std::all_of(results.begin(), results.end(), [](const ComparedResult& r) { return r.per_g_loc; });
+  const bool all_known = std::all_of(results.begin(), results.end(), [](const ComparedResult& r) {
+    return r.g_loc.has_value() || !r.per_g_loc;
+  });
+  const bool one_place = std::all_of(results.begin(), results.end(),
+                                     [&](const ComparedResult& r) { return same_gravity(first, r); });
+  if (!all_per_g_loc && !all_known) {
+    std::string missing;
+    for (const ComparedResult& r : results) {
+      if (r.per_g_loc && !r.g_loc) missing += (missing.empty() ? "" : ", ") + r.file;
+    }
+    throw CompareError(
+        missing +
+        ": local gravity is not known, so that sensitivities per g_loc cannot be compared with "
+        "a certificate's per m/s2; required: a run file");
+  }
+  if (all_per_g_loc && !all_known) {
+    notes.push_back(
+        "local gravity is not known of every result: sensitivities are per g_loc, and equal only if gravity "
+        "was the same");
+  } else if (!(all_per_g_loc && one_place)) {
+    for (ComparedResult& result : results) {
+      if (result.per_g_loc) divide_by_gravity(result);
+    }
+    notes.push_back("sensitivities are per m/s2, with the uncertainty of each local gravity");
+  }
+  for (ComparedResult& result : results) convert_response(first, result);
+  return notes;
+}
+
+std::array<std::string, 9> units_of_properties(const ComparedResult& result) {
+  const std::string& unit = result.unit_name;
+  const std::string output = unit.find('/') == std::string::npos ? unit : "(" + unit + ")";
+  const std::string sensitivity = output + (result.per_g_loc ? "/g_loc" : "/(m/s2)");
+  return {sensitivity, sensitivity, sensitivity, "degree", "degree", "degree", unit, unit, unit};
+}
+
+}  // namespace abcal

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "app/compare/response_unit.h"
+#include "protocol/analysis/calibration_result.h"
+#include "protocol/analysis/comparison.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// A result that can be laid beside others: from a run, a CSV of averaged readings, or a certificate.
+struct ComparedResult {
+  std::string file;  ///< As given.
+  std::string kind;  ///< "run", "CSV", "certificate"
+  std::string what;  ///< "abc estimator"; number of a certificate
+  std::string date;  ///< ISO 8601, of the measurement; empty: not known.
+  std::string item;  ///< Maker, model and serial number in words; empty: not known.
+  std::string item_serial_number;
+  std::string stage;                          ///< Model and serial number; empty: not known.
+  std::map<std::string, std::string> labels;  ///< Of a run: "operator.name", ...; to group by.
+
+  std::string unit_name;  ///< Of the response R.
+  UnitMeaning unit;       ///< The same.
+  /// Sensitivities are R/g_loc (true) or R/(m/s2).
+  bool per_g_loc = true;
+  std::optional<Quantity> g_loc;  ///< m/s2
+  std::string g_loc_source;
+
+  IntrinsicValues values;  ///< NaN: not given.
+  Covariance9 covariance;  ///< NaN where not given.
+  /// Standard uncertainties from the scatter of the readings alone; absent for a certificate.
+  std::optional<IntrinsicValues> type_a;
+  bool with_correlations = true;          ///< False: only the diagonal of the covariance is known.
+  std::optional<Eigen::Matrix3d> matrix;  ///< Absent for the norm estimator.
+  Covariance12 output_covariance;         ///< Of matrix and offset; read only where there is a matrix.
+  std::optional<RunRecord> record;        ///< What it was computed from; absent for a certificate.
+  std::vector<std::string> notes;
+};
+
+/// Results that cannot be compared: usage (exit code 2).
+class CompareError : public std::invalid_argument {
+ public:
+  using std::invalid_argument::invalid_argument;
+};
+
+/// Reads and, where it is a record, analyses one file. Which of the three it is, its content says.
+/// @throws what load_record() and read_certificate() throw; std::runtime_error for a record that gives no
+///         usable result, with the reason
+ComparedResult load_compared(const std::filesystem::path& path, const std::string& estimator);
+
+/// Brings all into the response unit of the first, and sensitivities per m/s2 where they were measured at
+/// different or by certificates; per g_loc where all were measured at the same one. Says in the notes of a
+/// result what was done to it.
+/// @return notes that concern all
+/// @throws CompareError units that cannot be made into one another
+std::vector<std::string> bring_together(std::vector<ComparedResult>& results);
+
+/// "V/g_loc", "degree", "V", ... in the order of Covariance9, after bring_together().
+std::array<std::string, 9> units_of_properties(const ComparedResult& result);
+
+}  // namespace abcal

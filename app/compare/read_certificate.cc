@@ -1,0 +1,460 @@
+#include "app/compare/read_certificate.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <libxml/xpath.h>
+#include <libxml/xpathInternals.h>
+
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <memory>
+#include <sstream>
+#include <stdexcept>
+
+#include "app/certificate/xml_tree.h"
+#include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/analysis/sensitivity_matrix.h"
+
+namespace abcal {
+namespace {
+
+constexpr double kRadToDeg = 180.0 / 3.14159265358979323846;
+
+// libxml2 names its strings unsigned char.
+const xmlChar* as_xml(const char* text) {
+  return reinterpret_cast<const xmlChar*>(text);
+}
+
+struct FreeContext {
+  void operator()(xmlXPathContext* context) const { xmlXPathFreeContext(context); }
+};
+struct FreeObject {
+  void operator()(xmlXPathObject* object) const { xmlXPathFreeObject(object); }
+};
+struct FreeText {
+  void operator()(xmlChar* text) const { xmlFree(text); }
+};
+
+std::string text_of(const std::filesystem::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  if (!file) throw std::runtime_error(path.string() + ": cannot be read");
+  return text.str();
+}
+
+/// A certificate as XPath sees it.
+class Certificate {
+ public:
+  explicit Certificate(const std::filesystem::path& path)
+      : document_(parse_xml(text_of(path), path.string())) {
+    context_.reset(xmlXPathNewContext(document_.get()));
+    if (!context_) throw std::bad_alloc();
+    xmlXPathRegisterNs(context_.get(), as_xml("dcc"), as_xml("https://ptb.de/dcc"));
+    xmlXPathRegisterNs(context_.get(), as_xml("si"), as_xml("https://ptb.de/si"));
+  }
+
+  std::vector<xmlNode*> nodes(const char* path, xmlNode* from = nullptr) const {
+    const std::unique_ptr<xmlXPathObject, FreeObject> object = evaluate(path, from);
+    std::vector<xmlNode*> found;
+    if (object->nodesetval == nullptr) return found;
+    for (int i = 0; i < object->nodesetval->nodeNr; ++i) found.push_back(object->nodesetval->nodeTab[i]);
+    return found;
+  }
+
+  /// Text of the first node that is found, blanks at its ends removed; empty if there is none.
+  std::string text(const char* path, xmlNode* from = nullptr) const {
+    const std::vector<xmlNode*> found = nodes(path, from);
+    if (found.empty()) return {};
+    const std::unique_ptr<xmlChar, FreeText> content(xmlNodeGetContent(found.front()));
+    std::string value = content ? reinterpret_cast<const char*>(content.get()) : "";
+    value.erase(0, value.find_first_not_of(" \t\r\n"));
+    return trimmed_end(value);
+  }
+
+  std::vector<std::string> words(const char* path, xmlNode* from) const {
+    std::istringstream stream(text(path, from));
+    std::vector<std::string> list;
+    for (std::string word; stream >> word;) list.push_back(word);
+    return list;
+  }
+
+ private:
+  static std::string trimmed_end(std::string text) {
+    text.erase(text.find_last_not_of(" \t\r\n") + 1);
+    return text;
+  }
+
+  std::unique_ptr<xmlXPathObject, FreeObject> evaluate(const char* path, xmlNode* from) const {
+    context_->node = from != nullptr ? from : xmlDocGetRootElement(document_.get());
+    std::unique_ptr<xmlXPathObject, FreeObject> object(xmlXPathEvalExpression(as_xml(path), context_.get()));
+    if (!object) throw std::logic_error(std::string("XPath ") + path);
+    return object;
+  }
+
+  XmlDocument document_;
+  std::unique_ptr<xmlXPathContext, FreeContext> context_;
+};
+
+/// A number of the certificate with its standard uncertainty, in base units.
+struct Number {
+  double value = 0.0;
+  double standard_uncertainty = std::nan("");
+  UnitMeaning unit;
+};
+
+/// Covariances of a list of labels, in base units.
+struct CovarianceList {
+  std::vector<std::string> labels;
+  Eigen::MatrixXd matrix;
+};
+
+struct Numbers {
+  std::map<std::string, Number> by_label;
+  std::vector<CovarianceList> covariances;
+};
+
+const std::array<std::string, 12> kOutputLabels{"s_ux", "s_uy", "s_uz", "s_vx", "s_vy", "s_vz",
+                                                "s_wx", "s_wy", "s_wz", "O_u",  "O_v",  "O_w"};
+
+bool is_of_accelerometer(const std::string& label) {
+  return std::find(kOutputLabels.begin(), kOutputLabels.end(), label) != kOutputLabels.end() ||
+         std::find(kIntrinsicNames.begin(), kIntrinsicNames.end(), label) != kIntrinsicNames.end();
+}
+
+/// Reads lists of numbers and keeps every problem.
+class ListReader {
+ public:
+  ListReader(const Certificate& certificate, std::vector<std::string>& problems)
+      : certificate_(certificate), problems_(problems) {}
+
+  void read(xmlNode* list, Numbers& numbers) {
+    const std::vector<std::string> labels = certificate_.words("si:labelXMLList", list);
+    const bool wanted = std::any_of(labels.begin(), labels.end(), is_of_accelerometer);
+    if (!wanted) return;
+    const std::size_t size = labels.size();
+    where_ = fmt::format("list \"{}\"", fmt::join(labels, " "));
+    const std::vector<double> values = real_list("si:valueXMLList", list, size);
+    const std::vector<UnitMeaning> units = unit_list("si:unitXMLList", list, size);
+    const std::vector<double> u = uncertainties(list, size);
+    if (values.size() != size || units.size() != size) return;
+    for (std::size_t i = 0; i < size; ++i) {
+      if (!is_of_accelerometer(labels[i])) continue;
+      Number number{values[i] * units[i].factor, u.size() == size ? u[i] * units[i].factor : std::nan(""),
+                    units[i]};
+      number.unit.factor = 1.0;
+      // The same quantity may stand in more than one list; the first with an uncertainty counts.
+      const auto [place, is_new] = numbers.by_label.emplace(labels[i], number);
+      if (!is_new && std::isnan(place->second.standard_uncertainty)) place->second = number;
+    }
+    read_covariance(list, labels, numbers);
+  }
+
+ private:
+  void problem(const std::string& what) { problems_.push_back(where_ + ": " + what); }
+
+  /// As many as asked for: D-SI lets one stand for all. Empty, with a problem, if it is neither.
+  template <class T>
+  std::vector<T> spread_over(std::vector<T> list, std::size_t size, const std::string& what) {
+    if (list.size() == 1) list.resize(size, list.front());
+    if (list.size() == size) return list;
+    problem(fmt::format("{} has {} entries; required: 1 or {}", what, list.size(), size));
+    return {};
+  }
+
+  std::vector<double> real_list(const char* path, xmlNode* from, std::size_t size) {
+    std::vector<double> values;
+    for (const std::string& word : certificate_.words(path, from)) {
+      double value = 0.0;
+      const char* begin = word.data() + (word.starts_with('+') ? 1 : 0);  // from_chars takes no plus
+      const auto [stop, error] = std::from_chars(begin, word.data() + word.size(), value);
+      if (error != std::errc() || stop != word.data() + word.size()) {
+        problem(fmt::format("{}: \"{}\" is not a number", path, word));
+        return {};
+      }
+      values.push_back(value);
+    }
+    return spread_over(std::move(values), size, path);
+  }
+
+  std::vector<UnitMeaning> unit_list(const char* path, xmlNode* from, std::size_t size) {
+    std::vector<UnitMeaning> units;
+    for (const std::string& word : certificate_.words(path, from)) {
+      try {
+        units.push_back(meaning_of_d_si(word));
+      } catch (const std::invalid_argument& error) {
+        problem(error.what());
+        return {};
+      }
+    }
+    return spread_over(std::move(units), size, path);
+  }
+
+  /// Standard uncertainties, whichever way they are given; empty if they are not.
+  std::vector<double> uncertainties(xmlNode* list, std::size_t size) {
+    constexpr const char* kExpanded = "si:measurementUncertaintyUnivariateXMLList/si:expandedMUXMLList";
+    for (xmlNode* expanded : certificate_.nodes(kExpanded, list)) {
+      std::vector<double> u = real_list("si:valueExpandedMUXMLList", expanded, size);
+      const std::vector<double> k = real_list("si:coverageFactorXMLList", expanded, size);
+      if (u.size() != size || k.size() != size) return {};
+      for (std::size_t i = 0; i < size; ++i) u[i] /= k[i];
+      return u;
+    }
+    constexpr const char* kStandard =
+        "si:measurementUncertaintyUnivariateXMLList/*/si:valueStandardMUXMLList";
+    return certificate_.nodes(kStandard, list).empty() ? std::vector<double>{}
+                                                       : real_list(kStandard, list, size);
+  }
+
+  void read_covariance(xmlNode* list, const std::vector<std::string>& labels, Numbers& numbers) {
+    const std::vector<xmlNode*> columns = certificate_.nodes(
+        "si:measurementUncertaintyMultivariateXMLList//si:covarianceMatrixXMLList/si:columnXMLList", list);
+    if (columns.empty()) return;
+    const std::size_t size = labels.size();
+    if (columns.size() != size) {
+      problem(fmt::format("its covariance matrix has {} columns; required: {}", columns.size(), size));
+      return;
+    }
+    const auto n = static_cast<Eigen::Index>(size);
+    CovarianceList covariance{labels, Eigen::MatrixXd(n, n)};
+    for (Eigen::Index j = 0; j < n; ++j) {
+      xmlNode* column = columns[static_cast<std::size_t>(j)];
+      const std::vector<double> values = real_list("si:covarianceXMLList/si:valueXMLList", column, size);
+      const std::vector<UnitMeaning> units = unit_list("si:covarianceXMLList/si:unitXMLList", column, size);
+      if (values.size() != size || units.size() != size) return;
+      for (Eigen::Index i = 0; i < n; ++i) {
+        const auto row = static_cast<std::size_t>(i);
+        covariance.matrix(i, j) = values[row] * units[row].factor;
+      }
+    }
+    const double asymmetry = (covariance.matrix - covariance.matrix.transpose()).norm();
+    if (!(asymmetry <= 1e-6 * covariance.matrix.norm())) {
+      problem("its covariance matrix is not symmetric");
+      return;
+    }
+    numbers.covariances.push_back(std::move(covariance));
+  }
+
+  const Certificate& certificate_;
+  std::vector<std::string>& problems_;
+  std::string where_;
+};
+
+/// Covariance of these labels from one list that holds all of them; nothing if there is no such list.
+template <std::size_t N>
+std::optional<Eigen::MatrixXd> covariance_of(const Numbers& numbers,
+                                             const std::array<std::string, N>& labels) {
+  for (const CovarianceList& list : numbers.covariances) {
+    std::vector<Eigen::Index> places;
+    for (const std::string& label : labels) {
+      const auto found = std::find(list.labels.begin(), list.labels.end(), label);
+      if (found != list.labels.end()) places.push_back(found - list.labels.begin());
+    }
+    if (places.size() == N) return list.matrix(places, places);
+  }
+  return std::nullopt;
+}
+
+/// The same from lists of parts: what lies between two lists stays 0.
+template <std::size_t N>
+Eigen::MatrixXd pieced_covariance(const Numbers& numbers, const std::array<std::string, N>& labels) {
+  const auto n = static_cast<Eigen::Index>(N);
+  Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n, n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const auto found = numbers.by_label.find(labels[static_cast<std::size_t>(i)]);
+    const double u = found == numbers.by_label.end() ? std::nan("") : found->second.standard_uncertainty;
+    matrix(i, i) = u * u;
+  }
+  for (const CovarianceList& list : numbers.covariances) {
+    for (Eigen::Index i = 0; i < n; ++i) {
+      for (Eigen::Index j = 0; j < n; ++j) {
+        const auto row =
+            std::find(list.labels.begin(), list.labels.end(), labels[static_cast<std::size_t>(i)]);
+        const auto column =
+            std::find(list.labels.begin(), list.labels.end(), labels[static_cast<std::size_t>(j)]);
+        if (row != list.labels.end() && column != list.labels.end())
+          matrix(i, j) = list.matrix(row - list.labels.begin(), column - list.labels.begin());
+      }
+    }
+  }
+  return matrix;
+}
+
+std::array<std::string, 9> intrinsic_labels() {
+  std::array<std::string, 9> labels;
+  std::copy(kIntrinsicNames.begin(), kIntrinsicNames.end(), labels.begin());
+  return labels;
+}
+
+double value_of(const Numbers& numbers, const std::string& label) {
+  const auto found = numbers.by_label.find(label);
+  return found == numbers.by_label.end() ? std::nan("") : found->second.value;
+}
+
+/// The response unit that sensitivities (R/(m/s2)) and offsets (R) agree on.
+void find_unit(const Numbers& numbers, ComparedResult& result, std::vector<std::string>& problems) {
+  std::optional<UnitMeaning> response;
+  for (const auto& [label, number] : numbers.by_label) {
+    if (label.starts_with("phi_")) {
+      if (number.unit.powers != std::map<std::string, int>{{"radian", 1}})
+        problems.push_back(fmt::format("{} is in {}; required: an angle", label, name_of(number.unit)));
+      continue;
+    }
+    const UnitMeaning unit = label.starts_with("s_") ? number.unit * metre_per_second_squared() : number.unit;
+    if (!response) response = unit;
+    if (!response->same_kind(unit)) {
+      problems.push_back(
+          fmt::format("{} is in {}, which does not go with the other quantities (a response in {}; "
+                      "sensitivities per m/s2)",
+                      label, name_of(number.unit), name_of(*response)));
+    }
+  }
+  if (response) result.unit = *response;
+  result.unit_name = name_of(result.unit);
+}
+
+void fill_values(const Numbers& numbers, ComparedResult& result) {
+  Eigen::Matrix<double, 12, 1> outputs;
+  for (Eigen::Index i = 0; i < 12; ++i)
+    outputs(i) = value_of(numbers, kOutputLabels[static_cast<std::size_t>(i)]);
+  const std::optional<Eigen::MatrixXd> full = covariance_of(numbers, kOutputLabels);
+  result.output_covariance = full ? *full : pieced_covariance(numbers, kOutputLabels);
+  if (outputs.head<9>().allFinite() && result.output_covariance.topLeftCorner<9, 9>().allFinite())
+    result.matrix = sensitivity_matrix_of(outputs);
+
+  // Angles are kept in degrees, here as in the program's own results.
+  IntrinsicValues to_degrees = IntrinsicValues::Ones();
+  to_degrees.segment<3>(3).setConstant(kRadToDeg);
+  const std::array<std::string, 9> labels = intrinsic_labels();
+  for (Eigen::Index i = 0; i < 9; ++i)
+    result.values(i) = value_of(numbers, labels[static_cast<std::size_t>(i)]) * to_degrees(i);
+  const std::optional<Eigen::MatrixXd> stated = covariance_of(numbers, labels);
+  result.covariance = to_degrees.asDiagonal() * (stated ? *stated : pieced_covariance(numbers, labels)) *
+                      to_degrees.asDiagonal();
+  result.with_correlations = stated.has_value();
+  if (!result.matrix || stated) return;
+
+  // What is not stated follows from the matrix; and all correlations do, if its own are known.
+  const IntrinsicProperties computed = intrinsic_properties(*result.matrix);
+  IntrinsicValues from_matrix;
+  from_matrix << computed.sensitivity, computed.angle_deg, outputs.tail<3>();
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(*result.matrix);
+  Covariance12 outputs_covariance = result.output_covariance;
+  const bool with_offsets = outputs_covariance.allFinite();
+  if (!with_offsets) {
+    outputs_covariance.rightCols<3>().setZero();
+    outputs_covariance.bottomRows<3>().setZero();
+  }
+  Covariance9 covariance = jacobian * outputs_covariance * jacobian.transpose();
+  if (!with_offsets) covariance.diagonal().tail<3>() = result.covariance.diagonal().tail<3>();
+  for (Eigen::Index i = 0; i < 9; ++i) {
+    if (std::isfinite(result.values(i)) && std::isfinite(result.covariance(i, i)) && !full) {
+      // A stated uncertainty is better than one from a matrix without its correlations.
+      const double ratio = std::sqrt(result.covariance(i, i) / covariance(i, i));
+      if (std::isfinite(ratio)) {
+        covariance.row(i) *= ratio;
+        covariance.col(i) *= ratio;
+      }
+    } else if (!std::isfinite(result.values(i))) {
+      result.values(i) = from_matrix(i);
+      result.notes.push_back(
+          fmt::format("{} was computed from the matrix", kIntrinsicNames[static_cast<std::size_t>(i)]));
+    }
+  }
+  result.covariance = covariance;
+  result.with_correlations = full.has_value();
+}
+
+void fill_identity(const Certificate& certificate, ComparedResult& result) {
+  constexpr const char* kItem = "dcc:administrativeData/dcc:items/dcc:item";
+  const std::vector<xmlNode*> items = certificate.nodes(kItem);
+  if (!items.empty()) {
+    result.item_serial_number = certificate.text(
+        "dcc:identifications/dcc:identification[dcc:issuer='manufacturer']/dcc:value", items.front());
+    for (const std::string& word :
+         {certificate.text("dcc:manufacturer/dcc:name/dcc:content", items.front()),
+          certificate.text("dcc:model", items.front()), result.item_serial_number}) {
+      if (!word.empty()) result.item += (result.item.empty() ? "" : " ") + word;
+    }
+  }
+  const std::string core = "dcc:administrativeData/dcc:coreData/";
+  result.date = certificate.text((core + "dcc:endPerformanceDate").c_str());
+  result.what = certificate.text((core + "dcc:uniqueIdentifier").c_str());
+}
+
+void fill_gravity(const Certificate& certificate, xmlNode* measurement, ComparedResult& result) {
+  constexpr const char* kGravity =
+      "(dcc:influenceConditions | ../dcc:influenceConditions)"
+      "/dcc:influenceCondition[contains(concat(' ', @refType, ' '), ' abc_localGravity ')]//si:real";
+  const std::vector<xmlNode*> found = certificate.nodes(kGravity, measurement);
+  if (found.empty()) return;
+  Quantity g;
+  g.unit = "m/s2";
+  const std::string value = certificate.text("si:value", found.front());
+  std::from_chars(value.data(), value.data() + value.size(), g.value);
+  if (std::isfinite(g.value)) result.g_loc = g;
+  result.g_loc_source = "certificate " + result.what;
+}
+
+}  // namespace
+
+bool looks_like_xml(const std::filesystem::path& path) {
+  std::error_code error;
+  if (!std::filesystem::is_regular_file(path, error)) return false;
+  std::ifstream file(path, std::ios::binary);
+  std::string start(64, '\0');
+  file.read(start.data(), static_cast<std::streamsize>(start.size()));
+  start.resize(static_cast<std::size_t>(file.gcount()));
+  if (start.starts_with("\xef\xbb\xbf")) start.erase(0, 3);
+  const std::size_t first = start.find_first_not_of(" \t\r\n");
+  return first != std::string::npos && start[first] == '<';
+}
+
+ComparedResult read_certificate(const std::filesystem::path& path) {
+  const Certificate certificate(path);
+  ComparedResult result;
+  result.file = path.string();
+  result.kind = "certificate";
+  result.per_g_loc = false;
+  if (certificate.nodes("/dcc:digitalCalibrationCertificate").empty())
+    throw std::runtime_error(path.string() +
+                             ": XML, but not a digital calibration certificate (root element of "
+                             "https://ptb.de/dcc required)");
+  fill_identity(certificate, result);
+  const std::vector<xmlNode*> measurements =
+      certificate.nodes("dcc:measurementResults/dcc:measurementResult[.//si:labelXMLList]");
+  std::vector<std::string> problems;
+  Numbers numbers;
+  if (!measurements.empty()) {
+    // As found, then as left: the last is the state in which the item went out.
+    xmlNode* measurement = measurements.back();
+    if (measurements.size() > 1) {
+      result.notes.push_back(fmt::format("the last of its {} results is taken: {}", measurements.size(),
+                                         certificate.text("dcc:name/dcc:content", measurement)));
+    }
+    ListReader reader(certificate, problems);
+    for (xmlNode* list : certificate.nodes("dcc:results//si:realListXMLList", measurement))
+      reader.read(list, numbers);
+    fill_gravity(certificate, measurement, result);
+  }
+  if (numbers.by_label.empty() && problems.empty()) {
+    problems.push_back(
+        "no list of numbers is labelled as properties of a triaxial accelerometer (s_ux ... s_wz, s_u, "
+        "phi_uv, "
+        "O_u)");
+  }
+  find_unit(numbers, result, problems);
+  if (!problems.empty()) {
+    throw std::runtime_error(
+        fmt::format("{}: cannot be read as a certificate of a triaxial accelerometer:\n  {}", path.string(),
+                    fmt::join(problems, "\n  ")));
+  }
+  fill_values(numbers, result);
+  if (!result.with_correlations)
+    result.notes.push_back(
+        "it does not give all covariances of the nine properties: those not given count as 0");
+  return result;
+}
+
+}  // namespace abcal

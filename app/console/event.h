@@ -1,0 +1,70 @@
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "app/bench_check.h"
+#include "app/console/watched.h"
+#include "drivers/instrument/clock.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_record.h"
+#include "protocol/run/experiment_run.h"
+
+namespace abcal::console {
+
+// What the measuring thread tells those who watch. Each is a copy: nothing is shared.
+
+enum class Activity { kIdle, kChecking, kRunning, kJogging, kAnalysing };
+
+struct ActivitySeen {
+  Activity activity = Activity::kIdle;
+  bool hold_asked = false;
+  bool stop_asked = false;
+};
+
+struct RunBegan {
+  std::string file;  ///< Name in the run folder; empty for the small turn of a check.
+  std::string bench, item, operator_name;
+  std::string unit;  ///< R
+  std::vector<PlannedAngle> plan;
+  std::vector<std::pair<std::size_t, DwellRecord>> measured;  ///< Before an interruption.
+  double estimated_s = 0.0;                                   ///< Of real time, for the whole plan.
+  std::optional<double> pace;        ///< Where nothing real takes part: simulated over real time.
+  std::string stage, accelerometer;  ///< Who they are, in words.
+};
+
+struct PhaseSeen {
+  std::size_t position = 0;
+  RunPhase phase = RunPhase::kHoming;
+};
+
+struct DwellSeen {
+  std::size_t position = 0;
+  DwellRecord dwell;
+  Clock::UtcTime told;  ///< When the measuring thread said so, in the time of people.
+};
+
+struct LogLine {
+  enum class Grade { kInfo, kWarning, kProblem };
+  Grade grade = Grade::kInfo;
+  std::string text;
+};
+
+struct ChecksSeen {
+  std::vector<Finding> findings;
+};
+
+struct RunEnded {
+  std::string file;
+  bool complete = false;
+  std::string words;  ///< Verdict and why, or what ended it.
+};
+
+using Event = std::variant<ActivitySeen, RunBegan, PhaseSeen, DwellSeen, StageSeen, StripSeen, LogLine,
+                           ChecksSeen, RunEnded>;
+
+}  // namespace abcal::console

@@ -1,0 +1,297 @@
+#include "app/console/live_view.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "protocol/analysis/harmonic_fit.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal::console {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr std::size_t kKeptStrip = 400;  // groups of readings: 20 s
+constexpr std::size_t kKeptLog = 200;    // lines
+constexpr std::size_t kIntervals = 15;   // of which the median tells the time left
+
+Json number(double value) {
+  return std::isfinite(value) ? Json(value) : Json(nullptr);
+}
+Json degrees(const std::optional<Angle>& angle) {
+  return angle ? number(angle->deg()) : Json(nullptr);
+}
+Json vector(const Eigen::Vector3d& v) {
+  return Json::array({number(v[0]), number(v[1]), number(v[2])});
+}
+
+std::string_view name(Activity activity) {
+  switch (activity) {
+    case Activity::kIdle:
+      return "idle";
+    case Activity::kChecking:
+      return "checking";
+    case Activity::kRunning:
+      return "running";
+    case Activity::kJogging:
+      return "jogging";
+    case Activity::kAnalysing:
+      return "analysing";
+  }
+  return "";
+}
+
+std::string_view name(LogLine::Grade grade) {
+  switch (grade) {
+    case LogLine::Grade::kInfo:
+      return "info";
+    case LogLine::Grade::kWarning:
+      return "warning";
+    case LogLine::Grade::kProblem:
+      return "problem";
+  }
+  return "";
+}
+
+std::string_view name(Finding::Grade grade) {
+  switch (grade) {
+    case Finding::Grade::kGood:
+      return "good";
+    case Finding::Grade::kWarning:
+      return "warning";
+    case Finding::Grade::kProblem:
+      return "problem";
+    case Finding::Grade::kLeftOut:
+      return "left out";
+  }
+  return "";
+}
+
+Json planned_json(const PlannedAngle& angle) {
+  return {{"experiment", angle.experiment}, {"n", angle.n},           {"closing", angle.closing},
+          {"alpha_deg", angle.alpha.deg()}, {"x_deg", angle.x.deg()}, {"z_deg", angle.z.deg()}};
+}
+
+Json dwell_json(std::size_t position, const DwellRecord& dwell) {
+  return {{"position", position},
+          {"experiment", dwell.experiment},
+          {"n", dwell.n},
+          {"closing", dwell.closing},
+          {"alpha_deg", dwell.alpha.deg()},
+          {"mean", vector(dwell.mean)},
+          {"spread", vector(dwell.spread)},
+          {"u_mean", dwell.u_mean ? vector(*dwell.u_mean) : Json(nullptr)},
+          {"count", dwell.count},
+          {"settle_s", number(dwell.settle_time_s)},
+          {"temperature_degc", dwell.temperature_degc ? number(*dwell.temperature_degc) : Json(nullptr)},
+          {"flags", describe_flags(dwell.flags)}};
+}
+
+Json stage_json(const StageSeen& seen) {
+  return {{"encoder_deg", degrees(seen.encoder)}, {"target_deg", degrees(seen.target)}};
+}
+
+Json findings_json(const ChecksSeen& seen) {
+  Json list = Json::array();
+  for (const Finding& finding : seen.findings) {
+    list.push_back({{"grade", name(finding.grade)},
+                    {"what", finding.what},
+                    {"found", finding.found},
+                    {"advice", finding.advice}});
+  }
+  return list;
+}
+
+Json ended_json(const RunEnded& ended) {
+  return {{"file", ended.file}, {"complete", ended.complete}, {"words", ended.words}};
+}
+
+Json activity_json(const ActivitySeen& seen) {
+  return {
+      {"activity", name(seen.activity)}, {"hold_asked", seen.hold_asked}, {"stop_asked", seen.stop_asked}};
+}
+
+/// What instruments say of themselves need not be UTF-8.
+std::string text_of(const Json& message) {
+  return message.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+}  // namespace
+
+LiveView::LiveView(Json about, const Clock& clock) : about_(std::move(about)), clock_(clock) {}
+
+std::string LiveView::apply(const Event& event) {
+  if (const auto* began = std::get_if<RunBegan>(&event)) {
+    begin(*began);
+    return snapshot();  // Everything changes: what a new page is told serves those that look on too.
+  }
+  return text_of(std::visit([this](const auto& seen) { return on(seen); }, event));
+}
+
+Json LiveView::on(const ActivitySeen& seen) {
+  // The readings begin anew, and so does their time.
+  if (seen.activity == Activity::kChecking && activity_.activity != Activity::kChecking) strip_.clear();
+  activity_ = seen;
+  if (seen.activity == Activity::kIdle) phase_.reset();
+  Json message = activity_json(seen);
+  message["type"] = "activity";
+  return message;
+}
+
+void LiveView::begin(const RunBegan& began) {
+  run_ = began;
+  dwells_.clear();
+  for (const auto& [position, dwell] : began.measured) store(position, dwell);
+  phase_.reset();
+  ended_.reset();
+  strip_.clear();
+  last_dwell_.reset();
+  dwell_intervals_s_.clear();
+}
+
+Json LiveView::on(const PhaseSeen& seen) {
+  phase_ = seen;
+  if (seen.phase == RunPhase::kHolding) last_dwell_.reset();
+  return {{"type", "phase"}, {"position", seen.position}, {"phase", to_string(seen.phase)}};
+}
+
+void LiveView::store(std::size_t position, const DwellRecord& dwell) {
+  dwells_.insert_or_assign(position, dwell);
+}
+
+Json LiveView::on(const DwellSeen& seen) {
+  // The small turn of a check is no run.
+  if (activity_.activity != Activity::kRunning) return {{"type", "nothing"}};
+  store(seen.position, seen.dwell);
+  const Clock::Instant now = clock_.now();
+  if (last_dwell_) {
+    dwell_intervals_s_.push_back(to_seconds(now - *last_dwell_));
+    if (dwell_intervals_s_.size() > kIntervals) dwell_intervals_s_.pop_front();
+  }
+  last_dwell_ = now;
+  return {{"type", "dwell"},
+          {"dwell", dwell_json(seen.position, seen.dwell)},
+          {"told_us", std::chrono::floor<std::chrono::microseconds>(seen.told).time_since_epoch().count()},
+          {"fit", fit_of(seen.dwell.experiment)},
+          {"progress", progress()}};
+}
+
+/// The one-harmonic curve through what is measured of an experiment so far.
+Json LiveView::fit_of(int experiment) const {
+  std::vector<Angle> alpha;
+  std::array<std::vector<double>, 3> readings;
+  for (const auto& [position, dwell] : dwells_) {
+    if (dwell.experiment != experiment || dwell.closing || !dwell.mean.allFinite()) continue;
+    alpha.push_back(dwell.alpha);
+    for (std::size_t j = 0; j < 3; ++j) readings[j].push_back(dwell.mean[static_cast<Eigen::Index>(j)]);
+  }
+  Json outputs = Json::array();
+  for (const std::vector<double>& output : readings) {
+    try {
+      const HarmonicFit fit = fit_harmonics(alpha, output, {}, 1);
+      outputs.push_back({{"constant", number(fit.coefficients[0])},
+                         {"sine", number(fit.coefficients[1])},
+                         {"cosine", number(fit.coefficients[2])},
+                         {"residual_rms",
+                          number(std::sqrt(fit.residual_sum_squares / static_cast<double>(alpha.size())))}});
+    } catch (const UndeterminedFit&) {
+      outputs.push_back(nullptr);  // Too few angles so far.
+    }
+  }
+  return {{"experiment", experiment}, {"outputs", std::move(outputs)}};
+}
+
+Json LiveView::progress() const {
+  const std::size_t total = run_ ? run_->plan.size() : 0;
+  const std::size_t measured = dwells_.size();
+  Json left = nullptr;
+  if (run_ && total > 0) {
+    const auto missing = static_cast<double>(total - std::min(total, measured));
+    double each = run_->estimated_s / static_cast<double>(total);
+    if (dwell_intervals_s_.size() >= 3) {
+      std::vector<double> intervals(dwell_intervals_s_.begin(), dwell_intervals_s_.end());
+      const auto middle = intervals.begin() + static_cast<std::ptrdiff_t>(intervals.size() / 2);
+      std::nth_element(intervals.begin(), middle, intervals.end());
+      each = *middle;
+    }
+    left = number(missing * each);
+  }
+  return {{"measured", measured}, {"total", total}, {"left_s", left}};
+}
+
+Json LiveView::on(const StageSeen& seen) {
+  StageSeen& axis = stage_[index(seen.axis)];
+  if (seen.encoder) axis.encoder = seen.encoder;
+  if (seen.target) axis.target = seen.target;
+  Json message = stage_json(axis);
+  message["type"] = "stage";
+  message["axis"] = seen.axis == StageAxis::kX ? "x" : "z";
+  return message;
+}
+
+Json LiveView::on(const StripSeen& seen) {
+  const Json group = {
+      {"time_s", number(seen.time_s)},
+      {"mean", vector(seen.mean)},
+      {"lowest", vector(seen.lowest)},
+      {"highest", vector(seen.highest)},
+      {"readings", seen.readings},
+      {"temperature_degc", seen.temperature_degc ? number(*seen.temperature_degc) : Json(nullptr)}};
+  strip_.push_back(group);
+  if (strip_.size() > kKeptStrip) strip_.pop_front();
+  return {{"type", "strip"}, {"group", group}};
+}
+
+Json LiveView::on(const LogLine& line) {
+  const Json entry = {
+      {"utc", format_utc(clock_.utc_now())}, {"grade", name(line.grade)}, {"text", line.text}};
+  log_.push_back(entry);
+  if (log_.size() > kKeptLog) log_.pop_front();
+  return {{"type", "log"}, {"line", entry}};
+}
+
+Json LiveView::on(const ChecksSeen& seen) {
+  checks_ = seen;
+  return {{"type", "checks"}, {"findings", findings_json(seen)}};
+}
+
+Json LiveView::on(const RunEnded& ended) {
+  ended_ = ended;
+  Json message = ended_json(ended);
+  message["type"] = "ended";
+  return message;
+}
+
+std::string LiveView::snapshot() const {
+  Json json = {{"type", "snapshot"}, {"about", about_}, {"activity", activity_json(activity_)}};
+  json["run"] = nullptr;
+  if (run_) {
+    Json plan = Json::array();
+    for (const PlannedAngle& angle : run_->plan) plan.push_back(planned_json(angle));
+    Json dwells = Json::array();
+    for (const auto& [position, dwell] : dwells_) dwells.push_back(dwell_json(position, dwell));
+    json["run"] = {{"file", run_->file},
+                   {"bench", run_->bench},
+                   {"item", run_->item},
+                   {"operator", run_->operator_name},
+                   {"unit", run_->unit},
+                   {"pace", run_->pace ? Json(*run_->pace) : Json(nullptr)},
+                   {"stage", run_->stage},
+                   {"accelerometer", run_->accelerometer},
+                   {"plan", std::move(plan)},
+                   {"dwells", std::move(dwells)},
+                   {"fits", {fit_of(1), fit_of(2), fit_of(3)}},
+                   {"progress", progress()},
+                   {"ended", ended_ ? ended_json(*ended_) : Json(nullptr)}};
+  }
+  json["phase"] =
+      phase_ ? Json{{"position", phase_->position}, {"phase", to_string(phase_->phase)}} : Json(nullptr);
+  json["stage"] = {{"x", stage_json(stage_[0])}, {"z", stage_json(stage_[1])}};
+  json["strip"] = strip_;
+  json["log"] = log_;
+  json["checks"] = checks_ ? findings_json(*checks_) : Json(nullptr);
+  return text_of(json);
+}
+
+}  // namespace abcal::console

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <deque>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/console/event.h"
+#include "drivers/instrument/clock.h"
+
+namespace abcal::console {
+
+/// What a page shows of the bench, put together from events: each event becomes one message, and snapshot()
+/// is all that a page needs to begin with, or to catch up. Messages are JSON (docs/console.md). Of what can
+/// grow without end only the latest is kept. For one thread.
+class LiveView {
+ public:
+  /// `about` never changes: names, pace, versions. `clock` is that of people, for log and time left.
+  LiveView(nlohmann::ordered_json about, const Clock& clock);
+
+  std::string apply(const Event& event);
+  std::string snapshot() const;
+
+  /// A line of the log that does not come from the measuring thread.
+  std::string log(LogLine::Grade grade, std::string text) { return apply(LogLine{grade, std::move(text)}); }
+
+ private:
+  using Json = nlohmann::ordered_json;
+
+  void begin(const RunBegan& began);
+  Json on(const ActivitySeen& seen);
+  Json on(const RunBegan&) { return nullptr; }  ///< begin() does it.
+  Json on(const PhaseSeen& seen);
+  Json on(const DwellSeen& seen);
+  Json on(const StageSeen& seen);
+  Json on(const StripSeen& seen);
+  Json on(const LogLine& line);
+  Json on(const ChecksSeen& seen);
+  Json on(const RunEnded& ended);
+
+  void store(std::size_t position, const DwellRecord& dwell);
+  Json fit_of(int experiment) const;
+  Json progress() const;
+
+  Json about_;
+  const Clock& clock_;
+  ActivitySeen activity_;
+  std::optional<RunBegan> run_;
+  std::map<std::size_t, DwellRecord> dwells_;  ///< By position in the plan.
+  std::optional<PhaseSeen> phase_;
+  std::optional<RunEnded> ended_;
+  std::optional<ChecksSeen> checks_;
+  std::array<StageSeen, 2> stage_{StageSeen{StageAxis::kX, {}, {}}, StageSeen{StageAxis::kZ, {}, {}}};
+  std::deque<Json> strip_;
+  std::deque<Json> log_;
+  std::optional<Clock::Instant> last_dwell_;  ///< Unless the run was held since.
+  std::deque<double> dwell_intervals_s_;      ///< Real time from one angle to the next.
+};
+
+}  // namespace abcal::console

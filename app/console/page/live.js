@@ -1,0 +1,226 @@
+// The live view: shows what the messages say. Knows nothing that the server has not said.
+import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {OUTPUTS, plot, series} from '/plots.js';
+
+const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
+  moving: 'The stage moves', settling: 'Waiting until all is still', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
+const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
+
+export class LiveView {
+  constructor() {
+    this.run = null;
+    this.dwells = new Map();
+    this.fits = [null, null, null];
+    this.charts = [];
+    this.stripData = [];
+    this.dirty = new Set();
+    this.strip = plot(byId('strip'), {x: 'time since the readings began (s)', y: 'output (response unit)',
+      datasets: OUTPUTS.map((name) => series(name, name))});
+    this.makeResponses();
+    // Drawn when the browser is ready, however fast messages come.
+    const frame = () => { this.draw(); requestAnimationFrame(frame); };
+    requestAnimationFrame(frame);
+    setInterval(() => this.countDown(), 1000);
+  }
+
+  makeResponses() {
+    const about = ['1: X turns', '2: X turns, Z at −90°', '3: Z turns, X at −90°'];
+    byId('responses').replaceChildren();
+    this.charts = about.map((words, i) => {
+      const response = element('canvas', {role: 'img', 'aria-label': `Response of experiment ${i + 1} against angle; the table below has the numbers`});
+      const residual = element('canvas', {role: 'img', 'aria-label': `Residuals of experiment ${i + 1}; the table below has the numbers`});
+      byId('responses').append(element('div', {}, element('h4', {}, `Experiment ${words}`),
+        element('div', {class: 'plot'}, response), element('div', {class: 'plot small'}, residual)));
+      const turn = {min: 0, max: 360, ticks: {stepSize: 90}};
+      return {
+        response: plot(response, {x: 'angle (degrees)', y: 'output', xRange: turn,
+          datasets: [...OUTPUTS.map((name) => series(name, name, {line: false, points: true})), ...OUTPUTS.map((name) => series(name, `_fit ${name}`))]}),
+        residual: plot(residual, {x: 'angle (degrees)', y: 'residual', xRange: turn, legend: false,
+          datasets: OUTPUTS.map((name) => series(name, name, {line: false, points: true}))}),
+      };
+    });
+  }
+
+  snapshot(message) {
+    this.about = message.about;
+    this.run = message.run;
+    this.dwells.clear();
+    this.fits = [null, null, null];
+    if (this.run) {
+      for (const dwell of this.run.dwells) this.dwells.set(dwell.position, dwell);
+      for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
+      this.setProgress(this.run.progress);
+      byId('run-file').textContent = this.run.file || DASH;
+      byId('item').textContent = this.run.item || DASH;
+      byId('time').textContent = this.run.pace === null ? 'real' : `simulated, ${this.run.pace} times as fast as real time`;
+      for (const {response, residual} of this.charts) {
+        response.options.scales.y.title.text = `output (${this.run.unit})`;
+        residual.options.scales.y.title.text = `residual (${this.run.unit})`;
+      }
+      this.strip.options.scales.y.title.text = `output (${this.run.unit})`;
+    }
+    this.stripData = message.strip;
+    this.stage('x', message.stage.x);
+    this.stage('z', message.stage.z);
+    byId('log').replaceChildren();
+    for (const line of message.log) this.log(line);
+    if (message.checks) this.checks(message.checks);
+    this.activity = message.activity;
+    this.phase = message.phase;
+    this.ended = this.run ? this.run.ended : null;
+    this.words();
+    this.dirty = new Set(['strip', 'table', 0, 1, 2]);
+  }
+
+  receive(message) {
+    switch (message.type) {
+      case 'snapshot': this.snapshot(message); break;
+      case 'activity':
+        if (message.activity === 'checking') this.stripData = [];  // The readings begin anew, and so does their time.
+        this.activity = message;
+        this.words();
+        break;
+      case 'phase': this.phase = message; this.words(); break;
+      case 'stage': this.stage(message.axis, message); break;
+      case 'strip':
+        this.stripData.push(message.group);
+        if (this.stripData.length > STRIP_SECONDS_OF_GROUPS) this.stripData.shift();
+        this.dirty.add('strip');
+        break;
+      case 'dwell':
+        this.dwells.set(message.dwell.position, message.dwell);
+        this.fits[message.fit.experiment - 1] = message.fit.outputs;
+        this.setProgress(message.progress);
+        this.dirty.add(message.fit.experiment - 1).add('table');
+        break;
+      case 'log': this.log(message.line); break;
+      case 'checks': this.checks(message.findings); break;
+      case 'ended': this.ended = message; this.words(); break;
+    }
+  }
+
+  // One sentence that a screen reader says; angles alone are not announced each time.
+  words() {
+    const what = this.activity ? this.activity.activity : 'idle';
+    let text = 'No run is on.';
+    if (what === 'running') {
+      text = this.phase ? PHASES[this.phase.phase] ?? this.phase.phase : 'The run begins';
+      if (this.activity.hold_asked && this.phase && this.phase.phase !== 'held') text += '; it holds after this angle';
+    } else if (what === 'checking') {
+      text = 'Checking the bench';
+    } else if (what === 'jogging') {
+      text = 'The stage is jogged';
+    } else if (what === 'analysing') {
+      text = 'All angles are measured; the run is analysed';
+    } else if (this.ended) {
+      text = this.ended.complete ? `The run is complete. Result: ${this.ended.words}` : `The run is interrupted and can be resumed: ${this.ended.words}`;
+    }
+    if (what !== 'idle' && this.activity.stop_asked) text = 'Stopping: the stage is halted';
+    const state = byId('state');
+    if (state.textContent !== text) state.textContent = text;
+    const planned = this.run && this.phase ? this.run.plan[this.phase.position] : null;
+    byId('angle').textContent = planned && what === 'running'
+      ? `experiment ${planned.experiment}, ${number(planned.alpha_deg, 1, 'degrees')}${planned.closing ? ' (closing angle)' : ''}` : DASH;
+  }
+
+  setProgress(progress) {
+    this.left = progress.left_s;
+    this.leftSince = performance.now();
+    byId('measured').textContent = `${progress.measured} of ${progress.total}`;
+    byId('progress').value = progress.total ? progress.measured / progress.total : 0;
+    this.countDown();
+  }
+
+  countDown() {
+    const on = this.activity && this.activity.activity === 'running' && !(this.phase && this.phase.phase === 'held');
+    if (!on || this.left === null || this.left === undefined) {
+      if (!on) this.leftSince = performance.now();
+      byId('left').textContent = this.left === undefined || this.left === null || !this.run || this.run.progress.total === 0 ? DASH
+        : (on ? DASH : this.left > 0 && this.activity && this.activity.activity === 'running' ? `${duration(this.left)} (held)` : DASH);
+      return;
+    }
+    byId('left').textContent = `about ${duration(Math.max(0, this.left - (performance.now() - this.leftSince) / 1000))}`;
+  }
+
+  stage(axis, seen) {
+    byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
+    byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
+    if (seen.encoder_deg === null) return;
+    if (axis === 'x') {
+      // Seen along the horizontal axis X: the platter is a circle at 0 and a line at 90 degrees.
+      const squeeze = Math.cos(seen.encoder_deg * Math.PI / 180);
+      const shown = (squeeze < 0 ? -1 : 1) * Math.max(Math.abs(squeeze), 0.04);
+      byId('platter-tilt').setAttribute('transform', `scale(1 ${shown.toFixed(3)})`);
+      byId('outer').setAttribute('ry', (84 * Math.abs(shown)).toFixed(1));
+    } else {
+      byId('platter-turn').setAttribute('transform', `rotate(${(-seen.encoder_deg).toFixed(2)})`);
+    }
+    byId('gimbal-title').textContent = `The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
+  }
+
+  log(line) {
+    const log = byId('log');
+    const atEnd = log.scrollHeight - log.scrollTop - log.clientHeight < 30;
+    log.append(element('li', {class: `grade-${line.grade}`},
+      element('time', {datetime: line.utc}, new Date(line.utc).toLocaleTimeString()),
+      line.grade === 'info' ? line.text : `${line.grade}: ${line.text}`));
+    while (log.children.length > 200) log.firstChild.remove();
+    if (atEnd) log.scrollTop = log.scrollHeight;
+  }
+
+  checks(findings) {
+    byId('checks').replaceChildren(element('table', {},
+      element('thead', {}, element('tr', {}, ...['What', 'Found', 'Advice'].map((word) => element('th', {scope: 'col'}, word)))),
+      element('tbody', {}, ...findings.map((f) => element('tr', {},
+        element('th', {scope: 'row'}, element('span', {class: `grade-${f.grade}`}, f.grade), ` ${f.what}`),
+        element('td', {}, f.found), element('td', {}, f.advice))))));
+  }
+
+  draw() {
+    if (this.dirty.size === 0) return;
+    const unit = this.run ? this.run.unit : '';
+    if (this.dirty.has('strip')) {
+      OUTPUTS.forEach((name, j) => {
+        this.strip.data.datasets[j].data = this.stripData.map((group) => ({x: group.time_s, y: group.mean[j]}));
+      });
+      this.strip.update('none');
+      const last = this.stripData.at(-1);
+      byId('strip-table').replaceChildren(...OUTPUTS.map((name, j) => element('tr', {},
+        element('th', {scope: 'row'}, name), element('td', {}, last ? signed(last.mean[j], 6, unit) : DASH),
+        element('td', {}, last ? `${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
+      byId('temperature').textContent = last ? number(last.temperature_degc, 2, '°C') : DASH;
+    }
+    for (const i of [0, 1, 2]) if (this.dirty.has(i)) this.drawExperiment(i);
+    if (this.dirty.has('table')) this.drawTable(unit);
+    this.dirty.clear();
+  }
+
+  fitted(fit, alphaDeg) {
+    const a = alphaDeg * Math.PI / 180;
+    return fit.constant + fit.sine * Math.sin(a) + fit.cosine * Math.cos(a);
+  }
+
+  drawExperiment(i) {
+    const {response, residual} = this.charts[i];
+    const dwells = [...this.dwells.values()].filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
+    OUTPUTS.forEach((name, j) => {
+      const fit = this.fits[i] ? this.fits[i][j] : null;
+      response.data.datasets[j].data = dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j]}));
+      response.data.datasets[3 + j].data = fit ? Array.from({length: 73}, (_, k) => ({x: 5 * k, y: this.fitted(fit, 5 * k)})) : [];
+      residual.data.datasets[j].data = fit ? dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j] - this.fitted(fit, d.alpha_deg)})) : [];
+    });
+    response.update('none');
+    residual.update('none');
+  }
+
+  drawTable(unit) {
+    const dwells = [...this.dwells.values()].sort((a, b) => a.position - b.position);
+    const flagged = dwells.filter((d) => d.flags);
+    byId('flagged').textContent = this.run ? `${flagged.length} of ${dwells.length}` : DASH;
+    const rows = dwells.map((d) => [`${d.experiment}${d.closing ? ' (closing)' : ''}`, number(d.alpha_deg, 2),
+      ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
+      number(d.temperature_degc, 2), d.flags || 'none']);
+    byId('dwell-table').replaceChildren(table(`Means of the outputs and their standard uncertainty in ${unit}`,
+      ['Experiment', 'Angle (degrees)', `u (${unit})`, `v (${unit})`, `w (${unit})`, `Largest std. uncertainty (${unit})`, 'Temperature (°C)', 'Flags'], rows));
+  }
+}

@@ -1,0 +1,86 @@
+// Chart.js (a global of chart.js) dressed for this page: colours of the style sheet, also after light and dark change.
+const palette = {};
+const made = new Set();
+
+export const OUTPUTS = ['u', 'v', 'w'];
+const POINTS = ['circle', 'triangle', 'rect'];  // Not by colour alone.
+const DASHES = [[], [6, 3], [2, 2]];
+
+function readPalette() {
+  const style = getComputedStyle(document.documentElement);
+  for (const name of ['dim', 'line', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
+}
+readPalette();
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => {
+  readPalette();
+  for (const chart of made) chart.update('none');
+});
+
+// Functions, which Chart.js asks at each update.
+const dim = () => palette.dim;
+const line = () => palette.line;
+const of = (output) => () => palette[output] ?? palette.dim;
+
+function axis(words, more = {}) {
+  return {...more, title: {display: words !== '', text: words, color: dim}, ticks: {...more.ticks, color: dim}, grid: {color: line}};
+}
+
+// "4.0e−5" where Chart.js would write 4.000000E-5.
+function tick(value, index, ticks) {
+  const largest = Math.max(...ticks.map((t) => Math.abs(t.value)));
+  if (value === 0 || largest >= 1e-3) return Chart.Ticks.formatters.numeric.call(this, value, index, ticks);
+  return value.toExponential(1).replaceAll('-', '−');
+}
+
+function draw(canvas, type, data, {x, y, legend = true, xRange = {}}) {
+  const chart = new Chart(canvas, {
+    type,
+    data,
+    options: {
+      animation: false, responsive: true, maintainAspectRatio: false,
+      interaction: {mode: 'nearest', intersect: false},
+      scales: {x: axis(x, xRange), y: axis(y, {ticks: {callback: tick}})},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+    },
+  });
+  made.add(chart);
+  return chart;
+}
+
+export function discard(chart) {
+  made.delete(chart);
+  chart.destroy();
+}
+
+// Points and lines over numbers. Axis titles carry the units; of a name that begins with "_" the legend is silent.
+export function plot(canvas, {datasets, xRange = {}, ...words}) {
+  return draw(canvas, 'line', {datasets}, {...words, xRange: {type: 'linear', ...xRange}});
+}
+
+// A line through points, or points alone.
+export function series(output, label, {line: joined = true, points = false} = {}) {
+  const i = Math.max(0, OUTPUTS.indexOf(output));
+  return {label, data: [], borderColor: of(output), backgroundColor: of(output), pointBackgroundColor: of(output), pointBorderColor: of(output),
+    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? 3 : 0, pointStyle: points ? POINTS[i] : 'line', pointHitRadius: 8};
+}
+
+// Groups of bars, one colour an output.
+export function bars(canvas, {x = '', y, labels, sets}) {
+  const datasets = sets.map((set) => ({label: set.output, data: set.values, backgroundColor: of(set.output), pointStyle: POINTS[OUTPUTS.indexOf(set.output)]}));
+  return draw(canvas, 'bar', {labels, datasets}, {x, y, xRange: {type: 'category'}});
+}
+
+// Values with a band of two standard uncertainties, and the limits of a control chart where there are any.
+export function band(canvas, {x, y, points, output, limits = null, marks = false}) {
+  const edge = (sign) => points.map((p) => ({x: p.x, y: p.y + sign * 2 * (p.u ?? 0)}));
+  const level = (name, value, dash) => ({...series('', name), borderWidth: 1.2, borderDash: dash,
+    data: points.length ? [{x: points[0].x, y: value}, {x: points.at(-1).x, y: value}] : []});
+  const thin = {borderWidth: 1, borderDash: [2, 3]};
+  const datasets = [
+    {...series(output, 'value', {points: marks}), borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
+    {...series(output, '2 std. uncertainties'), ...thin, data: edge(+1)},
+    {...series(output, '_lower'), ...thin, data: edge(-1)},
+  ];
+  if (limits) datasets.push(level('centre', limits.centre, []), level('limits', limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
+  return plot(canvas, {x, y, datasets, xRange: {ticks: {precision: 0}}});
+}

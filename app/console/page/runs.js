@@ -1,0 +1,309 @@
+// The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
+import {byId, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
+
+const VERDICTS = {usable: 'Usable', doubtful: 'Doubtful', not_usable: 'Not usable'};
+const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read'};
+const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
+const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Steer'];
+const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
+
+let list = [];
+const charts = [];
+
+async function fetchJson(path) {
+  const response = await fetch(path);
+  if (!response.ok) throw new Error((await response.text()).trim() || `the console answered ${response.status}`);
+  return response.json();
+}
+
+const encoded = (name) => encodeURIComponent(name);
+const day = (utc) => (utc ? utc.replace('T', ' ').slice(0, 16) + ' UTC' : DASH);
+
+function clearCharts() {
+  while (charts.length) discard(charts.pop());
+}
+
+function say(id, error) {
+  byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, String(error.message || error)));
+}
+
+// The list.
+
+export async function showRuns(resume) {
+  byId('run-list').hidden = false;
+  byId('run-detail').replaceChildren();
+  clearCharts();
+  try {
+    list = await fetchJson('/runs');
+  } catch (error) {
+    return say('run-table', error);
+  }
+  const search = byId('run-search');
+  search.oninput = () => drawList(resume);
+  drawList(resume);
+}
+
+function matches(run, words) {
+  const text = Object.values(run).join(' ').toLowerCase();
+  return words.every((word) => text.includes(word));
+}
+
+function drawList(resume) {
+  const words = byId('run-search').value.toLowerCase().split(/\s+/).filter(Boolean);
+  const found = list.filter((run) => matches(run, words));
+  byId('run-count').textContent = `${found.length} of ${list.length} runs`;
+  const row = (run) => {
+    const link = element('a', {href: `#runs/${encoded(run.name)}`}, run.name);
+    const actions = element('td', {});
+    if (run.state === 'interrupted' || run.state === 'running') {
+      const button = element('button', {type: 'button', class: 'resume', 'data-run': run.name, 'aria-label': `Resume ${run.name}`}, 'Resume');
+      button.addEventListener('click', () => resume(run.name));
+      button.disabled = !document.body.classList.contains('may-resume');
+      actions.append(button);
+    }
+    const cell = (i, ...content) => element('td', {'data-heading': HEADINGS[i]}, ...content);
+    return element('tr', {},
+      element('th', {scope: 'row'}, run.state === 'unreadable' ? run.name : link),
+      cell(1, run.item || DASH),
+      cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
+      cell(3, day(run.created_utc)),
+      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : STATES[run.state] || run.state),
+      cell(5, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
+      cell(6, duration(run.duration_s)),
+      actions);
+  };
+  byId('run-table').replaceChildren(element('table', {},
+    element('caption', {class: 'visually-hidden'}, 'Runs in the run folder, newest first'),
+    element('thead', {}, element('tr', {}, ...HEADINGS.map((w) => element('th', {scope: 'col'}, w)))),
+    element('tbody', {}, ...found.map(row))));
+}
+
+// One run.
+
+export async function showRun(name) {
+  byId('run-list').hidden = true;
+  clearCharts();
+  const detail = byId('run-detail');
+  detail.replaceChildren(element('p', {role: 'status'}, `Reading and analysing ${name}`));
+  let data;
+  try {
+    data = await fetchJson(`/runs/${encoded(name)}/result`);
+  } catch (error) {
+    return say('run-detail', error);
+  }
+  const {run, results} = data;
+  const abc = results[0], joint = results.find((r) => r.estimator === 'joint');
+  detail.replaceChildren(
+    element('p', {}, element('a', {href: '#runs'}, 'All runs')),
+    element('h3', {id: 'run-name'}, run.name),
+    verdict(abc, run),
+    downloads(data.downloads, run),
+    card('Estimators side by side', estimators(results)),
+    card('Other estimators in words', element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. ${r.why}`)))),
+    card('Facts', facts(data)));
+  if (abc.diagnostics.closures.length) detail.append(closures(abc));
+  detail.append(harmonics(abc));
+  if (joint && joint.step_error) detail.append(stepErrors(joint));
+  detail.append(card('Events', element('div', {class: 'scroll'}, table('What happened during the run, and when', ['Time', 'Kind', 'What'],
+    data.events.map((e) => [day(e.utc), e.kind, e.text])))));
+  byId('main').focus();
+}
+
+const card = (title, content) => element('section', {class: 'card block'}, element('h3', {}, title), content);
+
+function verdict(result, run) {
+  const notes = result.diagnostics.notes;
+  return element('div', {class: `verdict verdict-${result.verdict}`, id: 'verdict'},
+    element('p', {}, element('strong', {}, `${VERDICTS[result.verdict]}. `), result.why,
+      run.state === 'complete' ? '' : ` The run is ${STATES[run.state]}: ${run.measured} of ${run.planned} angles are measured.`),
+    ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {}, note)))] : []));
+}
+
+function downloads(kinds, run) {
+  const bar = element('p', {class: 'bar'}, 'Download:');
+  for (const {name, words} of kinds || [])
+    bar.append(element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, words));
+  return bar;
+}
+
+function quantities(result) {
+  const all = [];
+  if (result.sensitivity_matrix) {
+    result.sensitivity_matrix.forEach((row, j) => row.forEach((q, k) => all.push([`s_${OUTPUTS[j]}${'xyz'[k]}`, q])));
+  }
+  result.intrinsic_sensitivity.forEach((q, j) => all.push([`s_${OUTPUTS[j]}`, q]));
+  result.intrinsic_angle.forEach((q, j) => all.push([`phi_${['uv', 'vw', 'wu'][j]}`, q]));
+  result.offset.forEach((q, j) => all.push([`O_${OUTPUTS[j]}`, q]));
+  return new Map(all);
+}
+
+// Nine decimals would be noise: as many as two digits of the uncertainty ask for.
+function decimals(u) {
+  return u > 0 && Number.isFinite(u) ? Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(u)))) : 6;
+}
+
+function estimators(results) {
+  const per = results.map(quantities);
+  const names = [...per[0].keys()].length ? [...per[0].keys()] : [...per[1].keys()];
+  const head = ['Quantity', 'Unit', ...results.flatMap((r) => [`${ESTIMATORS[r.estimator]}: value`, 'std. uncertainty'])];
+  const rows = names.map((name) => {
+    const unit = per.map((p) => p.get(name)).find((q) => q && q.unit)?.unit || '1';
+    return [name, unit, ...per.flatMap((p) => {
+      const q = p.get(name);
+      return q ? [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)] : [DASH, DASH];
+    })];
+  });
+  const made = table('Standard uncertainties (k = 1). A dash: this estimator does not give it.', head, rows);
+  made.id = 'estimators';
+  return element('div', {class: 'scroll-x'}, made);
+}
+
+function facts(data) {
+  const dl = element('dl', {});
+  const fact = (name, value) => dl.append(element('dt', {}, name), element('dd', {}, value || DASH));
+  const {run, timing} = data;
+  fact('Item (serial number)', run.item);
+  fact('Bench', run.bench);
+  fact('Operator', run.operator);
+  fact('Begun', day(run.created_utc));
+  fact('Moving, settling, reading, else', [timing.moving_s, timing.settling_s, timing.dwelling_s, timing.overhead_s].map(duration).join(', '));
+  for (const i of data.instruments) fact(i.role, `${i.maker} ${i.model}, serial number ${i.serial_number || 'not told'}`);
+  fact('Program', data.program_version);
+  return dl;
+}
+
+function closures(result) {
+  const rows = result.diagnostics.closures;
+  const canvas = element('canvas', {role: 'img', 'aria-label': 'Closures in standard uncertainties; the table has the numbers'});
+  const block = card('Closures: what vanishes for a perfect stage', element('div', {},
+    element('div', {class: 'plot'}, canvas),
+    element('details', {}, element('summary', {}, 'As a table'), table(`Closures and their standard uncertainty (${result.response_unit})`,
+      ['Closure', 'Output', `Value (${result.response_unit})`, `std. uncertainty (${result.response_unit})`, 'Ratio (1)'],
+      rows.map((c) => [c.name, c.accelerometer, small(c.value.value), small(c.value.standard_uncertainty), signed(c.value.value / c.value.standard_uncertainty, 2)])))));
+  queueMicrotask(() => charts.push(bars(canvas, {y: 'closure / std. uncertainty (1)', labels: [...new Set(rows.map((c) => c.name))],
+    sets: OUTPUTS.map((name) => ({output: name, values: rows.filter((c) => c.accelerometer === name).map((c) => c.value.value / c.value.standard_uncertainty)}))})));
+  return block;
+}
+
+function harmonics(result) {
+  const canvas = element('canvas', {role: 'img', 'aria-label': 'Amplitudes of the harmonics 2 to 5; the table has the numbers'});
+  const rows = [];
+  for (const fit of result.diagnostics.fits) {
+    for (const h of fit.harmonics.filter((x) => x.order >= 2)) {
+      rows.push({label: `${fit.experiment}, ${h.order}`, experiment: fit.experiment, output: fit.accelerometer, order: h.order,
+        amplitude: Math.hypot(h.sin.value, h.cos.value), u: Math.hypot(h.sin.standard_uncertainty, h.cos.standard_uncertainty) / Math.SQRT2});
+    }
+  }
+  if (!rows.length) return card('Harmonics', element('p', {}, 'These angles do not determine harmonics.'));
+  const unit = result.response_unit;
+  const block = card('Harmonics 2 to 5 of the response', element('div', {},
+    element('div', {class: 'plot'}, canvas),
+    element('details', {}, element('summary', {}, 'As a table'), table(`Amplitudes (${unit})`,
+      ['Experiment', 'Order (1)', 'Output', `Amplitude (${unit})`, `std. uncertainty of a coefficient (${unit})`],
+      rows.map((r) => [r.experiment, r.order, r.output, small(r.amplitude), small(r.u)])))));
+  const labels = [...new Set(rows.map((r) => r.label))];
+  queueMicrotask(() => charts.push(bars(canvas, {x: 'experiment, order of the harmonic', y: `amplitude (${unit})`, labels,
+    sets: OUTPUTS.map((name) => ({output: name, values: labels.map((l) => rows.find((r) => r.label === l && r.output === name)?.amplitude ?? null)}))})));
+  return block;
+}
+
+function stepErrors(joint) {
+  const holder = element('div', {class: 'plots'});
+  const rows = [];
+  joint.step_error.forEach((errors, i) => {
+    const canvas = element('canvas', {role: 'img', 'aria-label': `Step errors of experiment ${i + 1}; the table has the numbers`});
+    holder.append(element('div', {}, element('h4', {}, `Experiment ${i + 1}: axis ${i === 2 ? 'Z' : 'X'}`), element('div', {class: 'plot'}, canvas)));
+    const points = errors.map((q, k) => ({n: k + 1, ...q})).filter((q) => q.value !== null);
+    for (const p of points) rows.push([i + 1, p.n, signed(p.value, 5), number(p.standard_uncertainty, 5)]);
+    queueMicrotask(() => charts.push(band(canvas, {x: 'number n of the angle (1)', y: 'step error (degrees)', output: OUTPUTS[i],
+      points: points.map((p) => ({x: p.n, y: p.value, u: p.standard_uncertainty}))})));
+  });
+  return card('Step errors of the stage, from the joint estimator', element('div', {},
+    element('p', {}, 'Line: estimated error of each commanded angle; band: two standard uncertainties.'), holder,
+    element('details', {}, element('summary', {}, 'As a table'), element('div', {class: 'scroll'}, table('Step errors (degrees)',
+      ['Experiment', 'n', 'Step error (degrees)', 'std. uncertainty (degrees)'], rows)))));
+}
+
+// Two runs.
+
+export async function showCompare(first, second) {
+  clearCharts();
+  try {
+    list = await fetchJson('/runs');
+  } catch (error) {
+    return say('compare-table', error);
+  }
+  const usable = list.filter((run) => run.state === 'complete');
+  const fill = (id, chosen) => byId(id).replaceChildren(...usable.map((run) => element('option', {value: run.name, selected: run.name === chosen}, `${run.name} (${run.item || 'no serial number'})`)));
+  fill('compare-a', first || usable[1]?.name);
+  fill('compare-b', second || usable[0]?.name);
+  byId('compare-form').onsubmit = (event) => {
+    event.preventDefault();
+    compare(byId('compare-a').value, byId('compare-b').value);
+  };
+  if (usable.length < 2) byId('compare-table').replaceChildren(element('p', {}, 'Two complete runs are needed.'));
+}
+
+async function compare(a, b) {
+  let data;
+  try {
+    data = await fetchJson(`/compare/${encoded(a)}/${encoded(b)}`);
+  } catch (error) {
+    return say('compare-table', error);
+  }
+  const [pair] = data.pairs;
+  const row = (name) => {
+    const first = data.results[0].properties[name], second = data.results[1].properties[name], both = pair.properties[name];
+    return [name, first.unit, ...[first, second].flatMap((q) => [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)]),
+      small(both.difference), small(both.standard_uncertainty), signed(both.e_n, 2)];
+  };
+  byId('compare-table').replaceChildren(
+    element('p', {id: 'compare-words', role: 'status'}, pair.why),
+    element('div', {class: 'scroll-x'}, table(`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
+      ['Property', 'Unit', 'A', 'std. unc. of A', 'B', 'std. unc. of B', 'B minus A', 'std. unc. of it', 'E_n (1)'], PROPERTIES.map(row))),
+    element('ul', {}, ...data.notes.map((note) => element('li', {}, note))));
+}
+
+// The control chart.
+
+export async function showChart(serial) {
+  clearCharts();
+  try {
+    list = await fetchJson('/runs');
+  } catch (error) {
+    return say('chart-body', error);
+  }
+  const items = [...new Set(list.filter((run) => run.state === 'complete' && run.item).map((run) => run.item))].sort();
+  byId('chart-item').replaceChildren(...items.map((item) => element('option', {value: item, selected: item === serial}, item)));
+  byId('chart-property').replaceChildren(...PROPERTIES.map((p) => element('option', {value: p}, p)));
+  byId('chart-form').onsubmit = (event) => {
+    event.preventDefault();
+    drawChart(byId('chart-item').value, byId('chart-property').value);
+  };
+  if (!items.length) byId('chart-body').replaceChildren(element('p', {}, 'There is no complete run of an item with a serial number yet.'));
+  else drawChart(byId('chart-item').value, PROPERTIES[0]);
+}
+
+async function drawChart(serial, property) {
+  let data;
+  try {
+    data = await fetchJson(`/history/${encoded(serial)}`);
+  } catch (error) {
+    return say('chart-body', error);
+  }
+  clearCharts();
+  const points = data.runs.map((run, i) => ({run, x: i + 1, ...run.quantities.find((q) => q.name === property)})).filter((p) => p.value !== null && p.value !== undefined);
+  const limits = data.limits ? data.limits[property] : null;
+  const unit = points[0]?.unit || '1';
+  const canvas = element('canvas', {role: 'img', 'aria-label': `Control chart of ${property}; the table has the numbers`});
+  const words = limits
+    ? `Centre ${number(limits.centre, decimals(limits.standard_deviation))} ${unit}; limits ${number(limits.lower, decimals(limits.standard_deviation))} to ${number(limits.upper, decimals(limits.standard_deviation))} ${unit} (3 standard deviations from the mean moving range). ${limits.outside ? `${limits.outside} outside.` : 'All inside.'}`
+    : 'Limits need at least two runs.';
+  byId('chart-body').replaceChildren(
+    element('p', {id: 'chart-words', role: 'status'}, words),
+    element('div', {class: 'plot'}, canvas),
+    element('div', {class: 'scroll-x'}, table(`${property} of item ${serial} (${unit}), oldest first`, ['Run', 'Begun', `Value (${unit})`, `std. uncertainty (${unit})`, 'Verdict'],
+      points.map((p) => [`${p.x}: ${p.run.name}`, day(p.run.created_utc), signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), VERDICTS[p.run.verdict]]))));
+  charts.push(band(canvas, {x: 'run (1), oldest first', y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty})), limits, marks: true}));
+}

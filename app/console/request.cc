@@ -1,0 +1,136 @@
+#include "app/console/request.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <set>
+
+namespace abcal::console {
+namespace {
+
+using Json = nlohmann::json;
+
+/// The keys of one request; each must be asked for, or finish() refuses it.
+class Keys {
+ public:
+  explicit Keys(const Json& object) : object_(object) {}
+
+  std::string text(const char* key) {
+    const Json& value = need(key);
+    if (!value.is_string()) throw RequestError(fmt::format("\"{}\" is no text", key));
+    return value.get<std::string>();
+  }
+  double number(const char* key) {
+    const Json& value = need(key);
+    if (!value.is_number()) throw RequestError(fmt::format("\"{}\" is no number", key));
+    return value.get<double>();
+  }
+  bool flag(const char* key) {
+    seen_.insert(key);
+    const auto found = object_.find(key);
+    if (found == object_.end()) return false;
+    if (!found->is_boolean()) throw RequestError(fmt::format("\"{}\" is neither true nor false", key));
+    return found->get<bool>();
+  }
+  std::int64_t id() {
+    seen_.insert("id");
+    const auto found = object_.find("id");
+    if (found == object_.end()) return 0;
+    if (!found->is_number_unsigned() || found->get<std::uint64_t>() > 1'000'000'000)
+      throw RequestError("\"id\" is no whole number from 0 to 1000000000");
+    return found->get<std::int64_t>();
+  }
+  void require_confirmation() {
+    if (!flag("confirmed"))
+      throw RequestError("this moves the stage; required: \"confirmed\": true, which a person has given");
+  }
+  void finish() const {
+    for (const auto& item : object_.items()) {
+      if (!seen_.contains(item.key()))
+        throw RequestError(fmt::format("\"{}\" does not belong to this request", item.key()));
+    }
+  }
+
+ private:
+  const Json& need(const char* key) {
+    seen_.insert(key);
+    const auto found = object_.find(key);
+    if (found == object_.end()) throw RequestError(fmt::format("\"{}\" is missing", key));
+    return *found;
+  }
+
+  const Json& object_;
+  std::set<std::string, std::less<>> seen_;
+};
+
+StageAxis axis_of(const std::string& name) {
+  if (name == "x") return StageAxis::kX;
+  if (name == "z") return StageAxis::kZ;
+  throw RequestError(R"("axis" must be "x" or "z")");
+}
+
+Angle turn_of(double degrees) {
+  // Written so that what is not a number is refused too.
+  if (!(std::abs(degrees) <= 360.0)) throw RequestError("\"by_deg\" must be from -360 to 360 degrees");
+  return Angle::degrees(degrees);
+}
+
+std::string note_of(std::string text) {
+  const bool unprintable = std::any_of(text.begin(), text.end(), [](char c) {
+    return static_cast<unsigned char>(c) < 0x20 || static_cast<unsigned char>(c) == 0x7F;
+  });
+  if (text.empty() || text.size() > kLongestNote || unprintable)
+    throw RequestError(fmt::format("a note has 1 to {} bytes in one line", kLongestNote));
+  return text;
+}
+
+Command command_of(const std::string& what, Keys& keys) {
+  if (what == "control") {
+    if (keys.flag("release")) return ReleaseControl{};
+    return TakeControl{keys.flag("from_another")};
+  }
+  if (what == "check") {
+    const bool with_motion = keys.flag("with_motion");
+    if (with_motion) keys.require_confirmation();
+    return CheckBench{with_motion};
+  }
+  if (what == "start") {
+    keys.require_confirmation();
+    return StartRun{};
+  }
+  if (what == "hold") return HoldRun{};
+  if (what == "continue") {
+    keys.require_confirmation();
+    return ContinueRun{};
+  }
+  if (what == "stop") return Stop{};
+  if (what == "resume") {
+    keys.require_confirmation();
+    return ResumeRun{keys.text("run")};
+  }
+  if (what == "jog") {
+    keys.require_confirmation();
+    return Jog{axis_of(keys.text("axis")), turn_of(keys.number("by_deg"))};
+  }
+  if (what == "note") return Note{note_of(keys.text("text"))};
+  throw RequestError("\"do\" must be control, check, start, hold, continue, stop, resume, jog or note");
+}
+
+}  // namespace
+
+Request parse_request(std::string_view text) {
+  if (text.size() > kLongestRequest)
+    throw RequestError(fmt::format("{} bytes; a request has at most {}", text.size(), kLongestRequest));
+  const Json object = Json::parse(text, nullptr, /*allow_exceptions=*/false);
+  if (!object.is_object()) throw RequestError("this is no JSON object");
+  Keys keys(object);
+  Request request;
+  request.id = keys.id();
+  request.command = command_of(keys.text("do"), keys);
+  keys.finish();
+  return request;
+}
+
+}  // namespace abcal::console

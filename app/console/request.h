@@ -1,0 +1,63 @@
+#pragma once
+
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <variant>
+
+#include "drivers/instrument/angle.h"
+#include "drivers/instrument/rotation_stage.h"
+
+namespace abcal::console {
+
+// What a page may ask for over its WebSocket, one JSON object each (docs/console.md). Reading a request is
+// apart from doing it: bytes in, request out, nothing else touched.
+
+/// The longest request that is looked at.
+constexpr std::size_t kLongestRequest = 4096;
+/// The longest note, in bytes of UTF-8.
+constexpr std::size_t kLongestNote = 1000;
+
+struct TakeControl {
+  bool from_another = false;  ///< Even if another page has it.
+};
+struct ReleaseControl {};
+struct CheckBench {
+  bool with_motion = false;
+};
+struct StartRun {};
+struct HoldRun {};
+struct ContinueRun {};
+struct Stop {};
+struct ResumeRun {
+  std::string run;  ///< Name of a file in the run folder.
+};
+struct Jog {
+  StageAxis axis = StageAxis::kX;
+  Angle by;  ///< From where the axis is; at most one turn.
+};
+struct Note {
+  std::string text;
+};
+
+using Command = std::variant<TakeControl, ReleaseControl, CheckBench, StartRun, HoldRun, ContinueRun, Stop,
+                             ResumeRun, Jog, Note>;
+
+struct Request {
+  std::int64_t id = 0;  ///< Comes back with the answer.
+  Command command;
+};
+
+/// A request that is not understood. what() says found and required.
+class RequestError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Reads one request. What moves hardware must carry "confirmed": true; a key that does not belong is
+/// refused, so that a slip of the pen never becomes a default.
+/// @throws RequestError
+Request parse_request(std::string_view text);
+
+}  // namespace abcal::console

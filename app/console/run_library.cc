@@ -1,0 +1,220 @@
+#include "app/console/run_library.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "app/analyses.h"
+#include "app/compare/compare_results.h"
+#include "app/console/download.h"
+#include "app/report/compare_json.h"
+#include "app/report/result_json.h"
+#include "protocol/uncertainty/control_chart.h"
+
+namespace abcal::console {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json number(double value) {
+  return std::isfinite(value) ? Json(value) : Json(nullptr);
+}
+
+std::string label(const RunHeader& header, const std::string& key) {
+  const auto found = header.labels.find(key);
+  return found == header.labels.end() ? "" : found->second;
+}
+
+/// As the person named the item; else as the accelerometer named itself.
+std::string serial_number_of(const RunHeader& header) {
+  const std::string given = label(header, "item.serial_number");
+  if (!given.empty()) return given;
+  for (const InstrumentIdentity& instrument : header.instruments)
+    if (instrument.role == "accelerometer") return instrument.serial_number;
+  return "";
+}
+
+Json summary_of(const std::string& name, const StoredRun& run) {
+  const RunHeader& header = run.header;
+  Json json = {{"name", name},
+               {"state", to_string(run.state)},
+               {"created_utc", header.created_utc},
+               {"item", serial_number_of(header)},
+               {"maker", label(header, "item.maker")},
+               {"model", label(header, "item.model")},
+               {"bench", label(header, "bench.name")},
+               {"operator", label(header, "operator.name")},
+               {"unit", header.response_unit},
+               {"measured", run.measured.size()},
+               {"planned", header.plan.size()},
+               {"duration_s", run.timing.total_s()}};
+  return json;
+}
+
+Json quantities_of(const CalibrationResult& result) {
+  Json list = Json::array();
+  const auto add = [&](const std::string& name, const Quantity& q) {
+    list.push_back({{"name", name},
+                    {"value", number(q.value)},
+                    {"standard_uncertainty", number(q.standard_uncertainty)},
+                    {"unit", q.unit}});
+  };
+  constexpr const char* kOutputs[] = {"u", "v", "w"};
+  constexpr const char* kPairs[] = {"uv", "vw", "wu"};
+  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("s_{}", kOutputs[j]), result.intrinsic_sensitivity[j]);
+  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("phi_{}", kPairs[j]), result.intrinsic_angle[j]);
+  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("O_{}", kOutputs[j]), result.offset[j]);
+  return list;
+}
+
+/// For each property the limits of a chart of single values; nothing where there are too few.
+Json limits_of(const Json& runs) {
+  std::map<std::string, std::vector<double>> values;
+  for (const Json& run : runs) {
+    for (const Json& q : run["quantities"])
+      if (q["value"].is_number()) values[q["name"]].push_back(q["value"]);
+  }
+  Json limits = Json::object();
+  for (const auto& [name, series] : values) {
+    if (series.size() < 2) continue;
+    const ControlChart chart = individuals_chart(series);
+    const auto outside = std::count_if(chart.points.begin(), chart.points.end(),
+                                       [](const ChartPoint& point) { return !point.inside(); });
+    limits[name] = {{"centre", chart.centre},
+                    {"standard_deviation", chart.standard_deviation},
+                    {"lower", chart.points.front().lower},
+                    {"upper", chart.points.front().upper},
+                    {"outside", outside}};
+  }
+  return limits;
+}
+
+}  // namespace
+
+std::vector<std::string> RunLibrary::names() const {
+  std::vector<std::pair<std::filesystem::file_time_type, std::string>> found;
+  std::error_code error;
+  for (std::filesystem::directory_iterator at(folder_, error), end; !error && at != end;
+       at.increment(error)) {
+    std::error_code ignored;
+    // symlink_status: a link would lead out of the folder.
+    if (at->path().extension() != ".run" ||
+        !std::filesystem::is_regular_file(std::filesystem::symlink_status(at->path(), ignored)))
+      continue;
+    found.emplace_back(at->last_write_time(ignored), at->path().filename().string());
+  }
+  std::sort(found.rbegin(), found.rend());
+  std::vector<std::string> names;
+  names.reserve(found.size());
+  for (auto& [time, name] : found) names.push_back(std::move(name));
+  return names;
+}
+
+std::optional<std::filesystem::path> RunLibrary::find(const std::string& name) const {
+  const std::vector<std::string> all = names();
+  if (std::find(all.begin(), all.end(), name) == all.end()) return std::nullopt;
+  return folder_ / name;
+}
+
+/// Reads a run unless it was read already and has not changed since. Throws RunFileError.
+RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
+  const std::filesystem::path path = folder_ / name;
+  std::error_code ignored;
+  const auto time = std::filesystem::last_write_time(path, ignored);
+  const auto size = std::filesystem::file_size(path, ignored);
+  Entry& known = known_[name];
+  if (known.closed && known.time == time && known.size == size) return known;
+  const StoredRun run = RunFile::load(path);
+  const bool closed = run.state == RunState::kComplete || run.state == RunState::kAbandoned;
+  known = {time, size, summary_of(name, run), closed, std::nullopt};
+  return known;
+}
+
+Json RunLibrary::list() {
+  const std::lock_guard lock(mutex_);
+  Json list = Json::array();
+  const std::vector<std::string> all = names();
+  for (const std::string& name : all) {
+    try {
+      list.push_back(entry(name).summary);
+    } catch (const RunFileError& error) {
+      list.push_back({{"name", name}, {"state", "unreadable"}, {"why", error.what()}});
+    }
+  }
+  // What was deleted is forgotten.
+  std::erase_if(
+      known_, [&](const auto& known) { return std::find(all.begin(), all.end(), known.first) == all.end(); });
+  return list;
+}
+
+Json RunLibrary::result(const std::filesystem::path& path) {
+  const StoredRun run = RunFile::load(path);
+  Json json = {{"run", summary_of(path.filename().string(), run)}};
+  json["program_version"] = run.header.program_version;
+  json["timing"] = {{"moving_s", run.timing.moving_s},
+                    {"settling_s", run.timing.settling_s},
+                    {"dwelling_s", run.timing.dwelling_s},
+                    {"overhead_s", run.timing.overhead_s}};
+  json["instruments"] = Json::array();
+  for (const InstrumentIdentity& i : run.header.instruments) {
+    json["instruments"].push_back({{"role", i.role},
+                                   {"maker", i.maker},
+                                   {"model", i.model},
+                                   {"serial_number", i.serial_number},
+                                   {"firmware", i.firmware},
+                                   {"details", i.details}});
+  }
+  json["events"] = Json::array();
+  for (const RunEvent& event : run.events)
+    json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text}});
+  json["downloads"] = Json::array();
+  for (const Download& download : downloads()) {
+    if (!download.available || download.available(path))
+      json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
+  }
+  json["results"] = Json::array();
+  for (const CalibrationResult& result : analyse_all(run.record))
+    json["results"].push_back(result_json(result));
+  return json;
+}
+
+Json RunLibrary::compare(const std::filesystem::path& first, const std::filesystem::path& second) {
+  std::vector<ComparedResult> results;
+  for (const std::filesystem::path& run : {first, second})
+    results.push_back(load_compared(run, kEstimators.front()));
+  CompareOptions options;
+  options.any_item = true;  // The person has chosen them.
+  return compare_json(compare_results(std::move(results), options));
+}
+
+Json RunLibrary::history(const std::string& serial_number) {
+  const std::lock_guard lock(mutex_);
+  Json list = Json::array();
+  std::vector<std::string> oldest_first = names();
+  std::reverse(oldest_first.begin(), oldest_first.end());
+  for (const std::string& name : oldest_first) {
+    try {
+      Entry& known = entry(name);
+      if (known.summary["item"] != serial_number || known.summary["state"] != "complete") continue;
+      if (!known.intrinsic) {
+        const CalibrationResult result = analyse(RunFile::load(folder_ / name).record, kEstimators.front());
+        known.intrinsic = Json{{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
+      }
+      Json point = {{"name", name}, {"created_utc", known.summary["created_utc"]}};
+      point.update(*known.intrinsic);
+      list.push_back(std::move(point));
+    } catch (const RunFileError&) {
+      continue;  // list() says why.
+    }
+  }
+  // Stable: runs in simulated time may all begin at one time.
+  std::stable_sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
+    return a["created_utc"].get<std::string>() < b["created_utc"].get<std::string>();
+  });
+  Json limits = limits_of(list);
+  return {{"runs", std::move(list)}, {"limits", std::move(limits)}};
+}
+
+}  // namespace abcal::console

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <filesystem>
+#include <map>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "protocol/record/run_file.h"
+
+namespace abcal::console {
+
+/// The runs that a console knows: files NAME.run that lie directly in one folder. A name that comes from a
+/// page is only compared with theirs, so that none can lead elsewhere. Reading and analysing take their time:
+/// not for the thread that serves the pages. Safe to use from several threads.
+class RunLibrary {
+ public:
+  explicit RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)) {}
+
+  /// The file of this name, if it is one of the runs.
+  std::optional<std::filesystem::path> find(const std::string& name) const;
+
+  // Each of these is JSON as docs/console.md describes it. A run that is being measured is read as far as it
+  // goes.
+
+  /// All runs, newest first: what they are and how far they went. A file that cannot be read says why.
+  nlohmann::ordered_json list();
+  /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
+  /// @throws RunFileError
+  nlohmann::ordered_json result(const std::filesystem::path& run);
+  /// Two runs side by side (abcal.compare/1), also of different items.
+  /// @throws what load_compared() and compare_results() throw
+  static nlohmann::ordered_json compare(const std::filesystem::path& first,
+                                        const std::filesystem::path& second);
+  /// The results of the default estimator of every complete run of one item, oldest first, with the limits of
+  /// a control chart of single values.
+  nlohmann::ordered_json history(const std::string& serial_number);
+
+ private:
+  struct Entry {
+    std::filesystem::file_time_type time;
+    std::uintmax_t size = 0;
+    nlohmann::ordered_json summary;
+    bool closed = false;                              ///< It will not change any more.
+    std::optional<nlohmann::ordered_json> intrinsic;  ///< For the history.
+  };
+
+  std::vector<std::string> names() const;
+  Entry& entry(const std::string& name);
+
+  std::filesystem::path folder_;
+  std::mutex mutex_;
+  std::map<std::string, Entry> known_;  ///< By name; of closed runs, which are read once.
+};
+
+}  // namespace abcal::console

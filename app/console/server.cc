@@ -1,0 +1,649 @@
+#include "app/console/server.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <boost/asio/bind_executor.hpp>
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/asio/thread_pool.hpp>
+#include <boost/beast/core.hpp>
+#include <boost/beast/http.hpp>
+#include <boost/beast/websocket.hpp>
+#include <boost/url/parse.hpp>
+#include <boost/url/url_view.hpp>
+#include <deque>
+#include <future>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <stdexcept>
+#include <thread>
+#include <utility>
+
+#include "app/console/asset.h"
+#include "app/console/download.h"
+#include "app/console/live_view.h"
+#include "app/console/request.h"
+#include "app/console/run_library.h"
+#include "app/real_clock.h"
+#include "app/version.h"
+#include "drivers/wire/readable_bytes.h"
+
+namespace abcal::console {
+namespace {
+
+namespace asio = boost::asio;
+namespace beast = boost::beast;
+namespace http = beast::http;
+namespace websocket = beast::websocket;
+using asio::ip::tcp;
+using Json = nlohmann::ordered_json;
+using Text = std::shared_ptr<const std::string>;
+
+constexpr std::uint32_t kLongestHeader = 8 * 1024;
+constexpr std::uint64_t kLongestBody = 1024;
+constexpr std::size_t kLongestDrain = 64 * 1024;
+/// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead.
+constexpr std::size_t kLongestQueue = 64;
+/// What the system may buffer for one page.
+constexpr int kSendBuffer = 128 * 1024;
+/// Of what the bench tells, so much may wait for the thread of the server; strips are dropped beyond it.
+constexpr int kMostPending = 500;
+
+std::string_view view(beast::string_view text) {
+  return {text.data(), text.size()};
+}
+
+/// The end of a connection here, as a Host header names it.
+std::string host_of(asio::ip::address address) {
+  if (address.is_v6() && address.to_v6().is_v4_mapped())
+    address = asio::ip::make_address_v4(asio::ip::v4_mapped, address.to_v6());
+  return address.is_v6() ? "[" + address.to_string() + "]" : address.to_string();
+}
+
+bool is_loopback(const asio::ip::address& address) {
+  if (address.is_v6() && address.to_v6().is_v4_mapped())
+    return asio::ip::make_address_v4(asio::ip::v4_mapped, address.to_v6()).is_loopback();
+  return address.is_loopback();
+}
+
+std::string_view content_type(std::string_view path) {
+  if (path.ends_with(".html")) return "text/html; charset=utf-8";
+  if (path.ends_with(".css")) return "text/css; charset=utf-8";
+  if (path.ends_with(".js")) return "text/javascript; charset=utf-8";
+  if (path.ends_with(".svg")) return "image/svg+xml";
+  return "application/octet-stream";
+}
+
+using HttpRequest = http::request<http::string_body>;
+using HttpResponse = http::response<http::string_body>;
+
+/// Who speaks, for the log and for the rules of access.
+struct Peer {
+  std::string remote;   ///< "127.0.0.1:50000"
+  std::string address;  ///< As in Caller.
+  std::string port;
+  bool loopback = false;
+};
+
+Caller caller_of(const Peer& peer, const HttpRequest& request) {
+  Caller caller;
+  // Of two, nobody knows which one counts: neither does.
+  if (request.count(http::field::host) == 1) caller.host = view(request[http::field::host]);
+  caller.origin = request.count(http::field::origin) > 1 ? "null" : view(request[http::field::origin]);
+  caller.cookie = view(request[http::field::cookie]);
+  caller.authorization = view(request[http::field::authorization]);
+  caller.address = peer.address;
+  caller.port = peer.port;
+  caller.loopback = peer.loopback;
+  return caller;
+}
+
+/// Says who was refused, and why; but a flood of refusals does not drown everything else. For one thread.
+class RefusalLog {
+ public:
+  explicit RefusalLog(const Clock& clock) : clock_(clock) {}
+
+  void operator()(const Peer& peer, std::string_view what, std::string_view why) {
+    constexpr int kMost = 50;
+    constexpr Clock::Duration kWhile = std::chrono::seconds(10);
+    constexpr std::size_t kShown = 200;
+    const Clock::Instant now = clock_.now();
+    if (now - since_ > kWhile) {
+      if (count_ > kMost) spdlog::warn("console: {} more were refused", count_ - kMost);
+      since_ = now;
+      count_ = 0;
+    }
+    if (++count_ > kMost) return;
+    spdlog::warn("console: refused from {}: {}: {}", peer.remote, wire::bytes_as_text(what.substr(0, kShown)),
+                 why);
+  }
+
+ private:
+  const Clock& clock_;
+  Clock::Instant since_{};
+  int count_ = 0;
+};
+
+HttpResponse respond(const HttpRequest& request, http::status status, std::string_view type,
+                     std::string body) {
+  HttpResponse response(status, request.version());
+  response.set(http::field::server, "abcal");
+  response.set(http::field::content_type, {type.data(), type.size()});
+  response.set(http::field::cache_control, "no-store");
+  response.set("Content-Security-Policy",
+               "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+               "form-action 'self'; base-uri 'none'; frame-ancestors 'none'");
+  response.set("X-Content-Type-Options", "nosniff");
+  response.set("X-Frame-Options", "DENY");
+  response.set("Referrer-Policy", "no-referrer");
+  response.set("Cross-Origin-Opener-Policy", "same-origin");
+  response.set("Cross-Origin-Resource-Policy", "same-origin");
+  response.keep_alive(request.keep_alive());
+  response.body() = std::move(body);
+  response.prepare_payload();
+  return response;
+}
+
+HttpResponse plain(const HttpRequest& request, http::status status, std::string text) {
+  return respond(request, status, "text/plain; charset=utf-8", std::move(text) + "\n");
+}
+
+}  // namespace
+
+struct Server::Impl {
+  class Page;
+  class HttpConnection;
+
+  Impl(ServerOptions the_options, Session::Options bench);
+  ~Impl();
+
+  void accept();
+  void hear(Event event);
+  void broadcast(std::string message);
+  Text snapshot();
+  void arrived(const std::shared_ptr<Page>& page);
+  void left(Page& page);
+  void received(Page& page, std::string_view text);
+  Session::Refusal carry_out(Page& page, const Command& command);
+  void give_control(Page* page);
+  HttpResponse answer(const Peer& peer, const HttpRequest& request, std::function<HttpResponse()>& later);
+  std::function<HttpResponse()> library_job(const std::vector<std::string>& words,
+                                            const HttpRequest& request);
+
+  ServerOptions options;
+  RealClock clock;
+  RefusalLog log_refusal{clock};
+  RunLibrary library;
+  LiveView live;
+  Text snapshot_now;  ///< Shared by all who need it before the next event; null: to be made.
+  std::size_t connections = 0;
+  asio::io_context io;
+  tcp::acceptor acceptor{io};
+  asio::steady_timer accept_again{io};
+  std::atomic<int> pending = 0;
+  std::set<std::shared_ptr<Page>> pages;
+  Page* controller = nullptr;
+  std::int64_t pages_so_far = 0;
+  std::unique_ptr<Session> session;
+  asio::thread_pool reader{1};  ///< Reads and analyses runs.
+  std::jthread thread;
+};
+
+/// A page that watches. Writes one message at a time; what waits is bounded.
+class Server::Impl::Page : public std::enable_shared_from_this<Page> {
+ public:
+  Page(Impl& server, beast::tcp_stream stream, Peer peer)
+      : server_(server), socket_(std::move(stream)), peer_(std::move(peer)) {}
+  ~Page() { --server_.connections; }
+  Page(const Page&) = delete;
+  Page& operator=(const Page&) = delete;
+
+  const Peer& peer() const { return peer_; }
+  std::int64_t number = 0;
+
+  void open(const HttpRequest& request) {
+    websocket::stream_base::timeout limits{};
+    limits.handshake_timeout = server_.options.request_time;
+    limits.idle_timeout = server_.options.silent_time;
+    limits.keep_alive_pings = true;
+    beast::get_lowest_layer(socket_).expires_never();  // The WebSocket has its own.
+    socket_.set_option(limits);
+    socket_.read_message_max(kLongestRequest);
+    socket_.text(true);
+    socket_.async_accept(request, [self = shared_from_this()](beast::error_code error) {
+      if (error) return;
+      self->server_.arrived(self);
+      self->read();
+    });
+  }
+
+  void send(const Text& message) {
+    if (behind_) return;
+    if (queue_.size() >= kLongestQueue) {
+      queue_.clear();
+      behind_ = true;
+      return;
+    }
+    queue_.push_back(message);
+    if (!writing_) write();
+  }
+
+ private:
+  void read() {
+    socket_.async_read(buffer_, [self = shared_from_this()](beast::error_code error, std::size_t) {
+      if (error) {
+        if (error == websocket::error::message_too_big)
+          self->server_.log_refusal(self->peer_, "a message",
+                                    fmt::format("longer than {} bytes", kLongestRequest));
+        self->server_.left(*self);
+        return;
+      }
+      const auto data = self->buffer_.cdata();
+      self->server_.received(*self, {static_cast<const char*>(data.data()), data.size()});
+      self->buffer_.consume(self->buffer_.size());
+      self->read();
+    });
+  }
+
+  void write() {
+    writing_ = true;
+    now_ = std::move(queue_.front());
+    queue_.pop_front();
+    socket_.async_write(asio::buffer(*now_),
+                        [self = shared_from_this()](beast::error_code error, std::size_t) {
+                          self->writing_ = false;
+                          if (error) {
+                            self->server_.left(*self);
+                            return;
+                          }
+                          if (std::exchange(self->behind_, false)) self->send(self->server_.snapshot());
+                          if (!self->writing_ && !self->queue_.empty()) self->write();
+                        });
+  }
+
+  Impl& server_;
+  websocket::stream<beast::tcp_stream> socket_;
+  Peer peer_;
+  beast::flat_buffer buffer_{kLongestRequest};
+  std::deque<Text> queue_;
+  Text now_;  ///< Being written.
+  bool writing_ = false;
+  bool behind_ = false;
+};
+
+/// One connection that speaks HTTP: request by request, until it asks for the WebSocket.
+class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpConnection> {
+ public:
+  HttpConnection(Impl& server, tcp::socket socket) : server_(server), stream_(std::move(socket)) {
+    ++server_.connections;
+  }
+  ~HttpConnection() {
+    if (!handed_over_) --server_.connections;
+  }
+  HttpConnection(const HttpConnection&) = delete;
+  HttpConnection& operator=(const HttpConnection&) = delete;
+
+  void begin() {
+    beast::error_code error;
+    tcp::socket& socket = stream_.socket();
+    const tcp::endpoint here = socket.local_endpoint(error);
+    if (error) return;
+    const tcp::endpoint there = socket.remote_endpoint(error);
+    if (error) return;
+    peer_ = {fmt::format("{}:{}", host_of(there.address()), there.port()), host_of(here.address()),
+             here.port() == 80 ? "" : fmt::format(":{}", here.port()), is_loopback(here.address())};
+    socket.set_option(tcp::no_delay(true), error);
+    socket.set_option(asio::socket_base::send_buffer_size(kSendBuffer), error);
+    if (server_.connections > server_.options.most_connections) {
+      server_.log_refusal(peer_, "a connection",
+                          fmt::format("there are {} already", server_.connections - 1));
+      return;
+    }
+    read();
+  }
+
+ private:
+  void read() {
+    parser_.emplace();
+    parser_->header_limit(kLongestHeader);
+    parser_->body_limit(kLongestBody);
+    stream_.expires_after(server_.options.request_time);
+    http::async_read(
+        stream_, buffer_, *parser_,
+        [self = shared_from_this()](beast::error_code error, std::size_t) { self->have_read(error); });
+  }
+
+  void have_read(beast::error_code error) {
+    if (error == http::error::end_of_stream || error == beast::error::timeout ||
+        error == asio::error::connection_reset || error == asio::error::eof)
+      return;
+    if (error) {
+      server_.log_refusal(peer_, "a request", error.message());
+      http::status status = http::status::bad_request;
+      if (error == http::error::header_limit || error == http::error::buffer_overflow)
+        status = http::status::request_header_fields_too_large;
+      if (error == http::error::body_limit) status = http::status::payload_too_large;
+      HttpRequest none;
+      none.version(11);
+      none.keep_alive(false);
+      return write(plain(none, status, "The request cannot be read: " + error.message()));
+    }
+    const HttpRequest& request = parser_->get();
+    if (websocket::is_upgrade(request) && view(request.target()) == "/live") {
+      if (judge(server_.options.access, caller_of(peer_, request)) == Access::kGranted) {
+        handed_over_ = true;
+        std::make_shared<Page>(server_, std::move(stream_), peer_)->open(request);
+        return;
+      }
+    }
+    std::function<HttpResponse()> later;
+    HttpResponse now = server_.answer(peer_, request, later);
+    if (!later) return write(std::move(now));
+    stream_.expires_never();
+    asio::post(server_.reader, [self = shared_from_this(), later = std::move(later)]() mutable {
+      HttpResponse response = later();
+      // Moved, so that this connection ends in the thread of the connections.
+      asio::io_context& io = self->server_.io;
+      asio::post(io, [self = std::move(self), response = std::move(response)]() mutable {
+        self->write(std::move(response));
+      });
+    });
+  }
+
+  void write(HttpResponse response) {
+    response_ = std::move(response);
+    if (parser_->get().method() == http::verb::head) response_->body().clear();
+    stream_.expires_after(server_.options.request_time);
+    http::async_write(stream_, *response_, [self = shared_from_this()](beast::error_code error, std::size_t) {
+      if (error) return;
+      if (self->response_->need_eof()) {
+        self->stream_.socket().shutdown(tcp::socket::shutdown_send, error);
+        return;
+      }
+      self->read();
+    });
+  }
+
+  Impl& server_;
+  beast::tcp_stream stream_;
+  Peer peer_;
+  beast::flat_buffer buffer_{kLongestHeader + kLongestBody};
+  std::optional<http::request_parser<http::string_body>> parser_;
+  std::optional<HttpResponse> response_;
+  bool handed_over_ = false;
+};
+
+Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
+    : options(std::move(the_options)),
+      library(bench.runs),
+      live({{"program", std::string("abcal ") + program_version()},
+            {"bench_file", bench.bench_file.filename().string()},
+            {"pace", bench.pace}},
+           clock) {
+  try {
+    const tcp::endpoint endpoint(asio::ip::make_address(options.address), options.port);
+    acceptor.open(endpoint.protocol());
+    acceptor.set_option(asio::socket_base::reuse_address(true));
+    acceptor.bind(endpoint);
+    acceptor.listen();
+  } catch (const boost::system::system_error& error) {
+    throw std::runtime_error(fmt::format("the console cannot listen on {}, port {}: {}", options.address,
+                                         options.port, error.code().message()));
+  }
+  session = std::make_unique<Session>(std::move(bench), [this](Event event) { hear(std::move(event)); });
+  options.access.cookie = fmt::format("abcal_token_{}", acceptor.local_endpoint().port());
+  asio::post(reader, [] {
+    // Who looks at an old run leaves the processor to the run that is on.
+    constexpr int kLessThanMeasuring = 10;
+    ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kLessThanMeasuring);
+  });
+  accept();
+  thread = std::jthread([this] { io.run(); });
+}
+
+Server::Impl::~Impl() {
+  session.reset();  // Halts the stage, and no longer tells anything.
+  reader.stop();
+  reader.join();
+  io.stop();
+  thread = {};
+  controller = nullptr;
+  pages.clear();
+}
+
+void Server::Impl::accept() {
+  acceptor.async_accept([this](beast::error_code error, tcp::socket socket) {
+    if (error == asio::error::operation_aborted) return;
+    if (error) {
+      // No descriptors left, most likely: they come back.
+      accept_again.expires_after(std::chrono::milliseconds(100));
+      accept_again.async_wait([this](beast::error_code cancelled) {
+        if (!cancelled) accept();
+      });
+      return;
+    }
+    std::make_shared<HttpConnection>(*this, std::move(socket))->begin();
+    accept();
+  });
+}
+
+/// In the measuring thread: hands the event over and returns.
+void Server::Impl::hear(Event event) {
+  const bool can_be_missed = std::holds_alternative<StripSeen>(event);
+  if (can_be_missed && pending > kMostPending) return;
+  ++pending;
+  asio::post(io, [this, event = std::move(event)] {
+    --pending;
+    std::string message = live.apply(event);
+    snapshot_now.reset();
+    broadcast(std::move(message));
+  });
+}
+
+void Server::Impl::broadcast(std::string message) {
+  const Text text = std::make_shared<const std::string>(std::move(message));
+  for (const std::shared_ptr<Page>& page : pages) page->send(text);
+}
+
+Text Server::Impl::snapshot() {
+  if (!snapshot_now) snapshot_now = std::make_shared<const std::string>(live.snapshot());
+  return snapshot_now;
+}
+
+void Server::Impl::arrived(const std::shared_ptr<Page>& page) {
+  page->number = ++pages_so_far;
+  pages.insert(page);
+  const auto tell = [&](const Json& json) { page->send(std::make_shared<const std::string>(json.dump())); };
+  tell({{"type", "you"}, {"number", page->number}});
+  page->send(snapshot());
+  tell({{"type", "control"}, {"page", controller != nullptr ? Json(controller->number) : Json(nullptr)}});
+}
+
+void Server::Impl::left(Page& page) {
+  if (controller == &page) give_control(nullptr);
+  pages.erase(page.shared_from_this());
+}
+
+void Server::Impl::give_control(Page* page) {
+  controller = page;
+  broadcast(Json{{"type", "control"}, {"page", page != nullptr ? Json(page->number) : Json(nullptr)}}.dump());
+}
+
+void Server::Impl::received(Page& page, std::string_view text) {
+  Json reply = {{"type", "reply"}, {"id", 0}, {"ok", false}};
+  try {
+    const Request request = parse_request(text);
+    reply["id"] = request.id;
+    if (const Session::Refusal refusal = carry_out(page, request.command)) throw RequestError(*refusal);
+    reply["ok"] = true;
+  } catch (const RequestError& error) {
+    log_refusal(page.peer(), text, error.what());
+    reply["why"] = error.what();
+  }
+  page.send(std::make_shared<const std::string>(reply.dump(-1, ' ', false, Json::error_handler_t::replace)));
+}
+
+Session::Refusal Server::Impl::carry_out(Page& page, const Command& command) {
+  if (const auto* take = std::get_if<TakeControl>(&command)) {
+    if (controller != nullptr && controller != &page && !take->from_another)
+      return fmt::format("page {} steers; take control from it first", controller->number);
+    give_control(&page);
+    return std::nullopt;
+  }
+  if (controller != &page) return "this page only watches; take control first";
+  struct Do {
+    Server::Impl& impl;
+    Page& page;
+    Session::Refusal operator()(const TakeControl&) const { return std::nullopt; }
+    Session::Refusal operator()(const ReleaseControl&) const {
+      impl.give_control(nullptr);
+      return std::nullopt;
+    }
+    Session::Refusal operator()(const CheckBench& check) const {
+      return impl.session->check(check.with_motion);
+    }
+    Session::Refusal operator()(const StartRun&) const { return impl.session->start(); }
+    Session::Refusal operator()(const HoldRun&) const { return impl.session->hold(); }
+    Session::Refusal operator()(const ContinueRun&) const { return impl.session->go_on(); }
+    Session::Refusal operator()(const Stop&) const { return impl.session->stop(); }
+    Session::Refusal operator()(const ResumeRun& resume) const {
+      const auto path = impl.library.find(resume.run);
+      if (!path) return "there is no such run in the run folder";
+      return impl.session->resume(*path);
+    }
+    Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog.axis, jog.by); }
+    Session::Refusal operator()(const Note& note) const {
+      return impl.session->note(note.text, fmt::format("page {} at {}", page.number, page.peer().remote));
+    }
+  };
+  return std::visit(Do{*this, page}, command);
+}
+
+/// What is asked for. `later` is set where the answer takes its time: it is to be called in the reading
+/// thread.
+HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
+                                  std::function<HttpResponse()>& later) {
+  const std::string what = fmt::format("{} {}", view(request.method_string()), view(request.target()));
+  const auto refuse = [&](http::status status, const std::string& why) {
+    log_refusal(peer, what, why);
+    return plain(request, status, why);
+  };
+  const Access access = judge(options.access, caller_of(peer, request));
+  if (access == Access::kWrongHost)
+    return refuse(http::status::misdirected_request,
+                  "This console is not known by that name; see `abcal serve --host`.");
+  if (access == Access::kWrongOrigin)
+    return refuse(http::status::forbidden, "Another page may not use this console.");
+  const auto target = boost::urls::parse_origin_form(request.target());
+  if (!target) return refuse(http::status::bad_request, "The path cannot be read.");
+  const std::string_view path = view(target->encoded_path());
+  const bool reads = request.method() == http::verb::get || request.method() == http::verb::head;
+
+  const auto token = target->params().find("token");
+  if (path == "/" && reads && token != target->params().end()) {
+    if (!options.access.token.empty() && same_secret((*token).value, options.access.token)) {
+      // From here on as a cookie, and no longer in the address, where others may see it.
+      HttpResponse response = plain(request, http::status::see_other, "Welcome.");
+      response.set(http::field::location, "/");
+      response.set(http::field::set_cookie, fmt::format("{}={}; HttpOnly; SameSite=Strict; Path=/",
+                                                        options.access.cookie, options.access.token));
+      return response;
+    }
+    if (access == Access::kNoToken) log_refusal(peer, "GET /?token=", "this is not the token");
+  }
+  if (access == Access::kNoToken) {
+    log_refusal(peer, path, "no token");
+    for (const Asset& asset : assets()) {
+      if (path == "/" && asset.path == "/token.html")
+        return respond(request, http::status::unauthorized, content_type(asset.path),
+                       std::string(asset.body));
+    }
+    return plain(request, http::status::unauthorized, "A token is required.");
+  }
+  if (!reads) return refuse(http::status::method_not_allowed, "Only GET is answered here.");
+
+  for (const Asset& asset : assets()) {
+    if (asset.path == (path == "/" ? "/index.html" : path))
+      return respond(request, http::status::ok, content_type(asset.path), std::string(asset.body));
+  }
+  std::vector<std::string> words;
+  for (const std::string& word : target->segments()) words.push_back(word);
+  later = library_job(words, request);
+  if (!later) return refuse(http::status::not_found, "There is no such page.");
+  return {};
+}
+
+/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME, /history/SERIAL. Nothing
+/// for other paths.
+std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::string>& words,
+                                                        const HttpRequest& request) {
+  // The parts of the request that an answer needs.
+  HttpRequest head;
+  head.version(request.version());
+  head.keep_alive(request.keep_alive());
+  const auto job = [head](auto make) {
+    return [head, make = std::move(make)] {
+      try {
+        return make(head);
+      } catch (const std::exception& error) {
+        return plain(head, http::status::unprocessable_entity, error.what());
+      }
+    };
+  };
+  const auto json = [](const HttpRequest& to, const Json& body) {
+    return respond(to, http::status::ok, "application/json",
+                   body.dump(-1, ' ', false, Json::error_handler_t::replace));
+  };
+  if (words == std::vector<std::string>{"runs"})
+    return job([this, json](const HttpRequest& to) { return json(to, library.list()); });
+  if (words.size() == 2 && words[0] == "history")
+    return job(
+        [this, json, serial = words[1]](const HttpRequest& to) { return json(to, library.history(serial)); });
+  if (words.size() == 3 && words[0] == "compare") {
+    const auto first = library.find(words[1]), second = library.find(words[2]);
+    if (!first || !second) return nullptr;
+    return job([json, first = *first, second = *second](const HttpRequest& to) {
+      return json(to, RunLibrary::compare(first, second));
+    });
+  }
+  if (words.size() != 3 || words[0] != "runs") return nullptr;
+  const auto path = library.find(words[1]);
+  if (!path) return nullptr;
+  if (words[2] == "result")
+    return job([this, json, run = *path](const HttpRequest& to) { return json(to, library.result(run)); });
+  for (const Download& download : downloads()) {
+    if (words[2] == download.name)
+      return job([run = *path, download](const HttpRequest& to) {
+        return respond(to, http::status::ok, download.content_type, download.make(run));
+      });
+  }
+  return nullptr;
+}
+
+Server::Server(ServerOptions options, Session::Options bench)
+    : impl_(std::make_unique<Impl>(std::move(options), std::move(bench))) {}
+
+Server::~Server() = default;
+
+std::uint16_t Server::port() const {
+  return impl_->acceptor.local_endpoint().port();
+}
+
+bool Server::serve(const std::stop_token& stop) {
+  std::promise<void> stopped;
+  {
+    const std::stop_callback on_stop(stop, [&stopped] { stopped.set_value(); });
+    stopped.get_future().wait();
+  }
+  const bool something_was_on = !impl_->session->stop();
+  impl_->session.reset();
+  return something_was_on;
+}
+
+}  // namespace abcal::console

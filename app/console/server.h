@@ -1,0 +1,44 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <stop_token>
+#include <string>
+
+#include "app/console/access.h"
+#include "app/console/session.h"
+
+namespace abcal::console {
+
+struct ServerOptions {
+  std::string address = "127.0.0.1";
+  std::uint16_t port = 8474;  ///< 0: any free one.
+  AccessRules access;
+  std::size_t most_connections = 100;
+  std::chrono::seconds request_time{10};  ///< For a request to come in, and for its answer to be taken.
+  std::chrono::seconds silent_time{20};   ///< A page that answers no ping for so long is gone.
+};
+
+/// The web console: one page over HTTP, and a WebSocket on the same port by which it watches and steers
+/// (docs/console.md). All connections live in one thread, which never waits for any of them, nor for the
+/// bench; what the bench tells is put into a bounded queue for each.
+class Server {
+ public:
+  /// Listens from here on.
+  /// @throws std::runtime_error if the port cannot be had.
+  Server(ServerOptions options, Session::Options bench);
+  ~Server();
+
+  std::uint16_t port() const;
+
+  /// Serves until `stop`; a run that is on is stopped then, its stage halted.
+  /// @return whether something was stopped so.
+  bool serve(const std::stop_token& stop);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace abcal::console

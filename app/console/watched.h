@@ -1,0 +1,75 @@
+#pragma once
+
+#include <array>
+#include <functional>
+#include <memory>
+#include <optional>
+
+#include "app/real_clock.h"
+#include "drivers/instrument/accelerometer.h"
+#include "drivers/instrument/rotation_stage.h"
+
+namespace abcal::console {
+
+/// What became known of one axis.
+struct StageSeen {
+  StageAxis axis = StageAxis::kX;
+  std::optional<Angle> encoder;  ///< As the run read it.
+  std::optional<Angle> target;   ///< As the run commanded it.
+};
+
+/// The readings of a short while of real time.
+struct StripSeen {
+  double time_s = 0.0;  ///< Of the last of them, in the bench's time from the start of the stream.
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  Eigen::Vector3d lowest = Eigen::Vector3d::Zero();
+  Eigen::Vector3d highest = Eigen::Vector3d::Zero();  ///< R, all three.
+  int readings = 0;
+  std::optional<double> temperature_degc;
+};
+
+/// A stage that lets others see what it is told and what it says. It asks the controller nothing of its own:
+/// a watched run sends the same bytes as one that nobody watches.
+class WatchedStage final : public RotationStage {
+ public:
+  /// `see` must return at once.
+  WatchedStage(std::unique_ptr<RotationStage> stage, std::function<void(const StageSeen&)> see);
+
+  StageInfo identify() override { return stage_->identify(); }
+  void home(StageAxis axis) override { stage_->home(axis); }
+  void move_to(StageAxis axis, Angle target) override;
+  MotionState motion_state(StageAxis axis) override { return stage_->motion_state(axis); }
+  Angle encoder_angle(StageAxis axis) override;
+  bool halt() noexcept override { return stage_->halt(); }
+
+ private:
+  std::unique_ptr<RotationStage> stage_;
+  std::function<void(const StageSeen&)> see_;
+};
+
+/// An accelerometer whose readings others see, put together to at most 20 groups a second.
+class WatchedAccelerometer final : public Accelerometer {
+ public:
+  /// `see` must return at once.
+  WatchedAccelerometer(std::unique_ptr<Accelerometer> accelerometer,
+                       std::function<void(const StripSeen&)> see);
+
+  AccelerometerInfo identify() override { return accelerometer_->identify(); }
+  void start() override;
+  std::optional<Reading> next(Clock::Instant deadline) override;
+  void discard_pending() override { accelerometer_->discard_pending(); }
+  StreamHealth health() const override { return accelerometer_->health(); }
+  void stop() noexcept override { accelerometer_->stop(); }
+
+ private:
+  void note(const Reading& reading);
+
+  std::unique_ptr<Accelerometer> accelerometer_;
+  std::function<void(const StripSeen&)> see_;
+  RealClock real_;  // For people, who live in real time.
+  Clock::Instant last_seen_{};
+  std::optional<Clock::Instant> first_arrival_;
+  StripSeen group_;
+};
+
+}  // namespace abcal::console

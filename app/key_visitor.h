@@ -1,0 +1,77 @@
+#pragma once
+
+#include <fmt/format.h>
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "drivers/instrument/angle.h"
+
+namespace abcal {
+
+inline constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+/// What a number must be. NaN is outside every range.
+struct Range {
+  double min = -kInfinity;
+  double max = kInfinity;
+  bool min_excluded = false;
+
+  bool contains(double value) const { return (min_excluded ? value > min : value >= min) && value <= max; }
+  std::string words() const {
+    if (min == -kInfinity && max == kInfinity) return "a finite number";
+    if (max == kInfinity) return fmt::format("a number {} {}", min_excluded ? ">" : ">=", min);
+    return fmt::format("a number from {}{} to {}", min_excluded ? "above " : "", min, max);
+  }
+};
+
+inline constexpr Range kAny{};
+inline constexpr Range kPositive{0.0, kInfinity, true};
+inline constexpr Range kNotNegative{0.0, kInfinity};
+
+/// What visits the keys of a file. Each key is named once; reading, writing and the list of known keys all
+/// follow from it.
+class KeyVisitor {
+ public:
+  virtual ~KeyVisitor() = default;
+  virtual void section(const std::string& path) = 0;
+  virtual void text(const std::string& key, std::string& value,
+                    const std::vector<std::string>& choices = {}) = 0;
+  virtual void required_text(const std::string& key, std::string& value,
+                             const std::vector<std::string>& choices = {}) = 0;
+  virtual void number(const std::string& key, double& value, Range range) = 0;
+  virtual void number(const std::string& key, std::optional<double>& value, Range range) = 0;
+  virtual void integer(const std::string& key, int& value, int min, int max) = 0;
+  virtual void integer(const std::string& key, std::optional<int>& value, int min, int max) = 0;
+  virtual void seed(const std::string& key, std::uint64_t& value) = 0;
+  virtual void boolean(const std::string& key, bool& value) = 0;
+  virtual void vector(const std::string& key, Eigen::Vector3d& value) = 0;
+  virtual void integers(const std::string& key, std::array<int, 3>& value, int min, int max) = 0;
+  virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
+  /// An array of tables below the current section: visits each entry; those that are not there yet
+  /// (index >= size) come from the file.
+  virtual void tables(const std::string& key, std::size_t size,
+                      const std::function<void(std::size_t)>& visit_entry) = 0;
+
+  template <class T, class Visit>
+  void list(const std::string& key, std::vector<T>& value, const T& fresh, Visit visit_entry) {
+    tables(key, value.size(), [&](std::size_t i) {
+      if (i >= value.size()) value.push_back(fresh);
+      visit_entry(*this, value[i]);
+    });
+  }
+
+  void angle(const std::string& key, Angle& value, Range range) {
+    double degrees = value.deg();
+    number(key, degrees, range);
+    value = Angle::degrees(degrees);
+  }
+};
+
+}  // namespace abcal

@@ -1,0 +1,127 @@
+# What `cmake --install` and the Debian packages hold: the program with its manual, completions, examples, rules for
+# ports and a service; and, as a component of its own, the estimators as a library.
+include(GNUInstallDirs)
+include(CMakePackageConfigHelpers)
+
+# Packing must not build the tests; who installs has built what is installed.
+set(CMAKE_SKIP_INSTALL_ALL_DEPENDENCY ON)
+
+# Date of the manual and the changelog: that of the sources, so that a build can be repeated bit for bit.
+set(ABCAL_SOURCE_DATE "$ENV{SOURCE_DATE_EPOCH}")
+find_package(Git QUIET)
+if(NOT ABCAL_SOURCE_DATE AND Git_FOUND)
+  execute_process(COMMAND ${GIT_EXECUTABLE} -C ${PROJECT_SOURCE_DIR} log -1 --format=%ct
+    OUTPUT_VARIABLE ABCAL_SOURCE_DATE OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET)
+endif()
+
+# --- the program ---------------------------------------------------------------------------------------------------
+install(TARGETS abcal RUNTIME COMPONENT abcal)
+
+# Manual pages and completions come from the command line's own tree. gzip -n: no time stamp, the same bits each time.
+find_program(ABCAL_GZIP gzip REQUIRED)
+set(manual_folder ${PROJECT_BINARY_DIR}/manual)
+add_custom_command(OUTPUT ${manual_folder}/done
+  COMMAND ${CMAKE_COMMAND} -E rm -rf ${manual_folder}
+  COMMAND ${CMAKE_COMMAND} -E env SOURCE_DATE_EPOCH=${ABCAL_SOURCE_DATE} $<TARGET_FILE:abcal> --write-manual ${manual_folder}
+  COMMAND sh -c "${ABCAL_GZIP} -9n '${manual_folder}'/*.1"
+  COMMAND ${CMAKE_COMMAND} -E touch ${manual_folder}/done
+  DEPENDS abcal VERBATIM COMMENT "Manual pages and completions")
+add_custom_target(manual ALL DEPENDS ${manual_folder}/done)
+install(DIRECTORY ${manual_folder}/ DESTINATION ${CMAKE_INSTALL_MANDIR}/man1 COMPONENT abcal
+  FILES_MATCHING PATTERN "*.1.gz")
+install(FILES ${manual_folder}/abcal.bash DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions
+  RENAME abcal COMPONENT abcal)
+install(FILES ${manual_folder}/_abcal DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions COMPONENT abcal)
+
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal)
+install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
+# The service names the program by its path, which only the installation knows (cmake --install --prefix).
+install(CODE "
+  set(ABCAL_PROGRAM_PATH \"\${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_BINDIR}/abcal\")
+  configure_file(\"${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-console.service.in\"
+    \"${PROJECT_BINARY_DIR}/packaging/abcal-console.service\" @ONLY)" COMPONENT abcal)
+install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-console.service DESTINATION lib/systemd/system COMPONENT abcal)
+
+# --- the estimators as a library -------------------------------------------------------------------------------------
+set(library_targets abcal_instrument abcal_plan abcal_model abcal_record abcal_analysis abcal_estimators)
+foreach(target IN LISTS library_targets)
+  string(REPLACE abcal_ "" name ${target})
+  set_target_properties(${target} PROPERTIES EXPORT_NAME ${name})
+endforeach()
+install(TARGETS ${library_targets} EXPORT abcal-targets ARCHIVE COMPONENT dev
+  INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
+foreach(folder drivers/instrument protocol/plan protocol/model protocol/record protocol/analysis)
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/${folder}
+    COMPONENT dev FILES_MATCHING PATTERN "*.h")
+endforeach()
+set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/abcal)
+install(EXPORT abcal-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
+configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-config.cmake.in
+  ${PROJECT_BINARY_DIR}/packaging/abcal-config.cmake INSTALL_DESTINATION ${package_folder})
+# Before version 1 the interface of the library may change with every minor version.
+write_basic_package_version_file(${PROJECT_BINARY_DIR}/packaging/abcal-config-version.cmake
+  COMPATIBILITY SameMinorVersion)
+install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-config.cmake
+  ${PROJECT_BINARY_DIR}/packaging/abcal-config-version.cmake DESTINATION ${package_folder} COMPONENT dev)
+
+# --- Debian packages: cpack -G DEB -----------------------------------------------------------------------------------
+set(documents ${PROJECT_BINARY_DIR}/packaging)
+string(TIMESTAMP ABCAL_CHANGELOG_DATE "%a, %d %b %Y %H:%M:%S +0000" UTC)
+if(ABCAL_SOURCE_DATE)
+  execute_process(COMMAND date -u -R -d "@${ABCAL_SOURCE_DATE}" OUTPUT_VARIABLE ABCAL_CHANGELOG_DATE
+    OUTPUT_STRIP_TRAILING_WHITESPACE)
+endif()
+configure_file(${PROJECT_SOURCE_DIR}/cmake/packaging/changelog.Debian.in ${documents}/changelog.Debian @ONLY)
+configure_file(${PROJECT_SOURCE_DIR}/docs/changelog.md ${documents}/changelog COPYONLY)
+foreach(name changelog changelog.Debian)
+  execute_process(COMMAND ${ABCAL_GZIP} -9nf ${documents}/${name} COMMAND_ERROR_IS_FATAL ANY)
+endforeach()
+foreach(package abcal libabcal-dev)
+  set(component ${package})
+  if(package STREQUAL "libabcal-dev")
+    set(component dev)
+  endif()
+  install(FILES ${PROJECT_SOURCE_DIR}/cmake/packaging/copyright ${documents}/changelog.gz
+    ${documents}/changelog.Debian.gz DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${component})
+endforeach()
+
+set(CPACK_GENERATOR DEB)
+set(CPACK_PACKAGE_NAME abcal)
+set(CPACK_PACKAGE_CONTACT "abcal maintainers <maintainers@example.org>")
+set(CPACK_PACKAGE_DESCRIPTION_SUMMARY "")  # each package has its own, the first line of its description
+set(CPACK_COMPONENTS_ALL abcal dev)
+set(CPACK_SET_DESTDIR ON)  # so that what is installed sees the final prefix
+set(CPACK_INSTALL_PREFIX /usr)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_INSTALL_DEFAULT_DIRECTORY_PERMISSIONS
+  OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_RELEASE 1)
+set(CPACK_DEBIAN_PACKAGE_HOMEPAGE "https://example.org/abcal")
+set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
+
+set(CPACK_DEBIAN_ABCAL_PACKAGE_NAME abcal)
+set(CPACK_DEBIAN_ABCAL_PACKAGE_SECTION science)
+set(CPACK_DEBIAN_ABCAL_PACKAGE_SHLIBDEPS ON)
+set(CPACK_DEBIAN_ABCAL_PACKAGE_DEPENDS adduser)
+set(CPACK_DEBIAN_ABCAL_PACKAGE_RECOMMENDS "gnuplot-nox, weasyprint")
+set(CPACK_DEBIAN_ABCAL_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/cmake/packaging/postinst
+  ${PROJECT_SOURCE_DIR}/cmake/packaging/prerm)
+set(CPACK_COMPONENT_ABCAL_DESCRIPTION "calibrates triaxial accelerometers with gravity
+abcal drives a two-axis rotation stage through three rotation experiments,
+averages the accelerometer's readings at each angle, and computes the 3x3
+sensitivity matrix, the offsets and the intrinsic properties with their
+uncertainties (NIST's ABC protocol). Instruments may be real, emulated by
+another process, or simulated in the program.")
+
+set(CPACK_DEBIAN_DEV_PACKAGE_NAME libabcal-dev)
+set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
+set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS
+  "libeigen3-dev, libfmt-dev, libsqlite3-dev, libssl-dev")
+set(CPACK_COMPONENT_DEV_DESCRIPTION "estimators of accelerometer calibrations, for C++
+Static libraries, headers and a CMake package with the estimators of abcal:
+find_package(abcal) gives the target abcal::estimators, which computes
+sensitivity matrix, offsets and intrinsic properties with uncertainties from
+a run file or a table of averaged readings.")
+include(CPack)

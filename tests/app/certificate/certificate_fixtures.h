@@ -1,0 +1,123 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <chrono>
+#include <filesystem>
+#include <string>
+
+#include "app/certificate/certificate.h"
+#include "app/report/report_data.h"
+#include "tests/support/program.h"
+#include "tests/support/temporary_folder.h"
+#include "tests/support/test_data.h"
+
+namespace abcal {
+
+/// A bench file of which a certificate can be made; what stands between it and that is changed by `replaced`.
+inline std::string certificate_bench() {
+  return R"([bench]
+name = "bench 1"
+g_loc_mps2 = 9.80101
+g_loc_expanded_uncertainty_mps2 = 0.00003
+g_loc_k = 2.0
+g_loc_source = "survey of 2025"
+[item]
+maker = "Maker"
+model = "M-3"
+serial_number = "SN-42"
+range = "8 g"
+[operator]
+name = "Operator N. N."
+[stage]
+driver = "pi_gcs"
+port = "simulated"
+[accelerometer]
+driver = "microstrain_mip"
+port = "simulated"
+rate_hz = 200.0
+[environment]
+temperature_degc = 23.0
+humidity_percent = 45.0
+[protocol]
+steps = 12
+step_deg = 30.0
+settle_s = 0.05
+dwell_readings = 10
+[simulation]
+noise = 1e-4
+quantisation = 1e-6
+sensitivity_matrix = [[1.0021, -0.0047, 0.0037], [0.0069, 0.9982, 0.0086], [-0.0117, 0.0064, 1.0009]]
+offset = [0.01, 0.02, 0.03]
+[simulation.x]
+speed_deg_per_s = 700.0
+acceleration_deg_per_s2 = 20000.0
+step_error_deg = 0.005
+[simulation.z]
+speed_deg_per_s = 700.0
+acceleration_deg_per_s2 = 20000.0
+step_error_deg = 0.005
+)";
+}
+
+inline std::string example_laboratory() {
+  return test::read_file(std::filesystem::path(ABCAL_SOURCE_DIR) / "docs/examples/laboratory.toml");
+}
+
+/// `text` with the first `from` replaced. Fails the test where there is none.
+inline std::string replaced(std::string text, const std::string& from, const std::string& to) {
+  const auto at = text.find(from);
+  EXPECT_NE(at, std::string::npos) << from;
+  if (at != std::string::npos) text.replace(at, from.size(), to);
+  return text;
+}
+
+inline Clock::UtcTime any_time() {
+  return Clock::UtcTime(std::chrono::hours(24 * 365 * 56));
+}
+
+/// One measured run that all tests of a suite share: it is not changed by them (copies are).
+class CertificateTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    shared_folder_ = new test::TemporaryFolder;
+    measure(certificate_bench(), "a.run", *shared_folder_);
+  }
+  static void TearDownTestSuite() {
+    delete shared_folder_;
+    shared_folder_ = nullptr;
+  }
+
+  static void measure(const std::string& bench, const std::string& run, const test::TemporaryFolder& where) {
+    test::write_file(where / (run + ".toml"), bench);
+    const auto result = test::run_program({"run", run + ".toml", "-o", run}, where.path());
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+  }
+
+  static std::filesystem::path shared_run() { return *shared_folder_ / "a.run"; }
+
+  /// A copy of the run and its results in this test's own folder.
+  std::string own_run(const std::string& name = "a.run") {
+    for (const std::string suffix : {"", ".results"})
+      std::filesystem::copy_file(shared_run().string() + suffix, folder / (name + suffix));
+    return name;
+  }
+
+  static CertificateRequest request(const std::string& laboratory = example_laboratory()) {
+    CertificateRequest asked;
+    asked.laboratory = parse_laboratory_file(laboratory, "lab.toml");
+    asked.run = gather_report(shared_run(), any_time());
+    return asked;
+  }
+
+  test::ProgramResult abcal(const std::vector<std::string>& arguments) {
+    return test::run_program(arguments, folder.path());
+  }
+
+  test::TemporaryFolder folder;
+
+ private:
+  static inline test::TemporaryFolder* shared_folder_ = nullptr;
+};
+
+}  // namespace abcal

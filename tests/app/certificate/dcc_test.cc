@@ -1,0 +1,410 @@
+#include "app/certificate/dcc_xml.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <charconv>
+#include <clocale>
+#include <cstdlib>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <random>
+#include <sstream>
+
+#include "app/certificate/business_rules.h"
+#include "app/certificate/issue.h"
+#include "app/certificate/schema_check.h"
+#include "tests/app/certificate/certificate_fixtures.h"
+#include "tests/app/certificate/xml_query.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+class DccTest : public CertificateTest {
+ protected:
+  static Certificate certificate(const std::string& laboratory = example_laboratory()) {
+    return make_certificate(request(laboratory));
+  }
+};
+
+TEST_F(DccTest, ADraftOfASimulatedRunKeepsSchemaAndRules) {
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
+  const Certificate draft = certificate();
+  const XmlDocument document = dcc_document(draft);
+  EXPECT_EQ(to_string(check_business_rules(document)), "");
+  EXPECT_EQ(to_string(DccSchema(path).check(parse_xml(xml_text(document), "draft"))), "");
+  EXPECT_THAT(xml_text(document),
+              AllOf(HasSubstr("DRAFT: this certificate is not issued"), HasSubstr("SIMULATED")));
+  EXPECT_THAT(draft.number, testing::StartsWith("DRAFT-"));
+}
+
+// "Numbers in it equal --json to all digits": as analyse --json prints them, compared as numbers.
+TEST_F(DccTest, NumbersAreThoseOfTheAnalysis) {
+  const auto analysed = test::run_program({"analyse", shared_run().string(), "--json"}, folder.path());
+  ASSERT_EQ(analysed.exit_code, 0) << analysed.err;
+  const auto json = nlohmann::json::parse(analysed.out);
+  const XmlQuery xml(xml_text(dcc_document(certificate())));
+
+  // The output is in g, which the SI does not know: the second list of each hybrid is in g, as the JSON is.
+  const auto expect_list = [&](const std::string& result, int quantity, const nlohmann::json& of) {
+    const std::string at = "//dcc:result[@refType='" + result + "']//dcc:quantity[" +
+                           std::to_string(quantity) + "]/descendant::si:realListXMLList[last()]";
+    const auto values = xml.numbers(at + "/si:valueXMLList");
+    const auto expanded = xml.numbers(at + "//si:valueExpandedMUXMLList");
+    ASSERT_EQ(values.size(), of.size()) << result;
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      EXPECT_EQ(values[i], of[i]["value"].get<double>()) << result << " " << i;
+      EXPECT_EQ(expanded[i], 2.0 * of[i]["standard_uncertainty"].get<double>()) << result << " " << i;
+    }
+  };
+  for (int row = 0; row < 3; ++row)
+    expect_list("abc_sensitivityMatrixPerGravity", row + 1,
+                json["sensitivity_matrix"][static_cast<std::size_t>(row)]);
+  expect_list("abc_intrinsicSensitivitiesPerGravity", 1, json["intrinsic_sensitivity"]);
+  expect_list("abc_intrinsicAngles", 1, json["intrinsic_angle"]);
+  expect_list("abc_offsets", 1, json["offset"]);
+
+  const auto expect_covariance = [&](const std::string& result, const nlohmann::json& of, std::size_t first,
+                                     std::size_t size, int quantity) {
+    for (std::size_t column = 0; column < size; ++column) {
+      const auto values =
+          xml.numbers("//dcc:result[@refType='" + result + "']//dcc:quantity[" + std::to_string(quantity) +
+                      "]/descendant::si:realListXMLList[last()]//si:columnXMLList[" +
+                      std::to_string(column + 1) + "]//si:valueXMLList");
+      ASSERT_EQ(values.size(), size) << result;
+      for (std::size_t row = 0; row < size; ++row)
+        EXPECT_EQ(values[row], of[first + row][first + column].get<double>()) << result << row << column;
+    }
+  };
+  for (int row = 0; row < 3; ++row)
+    expect_covariance("abc_sensitivityMatrixPerGravity", json["covariance"],
+                      static_cast<std::size_t>(3 * row), 3, row + 1);
+  expect_covariance("abc_allOutputsPerGravity", json["covariance"], 0, 12, 1);
+  expect_covariance("abc_allIntrinsicPerGravity", json["covariance_intrinsic"], 0, 9, 1);
+  EXPECT_EQ(xml.text("(//dcc:result[@refType='abc_allOutputs']//si:ellipsoidalRegionMUXMLList/"
+                     "si:coverageFactorXMLList)[1]")
+                .substr(0, 5),
+            "4.585");
+  // The SI list is the same in m/s2.
+  const auto si = xml.numbers("//dcc:result[@refType='abc_offsets']//si:realListXMLList[1]/si:valueXMLList");
+  EXPECT_EQ(si.at(0), json["offset"][0]["value"].get<double>() * 9.80665);
+  EXPECT_EQ(xml.numbers("//dcc:influenceCondition[@refType='abc_localGravity']//si:value").at(0), 9.80101);
+}
+
+// Programs that set the locale of their user print "0,1" with printf; the certificate must not.
+TEST_F(DccTest, DoesNotDependOnTheLocale) {
+  const std::string here = xml_text(dcc_document(certificate()));
+  const char* found = nullptr;
+  for (const char* name : {"de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "de_DE"})
+    if (found == nullptr) found = std::setlocale(LC_ALL, name);
+  if (found == nullptr) GTEST_SKIP() << "no locale with a decimal comma is installed";
+  const std::string there = xml_text(dcc_document(certificate()));
+  std::setlocale(LC_ALL, "C");
+  EXPECT_EQ(here, there);
+}
+
+TEST_F(DccTest, MarkupAndOtherScriptsStayText) {
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
+  std::string laboratory = example_laboratory();
+  laboratory = replaced(laboratory, "name = \"Example customer\"",
+                        "name = \"<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \\u0001\"");
+  CertificateRequest asked = request(laboratory);
+  asked.run.run->header.labels["item.model"] = "</dcc:model><!-- & \"quoted\" 'single' \xff\xfe";
+  const Certificate made = make_certificate(std::move(asked));
+  const std::string text = xml_text(dcc_document(made));
+  const XmlDocument document = parse_xml(text, "draft");
+  EXPECT_EQ(to_string(DccSchema(path).check(document)), "");
+  EXPECT_EQ(to_string(check_business_rules(document)), "");
+  const XmlQuery xml(text);
+  EXPECT_EQ(xml.text("//dcc:customer/dcc:name/dcc:content"),
+            "<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \ufffd");
+  EXPECT_EQ(xml.text("//dcc:item/dcc:model"), "</dcc:model><!-- & \"quoted\" 'single' \ufffd\ufffd");
+}
+
+TEST_F(DccTest, ANumberThatIsNotFiniteStopsItAndIsNamed) {
+  Certificate made = certificate();
+  made.run.data.results.front().offset[2].value = std::numeric_limits<double>::quiet_NaN();
+  try {
+    checked_xml(made, nullptr);
+    FAIL();
+  } catch (const CertificateRefused& refused) {
+    EXPECT_THAT(refused.what(), HasSubstr("O_w is not a finite number"));
+  }
+  made = certificate();
+  (*made.run.data.results.front().covariance)(3, 4) = std::numeric_limits<double>::infinity();
+  EXPECT_THROW(checked_xml(made, nullptr), CertificateRefused);
+}
+
+// ---- two hundred certificates ---------------------------------------------------------------------------
+
+class Chance {
+ public:
+  explicit Chance(unsigned seed) : random_(seed) {}
+
+  std::size_t below(std::size_t n) { return std::uniform_int_distribution<std::size_t>(0, n - 1)(random_); }
+  bool coin() { return below(2) == 0; }
+  template <class T>
+  const T& one_of(const std::vector<T>& list) {
+    return list[below(list.size())];
+  }
+
+  /// Any finite number whose square and ten times of it are finite too: ordinary, huge, tiny, denormal, zero.
+  double number() {
+    const double sign = coin() ? 1.0 : -1.0;
+    switch (below(6)) {
+      case 0:
+        return 0.0;
+      case 1:
+        return sign * std::ldexp(1.0 + uniform(), static_cast<int>(below(900)) - 450);
+      case 2:
+        return sign * std::numeric_limits<double>::denorm_min() * static_cast<double>(1 + below(1000));
+      case 3:
+        return sign * 1e300 * uniform();
+      case 4:
+        return sign * static_cast<double>(below(1'000'000'000));
+      default:
+        return sign * uniform();
+    }
+  }
+  double not_negative() { return std::abs(number()); }
+  double uniform() { return std::uniform_real_distribution<double>(0.0, 1.0)(random_); }
+
+  std::string text() {
+    static const std::vector<std::string> kPieces{"Stra\u00dfe",
+                                                  "\u010cesk\u00fd",
+                                                  "\u8a08\u91cf\u7814\u7a76\u6240",
+                                                  "\U0001F4D0",
+                                                  "<b>",
+                                                  "</dcc:content>",
+                                                  "&amp;",
+                                                  "&",
+                                                  "]]>",
+                                                  "\"",
+                                                  "'",
+                                                  "<!--",
+                                                  "--",
+                                                  "\t",
+                                                  "\n",
+                                                  "  ",
+                                                  "\u00a0",
+                                                  "\u202e",
+                                                  "A",
+                                                  "z9",
+                                                  "%s",
+                                                  "\\",
+                                                  "{}",
+                                                  "\u0301"};
+    std::string text = "N";
+    for (std::size_t i = below(12); i > 0; --i) text += one_of(kPieces);
+    return text;
+  }
+
+ private:
+  std::mt19937_64 random_;
+};
+
+void scramble(Quantity& quantity, Chance& chance, const std::string& unit) {
+  quantity.value = chance.number();
+  quantity.standard_uncertainty = chance.not_negative();
+  quantity.unit = unit;
+}
+
+std::string per_gravity(const std::string& unit) {
+  return (unit.find('/') == std::string::npos ? unit : "(" + unit + ")") + "/g_loc";
+}
+
+void scramble(CalibrationResult& result, Chance& chance) {
+  static const std::vector<std::string> kUnits{"V",
+                                               "mV",
+                                               "uV",
+                                               "\u00b5V",
+                                               "mV/V",
+                                               "A",
+                                               "g",
+                                               "mg",
+                                               "m/s2",
+                                               "R",
+                                               "LSB",
+                                               "counts",
+                                               "1",
+                                               "%",
+                                               "m/s\u00b2",
+                                               "strange <unit> & co",
+                                               "digit per step",
+                                               "\u00b5g"};
+  const std::string unit = chance.one_of(kUnits);
+  result.response_unit = unit;
+  // A matrix that could be one, of any size: the angles between its rows have derivatives.
+  const double size = std::ldexp(1.0, static_cast<int>(chance.below(300)) - 150);
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      Quantity& quantity = (*result.sensitivity_matrix)[j][k];
+      scramble(quantity, chance, per_gravity(unit));
+      quantity.value = size * ((j == k ? 2.0 : 0.0) + chance.uniform() - 0.5);
+    }
+    scramble(result.offset[j], chance, unit);
+    scramble(result.intrinsic_sensitivity[j], chance, per_gravity(unit));
+    scramble(result.intrinsic_angle[j], chance, "degree");
+  }
+  // Up to 1e100, since they are multiplied by squares of derivatives and summed.
+  const auto covariance = [&] { return std::clamp(chance.number(), -1e100, 1e100); };
+  *result.covariance = Covariance12::NullaryExpr([&] { return covariance(); });
+  *result.covariance_intrinsic = Covariance9::NullaryExpr([&] { return covariance(); });
+  result.why = chance.text();
+  result.g_loc_source = chance.text();
+}
+
+void scramble(Contact& contact, Chance& chance) {
+  for (std::string* text : {&contact.name, &contact.street, &contact.city, &contact.state, &contact.post_code,
+                            &contact.email, &contact.phone})
+    *text = chance.text();
+}
+
+void scramble(Certificate& certificate, Chance& chance) {
+  CertifiedRun& run = certificate.run;
+  CalibrationResult& result = run.data.results.front();
+  scramble(result, chance);
+  run.data.record.response_unit = result.response_unit;
+  for (DerivedGroup& group : run.derived) {
+    for (DerivedQuantity& quantity : group.quantities) {
+      scramble(quantity.value, chance,
+               quantity.value.unit.find("g/(m/s2)") != std::string::npos ? result.response_unit + "/(m/s2)"
+                                                                         : quantity.value.unit);
+      quantity.gradient.setConstant(chance.uniform());
+    }
+  }
+  for (Decision& decision : run.decisions) {
+    decision.value = chance.number();
+    decision.standard_uncertainty = chance.not_negative();
+    decision.guard_band = chance.number();
+    for (std::optional<double>* limit : {&decision.limit.lower, &decision.limit.upper,
+                                         &decision.lower_acceptance, &decision.upper_acceptance})
+      *limit = chance.coin() ? std::optional(chance.number()) : std::nullopt;
+    decision.conformance_probability = chance.uniform();
+    decision.conformity = static_cast<Conformity>(chance.below(4));
+    decision.limit.source = chance.text();
+  }
+  LaboratoryFile& laboratory = certificate.laboratory;
+  scramble(laboratory.laboratory.contact, chance);
+  scramble(laboratory.customer, chance);
+  laboratory.laboratory.accreditation = chance.coin() ? chance.text() : "";
+  laboratory.laboratory.gravity_site = chance.text();
+  Job& job = laboratory.job;
+  for (std::string* text : {&job.item_name, &job.condition, &job.owner_id, &job.order, &job.procedure,
+                            &job.sampling, &job.deviations, &job.external_results, &job.opinions})
+    *text = chance.coin() ? chance.text() : "";
+  job.customer_supplied = {chance.text(), chance.text()};
+  if (chance.coin()) job.recalibration = job.received;
+  if (chance.coin()) job.received.reset();
+  for (Equipment& one : laboratory.equipment) {
+    for (std::string* text :
+         {&one.name, &one.maker, &one.model, &one.serial_number, &one.certificate, &one.certificate_issuer})
+      *text = chance.text();
+    if (chance.coin())
+      one.certificate_sha256 = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855";
+  }
+  for (auto& [key, label] : run.data.run->header.labels) label = chance.coin() ? chance.text() : "";
+  for (InstrumentIdentity& instrument : run.data.run->header.instruments)
+    for (std::string* text : {&instrument.maker, &instrument.model, &instrument.serial_number,
+                              &instrument.firmware, &instrument.details})
+      *text = chance.text() + (chance.coin() ? std::string("\x01\xff\x1b[2J") : "");
+  for (StoredEnvironment& look : run.data.run->environment) {
+    look.temperature_degc = chance.number();
+    look.pressure_hpa = chance.number();
+  }
+  certificate.reservations = {chance.text(), chance.text()};
+  if (chance.coin()) {
+    certificate.issue.emplace();
+    certificate.issue->approved_by = chance.text();
+    certificate.issue->date = Date{std::chrono::year(2026), std::chrono::month(1), std::chrono::day(2)};
+    certificate.number = certificate.issue->number = chance.text();
+    if (chance.coin()) certificate.issue->replaces = Replacement{chance.text(), chance.text(), ""};
+  }
+}
+
+TEST_F(DccTest, TwoHundredCertificatesOfAnythingValidate) {
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
+  const DccSchema schema(path);
+  const Certificate base = certificate();
+  int issued = 0;
+  for (unsigned seed = 1; seed <= 200; ++seed) {
+    Chance chance(seed);
+    Certificate any = base;
+    scramble(any, chance);
+    issued += any.draft() ? 0 : 1;
+    std::string text;
+    ASSERT_NO_THROW(text = xml_text(dcc_document(any))) << "seed " << seed;
+    const XmlDocument read = parse_xml(text, "certificate");
+    ASSERT_EQ(to_string(check_business_rules(read)), "") << "seed " << seed;
+    ASSERT_EQ(to_string(schema.check(read)), "") << "seed " << seed;
+    // Nothing is lost on the way: the first row of the matrix, in the unit of the output.
+    const auto row = XmlQuery(text).numbers(
+        "//dcc:result[@refType='abc_sensitivityMatrixPerGravity']//dcc:quantity[1]/"
+        "descendant::si:realListXMLList[last()]/"
+        "si:valueXMLList");
+    ASSERT_EQ(row.size(), 3U);
+    for (std::size_t k = 0; k < 3; ++k)
+      ASSERT_EQ(row[k], (*any.run.data.result().sensitivity_matrix)[0][k].value) << "seed " << seed;
+  }
+  EXPECT_GT(issued, 60);  // both kinds
+  EXPECT_LT(issued, 140);
+}
+
+TEST_F(DccTest, TheSchemaRefusesWhatItMust) {
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
+  const DccSchema schema(path);
+  const std::string good = xml_text(dcc_document(certificate()));
+  const auto broken =
+      replaced(good, "<dcc:performanceLocation>laboratory<", "<dcc:performanceLocation>moon<");
+  const auto problems = schema.check(parse_xml(broken, "broken"));
+  ASSERT_FALSE(problems.empty());
+  EXPECT_THAT(problems.front().where, HasSubstr("line "));
+  EXPECT_THAT(to_string(problems), HasSubstr("moon"));
+  EXPECT_THROW(DccSchema(folder.path()), std::invalid_argument);
+}
+
+// ---- programs of others ---------------------------------------------------------------------------------
+
+/// Runs a command of the shell; its exit code and what it wrote.
+std::pair<int, std::string> shell(const std::string& command, const test::TemporaryFolder& where) {
+  const auto log = where / "shell.log";
+  const int status = std::system((command + " > " + log.string() + " 2>&1").c_str());
+  return {status, test::read_file(log)};
+}
+
+TEST_F(DccTest, XmllintFindsItValid) {
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd/v3.3.0/dcc.xsd");
+  if (shell("command -v xmllint", folder).first != 0)
+    GTEST_SKIP() << "xmllint (libxml2-utils) is not installed";
+  test::write_file(folder / "a.xml", xml_text(dcc_document(certificate())));
+  const auto [code, said] =
+      shell("xmllint --nonet --noout --schema '" + path.string() + "' '" + (folder / "a.xml").string() + "'",
+            folder);
+  EXPECT_EQ(code, 0) << said;
+  EXPECT_THAT(said, HasSubstr("validates"));
+}
+
+TEST_F(DccTest, TheSchematronOfThePtbFindsNoError) {
+  ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/schematron/dcc.svrl");
+  const std::string saxon = "/usr/share/java/Saxon-HE.jar";
+  if (!std::filesystem::exists(saxon) || shell("command -v java", folder).first != 0)
+    GTEST_SKIP() << "Saxon-HE (libsaxonhe-java) or java is not installed";
+  const auto errors_of = [&](const std::string& xml) {
+    test::write_file(folder / "a.xml", xml);
+    const auto [code, said] =
+        shell("java -cp " + saxon + " net.sf.saxon.Transform -s:'" + (folder / "a.xml").string() +
+                  "' -xsl:'" + path.string() + "' -o:'" + (folder / "out.xml").string() + "'",
+              folder);
+    EXPECT_EQ(code, 0) << said;
+    return XmlQuery(test::read_file(folder / "out.xml")).texts("//*[@role='error']");
+  };
+  const std::string good = xml_text(dcc_document(certificate()));
+  EXPECT_THAT(errors_of(good), testing::IsEmpty());
+  // The check can fail.
+  EXPECT_THAT(errors_of(replaced(good, "<dcc:release>v", "<dcc:release>")), testing::Not(testing::IsEmpty()));
+}
+
+}  // namespace
+}  // namespace abcal

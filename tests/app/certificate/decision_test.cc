@@ -1,0 +1,134 @@
+#include "app/certificate/decision.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <stdexcept>
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+SpecificationLimit limit(std::optional<double> lower, std::optional<double> upper) {
+  SpecificationLimit made;
+  made.quantity = "intrinsic_sensitivity_u";
+  made.unit = "V/(m/s2)";
+  made.lower = lower;
+  made.upper = upper;
+  return made;
+}
+
+Conformity with(DecisionKind kind, double factor, double value, double u) {
+  DecisionRule rule;
+  rule.kind = kind;
+  rule.guard_factor = factor;
+  return decide(rule, limit(-1.0, 1.0), value, u).conformity;
+}
+
+// metrology.md 4.3; u = 0.05, so U = 0.1.
+TEST(DecisionTest, SimpleAcceptanceKnowsNoGuardBand) {
+  EXPECT_EQ(with(DecisionKind::kSimple, 1.0, 1.0, 0.05), Conformity::kPass);
+  EXPECT_EQ(with(DecisionKind::kSimple, 1.0, std::nextafter(1.0, 2.0), 0.05), Conformity::kFail);
+  EXPECT_EQ(with(DecisionKind::kSimple, 1.0, -1.0, 0.05), Conformity::kPass);
+}
+
+TEST(DecisionTest, AGuardBandMovesTheAcceptanceLimitsInside) {
+  EXPECT_EQ(with(DecisionKind::kGuardBand, 1.0, 0.89, 0.05), Conformity::kPass);
+  EXPECT_EQ(with(DecisionKind::kGuardBand, 1.0, 0.91, 0.05), Conformity::kFail);
+  EXPECT_EQ(with(DecisionKind::kGuardBand, 0.83, 0.91, 0.05), Conformity::kPass);
+  EXPECT_EQ(with(DecisionKind::kGuardBand, -1.0, 1.09, 0.05), Conformity::kPass);
+  EXPECT_EQ(with(DecisionKind::kGuardBand, -1.0, 1.11, 0.05), Conformity::kFail);
+}
+
+TEST(DecisionTest, FourStatementsOfTheNonBinaryRule) {
+  EXPECT_EQ(with(DecisionKind::kNonBinary, 1.0, 0.89, 0.05), Conformity::kPass);
+  EXPECT_EQ(with(DecisionKind::kNonBinary, 1.0, 0.95, 0.05), Conformity::kConditionalPass);
+  EXPECT_EQ(with(DecisionKind::kNonBinary, 1.0, 1.0, 0.05), Conformity::kConditionalPass);
+  EXPECT_EQ(with(DecisionKind::kNonBinary, 1.0, 1.05, 0.05), Conformity::kConditionalFail);
+  EXPECT_EQ(with(DecisionKind::kNonBinary, 1.0, 1.11, 0.05), Conformity::kFail);
+  EXPECT_EQ(with(DecisionKind::kNonBinary, 1.0, -1.05, 0.05), Conformity::kConditionalFail);
+}
+
+TEST(DecisionTest, LimitsOnOneSide) {
+  DecisionRule rule;
+  const Decision decision = decide(rule, limit({}, 1.0), -1e9, 0.05);
+  EXPECT_EQ(decision.conformity, Conformity::kPass);
+  EXPECT_FALSE(decision.lower_acceptance);
+  EXPECT_DOUBLE_EQ(*decision.upper_acceptance, 0.9);
+  EXPECT_EQ(decide(rule, limit(1.0, {}), 0.0, 0.05).conformity, Conformity::kFail);
+}
+
+// Reference: the normal distribution function, from tables (Q(10) to 16 digits).
+TEST(DecisionTest, ConformanceProbabilityIsThatOfTheNormalDistribution) {
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, -1.0, 1.0), 0.6826894921370859, 1e-15);
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, {}, 1.6448536269514722), 0.95, 1e-15);
+  EXPECT_NEAR(conformance_probability(1.0, 1.0, {}, 1.0), 0.5, 1e-16);
+  // Far in the tails: no cancellation. Q(10) = 7.61985302416e-24.
+  EXPECT_NEAR(conformance_probability(0.0, 1.0, 10.0, {}) / 7.619853024160527e-24, 1.0, 1e-12);
+  EXPECT_NEAR(
+      conformance_probability(0.0, 1.0, 10.0, 11.0) / (7.619853024160527e-24 - 1.9106595744986622e-28), 1.0,
+      1e-12);
+  EXPECT_EQ(conformance_probability(0.5, 0.0, 0.0, 1.0), 1.0);
+  EXPECT_EQ(conformance_probability(1.5, 0.0, 0.0, 1.0), 0.0);
+}
+
+/// Probability that an item outside +-limit is accepted, for items that scatter with `spread` about the
+/// middle.
+double false_acceptance(double tolerance, double acceptance, double u, double spread) {
+  constexpr int kPoints = 4000;
+  double sum = 0.0;
+  const double reach = 8.0 * spread, width = 2.0 * reach / kPoints;
+  for (int i = 0; i < kPoints; ++i) {
+    const double truth = -reach + (i + 0.5) * width;
+    if (std::abs(truth) <= tolerance) continue;
+    const double density =
+        std::exp(-0.5 * truth * truth / (spread * spread)) / (spread * std::sqrt(2.0 * std::numbers::pi));
+    sum += width * density * conformance_probability(truth, u, -acceptance, acceptance);
+  }
+  return sum;
+}
+
+TEST(DecisionTest, TheGuardBandFromTheUncertaintyRatioKeepsFalseAcceptanceBelowTwoPercent) {
+  DecisionRule rule;
+  rule.kind = DecisionKind::kTestUncertaintyRatio;
+  double without = 0.0;
+  for (const double ratio : {1.5, 2.0, 3.0, 4.0}) {
+    const double u = 0.5 / ratio;  // tolerance +-1, U = 2 u
+    const Decision decision = decide(rule, limit(-1.0, 1.0), 0.0, u);
+    ASSERT_GT(decision.guard_band, 0.0);
+    double worst = 0.0;
+    for (double spread = 0.2; spread < 3.0; spread *= 1.1) {
+      worst = std::max(worst, false_acceptance(1.0, *decision.upper_acceptance, u, spread));
+      without = std::max(without, false_acceptance(1.0, 1.0, u, spread));
+    }
+    EXPECT_LT(worst, 0.0205) << ratio;  // the published fit rounds to 2 %
+    EXPECT_GT(worst, 0.015) << ratio;   // and is no wider than it needs
+  }
+  EXPECT_GT(without, 0.04);  // without a guard band it is more
+  EXPECT_EQ(guard_band(rule, limit(-1.0, 1.0), 0.01), 0.0);
+  EXPECT_THROW(guard_band(rule, limit({}, 1.0), 0.1), std::invalid_argument);
+}
+
+TEST(DecisionTest, NothingIsDecidedWithoutANumber) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(decide({}, limit(-1.0, 1.0), nan, 0.1), std::invalid_argument);
+  EXPECT_THROW(decide({}, limit(-1.0, 1.0), 0.0, nan), std::invalid_argument);
+  EXPECT_THROW(decide({}, limit(-1.0, 1.0), 0.0, -0.1), std::invalid_argument);
+  EXPECT_THROW(decide({}, limit({}, {}), 0.0, 0.1), std::invalid_argument);
+}
+
+TEST(DecisionTest, TheRuleSaysItsRisk) {
+  DecisionRule rule;
+  EXPECT_THAT(describe(rule), HasSubstr("at most 2.3 %"));
+  rule.guard_factor = 0.83;
+  EXPECT_THAT(describe(rule), HasSubstr("at most 4.8 %"));
+  rule.kind = DecisionKind::kSimple;
+  EXPECT_THAT(describe(rule), HasSubstr("50 %"));
+}
+
+}  // namespace
+}  // namespace abcal

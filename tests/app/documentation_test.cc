@@ -1,0 +1,91 @@
+// What the documentation shows is run, so that it cannot rot.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <nlohmann/json.hpp>
+#include <regex>
+
+#include "tests/app/program_fixtures.h"
+
+namespace abcal {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using Json = nlohmann::json;
+
+/// The blocks of one language in a page, in their order.
+std::vector<std::string> code_blocks(const std::string& page, const std::string& language) {
+  const std::string text = test::read_file(std::filesystem::path(ABCAL_SOURCE_DIR) / "docs" / page);
+  std::vector<std::string> blocks;
+  const std::string fence = "```" + language + "\n";
+  for (std::size_t at = text.find(fence); at != std::string::npos; at = text.find(fence, at)) {
+    at += fence.size();
+    blocks.push_back(text.substr(at, text.find("```", at) - at));
+  }
+  return blocks;
+}
+
+class DocumentationTest : public ProgramTest {
+ protected:
+  /// Debian's own Python, which has the modules that Debian's packages give.
+  test::ProgramResult python(const std::string& script) {
+    test::write_file(folder / "script.py", script);
+    test::Program program("/usr/bin/python3", {"script.py"}, folder.path());
+    const int code = program.wait();
+    return {code, program.out(), program.err()};
+  }
+};
+
+TEST_F(DocumentationTest, PythonReadsARunAsThePageShows) {
+  const std::vector<std::string> blocks = code_blocks("installing.md", "python");
+  ASSERT_GE(blocks.size(), 2U);
+  if (python("import sqlite3\n").exit_code != 0) GTEST_SKIP() << "no Python with sqlite3";
+  BenchText bench;
+  bench.protocol += "closing_angle = true\n";
+  write_bench(bench);
+  const test::ProgramResult run = abcal({"run", "bench.toml", "-o", "first.run", "--json"});
+  ASSERT_EQ(run.exit_code, 0) << run.err;
+  const test::ProgramResult plain = python(blocks[0]);
+  ASSERT_EQ(plain.exit_code, 0) << plain.err;
+  EXPECT_THAT(plain.out, AllOf(HasSubstr("complete g 9.81"), HasSubstr("36 angles"),
+                               HasSubstr("10 readings at the first angle")));
+  if (python("import numpy\n").exit_code != 0) GTEST_SKIP() << "no Python with numpy";
+  const test::ProgramResult fitted = python(
+      blocks[0] + blocks[1] + "import json\nprint('JSON' + json.dumps([s.tolist(), offset.tolist()]))\n");
+  ASSERT_EQ(fitted.exit_code, 0) << fitted.err;
+  const Json numbers = Json::parse(fitted.out.substr(fitted.out.find("JSON") + 4));
+  const Json result = Json::parse(run.out);
+  for (std::size_t j = 0; j < 3; ++j) {
+    const Json& offset = result["offset"][j];
+    // Without weights the fit differs by a part of its type A uncertainty.
+    EXPECT_NEAR(numbers[1][j], offset["value"], 3.0 * offset["type_a"].get<double>());
+    for (std::size_t k = 0; k < 3; ++k) {
+      const Json& s = result["sensitivity_matrix"][j][k];
+      EXPECT_NEAR(numbers[0][j][k], s["value"], 3.0 * s["type_a"].get<double>());
+    }
+  }
+}
+
+TEST(ValidationPageTest, EveryTestThatItNamesExists) {
+  std::string sources;
+  const std::filesystem::path root = ABCAL_SOURCE_DIR;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(root / "tests")) {
+    if (entry.path().filename().string().ends_with("_test.cc")) sources += test::read_file(entry.path());
+  }
+  // "TEST_F(Suite,\n      Name" and "TEST(Suite, Name" are the same.
+  std::erase_if(sources, [](char c) { return c == ' ' || c == '\n'; });
+  const std::string page = test::read_file(root / "docs/validation.md");
+  const std::regex name("`([A-Z][A-Za-z0-9]+)\\.([A-Z][A-Za-z0-9]+)`");
+  int named = 0;
+  for (std::sregex_iterator match(page.begin(), page.end(), name), end; match != end; ++match, ++named) {
+    const std::string test = "(" + (*match)[1].str() + "," + (*match)[2].str() + ")";
+    EXPECT_NE(sources.find(test), std::string::npos) << "docs/validation.md names " << match->str();
+  }
+  EXPECT_GT(named, 50);
+}
+
+}  // namespace
+}  // namespace abcal

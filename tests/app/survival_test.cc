@@ -1,0 +1,249 @@
+// Runs that are killed or unplugged at random moments: nothing measured is lost, and what comes out is what
+// an undisturbed run gives. A few under the label quick, as many as a laboratory sees in years under long.
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "protocol/record/sqlite.h"
+#include "tests/app/program_fixtures.h"
+
+namespace abcal {
+namespace {
+
+using namespace std::chrono_literals;
+using test::Program;
+using test::ProgramResult;
+using testing::HasSubstr;
+using Json = nlohmann::json;
+
+/// A bench on which everything at an angle comes from the angle alone, so that a run which went on must give
+/// the same bits. Noise is seeded by the angle and the number of the sample after the arrival: every move
+/// lasts a whole number of sample periods (5 ms), so that the samples after it come at the same times,
+/// however long the run has lasted.
+BenchText repeatable_bench() {
+  BenchText bench;
+  bench.protocol += "approach_deg = 0.0\n[tolerances]\ndrift = 0.0\n";
+  bench.simulation = "noise_seeded_by_angle = true\nseed = 7\n";
+  bench.motion = "speed_deg_per_s = 500.0\nacceleration_deg_per_s2 = 25000.0\n";
+  return bench;
+}
+
+std::string integrity(const std::filesystem::path& run) {
+  // As a person with the tool sqlite3 would: it may finish or take back what was half written.
+  return SqliteDatabase(run, SqliteDatabase::Mode::kReadWrite).value("pragma integrity_check").value_or("");
+}
+
+/// The bits of all readings' means and of their uncertainty, in the order of the plan.
+std::vector<std::string> measured_bits(const std::filesystem::path& run) {
+  const StoredRun stored = RunFile::load(run);
+  std::vector<std::string> bits(stored.header.plan.size());
+  for (std::size_t k = 0; k < stored.measured.size(); ++k) {
+    const DwellRecord& dwell = stored.record.dwells[k];
+    for (int j = 0; j < 3; ++j)
+      bits.at(stored.measured[k]) += fmt::format("{:a} {:a} ", dwell.mean[j], dwell.u_mean.value()[j]);
+  }
+  return bits;
+}
+
+/// The numbers of a result that an interruption must not change.
+Json numbers(const std::string& analysis) {
+  const Json all = Json::parse(analysis);
+  Json kept;
+  for (const char* key : {"estimator", "sensitivity_matrix", "offset", "intrinsic_sensitivity",
+                          "intrinsic_angle", "covariance", "covariance_intrinsic"})
+    kept[key] = all.at(key);
+  return kept;
+}
+
+class SurvivalTest : public ProgramTest {
+ protected:
+  void kill_runs(int wanted) {
+    write_bench(repeatable_bench());
+    const auto begin = std::chrono::steady_clock::now();
+    const ProgramResult undisturbed = abcal({"run", "bench.toml", "-o", "whole.run"});
+    const auto whole = std::chrono::steady_clock::now() - begin;
+    ASSERT_EQ(undisturbed.exit_code, 0) << undisturbed.err;
+    const Json expected = numbers(abcal({"analyse", "whole.run", "--json"}).out);
+    const std::vector<std::string> expected_bits = measured_bits(folder / "whole.run");
+
+    std::mt19937_64 random(20261121);
+    std::uniform_real_distribution<double> moment(0.0, 1.0);
+    int killed = 0, killed_again = 0, before_the_first_angle = 0, killed_when_complete = 0;
+    for (int attempt = 0; killed < wanted; ++attempt) {
+      ASSERT_LT(attempt, 20 * wanted) << "the runs end before they can be killed";
+      SCOPED_TRACE(fmt::format("attempt {}", attempt));
+      const std::string name = fmt::format("{}.run", attempt);
+      const std::filesystem::path path = folder / name;
+      const auto kill_at_random = [&](Program& program) {
+        const auto wait = std::chrono::duration_cast<std::chrono::milliseconds>(whole * moment(random));
+        test::wait_for([&] { return !program.running(); }, wait);
+        program.signal(SIGKILL);
+        return program.wait() == 128 + SIGKILL;
+      };
+      {
+        Program run({"run", "bench.toml", "-o", name}, folder.path());
+        ASSERT_TRUE(test::wait_for([&] { return std::filesystem::exists(path) || !run.running(); }, 20s));
+        if (!kill_at_random(run)) continue;  // It was done.
+      }
+      ++killed;
+      std::size_t kept = measured(name);  // Before anything else touches the file.
+      ASSERT_EQ(integrity(path), "ok");
+      before_the_first_angle += kept == 0 ? 1 : 0;
+      if (killed % 2 == 0) {
+        Program second({"resume", name}, folder.path());
+        if (kill_at_random(second)) ++killed_again;
+        ASSERT_EQ(integrity(path), "ok");
+        EXPECT_GE(measured(name), kept);
+        kept = measured(name);
+      }
+      const bool complete = RunFile::load(path).state == RunState::kComplete;
+      const ProgramResult resumed = abcal({"resume", name});
+      if (complete) {
+        // Closed or analysed now, if it was not; a closed one cannot be resumed.
+        EXPECT_TRUE(resumed.exit_code == 0 || resumed.err.find("closed run") != std::string::npos)
+            << resumed.err;
+        ++killed_when_complete;
+      } else {
+        ASSERT_EQ(resumed.exit_code, 0) << resumed.err;
+        EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and went on"));
+      }
+      EXPECT_EQ(integrity(path), "ok");
+      const std::vector<std::string> bits = measured_bits(path);
+      for (std::size_t k = 0; k < bits.size(); ++k)
+        EXPECT_EQ(bits[k], expected_bits.at(k)) << "angle " << k << " of those kept at the kill: " << kept;
+      EXPECT_TRUE(numbers(abcal({"analyse", name, "--json"}).out) == expected);
+      const ProgramResult verified = abcal({"verify", name});
+      EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
+      for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
+        if (entry.path().filename().string().starts_with(fmt::format("{}.", attempt)))
+          std::filesystem::remove(entry.path());
+    }
+    fmt::print(
+        "{} of {} killed runs resumed, {} of them killed a second time, {} before their first angle, {} "
+        "after "
+        "their last\n",
+        killed, wanted, killed_again, before_the_first_angle, killed_when_complete);
+    RecordProperty("killed", killed);
+  }
+
+  /// Instruments vanish and come back (or not) at random moments of runs in simulated time.
+  void unplug_runs(int wanted) {
+    BenchText bench = repeatable_bench();
+    bench.protocol = "replug_timeout_s = 20.0\n" + bench.protocol;
+    write_bench(bench);
+    const ProgramResult undisturbed = abcal({"run", "bench.toml", "-o", "whole.run"});
+    ASSERT_EQ(undisturbed.exit_code, 0) << undisturbed.err;
+    const double whole_s = RunFile::load(folder / "whole.run").timing.total_s();
+    std::mt19937_64 random(20261122);
+    std::uniform_real_distribution<double> at(0.0, 1.0);
+    int completed = 0, halted = 0, noticed = 0;
+    for (int k = 0; k < wanted; ++k) {
+      const bool stage = random() % 2 == 0, comes_back = random() % 5 != 0;
+      const double at_s = whole_s * at(random), for_s = comes_back ? 15.0 * at(random) : 1e6;
+      SCOPED_TRACE(fmt::format("{}: {} at {} s for {} s", k, stage ? "stage" : "accelerometer", at_s, for_s));
+      BenchText unplugged = bench;
+      test::write_file(folder / "unplugged.toml",
+                       unplugged.text() + fmt::format("[[fault]]\nkind = \"unplug\"\ninstrument = \"{}\"\n"
+                                                      "at_s = {}\nfor_s = {}\n",
+                                                      stage ? "stage" : "accelerometer", at_s, for_s));
+      const std::string name = fmt::format("unplugged-{}.run", k);
+      const ProgramResult run = abcal({"run", "unplugged.toml", "-o", name});
+      if (!std::filesystem::exists(folder / name)) {  // Unplugged before it was asked who it is.
+        EXPECT_EQ(run.exit_code, 3) << run.err;
+        ++halted;
+        continue;
+      }
+      const StoredRun stored = RunFile::load(folder / name);
+      if (run.exit_code == 0) {
+        ++completed;
+        noticed += stored.record.reconnections;
+        EXPECT_EQ(measured_bits(folder / name), measured_bits(folder / "whole.run"));
+        EXPECT_EQ(run.out.find("came back once") != std::string::npos, stored.record.reconnections == 1);
+        EXPECT_EQ(abcal({"verify", name}).exit_code, 0);
+      } else {
+        ++halted;
+        EXPECT_FALSE(comes_back);
+        EXPECT_EQ(run.exit_code, 3) << run.err;
+        EXPECT_THAT(run.err, AllOf(HasSubstr("did not come back within 20 s"), HasSubstr("abcal resume")));
+        EXPECT_EQ(run.err.find("the stage is halted") != std::string::npos, !stage) << run.err;
+        EXPECT_EQ(stored.state, RunState::kInterrupted);
+        EXPECT_THAT(stored.events.back().text, HasSubstr("did not come back"));
+      }
+    }
+    EXPECT_GT(noticed, 0);
+    fmt::print("{} of {} unplugged runs: {} completed ({} reconnections), {} halted with the reason\n",
+               completed + halted, wanted, completed, noticed, halted);
+  }
+
+  std::size_t measured(const std::string& run) { return RunFile::load(folder / run).measured.size(); }
+};
+
+TEST_F(SurvivalTest, KilledRunsGoOnAndGiveTheSameBits) {
+  kill_runs(20);
+}
+
+TEST_F(SurvivalTest, UnpluggedRunsGoOnWithTheSameBitsOrHaltAndSaySo) {
+  unplug_runs(10);
+}
+
+/// Pseudo-terminals that close and open again under the same name, again and again, in real time.
+class ReplugTest : public EmulatedBenchTest {
+ protected:
+  void unplug_all_the_time(std::uint64_t seed) {
+    bench.protocol += "replug_timeout_s = 30.0\n[limits]\nmax_replugs = 1000\n";
+    write_bench(bench);
+    std::string faults;
+    std::mt19937_64 random(seed);
+    std::uniform_real_distribution<double> uniform(0.0, 1.0);
+    double at_s = 2.0;
+    for (int k = 0; k < 40; ++k, at_s += 3.0 + 3.0 * uniform(random)) {
+      faults += fmt::format("[[fault]]\nkind = \"unplug\"\ninstrument = \"{}\"\nat_s = {}\nfor_s = {}\n",
+                            random() % 2 == 0 ? "stage" : "accelerometer", at_s, 0.2 + 0.6 * uniform(random));
+    }
+    test::write_file(folder / "emulated.toml", bench.text() + faults);
+    Program serving({"emulate", "emulated.toml", "--link-dir", "links"}, folder.path());
+    ASSERT_TRUE(test::wait_for([&] { return std::filesystem::exists(folder / "links/accelerometer"); }, 20s))
+        << serving.err();
+    const ProgramResult run = abcal({"run", "bench.toml", "-o", "a.run"});
+    ASSERT_EQ(run.exit_code, 0) << run.err << "The emulator: " << serving.err();
+    const StoredRun stored = RunFile::load(folder / "a.run");
+    EXPECT_EQ(stored.measured.size(), stored.header.plan.size());
+    EXPECT_GT(stored.record.reconnections, 2) << run.err;
+    EXPECT_THAT(run.out, HasSubstr("each time it was the same instrument"));
+    fmt::print("{} reconnections in one run of {:.1f} s\n", stored.record.reconnections,
+               stored.timing.total_s());
+    reconnections += stored.record.reconnections;
+    const ProgramResult truth = abcal({"analyse", "a.run", "--truth", "bench.toml"});
+    EXPECT_EQ(truth.exit_code, 0) << truth.out;
+  }
+  int reconnections = 0;
+};
+
+TEST_F(ReplugTest, ARunGoesOnWhateverIsUnpluggedForAWhile) {
+  unplug_all_the_time(1);
+}
+
+class LongReplugTest : public ReplugTest, public testing::WithParamInterface<std::uint64_t> {};
+
+TEST_P(LongReplugTest, ARunGoesOnWhateverIsUnpluggedForAWhile) {
+  unplug_all_the_time(GetParam());
+}
+
+INSTANTIATE_TEST_SUITE_P(Seeds, LongReplugTest, testing::Range<std::uint64_t>(2, 12));
+
+class LongSurvivalTest : public SurvivalTest {};
+
+TEST_F(LongSurvivalTest, UnpluggedRunsGoOnWithTheSameBitsOrHaltAndSaySo) {
+  unplug_runs(100);
+}
+
+TEST_F(LongSurvivalTest, KilledRunsGoOnAndGiveTheSameBits) {
+  kill_runs(200);
+}
+
+}  // namespace
+}  // namespace abcal

@@ -1,0 +1,90 @@
+#include "app/console/request.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+
+namespace abcal::console {
+namespace {
+
+template <class T>
+T read(const std::string& text) {
+  return std::get<T>(parse_request(text).command);
+}
+
+std::string refusal(const std::string& text) {
+  try {
+    parse_request(text);
+    return "accepted";
+  } catch (const RequestError& error) {
+    return error.what();
+  }
+}
+
+TEST(RequestTest, ReadsEveryRequestThatDocsNames) {
+  EXPECT_EQ(parse_request(R"({"do":"hold","id":7})").id, 7);
+  EXPECT_FALSE(read<TakeControl>(R"({"do":"control"})").from_another);
+  EXPECT_TRUE(read<TakeControl>(R"({"do":"control","from_another":true})").from_another);
+  read<ReleaseControl>(R"({"do":"control","release":true})");
+  EXPECT_FALSE(read<CheckBench>(R"({"do":"check"})").with_motion);
+  EXPECT_TRUE(read<CheckBench>(R"({"do":"check","with_motion":true,"confirmed":true})").with_motion);
+  read<StartRun>(R"({"do":"start","confirmed":true})");
+  read<HoldRun>(R"({"do":"hold"})");
+  read<ContinueRun>(R"({"do":"continue","confirmed":true})");
+  read<Stop>(R"({"do":"stop"})");
+  EXPECT_EQ(read<ResumeRun>(R"({"do":"resume","run":"a.run","confirmed":true})").run, "a.run");
+  const Jog jog = read<Jog>(R"({"do":"jog","axis":"z","by_deg":-12.5,"confirmed":true})");
+  EXPECT_EQ(jog.axis, StageAxis::kZ);
+  EXPECT_EQ(jog.by.deg(), -12.5);
+  EXPECT_EQ(read<Note>(R"({"do":"note","text":"door opened, 23 °C"})").text, "door opened, 23 °C");
+}
+
+TEST(RequestTest, WhatMovesHardwareNeedsAYes) {
+  for (const char* text : {R"({"do":"start"})", R"({"do":"start","confirmed":false})", R"({"do":"continue"})",
+                           R"({"do":"resume","run":"a.run"})", R"({"do":"jog","axis":"x","by_deg":1})",
+                           R"({"do":"check","with_motion":true})"})
+    EXPECT_THAT(refusal(text), testing::HasSubstr("confirmed")) << text;
+}
+
+TEST(RequestTest, RefusesWhatIsNotUnderstood) {
+  for (const char* text : {"",
+                           "{",
+                           "null",
+                           "[]",
+                           "3",
+                           R"("stop")",
+                           "{}",
+                           R"({"do":3})",
+                           R"({"do":"explode"})",
+                           R"({"do":"stop","now":true})",
+                           R"({"do":"start","confirmed":1})",
+                           R"({"do":"start","confirmed":"true"})",
+                           R"({"do":"stop","id":-1})",
+                           R"({"do":"stop","id":1.5})",
+                           R"({"do":"stop","id":1e300})",
+                           R"({"do":"resume","run":7,"confirmed":true})",
+                           R"({"do":"jog","axis":"y","by_deg":1,"confirmed":true})",
+                           R"({"do":"jog","axis":"x","by_deg":361,"confirmed":true})",
+                           R"({"do":"jog","axis":"x","by_deg":1e999,"confirmed":true})",
+                           R"({"do":"jog","axis":"x","by_deg":null,"confirmed":true})",
+                           R"({"do":"jog","axis":"x","by_deg":"10","confirmed":true})",
+                           R"({"do":"note","text":""})",
+                           R"({"do":"note","text":"two\nlines"})",
+                           "{\"do\":\"note\",\"text\":\"\xff\xfe\"}"})
+    EXPECT_NE(refusal(text), "accepted") << text;
+  EXPECT_NE(refusal(R"({"do":"note","text":")" + std::string(kLongestNote + 1, 'a') + R"("})"), "accepted");
+  EXPECT_EQ(refusal(R"({"do":"note","text":")" + std::string(kLongestNote, 'a') + R"("})"), "accepted");
+  EXPECT_THAT(refusal(std::string(kLongestRequest + 1, ' ')), testing::HasSubstr("4096"));
+  EXPECT_NE(refusal(std::string(kLongestRequest, '[')), "accepted");  // Depth is bounded by length.
+}
+
+TEST(RequestTest, SaysWhatIsMissing) {
+  EXPECT_THAT(refusal(R"({"do":"jog","axis":"x","confirmed":true})"),
+              testing::HasSubstr("\"by_deg\" is missing"));
+  EXPECT_THAT(refusal(R"({"do":"start","confirmed":true,"speed":2})"),
+              testing::HasSubstr("\"speed\" does not belong"));
+}
+
+}  // namespace
+}  // namespace abcal::console

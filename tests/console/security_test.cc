@@ -1,0 +1,247 @@
+// Who is refused, that it is logged, and that nothing moves for it.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <regex>
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "app/console/asset.h"
+#include "tests/console/console_fixture.h"
+
+namespace abcal::console {
+namespace {
+
+using testing::HasSubstr;
+using Json = test::PageClient::Json;
+
+class SecurityTest : public ConsoleTest {
+ protected:
+  /// The status with which a WebSocket is declined; 101 if it is granted.
+  unsigned upgrade(test::Headers headers, const std::string& target = "/live") {
+    headers.insert({{"Connection", "Upgrade"},
+                    {"Upgrade", "websocket"},
+                    {"Sec-WebSocket-Version", "13"},
+                    {"Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="}});
+    return test::http_get(port, target, headers).status;
+  }
+  void expect_that_nothing_moved() {
+    test::PageClient page(port);
+    const Json snapshot = page.wait_for_type("snapshot");
+    EXPECT_EQ(snapshot["activity"]["activity"], "idle");
+    EXPECT_TRUE(snapshot["run"].is_null());
+    EXPECT_TRUE(snapshot["stage"]["x"]["target_deg"].is_null());
+    EXPECT_TRUE(snapshot["stage"]["z"]["target_deg"].is_null());
+    EXPECT_EQ(run_files(), 0U);
+  }
+};
+
+TEST_F(SecurityTest, ThePageAllowsNothingFromElsewhere) {
+  open();
+  const test::Answer answer = test::http_get(port, "/");
+  ASSERT_EQ(answer.status, 200U);
+  const std::string policy = answer.headers.at("Content-Security-Policy");
+  EXPECT_THAT(policy, HasSubstr("default-src 'none'"));
+  EXPECT_THAT(policy, HasSubstr("script-src 'self';"));
+  EXPECT_THAT(policy, HasSubstr("frame-ancestors 'none'"));
+  EXPECT_THAT(policy, testing::Not(HasSubstr("unsafe")));
+  EXPECT_EQ(answer.headers.at("X-Content-Type-Options"), "nosniff");
+  EXPECT_EQ(answer.headers.at("Referrer-Policy"), "no-referrer");
+  EXPECT_EQ(answer.headers.count("Access-Control-Allow-Origin"), 0U);
+  for (const Asset& asset : assets()) {
+    EXPECT_EQ(test::http_get(port, std::string(asset.path)).body, asset.body) << asset.path;
+    if (asset.path == "/chart.js") continue;  // Has addresses in its licence.
+    // A namespace is a name, no address; and link.js asks how it was loaded itself.
+    const std::string body = std::regex_replace(
+        std::string(asset.body), std::regex("xmlns=\"http://www.w3.org/2000/svg\"|'https:' *\\?"), "");
+    for (const char* elsewhere :
+         {"=\"http", "'http", "url(", "style=\"", "onclick", "innerHTML", "<script>", "eval("})
+      EXPECT_THAT(body, testing::Not(HasSubstr(elsewhere))) << asset.path;
+  }
+}
+
+TEST_F(SecurityTest, AnotherPageIsRefusedAndLogged) {
+  open();
+  for (const char* origin : {"http://evil.example.org", "null", "http://127.0.0.1:1"}) {
+    EXPECT_EQ(upgrade({{"Origin", origin}}), 403U) << origin;
+    EXPECT_EQ(test::http_get(port, "/runs", {{"Origin", origin}}).status, 403U) << origin;
+  }
+  EXPECT_TRUE(is_logged("Another page may not use this console"));
+  EXPECT_EQ(upgrade({{"Origin", "http://127.0.0.1:" + std::to_string(port)}}), 101U);
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, AnotherNameForOurAddressIsRefusedAndLogged) {
+  open();
+  for (const char* host : {"evil.example.org", "", "127.0.0.1:1"}) {
+    EXPECT_EQ(upgrade({{"Host", host}}), 421U) << host;
+    EXPECT_EQ(test::http_get(port, "/", {{"Host", host}}).status, 421U) << host;
+  }
+  EXPECT_TRUE(is_logged("not known by that name"));
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, WithoutTheTokenNothingIsShown) {
+  options.access.token = "0123456789abcdef";
+  open();
+  const std::string cookie_name = "abcal_token_" + std::to_string(port);
+  for (const char* path : {"/", "/app.js", "/runs", "/runs/a.run/result"})
+    EXPECT_EQ(test::http_get(port, path).status, 401U) << path;
+  EXPECT_EQ(upgrade({}), 401U);
+  EXPECT_EQ(upgrade({{"Authorization", "Bearer 0123456789abcdeF"}}), 401U);
+  EXPECT_EQ(test::http_get(port, "/?token=0123456789abcdeF").status, 401U);
+  EXPECT_TRUE(is_logged("no token"));
+  // The token itself is in no log.
+  EXPECT_THAT(logged(), testing::Not(HasSubstr("0123456789abcde")));
+
+  const test::Answer welcome = test::http_get(port, "/?token=0123456789abcdef");
+  EXPECT_EQ(welcome.status, 303U);
+  EXPECT_EQ(welcome.headers.at("Location"), "/");
+  EXPECT_EQ(welcome.headers.at("Set-Cookie"),
+            cookie_name + "=0123456789abcdef; HttpOnly; SameSite=Strict; Path=/");
+  const test::Headers cookie{{"Cookie", cookie_name + "=0123456789abcdef"}};
+  EXPECT_EQ(test::http_get(port, "/runs", cookie).status, 200U);
+  EXPECT_EQ(upgrade(cookie), 101U);
+  // The cookie does not let another page in.
+  test::Headers elsewhere = cookie;
+  elsewhere["Origin"] = "http://evil.example.org";
+  EXPECT_EQ(upgrade(elsewhere), 403U);
+}
+
+TEST_F(SecurityTest, NoPathLeadsOutOfTheRunFolder) {
+  test::write_file(folder / "secret.run", "secret");
+  test::write_file(folder / "secret.txt", "secret");
+  std::filesystem::create_directories(runs() / "inside.run");
+  test::write_file(runs() / "inside.run" / "secret.run", "secret");
+  test::write_file(runs() / "notes.txt", "secret");
+  std::filesystem::create_symlink(folder / "secret.run", runs() / "link.run");
+  open();
+  for (const char* path : {"/../bench.toml",
+                           "/runs/../secret.run/result",
+                           "/runs/..%2fsecret.run/result",
+                           "/runs/%2e%2e%2fsecret.run/readings.csv",
+                           "/runs/..%5csecret.run/result",
+                           "/runs//result",
+                           "/runs/./result",
+                           "/runs/inside.run/result",
+                           "/runs/inside.run%2fsecret.run/result",
+                           "/runs/link.run/result",
+                           "/runs/link.run/readings.csv",
+                           "/runs/notes.txt/result",
+                           "/runs/secret.run%00/result",
+                           "//etc/passwd",
+                           "/runs/%/result",
+                           "/runs/%zz/result",
+                           "/etc/passwd",
+                           "http://127.0.0.1/runs",
+                           "/runs/\xff/result",
+                           "/index.html/../../bench.toml",
+                           "/live",
+                           "*"}) {
+    const test::Answer answer = test::http_get(port, path);
+    EXPECT_TRUE(answer.status == 404 || answer.status == 400) << path << ": " << answer.status;
+    EXPECT_THAT(answer.body, testing::Not(HasSubstr("secret"))) << path;
+    EXPECT_THAT(answer.body, testing::Not(HasSubstr("g_loc"))) << path;
+  }
+  EXPECT_TRUE(is_logged("There is no such page"));
+  EXPECT_EQ(Json::parse(test::http_get(port, "/runs").body), Json::array());
+  auto page = steering_page();
+  for (const char* run : {"../secret.run", "link.run", "/etc/passwd", "", ".", "inside.run", "secret.run"})
+    EXPECT_FALSE(page->ok({{"do", "resume"}, {"run", run}, {"confirmed", true}})) << run;
+}
+
+TEST_F(SecurityTest, RefusesWhatIsNoRequest) {
+  open();
+  const std::string host = "Host: 127.0.0.1:" + std::to_string(port) + "\r\n";
+  const auto status = [&](const std::string& bytes) {
+    test::RawConnection connection(port);
+    connection.send(bytes);
+    return connection.answer().status;
+  };
+  EXPECT_EQ(status("nonsense\r\n\r\n"), 400U);
+  EXPECT_EQ(status("GET / HTTP/9.9\r\n\r\n"), 400U);
+  EXPECT_EQ(status("GET /\x01 HTTP/1.1\r\n" + host + "\r\n"), 400U);
+  EXPECT_EQ(status("GET / HTTP/1.1\r\n" + host + "X: " + std::string(20'000, 'a') + "\r\n\r\n"), 431U);
+  EXPECT_EQ(status("GET /" + std::string(20'000, 'a') + " HTTP/1.1\r\n" + host + "\r\n"), 431U);
+  EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 99999999\r\n\r\n"), 413U);
+  EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 0\r\n\r\n"), 405U);
+  EXPECT_EQ(status("DELETE /runs HTTP/1.1\r\n" + host + "\r\n"), 405U);
+  EXPECT_TRUE(is_logged("Only GET is answered here"));
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, RefusesMessagesThatAreNoRequests) {
+  open();
+  auto page = steering_page();
+  for (const char* text : {"", "{", "[]", "null", R"({"do":"start"})",
+                           R"({"do":"jog","axis":"x","by_deg":1e999,"confirmed":true})",
+                           R"({"do":"start","confirmed":true,"and":1})"}) {
+    page->send(text);
+    const Json reply = page->wait_for_type("reply");
+    EXPECT_EQ(reply["ok"], false) << text;
+    EXPECT_NE(reply["why"], "") << text;
+  }
+  EXPECT_TRUE(is_logged("required: \"confirmed\": true"));
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, AnOversizedMessageEndsTheConnection) {
+  open();
+  auto page = steering_page();
+  page->send(std::string(5000, ' '));
+  EXPECT_TRUE(page->wait_for_end());
+  EXPECT_TRUE(is_logged("longer than 4096 bytes"));
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, AWatchingPageCannotSteer) {
+  open();
+  test::PageClient watcher(port);
+  for (const Json& request :
+       std::vector<Json>{{{"do", "start"}, {"confirmed", true}},
+                         {{"do", "jog"}, {"axis", "x"}, {"by_deg", 5}, {"confirmed", true}},
+                         {{"do", "check"}},
+                         {{"do", "stop"}},
+                         {{"do", "hold"}},
+                         {{"do", "note"}, {"text", "x"}},
+                         {{"do", "control"}, {"release", true}}})
+    EXPECT_FALSE(watcher.ok(request)) << request;
+  EXPECT_TRUE(is_logged("only watches"));
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, OnePageSteersAtATime) {
+  open();
+  auto first = steering_page();
+  test::PageClient second(port);
+  EXPECT_THAT(second.ask({{"do", "control"}})["why"].get<std::string>(),
+              HasSubstr("take control from it first"));
+  EXPECT_TRUE(second.ok({{"do", "control"}, {"from_another", true}}));
+  EXPECT_FALSE(first->ok({{"do", "check"}}));
+  EXPECT_TRUE(second.ok({{"do", "control"}, {"release", true}}));
+  EXPECT_TRUE(first->ok({{"do", "control"}}));
+  // A page that is gone steers no longer.
+  first.reset();
+  EXPECT_TRUE(test::wait_for([&] { return second.ok({{"do", "control"}}); }, test::kPatience));
+}
+
+TEST_F(SecurityTest, ConnectionsAreLimitedInNumberAndTime) {
+  options.most_connections = 3;
+  options.request_time = std::chrono::seconds(1);
+  open();
+  std::vector<std::unique_ptr<test::RawConnection>> idle;
+  for (int i = 0; i < 3; ++i) {
+    idle.push_back(std::make_unique<test::RawConnection>(port));
+    idle.back()->send("GET / HTTP/1.1\r\n");  // And never the rest.
+  }
+  EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 0; }, test::kPatience));
+  EXPECT_TRUE(is_logged("there are 3 already"));
+  for (const auto& connection : idle) EXPECT_TRUE(connection->closed());
+  EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 200; }, test::kPatience));
+}
+
+}  // namespace
+}  // namespace abcal::console

@@ -1,0 +1,261 @@
+// What the console does at a simulated bench: the same as the commands do.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "app/analyses.h"
+#include "app/report/result_json.h"
+#include "protocol/record/run_file.h"
+#include "tests/console/console_fixture.h"
+
+namespace abcal::console {
+namespace {
+
+using testing::HasSubstr;
+using Json = test::PageClient::Json;
+
+const Json kStart = {{"do", "start"}, {"confirmed", true}};
+
+class SteeringTest : public ConsoleTest {
+ protected:
+  /// A plan of 12 angles each and closing angles.
+  static constexpr std::size_t kPlanned = 39;
+
+  std::string wait_for_end(test::PageClient& page) {
+    const Json ended = page.wait_for_type("ended");
+    EXPECT_TRUE(ended["complete"].get<bool>()) << ended;
+    page.wait_for_activity("idle");
+    return ended["file"];
+  }
+  std::vector<std::string> event_kinds(const std::string& run) {
+    std::vector<std::string> kinds;
+    for (const RunEvent& event : RunFile::load(runs() / run).events) kinds.push_back(event.kind);
+    return kinds;
+  }
+};
+
+TEST_F(SteeringTest, ARunIsTheSameAsThatOfTheCommandLine) {
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  std::set<std::size_t> seen;
+  std::string file;
+  page->wait_for(
+      [&](const Json& message) {
+        if (message["type"] == "dwell") seen.insert(message["dwell"]["position"].get<std::size_t>());
+        if (message["type"] == "ended") file = message["file"];
+        return message["type"] == "ended";
+      },
+      "the end of the run");
+  EXPECT_EQ(seen.size(), kPlanned);
+  const StoredRun watched = RunFile::load(runs() / file);
+  EXPECT_EQ(watched.state, RunState::kComplete);
+
+  const test::ProgramResult command =
+      test::run_program({"run", "bench.toml", "-o", "alone.run", "--json"}, folder.path());
+  ASSERT_EQ(command.exit_code, 0) << command.err;
+  const StoredRun alone = RunFile::load(folder / "alone.run");
+  ASSERT_EQ(watched.record.dwells.size(), alone.record.dwells.size());
+  for (std::size_t i = 0; i < alone.record.dwells.size(); ++i) {
+    EXPECT_EQ(watched.record.dwells[i].mean, alone.record.dwells[i].mean) << i;  // Bit for bit.
+    EXPECT_EQ(watched.record.dwells[i].time_s, alone.record.dwells[i].time_s) << i;
+  }
+
+  // What the page shows of it is what the commands show.
+  const test::Answer answer = test::http_get(port, "/runs/" + file + "/result");
+  ASSERT_EQ(answer.status, 200U);
+  const Json shown = Json::parse(answer.body);
+  ASSERT_EQ(shown["results"].size(), 3U);
+  for (const Json& result : shown["results"]) {
+    const std::string estimator = result["estimator"];
+    const test::ProgramResult analysed =
+        test::run_program({"analyse", "runs/" + file, "--estimator", estimator, "--json"}, folder.path());
+    Json printed = Json::parse(analysed.out), here = result;
+    printed.erase("source");  // A path, which differs with the folder one stands in.
+    here.erase("source");
+    EXPECT_EQ(here, printed) << estimator;
+  }
+}
+
+TEST_F(SteeringTest, HoldsAfterAnAngleAndGoesOn) {
+  pace = 20.0;
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  EXPECT_FALSE(page->ok({{"do", "continue"}, {"confirmed", true}}));
+  page->wait_for_type("dwell");
+  ASSERT_TRUE(page->ok({{"do", "hold"}}));
+  page->wait_for([](const Json& m) { return m["type"] == "phase" && m["phase"] == "held"; }, "the hold");
+  ASSERT_TRUE(page->ok({{"do", "note"}, {"text", "door opened; 23 °C"}}));
+  page->wait_for(
+      [](const Json& m) {
+        return m["type"] == "log" &&
+               m["line"]["text"].get<std::string>().find("door opened") != std::string::npos;
+      },
+      "the note");
+  // Held: no angle comes.
+  const auto a_while = std::chrono::steady_clock::now() + std::chrono::milliseconds(300);
+  while (const auto message = page->next(a_while)) EXPECT_NE((*message)["type"], "dwell");
+  test::PageClient late(port);
+  EXPECT_EQ(late.wait_for_type("snapshot")["phase"]["phase"], "held");
+  ASSERT_TRUE(page->ok({{"do", "continue"}, {"confirmed", true}}));
+  const std::string file = wait_for_end(*page);
+  const std::vector<std::string> kinds = event_kinds(file);
+  for (const char* kind : {"held", "note", "continued", "complete"})
+    EXPECT_THAT(kinds, testing::Contains(kind));
+  const StoredRun run = RunFile::load(runs() / file);
+  EXPECT_EQ(run.measured.size(), kPlanned);
+  const auto note =
+      std::find_if(run.events.begin(), run.events.end(), [](const RunEvent& e) { return e.kind == "note"; });
+  ASSERT_NE(note, run.events.end());
+  EXPECT_THAT(note->text, HasSubstr("door opened; 23 °C (page"));
+}
+
+TEST_F(SteeringTest, StopsAtOnceAndResumes) {
+  pace = 20.0;
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  for (int i = 0; i < 3; ++i) page->wait_for_type("dwell");
+  const auto asked = std::chrono::steady_clock::now();
+  ASSERT_TRUE(page->ok({{"do", "stop"}}));
+  const Json ended = page->wait_for_type("ended");
+  EXPECT_LT(std::chrono::steady_clock::now() - asked, std::chrono::seconds(1));
+  EXPECT_FALSE(ended["complete"].get<bool>());
+  EXPECT_THAT(ended["words"].get<std::string>(), HasSubstr("the stage is halted"));
+  page->wait_for_activity("idle");
+  const std::string file = ended["file"];
+  const std::size_t kept = RunFile::load(runs() / file).measured.size();
+  EXPECT_GE(kept, 3U);
+  EXPECT_LT(kept, kPlanned);
+
+  const Json list = Json::parse(test::http_get(port, "/runs").body);
+  ASSERT_EQ(list.size(), 1U);
+  EXPECT_EQ(list[0]["state"], "interrupted");
+  EXPECT_EQ(list[0]["measured"], kept);
+  ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
+  const Json began =
+      page->wait_for([](const Json& m) { return m["type"] == "snapshot"; }, "the run's beginning");
+  EXPECT_EQ(began["run"]["dwells"].size(), kept);
+  EXPECT_EQ(wait_for_end(*page), file);
+  EXPECT_EQ(RunFile::load(runs() / file).record.continuations, 1);
+  // Closed now.
+  ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
+  const Json line = page->wait_for(
+      [](const Json& m) { return m["type"] == "log" && m["line"]["grade"] == "problem"; }, "why not");
+  EXPECT_THAT(line["line"]["text"].get<std::string>(), HasSubstr(file));
+}
+
+TEST_F(SteeringTest, ChecksTheBench) {
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok({{"do", "check"}, {"with_motion", true}, {"confirmed", true}}));
+  EXPECT_FALSE(page->ok(kStart)) << "one thing at a time";
+  const Json findings = page->wait_for_type("checks")["findings"];
+  const auto has = [&](const std::string& what) {
+    return std::any_of(findings.begin(), findings.end(),
+                       [&](const Json& f) { return f["what"] == what && f["grade"] == "good"; });
+  };
+  for (const char* what : {"stage", "accelerometer", "travel", "signs and axes"})
+    EXPECT_TRUE(has(what)) << findings;
+  page->wait_for_activity("idle");
+  EXPECT_EQ(run_files(), 0U);
+}
+
+TEST_F(SteeringTest, JogsAnAxisWhenNoRunIsOn) {
+  open();
+  auto page = steering_page();
+  const auto jog = [&](const char* axis, double by) {
+    EXPECT_TRUE(page->ok({{"do", "jog"}, {"axis", axis}, {"by_deg", by}, {"confirmed", true}}));
+    return page->wait_for([](const Json& m) { return m["type"] == "log"; }, "where it stands")["line"]["text"]
+        .get<std::string>();
+  };
+  EXPECT_THAT(jog("x", 10.0), HasSubstr("Axis X stands at 10.00"));
+  page->wait_for_activity("idle");
+  EXPECT_THAT(jog("x", -2.5), HasSubstr("Axis X stands at 7.50"));
+  page->wait_for_activity("idle");
+  EXPECT_THAT(jog("z", 350.0), HasSubstr("Axis Z stands at 350.00"));
+  page->wait_for_activity("idle");
+  EXPECT_THAT(jog("z", 350.0), HasSubstr("travel"));  // It ends at 360 degrees.
+  page->wait_for_activity("idle");
+  ASSERT_TRUE(page->ok(kStart));
+  EXPECT_FALSE(page->ok({{"do", "jog"}, {"axis", "x"}, {"by_deg", 1.0}, {"confirmed", true}}));
+}
+
+TEST_F(SteeringTest, AFaultEndsTheRunAndIsTold) {
+  bench.simulation = "[[fault]]\nkind = \"silence\"\ninstrument = \"stage\"\nat_s = 3.0\n";
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  const Json ended = page->wait_for_type("ended");
+  EXPECT_FALSE(ended["complete"].get<bool>());
+  EXPECT_THAT(ended["words"].get<std::string>(), HasSubstr("stage"));
+  page->wait_for_activity("idle");
+}
+
+TEST_F(SteeringTest, AMistakeInTheBenchFileIsTold) {
+  open();
+  test::write_file(folder / "bench.toml", "[bench]\n");
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  const Json line = page->wait_for_type("log")["line"];
+  EXPECT_EQ(line["grade"], "problem");
+  EXPECT_THAT(line["text"].get<std::string>(), HasSubstr("bench.toml"));
+  page->wait_for_activity("idle");
+  EXPECT_EQ(run_files(), 0U);
+}
+
+TEST_F(SteeringTest, ThePageThatSteeredMayVanish) {
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  page.reset();
+  test::PageClient other(port);
+  other.wait_for(
+      [](const Json& m) {
+        return m["type"] == "ended" ||
+               (m["type"] == "snapshot" && m["run"].is_object() && m["run"]["ended"].is_object());
+      },
+      "the end of the run");
+  EXPECT_EQ(run_files(), 1U);
+}
+
+TEST_F(SteeringTest, APageThatNeverReadsHoldsUpNobodyAndCatchesUp) {
+  // Enough messages to fill what is buffered for a page: its queue, and the system's buffers.
+  bench.protocol =
+      "steps = 180\nstep_deg = 2.0\nsettle_s = 0.0\ndwell_readings = 10\nclosing_angle = false\n";
+  pace = 5000.0;
+  open();
+  test::PageClient deaf(port, {}, "/live", 4096);
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  wait_for_end(*page);
+  // It reads now: what was dropped comes as a snapshot with all angles.
+  const Json caught_up = deaf.wait_for(
+      [](const Json& m) {
+        return m["type"] == "snapshot" && m["run"].is_object() && m["run"]["dwells"].size() == 540;
+      },
+      "a snapshot with all angles");
+  EXPECT_TRUE(caught_up["run"]["ended"]["complete"].get<bool>());
+}
+
+TEST_F(SteeringTest, TheEndOfTheProgramHaltsARunAndLeavesItResumable) {
+  pace = 20.0;
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  page->wait_for_type("dwell");
+  close();
+  EXPECT_TRUE(something_was_on);
+  ASSERT_EQ(run_files(), 1U);
+  const auto run = std::filesystem::directory_iterator(runs())->path();
+  EXPECT_EQ(RunFile::load(run).state, RunState::kInterrupted);
+}
+
+}  // namespace
+}  // namespace abcal::console

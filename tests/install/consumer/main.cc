@@ -1,0 +1,17 @@
+// A program of somebody else: the estimators as a library, found with find_package(abcal).
+
+#include <protocol/analysis/analyse.h>
+#include <protocol/analysis/joint_fit.h>
+#include <protocol/record/import_csv.h>
+
+#include <cstdio>
+
+int main(int argc, char** argv) {
+  if (argc != 2) return 2;
+  const abcal::RunRecord record = abcal::import_csv(argv[1]);
+  for (const abcal::CalibrationResult& result : {abcal::analyse_abc(record), abcal::analyse_joint(record)}) {
+    std::printf("%s", result.estimator.c_str());
+    for (const abcal::Quantity& s : result.intrinsic_sensitivity) std::printf(" %.9f", s.value);
+    std::printf("\n");
+  }
+}

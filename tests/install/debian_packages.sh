@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# Packs what is built and looks into the packages.   debian_packages.sh CPACK BUILD
+set -euo pipefail
+cpack=$1 build=$2
+command -v dpkg-deb >/dev/null && command -v dpkg-shlibdeps >/dev/null || { echo "no dpkg-dev"; exit 77; }
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+"$cpack" -G DEB --config "$build/CPackConfig.cmake" -B "$work" >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
+
+fail() { echo "$*" >&2; exit 1; }
+program=$(ls "$work"/abcal_*.deb) library=$(ls "$work"/libabcal-dev_*.deb)
+field() { dpkg-deb -f "$1" "$2"; }
+[ "$(field "$program" Section)" = science ] || fail "section: $(field "$program" Section)"
+[ "$(field "$program" Maintainer)" = "abcal maintainers <maintainers@example.org>" ] || fail "maintainer"
+case "$(field "$program" Depends)" in *libc6*libserialport0*|*libserialport0*libc6*) ;; *) fail "depends: $(field "$program" Depends)" ;; esac
+
+contents() { dpkg-deb -c "$1" | awk '{print $6}'; }
+contents "$program" >"$work/program.list"
+contents "$library" >"$work/library.list"
+for file in usr/bin/abcal usr/share/man/man1/abcal.1.gz usr/share/man/man1/abcal-run.1.gz \
+    usr/share/bash-completion/completions/abcal usr/share/zsh/vendor-completions/_abcal \
+    usr/lib/udev/rules.d/60-abcal.rules usr/lib/systemd/system/abcal-console.service \
+    usr/share/doc/abcal/examples/simulated.toml usr/share/doc/abcal/copyright \
+    usr/share/doc/abcal/changelog.gz usr/share/doc/abcal/changelog.Debian.gz; do
+  grep -qx "./$file" "$work/program.list" || fail "the package abcal has no $file"
+done
+for file in usr/include/abcal/protocol/analysis/analyse.h; do
+  grep -qx "./$file" "$work/library.list" || fail "the package libabcal-dev has no $file"
+done
+grep -q '/cmake/abcal/abcal-config.cmake$' "$work/library.list" || fail "libabcal-dev has no abcal-config.cmake"
+grep -q '/libabcal_estimators.a$' "$work/library.list" || fail "libabcal-dev has no libabcal_estimators.a"
+if grep -E '\.(a|h|cmake)$' "$work/program.list"; then fail "these belong into libabcal-dev"; fi
+dpkg-deb --fsys-tarfile "$program" | tar -xO ./usr/lib/systemd/system/abcal-console.service |
+  grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' || fail "the service starts another program"
+# Installed, but nobody enabled it.
+if grep -q 'systemd/system/.*\.wants/' "$work/program.list"; then fail "the service is enabled"; fi
+
+# The program in the package works, from an empty folder, with the examples in the package.
+dpkg-deb -x "$program" "$work/root"
+mkdir "$work/empty" && cd "$work/empty"
+"$work/root/usr/bin/abcal" plan "$work/root/usr/share/doc/abcal/examples/simulated.toml" >/dev/null
+
+command -v lintian >/dev/null || { echo "no lintian: contents only"; exit 0; }
+lintian --allow-root --fail-on error "$program" "$library" || fail "lintian finds errors"
