@@ -7,6 +7,7 @@
 
 #include "app/make_firmware.h"
 #include "app/real_clock.h"
+#include "app/stage_watchdog.h"
 #include "drivers/instrument/mounted_stage.h"
 #include "drivers/instrument/replaceable.h"
 #include "drivers/instrument/split_stage.h"
@@ -288,6 +289,9 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   bench.environment = opener->environment();
   bench.reconnector = std::make_unique<BenchReconnector>(*stage, *accelerometer);
   bench.stage = std::move(stage);
+  // A person who turns a stage by hand cannot be halted, and jumping time needs no second thread.
+  if (!bench.simulated_time && config.stage.driver != kManual)
+    bench.stage = std::make_unique<StageWatchdog>(std::move(bench.stage), *bench.clock);
   bench.accelerometer = std::move(accelerometer);
   return bench;
 }

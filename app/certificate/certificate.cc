@@ -42,9 +42,9 @@ class Inspection {
     if (found.record.response_unit != left.record.response_unit)
       of_run_.push_back(
           {"as-found run, response unit", found.record.response_unit, left.record.response_unit});
-    if (found.ended_utc() > left.started_utc())
-      of_run_.push_back({"as-found run", "ended " + found.ended_utc(),
-                         "an end before the other run began, " + left.started_utc()});
+    if (found.started_utc() > left.started_utc())
+      of_run_.push_back({"as-found run", "began " + found.started_utc(),
+                         "a beginning not after that of the other run, " + left.started_utc()});
     if (laboratory_.job.adjustment.empty())
       of_file_.push_back({"[job] adjustment", "nothing",
                           "what was done to the item between the as-found and the as-left run"});
@@ -230,7 +230,7 @@ std::string Certificate::measured_by() const {
 
 CertificateRefused::CertificateRefused(const std::string& run, std::vector<Problem> problems)
     : std::runtime_error(problem_list("no certificate for " + run, problems) +
-                         "\n  --draft makes a draft all the same, which says so"),
+                         "\n  `abcal report --draft` makes a draft all the same, which says so"),
       problems_(std::move(problems)) {}
 
 std::string draft_number(const ReportData& run) {

@@ -18,6 +18,11 @@ bool allowed_in_xml(int code) {
          (code >= 0xE000 && code <= 0xFFFD) || (code >= 0x10000 && code <= 0x10FFFF);
 }
 
+/// Bytes of a character in UTF-8; a longer form of it is not valid, though libxml2 reads it.
+int length_of(int code) {
+  return code < 0x80 ? 1 : code < 0x800 ? 2 : code < 0x10000 ? 3 : 4;
+}
+
 bool is_blank(char c) {
   return c == ' ' || c == '\t' || c == '\n' || c == '\r';
 }
@@ -32,7 +37,7 @@ std::string xml_safe(std::string_view text) {
     int length = static_cast<int>(std::min<std::size_t>(text.size(), 4));
     const std::string head(text.substr(0, static_cast<std::size_t>(length)));
     const int code = xmlGetUTF8Char(as_xml(head.c_str()), &length);
-    if (code < 0 || length <= 0) {
+    if (code < 0 || length != length_of(code)) {
       safe += kReplacement;
       text.remove_prefix(1);
       continue;

@@ -55,11 +55,17 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
     const std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, {x.travel, z.travel});
     const PlanDuration duration = estimate_duration(
         plan, config.protocol, {x.speed_deg_per_s, z.speed_deg_per_s}, config.accelerometer.rate_hz);
+    const std::array<AxisTravel, 2> twist = cable_twist(plan, config.protocol);
     if (options->json) {
-      nlohmann::ordered_json json{
-          {"schema", "abcal.plan/1"},          {"angles", nlohmann::ordered_json::array()},
-          {"moving_s", duration.moving_s},     {"settling_s", duration.settling_s},
-          {"dwelling_s", duration.dwelling_s}, {"travel_assumed", x.travel_assumed || z.travel_assumed}};
+      nlohmann::ordered_json json{{"schema", "abcal.plan/1"},
+                                  {"angles", nlohmann::ordered_json::array()},
+                                  {"moving_s", duration.moving_s},
+                                  {"settling_s", duration.settling_s},
+                                  {"dwelling_s", duration.dwelling_s},
+                                  {"travel_assumed", x.travel_assumed || z.travel_assumed},
+                                  {"cable_twist_deg",
+                                   {{"x", {twist[0].min.deg(), twist[0].max.deg()}},
+                                    {"z", {twist[1].min.deg(), twist[1].max.deg()}}}}};
       for (const PlannedAngle& angle : plan) {
         json["angles"].push_back({{"experiment", angle.experiment},
                                   {"n", angle.n},
@@ -89,6 +95,12 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
             describe_duration(duration.total_s()), describe_duration(duration.settling_s),
             describe_duration(duration.dwelling_s));
       }
+      fmt::print(
+          "Cables are wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, counted from "
+          "zero; "
+          "the stage is parked at zero. Where they do not reach so far, say travel_min_deg and "
+          "travel_max_deg.\n",
+          twist[0].min.deg(), twist[0].max.deg(), twist[1].min.deg(), twist[1].max.deg());
       if (x.travel_assumed || z.travel_assumed) {
         fmt::print(
             "The travel of the stage was taken as -360 to 360 deg where the bench file does not say; `run` "

@@ -1,29 +1,178 @@
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <functional>
 #include <memory>
+#include <optional>
+#include <string>
+#include <vector>
 
+#include "app/certificate/certificate_command.h"
+#include "app/certificate/certificate_sections.h"
+#include "app/certificate/issue.h"
 #include "app/commands/commands.h"
 #include "app/exit_code.h"
+#include "app/interrupt.h"
 #include "app/output_file.h"
 #include "app/real_clock.h"
 #include "app/report/calibration_document.h"
+#include "app/report/document_html.h"
 #include "app/report/document_text.h"
+#include "app/report/record_csv.h"
+#include "app/report/record_hdf5.h"
 #include "app/report/report_data.h"
+#include "app/report/report_json.h"
+#include "app/report/weasyprint.h"
+#include "app/temporary_folder.h"
+#include "protocol/run/experiment_run.h"
 
 namespace abcal {
+namespace {
+
+struct Options {
+  std::string file;
+  std::string html, pdf, csv, csv_raw, hdf5;
+  std::string attachment, dcc;
+  CertificateOptions certificate;
+  bool draft = false, json = false, force = false;
+};
+
+/// What is to be written, each with what writes it.
+struct Output {
+  RequestedOutput requested;
+  std::function<void(OutputFile& file)> write;
+};
+
+void print_warnings(const HtmlPage& page) {
+  for (const std::string& warning : page.warnings) fmt::print(stderr, "warning: {}\n", warning);
+}
+
+/// The certificate goes with its page: its XML is inside the PDF unless another file is asked for.
+void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attached,
+               const ReportedCertificate* certificate) {
+  const TemporaryFolder folder;
+  std::optional<std::filesystem::path> attachment;
+  if (!attached.empty()) {
+    attachment = attached;
+  } else if (certificate != nullptr) {
+    attachment = folder / "certificate.xml";
+    OutputFile(*attachment).write(certificate->xml);
+  }
+  OutputFile html(folder / "report.html");
+  html.write(page.html);
+  print_pdf(html.path(), file.temporary(), attachment);
+  file.commit();
+}
+
+/// Whether the report is one of a certificate: where one is asked for, and where one was issued for the run
+/// as it still is.
+bool of_certificate(const Options& options, const ReportData& data) {
+  if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
+  const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
+                                                 [](const IntegrityCheck& check) { return check.good; });
+  return unchanged && current_certificate(data.path);
+}
+
+/// The outputs asked for. `page` makes the HTML page, once for all who need it.
+std::vector<Output> outputs_of(const Options& options, const ReportData& data,
+                               const ReportedCertificate* certificate,
+                               const std::function<const HtmlPage&()>& page) {
+  std::vector<Output> outputs;
+  const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
+    if (!path.empty()) outputs.push_back({{option, path}, std::move(write)});
+  };
+  add("--html", options.html, [page](OutputFile& file) { file.write(page().html); });
+  add("--pdf", options.pdf, [page, &options, certificate](OutputFile& file) {
+    write_pdf(page(), file, options.attachment, certificate);
+  });
+  add("--dcc", options.dcc, [certificate](OutputFile& file) { file.write(certificate->xml); });
+  add("--csv", options.csv, [&data](OutputFile& file) { file.write(averaged_csv(data)); });
+  add("--csv-raw", options.csv_raw, [&data](OutputFile& file) {
+    write_raw_csv(data, file.temporary());
+    file.commit();
+  });
+  add("--hdf5", options.hdf5, [&data](OutputFile& file) {
+    write_hdf5(data, file.temporary());
+    file.commit();
+  });
+  return outputs;
+}
+
+/// Everything that can be known to fail before the first file is written.
+void check(const Options& options, const ReportData& data, const std::vector<Output>& outputs) {
+  std::vector<RequestedOutput> requested;
+  for (const Output& output : outputs) requested.push_back(output.requested);
+  std::vector<std::filesystem::path> inputs{data.path};
+  if (data.run) inputs.push_back(ResultsFile::path_beside(data.path));
+  for (const std::string& input :
+       {options.attachment, options.certificate.laboratory, options.certificate.as_found})
+    if (!input.empty()) inputs.emplace_back(input);
+  require_writable(requested, inputs, options.force);
+  if (!options.pdf.empty()) require_installed(kWeasyPrint);
+  if (!options.attachment.empty() && !std::filesystem::is_regular_file(options.attachment))
+    throw std::invalid_argument(fmt::format("--attach {}: no such file", options.attachment));
+  if (!options.csv_raw.empty() && !data.run) {
+    throw std::invalid_argument(
+        fmt::format("--csv-raw: {} is a CSV of averaged readings and has no single readings", options.file));
+  }
+}
+
+}  // namespace
 
 CLI::App* add_report(CLI::App& parent, int& exit_code) {
-  struct Options {
-    std::string file;
-    bool force = false;
-  };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand("report", "The report of a run or CSV, for people and programs");
   command->add_option("RUN", options->file, "run file, or CSV of averaged readings")->required();
+  command->add_option("--html", options->html, "write the report as one HTML page with figures");
+  CLI::Option* pdf = command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
+  command->add_option("--attach", options->attachment, "file to attach to the PDF")->needs(pdf);
+  command->add_option("--csv", options->csv,
+                      "write the averaged readings as CSV, which `abcal analyse` reads");
+  command->add_option("--csv-raw", options->csv_raw, "write the single readings as CSV");
+  command->add_option("--hdf5", options->hdf5, "write readings and results as HDF5 with NeXus conventions");
+  command->add_option(
+      "--dcc", options->dcc,
+      "write the digital calibration certificate (XML, DCC 3.3.0): the one that was issued, or "
+      "a draft; docs/certificate.md");
+  add_certificate_options(*command, options->certificate);
+  command->add_flag("--draft", options->draft,
+                    "make a draft of a certificate whatever speaks against the run or its equipment");
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {
     const ReportData data = gather_report(options->file, RealClock().utc_now());
-    fmt::print("{}", document_text(calibration_document(data), stdout));
+    Document document = calibration_document(data);
+    std::optional<ReportedCertificate> certificate;
+    if (of_certificate(*options, data)) {
+      certificate = certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
+      add_certificate_sections(document, certificate->certificate);
+    }
+    std::optional<HtmlPage> made;
+    const auto page = [&]() -> const HtmlPage& {
+      if (!made) {
+        made = document_html(document);
+        print_warnings(*made);
+      }
+      return *made;
+    };
+    const std::vector<Output> outputs =
+        outputs_of(*options, data, certificate ? &*certificate : nullptr, page);
+    check(*options, data, outputs);
+    for (const Output& output : outputs) {
+      OutputFile file(output.requested.path);
+      output.write(file);
+      // Standard output belongs to the JSON object if there is one.
+      fmt::print(options->json ? stderr : stdout, "{} written: {}\n", output.requested.option.substr(2),
+                 std::filesystem::absolute(output.requested.path).string());
+      if (interrupt_token().stop_requested()) throw RunInterrupted("interrupted");
+    }
+    if (options->json) {
+      fmt::print("{}\n", report_json(data).dump(2));
+    } else if (outputs.empty()) {
+      fmt::print("{}", document_text(document, stdout));
+    }
+    for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : document.cautions)
+      fmt::print(stderr, "caution: {}\n", caution);
     exit_code = data.result().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
   });
   return command;

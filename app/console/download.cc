@@ -2,6 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <stdexcept>
+
+#include "app/certificate/issue.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal::console {
@@ -23,11 +26,23 @@ std::string averaged_readings(const std::filesystem::path& path) {
   return text;
 }
 
+/// As it was issued, byte for byte. Issuing is not for a page: `abcal issue`.
+std::string certificate(const std::filesystem::path& path) {
+  const auto issued = current_certificate(path);
+  if (!issued) throw std::runtime_error("no certificate has been issued for this run; see `abcal issue`");
+  return issued->xml;
+}
+
+bool is_certified(const std::filesystem::path& path) {
+  return current_certificate(path).has_value();
+}
+
 }  // namespace
 
 const std::vector<Download>& downloads() {
   static const std::vector<Download> all{
-      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings},
+      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings, nullptr},
+      {"certificate.xml", "Certificate (DCC XML)", "application/xml", certificate, is_certified},
   };
   return all;
 }

@@ -14,6 +14,8 @@ struct Download {
   std::string content_type;  ///< "text/csv; charset=utf-8"
   /// Called in the reading thread. What it throws is shown to the person.
   std::function<std::string(const std::filesystem::path& run)> make;
+  /// Whether a run has it; null: each has.
+  std::function<bool(const std::filesystem::path& run)> available;
 };
 
 const std::vector<Download>& downloads();

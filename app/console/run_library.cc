@@ -7,8 +7,11 @@
 #include <utility>
 
 #include "app/analyses.h"
+#include "app/compare/compare_results.h"
 #include "app/console/download.h"
+#include "app/report/compare_json.h"
 #include "app/report/result_json.h"
+#include "protocol/uncertainty/control_chart.h"
 
 namespace abcal::console {
 namespace {
@@ -64,6 +67,28 @@ Json quantities_of(const CalibrationResult& result) {
   for (std::size_t j = 0; j < 3; ++j) add(fmt::format("phi_{}", kPairs[j]), result.intrinsic_angle[j]);
   for (std::size_t j = 0; j < 3; ++j) add(fmt::format("O_{}", kOutputs[j]), result.offset[j]);
   return list;
+}
+
+/// For each property the limits of a chart of single values; nothing where there are too few.
+Json limits_of(const Json& runs) {
+  std::map<std::string, std::vector<double>> values;
+  for (const Json& run : runs) {
+    for (const Json& q : run["quantities"])
+      if (q["value"].is_number()) values[q["name"]].push_back(q["value"]);
+  }
+  Json limits = Json::object();
+  for (const auto& [name, series] : values) {
+    if (series.size() < 2) continue;
+    const ControlChart chart = individuals_chart(series);
+    const auto outside = std::count_if(chart.points.begin(), chart.points.end(),
+                                       [](const ChartPoint& point) { return !point.inside(); });
+    limits[name] = {{"centre", chart.centre},
+                    {"standard_deviation", chart.standard_deviation},
+                    {"lower", chart.points.front().lower},
+                    {"upper", chart.points.front().upper},
+                    {"outside", outside}};
+  }
+  return limits;
 }
 
 }  // namespace
@@ -145,18 +170,31 @@ Json RunLibrary::result(const std::filesystem::path& path) {
   for (const RunEvent& event : run.events)
     json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text}});
   json["downloads"] = Json::array();
-  for (const Download& download : downloads())
-    json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
+  for (const Download& download : downloads()) {
+    if (!download.available || download.available(path))
+      json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
+  }
   json["results"] = Json::array();
   for (const CalibrationResult& result : analyse_all(run.record))
     json["results"].push_back(result_json(result));
   return json;
 }
 
+Json RunLibrary::compare(const std::filesystem::path& first, const std::filesystem::path& second) {
+  std::vector<ComparedResult> results;
+  for (const std::filesystem::path& run : {first, second})
+    results.push_back(load_compared(run, kEstimators.front()));
+  CompareOptions options;
+  options.any_item = true;  // The person has chosen them.
+  return compare_json(compare_results(std::move(results), options));
+}
+
 Json RunLibrary::history(const std::string& serial_number) {
   const std::lock_guard lock(mutex_);
   Json list = Json::array();
-  for (const std::string& name : names()) {
+  std::vector<std::string> oldest_first = names();
+  std::reverse(oldest_first.begin(), oldest_first.end());
+  for (const std::string& name : oldest_first) {
     try {
       Entry& known = entry(name);
       if (known.summary["item"] != serial_number || known.summary["state"] != "complete") continue;
@@ -171,10 +209,12 @@ Json RunLibrary::history(const std::string& serial_number) {
       continue;  // list() says why.
     }
   }
-  std::sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
+  // Stable: runs in simulated time may all begin at one time.
+  std::stable_sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
     return a["created_utc"].get<std::string>() < b["created_utc"].get<std::string>();
   });
-  return {{"runs", std::move(list)}};
+  Json limits = limits_of(list);
+  return {{"runs", std::move(list)}, {"limits", std::move(limits)}};
 }
 
 }  // namespace abcal::console

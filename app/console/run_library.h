@@ -30,7 +30,12 @@ class RunLibrary {
   /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
   /// @throws RunFileError
   nlohmann::ordered_json result(const std::filesystem::path& run);
-  /// The results of the default estimator of every complete run of one item, oldest first.
+  /// Two runs side by side (abcal.compare/1), also of different items.
+  /// @throws what load_compared() and compare_results() throw
+  static nlohmann::ordered_json compare(const std::filesystem::path& first,
+                                        const std::filesystem::path& second);
+  /// The results of the default estimator of every complete run of one item, oldest first, with the limits of
+  /// a control chart of single values.
   nlohmann::ordered_json history(const std::string& serial_number);
 
  private:

@@ -579,7 +579,8 @@ HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
   return {};
 }
 
-/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /history/SERIAL. Nothing for other paths.
+/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME, /history/SERIAL. Nothing
+/// for other paths.
 std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::string>& words,
                                                         const HttpRequest& request) {
   // The parts of the request that an answer needs.
@@ -604,6 +605,13 @@ std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::s
   if (words.size() == 2 && words[0] == "history")
     return job(
         [this, json, serial = words[1]](const HttpRequest& to) { return json(to, library.history(serial)); });
+  if (words.size() == 3 && words[0] == "compare") {
+    const auto first = library.find(words[1]), second = library.find(words[2]);
+    if (!first || !second) return nullptr;
+    return job([json, first = *first, second = *second](const HttpRequest& to) {
+      return json(to, RunLibrary::compare(first, second));
+    });
+  }
   if (words.size() != 3 || words[0] != "runs") return nullptr;
   const auto path = library.find(words[1]);
   if (!path) return nullptr;

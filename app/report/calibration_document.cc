@@ -10,6 +10,7 @@
 
 #include "app/progress.h"
 #include "app/report/result_text.h"
+#include "app/report/run_figures.h"
 #include "app/report/study_text.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -99,9 +100,9 @@ Section run_section(const ReportData& data) {
 std::string gravity_text(const RunRecord& record) {
   const LocalGravity& g = record.g_loc;
   if (!record.g_loc_known) return "not known: sensitivities are per local gravity g_loc";
-  std::string text = fmt::format("{:.9g} m/s2", g.value_mps2);
+  std::string text = fmt::format("{:.9g} m/s²", g.value_mps2);
   text += g.expanded_uncertainty_mps2 > 0.0
-              ? fmt::format(", U = {:.2g} m/s2 (k = {:g})", g.expanded_uncertainty_mps2, g.coverage_factor)
+              ? fmt::format(", U = {:.2g} m/s² (k = {:g})", g.expanded_uncertainty_mps2, g.coverage_factor)
               : ", uncertainty not stated";
   return text + "; source: " + or_not_stated(g.source);
 }
@@ -209,20 +210,42 @@ const char* group_of(const std::string& name) {
                           : "Intrinsic sensitivities";
 }
 
+/// Value and expanded uncertainty to two digits of the latter (ILAC-P14).
 std::vector<std::string> result_row(const NamedQuantity& output) {
   const Quantity& q = output.quantity;
   if (!std::isfinite(q.value)) return {output.name, "not determined", kNone, kNone, kNone, kNone, q.unit};
-  const int decimals = decimals_for(q.standard_uncertainty);
-  const auto rounded = [&](double u) {
-    return std::isfinite(u) ? fmt::format("{:.{}f}", u, decimals) : kNone;
-  };
+  const double expanded = kCoverageFactor * q.standard_uncertainty;
+  const int decimals = decimals_for(expanded);
   return {output.name,
           fmt::format("{:+.{}f}", q.value, decimals),
-          rounded(q.standard_uncertainty),
-          rounded(kCoverageFactor * q.standard_uncertainty),
+          std::isfinite(expanded) ? fmt::format("{:.{}f}", expanded, decimals) : kNone,
+          two_digits(q.standard_uncertainty),
           two_digits(q.type_a),
           two_digits(q.type_b),
           q.unit};
+}
+
+/// Where the budget finds more than the stated uncertainty holds, in words; empty if nowhere.
+std::string larger_in_budget(const ReportData& data) {
+  constexpr double kMore = 1.1;  // beyond what first order and rounding make
+  if (!data.budget) return {};
+  std::string list;
+  const std::vector<NamedQuantity> named = outputs(data.result());
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    const auto found = std::find_if(named.begin(), named.end(),
+                                    [&](const NamedQuantity& q) { return q.name == output_symbol(k); });
+    const double u = found->quantity.standard_uncertainty;
+    if (data.budget->combined(k) > kMore * u)
+      list += fmt::format("{}{} {:.1e} {}", list.empty() ? "" : ", ", found->name, data.budget->combined(k),
+                          found->quantity.unit);
+  }
+  if (list.empty()) return {};
+  return "The uncertainties above cover the readings, the stage's tolerances and the drift. The budget below "
+         "also "
+         "takes what harmonics 2 and 3 show as non-linearity of the accelerometer, though the stage's step "
+         "errors "
+         "make harmonics too, and then has larger standard uncertainties: " +
+         list + ". Use these unless the linearity of the accelerometer is known otherwise.";
 }
 
 Section result_section(const ReportData& data) {
@@ -237,8 +260,8 @@ Section result_section(const ReportData& data) {
     DocumentTable table{"",
                         {{"quantity", CellKind::kSymbol},
                          {"value", CellKind::kNumber},
-                         {"standard unc. u", CellKind::kNumber},
                          {fmt::format("expanded unc. U (k = {:g})", kCoverageFactor), CellKind::kNumber},
+                         {"standard unc. u", CellKind::kNumber},
                          {"type A", CellKind::kNumber},
                          {"type B", CellKind::kNumber},
                          {"unit", CellKind::kUnit}},
@@ -249,6 +272,8 @@ Section result_section(const ReportData& data) {
       table.rows.push_back(result_row(output));
     }
     section.blocks.push_back(std::move(table));
+    if (const std::string larger = larger_in_budget(data); !larger.empty())
+      section.blocks.push_back(Paragraph{larger});
   }
   if (!result.diagnostics.notes.empty()) section.blocks.push_back(BulletList{result.diagnostics.notes});
   return section;
@@ -338,7 +363,8 @@ Section closures_section(const Diagnostics& d) {
   return section;
 }
 
-Section fits_section(const CalibrationResult& result) {
+Section fits_section(const ReportData& data) {
+  const CalibrationResult& result = data.result();
   const std::string& unit = result.response_unit;
   DocumentTable table{
       fmt::format(
@@ -369,10 +395,15 @@ Section fits_section(const CalibrationResult& result) {
     row.push_back(number(u, "{:.1e}"));
     table.rows.push_back(std::move(row));
   }
-  return {"Fits and harmonics", {std::move(table)}};
+  Section section{"Fits and harmonics", {}};
+  for (int experiment = 1; experiment <= 3; ++experiment)
+    section.blocks.push_back(response_figure(data, experiment));
+  section.blocks.push_back(std::move(table));
+  section.blocks.push_back(harmonics_figure(result));
+  return section;
 }
 
-Section stage_section(const JointResult& joint) {
+Section stage_section(const RunRecord& record, const JointResult& joint) {
   DocumentTable table{
       "Errors of the stage and the accelerometer that the joint estimator finds in the same "
       "readings.",
@@ -398,6 +429,7 @@ Section stage_section(const JointResult& joint) {
   Section section{"Stage and drift, by the joint estimator", {std::move(table)}};
   if (!joint.nonlinearity_fitted)
     section.blocks.push_back(Paragraph{"k2, k3: left out of the fit, the readings show no non-linearity."});
+  section.blocks.push_back(step_error_figure(record, joint));
   return section;
 }
 
@@ -407,9 +439,9 @@ Section budget_section(const ReportData& data) {
   const Budget& budget = *data.budget;
   Section section{"Uncertainty budget",
                   {Paragraph{"To first order (JCGM 100), for the output with the largest uncertainty of each "
-                             "kind. A budget also holds what the stated uncertainty leaves to it: the "
-                             "non-linearity that the harmonics show."}}};
+                             "kind."}}};
   const auto bare = [](double value) { return number(value, "{:.2e}"); };
+  constexpr double kRounding = 1e-9;  // of the combined uncertainty: what is less is zero but for rounding
   for (const int k : worst_of_each_kind(budget.combined)) {
     DocumentTable table{fmt::format("{} ({})", output_symbol(k), output_unit(k, data.record.response_unit)),
                         {{"input"},
@@ -423,10 +455,11 @@ Section budget_section(const ReportData& data) {
                          {"share", CellKind::kNumber}},
                         {}};
     for (const BudgetLine& line : budget.lines) {
-      table.rows.push_back({line.input, line.value, line.unit, line.distribution, line.type_a ? "A" : "B",
-                            bare(line.standard_uncertainty), number(line.sensitivity(k), "{:+.2e}"),
-                            bare(line.contribution(k)),
-                            fmt::format("{:.1f} %", 100.0 * budget.share(line, k))});
+      const bool none = line.contribution(k) < kRounding * budget.combined(k);
+      table.rows.push_back(
+          {line.input, line.value, line.unit, line.distribution, line.type_a ? "A" : "B",
+           bare(line.standard_uncertainty), none ? "0" : number(line.sensitivity(k), "{:+.2e}"),
+           none ? "0" : bare(line.contribution(k)), fmt::format("{:.1f} %", 100.0 * budget.share(line, k))});
     }
     table.rows.push_back({"combined", "", "", "", "", "", "", bare(budget.combined(k)), ""});
     section.blocks.push_back(std::move(table));
@@ -500,6 +533,7 @@ Document calibration_document(const ReportData& data) {
   document.title = "Calibration report: triaxial accelerometer";
   document.subtitle = identification(data);
   document.identification = identification(data);
+  document.origin = fmt::format("abcal {}, report made {}", data.program_version, first_of(data.created_utc));
   document.cautions = cautions(data);
   document.sections.push_back(item_section(data));
   if (data.run) document.sections.push_back(run_section(data));
@@ -511,10 +545,10 @@ Document calibration_document(const ReportData& data) {
     document.sections.push_back(estimators_section(data));
     const Section closures = closures_section(result.diagnostics);
     if (!closures.blocks.empty()) document.sections.push_back(closures);
-    if (!result.diagnostics.fits.empty()) document.sections.push_back(fits_section(result));
+    if (!result.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
     for (const CalibrationResult& each : data.results) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
-        document.sections.push_back(stage_section(*each.joint));
+        document.sections.push_back(stage_section(data.record, *each.joint));
     }
     if (data.budget) document.sections.push_back(budget_section(data));
   }

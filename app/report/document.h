@@ -43,6 +43,7 @@ struct DocumentTable {
   std::string caption;  ///< May be empty.
   std::vector<Column> columns;
   std::vector<std::vector<std::string>> rows;
+  CellKind caption_kind = CellKind::kText;
 };
 
 /// A picture, drawn by gnuplot from a script that says neither terminal nor output. Pages only.
@@ -64,6 +65,7 @@ struct Document {
   std::string title;
   std::string subtitle;
   std::string identification;  ///< Of run and item; on every page.
+  std::string origin;          ///< Program and time; on every page.
   /// What must be seen before anything else, in large letters.
   std::vector<std::string> cautions;
   /// A word across every page ("DRAFT"); empty for none.

@@ -7,12 +7,14 @@
 #include <string_view>
 #include <vector>
 
+#include "app/report/valid_text.h"
 #include "app/terminal.h"
 
 namespace abcal {
 namespace {
 
 constexpr std::size_t kWidth = 110;
+constexpr std::size_t kNarrowest = 30;  // of a column of sentences
 
 /// Columns that a UTF-8 text takes: the bytes that begin a character.
 std::size_t width_of(std::string_view text) {
@@ -21,31 +23,33 @@ std::size_t width_of(std::string_view text) {
 }
 
 /// A name out of a bench file must not move the cursor or clear the screen.
-std::string shown(std::string text) {
-  for (char& c : text) {
-    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7F) c = '?';
-  }
-  return text;
+std::string shown(const std::string& text) {
+  std::string line = valid_text(text);
+  std::replace_if(
+      line.begin(), line.end(), [](char c) { return c == '\n' || c == '\t'; }, ' ');
+  return line;
 }
 
-std::string wrapped(const std::string& text, const std::string& first, const std::string& next) {
-  std::string out, line = first;
-  bool empty = true;
+/// Words in lines of at most `width`; at least one line.
+std::vector<std::string> lines_of(const std::string& text, std::size_t width) {
+  std::vector<std::string> lines(1);
   std::string_view rest = text;
   while (!rest.empty()) {
     const std::size_t end = std::min(rest.find(' '), rest.size());
     const std::string_view word = rest.substr(0, end);
-    if (!empty && width_of(line) + 1 + width_of(word) > kWidth) {
-      out += line + "\n";
-      line = next;
-      empty = true;
-    }
-    if (!empty) line += ' ';
-    line += word;
-    empty = false;
+    if (!lines.back().empty() && width_of(lines.back()) + 1 + width_of(word) > width) lines.emplace_back();
+    if (!lines.back().empty()) lines.back() += ' ';
+    lines.back() += word;
     rest.remove_prefix(std::min(end + 1, rest.size()));
   }
-  return out + line + "\n";
+  return lines;
+}
+
+std::string wrapped(const std::string& text, const std::string& first, const std::string& next) {
+  std::string out;
+  for (const std::string& line : lines_of(text, kWidth - next.size()))
+    out += (out.empty() ? first : next) + line + "\n";
+  return out;
 }
 
 std::string padded(const std::string& text, std::size_t width, bool right) {
@@ -69,7 +73,8 @@ struct TextOf {
     for (const auto& [name, value] : list.facts) width = std::max(width, width_of(name));
     std::string text;
     for (const auto& [name, value] : list.facts) {
-      text += wrapped(shown(value), "  " + padded(name, width, false) + "  ", std::string(width + 4, ' '));
+      text +=
+          wrapped(shown(value), "  " + padded(shown(name), width, false) + "  ", std::string(width + 4, ' '));
     }
     return text;
   }
@@ -81,14 +86,24 @@ struct TextOf {
       if (row.size() == 1) continue;
       for (std::size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], width_of(row[c]));
     }
+    // Sentences stand in the last column; they go on below themselves.
+    std::size_t before_last = 0;
+    for (std::size_t c = 0; c + 1 < widths.size(); ++c) before_last += widths[c] + 2;
+    if (table.columns.back().kind == CellKind::kText)
+      widths.back() =
+          std::min(widths.back(), std::max(kNarrowest, kWidth - std::min(kWidth, before_last + 2)));
     const auto line = [&](const auto& cell_of) {
       std::string text = " ";
-      for (std::size_t c = 0; c < table.columns.size(); ++c) {
-        text += " " + padded(cell_of(c), widths[c], table.columns[c].kind == CellKind::kNumber);
-        if (c + 1 < table.columns.size()) text += " ";
+      for (std::size_t c = 0; c + 1 < widths.size(); ++c)
+        text += " " + padded(cell_of(c), widths[c], table.columns[c].kind == CellKind::kNumber) + " ";
+      const std::vector<std::string> last = lines_of(cell_of(widths.size() - 1), widths.back());
+      for (std::size_t k = 0; k < last.size(); ++k) {
+        if (k > 0) text += std::string(before_last + 1, ' ');
+        text += " " + padded(last[k], widths.back(), table.columns.back().kind == CellKind::kNumber);
+        text.erase(text.find_last_not_of(' ') + 1);
+        text += "\n";
       }
-      text.erase(text.find_last_not_of(' ') + 1);
-      return text + "\n";
+      return text;
     };
     std::string text = table.caption.empty() ? "" : wrapped(shown(table.caption), "", "");
     text += line([&](std::size_t c) { return table.columns[c].heading; });

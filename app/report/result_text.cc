@@ -13,7 +13,8 @@ namespace abcal {
 
 int decimals_for(double uncertainty) {
   if (!(uncertainty > 0.0) || !std::isfinite(uncertainty)) return 9;
-  return std::clamp(1 - static_cast<int>(std::floor(std::log10(uncertainty))), 0, 17);
+  constexpr double kRoundedUp = 0.995;  // 9.95 and more are 10 in two digits
+  return std::clamp(1 - static_cast<int>(std::floor(std::log10(uncertainty / kRoundedUp))), 0, 17);
 }
 
 namespace {

@@ -1,54 +1,17 @@
 #include "app/report/study_figures.h"
 
 #include <fmt/format.h>
-#include <spawn.h>
-#include <sys/wait.h>
 
-#include <cerrno>
-#include <cstring>
 #include <fstream>
 #include <stdexcept>
 
-extern char** environ;
+#include "app/report/gnuplot.h"
 
 namespace abcal {
-namespace {
-
-void run_gnuplot(const std::filesystem::path& script) {
-  std::string program = "gnuplot";
-  std::string argument = script.string();
-  char* const arguments[] = {program.data(), argument.data(), nullptr};
-  pid_t child = 0;
-  // A child process and no shell: the path may hold any character.
-  const int error = ::posix_spawnp(&child, program.c_str(), nullptr, nullptr, arguments, environ);
-  if (error == ENOENT) {
-    throw std::runtime_error(
-        "figures need gnuplot, which is not installed (Debian: apt install gnuplot-nox)");
-  }
-  if (error != 0)
-    throw std::runtime_error(fmt::format("gnuplot cannot be started: {}", std::strerror(error)));
-  int status = 0;
-  while (::waitpid(child, &status, 0) < 0) {
-    if (errno != EINTR)
-      throw std::runtime_error(fmt::format("waiting for gnuplot: {}", std::strerror(errno)));
-  }
-  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0) {
-    throw std::runtime_error(fmt::format("gnuplot failed on {} (the script is kept)", script.string()));
-  }
-}
-
-// As gnuplot wants a string in single quotes.
-std::string quoted(const std::string& text) {
-  std::string result = "'";
-  for (const char c : text) result += c == '\'' ? std::string("''") : std::string(1, c);
-  return result + "'";
-}
-
-}  // namespace
 
 std::string figure_script(const SimulatedReadings& readings, bool residuals, const std::string& terminal,
                           const std::string& output) {
-  std::string script = fmt::format("set terminal {}\nset output {}\n", terminal, quoted(output));
+  std::string script = fmt::format("set terminal {}\nset output {}\n", terminal, gnuplot_quoted(output));
   for (std::size_t i = 0; i < 3; ++i) {
     const Eigen::MatrixX3d& data = residuals ? readings.residuals[i] : readings.readings[i];
     script += fmt::format("$e{} << EOD\n", i + 1);

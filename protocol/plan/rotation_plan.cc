@@ -131,6 +131,24 @@ int readings_per_dwell(const ProtocolConfig& config, double rate_hz) {
   return std::max(config.dwell_readings, static_cast<int>(std::lround(periods * rate_hz / config.mains_hz)));
 }
 
+std::array<AxisTravel, 2> cable_twist(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config) {
+  std::array<AxisTravel, 2> twist{AxisTravel{Angle{}, Angle{}}, AxisTravel{Angle{}, Angle{}}};
+  std::array<Angle, 2> at{};
+  const auto bring = [&](std::size_t axis, Angle to) {
+    const Angle lowest = to < at[axis] ? to - config.approach : to;
+    twist[axis].min = std::min(twist[axis].min, lowest);
+    twist[axis].max = std::max(twist[axis].max, to);
+    at[axis] = to;
+  };
+  for (const PlannedAngle& angle : plan) {
+    bring(kX, angle.x);
+    bring(kZ, angle.z);
+  }
+  bring(kX, Angle{});  // Parked.
+  bring(kZ, Angle{});
+  return twist;
+}
+
 PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config,
                                const std::array<double, 2>& speed_deg_per_s, double rate_hz) {
   PlanDuration duration;

@@ -43,6 +43,11 @@ class PlanError : public std::runtime_error {
 std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
                                              const std::array<AxisTravel, 2>& travel);
 
+/// How far each axis (X, Z) turns away from its zero, the approaches from below included: so far its cables
+/// must reach. The stage starts and is parked at zero, and the travel bounds both ends, so no turn is ever
+/// added to another.
+std::array<AxisTravel, 2> cable_twist(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config);
+
 /// How long a plan takes, in seconds.
 struct PlanDuration {
   double moving_s = 0.0;

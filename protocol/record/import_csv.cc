@@ -30,9 +30,9 @@ constexpr std::size_t kFewestAngles = 3;  // A, B and C of one experiment
 constexpr std::array<std::string_view, 6> kRequired{"experiment", "n", "alpha_deg", "r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kReadingColumns{"r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kUncertaintyColumns{"u_u", "u_v", "u_w"};
-constexpr std::array<std::string_view, 12> kKnown{"experiment", "n",      "alpha_deg", "r_u",
-                                                  "r_v",        "r_w",    "u_u",       "u_v",
-                                                  "u_w",        "time_s", "count",     "temperature_degc"};
+constexpr std::array<std::string_view, 14> kKnown{
+    "experiment", "n",   "alpha_deg", "r_u",   "r_v",   "r_w",     "u_u",
+    "u_v",        "u_w", "time_s",    "count", "flags", "closing", "temperature_degc"};
 
 struct Row {
   int line = 0;
@@ -166,9 +166,9 @@ class Importer {
       for (std::size_t i = 1; i < table_.rows.size(); ++i) read_row(table_.rows[i]);
       require_enough_angles();
     }
-    if (!problems_.empty()) throw CsvError(source_, std::move(problems_));
     mark_closing_angles();
     infer_steps();
+    if (!problems_.empty()) throw CsvError(source_, std::move(problems_));
     return std::move(record_);
   }
 
@@ -177,15 +177,55 @@ class Importer {
     problems_.push_back({std::move(where), std::move(found), std::move(required)});
   }
 
+  // What `abcal report --csv` writes above the header, so that the analysis of the copy gives the same
+  // numbers.
   void read_comments() {
     for (const std::string& comment : table_.comments) {
       const std::size_t colon = comment.find(':');
-      if (colon == std::string::npos ||
-          trimmed(std::string_view(comment).substr(0, colon)) != "response_unit")
-        continue;
-      const std::string_view unit = trimmed(std::string_view(comment).substr(colon + 1));
-      if (!unit.empty()) record_.response_unit = std::string(unit);
+      if (colon == std::string::npos) continue;
+      const std::string key(trimmed(std::string_view(comment).substr(0, colon)));
+      const std::string_view value = trimmed(std::string_view(comment).substr(colon + 1));
+      if (!value.empty()) metadata_[key] = value;
     }
+    if (const auto unit = metadata_.find("response_unit"); unit != metadata_.end())
+      record_.response_unit = unit->second;
+    const auto degrees = [&](const char* key, Angle& angle) {
+      if (const auto value = metadata_number(key)) angle = Angle::degrees(*value);
+    };
+    degrees("tolerances.alignment_deg", record_.tolerances.alignment);
+    degrees("tolerances.step_deg", record_.tolerances.step);
+    degrees("tolerances.initial_turn_deg", record_.tolerances.initial_turn);
+    degrees("tolerances.zero_deg", record_.tolerances.zero);
+    record_.tolerances.drift = metadata_number("tolerances.drift").value_or(record_.tolerances.drift);
+    record_.continuations = static_cast<int>(metadata_number("continuations", 0.0, 1e6).value_or(0.0));
+    MeasuredAlignment& alignment = record_.measured_alignment;
+    for (const auto& [name, measured] :
+         {std::pair{"zx", &alignment.zx}, {"zy", &alignment.zy}, {"xz", &alignment.xz}}) {
+      const auto value = metadata_number(std::string("alignment.") + name, -1.0, 1.0);
+      const auto u =
+          metadata_number(std::string("alignment.u_") + name, std::numeric_limits<double>::min(), 1.0);
+      if (value && u) *measured = MeasuredValue{*value, *u};
+    }
+    if (const auto g = metadata_number("g_loc.value_mps2", 9.0, 10.5)) {
+      record_.g_loc_known = true;
+      record_.g_loc.value_mps2 = *g;
+      record_.g_loc.expanded_uncertainty_mps2 =
+          metadata_number("g_loc.expanded_uncertainty_mps2").value_or(0.0);
+      record_.g_loc.coverage_factor = metadata_number("g_loc.coverage_factor", 1.0, 10.0).value_or(2.0);
+      if (const auto source = metadata_.find("g_loc.source"); source != metadata_.end())
+        record_.g_loc.source = source->second;
+    }
+  }
+
+  /// The number behind a key in the comments; nothing, and a problem if something else stands there.
+  std::optional<double> metadata_number(const std::string& key, double lowest = 0.0, double highest = 1e9) {
+    const auto found = metadata_.find(key);
+    if (found == metadata_.end()) return std::nullopt;
+    const std::optional<double> value = number_in(found->second, false);
+    if (value && *value >= lowest && *value <= highest) return value;
+    problem(fmt::format("comment \"{}\"", key), as_quoted(found->second),
+            fmt::format("a number from {:g} to {:g}", lowest, highest));
+    return std::nullopt;
   }
 
   bool read_header() {
@@ -276,6 +316,12 @@ class Importer {
     if (has("count") && !trimmed(field(row, "count")).empty()) {
       dwell.count = whole_number(row, "count", 1, 1e15, "a whole number from 1 on").value_or(0);
     }
+    if (has("flags") && !trimmed(field(row, "flags")).empty()) {
+      constexpr double kAllFlags = 2U * kFlagRepeated - 1U;
+      dwell.flags = static_cast<std::uint32_t>(
+          whole_number(row, "flags", 0, kAllFlags, "a sum of known flags").value_or(0));
+    }
+    if (has("closing")) dwell.closing = whole_number(row, "closing", 0, 1, "0 or 1").value_or(0) == 1;
     if (!experiment || !n || !alpha) return;
     dwell.experiment = static_cast<int>(*experiment);
     dwell.n = static_cast<int>(*n);
@@ -339,6 +385,7 @@ class Importer {
 
   // The last angle of a circle that repeats the first one a full turn later.
   void mark_closing_angles() {
+    if (has("closing")) return;
     std::array<double, 3> smallest;
     smallest.fill(std::numeric_limits<double>::infinity());
     for (const DwellRecord& dwell : record_.dwells) {
@@ -351,6 +398,13 @@ class Importer {
   }
 
   void infer_steps() {
+    const auto steps = metadata_number("protocol.steps", 3.0, 1e6);
+    const auto step = metadata_number("protocol.step_deg", -360.0, 360.0);
+    if (steps && step) {
+      record_.steps = static_cast<int>(*steps);
+      record_.step = Angle::degrees(*step);
+      return;
+    }
     record_.steps = 0;
     const DwellRecord* first = nullptr;
     for (const DwellRecord& dwell : record_.dwells) {
@@ -369,6 +423,7 @@ class Importer {
   std::string source_;
   Table table_;
   std::map<std::string, std::size_t> columns_;
+  std::map<std::string, std::string> metadata_;  // of the comments
   std::map<std::tuple<int, int, bool>, int> line_of_;
   bool with_u_ = false;
   std::vector<Problem> problems_;

@@ -605,6 +605,38 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   return run;
 }
 
+void RunFile::read_dwells(const std::filesystem::path& path,
+                          const std::function<void(const StoredDwell&)>& each) {
+  SqliteDatabase database = open_checked(path, SqliteDatabase::Mode::kReadOnly);
+  SqliteStatement dwells = database.prepare(
+      "select id, position, experiment, n, closing, alpha_deg,"
+      " id not in (select max(id) from dwell group by position) from dwell order by id");
+  SqliteStatement readings = database.prepare(
+      "select sequence, time_s, u, v, w, temperature_degc from reading where dwell = ? order by k");
+  while (dwells.step()) {
+    StoredDwell dwell;
+    dwell.plan_position = static_cast<std::size_t>(dwells.integer(1));
+    dwell.experiment = static_cast<int>(dwells.integer(2));
+    dwell.n = static_cast<int>(dwells.integer(3));
+    dwell.closing = dwells.integer(4) != 0;
+    dwell.alpha = Angle::degrees(dwells.real(5));
+    dwell.superseded = dwells.integer(6) != 0;
+    readings.bind(1, dwells.integer(0));
+    while (readings.step()) {
+      StoredReading reading;
+      reading.sequence = static_cast<std::uint64_t>(readings.integer(0));
+      reading.time_s = readings.real(1);
+      for (int j = 0; j < 3; ++j) {
+        reading.output[j] = readings.optional_real(2 + j).value_or(std::numeric_limits<double>::quiet_NaN());
+      }
+      reading.temperature_degc = readings.optional_real(5);
+      dwell.readings.push_back(reading);
+    }
+    readings.reset();
+    each(dwell);
+  }
+}
+
 std::optional<WireTranscript> RunFile::load_transcript(const std::filesystem::path& path) {
   SqliteDatabase database = open_checked(path, SqliteDatabase::Mode::kReadOnly);
   if (!database.value("select 1 from sqlite_master where type='table' and name='wire'")) return std::nullopt;

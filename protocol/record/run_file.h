@@ -79,6 +79,17 @@ struct StoredEnvironment {
   std::optional<double> temperature_degc, humidity_percent, pressure_hpa;
 };
 
+/// The single readings of one dwell.
+struct StoredDwell {
+  std::size_t plan_position = 0;
+  int experiment = 0;
+  int n = 0;
+  bool closing = false;
+  Angle alpha;
+  bool superseded = false;  ///< The angle was measured again later, and that dwell counts.
+  std::vector<StoredReading> readings;
+};
+
 struct RunEvent {
   std::string utc;
   std::string kind;  ///< "started", "interrupted", "flag", ...
@@ -128,6 +139,11 @@ class RunFile {
 
   /// Reads a run in any state.
   static StoredRun load(const std::filesystem::path& path);
+
+  /// Gives every dwell with its readings to `each`, one after the other in the order of measurement: all
+  /// readings of a long run at once may not fit into memory.
+  static void read_dwells(const std::filesystem::path& path,
+                          const std::function<void(const StoredDwell& dwell)>& each);
 
   /// The transcript of the wire, if the run was recorded with one.
   static std::optional<WireTranscript> load_transcript(const std::filesystem::path& path);

@@ -159,7 +159,7 @@ TEST_F(EmulatedBenchTest, CalibratesOverPseudoTerminalsInRealTime) {
   EXPECT_FALSE(std::filesystem::exists(folder / "links/stage"));
 }
 
-TEST_F(EmulatedBenchTest, CtrlCAndTermHaltTheStageExitWith130AndTheRunGoesOn) {
+TEST_F(EmulatedBenchTest, CtrlCTermAndALostTerminalHaltTheStageExitWith130AndTheRunGoesOn) {
   start_emulator();
   Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 5; }, 60s)) << run.err();
@@ -173,6 +173,13 @@ TEST_F(EmulatedBenchTest, CtrlCAndTermHaltTheStageExitWith130AndTheRunGoesOn) {
   ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= kept + 3; }, 60s)) << second.err();
   second.signal(SIGTERM);
   EXPECT_EQ(second.wait(), 130) << second.err();
+
+  const std::size_t kept_twice = measured("a.run");
+  Program third({"resume", "a.run"}, folder.path());
+  ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= kept_twice + 3; }, 60s)) << third.err();
+  third.signal(SIGHUP);  // Its terminal was closed.
+  EXPECT_EQ(third.wait(), 130) << third.err();
+  EXPECT_THAT(third.err(), HasSubstr("the stage is halted"));
 
   const ProgramResult last = abcal({"resume", "a.run"});
   EXPECT_EQ(last.exit_code, 0) << last.err;

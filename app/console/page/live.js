@@ -1,8 +1,8 @@
 // The live view: shows what the messages say. Knows nothing that the server has not said.
-import {byId, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
 import {OUTPUTS, plot, series} from '/plots.js';
 
-const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still',
+const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
   moving: 'The stage moves', settling: 'Waiting until all is still', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 
@@ -104,7 +104,7 @@ export class LiveView {
     const what = this.activity ? this.activity.activity : 'idle';
     let text = 'No run is on.';
     if (what === 'running') {
-      text = this.phase ? PHASES[this.phase.phase] : 'The run begins';
+      text = this.phase ? PHASES[this.phase.phase] ?? this.phase.phase : 'The run begins';
       if (this.activity.hold_asked && this.phase && this.phase.phase !== 'held') text += '; it holds after this angle';
     } else if (what === 'checking') {
       text = 'Checking the bench';
@@ -143,8 +143,8 @@ export class LiveView {
   }
 
   stage(axis, seen) {
-    byId(`${axis}-encoder`).textContent = number(seen.encoder_deg, 4, 'degrees');
-    byId(`${axis}-target`).textContent = number(seen.target_deg, 4, 'degrees');
+    byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
+    byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
     if (seen.encoder_deg === null) return;
     if (axis === 'x') {
       // Seen along the horizontal axis X: the platter is a circle at 0 and a line at 90 degrees.

@@ -25,6 +25,13 @@ function axis(words, more = {}) {
   return {...more, title: {display: words !== '', text: words, color: dim}, ticks: {...more.ticks, color: dim}, grid: {color: line}};
 }
 
+// "4.0e−5" where Chart.js would write 4.000000E-5.
+function tick(value, index, ticks) {
+  const largest = Math.max(...ticks.map((t) => Math.abs(t.value)));
+  if (value === 0 || largest >= 1e-3) return Chart.Ticks.formatters.numeric.call(this, value, index, ticks);
+  return value.toExponential(1).replaceAll('-', '−');
+}
+
 function draw(canvas, type, data, {x, y, legend = true, xRange = {}}) {
   const chart = new Chart(canvas, {
     type,
@@ -32,7 +39,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}}) {
     options: {
       animation: false, responsive: true, maintainAspectRatio: false,
       interaction: {mode: 'nearest', intersect: false},
-      scales: {x: axis(x, xRange), y: axis(y)},
+      scales: {x: axis(x, xRange), y: axis(y, {ticks: {callback: tick}})},
       plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
@@ -54,7 +61,7 @@ export function plot(canvas, {datasets, xRange = {}, ...words}) {
 export function series(output, label, {line: joined = true, points = false} = {}) {
   const i = Math.max(0, OUTPUTS.indexOf(output));
   return {label, data: [], borderColor: of(output), backgroundColor: of(output), pointBackgroundColor: of(output), pointBorderColor: of(output),
-    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? 3 : 0, pointStyle: POINTS[i], pointHitRadius: 8};
+    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? 3 : 0, pointStyle: points ? POINTS[i] : 'line', pointHitRadius: 8};
 }
 
 // Groups of bars, one colour an output.

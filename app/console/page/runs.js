@@ -5,6 +5,7 @@ import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 const VERDICTS = {usable: 'Usable', doubtful: 'Doubtful', not_usable: 'Not usable'};
 const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read'};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
+const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Steer'];
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
 
 let list = [];
@@ -61,19 +62,20 @@ function drawList(resume) {
       button.disabled = !document.body.classList.contains('may-resume');
       actions.append(button);
     }
+    const cell = (i, ...content) => element('td', {'data-heading': HEADINGS[i]}, ...content);
     return element('tr', {},
       element('th', {scope: 'row'}, run.state === 'unreadable' ? run.name : link),
-      element('td', {}, run.item || DASH),
-      element('td', {}, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
-      element('td', {}, day(run.created_utc)),
-      element('td', {}, run.why ? `${STATES[run.state]}: ${run.why}` : STATES[run.state] || run.state),
-      element('td', {class: 'number'}, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
-      element('td', {class: 'number'}, duration(run.duration_s)),
+      cell(1, run.item || DASH),
+      cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
+      cell(3, day(run.created_utc)),
+      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : STATES[run.state] || run.state),
+      cell(5, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
+      cell(6, duration(run.duration_s)),
       actions);
   };
   byId('run-table').replaceChildren(element('table', {},
     element('caption', {class: 'visually-hidden'}, 'Runs in the run folder, newest first'),
-    element('thead', {}, element('tr', {}, ...['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Steer'].map((w) => element('th', {scope: 'col'}, w)))),
+    element('thead', {}, element('tr', {}, ...HEADINGS.map((w) => element('th', {scope: 'col'}, w)))),
     element('tbody', {}, ...found.map(row))));
 }
 
@@ -250,11 +252,17 @@ async function compare(a, b) {
   } catch (error) {
     return say('compare-table', error);
   }
+  const [pair] = data.pairs;
+  const row = (name) => {
+    const first = data.results[0].properties[name], second = data.results[1].properties[name], both = pair.properties[name];
+    return [name, first.unit, ...[first, second].flatMap((q) => [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)]),
+      small(both.difference), small(both.standard_uncertainty), signed(both.e_n, 2)];
+  };
   byId('compare-table').replaceChildren(
-    element('p', {id: 'compare-words', role: 'status'}, data.words),
-    element('div', {class: 'scroll-x'}, table(`Properties that do not depend on mounting; E_n at k = 2 (1). A: ${a}. B: ${b}.`,
-      ['Property', 'Unit', 'A', 'std. unc. of A', 'B', 'std. unc. of B', 'B minus A', 'E_n (1)'],
-      data.properties.map((p) => [p.name, p.unit, signed(p.a, decimals(p.u_a)), small(p.u_a), signed(p.b, decimals(p.u_b)), small(p.u_b), small(p.difference), signed(p.e_n, 2)]))));
+    element('p', {id: 'compare-words', role: 'status'}, pair.why),
+    element('div', {class: 'scroll-x'}, table(`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
+      ['Property', 'Unit', 'A', 'std. unc. of A', 'B', 'std. unc. of B', 'B minus A', 'std. unc. of it', 'E_n (1)'], PROPERTIES.map(row))),
+    element('ul', {}, ...data.notes.map((note) => element('li', {}, note))));
 }
 
 // The control chart.

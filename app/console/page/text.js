@@ -18,6 +18,8 @@ export function small(value, unit = '') {
   return value.toPrecision(2).replace('e', 'e').replace('-', '−') + (unit ? ` ${unit}` : '');
 }
 
+export const degrees = (value, digits) => number(value, digits, '').replace('-', '−') + (Number.isFinite(value) && value !== null ? '°' : '');
+
 export function duration(seconds) {
   if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return DASH;
   const s = Math.round(seconds);
@@ -37,13 +39,16 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-// A table: head is a list of words, rows are lists of cells; a row's first cell is its heading.
+// A table: head is a list of words, rows are lists of cells; a row's first cell is its heading. Columns of numbers are set
+// to the right.
 export function table(caption, head, rows) {
+  const numeric = head.map((_, i) => i > 0 && rows.every((row) => /^[-+−]?\d[\d.e+−]*$|^–$/.test(String(row[i]))));
+  const kind = (i) => numeric[i] && 'number';
   return element('table', {},
     element('caption', {}, caption),
-    element('thead', {}, element('tr', {}, ...head.map((word) => element('th', {scope: 'col'}, word)))),
+    element('thead', {}, element('tr', {}, ...head.map((word, i) => element('th', {scope: 'col', class: kind(i)}, word)))),
     element('tbody', {}, ...rows.map((row) => element('tr', {},
-      ...row.map((cell, i) => (i === 0 ? element('th', {scope: 'row'}, cell) : element('td', {class: 'number'}, cell)))))));
+      ...row.map((cell, i) => (i === 0 ? element('th', {scope: 'row'}, cell) : element('td', {class: kind(i)}, cell)))))));
 }
 
 export const byId = (id) => document.getElementById(id);

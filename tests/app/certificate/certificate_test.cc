@@ -45,8 +45,8 @@ TEST_F(MakeCertificateTest, EveryClauseOfReportingHasItsPlace) {
   CertificateRequest asked = request(laboratory);
   asked.as_found = asked.run;
   // An earlier run of the same item, as the labels say.
-  asked.as_found->run->header.created_utc = "2000-01-01T00:00:00.000Z";
-  asked.as_found->run->events.back().utc = "2000-01-01T01:00:00.000Z";
+  asked.as_found->run->header.created_utc = "1999-01-01T00:00:00.000Z";
+  asked.as_found->run->events.back().utc = "1999-01-01T01:00:00.000Z";
   asked.issue = facts();
   asked.issue->replaces = Replacement{"EX-0", "wrong address", std::string(64, 'a')};
   const Certificate certificate = make_certificate(std::move(asked));
@@ -131,19 +131,19 @@ TEST_F(MakeCertificateTest, EachMissingItemIsNamed) {
 
 TEST_F(MakeCertificateTest, EquipmentMustBeThatOfTheRunAndInDate) {
   const std::string due =
-      refusal(request(replaced(example_laboratory(), "due = 2030-12-31", "due = 2020-01-31")));
-  EXPECT_THAT(due, AllOf(HasSubstr("Two-axis rotation stage, due: found 2020-01-31"),
+      refusal(request(replaced(example_laboratory(), "due = 2030-12-31", "due = 1999-12-31")));
+  EXPECT_THAT(due, AllOf(HasSubstr("Two-axis rotation stage, due: found 1999-12-31"),
                          HasSubstr("not before that of the run"), HasSubstr("--draft")));
   EXPECT_THAT(refusal(request(replaced(example_laboratory(), "\"118001234\"", "\"4711\""))),
               HasSubstr("stage: found serial number 118001234"));
 }
 
 TEST_F(MakeCertificateTest, ADraftSaysWhatSpeaksAgainstIt) {
-  CertificateRequest asked = request(replaced(example_laboratory(), "due = 2030-12-31", "due = 2020-01-31"));
+  CertificateRequest asked = request(replaced(example_laboratory(), "due = 2030-12-31", "due = 1999-12-31"));
   asked.draft = true;
   const Certificate draft = make_certificate(std::move(asked));
   ASSERT_EQ(draft.reservations.size(), 1U);
-  EXPECT_THAT(xml_text(dcc_document(draft)), AllOf(HasSubstr("DRAFT"), HasSubstr("2020-01-31")));
+  EXPECT_THAT(xml_text(dcc_document(draft)), AllOf(HasSubstr("DRAFT"), HasSubstr("1999-12-31")));
 }
 
 TEST_F(MakeCertificateTest, AFailedVerdictGivesNoCertificateAndADraftWithoutNumbers) {
@@ -171,9 +171,10 @@ TEST_F(MakeCertificateTest, AsFoundIsTheSameItemBefore) {
   CertificateRequest asked = request();
   asked.as_found = asked.run;
   asked.as_found->run->header.labels["item.serial_number"] = "SN-43";
+  asked.as_found->run->header.created_utc = "2999-01-01T00:00:00.000Z";
   EXPECT_THAT(refusal(std::move(asked)),
               AllOf(HasSubstr("as-found run, item.serial_number"), HasSubstr("[job] adjustment"),
-                    HasSubstr("an end before the other run began")));
+                    HasSubstr("a beginning not after that of the other run")));
 }
 
 TEST_F(MakeCertificateTest, ShiftsCompareWhatDoesNotDependOnTheMounting) {
@@ -181,7 +182,7 @@ TEST_F(MakeCertificateTest, ShiftsCompareWhatDoesNotDependOnTheMounting) {
       request(replaced(example_laboratory(), "deviations = \"\" ", "adjustment = \"set\" "));
   asked.as_found = asked.run;
   asked.as_found->run->header.created_utc = asked.as_found->run->events.back().utc =
-      "2000-01-01T00:00:00.000Z";
+      "1999-01-01T00:00:00.000Z";
   asked.as_found->results.front().offset[2].value -= 0.5;
   const Certificate made = make_certificate(std::move(asked));
   ASSERT_EQ(made.shifts.size(), 9U);

@@ -109,7 +109,7 @@ TEST_F(DccTest, MarkupAndOtherScriptsStayText) {
   ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/xsd");
   std::string laboratory = example_laboratory();
   laboratory = replaced(laboratory, "name = \"Example customer\"",
-                        "name = \"<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \u0001\"");
+                        "name = \"<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \\u0001\"");
   CertificateRequest asked = request(laboratory);
   asked.run.run->header.labels["item.model"] = "</dcc:model><!-- & \"quoted\" 'single' \xff\xfe";
   const Certificate made = make_certificate(std::move(asked));
@@ -236,14 +236,20 @@ void scramble(CalibrationResult& result, Chance& chance) {
                                                "\u00b5g"};
   const std::string unit = chance.one_of(kUnits);
   result.response_unit = unit;
+  // A matrix that could be one, of any size: the angles between its rows have derivatives.
+  const double size = std::ldexp(1.0, static_cast<int>(chance.below(300)) - 150);
   for (std::size_t j = 0; j < 3; ++j) {
-    for (Quantity& quantity : (*result.sensitivity_matrix)[j]) scramble(quantity, chance, per_gravity(unit));
+    for (std::size_t k = 0; k < 3; ++k) {
+      Quantity& quantity = (*result.sensitivity_matrix)[j][k];
+      scramble(quantity, chance, per_gravity(unit));
+      quantity.value = size * ((j == k ? 2.0 : 0.0) + chance.uniform() - 0.5);
+    }
     scramble(result.offset[j], chance, unit);
     scramble(result.intrinsic_sensitivity[j], chance, per_gravity(unit));
     scramble(result.intrinsic_angle[j], chance, "degree");
   }
-  // Covariances up to 1e200, since they are multiplied by squares of unit factors and summed.
-  const auto covariance = [&] { return std::clamp(chance.number(), -1e200, 1e200); };
+  // Up to 1e100, since they are multiplied by squares of derivatives and summed.
+  const auto covariance = [&] { return std::clamp(chance.number(), -1e100, 1e100); };
   *result.covariance = Covariance12::NullaryExpr([&] { return covariance(); });
   *result.covariance_intrinsic = Covariance9::NullaryExpr([&] { return covariance(); });
   result.why = chance.text();

@@ -9,6 +9,7 @@
 
 #include "app/certificate/dsi_list.h"
 #include "app/certificate/dsi_unit.h"
+#include "app/certificate/xml_tree.h"
 
 namespace abcal {
 namespace {
@@ -72,6 +73,17 @@ TEST(DsiNumberTest, WhatIsNotFiniteIsNamed) {
       EXPECT_THAT(error.what(), testing::HasSubstr("offset of w"));
     }
   }
+}
+
+TEST(XmlTextTest, OnlyWhatXmlMayHold) {
+  EXPECT_EQ(xml_safe("\u8a08 \U0001F4D0\t<&"), "\u8a08 \U0001F4D0\t<&");
+  EXPECT_EQ(xml_safe("a\x01"), "a\ufffd");
+  EXPECT_EQ(xml_safe("\xff"), "\ufffd");
+  EXPECT_EQ(xml_safe("\xc1\x81"), "\ufffd\ufffd");  // "A" in too many bytes
+  EXPECT_EQ(xml_safe("\xed\xa0\x80"), "\ufffd");    // half of a pair
+  EXPECT_EQ(xml_safe("\xe8\xa8"), "\ufffd\ufffd");  // cut short
+  EXPECT_EQ(one_line(" a \n\t b\r\n"), "a b");
+  EXPECT_EQ(one_line(" \n"), "");
 }
 
 // metrology.md 3.3, p = 0.95, to the digits given there.

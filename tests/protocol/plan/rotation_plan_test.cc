@@ -93,5 +93,20 @@ TEST(RotationPlanTest, EstimatesTheDurationFromSpeedSettleAndDwell) {
   EXPECT_DOUBLE_EQ(duration.moving_s, (360 + 360 + 90 + 360 + 450 + 90 + 360) / 20.0);
 }
 
+TEST(CableTwist, IsWhatTheWholePlanAndItsApproachesNeed) {
+  ProtocolConfig config;  // 72 angles of 5 degrees, the closing angle, from below by 1 degree
+  const auto twist = cable_twist(make_rotation_plan(config, {}), config);
+  for (const AxisTravel& axis : twist) {
+    EXPECT_EQ(axis.min.deg(), -91.0);  // The initial turn, come to from below.
+    EXPECT_EQ(axis.max.deg(), 360.0);
+  }
+  // A travel without room for a whole turn upwards shifts it, and never winds further.
+  const auto shifted = cable_twist(
+      make_rotation_plan(config, {AxisTravel{Angle::degrees(-200), Angle::degrees(200)}, AxisTravel{}}),
+      config);
+  EXPECT_GE(shifted[0].min.deg(), -200.0);
+  EXPECT_LE(shifted[0].max.deg(), 200.0);
+}
+
 }  // namespace
 }  // namespace abcal

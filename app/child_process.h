@@ -1,0 +1,40 @@
+#pragma once
+
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace abcal {
+
+/// A program that the work needs is not installed; what() says which, what for, and how to get it.
+class ProgramMissing : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Another program of this machine, and how to get it.
+struct Tool {
+  std::string program;  ///< Looked for in PATH.
+  std::string needed_by;
+  std::string package;  ///< Of Debian.
+};
+
+/// Whether the program is found. Nothing is started.
+bool is_installed(const Tool& tool);
+
+/// @throws ProgramMissing if the program is not found
+void require_installed(const Tool& tool);
+
+/// What becomes of what a program prints.
+enum class ToolOutput {
+  kShown,   ///< On standard error: ours belongs to results.
+  kHidden,  ///< Of a question whose answer is the exit code.
+};
+
+/// Runs a program to its end, without a shell: arguments may hold any character.
+/// @returns its exit code; 128 + signal if a signal ended it
+/// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error
+int run_tool(const Tool& tool, const std::vector<std::string>& arguments,
+             ToolOutput output = ToolOutput::kShown);
+
+}  // namespace abcal

@@ -1,0 +1,344 @@
+#include "app/report/document_html.h"
+
+#include <fmt/format.h>
+#include <libxml/HTMLtree.h>
+#include <libxml/parser.h>
+#include <libxml/tree.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cstring>
+#include <memory>
+#include <stdexcept>
+#include <string_view>
+
+#include "app/child_process.h"
+#include "app/report/gnuplot.h"
+#include "app/report/valid_text.h"
+
+namespace abcal {
+namespace {
+
+const xmlChar* xml(const char* text) {
+  return reinterpret_cast<const xmlChar*>(text);
+}
+
+std::string_view text_of(const xmlChar* text) {
+  return text != nullptr ? reinterpret_cast<const char*>(text) : "";
+}
+
+struct FreeDocument {
+  void operator()(xmlDoc* document) const { xmlFreeDoc(document); }
+};
+using XmlDocument = std::unique_ptr<xmlDoc, FreeDocument>;
+
+// --- Style -------------------------------------------------------------------------------------------------
+
+/// A string of a style sheet. Everything but letters and digits is escaped: a name from a bench file must end
+/// neither the string nor the style sheet.
+std::string css_string(const std::string& text) {
+  std::string quoted = "\"";
+  for (const char c : valid_text(text)) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (byte >= 0x80 || std::isalnum(byte) != 0) {
+      quoted += c;
+    } else {
+      quoted += fmt::format("\\{:x} ", byte);
+    }
+  }
+  return quoted + "\"";
+}
+
+constexpr const char* kStyle = R"(
+html { font-family: "DejaVu Sans", "Liberation Sans", Arial, sans-serif; font-size: 8.5pt; line-height: 1.4;
+       color: #1a1a1a; }
+body { margin: 0 auto; max-width: 180mm; }
+h1 { font-size: 17pt; font-weight: 600; line-height: 1.2; margin: 0 0 1mm 0; color: #10324e; }
+h2 { font-size: 11.5pt; font-weight: 600; margin: 6mm 0 2mm 0; padding-bottom: 0.7mm; color: #10324e;
+     border-bottom: 0.4mm solid #10324e; break-after: avoid; }
+p { margin: 1.5mm 0; }
+p.subtitle { color: #505050; margin: 0 0 4mm 0; }
+p.caution { border: 0.8mm solid #b00020; color: #b00020; background: #fff4f4; font-size: 13pt; font-weight: 700;
+            line-height: 1.3; padding: 2.5mm 3mm; margin: 2mm 0; overflow-wrap: anywhere; }
+p.missing { border: 0.3mm dashed #808080; padding: 2mm; color: #505050; }
+ul { margin: 1.5mm 0; padding-left: 5mm; }
+table { border-collapse: collapse; width: 100%; margin: 2mm 0 3mm 0; font-size: 7.8pt; line-height: 1.3; }
+caption { text-align: left; padding-bottom: 1mm; break-after: avoid; color: #303030; }
+thead { display: table-header-group; }
+tr { break-inside: avoid; }
+th { text-align: left; font-weight: 600; background: #e8eef3; border-bottom: 0.3mm solid #10324e;
+     padding: 0.9mm 1.6mm; vertical-align: bottom; }
+td { border-bottom: 0.15mm solid #d4d9de; padding: 0.7mm 1.6mm; vertical-align: top; overflow-wrap: anywhere; }
+td.number, th.number { text-align: right; }
+td.number { white-space: nowrap; font-variant-numeric: tabular-nums; overflow-wrap: normal; }
+td.symbol { white-space: nowrap; font-style: italic; }
+td.unit { white-space: nowrap; }
+th.group { background: none; border-bottom: 0.2mm solid #8a9aa8; padding-top: 2mm; color: #10324e;
+           break-after: avoid; }
+table.facts td { border-bottom: 0.15mm solid #e4e8eb; }
+table.facts td.name { width: 42mm; color: #505050; }
+sub { font-size: 70%; line-height: 1; }
+figure { margin: 3mm 0 4mm 0; break-inside: avoid; }
+figure svg { width: 100%; height: auto; display: block; }
+figcaption { color: #303030; font-size: 7.8pt; margin-top: 1mm; }
+div.mark { position: fixed; top: 95mm; left: 0; width: 100%; text-align: center; font-size: 90pt; font-weight: 700;
+           color: #b00020; opacity: 0.13; transform: rotate(-35deg); }
+@media screen { body { padding: 8mm; } }
+)";
+
+std::string page_style(const Document& document) {
+  // What stands before the colon of each caution: "Not complete".
+  std::string cautions = document.page_mark;
+  for (const std::string& caution : document.cautions)
+    cautions += (cautions.empty() ? "" : " · ") + caution.substr(0, caution.find(':'));
+  std::transform(cautions.begin(), cautions.end(), cautions.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::toupper(c)); });
+  const auto box = [](const char* place, const std::string& content, const char* more) {
+    return fmt::format(
+        "  @{} {{ content: {}; font-family: \"DejaVu Sans\", sans-serif; font-size: 7pt; {} }}\n", place,
+        content, more);
+  };
+  constexpr const char* kGrey = "color: #505050;";
+  return "@page {\n  size: A4;\n  margin: 20mm 15mm 17mm 15mm;\n" +
+         box("top-left", css_string(document.identification), kGrey) +
+         box("top-right", css_string(cautions), "color: #b00020; font-weight: 700;") +
+         box("bottom-left", css_string(document.origin), kGrey) +
+         box("bottom-right", "\"page \" counter(page) \" of \" counter(pages)", kGrey) + "}\n";
+}
+
+// --- Pictures ----------------------------------------------------------------------------------------------
+
+std::string value_of(const xmlNode* node, const char* attribute) {
+  const std::unique_ptr<xmlChar, decltype(xmlFree)> value(xmlGetNoNsProp(node, xml(attribute)), xmlFree);
+  return std::string(text_of(value.get()));
+}
+
+bool is(const xmlNode* node, const char* name) {
+  return node != nullptr && text_of(node->name) == name;
+}
+
+/// Several pictures on one page: gnuplot gives each the same ids, so each gets a prefix of its own, where an
+/// id is given and where it is referred to ("#gpDot", "url(#greybox)").
+void prefix_ids(xmlNode* node, const std::string& prefix) {
+  for (xmlAttr* attribute = node->properties; attribute != nullptr; attribute = attribute->next) {
+    const std::unique_ptr<xmlChar, decltype(xmlFree)> content(
+        xmlNodeListGetString(node->doc, attribute->children, 1), xmlFree);
+    std::string value(text_of(content.get()));
+    const std::string_view name = text_of(attribute->name);
+    if (name == "id") {
+      value = prefix + value;
+    } else if (name == "href" && value.starts_with('#')) {
+      value = "#" + prefix + value.substr(1);
+    } else if (const std::size_t at = value.find("url(#"); at != std::string::npos) {
+      value.insert(at + std::strlen("url(#"), prefix);
+    } else {
+      continue;
+    }
+    xmlSetNsProp(node, attribute->ns, attribute->name, xml(value.c_str()));
+  }
+}
+
+/// gnuplot draws a mark in the colour of where it is used ("currentColor"), on which WeasyPrint fails. The
+/// mark takes its stroke from the place of use as well, which all readers of SVG do alike.
+void colour_marks(xmlNode* node) {
+  const bool defined = is(node->parent, "defs");
+  if (defined && value_of(node, "stroke") == "currentColor") xmlUnsetProp(node, xml("stroke"));
+  const std::string colour = value_of(node, "color");
+  if (!defined && is(node, "use") && !colour.empty()) xmlSetProp(node, xml("stroke"), xml(colour.c_str()));
+}
+
+void prepare_picture(xmlNode* node, const std::string& prefix) {
+  for (; node != nullptr; node = node->next) {
+    if (node->type != XML_ELEMENT_NODE) continue;
+    prefix_ids(node, prefix);
+    colour_marks(node);
+    prepare_picture(node->children, prefix);
+  }
+}
+
+// --- The page ----------------------------------------------------------------------------------------------
+
+const char* css_class(CellKind kind) {
+  switch (kind) {
+    case CellKind::kNumber:
+      return "number";
+    case CellKind::kSymbol:
+      return "symbol";
+    case CellKind::kUnit:
+      return "unit";
+    case CellKind::kText:
+      break;
+  }
+  return nullptr;
+}
+
+class PageBuilder {
+ public:
+  explicit PageBuilder(const Document& content) : content_(content), document_(xmlNewDoc(xml("1.0"))) {
+    if (!document_) throw std::bad_alloc();
+    document_->type = XML_HTML_DOCUMENT_NODE;
+    xmlCreateIntSubset(document_.get(), xml("html"), nullptr, nullptr);
+  }
+
+  HtmlPage build() {
+    xmlNode* html = xmlNewDocNode(document_.get(), nullptr, xml("html"), nullptr);
+    xmlDocSetRootElement(document_.get(), html);
+    attribute(html, "lang", "en");
+    head(html);
+    xmlNode* body = add(html, "body");
+    if (!content_.page_mark.empty()) add(body, "div", "mark", content_.page_mark);
+    add(body, "h1", nullptr, content_.title);
+    if (!content_.subtitle.empty()) add(body, "p", "subtitle", content_.subtitle);
+    for (const std::string& caution : content_.cautions) add(body, "p", "caution", caution);
+    for (const Section& section : content_.sections) {
+      xmlNode* part = add(body, "section");
+      add(part, "h2", nullptr, section.title);
+      for (const Block& block : section.blocks)
+        std::visit([&](const auto& each) { this->block(part, each); }, block);
+    }
+    page_.html = serialised();
+    return std::move(page_);
+  }
+
+ private:
+  xmlNode* add(xmlNode* parent, const char* name, const char* css = nullptr, const std::string& text = {}) {
+    xmlNode* node = xmlNewChild(parent, nullptr, xml(name), nullptr);
+    if (node == nullptr) throw std::bad_alloc();
+    if (css != nullptr) attribute(node, "class", css);
+    if (!text.empty()) add_text(node, text);
+    return node;
+  }
+  void add_text(xmlNode* node, const std::string& text) {
+    xmlAddChild(node, xmlNewDocText(document_.get(), xml(valid_text(text).c_str())));
+  }
+  void attribute(xmlNode* node, const char* name, const std::string& value) {
+    xmlNewProp(node, xml(name), xml(valid_text(value).c_str()));
+  }
+
+  void head(xmlNode* html) {
+    xmlNode* head = add(html, "head");
+    attribute(add(head, "meta"), "charset", "utf-8");
+    add(head, "title", nullptr, content_.title + ", " + content_.identification);
+    const auto meta = [&](const char* name, const std::string& value) {
+      xmlNode* node = add(head, "meta");
+      attribute(node, "name", name);
+      attribute(node, "content", value);
+    };
+    meta("viewport", "width=device-width, initial-scale=1");
+    meta("generator", content_.origin);
+    add(head, "style", nullptr, kStyle + page_style(content_));
+  }
+
+  void block(xmlNode* part, const Paragraph& paragraph) { add(part, "p", nullptr, paragraph.text); }
+
+  void block(xmlNode* part, const BulletList& bullets) {
+    if (bullets.items.empty()) return;
+    xmlNode* list = add(part, "ul");
+    for (const std::string& item : bullets.items) add(list, "li", nullptr, item);
+  }
+
+  void block(xmlNode* part, const FactList& list) {
+    xmlNode* body = add(add(part, "table", "facts"), "tbody");
+    for (const auto& [name, value] : list.facts) {
+      xmlNode* row = add(body, "tr");
+      add(row, "td", "name", name);
+      add(row, "td", nullptr, value);
+    }
+  }
+
+  void block(xmlNode* part, const DocumentTable& content) {
+    xmlNode* table = add(part, "table");
+    if (!content.caption.empty()) cell_text(add(table, "caption"), content.caption, content.caption_kind);
+    xmlNode* heading = add(add(table, "thead"), "tr");
+    for (const Column& column : content.columns)
+      add(heading, "th", column.kind == CellKind::kNumber ? "number" : nullptr, column.heading);
+    xmlNode* body = add(table, "tbody");
+    for (const auto& cells : content.rows) {
+      xmlNode* row = add(body, "tr");
+      if (cells.size() == 1) {
+        xmlNode* group = add(row, "th", "group", cells.front());
+        attribute(group, "colspan", std::to_string(content.columns.size()));
+        continue;
+      }
+      for (std::size_t c = 0; c < cells.size(); ++c) {
+        const CellKind kind = content.columns[c].kind;
+        cell_text(add(row, "td", css_class(kind)), cells[c], kind);
+      }
+    }
+  }
+
+  void block(xmlNode* part, const Figure& figure) {
+    xmlNode* node = add(part, "figure");
+    try {
+      add_picture(node, figure);
+    } catch (const ProgramMissing& missing) {
+      add(node, "p", "missing", fmt::format("No figure here: {}", missing.what()));
+      if (page_.warnings.empty())
+        page_.warnings.push_back(fmt::format("the page has no figures: {}", missing.what()));
+    }
+    add(node, "figcaption", nullptr, fmt::format("Figure {}: {}", ++figures_, figure.caption));
+  }
+
+  void add_picture(xmlNode* node, const Figure& figure) {
+    const std::string svg = draw_svg(figure);
+    const XmlDocument drawn(xmlReadMemory(svg.data(), static_cast<int>(svg.size()), "figure.svg", nullptr,
+                                          XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOBLANKS));
+    xmlNode* root = drawn ? xmlDocGetRootElement(drawn.get()) : nullptr;
+    if (root == nullptr) throw std::runtime_error("gnuplot drew no picture: \"" + figure.caption + "\"");
+    prepare_picture(root, fmt::format("f{}_", figures_ + 1));
+    xmlSetProp(root, xml("role"), xml("img"));
+    xmlSetProp(root, xml("aria-label"), xml(valid_text(figure.caption).c_str()));
+    xmlNode* copy = xmlDocCopyNode(root, document_.get(), 1);
+    if (copy == nullptr) throw std::bad_alloc();
+    xmlAddChild(node, copy);
+  }
+
+  /// "s_ux" with its index below, Greek letters, "°" and "²".
+  void cell_text(xmlNode* node, const std::string& text, CellKind kind) {
+    if (kind != CellKind::kSymbol && kind != CellKind::kUnit) return add_text(node, text);
+    std::string_view rest = text;
+    while (!rest.empty()) {
+      const std::size_t at = std::min(rest.find('_'), rest.size());
+      add_text(node, with_signs(rest.substr(0, at)));
+      rest.remove_prefix(std::min(at + 1, rest.size()));
+      if (rest.empty()) break;
+      const auto end =
+          std::find_if(rest.begin(), rest.end(), [](unsigned char c) { return std::isalnum(c) == 0; });
+      const auto length = static_cast<std::size_t>(end - rest.begin());
+      add(node, "sub", nullptr, std::string(rest.substr(0, length)));
+      rest.remove_prefix(length);
+    }
+  }
+
+  static std::string with_signs(std::string_view text) {
+    std::string result(text);
+    for (const auto& [word, sign] :
+         {std::pair{"phi", "φ"}, {"degree", "°"}, {"m/s2", "m/s²"}, {"g2", "g²"}}) {
+      if (const std::size_t at = result.find(word); at != std::string::npos)
+        result.replace(at, std::strlen(word), sign);
+    }
+    return result;
+  }
+
+  std::string serialised() const {
+    const std::unique_ptr<xmlOutputBuffer, decltype(&xmlOutputBufferClose)> buffer(
+        xmlAllocOutputBuffer(nullptr), xmlOutputBufferClose);
+    if (!buffer) throw std::bad_alloc();
+    htmlDocContentDumpFormatOutput(buffer.get(), document_.get(), "UTF-8", 0);
+    return {reinterpret_cast<const char*>(xmlOutputBufferGetContent(buffer.get())),
+            xmlOutputBufferGetSize(buffer.get())};
+  }
+
+  const Document& content_;
+  XmlDocument document_;
+  HtmlPage page_;
+  int figures_ = 0;
+};
+
+}  // namespace
+
+HtmlPage document_html(const Document& document) {
+  return PageBuilder(document).build();
+}
+
+}  // namespace abcal

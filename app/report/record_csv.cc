@@ -1,0 +1,122 @@
+#include "app/report/record_csv.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <map>
+#include <optional>
+#include <stdexcept>
+
+#include "app/report/valid_text.h"
+
+namespace abcal {
+namespace {
+
+/// The shortest text that reads back to the same number; empty for none.
+std::string number(const std::optional<double>& value) {
+  return value && std::isfinite(*value) ? fmt::format("{}", *value) : "";
+}
+
+std::string comment(const std::string& key, const std::string& value) {
+  if (value.empty()) return {};
+  std::string line = valid_text(fmt::format("# {}: {}", key, value));
+  std::replace(line.begin(), line.end(), '\n', ' ');
+  return line + "\n";
+}
+
+/// What stands above the header line; keys as in the run file.
+std::string comments(const ReportData& data, const std::string& what) {
+  const RunRecord& record = data.record;
+  std::string text = comment("abcal", data.program_version) + comment("content", what) +
+                     comment("source", data.path.filename().string()) +
+                     comment("source_sha256", data.sha256.value_or("")) +
+                     comment("written_utc", data.created_utc);
+  for (const std::string& caution : cautions(data)) text += comment("caution", caution);
+  if (data.run) {
+    text += comment("state", std::string(to_string(data.run->state))) +
+            comment("created_utc", data.run->header.created_utc) +
+            comment("measured_with", data.run->header.program_version);
+    for (const auto& [key, value] : data.run->header.labels) text += comment(key, value);
+  }
+  text += comment("response_unit", record.response_unit);
+  if (record.g_loc_known) {
+    text += comment("g_loc.value_mps2", number(record.g_loc.value_mps2)) +
+            comment("g_loc.expanded_uncertainty_mps2", number(record.g_loc.expanded_uncertainty_mps2)) +
+            comment("g_loc.coverage_factor", number(record.g_loc.coverage_factor)) +
+            comment("g_loc.source", record.g_loc.source);
+  }
+  const Tolerances& t = record.tolerances;
+  text += comment("tolerances.alignment_deg", number(t.alignment.deg())) +
+          comment("tolerances.step_deg", number(t.step.deg())) +
+          comment("tolerances.initial_turn_deg", number(t.initial_turn.deg())) +
+          comment("tolerances.zero_deg", number(t.zero.deg())) + comment("tolerances.drift", number(t.drift));
+  const MeasuredAlignment& a = record.measured_alignment;
+  for (const auto& [name, measured] : {std::pair{"zx", &a.zx}, {"zy", &a.zy}, {"xz", &a.xz}}) {
+    if (!*measured) continue;
+    text += comment(fmt::format("alignment.{}", name), number((*measured)->value)) +
+            comment(fmt::format("alignment.u_{}", name), number((*measured)->standard_uncertainty));
+  }
+  return text + comment("protocol.step_deg", number(record.step.deg())) +
+         comment("protocol.steps", std::to_string(record.steps)) +
+         comment("continuations", std::to_string(record.continuations));
+}
+
+}  // namespace
+
+std::string averaged_csv(const ReportData& data) {
+  std::string rows;
+  int left_out = 0;
+  for (const DwellRecord& dwell : data.record.dwells) {
+    if (!dwell.mean.allFinite()) {
+      ++left_out;
+      continue;
+    }
+    rows += fmt::format("{},{},{},{},{},{},{}", dwell.experiment, dwell.n, dwell.closing ? 1 : 0,
+                        number(dwell.alpha.deg()), number(dwell.mean[0]), number(dwell.mean[1]),
+                        number(dwell.mean[2]));
+    for (int j = 0; j < 3; ++j) rows += "," + (dwell.u_mean ? number((*dwell.u_mean)[j]) : "");
+    const auto degrees = [](const std::optional<Angle>& angle) {
+      return angle ? number(angle->deg()) : std::string();
+    };
+    rows += fmt::format(",{},{},{},{},{},{}\n", number(dwell.time_s),
+                        dwell.count > 0 ? std::to_string(dwell.count) : "", number(dwell.temperature_degc),
+                        dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z));
+  }
+  std::string flags;
+  for (std::uint32_t bit = 1; bit <= kFlagRepeated; bit *= 2)
+    flags += fmt::format("{}{} {}", flags.empty() ? "" : ", ", bit, describe_flags(bit));
+  std::string text =
+      comments(data, "averaged readings, their standard uncertainty (u_), times from the start");
+  if (left_out > 0) text += comment("left_out", fmt::format("{} angles without a finite mean", left_out));
+  return text + comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_* response_unit; time_s s") +
+         comment("flags", "sum of " + flags) +
+         "experiment,n,closing,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,"
+         "encoder_x_deg,encoder_z_deg\n" +
+         rows;
+}
+
+void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
+  if (!data.run) {
+    throw std::invalid_argument(
+        fmt::format("{}: a CSV of averaged readings has no single readings", data.path.string()));
+  }
+  std::ofstream file(path, std::ios::binary | std::ios::trunc);
+  file << comments(data, "single readings as the accelerometer delivered them")
+       << comment("units", "alpha_deg degree; time_s s from the start; r_* response_unit")
+       << "experiment,n,closing,alpha_deg,superseded,sequence,time_s,r_u,r_v,r_w,temperature_degc\n";
+  RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
+    for (const StoredReading& r : dwell.readings) {
+      file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
+                          dwell.closing ? 1 : 0, number(dwell.alpha.deg()), dwell.superseded ? 1 : 0,
+                          r.sequence, number(r.time_s), number(r.output[0]), number(r.output[1]),
+                          number(r.output[2]), number(r.temperature_degc));
+    }
+  });
+  file.close();
+  if (!file)
+    throw std::runtime_error(fmt::format("{}: cannot be written (is the disk full?)", path.string()));
+}
+
+}  // namespace abcal

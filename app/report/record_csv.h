@@ -1,0 +1,22 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "app/report/report_data.h"
+
+namespace abcal {
+
+/// The averaged readings as CSV: comments "# key: value" with all that the analysis and a reader need beside
+/// the numbers, then the columns of import_csv(). Numbers have as many digits as tell them apart, so that the
+/// analysis of the copy gives the same results. Angles without a finite mean are left out, and a comment says
+/// so.
+std::string averaged_csv(const ReportData& data);
+
+/// The single readings of a run as CSV, dwell by dwell, also of dwells that were repeated later
+/// (`superseded`).
+/// @throws std::invalid_argument for a record without a run file, which has no single readings
+/// @throws RunFileError, std::runtime_error
+void write_raw_csv(const ReportData& data, const std::filesystem::path& path);
+
+}  // namespace abcal

@@ -1,0 +1,160 @@
+#include "app/report/run_figures.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <cmath>
+
+#include "app/report/gnuplot.h"
+
+namespace abcal {
+namespace {
+
+/// Told apart by shape as well, and by people who do not see all colours (the palette of Okabe and Ito).
+struct Style {
+  const char* name;
+  const char* colour;
+  int point;
+};
+constexpr std::array<Style, 3> kStyles{{{"U", "#D55E00", 1}, {"V", "#009E73", 2}, {"W", "#0072B2", 6}}};
+
+constexpr const char* kFrame =
+    "set grid lc rgb '#d0d0d0'\nset border lc rgb '#404040'\nset tics textcolor rgb '#202020'\n"
+    "set key off\n";
+
+std::string experiment_title(int experiment) {
+  constexpr std::array<const char*, 3> kTurns{"about X", "about X, Z turned by -90 degrees",
+                                              "about Z, X turned by -90 degrees"};
+  return fmt::format("Experiment {}: {}", experiment, kTurns[static_cast<std::size_t>(experiment - 1)]);
+}
+
+const FitDiagnostic* find_fit(const CalibrationResult& result, int experiment, int accelerometer) {
+  for (const FitDiagnostic& fit : result.diagnostics.fits) {
+    if (fit.experiment == experiment && fit.accelerometer == accelerometer) return &fit;
+  }
+  return nullptr;
+}
+
+}  // namespace
+
+Figure response_figure(const ReportData& data, int experiment) {
+  const CalibrationResult& result = data.result();
+  std::string readings, residuals;
+  bool with_u = false;
+  for (const DwellRecord& dwell : data.record.dwells) {
+    if (dwell.experiment != experiment || dwell.closing || !dwell.mean.allFinite()) continue;
+    readings += fmt::format("{:.17g} {:.17g} {:.17g} {:.17g}\n", dwell.alpha.deg(), dwell.mean[0],
+                            dwell.mean[1], dwell.mean[2]);
+    residuals += fmt::format("{:.17g}", dwell.alpha.deg());
+    for (int j = 0; j < 3; ++j) {
+      const FitDiagnostic* fit = find_fit(result, experiment, j);
+      if (fit == nullptr) return {experiment_title(experiment) + ": no fit", "", 10};
+      const SinCos at = sincos(dwell.alpha);
+      const double left =
+          dwell.mean[j] - (fit->sine.value * at.sin + fit->cosine.value * at.cos + fit->constant.value);
+      residuals +=
+          fmt::format(" {:.17g} {:.17g}", left, dwell.u_mean ? kCoverageFactor * (*dwell.u_mean)[j] : 0.0);
+    }
+    residuals += "\n";
+    with_u = with_u || dwell.u_mean;
+  }
+  std::string script = fmt::format("$r << EOD\n{}EOD\n$d << EOD\n{}EOD\n", readings, residuals);
+  script += "set angles degrees\n";
+  script += kFrame;
+  script += "set multiplot layout 1,2\nset xtics 90\nset mxtics 3\nset xlabel 'rotation angle (degree)'\n";
+  script += fmt::format(
+      "set key on outside top center horizontal samplen 2\nset ylabel {}\nset samples 361\n"
+      "set xrange [0:360]\nplot ",
+      gnuplot_quoted(fmt::format("response ({})", result.response_unit)));
+  for (std::size_t j = 0; j < 3; ++j) {
+    const FitDiagnostic& fit = *find_fit(result, experiment, static_cast<int>(j));
+    const Style& style = kStyles[j];
+    script += fmt::format(
+        "({:.17g})*sin(x)+({:.17g})*cos(x)+({:.17g}) with lines lw 1 lc rgb '{}' notitle, $r using 1:{} with "
+        "points pt {} ps 0.5 lc rgb '{}' title '{}'{}",
+        fit.sine.value, fit.cosine.value, fit.constant.value, style.colour, j + 2, style.point, style.colour,
+        style.name, j < 2 ? ", " : "\n");
+  }
+  script += fmt::format("set format y '%.1e'\nset ylabel {}\nplot 0 with lines lc rgb '#808080' notitle, ",
+                        gnuplot_quoted(fmt::format("reading - fit ({})", result.response_unit)));
+  for (std::size_t j = 0; j < 3; ++j) {
+    const Style& style = kStyles[j];
+    script += fmt::format("$d using 1:{}{} pt {} ps 0.5 lc rgb '{}' title '{}'{}",
+                          with_u ? fmt::format("{}:{}", 2 * j + 2, 2 * j + 3) : std::to_string(2 * j + 2),
+                          with_u ? " with yerrorbars" : " with points", style.point, style.colour, style.name,
+                          j < 2 ? ", " : "\n");
+  }
+  script += "unset multiplot\n";
+  return {fmt::format("{}. Left: averaged readings and fitted curves; right: readings minus fit{}.",
+                      experiment_title(experiment),
+                      with_u ? fmt::format(", bars: k = {:g} times the standard uncertainty of the mean",
+                                           kCoverageFactor)
+                             : std::string()),
+          script, 270};
+}
+
+Figure harmonics_figure(const CalibrationResult& result) {
+  std::string data, plots;
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (int j = 0; j < 3; ++j) {
+      data += fmt::format("$h{}{} << EOD\n", experiment, j);
+      const FitDiagnostic* fit = find_fit(result, experiment, j);
+      for (const Harmonic& harmonic : fit != nullptr ? fit->harmonics : std::vector<Harmonic>()) {
+        if (harmonic.order < 2) continue;
+        const double u = std::fmax(harmonic.sin_amplitude.standard_uncertainty,
+                                   harmonic.cos_amplitude.standard_uncertainty);
+        data += fmt::format("{:.17g} {:.17g} {:.17g}\n", harmonic.order + 0.2 * (j - 1),
+                            std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value),
+                            std::isfinite(u) ? kCoverageFactor * u : 0.0);
+      }
+      data += "EOD\n";
+    }
+    plots += fmt::format("set title 'Experiment {}'\nplot ", experiment);
+    for (std::size_t j = 0; j < 3; ++j) {
+      plots +=
+          fmt::format("$h{}{} using 1:2:3 with yerrorbars pt {} ps 0.6 lc rgb '{}' title '{}'{}", experiment,
+                      j, kStyles[j].point, kStyles[j].colour, kStyles[j].name, j < 2 ? ", " : "\n");
+    }
+  }
+  std::string script = data + kFrame;
+  script += fmt::format(
+      "set multiplot layout 1,3\nset xrange [1.5:5.5]\nset xtics 1\nset xlabel 'harmonic'\nset format y "
+      "'%.1e'\n"
+      "set key on top right\nset yrange [0:*]\nset ylabel {}\n",
+      gnuplot_quoted(fmt::format("amplitude ({})", result.response_unit)));
+  return {fmt::format("Amplitudes of harmonics 2 to 5; bars: k = {:g} times their standard uncertainty.",
+                      kCoverageFactor),
+          script + plots + "unset multiplot\n", 240};
+}
+
+Figure step_error_figure(const RunRecord& record, const JointResult& joint) {
+  std::string data, plots;
+  for (std::size_t i = 0; i < 3; ++i) {
+    data += fmt::format("$f{} << EOD\n", i + 1);
+    for (std::size_t n = 0; n < joint.step_error[i].size(); ++n) {
+      const Quantity& f = joint.step_error[i][n];
+      if (!std::isfinite(f.value)) continue;
+      constexpr double kMilli = 1e3;
+      data += fmt::format(
+          "{:.17g} {:.17g} {:.17g}\n", record.step.deg() * static_cast<double>(n), kMilli * f.value,
+          std::isfinite(f.standard_uncertainty) ? kMilli * kCoverageFactor * f.standard_uncertainty : 0.0);
+    }
+    data += "EOD\n";
+    plots += fmt::format(
+        "set title 'Experiment {0}'\nplot 0 with lines lc rgb '#808080', $f{0} using 1:2:3 with yerrorbars "
+        "pt 7 "
+        "ps 0.3 lc rgb '#0072B2'\n",
+        i + 1);
+  }
+  std::string script = data + kFrame;
+  script +=
+      "set multiplot layout 1,3\nset xrange [0:360]\nset xtics 90\nset xlabel 'rotation angle (degree)'\n"
+      "set ylabel 'step error (0.001 degree)'\n";
+  return {
+      fmt::format("Rotation-step errors that the joint estimator finds; bars: k = {:g} times their standard "
+                  "uncertainty.",
+                  kCoverageFactor),
+      script + plots + "unset multiplot\n", 240};
+}
+
+}  // namespace abcal

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/rotation_stage.h"
+
+namespace abcal {
+
+/// Whether a stage that was told to move has been heard of lately. Not thread-safe.
+class MotionWatch {
+ public:
+  explicit MotionWatch(Clock::Duration patience) : patience_(patience) {}
+
+  void told_to_move(StageAxis axis, Clock::Instant now);
+  /// The controller has answered something.
+  void heard(Clock::Instant now) { heard_ = now; }
+  void stands_still(StageAxis axis) { moving_[index(axis)] = false; }
+  void forget() { moving_ = {}; }
+
+  /// It may be moving, and nothing was heard of it for longer than the patience.
+  bool overdue(Clock::Instant now) const;
+
+ private:
+  Clock::Duration patience_;
+  std::array<bool, 2> moving_{};
+  Clock::Instant heard_;
+};
+
+/// A stage under a watchdog: where it may be moving and the controller has not answered for `patience` (it is
+/// silent, or this program hangs: a blocked terminal, a disk that does not answer), a thread of its own halts
+/// it. After that every call throws kStalled until the stage is identified anew.
+class StageWatchdog final : public RotationStage {
+ public:
+  static constexpr Clock::Duration kPatience = std::chrono::seconds(5);
+
+  /// `clock` must run in real time.
+  StageWatchdog(std::unique_ptr<RotationStage> stage, const Clock& clock,
+                Clock::Duration patience = kPatience);
+  ~StageWatchdog() override;
+
+  StageInfo identify() override;
+  void home(StageAxis axis) override;
+  void move_to(StageAxis axis, Angle target) override;
+  MotionState motion_state(StageAxis axis) override;
+  Angle encoder_angle(StageAxis axis) override;
+  bool halt() noexcept override;
+
+ private:
+  void watch(const std::stop_token& stop);
+  void throw_if_halted() const;
+  template <class Call>
+  auto heard(const Call& call);
+
+  std::unique_ptr<RotationStage> stage_;
+  const Clock& clock_;
+  Clock::Duration patience_;
+  mutable std::mutex mutex_;
+  std::condition_variable_any wake_;
+  MotionWatch motion_;
+  std::string halted_because_;  ///< Empty: it has not halted the stage.
+  std::jthread thread_;         ///< Last: it ends before what it uses.
+};
+
+}  // namespace abcal

@@ -1,0 +1,102 @@
+#include "app/stage_watchdog.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <condition_variable>
+
+#include "app/real_clock.h"
+#include "drivers/instrument/instrument_error.h"
+
+namespace abcal {
+namespace {
+
+using namespace std::chrono_literals;
+using testing::HasSubstr;
+
+const Clock::Instant kStart{};
+
+TEST(MotionWatch, IsOverdueOnlyWhileItMayMoveAndNothingIsHeard) {
+  MotionWatch watch(5s);
+  EXPECT_FALSE(watch.overdue(kStart + 1h));  // Never told to move.
+  watch.told_to_move(StageAxis::kX, kStart);
+  EXPECT_FALSE(watch.overdue(kStart + 5s));
+  EXPECT_TRUE(watch.overdue(kStart + 5001ms));
+  watch.heard(kStart + 4s);
+  EXPECT_FALSE(watch.overdue(kStart + 9s));
+  watch.told_to_move(StageAxis::kZ, kStart + 9s);
+  watch.stands_still(StageAxis::kX);
+  EXPECT_TRUE(watch.overdue(kStart + 15s));  // Z may still move.
+  watch.stands_still(StageAxis::kZ);
+  EXPECT_FALSE(watch.overdue(kStart + 1h));
+  watch.told_to_move(StageAxis::kX, kStart + 2h);
+  watch.forget();
+  EXPECT_FALSE(watch.overdue(kStart + 3h));
+}
+
+/// Tells the test of a halt.
+class HaltedStage final : public RotationStage {
+ public:
+  StageInfo identify() override { return {}; }
+  void home(StageAxis) override {}
+  void move_to(StageAxis, Angle) override {}
+  MotionState motion_state(StageAxis) override { return MotionState::kMoving; }
+  Angle encoder_angle(StageAxis) override { return {}; }
+  bool halt() noexcept override {
+    const std::lock_guard lock(mutex);
+    ++halts;
+    changed.notify_all();
+    return acknowledges;
+  }
+  bool wait_for_halt() {
+    std::unique_lock lock(mutex);
+    return changed.wait_for(lock, 30s, [&] { return halts > 0; });
+  }
+  std::mutex mutex;
+  std::condition_variable changed;
+  int halts = 0;
+  bool acknowledges = true;
+};
+
+class StageWatchdogTest : public testing::Test {
+ protected:
+  StageWatchdogTest() {
+    auto owned = std::make_unique<HaltedStage>();
+    stage = owned.get();
+    dog = std::make_unique<StageWatchdog>(std::move(owned), clock, 50ms);
+  }
+  /// What the next call of the run says; calls until the watchdog has noted its halt.
+  std::string next_error() {
+    for (;;) {
+      try {
+        dog->encoder_angle(StageAxis::kX);
+      } catch (const InstrumentError& error) {
+        EXPECT_EQ(error.fault(), Fault::kStalled);
+        return error.what();
+      }
+    }
+  }
+  RealClock clock;
+  HaltedStage* stage = nullptr;
+  std::unique_ptr<StageWatchdog> dog;
+};
+
+TEST_F(StageWatchdogTest, HaltsAStageThatNobodyHearsOfAndTheRunIsTold) {
+  dog->move_to(StageAxis::kX, Angle::degrees(30));
+  ASSERT_TRUE(stage->wait_for_halt());  // The measuring thread hangs here.
+  EXPECT_THAT(next_error(), HasSubstr("the watchdog halted it"));
+  EXPECT_THROW(dog->move_to(StageAxis::kZ, {}), InstrumentError);
+  dog->identify();  // A new beginning.
+  EXPECT_NO_THROW(dog->encoder_angle(StageAxis::kX));
+  EXPECT_EQ(stage->halts, 1);
+}
+
+TEST_F(StageWatchdogTest, SaysIfTheHaltWasNotAcknowledged) {
+  stage->acknowledges = false;
+  dog->home(StageAxis::kZ);
+  ASSERT_TRUE(stage->wait_for_halt());
+  while (next_error().find("not acknowledged") == std::string::npos) continue;
+}
+
+}  // namespace
+}  // namespace abcal

@@ -1,0 +1,132 @@
+#include "app/console/live_view.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "tests/support/fake_clock.h"
+
+namespace abcal::console {
+namespace {
+
+using Json = nlohmann::json;
+
+DwellRecord dwell(int experiment, int n, double u) {
+  DwellRecord record;
+  record.experiment = experiment;
+  record.n = n;
+  record.alpha = Angle::degrees(30.0 * (n - 1));
+  record.mean = {u, 0.5, 0.25};
+  return record;
+}
+
+RunBegan run_of(int angles) {
+  RunBegan began;
+  began.file = "a.run";
+  began.unit = "g";
+  began.estimated_s = 10.0 * angles;
+  for (int n = 1; n <= angles; ++n)
+    began.plan.push_back({1, n, false, Angle::degrees(30.0 * (n - 1)), {}, {}});
+  return began;
+}
+
+class LiveViewTest : public testing::Test {
+ protected:
+  Json apply(const Event& event) { return Json::parse(view.apply(event)); }
+  Json snapshot() const { return Json::parse(view.snapshot()); }
+  /// The constant of the fit so far, 1 + 0.5 sin + 0.25 cos given.
+  Json measure(std::size_t position) {
+    const double a = 30.0 * static_cast<double>(position) * M_PI / 180.0;
+    return apply(
+        DwellSeen{position,
+                  dwell(1, static_cast<int>(position) + 1, 1.0 + 0.5 * std::sin(a) + 0.25 * std::cos(a)),
+                  {}});
+  }
+
+  test::FakeClock clock;
+  LiveView view{{{"program", "abcal"}}, clock};
+};
+
+TEST_F(LiveViewTest, BeginsWithNothing) {
+  const Json json = snapshot();
+  EXPECT_EQ(json["activity"]["activity"], "idle");
+  EXPECT_TRUE(json["run"].is_null());
+  EXPECT_TRUE(json["stage"]["x"]["encoder_deg"].is_null());
+}
+
+TEST_F(LiveViewTest, GrowsACurvePointByPoint) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  apply(run_of(12));
+  EXPECT_TRUE(measure(0)["fit"]["outputs"][0].is_null());
+  measure(1);
+  measure(2);
+  const Json fit = measure(3)["fit"]["outputs"][0];
+  // Rounding of a solution of three unknowns near 1.
+  EXPECT_NEAR(fit["constant"].get<double>(), 1.0, 1e-12);
+  EXPECT_NEAR(fit["sine"].get<double>(), 0.5, 1e-12);
+  EXPECT_NEAR(fit["cosine"].get<double>(), 0.25, 1e-12);
+  EXPECT_EQ(snapshot()["run"]["dwells"].size(), 4U);
+  EXPECT_EQ(snapshot()["run"]["fits"][0]["outputs"][0], fit);
+}
+
+TEST_F(LiveViewTest, TellsTheTimeLeftFromWhatTheLatestAnglesTook) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  EXPECT_EQ(apply(run_of(12))["run"]["progress"]["left_s"], 120.0);
+  for (std::size_t position = 0; position < 5; ++position) {
+    measure(position);
+    clock.advance(std::chrono::seconds(4));
+  }
+  EXPECT_EQ(measure(5)["progress"]["left_s"], 6 * 4.0);
+  // An hour's hold is no angle's time.
+  apply(PhaseSeen{6, RunPhase::kHolding});
+  clock.advance(std::chrono::hours(1));
+  EXPECT_EQ(measure(6)["progress"]["left_s"], 5 * 4.0);
+}
+
+TEST_F(LiveViewTest, AnAngleMeasuredAgainTakesThePlaceOfTheFirst) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  apply(run_of(12));
+  measure(0);
+  const Json progress = measure(0)["progress"];
+  EXPECT_EQ(progress["measured"], 1);
+}
+
+TEST_F(LiveViewTest, TheTurnOfACheckIsNoRun) {
+  apply(ActivitySeen{Activity::kChecking, false, false});
+  EXPECT_EQ(measure(0)["type"], "nothing");
+  EXPECT_TRUE(snapshot()["run"].is_null());
+}
+
+TEST_F(LiveViewTest, KeepsOnlyTheLatestOfWhatGrowsWithoutEnd) {
+  for (int i = 0; i < 5000; ++i) {
+    StripSeen group;
+    group.time_s = i;
+    group.mean = group.lowest = group.highest = Eigen::Vector3d::Zero();
+    apply(group);
+    apply(LogLine{LogLine::Grade::kInfo, "line " + std::to_string(i)});
+  }
+  const Json json = snapshot();
+  EXPECT_EQ(json["strip"].size(), 400U);
+  EXPECT_EQ(json["strip"].back()["time_s"], 4999.0);
+  EXPECT_EQ(json["log"].size(), 200U);
+  EXPECT_EQ(json["log"].back()["text"], "line 4999");
+}
+
+TEST_F(LiveViewTest, WhatIsNoNumberIsNull) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  apply(run_of(12));
+  const Json message = apply(DwellSeen{0, dwell(1, 1, std::numeric_limits<double>::quiet_NaN()), {}});
+  EXPECT_TRUE(message["dwell"]["mean"][0].is_null());
+  EXPECT_EQ(message["dwell"]["mean"][1], 0.5);
+}
+
+TEST_F(LiveViewTest, WhatAnInstrumentSaysMayBeAnyBytes) {
+  EXPECT_EQ(apply(LogLine{LogLine::Grade::kProblem, "said \xff\xfe <b>"})["line"]["text"],
+            "said \xEF\xBF\xBD\xEF\xBF\xBD <b>");
+}
+
+}  // namespace
+}  // namespace abcal::console
