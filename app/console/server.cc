@@ -47,6 +47,8 @@ using Text = std::shared_ptr<const std::string>;
 
 constexpr std::uint32_t kLongestHeader = 8 * 1024;
 constexpr std::uint64_t kLongestBody = 1024;
+/// Bytes a second at which a large answer must be taken.
+constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
 /// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead.
 constexpr std::size_t kLongestQueue = 64;
@@ -359,7 +361,8 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
   void write(HttpResponse response) {
     response_ = std::move(response);
     if (parser_->get().method() == http::verb::head) response_->body().clear();
-    stream_.expires_after(server_.options.request_time);
+    stream_.expires_after(server_.options.request_time +
+                          std::chrono::seconds(response_->body().size() / kSlowest));
     http::async_write(stream_, *response_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) return;
       if (self->response_->need_eof()) {
@@ -620,7 +623,10 @@ std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::s
   for (const Download& download : downloads()) {
     if (words[2] == download.name)
       return job([run = *path, download](const HttpRequest& to) {
-        return respond(to, http::status::ok, download.content_type, download.make(run));
+        HttpResponse response = respond(to, http::status::ok, download.content_type, download.make(run));
+        // To be kept, not to be shown: a report has styles of its own, which this page's policy forbids.
+        response.set(http::field::content_disposition, "attachment");
+        return response;
       });
   }
   return nullptr;
