@@ -169,11 +169,13 @@ struct Server::Impl {
   void hear(Event event);
   void broadcast(std::string message);
   Text snapshot();
+  void tell_all(Page& page);
   void arrived(const std::shared_ptr<Page>& page);
   void left(Page& page);
   void received(Page& page, std::string_view text);
   Session::Refusal carry_out(Page& page, const Command& command);
   void give_control(Page* page);
+  std::string control_message() const;
   HttpResponse answer(const Peer& peer, const HttpRequest& request, std::function<HttpResponse()>& later);
   std::function<HttpResponse()> library_job(const std::vector<std::string>& words,
                                             const HttpRequest& request);
@@ -264,7 +266,7 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
                             self->server_.left(*self);
                             return;
                           }
-                          if (std::exchange(self->behind_, false)) self->send(self->server_.snapshot());
+                          if (std::exchange(self->behind_, false)) self->server_.tell_all(*self);
                           if (!self->writing_ && !self->queue_.empty()) self->write();
                         });
   }
@@ -365,12 +367,19 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
                           std::chrono::seconds(response_->body().size() / kSlowest));
     http::async_write(stream_, *response_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) return;
-      if (self->response_->need_eof()) {
-        self->stream_.socket().shutdown(tcp::socket::shutdown_send, error);
-        return;
-      }
-      self->read();
+      if (!self->response_->need_eof()) return self->read();
+      self->stream_.socket().shutdown(tcp::socket::shutdown_send, error);
+      self->drain(kLongestDrain);
     });
+  }
+
+  /// Reads what still comes, within limits: closed with unread bytes, the answer would be lost on its way.
+  void drain(std::size_t most) {
+    buffer_.clear();
+    stream_.async_read_some(buffer_.prepare(kLongestBody),
+                            [self = shared_from_this(), most](beast::error_code error, std::size_t got) {
+                              if (!error && got < most) self->drain(most - got);
+                            });
   }
 
   Impl& server_;
@@ -411,11 +420,11 @@ Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
 }
 
 Server::Impl::~Impl() {
-  session.reset();  // Halts the stage, and no longer tells anything.
-  reader.stop();
-  reader.join();
+  session->close();
   io.stop();
   thread = {};
+  reader.stop();
+  reader.join();
   controller = nullptr;
   pages.clear();
 }
@@ -462,10 +471,19 @@ Text Server::Impl::snapshot() {
 void Server::Impl::arrived(const std::shared_ptr<Page>& page) {
   page->number = ++pages_so_far;
   pages.insert(page);
-  const auto tell = [&](const Json& json) { page->send(std::make_shared<const std::string>(json.dump())); };
-  tell({{"type", "you"}, {"number", page->number}});
-  page->send(snapshot());
-  tell({{"type", "control"}, {"page", controller != nullptr ? Json(controller->number) : Json(nullptr)}});
+  page->send(std::make_shared<const std::string>(Json{{"type", "you"}, {"number", page->number}}.dump()));
+  tell_all(*page);
+}
+
+/// What a page must know to begin with, or to catch up.
+void Server::Impl::tell_all(Page& page) {
+  page.send(snapshot());
+  page.send(std::make_shared<const std::string>(control_message()));
+}
+
+std::string Server::Impl::control_message() const {
+  return Json{{"type", "control"}, {"page", controller != nullptr ? Json(controller->number) : Json(nullptr)}}
+      .dump();
 }
 
 void Server::Impl::left(Page& page) {
@@ -475,7 +493,7 @@ void Server::Impl::left(Page& page) {
 
 void Server::Impl::give_control(Page* page) {
   controller = page;
-  broadcast(Json{{"type", "control"}, {"page", page != nullptr ? Json(page->number) : Json(nullptr)}}.dump());
+  broadcast(control_message());
 }
 
 void Server::Impl::received(Page& page, std::string_view text) {
@@ -648,7 +666,7 @@ bool Server::serve(const std::stop_token& stop) {
     stopped.get_future().wait();
   }
   const bool something_was_on = !impl_->session->stop();
-  impl_->session.reset();
+  impl_->session->close();  // The pages still see how it ends.
   return something_was_on;
 }
 
