@@ -242,7 +242,8 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
   void read() {
     socket_.async_read(buffer_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) {
-        if (error == websocket::error::message_too_big)
+        // Either of the two, by whether the frame says its length or the bytes run on.
+        if (error == websocket::error::message_too_big || error == websocket::error::buffer_overflow)
           self->server_.log_refusal(self->peer_, "a message",
                                     fmt::format("longer than {} bytes", kLongestRequest));
         self->server_.left(*self);

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <regex>
+
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -52,9 +54,12 @@ TEST_F(SecurityTest, ThePageAllowsNothingFromElsewhere) {
   for (const Asset& asset : assets()) {
     EXPECT_EQ(test::http_get(port, std::string(asset.path)).body, asset.body) << asset.path;
     if (asset.path == "/chart.js") continue;  // Has addresses in its licence.
+    // A namespace is a name, no address; and link.js asks how it was loaded itself.
+    const std::string body = std::regex_replace(
+        std::string(asset.body), std::regex("xmlns=\"http://www.w3.org/2000/svg\"|'https:' *\\?"), "");
     for (const char* elsewhere :
          {"=\"http", "'http", "url(", "style=\"", "onclick", "innerHTML", "<script>", "eval("})
-      EXPECT_THAT(std::string(asset.body), testing::Not(HasSubstr(elsewhere))) << asset.path;
+      EXPECT_THAT(body, testing::Not(HasSubstr(elsewhere))) << asset.path;
   }
 }
 

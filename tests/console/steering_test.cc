@@ -179,8 +179,9 @@ TEST_F(SteeringTest, JogsAnAxisWhenNoRunIsOn) {
   page->wait_for_activity("idle");
   EXPECT_THAT(jog("x", -2.5), HasSubstr("Axis X stands at 7.50"));
   page->wait_for_activity("idle");
-  EXPECT_THAT(jog("z", 350.0),
-              HasSubstr("travel"));  // Of a stage that turns by +-185 degrees or so, or stands at 350.
+  EXPECT_THAT(jog("z", 350.0), HasSubstr("Axis Z stands at 350.00"));
+  page->wait_for_activity("idle");
+  EXPECT_THAT(jog("z", 350.0), HasSubstr("travel"));  // It ends at 360 degrees.
   page->wait_for_activity("idle");
   ASSERT_TRUE(page->ok(kStart));
   EXPECT_FALSE(page->ok({{"do", "jog"}, {"axis", "x"}, {"by_deg", 1.0}, {"confirmed", true}}));

@@ -75,7 +75,7 @@ class VerifyTest : public testing::Test {
 
 TEST_F(VerifyTest, ARunAsItWasWrittenIsGood) {
   EXPECT_EQ(bad(), "");
-  EXPECT_EQ(verify_run(path).size(), 5U);
+  EXPECT_EQ(verify_run(path).size(), 6U);  // State, events, hash, results file, analyses, certificates.
 }
 
 TEST_F(VerifyTest, AnyChangedByteOfTheRunIsFound) {
