@@ -194,10 +194,6 @@ Section method_section(const ReportData& data) {
       "Uncertainty: type A from the scatter of the readings inside each dwell, autocorrelation taken into "
       "account. " +
       tolerances_text(record)});
-  section.blocks.push_back(Paragraph{fmt::format(
-      "Expanded uncertainties are U = k u with the coverage factor k = {:g}, which for a normal distribution "
-      "corresponds to a coverage probability of approximately {:g} %.",
-      kCoverageFactor, 100.0 * kCoverageProbability)});
   return section;
 }
 
@@ -236,8 +232,8 @@ std::string larger_in_budget(const ReportData& data) {
                                     [&](const NamedQuantity& q) { return q.name == output_symbol(k); });
     const double u = found->quantity.standard_uncertainty;
     if (data.budget->combined(k) > kMore * u)
-      list += fmt::format("{}{} {:.1e} {}", list.empty() ? "" : ", ", found->name, data.budget->combined(k),
-                          found->quantity.unit);
+      list +=
+          fmt::format("{}u({}) = {:.1e}", list.empty() ? "" : ", ", found->name, data.budget->combined(k));
   }
   if (list.empty()) return {};
   return "The uncertainties above cover the readings, the stage's tolerances and the drift. The budget below "
@@ -272,6 +268,13 @@ Section result_section(const ReportData& data) {
       table.rows.push_back(result_row(output));
     }
     section.blocks.push_back(std::move(table));
+    section.blocks.push_back(Paragraph{fmt::format(
+        "The expanded uncertainty is U = k u with the coverage factor k = {:g}, which for a normal "
+        "distribution "
+        "corresponds to a coverage probability of approximately {:g} %. u: standard uncertainty, of type A "
+        "(from "
+        "the scatter of the readings) and type B (from the tolerances of the stage and the drift) combined.",
+        kCoverageFactor, 100.0 * kCoverageProbability)});
     if (const std::string larger = larger_in_budget(data); !larger.empty())
       section.blocks.push_back(Paragraph{larger});
   }
@@ -280,6 +283,11 @@ Section result_section(const ReportData& data) {
 }
 
 // --- Checks ------------------------------------------------------------------------------------------------
+
+std::string with_sign(std::string text) {
+  if (const std::size_t at = text.find("+-"); at != std::string::npos) text.replace(at, 2, "±");
+  return text;
+}
 
 Section estimators_section(const ReportData& data) {
   DocumentTable table{"", {{"quantity", CellKind::kSymbol}}, {}};
@@ -302,7 +310,7 @@ Section estimators_section(const ReportData& data) {
     };
     for (std::size_t c = 0; c < columns.size(); ++c) {
       const Quantity& q = columns[c][row].quantity;
-      cells.push_back(known(c) ? value_with_uncertainty(q) : kNone);
+      cells.push_back(known(c) ? with_sign(value_with_uncertainty(q)) : kNone);
       if (c == 0) continue;
       const Quantity& first = columns[0][row].quantity;
       const double u = std::hypot(q.standard_uncertainty, first.standard_uncertainty);
@@ -444,7 +452,7 @@ Section budget_section(const ReportData& data) {
   constexpr double kRounding = 1e-9;  // of the combined uncertainty: what is less is zero but for rounding
   for (const int k : worst_of_each_kind(budget.combined)) {
     DocumentTable table{fmt::format("{} ({})", output_symbol(k), output_unit(k, data.record.response_unit)),
-                        {{"input"},
+                        {{"input", CellKind::kSymbol},
                          {"value", CellKind::kNumber},
                          {"unit", CellKind::kUnit},
                          {"distribution"},
@@ -453,7 +461,8 @@ Section budget_section(const ReportData& data) {
                          {"sensitivity", CellKind::kNumber},
                          {"contribution", CellKind::kNumber},
                          {"share", CellKind::kNumber}},
-                        {}};
+                        {},
+                        CellKind::kSymbol};
     for (const BudgetLine& line : budget.lines) {
       const bool none = line.contribution(k) < kRounding * budget.combined(k);
       table.rows.push_back(
@@ -536,10 +545,10 @@ Document calibration_document(const ReportData& data) {
   document.origin = fmt::format("abcal {}, report made {}", data.program_version, first_of(data.created_utc));
   document.cautions = cautions(data);
   document.sections.push_back(item_section(data));
+  document.sections.push_back(result_section(data));
   if (data.run) document.sections.push_back(run_section(data));
   document.sections.push_back(conditions_section(data));
   document.sections.push_back(method_section(data));
-  document.sections.push_back(result_section(data));
   const CalibrationResult& result = data.result();
   if (result.verdict != Verdict::kNotUsable) {
     document.sections.push_back(estimators_section(data));

@@ -9,6 +9,7 @@
 #include <cctype>
 #include <cstring>
 #include <memory>
+#include <set>
 #include <stdexcept>
 #include <string_view>
 
@@ -68,10 +69,12 @@ thead { display: table-header-group; }
 tr { break-inside: avoid; }
 th { text-align: left; font-weight: 600; background: #e8eef3; border-bottom: 0.3mm solid #10324e;
      padding: 0.9mm 1.6mm; vertical-align: bottom; }
-td { border-bottom: 0.15mm solid #d4d9de; padding: 0.7mm 1.6mm; vertical-align: top; overflow-wrap: anywhere; }
+td { border-bottom: 0.15mm solid #d4d9de; padding: 0.7mm 1.6mm; vertical-align: top; overflow-wrap: break-word; }
+td.long { overflow-wrap: anywhere; }
+table.whole { break-inside: avoid; }
 td.number, th.number { text-align: right; }
 td.number { white-space: nowrap; font-variant-numeric: tabular-nums; overflow-wrap: normal; }
-td.symbol { white-space: nowrap; font-style: italic; }
+td.symbol { white-space: nowrap; }
 td.unit { white-space: nowrap; }
 th.group { background: none; border-bottom: 0.2mm solid #8a9aa8; padding-top: 2mm; color: #10324e;
            break-after: avoid; }
@@ -109,7 +112,7 @@ std::string page_style(const Document& document) {
 // --- Pictures ----------------------------------------------------------------------------------------------
 
 std::string value_of(const xmlNode* node, const char* attribute) {
-  const std::unique_ptr<xmlChar, decltype(xmlFree)> value(xmlGetNoNsProp(node, xml(attribute)), xmlFree);
+  const std::unique_ptr<xmlChar, decltype(xmlFree)> value(xmlGetProp(node, xml(attribute)), xmlFree);
   return std::string(text_of(value.get()));
 }
 
@@ -138,21 +141,36 @@ void prefix_ids(xmlNode* node, const std::string& prefix) {
   }
 }
 
-/// gnuplot draws a mark in the colour of where it is used ("currentColor"), on which WeasyPrint fails. The
-/// mark takes its stroke from the place of use as well, which all readers of SVG do alike.
-void colour_marks(xmlNode* node) {
-  const bool defined = is(node->parent, "defs");
-  if (defined && value_of(node, "stroke") == "currentColor") xmlUnsetProp(node, xml("stroke"));
-  const std::string colour = value_of(node, "color");
-  if (!defined && is(node, "use") && !colour.empty()) xmlSetProp(node, xml("stroke"), xml(colour.c_str()));
-}
+/// gnuplot draws a mark in the colour of where it is used ("currentColor"), on which WeasyPrint fails. A mark
+/// gets its colour as the stroke, a filled one as the fill, of where it is used, which all readers of SVG
+/// hand down alike.
+class MarkColours {
+ public:
+  void set(xmlNode* node) {
+    if (is(node->parent, "defs")) {
+      if (value_of(node, "stroke") == kColour) xmlUnsetProp(node, xml("stroke"));
+      if (value_of(node, "fill") != kColour) return;
+      xmlUnsetProp(node, xml("fill"));
+      filled_.insert("#" + value_of(node, "id"));
+      return;
+    }
+    const std::string colour = value_of(node, "color");
+    if (!is(node, "use") || colour.empty()) return;
+    xmlSetProp(node, xml("stroke"), xml(colour.c_str()));
+    if (filled_.contains(value_of(node, "href"))) xmlSetProp(node, xml("fill"), xml(colour.c_str()));
+  }
 
-void prepare_picture(xmlNode* node, const std::string& prefix) {
+ private:
+  static constexpr const char* kColour = "currentColor";
+  std::set<std::string> filled_;  // The definitions stand before their use.
+};
+
+void prepare_picture(xmlNode* node, const std::string& prefix, MarkColours& marks) {
   for (; node != nullptr; node = node->next) {
     if (node->type != XML_ELEMENT_NODE) continue;
     prefix_ids(node, prefix);
-    colour_marks(node);
-    prepare_picture(node->children, prefix);
+    marks.set(node);
+    prepare_picture(node->children, prefix, marks);
   }
 }
 
@@ -170,6 +188,17 @@ const char* css_class(CellKind kind) {
       break;
   }
   return nullptr;
+}
+
+/// A word that may be broken anywhere, since it could be wider than the page.
+bool has_long_word(const std::string& text) {
+  constexpr std::size_t kLong = 24;
+  std::size_t length = 0;
+  for (const char c : text) {
+    length = c == ' ' ? 0 : length + 1;
+    if (length > kLong) return true;
+  }
+  return false;
 }
 
 class PageBuilder {
@@ -242,12 +271,13 @@ class PageBuilder {
     for (const auto& [name, value] : list.facts) {
       xmlNode* row = add(body, "tr");
       add(row, "td", "name", name);
-      add(row, "td", nullptr, value);
+      add(row, "td", has_long_word(value) ? "long" : nullptr, value);
     }
   }
 
   void block(xmlNode* part, const DocumentTable& content) {
-    xmlNode* table = add(part, "table");
+    constexpr std::size_t kFitsOnAPage = 30;
+    xmlNode* table = add(part, "table", content.rows.size() <= kFitsOnAPage ? "whole" : nullptr);
     if (!content.caption.empty()) cell_text(add(table, "caption"), content.caption, content.caption_kind);
     xmlNode* heading = add(add(table, "thead"), "tr");
     for (const Column& column : content.columns)
@@ -262,7 +292,8 @@ class PageBuilder {
       }
       for (std::size_t c = 0; c < cells.size(); ++c) {
         const CellKind kind = content.columns[c].kind;
-        cell_text(add(row, "td", css_class(kind)), cells[c], kind);
+        const char* css = kind == CellKind::kText && has_long_word(cells[c]) ? "long" : css_class(kind);
+        cell_text(add(row, "td", css), cells[c], kind);
       }
     }
   }
@@ -285,7 +316,8 @@ class PageBuilder {
                                           XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOBLANKS));
     xmlNode* root = drawn ? xmlDocGetRootElement(drawn.get()) : nullptr;
     if (root == nullptr) throw std::runtime_error("gnuplot drew no picture: \"" + figure.caption + "\"");
-    prepare_picture(root, fmt::format("f{}_", figures_ + 1));
+    MarkColours marks;
+    prepare_picture(root, fmt::format("f{}_", figures_ + 1), marks);
     xmlSetProp(root, xml("role"), xml("img"));
     xmlSetProp(root, xml("aria-label"), xml(valid_text(figure.caption).c_str()));
     xmlNode* copy = xmlDocCopyNode(root, document_.get(), 1);

@@ -11,19 +11,6 @@
 #include "protocol/record/sha256.h"
 
 namespace abcal {
-namespace {
-
-std::optional<BenchConfig> bench_of(const StoredRun& run, const std::filesystem::path& path) {
-  try {
-    return parse_bench(run.header.bench_toml, path.string());
-  } catch (const BenchError&) {
-    // Of an older program: what is needed most stands in the header of the run as well.
-    return std::nullopt;
-  }
-}
-
-}  // namespace
-
 std::string ReportData::label(const std::string& key) const {
   if (!run) return {};
   const auto found = run->header.labels.find(key);
@@ -57,6 +44,12 @@ std::vector<std::string> cautions(const ReportData& data) {
         list.push_back(fmt::format("Not shown to be as it was written: {}: {}", check.what, check.found));
     }
   }
+  if (!data.bench_unreadable.empty()) {
+    list.push_back(
+        fmt::format("Bench not known: the run was made by abcal {}, whose bench file this one cannot read; "
+                    "whether instruments were simulated is not known",
+                    data.run->header.program_version));
+  }
   if (!data.simulated.empty()) {
     list.push_back(fmt::format("Simulated: the {} {} not real", fmt::join(data.simulated, " and the "),
                                data.simulated.size() == 1 ? "was" : "were"));
@@ -77,7 +70,12 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
   data.program_version = program_version();
   data.created_utc = format_utc(now);
   if (data.run) {
-    data.bench = bench_of(*data.run, path);
+    try {
+      data.bench = parse_bench(data.run->header.bench_toml, "its bench file");
+    } catch (const BenchError& error) {
+      // Of another abcal: what is needed most stands in the header of the run as well.
+      data.bench_unreadable = error.what();
+    }
     data.integrity = verify_run(path);
     if (data.bench) data.simulated = simulated_instruments(*data.bench);
   }

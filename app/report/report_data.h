@@ -22,10 +22,11 @@ inline constexpr double kCoverageProbability = 0.95;
 
 /// All that is known of one record, gathered once: what the report, the certificate and the console show.
 struct ReportData {
-  std::filesystem::path path;        ///< The run file or CSV.
-  RunRecord record;                  ///< What was analysed.
-  std::optional<StoredRun> run;      ///< Absent for a CSV.
-  std::optional<BenchConfig> bench;  ///< As it was at the run. Absent for a CSV, and where it cannot be read.
+  std::filesystem::path path;              ///< The run file or CSV.
+  RunRecord record;                        ///< What was analysed.
+  std::optional<StoredRun> run;            ///< Absent for a CSV.
+  std::optional<BenchConfig> bench;        ///< As it was at the run. Absent for a CSV, and if unreadable.
+  std::string bench_unreadable;            ///< Why the bench file of a run cannot be read; empty: it can.
   std::vector<CalibrationResult> results;  ///< abc, joint, norm; a refusal is a result too.
   std::optional<Budget> budget;            ///< Of the ABC result; absent where that is not usable.
   /// SHA-256 of the raw data: of the closed run file, or of the CSV. Absent while a run is not closed, since
@@ -47,7 +48,8 @@ struct ReportData {
 };
 
 /// What must stand in large letters on top of whatever is made of the data: not complete, not usable,
-/// doubtful, simulated, changed since it was written. Empty: nothing speaks against handing it out.
+/// doubtful, simulated, changed since it was written,
+/// a bench file that says nothing to this program. Empty: nothing speaks against handing it out.
 std::vector<std::string> cautions(const ReportData& data);
 
 /// Reads and analyses a run file or a CSV. `now` is the time of the report.

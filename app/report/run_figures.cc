@@ -2,8 +2,11 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <vector>
 
 #include "app/report/gnuplot.h"
 
@@ -95,6 +98,8 @@ Figure response_figure(const ReportData& data, int experiment) {
 
 Figure harmonics_figure(const CalibrationResult& result) {
   std::string data, plots;
+  double highest = std::numeric_limits<double>::min();
+  constexpr double kRoomForTheLabel = 1.2;
   for (int experiment = 1; experiment <= 3; ++experiment) {
     for (int j = 0; j < 3; ++j) {
       data += fmt::format("$h{}{} << EOD\n", experiment, j);
@@ -103,13 +108,14 @@ Figure harmonics_figure(const CalibrationResult& result) {
         if (harmonic.order < 2) continue;
         const double u = std::fmax(harmonic.sin_amplitude.standard_uncertainty,
                                    harmonic.cos_amplitude.standard_uncertainty);
-        data += fmt::format("{:.17g} {:.17g} {:.17g}\n", harmonic.order + 0.2 * (j - 1),
-                            std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value),
-                            std::isfinite(u) ? kCoverageFactor * u : 0.0);
+        const double amplitude = std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value);
+        const double bar = std::isfinite(u) ? kCoverageFactor * u : 0.0;
+        highest = std::max(highest, amplitude + bar);
+        data += fmt::format("{:.17g} {:.17g} {:.17g}\n", harmonic.order + 0.2 * (j - 1), amplitude, bar);
       }
       data += "EOD\n";
     }
-    plots += fmt::format("set title 'Experiment {}'\nplot ", experiment);
+    plots += fmt::format("set label 1 'Experiment {}' at graph 0.04, graph 0.94\nplot ", experiment);
     for (std::size_t j = 0; j < 3; ++j) {
       plots +=
           fmt::format("$h{}{} using 1:2:3 with yerrorbars pt {} ps 0.6 lc rgb '{}' title '{}'{}", experiment,
@@ -120,8 +126,8 @@ Figure harmonics_figure(const CalibrationResult& result) {
   script += fmt::format(
       "set multiplot layout 1,3\nset xrange [1.5:5.5]\nset xtics 1\nset xlabel 'harmonic'\nset format y "
       "'%.1e'\n"
-      "set key on top right\nset yrange [0:*]\nset ylabel {}\n",
-      gnuplot_quoted(fmt::format("amplitude ({})", result.response_unit)));
+      "set key on outside top center horizontal samplen 1\nset yrange [0:{:.6g}]\nset ylabel {}\n",
+      kRoomForTheLabel * highest, gnuplot_quoted(fmt::format("amplitude ({})", result.response_unit)));
   return {fmt::format("Amplitudes of harmonics 2 to 5; bars: k = {:g} times their standard uncertainty.",
                       kCoverageFactor),
           script + plots + "unset multiplot\n", 240};
@@ -142,7 +148,7 @@ Figure step_error_figure(const RunRecord& record, const JointResult& joint) {
     data += "EOD\n";
     plots += fmt::format(
         "set title 'Experiment {0}'\nplot 0 with lines lc rgb '#808080', $f{0} using 1:2:3 with yerrorbars "
-        "pt 7 "
+        "pt 6 "
         "ps 0.3 lc rgb '#0072B2'\n",
         i + 1);
   }
