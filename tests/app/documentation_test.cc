@@ -69,6 +69,27 @@ TEST_F(DocumentationTest, PythonReadsARunAsThePageShows) {
   }
 }
 
+TEST_F(DocumentationTest, PythonReadsTheHdf5AsThePageShows) {
+  const std::vector<std::string> blocks = code_blocks("installing.md", "python");
+  ASSERT_EQ(blocks.size(), 3U);
+  if (python("import h5py\n").exit_code != 0) GTEST_SKIP() << "no Python with h5py";
+  write_bench({});
+  const test::ProgramResult run = abcal({"run", "bench.toml", "-o", "first.run", "--json"});
+  ASSERT_EQ(run.exit_code, 0) << run.err;
+  ASSERT_EQ(abcal({"report", "first.run", "--hdf5", "first.h5"}).exit_code, 0);
+  std::string script = blocks[2];
+  script.insert(script.find("    print(s[...]"), "    print('JSON', s[...].tolist())\n");
+  const test::ProgramResult read = python(script);
+  ASSERT_EQ(read.exit_code, 0) << read.err;
+  EXPECT_THAT(read.out, AllOf(HasSubstr("g/g_loc"), HasSubstr(" angles, in degree")));
+  const std::string line = read.out.substr(read.out.find("JSON") + 4);
+  const Json matrix = Json::parse(line.substr(0, line.find('\n')));
+  const Json result = Json::parse(run.out);
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) EXPECT_EQ(matrix[j][k], result["sensitivity_matrix"][j][k]["value"]);
+  }
+}
+
 TEST(ValidationPageTest, EveryTestThatItNamesExists) {
   std::string sources;
   const std::filesystem::path root = ABCAL_SOURCE_DIR;
