@@ -81,7 +81,8 @@ void require_writable(const std::vector<RequestedOutput>& outputs,
       continue;
     }
     if (::access(folder.c_str(), W_OK) != 0) problem("its folder cannot be written to");
-    if (!taken.insert(std::filesystem::weakly_canonical(path, ignored)).second) problem("is named twice");
+    if (!taken.insert(std::filesystem::weakly_canonical(std::filesystem::absolute(path), ignored)).second)
+      problem("is named twice");
     bool is_input = false;
     for (const std::filesystem::path& input : inputs) {
       is_input = is_input || std::filesystem::equivalent(path, input, ignored);

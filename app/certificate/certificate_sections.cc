@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "app/certificate/statements.h"
@@ -59,7 +60,7 @@ Section equipment_section(const Certificate& certificate) {
                    {"Serial number", CellKind::kText},
                    {"For", CellKind::kText},
                    {"Certificate", CellKind::kText},
-                   {"Valid until", CellKind::kText}};
+                   {"Valid until", CellKind::kNumber}};
   for (const Equipment& one : certificate.laboratory.equipment) {
     table.rows.push_back({joined_lines({one.name, one.maker, one.model}), one.serial_number, one.quantity,
                           joined_lines({one.certificate, one.certificate_issuer}),
@@ -158,13 +159,20 @@ void add_certificate_sections(Document& document, const Certificate& certificate
   for (const std::string& reservation : certificate.reservations) document.cautions.push_back(reservation);
   document.sections.insert(document.sections.begin(),
                            {certificate_section(certificate), equipment_section(certificate)});
-  if (!certificate.run.derived.empty()) document.sections.push_back(derived_section(certificate.run));
-  if (certificate.as_found && !certificate.as_found->decisions.empty())
-    document.sections.push_back(decision_section("Conformity as found", certificate, *certificate.as_found));
+  // What follows from the results stands behind them, the statements at the end.
+  std::vector<Section> results;
   if (!certificate.run.decisions.empty())
-    document.sections.push_back(decision_section(certificate.as_found ? "Conformity as left" : "Conformity",
-                                                 certificate, certificate.run));
-  if (!certificate.shifts.empty()) document.sections.push_back(shift_section(certificate));
+    results.push_back(decision_section(certificate.as_found ? "Conformity as left" : "Conformity",
+                                       certificate, certificate.run));
+  if (certificate.as_found && !certificate.as_found->decisions.empty())
+    results.push_back(decision_section("Conformity as found", certificate, *certificate.as_found));
+  if (!certificate.shifts.empty()) results.push_back(shift_section(certificate));
+  if (!certificate.run.derived.empty()) results.push_back(derived_section(certificate.run));
+  auto& sections = document.sections;
+  auto behind = std::find_if(sections.begin(), sections.end(),
+                             [](const Section& section) { return section.title == "Result"; });
+  if (behind != sections.end()) ++behind;
+  sections.insert(behind, results.begin(), results.end());
   document.sections.push_back(statement_section(certificate));
 }
 

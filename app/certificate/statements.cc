@@ -6,6 +6,7 @@
 #include <set>
 
 #include "app/certificate/dsi_unit.h"
+#include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
 namespace {
@@ -33,6 +34,36 @@ Statement traceability(const Certificate& certificate) {
   Statement statement = plain("abc_traceability", "Metrological traceability", text);
   statement.traceable = true;
   return statement;
+}
+
+/// What the stated uncertainties leave out, by the budget: sources that no line of it stands for, and outputs
+/// of which it finds more, since it takes what harmonics show as non-linearity.
+std::optional<Statement> not_covered(const Certificate& certificate) {
+  constexpr double kMore = 1.1;  // beyond what first order and rounding make
+  const ReportData& data = certificate.run.data;
+  if (!data.budget || !certificate.run.has_numbers()) return std::nullopt;
+  const CalibrationResult& result = data.result();
+  const auto of = [&](int k) -> const Quantity& {
+    const auto at = [](int i) { return static_cast<std::size_t>(i); };
+    if (k < kFirstOffset) return (*result.sensitivity_matrix)[at(k / 3)][at(k % 3)];
+    if (k < kFirstIntrinsicSensitivity) return result.offset[at(k - kFirstOffset)];
+    if (k < kFirstIntrinsicAngle) return result.intrinsic_sensitivity[at(k - kFirstIntrinsicSensitivity)];
+    return result.intrinsic_angle[at(k - kFirstIntrinsicAngle)];
+  };
+  std::string text =
+      fmt::format("Not part of the stated uncertainties: {}.", fmt::join(data.budget->not_covered, "; "));
+  std::string larger;
+  for (int k = 0; k < kStudyOutputs; ++k) {
+    if (data.budget->combined(k) > kMore * of(k).standard_uncertainty)
+      larger += fmt::format("{}u({}) = {:.2g} {}", larger.empty() ? "" : ", ", output_symbol(k),
+                            data.budget->combined(k), of(k).unit);
+  }
+  if (!larger.empty())
+    text +=
+        " If what the harmonics show is taken as non-linearity of the accelerometer, standard uncertainties "
+        "are larger: " +
+        larger + ".";
+  return plain("abc_notCovered", "What the uncertainties leave out", text);
 }
 
 /// Every unit that stands in the certificate and is not of the SI, and every output that is a count.
@@ -134,6 +165,7 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
                                 "stands their covariance with the factor of an ellipsoid of 95 %.");
   uncertainty.norms = {"JCGM 100:2008", "JCGM 102:2011"};
   statements.push_back(uncertainty);
+  if (const auto left_out = not_covered(certificate)) statements.push_back(*left_out);
   add_decision_rule(statements, certificate);
   add_optional(statements, certificate);
   if (certificate.issue && certificate.issue->replaces) {

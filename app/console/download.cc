@@ -1,48 +1,94 @@
 #include "app/console/download.h"
 
-#include <fmt/format.h>
-
+#include <fstream>
+#include <iterator>
 #include <stdexcept>
 
+#include "app/certificate/certificate_command.h"
+#include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
-#include "protocol/record/run_file.h"
+#include "app/child_process.h"
+#include "app/real_clock.h"
+#include "app/report/calibration_document.h"
+#include "app/report/document_html.h"
+#include "app/report/record_csv.h"
+#include "app/report/record_hdf5.h"
+#include "app/report/report_data.h"
+#include "app/report/weasyprint.h"
+#include "app/temporary_folder.h"
 
 namespace abcal::console {
 namespace {
 
-/// As `abcal analyse` reads them. What was not measured is left empty.
-std::string averaged_readings(const std::filesystem::path& path) {
-  const StoredRun run = RunFile::load(path);
-  std::string text = "experiment,n,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc\n";
-  const auto digits = [](double value) { return fmt::format("{:.17g}", value); };
-  const auto cell = [&](const std::optional<double>& value) { return value ? digits(*value) : ""; };
-  for (const DwellRecord& dwell : run.record.dwells) {
-    if (dwell.closing) continue;
-    text += fmt::format("{},{},{}", dwell.experiment, dwell.n, digits(dwell.alpha.deg()));
-    for (int j = 0; j < 3; ++j) text += "," + digits(dwell.mean[j]);
-    for (int j = 0; j < 3; ++j) text += "," + (dwell.u_mean ? digits((*dwell.u_mean)[j]) : "");
-    text += fmt::format(",{},{},{}\n", cell(dwell.time_s), dwell.count, cell(dwell.temperature_degc));
-  }
-  return text;
+using Path = std::filesystem::path;
+
+ReportData data_of(const Path& run) {
+  return gather_report(run, RealClock().utc_now());
+}
+
+/// The bytes that `write` puts into a file.
+std::string bytes_of(const std::function<void(const Path& file)>& write) {
+  const TemporaryFolder folder;
+  const Path file = folder / "download";
+  write(file);
+  std::ifstream stream(file, std::ios::binary);
+  if (!stream) throw std::runtime_error("what was made cannot be read: " + file.string());
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+bool is_certified(const Path& run) {
+  return current_certificate(run).has_value();
 }
 
 /// As it was issued, byte for byte. Issuing is not for a page: `abcal issue`.
-std::string certificate(const std::filesystem::path& path) {
-  const auto issued = current_certificate(path);
+std::string certificate(const Path& run) {
+  const auto issued = current_certificate(run);
   if (!issued) throw std::runtime_error("no certificate has been issued for this run; see `abcal issue`");
   return issued->xml;
 }
 
-bool is_certified(const std::filesystem::path& path) {
-  return current_certificate(path).has_value();
+/// As `abcal report`: with the certificate where one was issued.
+std::string report(const Path& run) {
+  const ReportData data = data_of(run);
+  Document document = calibration_document(data);
+  if (is_certified(run)) {
+    add_certificate_sections(
+        document, certificate_for_report(data, {}, /*draft=*/false, RealClock().utc_now()).certificate);
+  }
+  return document_html(document).html;
+}
+
+std::string printed_report(const Path& run) {
+  return bytes_of([&](const Path& file) {
+    const TemporaryFolder folder;
+    const Path page = folder / "report.html", attachment = folder / "certificate.xml";
+    std::ofstream(page, std::ios::binary) << report(run);
+    if (!is_certified(run)) return print_pdf(page, file, std::nullopt);
+    std::ofstream(attachment, std::ios::binary) << certificate(run);
+    print_pdf(page, file, attachment);
+  });
+}
+
+std::string single_readings(const Path& run) {
+  return bytes_of([&](const Path& file) { write_raw_csv(data_of(run), file); });
+}
+
+std::string hdf5(const Path& run) {
+  return bytes_of([&](const Path& file) { write_hdf5(data_of(run), file); });
 }
 
 }  // namespace
 
 const std::vector<Download>& downloads() {
   static const std::vector<Download> all{
-      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings, nullptr},
+      {"report.html", "Report (HTML)", "text/html; charset=utf-8", report, nullptr},
+      {"report.pdf", "Report (PDF)", "application/pdf", printed_report,
+       [](const Path&) { return is_installed(kWeasyPrint); }},
       {"certificate.xml", "Certificate (DCC XML)", "application/xml", certificate, is_certified},
+      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8",
+       [](const Path& run) { return averaged_csv(data_of(run)); }, nullptr},
+      {"single-readings.csv", "Single readings (CSV)", "text/csv; charset=utf-8", single_readings, nullptr},
+      {"run.h5", "Everything (HDF5)", "application/x-hdf5", hdf5, nullptr},
   };
   return all;
 }

@@ -47,6 +47,8 @@ using Text = std::shared_ptr<const std::string>;
 
 constexpr std::uint32_t kLongestHeader = 8 * 1024;
 constexpr std::uint64_t kLongestBody = 1024;
+/// Bytes a second at which a large answer must be taken.
+constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
 /// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead.
 constexpr std::size_t kLongestQueue = 64;
@@ -167,11 +169,13 @@ struct Server::Impl {
   void hear(Event event);
   void broadcast(std::string message);
   Text snapshot();
+  void tell_all(Page& page);
   void arrived(const std::shared_ptr<Page>& page);
   void left(Page& page);
   void received(Page& page, std::string_view text);
   Session::Refusal carry_out(Page& page, const Command& command);
   void give_control(Page* page);
+  std::string control_message() const;
   HttpResponse answer(const Peer& peer, const HttpRequest& request, std::function<HttpResponse()>& later);
   std::function<HttpResponse()> library_job(const std::vector<std::string>& words,
                                             const HttpRequest& request);
@@ -238,7 +242,8 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
   void read() {
     socket_.async_read(buffer_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) {
-        if (error == websocket::error::message_too_big)
+        // Either of the two, by whether the frame says its length or the bytes run on.
+        if (error == websocket::error::message_too_big || error == websocket::error::buffer_overflow)
           self->server_.log_refusal(self->peer_, "a message",
                                     fmt::format("longer than {} bytes", kLongestRequest));
         self->server_.left(*self);
@@ -262,7 +267,7 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
                             self->server_.left(*self);
                             return;
                           }
-                          if (std::exchange(self->behind_, false)) self->send(self->server_.snapshot());
+                          if (std::exchange(self->behind_, false)) self->server_.tell_all(*self);
                           if (!self->writing_ && !self->queue_.empty()) self->write();
                         });
   }
@@ -359,15 +364,23 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
   void write(HttpResponse response) {
     response_ = std::move(response);
     if (parser_->get().method() == http::verb::head) response_->body().clear();
-    stream_.expires_after(server_.options.request_time);
+    stream_.expires_after(server_.options.request_time +
+                          std::chrono::seconds(response_->body().size() / kSlowest));
     http::async_write(stream_, *response_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) return;
-      if (self->response_->need_eof()) {
-        self->stream_.socket().shutdown(tcp::socket::shutdown_send, error);
-        return;
-      }
-      self->read();
+      if (!self->response_->need_eof()) return self->read();
+      self->stream_.socket().shutdown(tcp::socket::shutdown_send, error);
+      self->drain(kLongestDrain);
     });
+  }
+
+  /// Reads what still comes, within limits: closed with unread bytes, the answer would be lost on its way.
+  void drain(std::size_t most) {
+    buffer_.clear();
+    stream_.async_read_some(buffer_.prepare(kLongestBody),
+                            [self = shared_from_this(), most](beast::error_code error, std::size_t got) {
+                              if (!error && got < most) self->drain(most - got);
+                            });
   }
 
   Impl& server_;
@@ -408,11 +421,11 @@ Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
 }
 
 Server::Impl::~Impl() {
-  session.reset();  // Halts the stage, and no longer tells anything.
-  reader.stop();
-  reader.join();
+  session->close();
   io.stop();
   thread = {};
+  reader.stop();
+  reader.join();
   controller = nullptr;
   pages.clear();
 }
@@ -459,10 +472,19 @@ Text Server::Impl::snapshot() {
 void Server::Impl::arrived(const std::shared_ptr<Page>& page) {
   page->number = ++pages_so_far;
   pages.insert(page);
-  const auto tell = [&](const Json& json) { page->send(std::make_shared<const std::string>(json.dump())); };
-  tell({{"type", "you"}, {"number", page->number}});
-  page->send(snapshot());
-  tell({{"type", "control"}, {"page", controller != nullptr ? Json(controller->number) : Json(nullptr)}});
+  page->send(std::make_shared<const std::string>(Json{{"type", "you"}, {"number", page->number}}.dump()));
+  tell_all(*page);
+}
+
+/// What a page must know to begin with, or to catch up.
+void Server::Impl::tell_all(Page& page) {
+  page.send(snapshot());
+  page.send(std::make_shared<const std::string>(control_message()));
+}
+
+std::string Server::Impl::control_message() const {
+  return Json{{"type", "control"}, {"page", controller != nullptr ? Json(controller->number) : Json(nullptr)}}
+      .dump();
 }
 
 void Server::Impl::left(Page& page) {
@@ -472,7 +494,7 @@ void Server::Impl::left(Page& page) {
 
 void Server::Impl::give_control(Page* page) {
   controller = page;
-  broadcast(Json{{"type", "control"}, {"page", page != nullptr ? Json(page->number) : Json(nullptr)}}.dump());
+  broadcast(control_message());
 }
 
 void Server::Impl::received(Page& page, std::string_view text) {
@@ -579,8 +601,8 @@ HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
   return {};
 }
 
-/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME, /history/SERIAL. Nothing
-/// for other paths.
+/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME[/shared-stage],
+/// /history/SERIAL. Nothing for other paths.
 std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::string>& words,
                                                         const HttpRequest& request) {
   // The parts of the request that an answer needs.
@@ -605,11 +627,12 @@ std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::s
   if (words.size() == 2 && words[0] == "history")
     return job(
         [this, json, serial = words[1]](const HttpRequest& to) { return json(to, library.history(serial)); });
-  if (words.size() == 3 && words[0] == "compare") {
+  const bool shared_stage = words.size() == 4 && words[3] == "shared-stage";
+  if ((words.size() == 3 || shared_stage) && words[0] == "compare") {
     const auto first = library.find(words[1]), second = library.find(words[2]);
     if (!first || !second) return nullptr;
-    return job([json, first = *first, second = *second](const HttpRequest& to) {
-      return json(to, RunLibrary::compare(first, second));
+    return job([json, first = *first, second = *second, shared_stage](const HttpRequest& to) {
+      return json(to, RunLibrary::compare(first, second, shared_stage));
     });
   }
   if (words.size() != 3 || words[0] != "runs") return nullptr;
@@ -620,7 +643,10 @@ std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::s
   for (const Download& download : downloads()) {
     if (words[2] == download.name)
       return job([run = *path, download](const HttpRequest& to) {
-        return respond(to, http::status::ok, download.content_type, download.make(run));
+        HttpResponse response = respond(to, http::status::ok, download.content_type, download.make(run));
+        // To be kept, not to be shown: a report has styles of its own, which this page's policy forbids.
+        response.set(http::field::content_disposition, "attachment");
+        return response;
       });
   }
   return nullptr;
@@ -642,7 +668,7 @@ bool Server::serve(const std::stop_token& stop) {
     stopped.get_future().wait();
   }
   const bool something_was_on = !impl_->session->stop();
-  impl_->session.reset();
+  impl_->session->close();  // The pages still see how it ends.
   return something_was_on;
 }
 

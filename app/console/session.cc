@@ -90,10 +90,13 @@ Session::Session(Options options, std::function<void(Event)> tell)
   worker_ = std::jthread([this](const std::stop_token& end) { work(end); });
 }
 
-Session::~Session() {
+void Session::close() {
+  {
+    const std::lock_guard lock(mutex_);
+    if (std::exchange(closing_, true)) return;
+  }
   stop();
   worker_.request_stop();
-  wake_.notify_all();
   worker_.join();
 }
 
@@ -151,7 +154,7 @@ Session::Refusal Session::begin(Activity activity, std::function<void()> job) {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ != Activity::kIdle) return kBusy;
-    if (worker_.get_stop_token().stop_requested()) return "the console is being closed";
+    if (closing_) return "the console is being closed";
     activity_ = activity;
     stop_ = std::stop_source();
     hold_ = false;

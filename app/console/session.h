@@ -31,10 +31,12 @@ class Session {
 
   /// `tell` is called from the measuring thread and must return at once.
   Session(Options options, std::function<void(Event)> tell);
-  /// Stops what goes on, the stage halted, and waits for it to end.
-  ~Session();
+  ~Session() { close(); }
   Session(const Session&) = delete;
   Session& operator=(const Session&) = delete;
+
+  /// Stops what goes on, the stage halted, and waits for it to end. Nothing can be begun any more.
+  void close();
 
   Refusal check(bool with_motion);
   Refusal start();
@@ -76,6 +78,7 @@ class Session {
   std::condition_variable_any wake_;
   std::function<void()> job_;  ///< To be begun.
   Activity activity_ = Activity::kIdle;
+  bool closing_ = false;
   std::stop_source stop_;  ///< Of what goes on.
   std::vector<PendingNote> notes_;
   std::atomic<bool> hold_ = false;

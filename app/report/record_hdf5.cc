@@ -328,8 +328,7 @@ void put_note(const H5::Group& entry, const std::string& name, const std::string
   put(made, "data", data);
 }
 
-void write(const ReportData& data, const std::filesystem::path& path) {
-  const H5::H5File file(path.string(), H5F_ACC_TRUNC);
+void write(const ReportData& data, const H5::H5File& file) {
   const H5::Group root = file.openGroup("/");
   set_attribute(root, "NX_class", "NXroot");
   set_attribute(root, "default", "entry");
@@ -370,7 +369,11 @@ void write(const ReportData& data, const std::filesystem::path& path) {
 void write_hdf5(const ReportData& data, const std::filesystem::path& path) {
   H5::Exception::dontPrint();  // What went wrong is in the exception.
   try {
-    write(data, path);
+    H5::H5File file(path.string(), H5F_ACC_TRUNC);
+    write(data, file);
+    // Asked for here, as a destructor keeps to itself that the disk was full.
+    file.flush(H5F_SCOPE_GLOBAL);
+    file.close();
   } catch (const H5::Exception& error) {
     throw std::runtime_error(fmt::format("{}: HDF5: {}: {} (is the disk full?)", path.string(),
                                          error.getFuncName(), error.getDetailMsg()));

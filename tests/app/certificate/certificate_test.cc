@@ -70,6 +70,7 @@ TEST_F(MakeCertificateTest, EveryClauseOfReportingHasItsPlace) {
       {"7.8.2.1 p", "//dcc:statement[@refType='abc_externalResults']"},
       {"7.8.2.2", "//dcc:statement[@refType='abc_customerSupplied']"},
       {"7.8.4.1 a", "//dcc:results//si:valueExpandedMUXMLList"},
+      {"7.8.4.1 a, left out", "//dcc:statement[@refType='abc_notCovered']"},
       {"7.8.4.1 b", "//dcc:influenceCondition[@refType='basic_temperature']"},
       {"7.8.4.1 b, gravity", "//dcc:influenceCondition[@refType='abc_localGravity']//si:expandedMU"},
       {"7.8.4.1 c", "//dcc:statement[@refType='abc_traceability'][dcc:traceable='true']"},

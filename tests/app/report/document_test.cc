@@ -121,13 +121,8 @@ TEST(DocumentHtmlTest, PicturesOfOnePageDoNotShareIds) {
   const std::vector<std::string> ids = page.find("//@id");
   EXPECT_GT(ids.size(), 4U);
   EXPECT_EQ(std::set<std::string>(ids.begin(), ids.end()).size(), ids.size());
-  const std::set<std::string> known(ids.begin(), ids.end());
-  const std::vector<std::string> references = page.find("//@*[local-name()='href']");
-  EXPECT_GT(references.size(), 2U);
-  for (const std::string& reference : references) {
-    ASSERT_TRUE(reference.starts_with('#')) << reference;
-    EXPECT_TRUE(known.contains(reference.substr(1))) << reference;
-  }
+  // Nothing refers to anything: symbols are drawn in place, as WeasyPrint draws no references.
+  EXPECT_THAT(page.find("//@*[local-name()='href']"), IsEmpty());
   EXPECT_THAT(page.find("//figcaption"), ElementsAre("Figure 1: A & B", "Figure 2: A & B"));
 }
 
