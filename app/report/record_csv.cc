@@ -105,13 +105,13 @@ void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
   std::ofstream file(path, std::ios::binary | std::ios::trunc);
   file << comments(data, "single readings as the accelerometer delivered them")
        << comment("units", "alpha_deg degree; time_s s from the start; r_* response_unit")
-       << "experiment,n,closing,alpha_deg,superseded,sequence,time_s,r_u,r_v,r_w,temperature_degc\n";
+       << "experiment,n,closing,alpha_deg,repeat,sequence,time_s,r_u,r_v,r_w,temperature_degc\n";
   RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
     for (const StoredReading& r : dwell.readings) {
       file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
-                          dwell.closing ? 1 : 0, number(dwell.alpha.deg()), dwell.superseded ? 1 : 0,
-                          r.sequence, number(r.time_s), number(r.output[0]), number(r.output[1]),
-                          number(r.output[2]), number(r.temperature_degc));
+                          dwell.closing ? 1 : 0, number(dwell.alpha.deg()), dwell.repeat ? 1 : 0, r.sequence,
+                          number(r.time_s), number(r.output[0]), number(r.output[1]), number(r.output[2]),
+                          number(r.temperature_degc));
     }
   });
   file.close();

@@ -13,8 +13,9 @@ namespace abcal {
 /// so.
 std::string averaged_csv(const ReportData& data);
 
-/// The single readings of a run as CSV, dwell by dwell, also of dwells that were repeated later
-/// (`superseded`).
+/// The single readings of a run as CSV, dwell by dwell, also of angles that were measured again for
+/// comparison
+/// (`repeat`: their first dwell counts).
 /// @throws std::invalid_argument for a record without a run file, which has no single readings
 /// @throws RunFileError, std::runtime_error
 void write_raw_csv(const ReportData& data, const std::filesystem::path& path);

@@ -187,7 +187,7 @@ void put_readings(const H5::Group& entry, const ReportData& data) {
   Column experiment = column("experiment", 1, whole, kNoUnit, "rotation experiment 1, 2, 3");
   Column n = column("n", 1, whole, kNoUnit, "index of the angle from 1");
   Column closing = column("closing", 1, whole, kNoUnit, "1: the first angle measured again");
-  Column superseded = column("superseded", 1, whole, kNoUnit, "1: measured again later, and that counts");
+  Column repeat = column("repeat", 1, whole, kNoUnit, "1: measured again for comparison; the first counts");
   RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
     std::vector<double> outputs, times, temperatures;
     std::vector<std::int64_t> sequences;
@@ -207,7 +207,7 @@ void put_readings(const H5::Group& entry, const ReportData& data) {
     experiment.append(same(dwell.experiment), H5::PredType::NATIVE_INT64);
     n.append(same(dwell.n), H5::PredType::NATIVE_INT64);
     closing.append(same(dwell.closing ? 1 : 0), H5::PredType::NATIVE_INT64);
-    superseded.append(same(dwell.superseded ? 1 : 0), H5::PredType::NATIVE_INT64);
+    repeat.append(same(dwell.repeat ? 1 : 0), H5::PredType::NATIVE_INT64);
   });
   plot_as(group_of_readings, "response", {"time", "."});
 }

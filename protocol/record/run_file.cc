@@ -610,7 +610,7 @@ void RunFile::read_dwells(const std::filesystem::path& path,
   SqliteDatabase database = open_checked(path, SqliteDatabase::Mode::kReadOnly);
   SqliteStatement dwells = database.prepare(
       "select id, position, experiment, n, closing, alpha_deg,"
-      " id not in (select max(id) from dwell group by position) from dwell order by id");
+      " id not in (select min(id) from dwell group by position) from dwell order by id");
   SqliteStatement readings = database.prepare(
       "select sequence, time_s, u, v, w, temperature_degc from reading where dwell = ? order by k");
   while (dwells.step()) {
@@ -620,7 +620,7 @@ void RunFile::read_dwells(const std::filesystem::path& path,
     dwell.n = static_cast<int>(dwells.integer(3));
     dwell.closing = dwells.integer(4) != 0;
     dwell.alpha = Angle::degrees(dwells.real(5));
-    dwell.superseded = dwells.integer(6) != 0;
+    dwell.repeat = dwells.integer(6) != 0;
     readings.bind(1, dwells.integer(0));
     while (readings.step()) {
       StoredReading reading;

@@ -86,7 +86,7 @@ struct StoredDwell {
   int n = 0;
   bool closing = false;
   Angle alpha;
-  bool superseded = false;  ///< The angle was measured again later, and that dwell counts.
+  bool repeat = false;  ///< The angle was measured again, for comparison: its first dwell counts.
   std::vector<StoredReading> readings;
 };
 

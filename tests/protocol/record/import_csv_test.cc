@@ -123,6 +123,53 @@ TEST(ImportCsvTest, TheClosingAngleIsTold) {
   EXPECT_EQ(record.steps, 4);
 }
 
+TEST(ImportCsvTest, AColumnMayTellTheClosingAngleAndFlags) {
+  std::string text = "experiment,n,alpha_deg,r_u,r_v,r_w,closing,flags\n";
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (int n = 3; n <= 6; ++n)  // begins at 180 degrees; closes at 540
+      text += fmt::format("{},{},{},0.5,0.25,0.125,0,{}\n", experiment, n, 90 * (n - 1), n == 4 ? 5 : 0);
+  }
+  const RunRecord record = imported(text + "1,3,540,0.5,0.25,0.125,1,\n");
+  ASSERT_EQ(record.dwells.size(), 13U);
+  EXPECT_FALSE(record.dwells[0].closing);
+  EXPECT_TRUE(record.dwells[12].closing);
+  EXPECT_EQ(record.dwells[1].flags, kFlagNotQuiet | kFlagClipped);
+  EXPECT_EQ(record.dwells[12].flags, kFlagNone);
+  EXPECT_THAT(
+      problems_of(text + "1,3,540,0.5,0.25,0.125,2,256\n"),
+      testing::ElementsAre(problem("flags", "256", "known flags"), problem("closing", "2", "0 or 1")));
+}
+
+TEST(ImportCsvTest, CommentsCarryWhatTheAnalysisNeedsBesideTheNumbers) {
+  const RunRecord record = imported(
+      "# g_loc.value_mps2: 9.80101\n# g_loc.expanded_uncertainty_mps2: 3e-05\n"
+      "# g_loc.coverage_factor: 2\n# g_loc.source: survey: 2021\n# tolerances.alignment_deg: 0.001\n"
+      "# tolerances.step_deg: 0.002\n# tolerances.initial_turn_deg: 0.003\n"
+      "# tolerances.zero_deg: 0.004\n# tolerances.drift: 5e-6\n# alignment.zx: -0.0001\n"
+      "# alignment.u_zx: 2e-6\n# alignment.zy: 1\n# protocol.step_deg: 90\n# protocol.steps: 8\n"
+      "# continuations: 2\n# item.model: 1,2; # \"3\"\n" +
+      (kHeader + good_rows()));
+  EXPECT_TRUE(record.g_loc_known);
+  EXPECT_EQ(record.g_loc.value_mps2, 9.80101);
+  EXPECT_EQ(record.g_loc.expanded_uncertainty_mps2, 3e-5);
+  EXPECT_EQ(record.g_loc.source, "survey: 2021");
+  EXPECT_EQ(record.tolerances.alignment.deg(), 0.001);
+  EXPECT_EQ(record.tolerances.step.deg(), 0.002);
+  EXPECT_EQ(record.tolerances.initial_turn.deg(), 0.003);
+  EXPECT_EQ(record.tolerances.zero.deg(), 0.004);
+  EXPECT_EQ(record.tolerances.drift, 5e-6);
+  ASSERT_TRUE(record.measured_alignment.zx);
+  EXPECT_EQ(record.measured_alignment.zx->value, -0.0001);
+  EXPECT_EQ(record.measured_alignment.zx->standard_uncertainty, 2e-6);
+  EXPECT_FALSE(record.measured_alignment.zy);  // its uncertainty is not there
+  EXPECT_EQ(record.steps, 8);
+  EXPECT_EQ(record.continuations, 2);
+  EXPECT_THAT(
+      problems_of("# tolerances.step_deg: small\n# g_loc.value_mps2: 98.1\n" + (kHeader + good_rows())),
+      testing::UnorderedElementsAre(problem("tolerances.step_deg", "small", "a number"),
+                                    problem("g_loc.value_mps2", "98.1", "9 to 10.5")));
+}
+
 TEST(ImportCsvTest, MissingAnglesAreNoProblem) {
   std::string text = kHeader + good_rows();
   text.erase(text.find("2,3,180"), text.find("2,4,270") - text.find("2,3,180"));

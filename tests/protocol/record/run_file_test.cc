@@ -73,6 +73,7 @@ TEST(RunFileTest, GivesBackEveryNumberThatWasStoredBitForBit) {
     RunFile file = RunFile::create(folder / "a.run", header());
     file.append_dwell(0, dwell(1), kReadings, {1, 2, 3, 4});
     file.append_event("2026-03-01T12:00:01.000Z", "note", "hello");
+    file.append_environment("2026-03-01T12:00:00.500Z", "start", 22.5, std::nullopt, 1009.25);
   }
   const StoredRun run = RunFile::load(folder / "a.run");
   EXPECT_EQ(run.state, RunState::kRunning);
@@ -90,6 +91,11 @@ TEST(RunFileTest, GivesBackEveryNumberThatWasStoredBitForBit) {
   EXPECT_EQ(d.flags, dwell(1).flags);
   EXPECT_EQ(d.temperature_degc, 23.25);
   EXPECT_EQ(run.events.back().text, "hello");
+  ASSERT_EQ(run.environment.size(), 1U);
+  EXPECT_EQ(run.environment[0].moment, "start");
+  EXPECT_EQ(run.environment[0].temperature_degc, 22.5);
+  EXPECT_EQ(run.environment[0].humidity_percent, std::nullopt);
+  EXPECT_EQ(run.environment[0].pressure_hpa, 1009.25);
   EXPECT_EQ(run.measured, std::vector<std::size_t>{0});
 }
 
@@ -117,6 +123,15 @@ TEST(RunFileTest, KeepsBothRowsOfARepeatedAngleAndTheFirstCounts) {
   EXPECT_EQ(run.record.dwells[0].mean[0], dwell(1).mean[0]);
   SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(database.value("select count(*) from dwell"), "2");
+  std::vector<StoredDwell> all;
+  RunFile::read_dwells(folder / "a.run", [&](const StoredDwell& one) { all.push_back(one); });
+  ASSERT_EQ(all.size(), 2U);
+  EXPECT_FALSE(all[0].repeat);
+  EXPECT_TRUE(all[1].repeat);
+  ASSERT_EQ(all[1].readings.size(), 2U);
+  EXPECT_EQ(all[1].readings[1].sequence, 8U);
+  EXPECT_EQ(all[1].readings[1].output, Eigen::Vector3d(0.4, 0.5, 0.6));
+  EXPECT_EQ(all[1].readings[0].temperature_degc, std::nullopt);
 }
 
 TEST(RunFileTest, ACompleteRunIsOneReadOnlyFileThatCannotBeContinued) {
