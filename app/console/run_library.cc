@@ -180,11 +180,13 @@ Json RunLibrary::result(const std::filesystem::path& path) {
   return json;
 }
 
-Json RunLibrary::compare(const std::filesystem::path& first, const std::filesystem::path& second) {
+Json RunLibrary::compare(const std::filesystem::path& first, const std::filesystem::path& second,
+                         bool shared_stage) {
   std::vector<ComparedResult> results;
   for (const std::filesystem::path& run : {first, second})
     results.push_back(load_compared(run, kEstimators.front()));
   CompareOptions options;
+  options.shared_stage = shared_stage;
   options.any_item = true;  // The person has chosen them.
   return compare_json(compare_results(std::move(results), options));
 }

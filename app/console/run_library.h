@@ -31,9 +31,10 @@ class RunLibrary {
   /// @throws RunFileError
   nlohmann::ordered_json result(const std::filesystem::path& run);
   /// Two runs side by side (abcal.compare/1), also of different items.
+  /// @param shared_stage  both were measured on one stage: what its errors have in common is taken out
   /// @throws what load_compared() and compare_results() throw
   static nlohmann::ordered_json compare(const std::filesystem::path& first,
-                                        const std::filesystem::path& second);
+                                        const std::filesystem::path& second, bool shared_stage);
   /// The results of the default estimator of every complete run of one item, oldest first, with the limits of
   /// a control chart of single values.
   nlohmann::ordered_json history(const std::string& serial_number);

@@ -601,8 +601,8 @@ HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
   return {};
 }
 
-/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME, /history/SERIAL. Nothing
-/// for other paths.
+/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME[/shared-stage],
+/// /history/SERIAL. Nothing for other paths.
 std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::string>& words,
                                                         const HttpRequest& request) {
   // The parts of the request that an answer needs.
@@ -627,11 +627,12 @@ std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::s
   if (words.size() == 2 && words[0] == "history")
     return job(
         [this, json, serial = words[1]](const HttpRequest& to) { return json(to, library.history(serial)); });
-  if (words.size() == 3 && words[0] == "compare") {
+  const bool shared_stage = words.size() == 4 && words[3] == "shared-stage";
+  if ((words.size() == 3 || shared_stage) && words[0] == "compare") {
     const auto first = library.find(words[1]), second = library.find(words[2]);
     if (!first || !second) return nullptr;
-    return job([json, first = *first, second = *second](const HttpRequest& to) {
-      return json(to, RunLibrary::compare(first, second));
+    return job([json, first = *first, second = *second, shared_stage](const HttpRequest& to) {
+      return json(to, RunLibrary::compare(first, second, shared_stage));
     });
   }
   if (words.size() != 3 || words[0] != "runs") return nullptr;

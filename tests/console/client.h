@@ -16,7 +16,7 @@
 namespace abcal::test {
 
 /// What a client of the console does, with a deadline for everything.
-constexpr std::chrono::seconds kPatience{20};
+constexpr std::chrono::seconds kPatience{60};
 
 using Headers = std::map<std::string, std::string>;
 

@@ -227,8 +227,7 @@ TEST_F(SteeringTest, ThePageThatSteeredMayVanish) {
 
 TEST_F(SteeringTest, APageThatNeverReadsHoldsUpNobodyAndCatchesUp) {
   // Enough messages to fill what is buffered for a page: its queue, and the system's buffers.
-  bench.protocol =
-      "steps = 180\nstep_deg = 2.0\nsettle_s = 0.0\ndwell_readings = 10\nclosing_angle = false\n";
+  bench.protocol = "steps = 90\nstep_deg = 4.0\nsettle_s = 0.0\ndwell_readings = 10\nclosing_angle = false\n";
   pace = 5000.0;
   open();
   test::PageClient deaf(port, {}, "/live", 4096);
@@ -238,7 +237,7 @@ TEST_F(SteeringTest, APageThatNeverReadsHoldsUpNobodyAndCatchesUp) {
   // It reads now: what was dropped comes as a snapshot with all angles.
   const Json caught_up = deaf.wait_for(
       [](const Json& m) {
-        return m["type"] == "snapshot" && m["run"].is_object() && m["run"]["dwells"].size() == 540;
+        return m["type"] == "snapshot" && m["run"].is_object() && m["run"]["dwells"].size() == 270;
       },
       "a snapshot with all angles");
   EXPECT_TRUE(caught_up["run"]["ended"]["complete"].get<bool>());

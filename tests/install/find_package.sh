@@ -8,7 +8,7 @@ trap 'rm -rf "$work"' EXIT
 
 "$cmake" --install "$build" --prefix "$work/prefix" >"$work/install.log" || { cat "$work/install.log"; exit 1; }
 # Nothing of the installed package may point back at where it was built.
-if grep -rlE -- "$source|$build" "$work/prefix" --include='*.cmake' --include='*.h' --include='*.service'; then
+if grep -rlF --include='*.cmake' --include='*.h' --include='*.service' -e "$source/" -e "$build/" "$work/prefix"; then
   echo "these installed files name the folder of the build" >&2
   exit 1
 fi

@@ -248,7 +248,7 @@ export async function showCompare(first, second) {
 async function compare(a, b) {
   let data;
   try {
-    data = await fetchJson(`/compare/${encoded(a)}/${encoded(b)}`);
+    data = await fetchJson(`/compare/${encoded(a)}/${encoded(b)}${byId('compare-shared').checked ? '/shared-stage' : ''}`);
   } catch (error) {
     return say('compare-table', error);
   }
