@@ -308,7 +308,7 @@ void TomlReader::read_text(const std::string& key, std::string& value,
   const auto* string = node->as_string();
   const bool allowed = string != nullptr && (choices.empty() || std::find(choices.begin(), choices.end(),
                                                                           string->get()) != choices.end());
-  if (allowed && !(required && string->get().empty())) {
+  if (allowed && !(required && string->get().find_first_not_of(" \t\r\n") == std::string::npos)) {
     value = string->get();
   } else {
     problem(*node, name(key), words_of(*node), wanted);

@@ -82,6 +82,7 @@ class Rules {
   std::vector<DccProblem> check() {
     check_version();
     check_everything_declared();
+    check_nothing_empty();
     check_ids();
     check_languages();
     check_codes();
@@ -126,6 +127,15 @@ class Rules {
       for (const std::string& path : {lists, quantities})
         for (xmlNode* node : select_.all(path.c_str()))
           add(node, element + " are missing: neither here nor for the whole measurement");
+    }
+  }
+
+  /// Not of signatures, of which elements are empty by their own standard.
+  void check_nothing_empty() {
+    for (const char* path : {"//dcc:*[not(*)][not(self::dcc:metaData)]", "//si:*[not(*)]"}) {
+      each(
+          path, [](xmlNode* node) { return !words_of(text_of(node)).empty(); },
+          [](xmlNode*) { return std::string("nothing in it, or blanks alone"); });
     }
   }
 

@@ -14,8 +14,8 @@ struct DccProblem {
   std::string what;
 };
 
-/// Rules for a DCC 3.3.0 that its schema cannot say (the errors of the Schematron of the PTB, and its warning
-/// on unreferenced ids, which their compiled form counts as an error): all problems at once.
+/// Rules for a DCC 3.3.0 that its schema cannot say: the errors of the Schematron of the PTB in its compiled
+/// form, which are more than those of its source (unreferenced ids, empty elements). All problems at once.
 std::vector<DccProblem> check_business_rules(const XmlDocument& document);
 
 /// "WHERE: WHAT", a line each.

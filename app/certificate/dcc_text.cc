@@ -3,17 +3,25 @@
 #include "app/certificate/dcc_xml.h"
 
 namespace abcal {
+namespace {
+
+/// An element without text is not allowed.
+std::string line_or_not_stated(std::string_view text) {
+  std::string line = one_line(text);
+  return line.empty() ? "not stated" : line;
+}
+
+}  // namespace
 
 XmlElement add_words(XmlElement& parent, std::string_view element, std::string_view words) {
   XmlElement child = parent.add(element);
-  child.add("dcc:content", words).attribute("lang", kLanguage);
+  child.add("dcc:content", line_or_not_stated(words)).attribute("lang", kLanguage);
   return child;
 }
 
 XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name) {
   XmlElement child = parent.add(element);
-  const std::string line = one_line(name);
-  child.add("dcc:content", line.empty() ? "not stated" : line);
+  child.add("dcc:content", line_or_not_stated(name));
   return child;
 }
 
@@ -36,10 +44,9 @@ void add_software(XmlElement& list, std::string_view name, const std::string& ve
 
 void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
                         std::string_view name) {
-  const std::string line = one_line(value);
   XmlElement identification = list.add("dcc:identification");
   identification.add("dcc:issuer", issuer);
-  identification.add("dcc:value", line.empty() ? "not stated" : line);
+  identification.add("dcc:value", line_or_not_stated(value));
   add_words(identification, "dcc:name", name);
 }
 

@@ -6,6 +6,7 @@
 #include <set>
 
 #include "app/certificate/dsi_unit.h"
+#include "app/certificate/xml_tree.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
@@ -93,7 +94,7 @@ void add_units(std::vector<Statement>& statements, const Certificate& certificat
 void add_optional(std::vector<Statement>& statements, const Certificate& certificate) {
   const Job& job = certificate.laboratory.job;
   const auto add = [&](const char* ref_type, const char* title, const std::string& text) {
-    if (!text.empty()) statements.push_back(plain(ref_type, title, text));
+    if (!one_line(text).empty()) statements.push_back(plain(ref_type, title, text));
   };
   add("abc_sampling", "Sampling", job.sampling);
   add("abc_deviations", "Additions to, deviations and exclusions from the method", job.deviations);

@@ -38,6 +38,8 @@ TEST_F(BusinessRulesTest, EachRuleIsSeenWhenItIsBroken) {
   };
   const std::vector<Break> breaks{
       {"schemaVersion=\"3.3.0\"", "schemaVersion=\"3.2.1\"", "schemaVersion is not 3.3.0"},
+      {"<dcc:city>Town<", "<dcc:city><", "nothing in it"},
+      {"<dcc:city>Town<", "<dcc:city> \n <", "blanks alone"},
       {"<dcc:item>", "<dcc:item refId=\"nobody\">", "refId \"nobody\" is no id"},
       {"<dcc:item>", "<dcc:item id=\"lonely\">", "id \"lonely\" is referred to by no refId"},
       {"<dcc:content lang=\"en\">Serial", "<dcc:content lang=\"de\">Serial",

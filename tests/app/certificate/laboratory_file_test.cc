@@ -59,6 +59,11 @@ TEST(LaboratoryFileTest, AllProblemsAtOnceWithTheirLines) {
   EXPECT_THAT(problems[5], HasSubstr("offset_x"));
 }
 
+TEST(LaboratoryFileTest, BlanksAreNoAnswer) {
+  EXPECT_THAT(problems_of(replaced(example_laboratory(), "\"no visible damage\"", "\" \"")),
+              ElementsAre(HasSubstr("[job] condition")));
+}
+
 TEST(LaboratoryFileTest, OnePersonCannotMeasureAndApprove) {
   std::string text = example_laboratory();
   text = replaced(text, "may = [\"measure\"]", "may = []");
