@@ -9,6 +9,7 @@
 #include "protocol/analysis/analyse.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/norm_fit.h"
+#include "protocol/analysis/plausibility.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -35,11 +36,12 @@ CalibrationResult estimate(const RunRecord& record, const std::string& estimator
   }
 }
 
-}  // namespace
-
-CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
+/// What is true of the run goes with every estimator's result.
+CalibrationResult checked(const RunRecord& record, const std::string& estimator,
+                          const std::vector<Check>& of_the_record) {
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
   CalibrationResult result = estimate(record, estimator);
+  apply_checks(of_the_record, record, result);
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("the run was interrupted and went on {}; each time the axes were referenced anew and the "
@@ -55,9 +57,18 @@ CalibrationResult analyse(const RunRecord& record, const std::string& estimator)
   return result;
 }
 
+}  // namespace
+
+CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
+  return checked(record, estimator, check_record(record));
+}
+
 std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
   std::vector<CalibrationResult> results;
-  for (const std::string& estimator : kEstimators) results.push_back(analyse(record, estimator));
+  const std::vector<Check> of_the_record = check_record(record);
+  for (const std::string& estimator : kEstimators) {
+    results.push_back(checked(record, estimator, of_the_record));
+  }
   return results;
 }
 

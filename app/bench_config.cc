@@ -12,6 +12,7 @@
 #include "app/toml_reader.h"
 #include "drivers/registry.h"
 #include "protocol/gravity/local_gravity.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
@@ -96,6 +97,7 @@ void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
   keys.integer("at_write", fault.at_write, 1, 1'000'000'000);
   keys.integer("for_writes", fault.for_writes, 1, 1'000'000'000);
   keys.number("value", fault.value, kAny);
+  keys.text("output", fault.output, {"", "u", "v", "w"});
   keys.text("text", fault.text);
   keys.number("delay_s", fault.delay_s, kNotNegative);
 }
@@ -126,6 +128,9 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.text("filter", c.item.filter);
   keys.text("firmware", c.item.firmware);
   keys.text("supply", c.item.supply);
+  keys.number("nominal_sensitivity", c.expected.nominal_sensitivity, kPositive);
+  keys.number("sensitivity_tolerance", c.expected.sensitivity_tolerance, {0.0, 1.0, true});
+  keys.text("mounting", c.expected.mounting);
 
   keys.section("operator");
   keys.text("name", c.operator_name);
@@ -188,6 +193,8 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.number("reading_timeout_s", p.reading_timeout_s, {0.0, 3600.0, true});
   keys.number("warm_up_s", p.warm_up_s, {0.0, 604'800.0});
   keys.number("replug_timeout_s", p.replug_timeout_s, {0.0, 604'800.0});
+  keys.number("stability_s", p.stability_s, {0.0, 86'400.0});
+  keys.number("stability_timeout_s", p.stability_timeout_s, {0.0, 604'800.0});
 
   Tolerances& t = c.tolerances;
   keys.section("tolerances");
@@ -202,6 +209,17 @@ void visit(KeyVisitor& keys, BenchConfig& c) {
   keys.number("temperature_min_degc", c.limits.temperature_min_degc, kAny);
   keys.number("temperature_max_degc", c.limits.temperature_max_degc, kAny);
   keys.integer("max_replugs", c.limits.max_replugs, 0, 1000);
+  keys.number("temperature_change_degc", c.limits.temperature_change_degc, kPositive);
+  keys.number("temperature_wait_s", c.limits.temperature_wait_s, {0.0, 604'800.0});
+  keys.number("spread_factor", c.limits.spread_factor, {1.0, kInfinity, true});
+  keys.integer("repeats", c.limits.repeats, 0, 1000);
+  keys.number("norm_fraction", c.limits.norm_fraction, kPositive);
+  keys.number("stability", c.limits.stability, kPositive);
+  keys.number("stability_degc", c.limits.stability_degc, kPositive);
+  keys.angle("mounting_deg", c.limits.mounting, {0.0, 180.0, true});
+  keys.angle("slip_deg", c.limits.slip, {0.0, 180.0, true});
+  keys.angle("angle_deg", c.limits.angle, {0.0, 180.0, true});
+  keys.number("drift", c.limits.drift, kPositive);
 
   sim::BenchTruth& s = c.simulation;
   keys.section("simulation");
@@ -353,6 +371,10 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
     reader.add_problem("limits.temperature_min_degc",
                        fmt::format("{} to {}", c.limits.temperature_min_degc, c.limits.temperature_max_degc),
                        "temperature_min_degc < temperature_max_degc");
+  }
+  if (!mounting_matrix(c.expected.mounting)) {
+    reader.add_problem("item.mounting", "\"" + c.expected.mounting + "\"",
+                       "the axes along which u, v and w point, each once, as \"x y z\" or \"-y x z\"");
   }
   check_stage_ports(reader, c.stage);
   if (c.accelerometer.driver == "simulated") {

@@ -87,6 +87,7 @@ struct BenchConfig {
   LocalGravity g_loc;
   std::optional<double> latitude_deg, height_m;
   ItemConfig item;
+  ExpectedItem expected;  ///< In [item], too.
   std::string operator_name;
   StageConfig stage;
   AccelerometerConfig accelerometer;

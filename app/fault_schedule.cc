@@ -56,6 +56,7 @@ std::optional<sim::WorldFault> world_fault(const FaultConfig& fault, Clock::Inst
       .until = fault.for_s ? at + from_seconds(*fault.for_s) : Clock::Instant::max(),
       .axis = fault.axis == "z" ? StageAxis::kZ : StageAxis::kX,
       .value = fault.value,
+      .output = fault.output.empty() ? -1 : fault.output.front() - 'u',
   };
 }
 

@@ -20,7 +20,8 @@ struct FaultConfig {
   double at_s = 0.0;            ///< From the start of the world on.
   std::optional<double> for_s;  ///< Absent: it lasts.
   std::optional<int> at_write, for_writes;  ///< Faults of the wire: from this command on, that many.
-  double value = 0.0;                       ///< clipped-output: full scale in R; stops-short: degrees.
+  double value = 0.0;                       ///< clipped-output: full scale in R; of an axis: degrees.
+  std::string output;                       ///< stuck-output: "u", "v" or "w"; empty: all three.
   std::string text;                         ///< replaced-reply
   double delay_s = 1.0;                     ///< late-reply
 };

@@ -72,6 +72,11 @@ class KeyVisitor {
     number(key, degrees, range);
     value = Angle::degrees(degrees);
   }
+  void angle(const std::string& key, std::optional<Angle>& value, Range range) {
+    std::optional<double> degrees = value ? std::optional(value->deg()) : std::nullopt;
+    number(key, degrees, range);
+    value = degrees ? std::optional(Angle::degrees(*degrees)) : std::nullopt;
+  }
 };
 
 }  // namespace abcal

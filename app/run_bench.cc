@@ -110,6 +110,8 @@ RunHeader make_header(const BenchConfig& config, const Identities& who, std::vec
   header.response_unit = who.accelerometer.output_unit;
   header.g_loc = config.g_loc;
   header.tolerances = config.tolerances;
+  header.limits = config.limits;
+  header.expected = config.expected;
   if (!config.stage.level_file.empty()) {
     const LevelFile level = read_level_file(config.stage.level_file);
     require_serial_number("stage", who.stage.model, who.stage.serial_number, level.stage_serial_number);
@@ -159,6 +161,8 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
   if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
   RunProgress progress = so_far;
   progress.tolerances = config.tolerances;
+  progress.expected = config.expected;
+  progress.g_loc_mps2 = config.g_loc.value_mps2;
   return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()}, plan,
                          progress, config.protocol, config.limits, file, observer, stop);
 }

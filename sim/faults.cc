@@ -31,6 +31,8 @@ const std::vector<FaultDescription>& fault_descriptions() {
        "moves end short of their target, and the controller says all is well", false},
       {FaultKind::kLostReference, "lost-reference", "the controller forgets the reference of an axis", false},
       {FaultKind::kRefusedMove, "refused-move", "the controller refuses to move an axis", false},
+      {FaultKind::kMissedStep, "missed-step", "an axis is off, and its encoder does not see it", false},
+      {FaultKind::kMovedAxis, "moved-axis", "an axis is off, as its encoder says", false},
   };
   return descriptions;
 }

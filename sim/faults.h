@@ -37,6 +37,8 @@ enum class FaultKind {
   kStopsShort,     ///< Moves end short of their target; the controller says that all is well.
   kLostReference,  ///< The controller forgets the reference of an axis.
   kRefusedMove,    ///< The controller refuses to move.
+  kMissedStep,     ///< An axis is off by some degrees, and its encoder does not see it.
+  kMovedAxis,      ///< An axis is off by some degrees, as its encoder says.
 };
 
 struct FaultDescription {
@@ -76,7 +78,8 @@ struct WorldFault {
   Clock::Instant at = Clock::Instant::min();
   Clock::Instant until = Clock::Instant::max();
   StageAxis axis = StageAxis::kX;  ///< Stage faults.
-  double value = 0.0;              ///< kClippedOutput: full scale in R; kStopsShort: degrees.
+  double value = 0.0;              ///< kClippedOutput: full scale in R; of an axis: degrees.
+  int output = -1;                 ///< kStuckOutput: 0, 1, 2 = u, v, w; -1: all three.
 };
 
 /// A byte stream on which scripted faults happen. Repeats exactly: its random bytes come from `seed`.

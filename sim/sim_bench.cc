@@ -225,8 +225,17 @@ Angle SimBench::commanded_angle(StageAxis axis, Clock::Instant t) const {
   return epoch_at(t).motion[index(axis)].position(t);
 }
 
+double SimBench::shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const {
+  const WorldFault* fault = find_fault(kind, t, axis == 0 ? StageAxis::kX : StageAxis::kZ);
+  return fault == nullptr ? 0.0 : fault->value;
+}
+
 Angle SimBench::encoder_angle(StageAxis axis, Clock::Instant t) const {
-  const Angle exact = commanded_angle(axis, t);
+  Angle exact = commanded_angle(axis, t);
+  {
+    const std::lock_guard lock(mutex_);
+    exact += Angle::degrees(shift_deg(FaultKind::kMovedAxis, index(axis), t));
+  }
   const double resolution = (axis == StageAxis::kX ? truth_.x : truth_.z).encoder_resolution.deg();
   if (resolution == 0.0) return exact;
   return Angle::degrees(std::round(exact.deg() / resolution) * resolution);
@@ -242,7 +251,9 @@ double SimBench::error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant 
 Angle SimBench::actual_angle(StageAxis axis, Clock::Instant t) const {
   const std::lock_guard lock(mutex_);
   const Epoch& epoch = epoch_at(t);
-  return epoch.motion[index(axis)].position(t) + Angle::degrees(error_deg(epoch, index(axis), t));
+  const double shift =
+      shift_deg(FaultKind::kMissedStep, index(axis), t) + shift_deg(FaultKind::kMovedAxis, index(axis), t);
+  return epoch.motion[index(axis)].position(t) + Angle::degrees(error_deg(epoch, index(axis), t) + shift);
 }
 
 Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const {
@@ -263,11 +274,15 @@ Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_command
 }
 
 Eigen::Vector3d SimBench::force(const Epoch& epoch, Clock::Instant t) const {
-  const bool at_rest = t >= epoch.settled && !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
+  std::array<double, 2> shift{};
+  for (std::size_t k = 0; k < 2; ++k)
+    shift[k] = shift_deg(FaultKind::kMissedStep, k, t) + shift_deg(FaultKind::kMovedAxis, k, t);
+  const bool at_rest = shift[0] == 0.0 && shift[1] == 0.0 && t >= epoch.settled &&
+                       !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
   if (at_rest && epoch.force_at_rest) return *epoch.force_at_rest;
   std::array<double, 2> turn{};
   for (std::size_t k = 0; k < 2; ++k)
-    turn[k] = reduced_rad(epoch.motion[k].position(t).deg() + error_deg(epoch, k, t));
+    turn[k] = reduced_rad(epoch.motion[k].position(t).deg() + error_deg(epoch, k, t) + shift[k]);
   // L: LGCS. P: platter, which carries the accelerometer. X carries Z, Z carries the platter.
   const Eigen::Matrix3d R_LP =
       (Eigen::AngleAxisd(turn[0], axis_x_) * Eigen::AngleAxisd(turn[1], axis_z_)).toRotationMatrix() *
@@ -313,12 +328,17 @@ SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
   if (truth_.noise_seeded_by_angle && sample_period <= Clock::Duration::zero())
     refuse("the sample period", "not positive", "positive, as the noise restarts at each pose");
   const std::lock_guard lock(mutex_);
-  if (const WorldFault* stuck = find_fault(FaultKind::kStuckOutput, t, StageAxis::kX)) {
-    const Clock::Instant since = std::max(stuck->at, start_);
-    // The sample index of that instant is not known; any fixed one gives a value that looks like a reading.
-    return output_without_faults(epoch_at(since), since, 0, sample_period);
-  }
   SimOutput output = output_without_faults(epoch_at(t), t, sample_index, sample_period);
+  for (const WorldFault& stuck : faults_) {
+    if (stuck.kind != FaultKind::kStuckOutput || t < stuck.at || t >= stuck.until) continue;
+    const Clock::Instant since = std::max(stuck.at, start_);
+    // The sample index of that instant is not known; any fixed one gives a value that looks like a reading.
+    const SimOutput then = output_without_faults(epoch_at(since), since, 0, sample_period);
+    if (stuck.output < 0) return then;
+    output.value[stuck.output] = then.value[stuck.output];
+    output.clipped[static_cast<std::size_t>(stuck.output)] =
+        then.clipped[static_cast<std::size_t>(stuck.output)];
+  }
   if (const WorldFault* clip = find_fault(FaultKind::kClippedOutput, t, StageAxis::kX)) {
     for (int j = 0; j < 3; ++j) {
       if (std::abs(output.value[j]) < clip->value) continue;
@@ -418,7 +438,8 @@ std::vector<WorldFault> SimBench::faults_at(Clock::Instant t) const {
 
 const WorldFault* SimBench::find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const {
   const bool of_an_axis = kind == FaultKind::kStalledAxis || kind == FaultKind::kStopsShort ||
-                          kind == FaultKind::kLostReference || kind == FaultKind::kRefusedMove;
+                          kind == FaultKind::kLostReference || kind == FaultKind::kRefusedMove ||
+                          kind == FaultKind::kMissedStep || kind == FaultKind::kMovedAxis;
   for (const WorldFault& fault : faults_)
     if (fault.kind == kind && (!of_an_axis || fault.axis == axis) && fault.at <= t && t < fault.until)
       return &fault;

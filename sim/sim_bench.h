@@ -132,6 +132,7 @@ class SimBench {
   const OutputTruth& truth_at(Clock::Instant t) const;
   void command(StageAxis axis, AxisMotion motion, Clock::Instant t);
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
+  double shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const;
   Eigen::Vector3d force(const Epoch& epoch, Clock::Instant t) const;
   const WorldFault* find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const;
   SimOutput output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,

@@ -7,10 +7,9 @@
 #include <vector>
 
 #include "protocol/analysis/calibration_result.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
-
-inline constexpr double kStandardGravity = 9.80665;  ///< m/s2, exact by definition (CGPM 1901).
 
 // Names of the accelerometers, of their pairs, and of the axes of the platter, in the order of a result.
 inline constexpr std::array<const char*, 3> kAccelerometers{"u", "v", "w"};

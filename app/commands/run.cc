@@ -7,6 +7,7 @@
 
 #include "app/analyses.h"
 #include "app/bench_config.h"
+#include "app/commands/campaign.h"
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
 #include "app/exit_code.h"
@@ -36,10 +37,6 @@ std::string timing_text(const RunTiming& t) {
                      part(t.overhead_s));
 }
 
-void print_warnings(const BenchConfig& config) {
-  for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
-}
-
 /// The instruments could not be identified, so there is no run; but what they said is worth keeping.
 void keep_recording_without_run(BenchConfig config, const Clock& clock, const std::filesystem::path& path,
                                 Transcript& transcript, std::string_view why) {
@@ -58,6 +55,26 @@ void keep_recording_without_run(BenchConfig config, const Clock& clock, const st
 
 }  // namespace
 
+void print_warnings(const BenchConfig& config) {
+  for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
+}
+
+std::vector<PlannedAngle> plan_and_introduce(const Bench& bench, const BenchConfig& config,
+                                             const Identities& who) {
+  std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
+  const PlanDuration estimate = estimate_duration(
+      plan, config.protocol, {who.stage.axes[0].speed_deg_per_s, who.stage.axes[1].speed_deg_per_s},
+      who.accelerometer.rate_hz);
+  fmt::print(
+      stderr,
+      "Stage: {} {} (SN {})\nAccelerometer: {} {} (SN {}), {:g} readings/s in {}\n{} angles, about {}{}\n",
+      who.stage.maker, who.stage.model, who.stage.serial_number, who.accelerometer.maker,
+      who.accelerometer.model, who.accelerometer.serial_number, who.accelerometer.rate_hz,
+      who.accelerometer.output_unit, plan.size(), describe_duration(estimate.total_s()),
+      bench.simulated_time ? " of simulated time (nothing real takes part)" : "");
+  return plan;
+}
+
 RunFile begin_run(Bench& bench, const BenchConfig& config, const Identities& who,
                   const std::vector<PlannedAngle>& plan, const std::filesystem::path& path,
                   Transcript* transcript) {
@@ -74,7 +91,10 @@ InterruptedRun open_interrupted_run(const std::filesystem::path& path) {
   RunProgress so_far;
   so_far.measured = {stored.measured.begin(), stored.measured.end()};
   so_far.spent = stored.timing;
-  if (!stored.measured.empty()) so_far.last = {stored.measured.back(), stored.record.dwells.back()};
+  if (!stored.measured.empty()) {
+    so_far.last = {stored.measured.back(), stored.record.dwells.back()};
+    so_far.first_temperature_degc = stored.record.dwells.front().temperature_degc;
+  }
   BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
   return {std::move(file), std::move(stored), std::move(config), std::move(so_far)};
 }
@@ -167,16 +187,39 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     std::string output;
     bool record = false;
     bool json = false;
+    CampaignOptions campaign;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
       parent.add_subcommand("run", "Calibrate: drive the stage through the three experiments");
   command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
   command->add_option("-o,--output", options->output, "run file to create (default: BENCH-UTC.run here)");
-  command->add_flag("--record", options->record,
-                    "keep every byte to and from the instruments in the run file, for `abcal replay`");
+  CLI::Option* record =
+      command->add_flag("--record", options->record,
+                        "keep every byte to and from the instruments in the run file, for `abcal replay`");
+  CLI::Option* repeat =
+      command
+          ->add_option("--repeat", options->campaign.repeat,
+                       "a campaign of so many runs, OUTPUT-1.run and so on, and their spread")
+          ->check(CLI::Range(2, 1000))
+          ->excludes(record);
+  command
+      ->add_flag("--remount", options->campaign.remount,
+                 "between the runs, wait until a person has remounted the accelerometer")
+      ->needs(repeat);
+  command
+      ->add_flag("--go-on", options->campaign.go_on,
+                 "keep the runs of the campaign that are complete already")
+      ->needs(repeat);
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
+    if (options->campaign.repeat > 0) {
+      options->campaign.bench_file = options->bench_file;
+      options->campaign.output = options->output;
+      options->campaign.json = options->json;
+      exit_code = run_campaign(options->campaign);
+      return;
+    }
     const BenchConfig config = read_bench(options->bench_file);
     print_warnings(config);
     const std::filesystem::path path = output_path(options->output, options->bench_file, ".run");
@@ -194,17 +237,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
       if (options->record) keep_recording_without_run(config, *bench.clock, path, transcript, error.what());
       throw;
     }
-    std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
-    const PlanDuration estimate = estimate_duration(
-        plan, config.protocol, {who.stage.axes[0].speed_deg_per_s, who.stage.axes[1].speed_deg_per_s},
-        who.accelerometer.rate_hz);
-    fmt::print(
-        stderr,
-        "Stage: {} {} (SN {})\nAccelerometer: {} {} (SN {}), {:g} readings/s in {}\n{} angles, about {}{}\n",
-        who.stage.maker, who.stage.model, who.stage.serial_number, who.accelerometer.maker,
-        who.accelerometer.model, who.accelerometer.serial_number, who.accelerometer.rate_hz,
-        who.accelerometer.output_unit, plan.size(), describe_duration(estimate.total_s()),
-        bench.simulated_time ? " of simulated time (nothing real takes part)" : "");
+    const std::vector<PlannedAngle> plan = plan_and_introduce(bench, config, who);
     RunFile file = begin_run(bench, config, who, plan, path, options->record ? &transcript : nullptr);
     exit_code = measure_and_report(bench, config, std::move(file), plan, {}, options->json);
   });

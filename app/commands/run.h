@@ -15,6 +15,13 @@
 
 namespace abcal {
 
+void print_warnings(const BenchConfig& config);
+
+/// Says on standard error who is there and how long it will take.
+/// @throws PlanError
+std::vector<PlannedAngle> plan_and_introduce(const Bench& bench, const BenchConfig& config,
+                                             const Identities& who);
+
 /// Creates the file of a run and notes in it that it begins, and the environment. `transcript`, if given,
 /// keeps the bytes of the instruments in it.
 RunFile begin_run(Bench& bench, const BenchConfig& config, const Identities& who,

@@ -77,6 +77,15 @@ Json diagnostics(const Diagnostics& d) {
                        {"value", quantity(difference.value)}});
   }
   Json flags = Json::array();
+  Json checks = Json::array();
+  for (const Check& check : d.checks) {
+    checks.push_back({{"check", check.name},
+                      {"passed", check.passed},
+                      {"found", number(check.found)},
+                      {"limit", number(check.limit)},
+                      {"unit", check.unit},
+                      {"words", check.words}});
+  }
   for (const FlagCount& flag : d.flags) flags.push_back({{"flag", flag.flag}, {"dwells", flag.dwells}});
   return {{"fits", std::move(fits)},
           {"closures", std::move(closures)},
@@ -89,6 +98,7 @@ Json diagnostics(const Diagnostics& d) {
           {"angles_used", d.angles_used},
           {"angles_flagged", d.angles_flagged},
           {"flags", std::move(flags)},
+          {"checks", std::move(checks)},
           {"notes", d.notes}};
 }
 

@@ -189,6 +189,13 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
             : fmt::format("chi2 = {:.1f} for {} degrees of freedom{}\n", *d.chi2, d.degrees_of_freedom,
                           d.chi2_probability ? fmt::format(", probability {:.3g}", *d.chi2_probability) : "");
   }
+  if (!d.checks.empty()) text += "Checks (found, limit)\n";
+  for (const Check& check : d.checks) {
+    if (!std::isfinite(check.found)) continue;  // not made: a note says why
+    text +=
+        fmt::format("  {:<26} {:>10.2e} {:>10.2e}  {}  {}\n", check.name, check.found, check.limit,
+                    check.passed ? "passed" : emphasised(stream, Emphasis::kWarning, "FAILED"), check.unit);
+  }
   text += fmt::format("{} angles used, {} flagged", d.angles_used, d.angles_flagged);
   for (const FlagCount& flag : d.flags) text += fmt::format("; {}: {}", flag.flag, flag.dwells);
   return text + "\n";

@@ -31,11 +31,11 @@ constexpr int kDiagnosticHarmonics = 5;  // the paper's second fit: constant + f
 
 // Flags that say that the mean itself may be wrong. Lost and repeated readings leave a sound mean: counted
 // only.
-constexpr std::uint32_t kSuspectFlags =
-    kFlagNotQuiet | kFlagClipped | kFlagStuck | kFlagNotFinite | kFlagOutsideWindow | kFlagTemperature;
-constexpr std::array<std::uint32_t, 8> kAllFlags{kFlagNotQuiet,    kFlagLostReadings, kFlagClipped,
-                                                 kFlagStuck,       kFlagNotFinite,    kFlagOutsideWindow,
-                                                 kFlagTemperature, kFlagRepeated};
+constexpr std::uint32_t kSuspectFlags = kFlagNotQuiet | kFlagClipped | kFlagStuck | kFlagNotFinite |
+                                        kFlagOutsideWindow | kFlagTemperature | kFlagNorm;
+constexpr std::array<std::uint32_t, 10> kAllFlags{
+    kFlagNotQuiet,      kFlagLostReadings, kFlagClipped,  kFlagStuck, kFlagNotFinite,
+    kFlagOutsideWindow, kFlagTemperature,  kFlagRepeated, kFlagHeld,  kFlagNorm};
 
 using Covariance27 = Eigen::Matrix<double, 27, 27>;
 using FitTable = std::array<HarmonicFit, 9>;  // index 3 (experiment - 1) + accelerometer

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstddef>
 #include <numbers>
-#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -13,16 +12,17 @@
 
 #include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/analysis/joint_data.h"
 #include "protocol/analysis/joint_fit.h"
-#include "protocol/analysis/run_time.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
 
 constexpr double kDegreesPerRadian = 180.0 / std::numbers::pi;
 
-/// Below this probability chi2 contradicts the model: one sound run in a thousand is called doubtful.
-constexpr double kChi2Level = 1e-3;
+/// Below this probability chi2 contradicts the model.
+constexpr double kChi2Level = kFalseAlarm;
 /// The six k's are left out only where they lower chi2 by no more than their number, which is what six
 /// useless unknowns do on the average: a run in which they mean anything keeps them (docs/joint_estimator.md
 /// gives the coverage with weak non-linearity).
@@ -30,135 +30,10 @@ constexpr double kNonlinearityGain = 6.0;
 /// An estimate this many prior standard deviations from its prior's mean contradicts the tolerance. The prior
 /// is a statement about the bench; chi2 with its hundreds of degrees of freedom does not notice one wrong
 /// statement.
-constexpr double kPriorLevel = 5.0;
+constexpr double kPriorLevel = kFalseAlarmDeviate;
 /// Autocorrelation of successive residuals, in standard deviations, that a model without error does not
 /// reach.
-constexpr double kAutocorrelationLevel = 4.0;
-/// No reading is believed better than this times S_j: a noise-free record stays solvable (in double precision
-/// the normal matrix holds the priors down to about 1e-9), and no real accelerometer comes near.
-constexpr double kSmallestRelativeUncertainty = 1e-9;
-
-struct Data {
-  std::vector<JointReading> readings;
-  std::vector<const DwellRecord*> dwells;  ///< As the readings.
-  int clipped = 0;
-  int not_finite = 0;
-  bool u_known = false;
-};
-
-Data collect(const RunRecord& record, const JointOptions& options) {
-  Data data;
-  const std::vector<double> times = run_time_fractions(record);
-  bool all_known = true;
-  std::vector<const DwellRecord*> dwells;
-  std::vector<JointReading> readings;
-  for (std::size_t i = 0; i < record.dwells.size(); ++i) {
-    const DwellRecord& dwell = record.dwells[i];
-    const std::string where =
-        fmt::format("{}: experiment {}, n = {}", record.source, dwell.experiment, dwell.n);
-    if (dwell.experiment < 1 || dwell.experiment > 3) {
-      throw std::invalid_argument(where + ": the joint estimator needs experiments 1, 2 and 3");
-    }
-    if (!dwell.mean.allFinite()) {
-      if ((dwell.flags & kFlagNotFinite) == 0U) {
-        throw std::invalid_argument(where + ": the reading is not a finite number");
-      }
-      ++data.not_finite;
-      continue;
-    }
-    if ((dwell.flags & kFlagClipped) != 0U) {
-      ++data.clipped;
-      continue;
-    }
-    if (!std::isfinite(dwell.alpha.deg())) {
-      throw std::invalid_argument(where + ": the angle is not a finite number");
-    }
-    if (dwell.u_mean && (!dwell.u_mean->allFinite() || dwell.u_mean->minCoeff() < 0.0)) {
-      throw std::invalid_argument(where + ": the uncertainty of the reading is not a finite number >= 0");
-    }
-    all_known = all_known && dwell.u_mean && dwell.u_mean->minCoeff() > 0.0;
-    const SinCos alpha = sincos(dwell.alpha);
-    JointReading reading;
-    reading.experiment = dwell.experiment;
-    reading.sin_alpha = alpha.sin;
-    reading.cos_alpha = alpha.cos;
-    reading.t = times[i];
-    reading.value = dwell.mean;
-    if (dwell.u_mean) reading.u = *dwell.u_mean;
-    readings.push_back(reading);
-    dwells.push_back(&dwell);
-  }
-  data.u_known = all_known && !readings.empty();
-
-  // One step error a dwell (a closing angle too: the stage came back on its own), or one for each pose of an
-  // axis.
-  std::vector<std::size_t> order(readings.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  if (options.one_map_per_axis) {
-    const auto key = [&](std::size_t i) {
-      const int axis = readings[i].experiment == 3 ? 1 : 0;
-      // Modulo 360 degrees, to the microdegree, so that equal angles compare equal.
-      const double turn = dwells[i]->alpha.deg() - 360.0 * std::floor(dwells[i]->alpha.deg() / 360.0);
-      return std::pair(axis, std::llround(turn * 1e6) % 360'000'000LL);
-    };
-    std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return key(a) < key(b); });
-    int step = -1;
-    for (std::size_t i = 0; i < order.size(); ++i) {
-      if (i == 0 || key(order[i]) != key(order[i - 1])) ++step;
-      readings[order[i]].step_error = step;
-    }
-  } else {
-    for (std::size_t i = 0; i < readings.size(); ++i) readings[i].step_error = static_cast<int>(i);
-  }
-  for (const std::size_t i : order) {
-    data.readings.push_back(readings[i]);
-    data.dwells.push_back(dwells[i]);
-  }
-  return data;
-}
-
-/// S_j as the readings show it: half the range, good enough for a floor and a first guess of the noise.
-Eigen::Vector3d rough_sensitivity(const std::vector<JointReading>& readings) {
-  Eigen::Vector3d low = readings.front().value;
-  Eigen::Vector3d high = low;
-  for (const JointReading& reading : readings) {
-    low = low.cwiseMin(reading.value);
-    high = high.cwiseMax(reading.value);
-  }
-  return 0.5 * (high - low);
-}
-
-/// Noise of each accelerometer from the residuals: u is repeated until the weighted squares of the residuals
-/// equal their expectation (variance component estimation). Returns the fit with it; `readings` keep the u
-/// found.
-JointFit fit_with_unknown_noise(std::vector<JointReading>& readings, const JointPriors& priors,
-                                const JointModel& model) {
-  const Eigen::Vector3d unit = rough_sensitivity(readings);
-  Eigen::Vector3d u = 1e-5 * unit;
-  JointFit fit;
-  // Each pass moves u by the factor that the residuals ask for; 1 % of an uncertainty is finer than 216
-  // angles know it.
-  for (int pass = 0; pass < 30; ++pass) {
-    for (JointReading& reading : readings) reading.u = u;
-    fit = joint_fit(readings, priors, model, true);
-    if (!fit.converged) return fit;
-    Eigen::Vector3d next;
-    for (int j = 0; j < 3; ++j) {
-      if (!(fit.redundancy(j) >= 1.0)) {
-        throw std::runtime_error(fmt::format(
-            "{} angles leave nothing to estimate the noise from; more angles or the uncertainties "
-            "of the readings are required",
-            readings.size()));
-      }
-      next(j) = std::max(u(j) * std::sqrt(fit.sum_weighted_squares(j) / fit.redundancy(j)),
-                         kSmallestRelativeUncertainty * unit(j));
-    }
-    const double change = (next - u).cwiseQuotient(u).cwiseAbs().maxCoeff();
-    u = next;
-    if (change < 0.01) break;
-  }
-  return fit;
-}
+constexpr double kAutocorrelationLevel = kFalseAlarmDeviate;
 
 /// Correlation of successive residuals within an experiment, in standard deviations. A smooth error of the
 /// model shows here even when the size of the noise is not known beforehand.
@@ -249,7 +124,7 @@ void fill_outputs(const JointFit& fit, CalibrationResult& result) {
   result.covariance_intrinsic_type_a = covariance9 - type_b9;
 }
 
-JointResult joint_outputs(const JointFit& fit, const Data& data, const JointModel& model,
+JointResult joint_outputs(const JointFit& fit, const JointData& data, const JointModel& model,
                           const RunRecord& record) {
   JointResult out;
   const auto of = [&](int i, double factor, const std::string& unit) {
@@ -346,7 +221,7 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   result.g_loc.unit = "m/s2";
 
   const JointPriors priors = JointPriors::from(record.tolerances, options.measured_alignment);
-  Data data = collect(record, options);
+  JointData data = collect_joint_data(record, options.one_map_per_axis);
   Diagnostics& diagnostics = result.diagnostics;
   diagnostics.angles_used = static_cast<int>(data.readings.size());
   add_flags(record, diagnostics);
@@ -368,10 +243,6 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   JointFit fit;
   std::string about_nonlinearity;
   try {
-    if (data.u_known) {
-      const Eigen::Vector3d floor = kSmallestRelativeUncertainty * rough_sensitivity(data.readings);
-      for (JointReading& reading : data.readings) reading.u = reading.u.cwiseMax(floor);
-    }
     fit = data.u_known ? joint_fit(data.readings, priors, model)
                        : fit_with_unknown_noise(data.readings, priors, model);
     if (options.nonlinearity == Nonlinearity::kDecide && fit.converged) {

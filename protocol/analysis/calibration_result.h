@@ -78,6 +78,16 @@ struct FlagCount {
   int dwells = 0;
 };
 
+/// One question asked of a run, so that a wrong number does not look right (docs/measurement.md, "Checks").
+struct Check {
+  std::string name;  ///< "mounting slip", "full scale", ...
+  double found = std::numeric_limits<double>::quiet_NaN();
+  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Of |found|.
+  std::string unit;
+  bool passed = true;
+  std::string words;  ///< What is wrong, where, and what it may come from; empty where it passed.
+};
+
 struct Diagnostics {
   std::vector<FitDiagnostic> fits;  ///< 9: experiment by experiment, u v w in each. (norm: empty)
   std::vector<Closure> closures;    ///< 15: u v w for each of the five names. (norm: empty)
@@ -90,6 +100,7 @@ struct Diagnostics {
   int angles_used = 0;                     ///< Dwells in the fit.
   int angles_flagged = 0;
   std::vector<FlagCount> flags;
+  std::vector<Check> checks;
   std::vector<std::string> notes;  ///< Sentences that a reader should see beside the verdict.
 };
 

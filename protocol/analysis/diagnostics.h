@@ -7,13 +7,14 @@
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/analysis/first_order.h"
 #include "protocol/analysis/harmonic_fit.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 
 /// So many standard uncertainties away from what it should be, a diagnostic contradicts the model. A run has
-/// some 70 of them (15 closures, 9 residuals, 36 harmonics, 9 closing differences); at 6e-5 each, four in a
-/// thousand sound runs are called doubtful.
-inline constexpr double kContradictionLevel = 4.0;
+/// some 70 of them (15 closures, 9 residuals, 36 harmonics, 9 closing differences); at 1e-6 each, seven in
+/// 100 000 sound runs are called doubtful.
+inline constexpr double kContradictionLevel = kFalseAlarmDeviate;
 
 /// The readings of one accelerometer in one experiment.
 struct ReadingSeries {

@@ -17,6 +17,7 @@
 
 #include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
@@ -32,7 +33,7 @@ constexpr int kColumn[6] = {0, 1, 2, 1, 2, 2};
 /// Robust standard deviations at which a pose is taken to have been disturbed.
 constexpr double kOutlier = 5.0;
 /// Below this probability chi2 contradicts the model, as for the joint estimator.
-constexpr double kChi2Level = 1e-3;
+constexpr double kChi2Level = kFalseAlarm;
 /// A cap without poses of this radius (degrees) is named, and of the second makes the result doubtful: six
 /// poses, one a face, leave 54.7 degrees.
 constexpr double kNamedCap = 60.0;

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "drivers/instrument/angle.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 
@@ -35,14 +36,8 @@ struct ProtocolConfig {
   double reading_timeout_s = 2.0;   ///< So long without any reading means that the accelerometer is silent.
   double warm_up_s = 0.0;           ///< Waited, with everything on, before the first angle.
   double replug_timeout_s = 120.0;  ///< Longest wait for a port that vanished to come back.
-};
-
-/// What the program flags (`[limits]` of a bench file).
-struct LimitsConfig {
-  double max_lost_fraction = 0.5;  ///< More readings than this lost at one angle stops the run.
-  double temperature_min_degc = -1e9;
-  double temperature_max_degc = +1e9;
-  int max_replugs = 3;  ///< A port that vanishes once more than this stops the run.
+  double stability_s = 0.0;  ///< Outputs and temperature must be stable so long before the first angle.
+  double stability_timeout_s = 3600.0;  ///< Longest wait for that.
 };
 
 }  // namespace abcal

@@ -55,6 +55,8 @@ struct RunHeader {
   std::string response_unit = "R";
   LocalGravity g_loc;
   Tolerances tolerances;
+  LimitsConfig limits;
+  ExpectedItem expected;
   MeasuredAlignment measured_alignment;
   Angle step = Angle::degrees(5.0);
   int steps = 72;

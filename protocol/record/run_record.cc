@@ -6,7 +6,7 @@
 namespace abcal {
 
 std::string describe_flags(std::uint32_t flags) {
-  static constexpr std::array<std::pair<std::uint32_t, const char*>, 8> kWords{{
+  static constexpr std::array<std::pair<std::uint32_t, const char*>, 10> kWords{{
       {kFlagNotQuiet, "not quiet"},
       {kFlagLostReadings, "lost readings"},
       {kFlagClipped, "clipped"},
@@ -15,6 +15,8 @@ std::string describe_flags(std::uint32_t flags) {
       {kFlagOutsideWindow, "outside the position window"},
       {kFlagTemperature, "temperature outside its limits"},
       {kFlagRepeated, "repeated"},
+      {kFlagHeld, "held for the temperature"},
+      {kFlagNorm, "norm not that of gravity"},
   }};
   std::string text;
   for (const auto& [flag, word] : kWords) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "drivers/instrument/angle.h"
+#include "protocol/plan/limits.h"
 #include "protocol/plan/tolerances.h"
 
 namespace abcal {
@@ -22,7 +23,9 @@ enum DwellFlag : std::uint32_t {
   kFlagNotFinite = 1U << 4,      ///< Readings that were not finite were left out.
   kFlagOutsideWindow = 1U << 5,  ///< The encoder left the position window during the dwell.
   kFlagTemperature = 1U << 6,    ///< The temperature was outside its limit.
-  kFlagRepeated = 1U << 7,       ///< The dwell was repeated (vibration, replug, resume).
+  kFlagRepeated = 1U << 7,       ///< The dwell was repeated (vibration, left window, replug, resume).
+  kFlagHeld = 1U << 8,           ///< The run waited here for the temperature to be back inside its limits.
+  kFlagNorm = 1U << 9,           ///< The norm of the readings is not that of local gravity.
 };
 
 /// The words for the flags of one dwell, in a fixed order ("not quiet, lost readings"); empty for none.
@@ -76,6 +79,8 @@ struct RunRecord {
   LocalGravity g_loc;
   bool g_loc_known = false;  ///< False: a CSV without a bench file; results are per g_loc.
   Tolerances tolerances;
+  LimitsConfig limits;
+  ExpectedItem expected;
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
   Angle step = Angle::degrees(5.0);      ///< Desired rotation step D.
   int steps = 72;                        ///< N.

@@ -11,6 +11,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/dwell.h"
+#include "protocol/run/plausibility.h"
 
 namespace abcal {
 namespace {
@@ -19,8 +20,14 @@ namespace {
 constexpr Clock::Duration kSlice = std::chrono::milliseconds(20);
 /// An axis that the controller calls stopped may still creep into the window; after this it will not.
 constexpr double kStoppedOutsideWindowS = 1.0;
-/// Fewest readings at which an output that does not change at all is called stuck.
+/// Fewest readings from which it is concluded that the outputs do not follow the stage.
 constexpr std::int64_t kStuckReadings = 8;
+/// Between two looks at the temperature while the run waits for it.
+constexpr Clock::Duration kTemperatureInterval = std::chrono::seconds(5);
+/// Parts of the time for which outputs and temperature must be stable.
+constexpr double kStabilityWindows = 10.0;
+/// What may pass: the angle is measured again.
+constexpr std::uint32_t kMayPass = kFlagNotQuiet | kFlagStuck | kFlagOutsideWindow;
 constexpr std::size_t kStoredSpreads = 15;
 /// Between two attempts to open a port that vanished.
 constexpr Clock::Duration kReconnectInterval = std::chrono::milliseconds(500);
@@ -53,15 +60,21 @@ class Runner {
     last_ = so_far.last;
     throw_if_stopped();
     tolerances_ = so_far.tolerances;
+    expected_ = so_far.expected;
+    first_temperature_degc_ = so_far.first_temperature_degc;
     stage_info_ = stage_.identify();
     accelerometer_info_ = accelerometer_.identify();
+    nominal_ = nominal_response(expected_, accelerometer_info_.output_unit, so_far.g_loc_mps2);
     bool anew = last_.has_value();
     bool warm = false;
     while (true) {
       try {
         for (const StageAxis axis : kStageAxes) reference(axis, anew);
         accelerometer_.start();
-        if (!std::exchange(warm, true)) warm_up();
+        if (!std::exchange(warm, true)) {
+          warm_up();
+          wait_until_stable();
+        }
         learn_the_noise();
         if (last_) measure_again(*last_);
         measure_the_rest();
@@ -124,7 +137,7 @@ class Runner {
     for (std::size_t position = 0; position < plan_.size(); ++position) {
       if (measured_.contains(position)) continue;
       hold(position);
-      const Measured measured = measure(position);
+      Measured measured = measure(position);
       commit(position, measured);
     }
   }
@@ -206,6 +219,40 @@ class Runner {
     observer_.phase(0, RunPhase::kWarmingUp);
     const Clock::Instant begin = clock_.now();
     wait_until(begin + from_seconds(protocol_.warm_up_s));
+    timing_.settling_s += to_seconds(clock_.now() - begin);
+  }
+
+  /// Until outputs and temperature stand still for stability_s.
+  void wait_until_stable() {
+    if (!(protocol_.stability_s > 0.0)) return;
+    where_ = "waiting for outputs and temperature to be stable";
+    observer_.phase(0, RunPhase::kWarmingUp);
+    const Clock::Instant begin = clock_.now();
+    const double wanted = accelerometer_info_.rate_hz * protocol_.stability_s / kStabilityWindows;
+    std::vector<StabilityWindow> windows;
+    std::vector<Reading> readings;
+    accelerometer_.discard_pending();
+    do {
+      if (to_seconds(clock_.now() - begin) > protocol_.stability_s + protocol_.stability_timeout_s) {
+        throw InstrumentError(
+            accelerometer_name(), Fault::kImplausible,
+            fmt::format(
+                "not stable for {} s within {} s (stability_s, stability_timeout_s); required: outputs "
+                "within {:.2g} of their norm, temperature within {:.2g} degC ([limits] stability, "
+                "stability_degc). Let it warm up, keep draughts away",
+                protocol_.stability_s, protocol_.stability_timeout_s, stability_limit(limits_, tolerances_),
+                stability_limit_degc(limits_, tolerances_)));
+      }
+      readings.clear();
+      while (static_cast<double>(readings.size()) < std::max(wanted, 10.0)) {
+        readings.push_back(next_reading());
+      }
+      const DwellStatistics window = dwell_statistics(readings, accelerometer_info_);
+      windows.push_back(
+          {to_seconds(clock_.now() - begin), window.mean, window.u_mean, window.temperature_degc});
+    } while (!is_stable(windows, protocol_.stability_s, limits_, tolerances_));
+    note("stable",
+         fmt::format("outputs and temperature are stable after {:.0f} s", to_seconds(clock_.now() - begin)));
     timing_.settling_s += to_seconds(clock_.now() - begin);
   }
 
@@ -401,7 +448,66 @@ class Runner {
     commit(last.position, measured);
   }
 
+  /// Measures an angle; again where what went wrong may pass.
   Measured measure(std::size_t position) {
+    std::uint32_t marks = kFlagNone;
+    std::optional<Clock::Instant> patience;  // for the temperature
+    for (int left = limits_.repeats;;) {
+      Measured measured = measure_once(position);
+      DwellRecord& dwell = measured.dwell;
+      dwell.flags |= marks;
+      if ((dwell.flags & kFlagTemperature) != 0U && limits_.temperature_wait_s > 0.0) {
+        if (!patience) patience = clock_.now() + from_seconds(limits_.temperature_wait_s);
+        wait_for_temperature(dwell.temperature_degc, *patience);
+        marks |= kFlagHeld;
+        continue;
+      }
+      if ((dwell.flags & kMayPass) == 0U) return measured;
+      const bool left_window = (dwell.flags & kFlagOutsideWindow) != 0U;
+      if (left-- == 0) {
+        if (!left_window) return measured;
+        throw InstrumentError(
+            stage_name(), Fault::kStalled,
+            fmt::format(
+                "it does not stay at {}: X at {:.5f} deg, commanded {:.5f} deg; Z at {:.5f} deg, "
+                "commanded {:.5f} deg; required: within {} deg (position_window_deg). Check for missed "
+                "steps, a motor that is switched off or a cable that pulls",
+                describe(plan_[position]), dwell.encoder_x->deg(), dwell.commanded_x.deg(),
+                dwell.encoder_z->deg(), dwell.commanded_z.deg(), protocol_.position_window.deg()));
+      }
+      note("repeated",
+           fmt::format("{}: {}; it is measured again", where_, describe_flags(dwell.flags & kMayPass)));
+      if (left_window) at_ = {};
+      marks |= kFlagRepeated;
+    }
+  }
+
+  /// Stands still until the temperature is back inside its limits.
+  void wait_for_temperature(std::optional<double> temperature_degc, Clock::Instant deadline) {
+    const auto excess = [&] {
+      return temperature_excess(temperature_degc, first_temperature_degc_, limits_, tolerances_);
+    };
+    const Clock::Instant begin = clock_.now();
+    note("temperature", fmt::format("{}: {}; waiting for it to be back", where_, excess().value_or("")));
+    observer_.phase(measured_.size(), RunPhase::kTemperature);
+    while (const auto why = excess()) {
+      if (clock_.now() >= deadline) {
+        throw InstrumentError(accelerometer_name(), Fault::kImplausible,
+                              fmt::format("{}; it did not come back within {} s (temperature_wait_s)", *why,
+                                          limits_.temperature_wait_s));
+      }
+      wait_until(std::min(deadline, clock_.now() + kTemperatureInterval));
+      accelerometer_.discard_pending();
+      std::vector<Reading> window;
+      while (window.size() < window_size()) window.push_back(next_reading());
+      temperature_degc = dwell_statistics(window, accelerometer_info_).temperature_degc;
+    }
+    note("temperature",
+         fmt::format("the temperature is back after {:.0f} s", to_seconds(clock_.now() - begin)));
+    timing_.settling_s += to_seconds(clock_.now() - begin);
+  }
+
+  Measured measure_once(std::size_t position) {
     const PlannedAngle& angle = plan_[position];
     where_ = describe(angle);
     observer_.phase(position, RunPhase::kMoving);
@@ -415,6 +521,8 @@ class Runner {
 
     observer_.phase(position, RunPhase::kDwelling);
     accelerometer_.discard_pending();
+    const bool inside_before =
+        inside_window(angle, stage_.encoder_angle(StageAxis::kX), stage_.encoder_angle(StageAxis::kZ));
     const Clock::Instant dwell_begin = clock_.now();
     const auto wanted = static_cast<std::size_t>(readings_per_dwell(protocol_, accelerometer_info_.rate_hz));
     const std::uint64_t lost_before = accelerometer_.health().lost_readings;
@@ -451,18 +559,16 @@ class Runner {
     dwell.temperature_degc = statistics.temperature_degc;
     dwell.flags = statistics.flags;
     if (statistics.lost > 0) dwell.flags |= kFlagLostReadings;
-    if (!quiet) dwell.flags |= kFlagNotQuiet;
-    if (!inside_window(*dwell.encoder_x, angle.x) || !inside_window(*dwell.encoder_z, angle.z)) {
+    const double resolution = accelerometer_info_.resolution.value_or(0.0);
+    if (!quiet || is_shaken(statistics, usual_spread(), resolution, limits_)) dwell.flags |= kFlagNotQuiet;
+    if (!inside_before || !inside_window(angle, *dwell.encoder_x, *dwell.encoder_z)) {
       dwell.flags |= kFlagOutsideWindow;
     }
-    if (stuck_output(statistics)) dwell.flags |= kFlagStuck;
-    if (const auto& t = statistics.temperature_degc;
-        t && !(*t >= limits_.temperature_min_degc && *t <= limits_.temperature_max_degc)) {
+    if (is_stuck(statistics, usual_spread(), resolution)) dwell.flags |= kFlagStuck;
+    if (temperature_excess(dwell.temperature_degc, first_temperature_degc_, limits_, tolerances_)) {
       dwell.flags |= kFlagTemperature;
     }
-    previous_mean_ = statistics.mean;
-    if (spreads_.size() == kStoredSpreads) spreads_.erase(spreads_.begin());
-    spreads_.push_back(statistics.spread);
+    if (nominal_ && norm_is_wrong(dwell.mean, *nominal_, limits_)) dwell.flags |= kFlagNorm;
 
     std::vector<StoredReading> stored;
     stored.reserve(readings.size());
@@ -473,30 +579,39 @@ class Runner {
     return {std::move(dwell), std::move(stored)};
   }
 
-  void commit(std::size_t position, const Measured& measured) {
-    const DwellRecord& dwell = measured.dwell;
+  void commit(std::size_t position, Measured& measured) {
+    DwellRecord& dwell = measured.dwell;
+    if (!measured_.contains(position)) compare_with_gravity(position, dwell);
     file_.append_dwell(position, dwell, measured.readings, timing());
     if (dwell.flags != kFlagNone) {
       const std::string text = fmt::format("{}: {}", where_, describe_flags(dwell.flags));
       note("flag", text);
     }
+    previous_mean_ = dwell.mean;
+    if (!first_temperature_degc_) first_temperature_degc_ = dwell.temperature_degc;
+    if (spreads_.size() == kStoredSpreads) spreads_.erase(spreads_.begin());
+    spreads_.push_back(dwell.spread);
     if (!measured_.insert(position).second) return;  // A check of what is there already.
     observer_.dwell(position, dwell);
     last_ = {position, dwell};
   }
 
-  bool inside_window(Angle encoder, Angle commanded) const {
-    return std::abs((encoder - commanded).deg()) <= protocol_.position_window.deg();
+  bool inside_window(const PlannedAngle& angle, Angle encoder_x, Angle encoder_z) const {
+    const double window = protocol_.position_window.deg();
+    return std::abs((encoder_x - angle.x).deg()) <= window && std::abs((encoder_z - angle.z).deg()) <= window;
   }
 
-  /// An output that did not change at all, though it did at earlier angles.
-  bool stuck_output(const DwellStatistics& statistics) const {
-    if (statistics.count < kStuckReadings) return false;
-    const auto usual = usual_spread();
-    for (int j = 0; j < 3; ++j) {
-      if (statistics.spread[j] == 0.0 && usual && (*usual)[j] > 0.0) return true;
+  /// At the last angle of an experiment: what the circle says of unit and full scale.
+  void compare_with_gravity(std::size_t position, DwellRecord& dwell) {
+    if (!circle_.empty() && circle_.back().experiment != dwell.experiment) circle_.clear();
+    circle_.push_back(dwell);
+    const bool last =
+        position + 1 == plan_.size() || plan_[position + 1].experiment != plan_[position].experiment;
+    if (!last || !nominal_ || dwell.experiment == 0) return;
+    if (const auto excess = full_scale_excess(circle_, *nominal_, expected_)) {
+      dwell.flags |= kFlagNorm;
+      note("full scale", *excess);
     }
-    return false;
   }
 
   /// Readings that cannot be true end the run; they are not averaged into a number that looks right.
@@ -571,6 +686,10 @@ class Runner {
   StageInfo stage_info_;
   AccelerometerInfo accelerometer_info_;
   std::array<std::optional<Angle>, 2> at_;  ///< Where each axis was brought last; nothing: not known.
+  ExpectedItem expected_;
+  std::optional<double> nominal_;  ///< R for one g_loc.
+  std::optional<double> first_temperature_degc_;
+  std::vector<DwellRecord> circle_;  ///< Of the experiment under way.
   std::optional<Eigen::Vector3d> previous_mean_;
   std::vector<Eigen::Vector3d> spreads_;
   std::set<std::size_t> measured_;
@@ -611,6 +730,8 @@ std::string_view to_string(RunPhase phase) {
       return "settling";
     case RunPhase::kDwelling:
       return "reading";
+    case RunPhase::kTemperature:
+      return "waiting for the temperature";
     case RunPhase::kReconnecting:
       return "waiting for a port to come back";
     case RunPhase::kParking:

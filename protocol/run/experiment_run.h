@@ -26,7 +26,17 @@ class RunInterrupted : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-enum class RunPhase { kHoming, kWarmingUp, kHolding, kMoving, kSettling, kDwelling, kReconnecting, kParking };
+enum class RunPhase {
+  kHoming,
+  kWarmingUp,
+  kHolding,
+  kMoving,
+  kSettling,
+  kDwelling,
+  kTemperature,
+  kReconnecting,
+  kParking
+};
 std::string_view to_string(RunPhase phase);
 
 /// Told what a run does, while it does it. Must return at once: the hardware never waits for a screen.
@@ -73,6 +83,10 @@ struct RunProgress {
   };
   std::optional<LastAngle> last;
   Tolerances tolerances;
+  // What the readings are compared with (protocol/run/plausibility.h).
+  ExpectedItem expected;
+  double g_loc_mps2 = kStandardGravity;
+  std::optional<double> first_temperature_degc;  ///< Of the first angle, if it is measured already.
 };
 
 /// The largest change of an output (R) between two measurements of one angle that tolerances (zero and step
@@ -83,6 +97,10 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
 /// Measures every angle of `plan` that is not in `so_far.measured`, each committed to `file` before the stage
 /// moves on; then parks the stage at zero and stops the accelerometer. References the axes first where that
 /// is needed.
+///
+/// An angle is measured again (limits: repeats) where the readings spread or creep more than usual, an output
+/// does not change at all, or an axis has left the position window; then it is flagged, or the run ends where
+/// the axis does not stay. Beyond its limits the temperature is waited for (temperature_wait_s).
 ///
 /// Where a port vanishes, waits for it (limits: replug_timeout_s, max_replugs), and goes on as after an
 /// interruption: same instruments, the stage referenced anew if it was the stage's, the last angle measured

@@ -341,6 +341,7 @@ TEST_F(ExperimentRunTest, FlagsAnAngleThatIsNotQuietAtTheLongestWait) {
 TEST_F(ExperimentRunTest, FlagsATemperatureOutsideItsLimits) {
   truth.temperature_degc = 30.0;
   limits.temperature_max_degc = 26.0;
+  limits.temperature_wait_s = 0.0;
   build();
   run();
   for (const DwellRecord& dwell : observer.dwells) EXPECT_TRUE(dwell.flags & kFlagTemperature);

@@ -1,0 +1,153 @@
+#include "app/commands/campaign.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <poll.h>
+#include <unistd.h>
+
+#include <array>
+#include <cerrno>
+#include <filesystem>
+#include <optional>
+#include <stdexcept>
+#include <vector>
+
+#include "app/analyses.h"
+#include "app/bench_config.h"
+#include "app/commands/run.h"
+#include "app/exit_code.h"
+#include "app/interrupt.h"
+#include "app/make_bench.h"
+#include "app/report/campaign_report.h"
+#include "app/run_bench.h"
+#include "protocol/record/run_file.h"
+#include "protocol/run/experiment_run.h"
+
+namespace abcal {
+namespace {
+
+std::vector<std::filesystem::path> paths_of(const CampaignOptions& options) {
+  std::filesystem::path stem = output_path(options.output, options.bench_file, ".run");
+  if (stem.extension() == ".run") stem.replace_extension();
+  std::vector<std::filesystem::path> paths;
+  for (int k = 1; k <= options.repeat; ++k) paths.push_back(fmt::format("{}-{}.run", stem.string(), k));
+  return paths;
+}
+
+std::string command_to_go_on(const CampaignOptions& options, const std::filesystem::path& first) {
+  std::string stem = first.string();
+  stem.erase(stem.size() - std::string("-1.run").size());
+  return fmt::format("abcal run {} --repeat {} -o {}{} --go-on", options.bench_file, options.repeat, stem,
+                     options.remount ? " --remount" : "");
+}
+
+/// Whether a run of the campaign is measured already.
+/// @throws std::invalid_argument if something else stands there
+bool is_done(const std::filesystem::path& path, const CampaignOptions& options, const BenchConfig& config) {
+  if (!std::filesystem::exists(path)) return false;
+  if (!options.go_on) {
+    throw std::invalid_argument(
+        path.string() +
+        ": exists already; a run is never overwritten: choose another name with -o, or "
+        "go on with a campaign that was ended early with --go-on");
+  }
+  const StoredRun stored = RunFile::load(path);
+  if (stored.header.bench_toml != write_bench(config)) {
+    throw std::invalid_argument(path.string() + ": was measured with another bench file than " +
+                                options.bench_file + "; a campaign has one");
+  }
+  if (stored.state != RunState::kComplete) {
+    throw std::invalid_argument(fmt::format("{}: is {}; finish it first: abcal resume {}", path.string(),
+                                            to_string(stored.state), path.string()));
+  }
+  return true;
+}
+
+/// Waits for a person. @throws RunInterrupted
+void ask_to_remount(int run, int runs) {
+  fmt::print(stderr,
+             "\nRun {} of {}: the stage stands at its zeros. Take the accelerometer off, mount it again, and "
+             "press Enter when nobody touches the stage any more (Ctrl-C ends the campaign): ",
+             run, runs);
+  std::array<char, 256> line{};
+  for (;;) {
+    if (interrupt_token().stop_requested()) throw RunInterrupted("stopped by the operator between two runs");
+    pollfd input{STDIN_FILENO, POLLIN, 0};
+    const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
+    if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
+    if (::read(STDIN_FILENO, line.data(), line.size()) > 0) return;
+    throw std::runtime_error("the terminal has gone, so nobody can say that the accelerometer is mounted");
+  }
+}
+
+/// What of a campaign is there when it ends early.
+void say_how_to_go_on(const CampaignOptions& options, const std::vector<std::filesystem::path>& paths,
+                      std::size_t failed) {
+  std::vector<std::string> complete;
+  for (const std::filesystem::path& path : paths) {
+    std::error_code ignored;
+    if (path != paths[failed] && std::filesystem::exists(path, ignored)) complete.push_back(path.string());
+  }
+  std::error_code ignored;
+  const bool begun = std::filesystem::exists(paths[failed], ignored);
+  fmt::print(stderr, "The campaign ended in run {} of {}. Complete and kept: {}. Go on with: {}{}\n",
+             failed + 1, paths.size(),
+             complete.empty() ? "none" : fmt::format("{}", fmt::join(complete, ", ")),
+             begun ? fmt::format("abcal resume {}, then ", paths[failed].string()) : "",
+             command_to_go_on(options, paths.front()));
+}
+
+}  // namespace
+
+int run_campaign(const CampaignOptions& options) {
+  if (options.remount && ::isatty(STDIN_FILENO) == 0) {
+    throw std::invalid_argument(
+        "--remount: between the runs a person must mount the accelerometer again and say so, but standard "
+        "input "
+        "is no terminal; required: a terminal, or no --remount");
+  }
+  const BenchConfig config = read_bench(options.bench_file);
+  print_warnings(config);
+  const std::vector<std::filesystem::path> paths = paths_of(options);
+  std::vector<std::size_t> missing;
+  for (std::size_t k = 0; k < paths.size(); ++k) {
+    if (!is_done(paths[k], options, config)) missing.push_back(k);
+  }
+
+  std::optional<Bench> bench;
+  std::optional<Identities> who;
+  std::vector<PlannedAngle> plan;
+  for (const std::size_t k : missing) {
+    try {
+      if (options.remount && k > 0) ask_to_remount(static_cast<int>(k) + 1, options.repeat);
+      if (!bench) {
+        bench = make_bench(config);
+        who = identify(*bench, config);
+        plan = plan_and_introduce(*bench, config, *who);
+      }
+      RunFile file = begin_run(*bench, config, *who, plan, paths[k], nullptr);
+      const RunTiming timing =
+          measure(*bench, config, file, plan, {}, fmt::format("Run {} of {}", k + 1, paths.size()), "");
+      const FinishedRun run = finish_run(*bench, config, std::move(file), timing);
+      const CalibrationResult& result = run.results.front();
+      fmt::print(stderr, "Run {} of {}: {}: {} ({})\n", k + 1, paths.size(), paths[k].string(),
+                 to_string(result.verdict), result.why);
+    } catch (...) {
+      say_how_to_go_on(options, paths, k);
+      throw;
+    }
+  }
+
+  CampaignReport report;
+  for (const std::filesystem::path& path : paths) {
+    report.runs.push_back({path, analyse_all(RunFile::load(path).record)});
+  }
+  if (options.json) {
+    fmt::print("{}\n", campaign_json(report).dump(2));
+  } else {
+    fmt::print("{}", campaign_text(report, stdout));
+  }
+  return report.usable() ? kExitDone : kExitFailed;
+}
+
+}  // namespace abcal

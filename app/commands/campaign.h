@@ -1,0 +1,22 @@
+#pragma once
+
+#include <string>
+
+namespace abcal {
+
+/// `abcal run BENCH --repeat K`: several runs of one accelerometer, and what they are together.
+struct CampaignOptions {
+  std::string bench_file;
+  std::string output;  ///< "a" or "a.run" makes a-1.run, a-2.run, ...; empty: the bench file's name and time.
+  int repeat = 0;
+  bool remount = false;  ///< A person remounts the accelerometer between the runs.
+  bool go_on = false;    ///< Runs that are complete are kept, only the others are measured.
+  bool json = false;
+};
+
+/// Measures, stores and summarises. What ends one run ends the campaign; the runs before are kept.
+/// @return what the program shall return to the shell
+/// @throws as `abcal run`; std::invalid_argument for files in the way, for --remount without a terminal
+int run_campaign(const CampaignOptions& options);
+
+}  // namespace abcal

@@ -1,0 +1,136 @@
+#include "protocol/run/plausibility.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <boost/math/special_functions/gamma.hpp>
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+namespace abcal {
+namespace {
+
+/// Fewest readings from which anything is concluded.
+constexpr std::int64_t kFewReadings = 8;
+
+}  // namespace
+
+bool is_stuck(const DwellStatistics& statistics, const std::optional<Eigen::Vector3d>& usual_spread,
+              double resolution) {
+  if (statistics.count < kFewReadings || !usual_spread) return false;
+  for (int j = 0; j < 3; ++j) {
+    if (statistics.spread[j] != 0.0 || !((*usual_spread)[j] > 0.0)) continue;
+    // Rounding to the resolution is part of the usual spread.
+    const double rounding = resolution * resolution / 12.0;
+    const double noise = std::sqrt(std::max((*usual_spread)[j] * (*usual_spread)[j] - rounding, 0.0));
+    // The likeliest step holds so much of the noise; all readings but the first must fall into it as well.
+    const double one = noise > 0.0 ? std::erf(resolution / (2.0 * std::numbers::sqrt2 * noise)) : 1.0;
+    if (std::pow(one, static_cast<double>(statistics.count - 1)) <= kFalseAlarm) return true;
+  }
+  return false;
+}
+
+bool is_shaken(const DwellStatistics& statistics, const std::optional<Eigen::Vector3d>& usual_spread,
+               double resolution, const LimitsConfig& limits) {
+  if (statistics.count < kFewReadings || !usual_spread) return false;
+  const auto freedom = static_cast<double>(statistics.count - 1);
+  // The square of a spread is chi2 over its degrees of freedom.
+  const double of_noise =
+      std::sqrt(2.0 * boost::math::gamma_q_inv(0.5 * freedom, kFalseAlarm / 3.0) / freedom);
+  const double factor = std::max(limits.spread_factor, of_noise);
+  for (int j = 0; j < 3; ++j) {
+    if (!(statistics.spread[j] <= std::max(factor * (*usual_spread)[j], resolution))) return true;
+  }
+  return false;
+}
+
+std::optional<std::string> temperature_excess(std::optional<double> temperature_degc,
+                                              std::optional<double> first_degc, const LimitsConfig& limits,
+                                              const Tolerances& tolerances) {
+  if (!temperature_degc) return std::nullopt;
+  const double t = *temperature_degc;
+  const bool inside = t >= limits.temperature_min_degc && t <= limits.temperature_max_degc;
+  if (!inside) {
+    return fmt::format(
+        "temperature {:.2f} degC; required: {:g} to {:g} degC ([limits] temperature_min_degc, "
+        "temperature_max_degc)",
+        t, limits.temperature_min_degc, limits.temperature_max_degc);
+  }
+  const double allowed = temperature_change_limit_degc(limits, tolerances);
+  if (first_degc && !(std::abs(t - *first_degc) <= allowed)) {
+    return fmt::format(
+        "temperature {:.2f} degC, {:+.2f} from the first angle; required: within {:.2g} degC of it ([limits] "
+        "temperature_change_degc)",
+        t, t - *first_degc, allowed);
+  }
+  return std::nullopt;
+}
+
+bool norm_is_wrong(const Eigen::Vector3d& mean, double nominal, const LimitsConfig& limits) {
+  return !(std::abs(mean.norm() / nominal - 1.0) <= limits.norm_fraction);
+}
+
+std::optional<double> response_of_circle(std::span<const DwellRecord> experiment) {
+  double squares = 0.0, cosine = 0.0, sine = 0.0;
+  int pairs = 0;
+  for (std::size_t a = 0; a < experiment.size(); ++a) {
+    for (std::size_t b = a + 1; b < experiment.size(); ++b) {
+      const DwellRecord &first = experiment[a], &second = experiment[b];
+      if (first.closing || second.closing || first.experiment != second.experiment) continue;
+      if (std::remainder(second.alpha.deg() - first.alpha.deg() - 180.0, 360.0) != 0.0) continue;
+      squares += (0.5 * (second.mean - first.mean)).squaredNorm();
+      const SinCos twice = sincos(first.alpha * 2.0);
+      cosine += twice.cos;
+      sine += twice.sin;
+      ++pairs;
+    }
+  }
+  // Axes that are not orthogonal add a second harmonic, which an even circle averages out.
+  if (pairs < 3 || std::hypot(cosine, sine) > 0.01 * pairs || !std::isfinite(squares)) return std::nullopt;
+  return std::sqrt(squares / pairs);
+}
+
+std::optional<std::string> full_scale_excess(std::span<const DwellRecord> experiment, double nominal,
+                                             const ExpectedItem& item) {
+  const auto response = response_of_circle(experiment);
+  if (!response) return std::nullopt;
+  double variance = 0.0;
+  for (const DwellRecord& dwell : experiment) {
+    if (dwell.u_mean) variance += dwell.u_mean->squaredNorm();
+  }
+  const auto count = static_cast<double>(experiment.size());
+  const double noise = std::sqrt(variance) / count / nominal;
+  const double limit = item.sensitivity_tolerance + kFalseAlarmDeviate * noise;
+  const double difference = *response / nominal - 1.0;
+  if (std::abs(difference) <= limit) return std::nullopt;
+  return fmt::format(
+      "experiment {}: the readings go round a circle of {:.6g}, {:+.3g} % from the nominal {:.6g} for local "
+      "gravity; required: within {:.2g} % ([item] sensitivity_tolerance). Check unit, full scale and scale "
+      "factor",
+      experiment.front().experiment, *response, 100.0 * difference, nominal, 100.0 * limit);
+}
+
+bool is_stable(std::span<const StabilityWindow> windows, double stability_s, const LimitsConfig& limits,
+               const Tolerances& tolerances) {
+  if (windows.empty() || windows.back().end_s - windows.front().end_s < stability_s) return false;
+  Eigen::Array3d low = windows.back().mean.array(), high = low;
+  double u = 0.0;
+  double coldest = std::numeric_limits<double>::infinity(), warmest = -coldest;
+  for (const StabilityWindow& window : windows) {
+    if (window.end_s < windows.back().end_s - stability_s) continue;
+    low = low.min(window.mean.array());
+    high = high.max(window.mean.array());
+    u = std::max(u, window.u_mean.maxCoeff());
+    if (window.temperature_degc) {
+      coldest = std::min(coldest, *window.temperature_degc);
+      warmest = std::max(warmest, *window.temperature_degc);
+    }
+  }
+  const double allowed = std::hypot(stability_limit(limits, tolerances) * windows.back().mean.norm(),
+                                    kFalseAlarmDeviate * std::numbers::sqrt2 * u);
+  const bool outputs = (high - low).maxCoeff() <= allowed;  // false where a mean is not a number
+  return outputs && !(warmest - coldest > stability_limit_degc(limits, tolerances));
+}
+
+}  // namespace abcal

@@ -1,0 +1,76 @@
+#include "protocol/uncertainty/campaign.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <boost/math/distributions/students_t.hpp>
+#include <cmath>
+#include <limits>
+
+#include "protocol/analysis/comparison.h"
+
+namespace abcal {
+namespace {
+
+const Quantity& property(const CalibrationResult& result, std::size_t i) {
+  const auto& group = i < 3 ? result.intrinsic_sensitivity : i < 6 ? result.intrinsic_angle : result.offset;
+  return group[i % 3];
+}
+
+CampaignProperty summarise(std::span<const CalibrationResult> results, std::size_t i) {
+  CampaignProperty out;
+  out.name = kIntrinsicNames[i];
+  out.unit = property(results.front(), i).unit;
+  std::vector<double> values, type_a;
+  double squares_b = 0.0;
+  for (const CalibrationResult& result : results) {
+    const Quantity& q = property(result, i);
+    values.push_back(q.value);
+    type_a.push_back(q.type_a.value_or(0.0));
+    squares_b += q.type_b.value_or(0.0) * q.type_b.value_or(0.0);
+  }
+  out.spread = spread_between_runs(values, type_a);
+  const auto runs = static_cast<double>(results.size());
+  out.type_a = out.spread.mean_standard_uncertainty;
+  out.type_b = std::sqrt(squares_b / runs);
+  out.standard_uncertainty = std::hypot(out.type_a, out.type_b);
+  const double share = out.type_a / out.standard_uncertainty;
+  out.degrees_of_freedom = (runs - 1.0) / (share * share * share * share);
+  // Beyond some 1e6 degrees of freedom Student's t is the normal distribution, also to Boost.
+  out.coverage_factor =
+      boost::math::quantile(boost::math::students_t(std::min(out.degrees_of_freedom, 1e6)), 0.975);
+  return out;
+}
+
+}  // namespace
+
+CampaignSummary summarise_campaign(std::span<const CalibrationResult> results) {
+  CampaignSummary summary;
+  summary.runs = static_cast<int>(results.size());
+  if (results.size() < 2) {
+    summary.why = fmt::format("{} run; a spread between runs needs two or more", results.size());
+    return summary;
+  }
+  summary.estimator = results.front().estimator;
+  for (const CalibrationResult& result : results) {
+    if (result.verdict == Verdict::kNotUsable) {
+      summary.why = fmt::format("{}: not usable: {}", result.source, result.why);
+    } else if (result.response_unit != results.front().response_unit) {
+      summary.why = fmt::format("{} is in {}, {} in {}", result.source, result.response_unit,
+                                results.front().source, results.front().response_unit);
+    }
+    for (std::size_t i = 0; i < kIntrinsicNames.size() && summary.why.empty(); ++i) {
+      const Quantity& q = property(result, i);
+      if (!std::isfinite(q.value) || !(q.type_a.value_or(0.0) > 0.0))
+        summary.why =
+            fmt::format("{} does not give {} with its type A uncertainty", result.source, kIntrinsicNames[i]);
+    }
+    if (!summary.why.empty()) return summary;
+  }
+  for (std::size_t i = 0; i < kIntrinsicNames.size(); ++i) {
+    summary.properties.push_back(summarise(results, i));
+  }
+  return summary;
+}
+
+}  // namespace abcal
