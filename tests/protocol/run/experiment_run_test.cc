@@ -80,8 +80,10 @@ class ExperimentRunTest : public testing::Test {
   }
 
   RunTiming run(const std::set<std::size_t>& measured = {}) {
-    return run_experiments({*stage, *accelerometer, clock}, plan, {measured, {}, {}, {}}, protocol, limits,
-                           *file, observer, stop.get_token());
+    RunProgress so_far;
+    so_far.measured = measured;
+    return run_experiments({*stage, *accelerometer, clock}, plan, so_far, protocol, limits, *file, observer,
+                           stop.get_token());
   }
 
   /// Runs into the fault and gives its words; the run must be left interrupted, the stage halted.
@@ -183,10 +185,12 @@ class ResumedRunTest : public ExperimentRunTest {
     observer.after_dwell = {};
     stop = std::stop_source();
     const StoredRun stored = RunFile::load(folder / "a.run");
-    return {{stored.measured.begin(), stored.measured.end()},
-            stored.timing,
-            RunProgress::LastAngle{stored.measured.back(), stored.record.dwells.back()},
-            tolerances};
+    RunProgress so_far;
+    so_far.measured = {stored.measured.begin(), stored.measured.end()};
+    so_far.spent = stored.timing;
+    so_far.last = RunProgress::LastAngle{stored.measured.back(), stored.record.dwells.back()};
+    so_far.tolerances = tolerances;
+    return so_far;
   }
   void resume(const RunProgress& so_far) {
     run_experiments({*stage, *accelerometer, clock}, plan, so_far, protocol, limits, *file, observer,
