@@ -10,6 +10,7 @@
 #include <stdexcept>
 
 #include "app/report/valid_text.h"
+#include "protocol/record/limits_entries.h"
 
 namespace abcal {
 namespace {
@@ -52,6 +53,8 @@ std::string comments(const ReportData& data, const std::string& what) {
           comment("tolerances.step_deg", number(t.step.deg())) +
           comment("tolerances.initial_turn_deg", number(t.initial_turn.deg())) +
           comment("tolerances.zero_deg", number(t.zero.deg())) + comment("tolerances.drift", number(t.drift));
+  for (const auto& [name, value] : limits_entries(record.limits, record.expected))
+    text += comment(name, value);
   const MeasuredAlignment& a = record.measured_alignment;
   for (const auto& [name, measured] : {std::pair{"zx", &a.zx}, {"zy", &a.zy}, {"xz", &a.xz}}) {
     if (!*measured) continue;

@@ -21,6 +21,8 @@
 #include <tuple>
 #include <utility>
 
+#include "protocol/record/limits_entries.h"
+
 namespace abcal {
 
 namespace {
@@ -197,6 +199,12 @@ class Importer {
     degrees("tolerances.initial_turn_deg", record_.tolerances.initial_turn);
     degrees("tolerances.zero_deg", record_.tolerances.zero);
     record_.tolerances.drift = metadata_number("tolerances.drift").value_or(record_.tolerances.drift);
+    read_limits_entries([&](const std::string& key) { return metadata_number(key, -1e9); },
+                        [&](const std::string& key) -> std::optional<std::string> {
+                          const auto found = metadata_.find(key);
+                          return found == metadata_.end() ? std::nullopt : std::optional(found->second);
+                        },
+                        record_.limits, record_.expected);
     record_.continuations = static_cast<int>(metadata_number("continuations", 0.0, 1e6).value_or(0.0));
     MeasuredAlignment& alignment = record_.measured_alignment;
     for (const auto& [name, measured] :
@@ -317,7 +325,6 @@ class Importer {
       dwell.count = whole_number(row, "count", 1, 1e15, "a whole number from 1 on").value_or(0);
     }
     if (has("flags") && !trimmed(field(row, "flags")).empty()) {
-      constexpr double kAllFlags = 2U * kFlagRepeated - 1U;
       dwell.flags = static_cast<std::uint32_t>(
           whole_number(row, "flags", 0, kAllFlags, "a sum of known flags").value_or(0));
     }

@@ -13,6 +13,7 @@
 #include <system_error>
 #include <utility>
 
+#include "protocol/record/limits_entries.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {
@@ -58,26 +59,6 @@ constexpr const char* kDwells =
 
 std::string number(double value) {
   return fmt::format("{}", value);
-}
-
-/// What the analysis compares a run with. What is absent follows from tolerances and noise.
-std::map<std::string, std::string> limits_meta(const LimitsConfig& limits, const ExpectedItem& expected) {
-  std::map<std::string, std::string> meta{
-      {"limits.temperature_min_degc", number(limits.temperature_min_degc)},
-      {"limits.temperature_max_degc", number(limits.temperature_max_degc)},
-      {"limits.mounting_deg", number(limits.mounting.deg())},
-      {"expected.sensitivity_tolerance", number(expected.sensitivity_tolerance)},
-      {"expected.mounting", expected.mounting},
-  };
-  const auto optional = [&](const char* key, const std::optional<double>& value) {
-    if (value) meta[key] = number(*value);
-  };
-  optional("limits.temperature_change_degc", limits.temperature_change_degc);
-  optional("limits.drift", limits.drift);
-  if (limits.slip) meta["limits.slip_deg"] = number(limits.slip->deg());
-  if (limits.angle) meta["limits.angle_deg"] = number(limits.angle->deg());
-  optional("expected.nominal_sensitivity", expected.nominal_sensitivity);
-  return meta;
 }
 
 class WriterLock {
@@ -213,7 +194,8 @@ void write_header(SqliteDatabase& database, const RunHeader& header) {
   alignment("zx", header.measured_alignment.zx);
   alignment("zy", header.measured_alignment.zy);
   alignment("xz", header.measured_alignment.xz);
-  for (const auto& [key, value] : limits_meta(header.limits, header.expected)) set_meta(database, key, value);
+  for (const auto& [key, value] : limits_entries(header.limits, header.expected))
+    set_meta(database, key, value);
   for (const auto& [key, value] : header.labels) set_meta(database, "label." + key, value);
   set_timing(database, {});
   SqliteStatement instrument = database.prepare("insert into instrument values(?,?,?,?,?,?)");
@@ -545,27 +527,10 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
     return MeasuredValue{real("alignment." + name), real("alignment.u_" + name)};
   };
   header.measured_alignment = {alignment("zx"), alignment("zy"), alignment("xz")};
-  // Files of before have none of these: the defaults.
-  const auto given = [&](const std::string& key) {
-    return meta.contains(key) ? std::optional(real(key)) : std::nullopt;
-  };
-  const auto given_angle = [&](const std::string& key) {
-    const std::optional<double> degrees = given(key);
-    return degrees ? std::optional(Angle::degrees(*degrees)) : std::nullopt;
-  };
-  LimitsConfig& limits = header.limits;
-  limits.temperature_min_degc = given("limits.temperature_min_degc").value_or(limits.temperature_min_degc);
-  limits.temperature_max_degc = given("limits.temperature_max_degc").value_or(limits.temperature_max_degc);
-  limits.temperature_change_degc = given("limits.temperature_change_degc");
-  limits.mounting = given_angle("limits.mounting_deg").value_or(limits.mounting);
-  limits.slip = given_angle("limits.slip_deg");
-  limits.angle = given_angle("limits.angle_deg");
-  limits.drift = given("limits.drift");
-  ExpectedItem& expected = header.expected;
-  expected.nominal_sensitivity = given("expected.nominal_sensitivity");
-  expected.sensitivity_tolerance =
-      given("expected.sensitivity_tolerance").value_or(expected.sensitivity_tolerance);
-  if (meta.contains("expected.mounting")) expected.mounting = text("expected.mounting");
+  read_limits_entries(
+      [&](const std::string& key) { return meta.contains(key) ? std::optional(real(key)) : std::nullopt; },
+      [&](const std::string& key) { return meta.contains(key) ? std::optional(text(key)) : std::nullopt; },
+      header.limits, header.expected);
   header.step = Angle::degrees(real("protocol.step_deg"));
   header.steps = static_cast<int>(real("protocol.steps"));
   run.timing = {real("timing.moving_s"), real("timing.settling_s"), real("timing.dwelling_s"),

@@ -27,6 +27,7 @@ enum DwellFlag : std::uint32_t {
   kFlagHeld = 1U << 8,           ///< The run waited here for the temperature to be back inside its limits.
   kFlagNorm = 1U << 9,           ///< The norm of the readings is not that of local gravity.
 };
+inline constexpr std::uint32_t kAllFlags = 2U * kFlagNorm - 1U;
 
 /// The words for the flags of one dwell, in a fixed order ("not quiet, lost readings"); empty for none.
 std::string describe_flags(std::uint32_t flags);

@@ -101,7 +101,7 @@ DwellStatistics dwell_statistics(std::span<const Reading> readings, const Accele
 }
 
 bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
-              double resolution) {
+              double spread_factor, double resolution) {
   const std::size_t n = window.size();
   if (n < 4) return true;
   const auto count = static_cast<double>(n);
@@ -121,7 +121,8 @@ bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector
     const double slope_limit = std::max(t_limit * residual / std::sqrt(sum_kk), resolution / count);
     // A reading that is not finite makes the comparison false, and the window not quiet.
     if (!(std::abs(slope) <= slope_limit)) return false;
-    if (usual_spread && !(residual <= std::max(3.0 * (*usual_spread)[j], resolution))) return false;
+    if (usual_spread && !(spread[j] <= std::max(spread_factor * (*usual_spread)[j], resolution)))
+      return false;
   }
   return true;
 }

@@ -35,9 +35,9 @@ double effective_number_of_readings(std::span<const double> values);
 Eigen::Vector3d spread_of(std::span<const Reading> readings);
 
 /// Whether a window of readings shows neither a slope (Student's t of a least-squares line, at a false alarm
-/// in 1e5 windows) nor more spread about that line than 3 times `usual_spread` (not checked if that is
-/// absent). Changes below `resolution` (R) never count.
+/// in 1e5 windows) nor more spread than `spread_factor` times `usual_spread` (not checked if that is absent).
+/// Changes below `resolution` (R) never count.
 bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
-              double resolution);
+              double spread_factor, double resolution);
 
 }  // namespace abcal

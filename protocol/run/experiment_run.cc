@@ -29,6 +29,9 @@ constexpr double kStabilityWindows = 10.0;
 /// What may pass: the angle is measured again.
 constexpr std::uint32_t kMayPass = kFlagNotQuiet | kFlagStuck | kFlagOutsideWindow;
 constexpr std::size_t kStoredSpreads = 15;
+/// A short window sees less than a whole swing of a slow ring-down: the dwell that it lets begin must stay
+/// within spread_factor. Noise of the usual spread, and of twice that, still passes.
+constexpr double kQuietPart = 0.75;
 /// Between two attempts to open a port that vanished.
 constexpr Clock::Duration kReconnectInterval = std::chrono::milliseconds(500);
 
@@ -404,7 +407,10 @@ class Runner {
       window.clear();
       while (window.size() < window_size()) window.push_back(next_reading());
       wait_until(settled);
-      if (is_quiet(window, usual_spread(), accelerometer_info_.resolution.value_or(0.0))) return true;
+      if (is_quiet(window, usual_spread(), kQuietPart * limits_.spread_factor,
+                   accelerometer_info_.resolution.value_or(0.0))) {
+        return true;
+      }
       if (clock_.now() >= last) return false;
     }
   }

@@ -136,8 +136,8 @@ TEST(ImportCsvTest, AColumnMayTellTheClosingAngleAndFlags) {
   EXPECT_EQ(record.dwells[1].flags, kFlagNotQuiet | kFlagClipped);
   EXPECT_EQ(record.dwells[12].flags, kFlagNone);
   EXPECT_THAT(
-      problems_of(text + "1,3,540,0.5,0.25,0.125,2,256\n"),
-      testing::ElementsAre(problem("flags", "256", "known flags"), problem("closing", "2", "0 or 1")));
+      problems_of(text + fmt::format("1,3,540,0.5,0.25,0.125,2,{}\n", kAllFlags + 1U)),
+      testing::ElementsAre(problem("flags", "1024", "known flags"), problem("closing", "2", "0 or 1")));
 }
 
 TEST(ImportCsvTest, CommentsCarryWhatTheAnalysisNeedsBesideTheNumbers) {
@@ -147,7 +147,9 @@ TEST(ImportCsvTest, CommentsCarryWhatTheAnalysisNeedsBesideTheNumbers) {
       "# tolerances.step_deg: 0.002\n# tolerances.initial_turn_deg: 0.003\n"
       "# tolerances.zero_deg: 0.004\n# tolerances.drift: 5e-6\n# alignment.zx: -0.0001\n"
       "# alignment.u_zx: 2e-6\n# alignment.zy: 1\n# protocol.step_deg: 90\n# protocol.steps: 8\n"
-      "# continuations: 2\n# item.model: 1,2; # \"3\"\n" +
+      "# limits.slip_deg: 0.02\n# limits.drift: 0.001\n# limits.temperature_min_degc: -5\n"
+      "# limits.temperature_change_degc: 1.5\n# expected.mounting: -y x z\n"
+      "# expected.nominal_sensitivity: 0.66\n# continuations: 2\n# item.model: 1,2; # \"3\"\n" +
       (kHeader + good_rows()));
   EXPECT_TRUE(record.g_loc_known);
   EXPECT_EQ(record.g_loc.value_mps2, 9.80101);
@@ -164,6 +166,13 @@ TEST(ImportCsvTest, CommentsCarryWhatTheAnalysisNeedsBesideTheNumbers) {
   EXPECT_FALSE(record.measured_alignment.zy);  // its uncertainty is not there
   EXPECT_EQ(record.steps, 8);
   EXPECT_EQ(record.continuations, 2);
+  EXPECT_EQ(record.limits.slip->deg(), 0.02);
+  EXPECT_EQ(record.limits.drift, 0.001);
+  EXPECT_EQ(record.limits.temperature_min_degc, -5.0);
+  EXPECT_EQ(record.limits.temperature_change_degc, 1.5);
+  EXPECT_FALSE(record.limits.angle);
+  EXPECT_EQ(record.expected.mounting, "-y x z");
+  EXPECT_EQ(record.expected.nominal_sensitivity, 0.66);
   EXPECT_THAT(
       problems_of("# tolerances.step_deg: small\n# g_loc.value_mps2: 98.1\n" + (kHeader + good_rows())),
       testing::UnorderedElementsAre(problem("tolerances.step_deg", "small", "a number"),

@@ -89,24 +89,24 @@ TEST(DwellStatisticsTest, CountsGapsAndFlagsClipping) {
 TEST(QuietTest, SeesASlopeARingDownAndNothingInNoise) {
   int false_alarms = 0;
   for (unsigned seed = 0; seed < 1000; ++seed) {
-    if (!is_quiet(readings(noise(50, seed)), Eigen::Vector3d(1.0, 2.0, 0.0), 0.0)) ++false_alarms;
+    if (!is_quiet(readings(noise(50, seed)), Eigen::Vector3d(1.0, 2.0, 0.0), 3.0, 0.0)) ++false_alarms;
   }
   EXPECT_LE(false_alarms,
             2);  // 4.5 sigma: 7e-6 of windows of infinitely many readings; 25 a half have wider tails
   std::vector<double> slope = noise(50, 1);
   for (std::size_t k = 0; k < slope.size(); ++k) slope[k] += 0.1 * static_cast<double>(k);
-  EXPECT_FALSE(is_quiet(readings(slope), std::nullopt, 0.0));
+  EXPECT_FALSE(is_quiet(readings(slope), std::nullopt, 3.0, 0.0));
   std::vector<double> ringing = noise(50, 1);
   for (std::size_t k = 0; k < ringing.size(); ++k) ringing[k] += 8.0 * std::sin(2.0 * static_cast<double>(k));
-  EXPECT_FALSE(is_quiet(readings(ringing), Eigen::Vector3d(1.0, 2.0, 0.0), 0.0));
-  EXPECT_TRUE(is_quiet(readings(ringing), std::nullopt, 0.0))
+  EXPECT_FALSE(is_quiet(readings(ringing), Eigen::Vector3d(1.0, 2.0, 0.0), 3.0, 0.0));
+  EXPECT_TRUE(is_quiet(readings(ringing), std::nullopt, 3.0, 0.0))
       << "without a usual spread, ringing looks like noise";
 }
 
 TEST(QuietTest, AReadingThatIsNotFiniteIsNotQuiet) {
   std::vector<double> values = noise(20, 1);
   values[3] = std::nan("");
-  EXPECT_FALSE(is_quiet(readings(values), std::nullopt, 0.0));
+  EXPECT_FALSE(is_quiet(readings(values), std::nullopt, 3.0, 0.0));
 }
 
 }  // namespace
