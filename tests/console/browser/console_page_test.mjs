@@ -335,6 +335,7 @@ test('compares two runs and shows the control chart of an item', async () => {
   await page.goto(`${address}#live`);
   await page.locator('#do-start:enabled').click();
   await confirmDialog();
+  await stateIs(/^(?!The run is complete)/);  // the words are still those of the run before
   await stateIs(/^The run is complete/);
   await page.locator('nav a[href="#compare"]').click();
   await page.locator('#compare-form button').click();
@@ -343,6 +344,7 @@ test('compares two runs and shows the control chart of an item', async () => {
   await look('compare');
   await page.locator('nav a[href="#chart"]').click();
   await page.locator('#chart-words').waitFor();
+  await page.waitForFunction(() => document.querySelectorAll('#chart-body tbody tr').length >= 2);
   assert.equal(await page.locator('#chart-body tbody tr').count(), 2);
   assert.match(await text('#chart-words'), /^Centre [\d.]+ g\/g_loc; limits/);
   await look('chart');
