@@ -1,5 +1,6 @@
 // The live view: shows what the messages say. Knows nothing that the server has not said.
 import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {drawGimbal} from '/gimbal.js';
 import {OUTPUTS, plot, series} from '/plots.js';
 
 const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
@@ -13,10 +14,12 @@ export class LiveView {
     this.fits = [null, null, null];
     this.charts = [];
     this.stripData = [];
+    this.angles = {x: null, z: null};
     this.dirty = new Set();
     this.strip = plot(byId('strip'), {x: 'time since the readings began (s)', y: 'output (response unit)',
       datasets: OUTPUTS.map((name) => series(name, name))});
     this.makeResponses();
+    drawGimbal(0, 0);  // Until an angle is known; the table says that none is.
     // Drawn when the browser is ready, however fast messages come.
     const frame = () => { this.draw(); requestAnimationFrame(frame); };
     requestAnimationFrame(frame);
@@ -145,16 +148,8 @@ export class LiveView {
   stage(axis, seen) {
     byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
     byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
-    if (seen.encoder_deg === null) return;
-    if (axis === 'x') {
-      // Seen along the horizontal axis X: the platter is a circle at 0 and a line at 90 degrees.
-      const squeeze = Math.cos(seen.encoder_deg * Math.PI / 180);
-      const shown = (squeeze < 0 ? -1 : 1) * Math.max(Math.abs(squeeze), 0.04);
-      byId('platter-tilt').setAttribute('transform', `scale(1 ${shown.toFixed(3)})`);
-      byId('outer').setAttribute('ry', (84 * Math.abs(shown)).toFixed(1));
-    } else {
-      byId('platter-turn').setAttribute('transform', `rotate(${(-seen.encoder_deg).toFixed(2)})`);
-    }
+    this.angles[axis] = seen.encoder_deg;
+    drawGimbal(this.angles.x ?? 0, this.angles.z ?? 0);
     byId('gimbal-title').textContent = `The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
   }
 
