@@ -125,6 +125,15 @@ FinishedRun analyse_closed_run(const std::filesystem::path& path, const std::str
   return run;
 }
 
+std::optional<FinishedRun> finish_killed_run(const std::filesystem::path& path) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete)
+    return std::nullopt;
+  const std::string sha256 = RunFile::finish_closing(path);
+  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
+  return analyse_closed_run(path, sha256, format_utc(RealClock().utc_now()));
+}
+
 FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file, const RunTiming& timing) {
   const std::filesystem::path path = file.path();
   const std::string utc = format_utc(bench.clock->utc_now());
@@ -156,18 +165,6 @@ int print_finished_run(const std::filesystem::path& path, const FinishedRun& run
     fmt::print("Run file: {} (SHA-256 {})\n", path.string(), run.sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
-}
-
-/// Every angle is measured, but the program was killed before it had closed the run and analysed it.
-/// @return nothing if there is nothing left to be done.
-std::optional<int> finish_killed_run(const std::filesystem::path& path, bool json) {
-  std::error_code ignored;
-  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete)
-    return std::nullopt;
-  const std::string sha256 = RunFile::finish_closing(path);
-  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
-  fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", path.string());
-  return print_finished_run(path, analyse_closed_run(path, sha256, format_utc(RealClock().utc_now())), json);
 }
 
 }  // namespace
@@ -254,8 +251,9 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
-    if (const auto finished = finish_killed_run(options->run_file, options->json)) {
-      exit_code = *finished;
+    if (const auto finished = finish_killed_run(options->run_file)) {
+      fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", options->run_file);
+      exit_code = print_finished_run(options->run_file, *finished, options->json);
       return;
     }
     InterruptedRun run = open_interrupted_run(options->run_file);
