@@ -1,5 +1,6 @@
 #include "tests/app/in_process_run.h"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -10,13 +11,22 @@ namespace abcal::test {
 
 class InProcessRun::Observer final : public RunObserver {
  public:
-  explicit Observer(std::set<std::size_t>& reported) : reported_(reported) {}
+  Observer(InProcessRun& run, const Clock& clock) : run_(run), clock_(clock), last_(clock.now()) {}
   void phase(std::size_t, RunPhase) override {}
-  void dwell(std::size_t position, const DwellRecord&) override { reported_.insert(position); }
+  void dwell(std::size_t position, const DwellRecord&) override {
+    run_.reported_.insert(position);
+    note_time();
+  }
   void notice(std::string_view) override {}
+  void note_time() {
+    const Clock::Instant now = clock_.now();
+    run_.longest_angle_s_ = std::max(run_.longest_angle_s_, to_seconds(now - std::exchange(last_, now)));
+  }
 
  private:
-  std::set<std::size_t>& reported_;
+  InProcessRun& run_;
+  const Clock& clock_;
+  Clock::Instant last_;
 };
 
 class InProcessRun::WatchedStage final : public RotationStage {
@@ -94,6 +104,7 @@ void InProcessRun::watch(Bench& bench) {
 void InProcessRun::go_on() {
   calls_ = halts_ = 0;
   left_moving_ = false;
+  longest_angle_s_ = 0.0;
   finished_.reset();
   if (exists()) {
     finished_ = finish_killed_run(path_);
@@ -117,17 +128,18 @@ void InProcessRun::go_on() {
 
 void InProcessRun::measure_to_the_end(Bench& bench, const BenchConfig& config, RunFile file,
                                       const std::vector<PlannedAngle>& plan, const RunProgress& so_far) {
+  Observer observer(*this, *bench.clock);
   // Once the run is left, the bench goes on by itself: nothing may turn any more but for coming to rest.
   const auto look = [&] {
     constexpr Clock::Duration kToRest = std::chrono::milliseconds(500);
     const Clock::Instant now = bench.clock->now();
+    observer.note_time();
     simulated_s_ = to_seconds(now - bench.world->start());
     for (const StageAxis axis : kStageAxes) {
       left_moving_ = left_moving_ || bench.world->motion_end(axis, now) > now + kToRest;
     }
   };
   try {
-    Observer observer(reported_);
     const RunTiming timing =
         measure(bench, config, file, plan, so_far, observer, std::stop_source().get_token());
     finished_ = finish_run(bench, config, std::move(file), timing);

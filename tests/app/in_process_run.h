@@ -42,6 +42,9 @@ class InProcessRun {
   /// It had been told to move, and neither came to rest nor was halted before the run was left.
   bool left_moving() const { return left_moving_; }
   double simulated_s() const { return simulated_s_; }
+  /// The longest simulated time from one angle that was said to be measured (or the begin) to the next (or
+  /// the end), in seconds.
+  double longest_angle_s() const { return longest_angle_s_; }
   const std::optional<FinishedRun>& finished() const { return finished_; }
 
   /// The angles that the run has said to be measured, of all go_on() together: positions in the plan.
@@ -60,7 +63,7 @@ class InProcessRun {
   std::filesystem::path path_;
   std::size_t calls_ = 0, halts_ = 0;
   bool left_moving_ = false;
-  double simulated_s_ = 0.0;
+  double simulated_s_ = 0.0, longest_angle_s_ = 0.0;
   std::optional<FinishedRun> finished_;
   std::set<std::size_t> reported_;
 };

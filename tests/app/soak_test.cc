@@ -95,6 +95,7 @@ class SoakTest : public testing::Test {
         config.simulation.seed = n;
         config.protocol.motion_timeout_s = 5.0;
         config.protocol.replug_timeout_s = 20.0;
+        config.protocol.quiet_timeout_s = 2.0;
         config.faults = faults;
       };
       std::string why;
