@@ -39,7 +39,7 @@ function(abcal_add_library name)
   add_library(abcal::${name} ALIAS abcal_${name})
 endfunction()
 
-# abcal_add_test(name SOURCES ... LINK ...) makes test program name. Test suites whose name contains "Long"
+# abcal_add_test(name SOURCES ... LINK ...) makes test program name. Test suites whose name begins with "Long"
 # carry the ctest label "long", all others "quick". PROGRAM: its tests start the program abcal, at ABCAL_PROGRAM.
 function(abcal_add_test name)
   cmake_parse_arguments(ARG "PROGRAM" "" "SOURCES;LINK" ${ARGN})
@@ -52,8 +52,8 @@ function(abcal_add_test name)
     add_dependencies(${name} abcal)
   endif()
   include(GoogleTest)
-  gtest_discover_tests(${name} TEST_FILTER "-*Long*" DISCOVERY_TIMEOUT 60
+  gtest_discover_tests(${name} TEST_FILTER "-Long*:*/Long*" DISCOVERY_TIMEOUT 60
     PROPERTIES LABELS quick TIMEOUT 300)
-  gtest_discover_tests(${name} TEST_FILTER "*Long*" TEST_LIST ${name}_long DISCOVERY_TIMEOUT 60
+  gtest_discover_tests(${name} TEST_FILTER "Long*:*/Long*" TEST_LIST ${name}_long DISCOVERY_TIMEOUT 60
     PROPERTIES LABELS long TIMEOUT 3600)
 endfunction()

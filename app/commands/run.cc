@@ -1,7 +1,8 @@
-#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
+#include <algorithm>
 
+#include <algorithm>
 #include <ctime>
 #include <set>
 
@@ -92,7 +93,11 @@ InterruptedRun open_interrupted_run(const std::filesystem::path& path) {
   so_far.measured = {stored.measured.begin(), stored.measured.end()};
   so_far.spent = stored.timing;
   if (!stored.measured.empty()) {
-    so_far.last = {stored.measured.back(), stored.record.dwells.back()};
+    const std::vector<DwellRecord>& dwells = stored.record.dwells;
+    const auto last = std::find_if(dwells.rbegin(), dwells.rend(), can_be_compared_with);
+    if (last != dwells.rend()) {
+      so_far.last = {stored.measured[static_cast<std::size_t>(dwells.rend() - last) - 1], *last};
+    }
     so_far.first_temperature_degc = stored.record.dwells.front().temperature_degc;
   }
   BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
@@ -123,6 +128,15 @@ FinishedRun analyse_closed_run(const std::filesystem::path& path, const std::str
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
   }
   return run;
+}
+
+std::optional<FinishedRun> finish_killed_run(const std::filesystem::path& path) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete)
+    return std::nullopt;
+  const std::string sha256 = RunFile::finish_closing(path);
+  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
+  return analyse_closed_run(path, sha256, format_utc(RealClock().utc_now()));
 }
 
 FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file, const RunTiming& timing) {
@@ -156,18 +170,6 @@ int print_finished_run(const std::filesystem::path& path, const FinishedRun& run
     fmt::print("Run file: {} (SHA-256 {})\n", path.string(), run.sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
-}
-
-/// Every angle is measured, but the program was killed before it had closed the run and analysed it.
-/// @return nothing if there is nothing left to be done.
-std::optional<int> finish_killed_run(const std::filesystem::path& path, bool json) {
-  std::error_code ignored;
-  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete)
-    return std::nullopt;
-  const std::string sha256 = RunFile::finish_closing(path);
-  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
-  fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", path.string());
-  return print_finished_run(path, analyse_closed_run(path, sha256, format_utc(RealClock().utc_now())), json);
 }
 
 }  // namespace
@@ -254,8 +256,9 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
-    if (const auto finished = finish_killed_run(options->run_file, options->json)) {
-      exit_code = *finished;
+    if (const auto finished = finish_killed_run(options->run_file)) {
+      fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", options->run_file);
+      exit_code = print_finished_run(options->run_file, *finished, options->json);
       return;
     }
     InterruptedRun run = open_interrupted_run(options->run_file);

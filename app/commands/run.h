@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -50,6 +51,11 @@ struct FinishedRun {
 };
 /// Closes a run whose angles are all measured, analyses it and keeps the analyses beside it.
 FinishedRun finish_run(Bench& bench, const BenchConfig& config, RunFile file, const RunTiming& timing);
+
+/// Where every angle is measured, but the program ended before it had closed the run and analysed it: does
+/// so.
+/// @return nothing if there is nothing left to be done so.
+std::optional<FinishedRun> finish_killed_run(const std::filesystem::path& path);
 
 /// Measures what is missing, closes the run, analyses and prints. Shared by run, resume and replay.
 /// @return what the program shall return to the shell.

@@ -336,8 +336,9 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
   remove_draft();
   try {
     {
+      // Without a write-ahead log: what a failing disk left there would not go along with the name.
       SqliteDatabase database(draft, SqliteDatabase::Mode::kCreate);
-      database.execute("pragma journal_mode=wal; pragma synchronous=full");
+      database.execute("pragma synchronous=full");
       write_header(database, header);
     }
     name_file(draft, path);

@@ -68,7 +68,7 @@ class Runner {
     stage_info_ = stage_.identify();
     accelerometer_info_ = accelerometer_.identify();
     nominal_ = nominal_response(expected_, accelerometer_info_.output_unit, so_far.g_loc_mps2);
-    bool anew = last_.has_value();
+    bool anew = !measured_.empty();
     bool warm = false;
     while (true) {
       try {
@@ -599,7 +599,7 @@ class Runner {
     spreads_.push_back(dwell.spread);
     if (!measured_.insert(position).second) return;  // A check of what is there already.
     observer_.dwell(position, dwell);
-    last_ = {position, dwell};
+    if (can_be_compared_with(dwell)) last_ = {position, dwell};
   }
 
   bool inside_window(const PlannedAngle& angle, Angle encoder_x, Angle encoder_z) const {
@@ -706,6 +706,10 @@ class Runner {
 };
 
 }  // namespace
+
+bool can_be_compared_with(const DwellRecord& dwell) {
+  return (dwell.flags & (kFlagStuck | kFlagClipped | kFlagNotFinite)) == 0U;
+}
 
 Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& after,
                                  const Tolerances& tolerances) {

@@ -75,8 +75,9 @@ struct RunInstruments {
 struct RunProgress {
   std::set<std::size_t> measured;  ///< Positions in the plan.
   RunTiming spent;
-  /// The angle measured last. It is measured again before the run goes on, after both axes were referenced
-  /// anew, and must read the same within what tolerances, noise and drift explain at a false alarm in 1e6.
+  /// The angle measured last of those that can be compared with. It is measured again before the run goes on,
+  /// after both axes were referenced anew, and must read the same within what tolerances, noise and drift
+  /// explain at a false alarm in 1e6.
   struct LastAngle {
     std::size_t position = 0;
     DwellRecord dwell;
@@ -88,6 +89,10 @@ struct RunProgress {
   double g_loc_mps2 = kStandardGravity;
   std::optional<double> first_temperature_degc;  ///< Of the first angle, if it is measured already.
 };
+
+/// Whether an angle tells, when it is measured again, if the accelerometer has moved: not one where an output
+/// was stuck, clipped or not finite, which is marked and wrong already.
+bool can_be_compared_with(const DwellRecord& dwell);
 
 /// The largest change of an output (R) between two measurements of one angle that tolerances (zero and step
 /// of the axes), noise and drift explain, at a false alarm in 1e6: 4.9 standard uncertainties of the change.

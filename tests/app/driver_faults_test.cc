@@ -19,10 +19,13 @@
 #include "app/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/microstrain_mip/codec.h"
+#include "drivers/newport_esp/stage.h"
+#include "drivers/pi_gcs/stage.h"
 #include "drivers/registry.h"
 #include "drivers/vectornav/codec.h"
 #include "drivers/wire/open_stream.h"
 #include "drivers/xsens_mti/codec.h"
+#include "drivers/zaber_ascii/stage.h"
 #include "sim/faults.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/sim_clock.h"
@@ -535,11 +538,88 @@ TEST_P(StageRefusals, ARefusedMoveIsSaidInTheControllersWords) {
   EXPECT_NEAR(world->target(StageAxis::kX, clock.now()).deg(), 10.0, 1e-3);
 }
 
-INSTANTIATE_TEST_SUITE_P(EachStage, StageRefusals, testing::ValuesIn([] {
-                           std::vector<std::string> names;
-                           for (const StageDriver& driver : stage_drivers()) names.push_back(driver.name);
-                           return names;
-                         }()),
+std::vector<std::string> stage_driver_names() {
+  std::vector<std::string> names;
+  for (const StageDriver& driver : stage_drivers()) names.push_back(driver.name);
+  return names;
+}
+
+INSTANTIATE_TEST_SUITE_P(EachStage, StageRefusals, testing::ValuesIn(stage_driver_names()),
+                         [](const auto& name) { return name.param; });
+
+/// A link on which nothing gets to the controller for a while.
+class DeafStream final : public wire::ByteStream {
+ public:
+  DeafStream(std::unique_ptr<wire::ByteStream> inner, const Clock& clock)
+      : inner_(std::move(inner)), clock_(clock) {}
+
+  void write(std::string_view bytes) override {
+    if (clock_.now() >= deaf_until) return inner_->write(bytes);
+    swallowed.emplace_back(bytes);
+  }
+  wire::ReceivedBytes read_until(Clock::Instant deadline) override { return inner_->read_until(deadline); }
+  void discard_input() override { inner_->discard_input(); }
+  std::size_t dropped_bytes() const override { return inner_->dropped_bytes(); }
+  std::string name() const override { return inner_->name(); }
+
+  Clock::Instant deaf_until{};
+  std::vector<std::string> swallowed;
+
+ private:
+  std::unique_ptr<wire::ByteStream> inner_;
+  const Clock& clock_;
+};
+
+class StageHalts : public testing::TestWithParam<std::string> {
+ protected:
+  static Clock::Duration deadline() {
+    if (GetParam() == "pi_gcs") return pi_gcs::kHaltDeadline;
+    if (GetParam() == "newport_esp") return newport_esp::kHaltDeadline;
+    if (GetParam() == "zaber_ascii") return zaber_ascii::kHaltDeadline;
+    throw std::invalid_argument("deadline: how long may a halt of driver \"" + GetParam() + "\" last?");
+  }
+};
+
+TEST_P(StageHalts, AreRepeatedUntilTheControllerHears) {
+  const auto stage = std::find_if(stage_drivers().begin(), stage_drivers().end(),
+                                  [](const StageDriver& driver) { return driver.name == GetParam(); });
+  sim::SimClock clock;
+  const auto world = std::make_shared<sim::SimBench>(sim::BenchTruth());
+  BenchConfig config;
+  config.stage.driver = GetParam();
+  auto link =
+      std::make_unique<DeafStream>(std::make_unique<sim::FirmwareStream>(
+                                       make_firmware(config, stage_ports(config.stage).at(0), world), clock),
+                                   clock);
+  DeafStream& deaf = *link;
+  const auto driver = stage->make(std::move(link), clock, StageSettings());
+  driver->identify();
+  for (const StageAxis axis : kStageAxes) {
+    driver->home(axis);
+    while (driver->motion_state(axis) == MotionState::kMoving) clock.sleep_until(clock.now() + 50ms);
+  }
+  for (const StageAxis axis : kStageAxes) driver->move_to(axis, Angle::degrees(300.0));
+
+  const Clock::Instant begin = clock.now();
+  deaf.deaf_until = begin + 600ms;
+  EXPECT_TRUE(driver->halt());
+  ASSERT_FALSE(deaf.swallowed.empty());
+  // The stop, again and again, with the question whether it has stopped in between.
+  EXPECT_GE(std::count(deaf.swallowed.begin(), deaf.swallowed.end(), deaf.swallowed.front()), 2);
+  EXPECT_LE(clock.now() - begin, deadline());
+  for (const StageAxis axis : kStageAxes) EXPECT_FALSE(world->moving(axis, clock.now()));
+
+  // One that never hears is asked to stop until the deadline.
+  for (const StageAxis axis : kStageAxes) driver->move_to(axis, Angle::degrees(-300.0));
+  deaf.swallowed.clear();
+  deaf.deaf_until = Clock::Instant::max();
+  const Clock::Instant again = clock.now();
+  EXPECT_FALSE(driver->halt());
+  EXPECT_GE(std::count(deaf.swallowed.begin(), deaf.swallowed.end(), deaf.swallowed.front()), 2);
+  EXPECT_LE(clock.now() - again, deadline());
+}
+
+INSTANTIATE_TEST_SUITE_P(EachStage, StageHalts, testing::ValuesIn(stage_driver_names()),
                          [](const auto& name) { return name.param; });
 
 TEST(TwoProgramsOnOnePort, TheSecondIsToldWhoHoldsIt) {

@@ -6,6 +6,7 @@
 #include <string>
 #include <tuple>
 
+#include "tests/app/instrument_cases.h"
 #include "tests/app/program_fixtures.h"
 
 namespace abcal {
@@ -13,82 +14,6 @@ namespace {
 
 using test::ProgramResult;
 using testing::HasSubstr;
-
-struct StageCase {
-  std::string name;
-  std::string sections;  ///< [stage] and its axes but for the ports, which read PORT, PORTX, PORTZ.
-};
-
-struct AccelerometerCase {
-  std::string name;
-  std::string section;  ///< [accelerometer] but for its port.
-  double scale = 1.0;   ///< Response unit per g_loc.
-  double noise = 1e-4;  ///< Of one reading, in g_loc.
-};
-
-// The names of the tests carry the parameters: as words, not as bytes.
-void PrintTo(const StageCase& stage, std::ostream* out) {
-  *out << stage.name;
-}
-void PrintTo(const AccelerometerCase& accelerometer, std::ostream* out) {
-  *out << accelerometer.name;
-}
-
-const std::vector<StageCase>& stages() {
-  static const std::vector<StageCase> all{
-      {"pi_gcs", "[stage]\ndriver = \"pi_gcs\"\nport = \"PORT\"\n"},
-      {"newport_esp", "[stage]\ndriver = \"newport_esp\"\nport = \"PORT\"\n"},
-      {"zaber_ascii", "[stage]\ndriver = \"zaber_ascii\"\nport = \"PORT\"\n"},
-      {"two_controllers",
-       "[stage.x]\ndriver = \"newport_esp\"\nport = \"PORTX\"\naxis = \"1\"\n"
-       "[stage.z]\ndriver = \"pi_gcs\"\nport = \"PORTZ\"\naxis = \"1\"\n"},
-  };
-  return all;
-}
-
-const std::vector<AccelerometerCase>& accelerometers() {
-  static const std::vector<AccelerometerCase> all{
-      {"microstrain_mip", "driver = \"microstrain_mip\"\nrate_hz = 200.0\n"},
-      {"vectornav", "driver = \"vectornav\"\nrate_hz = 200.0\n", 9.81},
-      {"xsens_mti", "driver = \"xsens_mti\"\nrate_hz = 100.0\n", 9.81},
-      {"scpi_voltmeter", "driver = \"scpi_voltmeter\"\nrate_hz = 20.0\nintegration_plc = 0.02\n"},
-      {"scpi_single", "driver = \"scpi_single\"\nrate_hz = 20.0\nintegration_plc = 0.02\n"},
-      // 16 g over 32768 counts: the noise must be a few counts, or averaging does not resolve them.
-      {"witmotion", "driver = \"witmotion\"\nrate_hz = 100.0\nbaud = 115200\n", 1.0, 2e-3},
-      {"text_line", "driver = \"text_line\"\nrate_hz = 100.0\n"},
-  };
-  return all;
-}
-
-std::string replaced(std::string text, const std::string& what, const std::string& with) {
-  for (std::size_t at = text.find(what); at != std::string::npos; at = text.find(what, at + with.size()))
-    text.replace(at, what.size(), with);
-  return text;
-}
-
-std::string bench_text(const StageCase& stage, const AccelerometerCase& accelerometer,
-                       const std::string& stage_port, const std::string& stage_x_port,
-                       const std::string& stage_z_port, const std::string& accelerometer_port) {
-  const double k = accelerometer.scale;
-  std::string sections = replaced(stage.sections, "PORTX", stage_x_port);
-  sections = replaced(sections, "PORTZ", stage_z_port);
-  sections = replaced(sections, "PORT", stage_port);
-  const auto row = [&](double a, double b, double c) {
-    return "[" + std::to_string(k * a) + ", " + std::to_string(k * b) + ", " + std::to_string(k * c) + "]";
-  };
-  return "[bench]\ng_loc_mps2 = 9.81\n" + sections + "[accelerometer]\nport = \"" + accelerometer_port +
-         "\"\n" + accelerometer.section +
-         "[protocol]\nsteps = 12\nstep_deg = 30.0\nsettle_s = 0.05\ndwell_readings = 10\n[simulation]\nseed "
-         "= "
-         "3\nsensitivity_matrix = [" +
-         row(1.01, 0.02, -0.01) + ", " + row(-0.03, 0.98, 0.02) + ", " + row(0.01, -0.02, 1.0) +
-         "]\noffset = " + row(0.01, -0.02, 0.03) + "\nnoise = " + std::to_string(k * accelerometer.noise) +
-         "\nzx = 5e-5\nzy = -1e-4\nxz = 1e-4\n"
-         "[simulation.x]\nspeed_deg_per_s = 700.0\nacceleration_deg_per_s2 = 20000.0\nstep_error_deg = "
-         "0.005\n"
-         "[simulation.z]\nspeed_deg_per_s = 700.0\nacceleration_deg_per_s2 = 20000.0\nstep_error_deg = "
-         "0.005\n";
-}
 
 class InstrumentPairs : public ProgramTest,
                         public testing::WithParamInterface<std::tuple<StageCase, AccelerometerCase>> {};

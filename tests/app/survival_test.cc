@@ -8,8 +8,8 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
-#include "protocol/record/sqlite.h"
 #include "tests/app/program_fixtures.h"
+#include "tests/app/repeatable_run.h"
 
 namespace abcal {
 namespace {
@@ -18,46 +18,6 @@ using namespace std::chrono_literals;
 using test::Program;
 using test::ProgramResult;
 using testing::HasSubstr;
-using Json = nlohmann::json;
-
-/// A bench on which everything at an angle comes from the angle alone, so that a run which went on must give
-/// the same bits. Noise is seeded by the angle and the number of the sample after the arrival: every move
-/// lasts a whole number of sample periods (5 ms), so that the samples after it come at the same times,
-/// however long the run has lasted.
-BenchText repeatable_bench() {
-  BenchText bench;
-  bench.protocol += "approach_deg = 0.0\n[tolerances]\ndrift = 0.0\n";
-  bench.simulation = "noise_seeded_by_angle = true\nseed = 7\n";
-  bench.motion = "speed_deg_per_s = 500.0\nacceleration_deg_per_s2 = 25000.0\n";
-  return bench;
-}
-
-std::string integrity(const std::filesystem::path& run) {
-  // As a person with the tool sqlite3 would: it may finish or take back what was half written.
-  return SqliteDatabase(run, SqliteDatabase::Mode::kReadWrite).value("pragma integrity_check").value_or("");
-}
-
-/// The bits of all readings' means and of their uncertainty, in the order of the plan.
-std::vector<std::string> measured_bits(const std::filesystem::path& run) {
-  const StoredRun stored = RunFile::load(run);
-  std::vector<std::string> bits(stored.header.plan.size());
-  for (std::size_t k = 0; k < stored.measured.size(); ++k) {
-    const DwellRecord& dwell = stored.record.dwells[k];
-    for (int j = 0; j < 3; ++j)
-      bits.at(stored.measured[k]) += fmt::format("{:a} {:a} ", dwell.mean[j], dwell.u_mean.value()[j]);
-  }
-  return bits;
-}
-
-/// The numbers of a result that an interruption must not change.
-Json numbers(const std::string& analysis) {
-  const Json all = Json::parse(analysis);
-  Json kept;
-  for (const char* key : {"estimator", "sensitivity_matrix", "offset", "intrinsic_sensitivity",
-                          "intrinsic_angle", "covariance", "covariance_intrinsic"})
-    kept[key] = all.at(key);
-  return kept;
-}
 
 class SurvivalTest : public ProgramTest {
  protected:
@@ -67,7 +27,7 @@ class SurvivalTest : public ProgramTest {
     const ProgramResult undisturbed = abcal({"run", "bench.toml", "-o", "whole.run"});
     const auto whole = std::chrono::steady_clock::now() - begin;
     ASSERT_EQ(undisturbed.exit_code, 0) << undisturbed.err;
-    const Json expected = numbers(abcal({"analyse", "whole.run", "--json"}).out);
+    const nlohmann::json expected = numbers(abcal({"analyse", "whole.run", "--json"}).out);
     const std::vector<std::string> expected_bits = measured_bits(folder / "whole.run");
 
     std::mt19937_64 random(20261121);

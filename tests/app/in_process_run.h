@@ -1,0 +1,71 @@
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <set>
+#include <stop_token>
+#include <string>
+#include <string_view>
+
+#include "app/bench_config.h"
+#include "app/commands/run.h"
+#include "app/make_bench.h"
+
+namespace abcal::test {
+
+/// What `abcal run` and `abcal resume` do, on a simulated bench inside the test, so that it can come between
+/// the run, its instruments and its disk.
+class InProcessRun {
+ public:
+  InProcessRun(std::string bench_toml, std::filesystem::path path)
+      : bench_toml_(std::move(bench_toml)), path_(std::move(path)) {}
+
+  /// Begins the run, or goes on with it where it was interrupted, to its end: closed and analysed. Does
+  /// nothing more to one that is.
+  /// @throws what the commands throw
+  void go_on();
+
+  bool exists() const { return std::filesystem::exists(path_); }
+  const std::filesystem::path& path() const { return path_; }
+
+  /// Called before each call to an instrument, but for halt() and stop(), with its name and its number in
+  /// this go_on() (1 is the first); may throw what the instrument would.
+  std::function<void(std::string_view call, std::size_t number)> before_call;
+  /// May change the bench before it is made, e.g. what goes wrong on it this time.
+  std::function<void(BenchConfig& config)> change_bench;
+
+  // Of the last go_on().
+  std::size_t calls() const { return calls_; }
+  std::size_t halts() const { return halts_; }
+  /// It had been told to move, and neither came to rest nor was halted before the run was left.
+  bool left_moving() const { return left_moving_; }
+  double simulated_s() const { return simulated_s_; }
+  /// The longest simulated time from one angle that was said to be measured (or the begin) to the next (or
+  /// the end), in seconds.
+  double longest_angle_s() const { return longest_angle_s_; }
+  const std::optional<FinishedRun>& finished() const { return finished_; }
+
+  /// The angles that the run has said to be measured, of all go_on() together: positions in the plan.
+  const std::set<std::size_t>& reported() const { return reported_; }
+
+ private:
+  class Observer;
+  class WatchedStage;
+  class WatchedAccelerometer;
+  void watch(Bench& bench);
+  void measure_to_the_end(Bench& bench, const BenchConfig& config, RunFile file,
+                          const std::vector<PlannedAngle>& plan, const RunProgress& so_far);
+  void before(std::string_view call);
+
+  std::string bench_toml_;
+  std::filesystem::path path_;
+  std::size_t calls_ = 0, halts_ = 0;
+  bool left_moving_ = false;
+  double simulated_s_ = 0.0, longest_angle_s_ = 0.0;
+  std::optional<FinishedRun> finished_;
+  std::set<std::size_t> reported_;
+};
+
+}  // namespace abcal::test
