@@ -11,7 +11,13 @@ std::optional<Target> parse_target(std::string_view text) {
   if (!url) return std::nullopt;
   Target target;
   target.path = url->encoded_path();
-  for (const std::string& word : url->segments()) target.words.push_back(word);
+  std::string joined;
+  for (const auto part : url->encoded_segments()) {
+    joined.append("/").append(part.data(), part.size());
+    target.words.push_back(part.decode());
+  }
+  // Boost.URL takes a leading "/." away: then these would not be the parts that were sent.
+  if (joined != target.path && target.path != "/") return std::nullopt;
   const auto token = url->params().find("token");
   if (token != url->params().end()) target.token = (*token).value;
   return target;

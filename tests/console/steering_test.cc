@@ -190,6 +190,7 @@ TEST_F(SteeringTest, ChecksTheBench) {
   auto page = steering_page();
   ASSERT_TRUE(page->ok({{"do", "check"}, {"with_motion", true}, {"confirmed", true}}));
   EXPECT_FALSE(page->ok(kStart)) << "one thing at a time";
+  EXPECT_EQ(page->wait_for_type("strip")["group"]["unit"], "g");
   const Json findings = page->wait_for_type("checks")["findings"];
   const auto has = [&](const std::string& what) {
     return std::any_of(findings.begin(), findings.end(),

@@ -62,7 +62,6 @@ alignedLeft: true,
         response.options.scales.y.title.text = `output (${this.run.unit})`;
         residual.options.scales.y.title.text = `residual (${this.run.unit})`;
       }
-      this.strip.options.scales.y.title.text = `output (${this.run.unit})`;
     }
     this.stripData = message.strip;
     this.stage('x', message.stage.x);
@@ -184,20 +183,20 @@ alignedLeft: true,
 
   draw() {
     if (this.dirty.size === 0) return;
-    const unit = this.run ? this.run.unit : '';
     if (this.dirty.has('strip')) {
       OUTPUTS.forEach((name, j) => {
         this.strip.data.datasets[j].data = this.stripData.map((group) => ({x: group.time_s, y: group.mean[j]}));
       });
+      const last = this.stripData.at(-1), unit = last ? last.unit : '';
+      if (unit) this.strip.options.scales.y.title.text = `output (${unit})`;
       this.strip.update('none');
-      const last = this.stripData.at(-1);
       byId('strip-table').replaceChildren(...OUTPUTS.map((name, j) => element('tr', {},
         element('th', {scope: 'row'}, name), element('td', {}, last ? signed(last.mean[j], 6, unit) : DASH),
         element('td', {}, last ? `${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
       byId('temperature').textContent = last ? number(last.temperature_degc, 2, '°C') : DASH;
     }
     for (const i of [0, 1, 2]) if (this.dirty.has(i)) this.drawExperiment(i);
-    if (this.dirty.has('table')) this.drawTable(unit);
+    if (this.dirty.has('table')) this.drawTable(this.run ? this.run.unit : '');
     this.dirty.clear();
   }
 

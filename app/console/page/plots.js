@@ -26,7 +26,7 @@ function axis(words, more = {}) {
 }
 
 // Of one width in plots that stand under each other, so that their angles do too.
-const LEFT = 62;  // px
+const LEFT = 78;  // px
 const aligned = {afterFit: (scale) => { scale.width = LEFT; }};
 
 // "4.0e−5" where Chart.js would write 4.000000E-5.

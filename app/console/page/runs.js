@@ -65,7 +65,7 @@ function drawList(resume) {
     const link = element('a', {href: `#runs/${encoded(run.name)}`}, run.name);
     const actions = element('td', {});
     const measured = run.state === 'complete';
-    if (run.state === 'interrupted' || run.state === 'running' || (measured && !run.analysed)) {
+    if (run.state === 'interrupted' || run.state === 'running' || (measured && run.analysed === false)) {
       const word = measured ? 'Analyse' : 'Resume';
       const button = element('button', {type: 'button', class: 'resume', 'data-run': run.name, 'aria-label': `${word} ${run.name}`}, word);
       button.addEventListener('click', () => resume(run.name, measured));
@@ -78,7 +78,7 @@ function drawList(resume) {
       cell(1, run.item || DASH),
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
-      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && !run.analysed ? ', not analysed' : ''}`),
+      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? ', not analysed' : ''}`),
       cell(5, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
       cell(6, duration(run.duration_s)),
       actions);

@@ -58,7 +58,7 @@ const confirmDialog = () => page.locator('#confirm-yes').click();
 
 before(async () => {
   mkdirSync(pictures, {recursive: true});
-  page = await served.open(BENCH, '--pace', '10');
+  page = await served.open(BENCH, '--pace', '4');
 });
 
 after(() => served.close());
@@ -186,6 +186,7 @@ test('checks the bench', async () => {
   await confirmDialog();
   await page.locator('#checks table').waitFor();
   assert.match(await text('#checks'), /signs and axes/);
+  assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
   await page.locator('#do-start:enabled').waitFor();
 });
 
@@ -194,6 +195,8 @@ let runName;
 test('starts a run, and points appear', async () => {
   await page.locator('#do-start').click();
   await confirmDialog();
+  await served.pressAt(8, 'do-hold');
+  await page.waitForFunction(() => /^about (\d+ min )?\d+ s$/.test(document.getElementById('left').textContent));
   await served.measuredAtLeast(3);
   runName = await text('#run-file');
   assert.match(runName, /^bench-\d{8}T\d{6}Z\.run$/);
@@ -206,13 +209,11 @@ test('starts a run, and points appear', async () => {
   for (const n of drawn.strip) assert.ok(n >= 2, JSON.stringify(drawn));
   assert.match(await text('#x-encoder'), /^−?\d+\.\d{4}°$/);
   assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
-  assert.match(await text('#left'), /about \d+ s/);
 });
 
 test('holds after an angle, and keeps a note', async () => {
-  await served.measuredAtLeast(8);  // A fit and residuals to look at.
-  await page.locator('#do-hold').click();
   await stateIs(/^Held/);
+  assert.match(await text('#left'), /^(\d+ min )?\d+ s \(held\)$/);
   const kept = await measured();
   await page.locator('#note').fill('<b>door opened</b>');
   await page.locator('#note').press('Enter');
@@ -238,12 +239,11 @@ test('another page watches, and steers only after it took control', async () => 
 test('continues, stops at once, and resumes from the list of runs', async () => {
   const held = await measured();
   await page.locator('#do-continue').click();
+  await served.pressAt(held + 1, 'do-stop');
   await confirmDialog();
-  await page.waitForFunction((n) => Number(document.getElementById('measured').textContent.split(' ')[0]) > n, held);
-  await page.locator('#do-stop').click();
   await stateIs(/^The run is interrupted and can be resumed: .*the stage is halted/);
   const kept = await measured();
-  assert.ok(kept < ANGLES);
+  assert.ok(kept > held && kept < ANGLES, `${held} then ${kept}`);
   await page.locator('nav a[href="#runs"]').click();
   await page.locator(`button.resume[data-run="${runName}"]:enabled`).click();
   await confirmDialog();

@@ -18,18 +18,20 @@ const served = new ServedPage();
 process.on('exit', () => served.server?.kill('SIGINT'));  // Also after an error.
 const page = await served.open(benchOf(1), '--pace', '400');
 
-async function keep(name, {kept = false, whole = false} = {}) {
-  const take = async (file, viewport, colorScheme) => {
+// `kept` are the pictures for docs/images: [name, size, light or dark].
+async function keep(name, {kept = [], whole = false} = {}) {
+  const take = async (file, viewport, colorScheme, fullPage) => {
     await page.setViewportSize(viewport);
     await page.emulateMedia({colorScheme});
     await page.waitForTimeout(400);  // Plots follow the size of their place.
     await page.evaluate(() => scrollTo(0, 0));
-    await page.screenshot({path: path.join(folder, file), fullPage: whole});
+    await page.screenshot({path: path.join(folder, file), fullPage});
   };
-  if (kept && !everything) await take(`console-${name}.png`, kept, 'light');
   if (everything) {
     for (const [size, viewport] of Object.entries(SIZES))
-      for (const colorScheme of ['light', 'dark']) await take(`${name}-${size}-${colorScheme}.png`, viewport, colorScheme);
+      for (const colorScheme of ['light', 'dark']) await take(`${name}-${size}-${colorScheme}.png`, viewport, colorScheme, whole);
+  } else {
+    for (const [picture, viewport, colorScheme] of kept) await take(`console-${picture}.png`, viewport, colorScheme, false);
   }
   await page.setViewportSize(SIZES.desk);
   await page.emulateMedia({colorScheme: 'light'});
@@ -41,12 +43,11 @@ await served.press('#do-check');
 await page.locator('#checks table').waitFor();
 await keep('checked', {whole: true});
 await served.press('#do-start');
-await served.measuredAtLeast(180);
-await page.locator('#do-hold').click();
+await served.pressAt(180, 'do-hold');
 await served.stateIs(/^Held/);
 await page.locator('#note').fill('Door opened for a moment');
 await page.locator('#note').press('Enter');
-await keep('live', {kept: {width: 1366, height: 1180}, whole: true});
+await keep('live', {kept: [['live', {width: 1366, height: 1060}, 'light'], ['phone', SIZES.phone, 'dark']], whole: true});
 await page.locator('#do-continue').click();
 await keep('asks');
 await page.locator('#confirm-yes').click();
@@ -63,12 +64,12 @@ await page.locator('#run-table table').waitFor();
 await keep('runs');
 await page.locator('#run-table tbody a').first().click();
 await page.locator('#estimators').waitFor();
-await keep('result', {kept: {width: 1366, height: 1400}, whole: true});
+await keep('result', {kept: [['result', {width: 1366, height: 1400}, 'light']], whole: true});
 await served.goTo('compare');
 await page.locator('#compare-form button').click();
 await page.locator('#compare-words').waitFor();
 await keep('compare', {whole: true});
 await served.goTo('chart');
 await page.locator('#chart-words').waitFor();
-await keep('chart', {kept: {width: 1366, height: 768}, whole: true});
+await keep('chart', {kept: [['chart', SIZES.desk, 'light']], whole: true});
 await served.close();

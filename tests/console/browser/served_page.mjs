@@ -72,6 +72,17 @@ export class ServedPage {
   measuredAtLeast(n, page = this.page) {
     return page.waitForFunction((least) => Number(document.getElementById('measured').textContent.split(' ')[0]) >= least, n, {timeout: PATIENCE});
   }
+  // Presses a button when so many angles are measured; in the page, for a busy machine may be slow to ask it from here.
+  pressAt(n, button) {
+    return this.page.evaluate(([least, id]) => {
+      const measured = document.getElementById('measured'), pressed = document.getElementById(id);
+      new MutationObserver((_, observer) => {
+        if (pressed.disabled || Number(measured.textContent.split(' ')[0]) < least) return;
+        observer.disconnect();
+        pressed.click();
+      }).observe(measured, {childList: true});
+    }, [n, button]);
+  }
   stateIs(pattern) {
     return this.page.waitForFunction((source) => new RegExp(source).test(document.getElementById('state').textContent), pattern.source, {timeout: PATIENCE});
   }
