@@ -471,7 +471,6 @@ std::string RunFile::close_complete(const std::string& utc, const RunTiming& tim
 }
 
 std::string RunFile::close() {
-  impl_->database.execute("pragma wal_checkpoint(truncate)");
   impl_->database.execute("pragma journal_mode=delete");
   const std::filesystem::path path = impl_->path;
   impl_.reset();
