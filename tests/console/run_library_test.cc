@@ -16,6 +16,7 @@
 #include "app/report/weasyprint.h"
 #include "protocol/analysis/meaning.h"
 #include "tests/console/console_fixture.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal::console {
 namespace {
@@ -28,7 +29,7 @@ using Json = nlohmann::json;
 
 class RunLibraryTest : public ConsoleTest {
  protected:
-  const std::filesystem::path examples = std::filesystem::path(ABCAL_SOURCE_DIR) / "docs/examples";
+  const std::filesystem::path examples = test::source_folder() / "docs/examples";
 
   test::ProgramResult abcal(const std::vector<std::string>& words) {
     return test::run_program(words, folder.path());
