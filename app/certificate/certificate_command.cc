@@ -35,7 +35,7 @@ Certificate restored(const IssuedCertificate& issued, const ReportData& data,
   Certificate certificate = make_certificate(std::move(request));
   if (issued.program_version != certificate.program_version) {
     certificate.reservations.push_back(fmt::format(
-        "The certificate was issued with abcal {}; numbers beside its XML are computed by abcal {}",
+        "Computed anew: the certificate was issued with abcal {}, the numbers beside its XML are of abcal {}",
         issued.program_version, certificate.program_version));
   }
   return certificate;
