@@ -76,7 +76,9 @@ std::string rounded(double value, double u) {
   if (!std::isfinite(value)) return "-";
   if (!(u > 0.0) || !std::isfinite(u)) return fmt::format("{:.6g}", value);
   const int places = std::max(0, 1 - static_cast<int>(std::floor(std::log10(u))));
-  return places > 15 ? fmt::format("{:.6g}", value) : fmt::format("{:.{}f}", value, places);
+  if (places > 15) return fmt::format("{:.6g}", value);
+  const std::string text = fmt::format("{:.{}f}", value, places);
+  return text.find_first_of("123456789") == std::string::npos && text.front() == '-' ? text.substr(1) : text;
 }
 
 /// "transverse_sensitivity_u", as limits name it, in words.
@@ -146,8 +148,9 @@ Section shift_section(const Certificate& certificate) {
                    {"E_n", CellKind::kNumber}};
   for (const Shift& shift : certificate.shifts) {
     const double expanded = kCoverageFactor * shift.difference.standard_uncertainty;
-    table.rows.push_back({shift.name, rounded(shift.difference.value, expanded), rounded(expanded, expanded),
-                          shift.difference.unit, fmt::format("{:.2f}", shift.normalised_error)});
+    table.rows.push_back({words_of(shift.name), rounded(shift.difference.value, expanded),
+                          rounded(expanded, expanded), shift.difference.unit,
+                          fmt::format("{:.2f}", shift.normalised_error)});
   }
   Section section{"As found and as left", {table}};
   section.blocks.push_back(Paragraph{"Adjustment: " + certificate.laboratory.job.adjustment});
