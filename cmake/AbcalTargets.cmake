@@ -40,15 +40,13 @@ function(abcal_add_library name)
 endfunction()
 
 # abcal_add_test(name SOURCES ... LINK ...) makes test program name. Test suites whose name begins with "Long"
-# carry the ctest label "long", all others "quick". PROGRAM: its tests start the program abcal, at ABCAL_PROGRAM.
+# carry the ctest label "long", all others "quick". PROGRAM: its tests start the program abcal.
 function(abcal_add_test name)
   cmake_parse_arguments(ARG "PROGRAM" "" "SOURCES;LINK" ${ARGN})
   add_executable(${name} ${ARG_SOURCES})
   abcal_target_options(${name})
-  target_link_libraries(${name} PRIVATE ${ARG_LINK} GTest::gmock GTest::gtest_main)
-  target_compile_definitions(${name} PRIVATE ABCAL_SOURCE_DIR="${PROJECT_SOURCE_DIR}")
+  target_link_libraries(${name} PRIVATE ${ARG_LINK} abcal::project_paths GTest::gmock GTest::gtest_main)
   if(ARG_PROGRAM)
-    target_compile_definitions(${name} PRIVATE ABCAL_PROGRAM="$<TARGET_FILE:abcal>")
     add_dependencies(${name} abcal)
   endif()
   include(GoogleTest)

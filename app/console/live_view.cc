@@ -237,6 +237,7 @@ Json LiveView::on(const StripSeen& seen) {
       {"lowest", vector(seen.lowest)},
       {"highest", vector(seen.highest)},
       {"readings", seen.readings},
+      {"unit", seen.unit},
       {"temperature_degc", seen.temperature_degc ? number(*seen.temperature_degc) : Json(nullptr)}};
   strip_.push_back(group);
   if (strip_.size() > kKeptStrip) strip_.pop_front();

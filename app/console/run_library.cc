@@ -11,6 +11,7 @@
 #include "app/console/download.h"
 #include "app/report/compare_json.h"
 #include "app/report/result_json.h"
+#include "protocol/analysis/meaning.h"
 #include "protocol/uncertainty/control_chart.h"
 
 namespace abcal::console {
@@ -138,7 +139,10 @@ Json RunLibrary::list() {
   const std::vector<std::string> all = names();
   for (const std::string& name : all) {
     try {
-      list.push_back(entry(name).summary);
+      Json summary = entry(name).summary;
+      // Not so where the program ended in between; resuming the run analyses it.
+      summary["analysed"] = std::filesystem::exists(ResultsFile::path_beside(folder_ / name));
+      list.push_back(std::move(summary));
     } catch (const RunFileError& error) {
       list.push_back({{"name", name}, {"state", "unreadable"}, {"why", error.what()}});
     }
@@ -175,16 +179,24 @@ Json RunLibrary::result(const std::filesystem::path& path) {
       json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
   }
   json["results"] = Json::array();
-  for (const CalibrationResult& result : analyse_all(run.record))
+  json["meanings"] = Json::object();
+  for (const CalibrationResult& result : analyse_all(run.record)) {
     json["results"].push_back(result_json(result));
+    for (const Check& check : result.diagnostics.checks)
+      json["meanings"][check.name] = meaning_of_check(check.name);
+    for (const FlagCount& flag : result.diagnostics.flags)
+      json["meanings"][flag.flag] = meaning_of_flag(flag.flag);
+  }
   return json;
 }
 
 Json RunLibrary::compare(const std::filesystem::path& first, const std::filesystem::path& second,
                          bool shared_stage) {
   std::vector<ComparedResult> results;
-  for (const std::filesystem::path& run : {first, second})
+  for (const std::filesystem::path& run : {first, second}) {
     results.push_back(load_compared(run, kEstimators.front()));
+    results.back().file = run.filename().string();  // A page knows runs by name.
+  }
   CompareOptions options;
   options.shared_stage = shared_stage;
   options.any_item = true;  // The person has chosen them.

@@ -15,8 +15,6 @@
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
 #include <boost/beast/websocket.hpp>
-#include <boost/url/parse.hpp>
-#include <boost/url/url_view.hpp>
 #include <deque>
 #include <future>
 #include <nlohmann/json.hpp>
@@ -30,6 +28,7 @@
 #include "app/console/live_view.h"
 #include "app/console/request.h"
 #include "app/console/run_library.h"
+#include "app/console/target.h"
 #include "app/real_clock.h"
 #include "app/version.h"
 #include "drivers/wire/readable_bytes.h"
@@ -325,6 +324,10 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
   }
 
   void have_read(beast::error_code error) {
+    // Silence between two requests is no offence; a request that never ends is.
+    if (error == beast::error::timeout && (buffer_.size() > 0 || parser_->got_some()))
+      server_.log_refusal(peer_, "a request",
+                          fmt::format("not complete after {} s", server_.options.request_time.count()));
     if (error == http::error::end_of_stream || error == beast::error::timeout ||
         error == asio::error::connection_reset || error == asio::error::eof)
       return;
@@ -367,6 +370,8 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
     stream_.expires_after(server_.options.request_time +
                           std::chrono::seconds(response_->body().size() / kSlowest));
     http::async_write(stream_, *response_, [self = shared_from_this()](beast::error_code error, std::size_t) {
+      if (error == beast::error::timeout)
+        self->server_.log_refusal(self->peer_, "a connection", "its answer was not taken in time");
       if (error) return;
       if (!self->response_->need_eof()) return self->read();
       self->stream_.socket().shutdown(tcp::socket::shutdown_send, error);
@@ -562,14 +567,13 @@ HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
                   "This console is not known by that name; see `abcal serve --host`.");
   if (access == Access::kWrongOrigin)
     return refuse(http::status::forbidden, "Another page may not use this console.");
-  const auto target = boost::urls::parse_origin_form(request.target());
+  const std::optional<Target> target = parse_target(view(request.target()));
   if (!target) return refuse(http::status::bad_request, "The path cannot be read.");
-  const std::string_view path = view(target->encoded_path());
+  const std::string& path = target->path;
   const bool reads = request.method() == http::verb::get || request.method() == http::verb::head;
 
-  const auto token = target->params().find("token");
-  if (path == "/" && reads && token != target->params().end()) {
-    if (!options.access.token.empty() && same_secret((*token).value, options.access.token)) {
+  if (path == "/" && reads && target->token) {
+    if (!options.access.token.empty() && same_secret(*target->token, options.access.token)) {
       // From here on as a cookie, and no longer in the address, where others may see it.
       HttpResponse response = plain(request, http::status::see_other, "Welcome.");
       response.set(http::field::location, "/");
@@ -594,9 +598,7 @@ HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
     if (asset.path == (path == "/" ? "/index.html" : path))
       return respond(request, http::status::ok, content_type(asset.path), std::string(asset.body));
   }
-  std::vector<std::string> words;
-  for (const std::string& word : target->segments()) words.push_back(word);
-  later = library_job(words, request);
+  later = library_job(target->words, request);
   if (!later) return refuse(http::status::not_found, "There is no such page.");
   return {};
 }

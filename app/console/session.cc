@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <chrono>
 #include <utility>
 
@@ -27,6 +28,12 @@ std::string in_words(const AccelerometerInfo& info) {
   return fmt::format("{} {}, serial number {}, {:g} readings/s in {}", info.maker, info.model,
                      info.serial_number.empty() ? "not told" : info.serial_number, info.rate_hz,
                      info.output_unit);
+}
+
+/// Of the default estimator.
+std::string verdict_of(const FinishedRun& run) {
+  const Verdict verdict = run.results.front().verdict;
+  return verdict == Verdict::kNotUsable ? "not usable" : std::string(to_string(verdict));
 }
 
 RunBegan describe(const BenchConfig& config, const Identities& who, const std::vector<PlannedAngle>& plan,
@@ -121,6 +128,10 @@ void Session::work(const std::stop_token& end) {
   }
 }
 
+void Session::say(std::string text) {
+  tell_(LogLine{LogLine::Grade::kInfo, std::move(text)});
+}
+
 void Session::carry_out(const std::function<void()>& job) {
   const auto problem = [this](const char* text) { tell_(LogLine{LogLine::Grade::kProblem, text}); };
   try {
@@ -189,6 +200,7 @@ Session::Refusal Session::hold() {
     if (activity_ != Activity::kRunning) return "no run is on";
     hold_ = true;
   }
+  say("Hold: the stage will stand still after this angle.");
   tell_activity();
   return std::nullopt;
 }
@@ -199,6 +211,7 @@ Session::Refusal Session::go_on() {
     if (activity_ != Activity::kRunning || !hold_) return "no run is held";
     hold_ = false;
   }
+  say("Continue: the stage goes on.");
   tell_activity();
   return std::nullopt;
 }
@@ -233,7 +246,7 @@ std::vector<Session::PendingNote> Session::take_notes() {
 void Session::store_notes(RunFile& file, const Clock& clock) {
   for (const PendingNote& note : take_notes()) {
     file.append_event(format_utc(clock.utc_now()), "note", fmt::format("{} ({})", note.text, note.by));
-    tell_(LogLine{LogLine::Grade::kInfo, fmt::format("Note, stored in the event log: {}", note.text)});
+    say(fmt::format("Note, stored in the event log: {}", note.text));
   }
 }
 
@@ -259,7 +272,14 @@ void Session::do_check(bool with_motion) {
     Observer observer(*this, nullptr, *the_bench.clock);
     measure(the_bench, quick, file, plan, {}, observer, stop_.get_token());
   };
-  tell_(ChecksSeen{check_bench(bench, config, !with_motion, turn)});
+  std::vector<Finding> findings = check_bench(bench, config, !with_motion, turn);
+  const auto of = [&](Finding::Grade grade) {
+    return std::count_if(findings.begin(), findings.end(),
+                         [&](const Finding& f) { return f.grade == grade; });
+  };
+  say(fmt::format("The bench is checked: {} good, {} warnings, {} problems.", of(Finding::Grade::kGood),
+                  of(Finding::Grade::kWarning), of(Finding::Grade::kProblem)));
+  tell_(ChecksSeen{std::move(findings)});
 }
 
 void Session::do_start(const std::string& name) {
@@ -271,11 +291,17 @@ void Session::do_start(const std::string& name) {
   RunBegan began = describe(config, who, plan, pace_of(bench));
   began.file = name;
   tell_(began);
+  say(fmt::format("Run {} begins: {} angles.", name, plan.size()));
   RunFile file = begin_run(bench, config, who, plan, options_.runs / name, nullptr);
   measure_and_finish(bench, config, std::move(file), plan, {});
 }
 
 void Session::do_resume(const std::filesystem::path& path) {
+  if (const auto finished = finish_killed_run(path)) {
+    say(fmt::format("All angles of run {} were measured already; it is closed and analysed now: {}.",
+                    path.filename().string(), verdict_of(*finished)));
+    return;
+  }
   InterruptedRun run = open_interrupted_run(path);
   Bench bench = open(run.config);
   const std::vector<PlannedAngle>& plan = run.stored.header.plan;
@@ -284,6 +310,8 @@ void Session::do_resume(const std::filesystem::path& path) {
   for (std::size_t i = 0; i < run.stored.measured.size(); ++i)
     began.measured.emplace_back(run.stored.measured[i], run.stored.record.dwells[i]);
   tell_(began);
+  say(fmt::format("Run {} goes on: {} of {} angles are measured.", began.file, run.stored.measured.size(),
+                  plan.size()));
   continue_run(run, bench);
   measure_and_finish(bench, run.config, std::move(run.file), plan, run.so_far);
 }
@@ -307,10 +335,8 @@ void Session::measure_and_finish(Bench& bench, const BenchConfig& config, RunFil
   }
   tell_activity();
   const FinishedRun run = finish_run(bench, config, std::move(file), timing);
-  const CalibrationResult& result = run.results.front();
-  std::string verdict(to_string(result.verdict));
-  if (result.verdict == Verdict::kNotUsable) verdict = "not usable";
-  tell_(RunEnded{name, true, fmt::format("{}: {}", verdict, result.why)});
+  say(fmt::format("Run {} is complete: {}.", name, verdict_of(run)));
+  tell_(RunEnded{name, true, fmt::format("{}: {}", verdict_of(run), run.results.front().why)});
 }
 
 void Session::do_jog(StageAxis axis, Angle by) {
@@ -324,8 +350,7 @@ void Session::do_jog(StageAxis axis, Angle by) {
   if (!bench.simulated_time) halt_at_once.emplace(stop_.get_token(), [&] { bench.stage->halt(); });
   const Angle angle =
       console::jog(*bench.stage, *bench.clock, axis, by, jog_bench_->config.protocol, stop_.get_token());
-  tell_(LogLine{LogLine::Grade::kInfo,
-                fmt::format("Axis {} stands at {:.4f} degrees (encoder).", to_string(axis), angle.deg())});
+  say(fmt::format("Axis {} stands at {:.4f} degrees (encoder).", to_string(axis), angle.deg()));
 }
 
 }  // namespace abcal::console

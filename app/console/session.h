@@ -59,6 +59,7 @@ class Session {
   void work(const std::stop_token& end);
   void carry_out(const std::function<void()>& job);
   void tell_activity();
+  void say(std::string text);  // in the log of the pages
   std::vector<PendingNote> take_notes();
   void store_notes(RunFile& file, const Clock& clock);
 

@@ -27,6 +27,12 @@ WatchedAccelerometer::WatchedAccelerometer(std::unique_ptr<Accelerometer> accele
                                            std::function<void(const StripSeen&)> see)
     : accelerometer_(std::move(accelerometer)), see_(std::move(see)) {}
 
+AccelerometerInfo WatchedAccelerometer::identify() {
+  AccelerometerInfo info = accelerometer_->identify();
+  unit_ = info.output_unit;
+  return info;
+}
+
 void WatchedAccelerometer::start() {
   accelerometer_->start();
   first_arrival_.reset();
@@ -54,6 +60,7 @@ void WatchedAccelerometer::note(const Reading& reading) {
   const Clock::Instant now = real_.now();
   if (now - last_seen_ < kGroup) return;
   last_seen_ = now;
+  group_.unit = unit_;
   group_.time_s = to_seconds(reading.arrival - *first_arrival_);
   see_(group_);
   group_ = {};

@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "app/real_clock.h"
 #include "drivers/instrument/accelerometer.h"
@@ -25,6 +26,7 @@ struct StripSeen {
   Eigen::Vector3d lowest = Eigen::Vector3d::Zero();
   Eigen::Vector3d highest = Eigen::Vector3d::Zero();  ///< R, all three.
   int readings = 0;
+  std::string unit;  ///< R, as the accelerometer named it; empty if it was not asked.
   std::optional<double> temperature_degc;
 };
 
@@ -54,7 +56,7 @@ class WatchedAccelerometer final : public Accelerometer {
   WatchedAccelerometer(std::unique_ptr<Accelerometer> accelerometer,
                        std::function<void(const StripSeen&)> see);
 
-  AccelerometerInfo identify() override { return accelerometer_->identify(); }
+  AccelerometerInfo identify() override;
   void start() override;
   std::optional<Reading> next(Clock::Instant deadline) override;
   void discard_pending() override { accelerometer_->discard_pending(); }
@@ -69,6 +71,7 @@ class WatchedAccelerometer final : public Accelerometer {
   RealClock real_;  // For people, who live in real time.
   Clock::Instant last_seen_{};
   std::optional<Clock::Instant> first_arrival_;
+  std::string unit_;
   StripSeen group_;
 };
 

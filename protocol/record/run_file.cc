@@ -471,10 +471,12 @@ std::string RunFile::close_complete(const std::string& utc, const RunTiming& tim
 }
 
 std::string RunFile::close() {
-  impl_->database.execute("pragma wal_checkpoint(truncate)");
   impl_->database.execute("pragma journal_mode=delete");
   const std::filesystem::path path = impl_->path;
   impl_.reset();
+  // All is in the file now; but SQLite does not say if it could not remove its log.
+  std::error_code ignored;
+  std::filesystem::remove(path.string() + "-wal", ignored);
   using std::filesystem::perms;
   std::filesystem::permissions(path, perms::owner_write | perms::group_write | perms::others_write,
                                std::filesystem::perm_options::remove);

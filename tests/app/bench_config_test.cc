@@ -6,6 +6,7 @@
 #include <filesystem>
 
 #include "tests/support/program.h"
+#include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -125,8 +126,7 @@ TEST(BenchConfigTest, SaysWhereTheTomlItselfIsBroken) {
 
 TEST(BenchConfigTest, ReadsEveryExampleFile) {
   int count = 0;
-  for (const auto& entry :
-       std::filesystem::directory_iterator(std::filesystem::path(ABCAL_SOURCE_DIR) / "docs" / "examples")) {
+  for (const auto& entry : std::filesystem::directory_iterator(test::source_folder() / "docs" / "examples")) {
     if (entry.path().extension() != ".toml" || entry.path().filename() == "laboratory.toml") continue;
     EXPECT_NO_THROW(read_bench(entry.path())) << entry.path();
     ++count;

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "tests/app/program_fixtures.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 namespace {
@@ -53,7 +54,7 @@ TEST_F(CampaignCommandTest, ShowsASummaryToPeople) {
 TEST_F(CampaignCommandTest, ARemountNeedsATerminal) {
   write_bench({});
   test::Program program(
-      "/bin/sh", {"-c", std::string(ABCAL_PROGRAM) + " run bench.toml --repeat 3 -o c --remount < /dev/null"},
+      "/bin/sh", {"-c", test::abcal_program() + " run bench.toml --repeat 3 -o c --remount < /dev/null"},
       folder.path());
   EXPECT_EQ(program.wait(), 2);
   EXPECT_THAT(program.err(), HasSubstr("no terminal"));

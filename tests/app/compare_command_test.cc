@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "tests/app/program_fixtures.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 namespace {
@@ -253,7 +254,7 @@ TEST_F(CompareCommand, GroupsAreJudgedByAnalysisOfVariance) {
 
 // The run is per g_loc and in g, its certificate per m/s2 and in m/s2: nothing may get lost on the way.
 TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
-  const std::filesystem::path examples = std::filesystem::path(ABCAL_SOURCE_DIR) / "docs/examples";
+  const std::filesystem::path examples = test::source_folder() / "docs/examples";
   ASSERT_EQ(abcal({"run", (examples / "simulated.toml").string(), "-o", "a.run"}).exit_code, 0);
   const ProgramResult written =
       abcal({"issue", "a.run", "--laboratory", (examples / "laboratory.toml").string(), "--number", "EX-1",

@@ -8,6 +8,7 @@
 #include <regex>
 
 #include "tests/app/program_fixtures.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 namespace {
@@ -18,7 +19,7 @@ using Json = nlohmann::json;
 
 /// The blocks of one language in a page, in their order.
 std::vector<std::string> code_blocks(const std::string& page, const std::string& language) {
-  const std::string text = test::read_file(std::filesystem::path(ABCAL_SOURCE_DIR) / "docs" / page);
+  const std::string text = test::read_file(test::source_folder() / "docs" / page);
   std::vector<std::string> blocks;
   const std::string fence = "```" + language + "\n";
   for (std::size_t at = text.find(fence); at != std::string::npos; at = text.find(fence, at)) {
@@ -92,7 +93,7 @@ TEST_F(DocumentationTest, PythonReadsTheHdf5AsThePageShows) {
 
 TEST(ValidationPageTest, EveryTestThatItNamesExists) {
   std::string sources;
-  const std::filesystem::path root = ABCAL_SOURCE_DIR;
+  const std::filesystem::path root = test::source_folder();
   for (const auto& entry : std::filesystem::recursive_directory_iterator(root / "tests")) {
     if (entry.path().filename().string().ends_with("_test.cc")) sources += test::read_file(entry.path());
   }

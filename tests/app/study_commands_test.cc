@@ -10,6 +10,7 @@
 #include <sstream>
 
 #include "tests/support/program.h"
+#include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -201,7 +202,7 @@ TEST_F(StudyCommands, SeveralProcessesGiveTheSameBitsAsOne) {
     arguments.insert(arguments.end(), number.begin(), number.end());
     const ProgramResult alone = abcal(arguments);
     ASSERT_EQ(alone.exit_code, 0) << alone.err;
-    std::vector<std::string> words{"--oversubscribe", "-n", "3", ABCAL_PROGRAM};
+    std::vector<std::string> words{"--oversubscribe", "-n", "3", test::abcal_program()};
     words.insert(words.end(), arguments.begin(), arguments.end());
     test::Program team(ABCAL_MPIRUN, words, folder.path());
     EXPECT_EQ(team.wait(), 0) << team.err();

@@ -45,7 +45,10 @@ struct Answer {
 /// A connection on which whatever bytes are sent.
 class RawConnection {
  public:
-  explicit RawConnection(std::uint16_t port) {
+  /// @param receive_buffer  bytes the system keeps for it; 0: as many as it likes
+  explicit RawConnection(std::uint16_t port, int receive_buffer = 0) {
+    socket_.open(boost::asio::ip::tcp::v4());
+    if (receive_buffer > 0) socket_.set_option(boost::asio::socket_base::receive_buffer_size(receive_buffer));
     socket_.connect({boost::asio::ip::address_v4::loopback(), port});
   }
 

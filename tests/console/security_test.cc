@@ -3,9 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <regex>
-
 #include <filesystem>
+#include <regex>
 #include <string>
 #include <vector>
 
@@ -28,8 +27,8 @@ class SecurityTest : public ConsoleTest {
                     {"Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ=="}});
     return test::http_get(port, target, headers).status;
   }
-  void expect_that_nothing_moved() {
-    test::PageClient page(port);
+  void expect_that_nothing_moved(const test::Headers& headers = {}) {
+    test::PageClient page(port, headers);
     const Json snapshot = page.wait_for_type("snapshot");
     EXPECT_EQ(snapshot["activity"]["activity"], "idle");
     EXPECT_TRUE(snapshot["run"].is_null());
@@ -92,8 +91,14 @@ TEST_F(SecurityTest, WithoutTheTokenNothingIsShown) {
     EXPECT_EQ(test::http_get(port, path).status, 401U) << path;
   EXPECT_EQ(upgrade({}), 401U);
   EXPECT_EQ(upgrade({{"Authorization", "Bearer 0123456789abcdeF"}}), 401U);
+  EXPECT_EQ(upgrade({{"Cookie", cookie_name + "=0123456789abcdeF"}}), 401U);
+  EXPECT_EQ(upgrade({{"Cookie", cookie_name + "=0123456789abcdef0"}}), 401U);
+  EXPECT_EQ(upgrade({{"Cookie", "abcal_token=0123456789abcdef"}}), 401U);
+  EXPECT_EQ(upgrade({}, "/live?token=0123456789abcdef"), 401U) << "in the address of the page alone";
   EXPECT_EQ(test::http_get(port, "/?token=0123456789abcdeF").status, 401U);
+  EXPECT_EQ(test::http_get(port, "/?token=").status, 401U);
   EXPECT_TRUE(is_logged("no token"));
+  EXPECT_TRUE(is_logged("this is not the token"));
   // The token itself is in no log.
   EXPECT_THAT(logged(), testing::Not(HasSubstr("0123456789abcde")));
 
@@ -109,6 +114,7 @@ TEST_F(SecurityTest, WithoutTheTokenNothingIsShown) {
   test::Headers elsewhere = cookie;
   elsewhere["Origin"] = "http://evil.example.org";
   EXPECT_EQ(upgrade(elsewhere), 403U);
+  expect_that_nothing_moved(cookie);
 }
 
 TEST_F(SecurityTest, NoPathLeadsOutOfTheRunFolder) {
@@ -151,6 +157,7 @@ TEST_F(SecurityTest, NoPathLeadsOutOfTheRunFolder) {
   auto page = steering_page();
   for (const char* run : {"../secret.run", "link.run", "/etc/passwd", "", ".", "inside.run", "secret.run"})
     EXPECT_FALSE(page->ok({{"do", "resume"}, {"run", run}, {"confirmed", true}})) << run;
+  EXPECT_TRUE(is_logged("there is no such run in the run folder"));
 }
 
 TEST_F(SecurityTest, RefusesWhatIsNoRequest) {
@@ -169,7 +176,8 @@ TEST_F(SecurityTest, RefusesWhatIsNoRequest) {
   EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 99999999\r\n\r\n"), 413U);
   EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 0\r\n\r\n"), 405U);
   EXPECT_EQ(status("DELETE /runs HTTP/1.1\r\n" + host + "\r\n"), 405U);
-  EXPECT_TRUE(is_logged("Only GET is answered here"));
+  for (const char* why : {"Only GET is answered here", "header limit", "body limit", "bad version"})
+    EXPECT_TRUE(is_logged(why)) << why;
   expect_that_nothing_moved();
 }
 
@@ -241,6 +249,53 @@ TEST_F(SecurityTest, ConnectionsAreLimitedInNumberAndTime) {
   EXPECT_TRUE(is_logged("there are 3 already"));
   for (const auto& connection : idle) EXPECT_TRUE(connection->closed());
   EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 200; }, test::kPatience));
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, ARequestThatComesByteByByteIsCutOffAndHoldsUpNobody) {
+  options.request_time = std::chrono::seconds(1);
+  open();
+  std::vector<std::unique_ptr<test::RawConnection>> slow;
+  for (int i = 0; i < 20; ++i) slow.push_back(std::make_unique<test::RawConnection>(port));
+  const std::string request = "GET / HTTP/1.1\r\nHost: 127.0.0.1:" + std::to_string(port) + "\r\nX: ";
+  std::size_t sent = 0;
+  // A byte each now and then, which restarts no clock.
+  const auto cut_off = [&] {
+    for (const auto& connection : slow)
+      connection->send(sent < request.size() ? request.substr(sent, 1) : "x");
+    ++sent;
+    EXPECT_EQ(test::http_get(port, "/runs").status, 200U) << "somebody else";
+    return logged().find("not complete after 1 s") != std::string::npos;
+  };
+  const auto begun = std::chrono::steady_clock::now();
+  EXPECT_TRUE(test::wait_for(cut_off, test::kPatience));
+  EXPECT_GE(std::chrono::steady_clock::now() - begun, std::chrono::milliseconds(900));
+  for (const auto& connection : slow) EXPECT_TRUE(connection->closed());
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, AnAnswerThatIsNeverTakenEndsTheConnection) {
+  options.most_connections = 1;
+  options.request_time = std::chrono::seconds(1);
+  open();
+  test::RawConnection deaf(port, 4096);
+  const std::string request =
+      "GET /chart.js HTTP/1.1\r\nHost: 127.0.0.1:" + std::to_string(port) + "\r\n\r\n";
+  std::string many;
+  for (int i = 0; i < 20; ++i) many += request;  // More than the system's buffers hold.
+  deaf.send(many);
+  EXPECT_EQ(test::http_get(port, "/").status, 0U) << "it has the only connection";
+  EXPECT_TRUE(is_logged("its answer was not taken"));
+  EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 200; }, test::kPatience));
+}
+
+TEST_F(SecurityTest, APageThatAnswersNoPingIsGoneAndSteersNoLonger) {
+  options.silent_time = std::chrono::seconds(1);
+  open();
+  auto silent = steering_page();  // It answers pings only while it is asked for messages.
+  test::PageClient other(port);
+  EXPECT_FALSE(other.ok({{"do", "control"}}));
+  EXPECT_TRUE(test::wait_for([&] { return other.ok({{"do", "control"}}); }, test::kPatience));
 }
 
 }  // namespace

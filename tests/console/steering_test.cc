@@ -151,11 +151,46 @@ TEST_F(SteeringTest, StopsAtOnceAndResumes) {
   EXPECT_THAT(line["line"]["text"].get<std::string>(), HasSubstr(file));
 }
 
+TEST_F(SteeringTest, ARunWhoseProgramEndedAfterTheLastAngleIsClosedAndAnalysed) {
+  open();
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  const std::string file = wait_for_end(*page);
+  const auto closed = [&] {
+    return (std::filesystem::status(runs() / file).permissions() & std::filesystem::perms::owner_write) ==
+           std::filesystem::perms::none;
+  };
+  const auto analysed = [&] {
+    return Json::parse(test::http_get(port, "/runs").body)[0]["analysed"].get<bool>();
+  };
+  EXPECT_TRUE(closed());
+  EXPECT_TRUE(analysed());
+  // As a kill leaves it: complete, but neither closed nor analysed.
+  std::filesystem::remove(ResultsFile::path_beside(runs() / file));
+  std::filesystem::permissions(runs() / file, std::filesystem::perms::owner_write,
+                               std::filesystem::perm_options::add);
+  EXPECT_FALSE(analysed());
+  ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
+  bool moved = false;
+  const Json line = page->wait_for(
+      [&](const Json& m) {
+        moved = moved || m["type"] == "stage" || m["type"] == "phase";
+        return m["type"] == "log";
+      },
+      "what was done");
+  EXPECT_THAT(line["line"]["text"].get<std::string>(), HasSubstr("closed and analysed now: "));
+  page->wait_for_activity("idle");
+  EXPECT_FALSE(moved);
+  EXPECT_TRUE(closed());
+  EXPECT_TRUE(analysed());
+}
+
 TEST_F(SteeringTest, ChecksTheBench) {
   open();
   auto page = steering_page();
   ASSERT_TRUE(page->ok({{"do", "check"}, {"with_motion", true}, {"confirmed", true}}));
   EXPECT_FALSE(page->ok(kStart)) << "one thing at a time";
+  EXPECT_EQ(page->wait_for_type("strip")["group"]["unit"], "g");
   const Json findings = page->wait_for_type("checks")["findings"];
   const auto has = [&](const std::string& what) {
     return std::any_of(findings.begin(), findings.end(),

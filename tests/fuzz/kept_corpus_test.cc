@@ -9,6 +9,8 @@
 #include <iterator>
 #include <string>
 
+#include "tests/support/project_paths.h"
+
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
 
 namespace abcal {
@@ -19,7 +21,7 @@ class KeptCorpusTest : public testing::TestWithParam<std::string> {};
 TEST_P(KeptCorpusTest, AgreesWithTheReference) {
   std::size_t inputs = 0;
   for (const auto& file :
-       std::filesystem::directory_iterator(ABCAL_SOURCE_DIR "/tests/fuzz/corpus/" + GetParam())) {
+       std::filesystem::directory_iterator(test::source_folder() / "tests/fuzz/corpus" / GetParam())) {
     std::ifstream stream(file.path(), std::ios::binary);
     ASSERT_TRUE(stream) << file.path();
     const std::string input{std::istreambuf_iterator<char>(stream), {}};

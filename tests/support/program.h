@@ -17,6 +17,8 @@
 #include <thread>
 #include <vector>
 
+#include "tests/support/project_paths.h"
+
 namespace abcal::test {
 
 inline std::string read_file(const std::filesystem::path& path) {
@@ -42,7 +44,7 @@ class Program {
 
   Program(const std::vector<std::string>& arguments, const std::filesystem::path& folder,
           const Limits& limits)
-      : Program(ABCAL_PROGRAM, arguments, folder, limits) {}
+      : Program(abcal_program(), arguments, folder, limits) {}
 
   /// Another program that starts abcal.
   Program(const std::string& program, const std::vector<std::string>& arguments,

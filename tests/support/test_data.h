@@ -6,15 +6,16 @@
 #include <string>
 #include <string_view>
 
+#include "tests/support/project_paths.h"
+
 namespace abcal::test {
 
 /// The path of a file or folder of the shared data set: in the folder named by ABCAL_TEST_DATA, else in
 /// ../shared/data beside the project. Nothing if it is absent: skip the test and say so.
 inline std::optional<std::filesystem::path> shared_data(std::string_view relative) {
   const char* named = std::getenv("ABCAL_TEST_DATA");
-  const std::filesystem::path root = named != nullptr
-                                         ? std::filesystem::path(named)
-                                         : std::filesystem::path(ABCAL_SOURCE_DIR) / ".." / "shared" / "data";
+  const std::filesystem::path root =
+      named != nullptr ? std::filesystem::path(named) : source_folder() / ".." / "shared" / "data";
   std::filesystem::path path = root / relative;
   if (!std::filesystem::exists(path)) return std::nullopt;
   return path;

@@ -93,8 +93,9 @@ byId('jog-form').addEventListener('submit', async (event) => {
     await ask({do: 'jog', axis, by_deg: by, confirmed: true});
 });
 
-async function resume(run) {
-  if (!(await confirmed(`Resume ${run}?`, `Both axes search their reference, the last angle is measured again, and the run goes on. ${CLEAR}`, 'Resume, and turn the stage'))) return;
+// Of a run whose angles are all measured only the analysis is missing: nothing moves.
+async function resume(run, measured) {
+  if (!measured && !(await confirmed(`Resume ${run}?`, `Both axes search their reference, the last angle is measured again, and the run goes on. ${CLEAR}`, 'Resume, and turn the stage'))) return;
   if (await ask({do: 'resume', run, confirmed: true})) location.hash = '#live';
 }
 

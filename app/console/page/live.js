@@ -37,8 +37,9 @@ export class LiveView {
       const turn = {min: 0, max: 360, ticks: {stepSize: 90}};
       return {
         response: plot(response, {x: 'angle (degrees)', y: 'output', xRange: turn,
+alignedLeft: true,
           datasets: [...OUTPUTS.map((name) => series(name, name, {line: false, points: true})), ...OUTPUTS.map((name) => series(name, `_fit ${name}`))]}),
-        residual: plot(residual, {x: 'angle (degrees)', y: 'residual', xRange: turn, legend: false,
+        residual: plot(residual, {x: 'angle (degrees)', y: 'residual', xRange: turn, alignedLeft: true, legend: false,
           datasets: OUTPUTS.map((name) => series(name, name, {line: false, points: true}))}),
       };
     });
@@ -49,6 +50,7 @@ export class LiveView {
     this.run = message.run;
     this.dwells.clear();
     this.fits = [null, null, null];
+    this.lastDwell = this.run ? this.run.dwells.at(-1) : null;
     if (this.run) {
       for (const dwell of this.run.dwells) this.dwells.set(dwell.position, dwell);
       for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
@@ -60,7 +62,6 @@ export class LiveView {
         response.options.scales.y.title.text = `output (${this.run.unit})`;
         residual.options.scales.y.title.text = `residual (${this.run.unit})`;
       }
-      this.strip.options.scales.y.title.text = `output (${this.run.unit})`;
     }
     this.stripData = message.strip;
     this.stage('x', message.stage.x);
@@ -92,6 +93,8 @@ export class LiveView {
         break;
       case 'dwell':
         this.dwells.set(message.dwell.position, message.dwell);
+        this.lastDwell = message.dwell;
+        this.settling();
         this.fits[message.fit.experiment - 1] = message.fit.outputs;
         this.setProgress(message.progress);
         this.dirty.add(message.fit.experiment - 1).add('table');
@@ -122,8 +125,18 @@ export class LiveView {
     const state = byId('state');
     if (state.textContent !== text) state.textContent = text;
     const planned = this.run && this.phase ? this.run.plan[this.phase.position] : null;
+    const held = this.phase && this.phase.phase === 'held';
     byId('angle').textContent = planned && what === 'running'
-      ? `experiment ${planned.experiment}, ${number(planned.alpha_deg, 1, 'degrees')}${planned.closing ? ' (closing angle)' : ''}` : DASH;
+      ? `${held ? 'next: ' : ''}experiment ${planned.experiment}, ${number(planned.alpha_deg, 1, 'degrees')}${planned.closing ? ' (closing angle)' : ''}` : DASH;
+    this.settling();
+  }
+
+  // Whether all is still now; else how long that took at the angle measured last.
+  settling() {
+    const now = {moving: 'the stage moves', settling: 'waiting until all is still', reading: 'still', held: 'still'}[this.phase?.phase];
+    const took = this.lastDwell && Number.isFinite(this.lastDwell.settle_s) ? `last angle: ${number(this.lastDwell.settle_s, 1, 's')}` : '';
+    const on = this.activity && this.activity.activity === 'running';
+    byId('settling').textContent = [on ? now : '', took].filter(Boolean).join('; ') || DASH;
   }
 
   setProgress(progress) {
@@ -164,29 +177,26 @@ export class LiveView {
   }
 
   checks(findings) {
-    byId('checks').replaceChildren(element('table', {},
-      element('thead', {}, element('tr', {}, ...['What', 'Found', 'Advice'].map((word) => element('th', {scope: 'col'}, word)))),
-      element('tbody', {}, ...findings.map((f) => element('tr', {},
-        element('th', {scope: 'row'}, element('span', {class: `grade-${f.grade}`}, f.grade), ` ${f.what}`),
-        element('td', {}, f.found), element('td', {}, f.advice))))));
+    byId('checks').replaceChildren(table('What was asked of the bench, and what was found', ['What', 'Grade', 'Found', 'Advice'],
+      findings.map((f) => [f.what, element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, f.grade), f.found, f.advice])));
   }
 
   draw() {
     if (this.dirty.size === 0) return;
-    const unit = this.run ? this.run.unit : '';
     if (this.dirty.has('strip')) {
       OUTPUTS.forEach((name, j) => {
         this.strip.data.datasets[j].data = this.stripData.map((group) => ({x: group.time_s, y: group.mean[j]}));
       });
+      const last = this.stripData.at(-1), unit = last ? last.unit : '';
+      if (unit) this.strip.options.scales.y.title.text = `output (${unit})`;
       this.strip.update('none');
-      const last = this.stripData.at(-1);
       byId('strip-table').replaceChildren(...OUTPUTS.map((name, j) => element('tr', {},
         element('th', {scope: 'row'}, name), element('td', {}, last ? signed(last.mean[j], 6, unit) : DASH),
         element('td', {}, last ? `${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
       byId('temperature').textContent = last ? number(last.temperature_degc, 2, '°C') : DASH;
     }
     for (const i of [0, 1, 2]) if (this.dirty.has(i)) this.drawExperiment(i);
-    if (this.dirty.has('table')) this.drawTable(unit);
+    if (this.dirty.has('table')) this.drawTable(this.run ? this.run.unit : '');
     this.dirty.clear();
   }
 
@@ -211,7 +221,8 @@ export class LiveView {
   drawTable(unit) {
     const dwells = [...this.dwells.values()].sort((a, b) => a.position - b.position);
     const flagged = dwells.filter((d) => d.flags);
-    byId('flagged').textContent = this.run ? `${flagged.length} of ${dwells.length}` : DASH;
+    const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
+    byId('flagged').textContent = this.run ? `${flagged.length} of ${dwells.length}${flags && `: ${flags}`}` : DASH;
     const rows = dwells.map((d) => [`${d.experiment}${d.closing ? ' (closing)' : ''}`, number(d.alpha_deg, 2),
       ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
       number(d.temperature_degc, 2), d.flags || 'none']);

@@ -8,7 +8,7 @@ const DASHES = [[], [6, 3], [2, 2]];
 
 function readPalette() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ['dim', 'line', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
+  for (const name of ['dim', 'line', 'bad', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
 }
 readPalette();
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => {
@@ -22,8 +22,12 @@ const line = () => palette.line;
 const of = (output) => () => palette[output] ?? palette.dim;
 
 function axis(words, more = {}) {
-  return {...more, title: {display: words !== '', text: words, color: dim}, ticks: {...more.ticks, color: dim}, grid: {color: line}};
+  return {...more, title: {display: words !== '', text: words, color: dim}, ticks: {...more.ticks, format: {useGrouping: false}, color: dim}, grid: {color: line}};
 }
+
+// Of one width in plots that stand under each other, so that their angles do too.
+const LEFT = 78;  // px
+const aligned = {afterFit: (scale) => { scale.width = LEFT; }};
 
 // "4.0e−5" where Chart.js would write 4.000000E-5.
 function tick(value, index, ticks) {
@@ -32,14 +36,14 @@ function tick(value, index, ticks) {
   return value.toExponential(1).replaceAll('-', '−');
 }
 
-function draw(canvas, type, data, {x, y, legend = true, xRange = {}}) {
+function draw(canvas, type, data, {x, y, legend = true, xRange = {}, alignedLeft = false}) {
   const chart = new Chart(canvas, {
     type,
     data,
     options: {
       animation: false, responsive: true, maintainAspectRatio: false,
       interaction: {mode: 'nearest', intersect: false},
-      scales: {x: axis(x, xRange), y: axis(y, {ticks: {callback: tick}})},
+      scales: {x: axis(x, xRange), y: axis(y, {...(alignedLeft ? aligned : {}), ticks: {callback: tick}})},
       plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
@@ -57,11 +61,14 @@ export function plot(canvas, {datasets, xRange = {}, ...words}) {
   return draw(canvas, 'line', {datasets}, {...words, xRange: {type: 'linear', ...xRange}});
 }
 
+// Small where there are many.
+const pointRadius = (context) => (context.dataset.data.length > 40 ? 1.8 : 3);
+
 // A line through points, or points alone.
 export function series(output, label, {line: joined = true, points = false} = {}) {
   const i = Math.max(0, OUTPUTS.indexOf(output));
   return {label, data: [], borderColor: of(output), backgroundColor: of(output), pointBackgroundColor: of(output), pointBorderColor: of(output),
-    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? 3 : 0, pointStyle: points ? POINTS[i] : 'line', pointHitRadius: 8};
+    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? pointRadius : 0, pointStyle: points ? POINTS[i] : 'line', pointHitRadius: 8};
 }
 
 // Groups of bars, one colour an output.
@@ -71,16 +78,22 @@ export function bars(canvas, {x = '', y, labels, sets}) {
 }
 
 // Values with a band of two standard uncertainties, and the limits of a control chart where there are any.
+// `words` of a point stand under it instead of its number.
 export function band(canvas, {x, y, points, output, limits = null, marks = false}) {
   const edge = (sign) => points.map((p) => ({x: p.x, y: p.y + sign * 2 * (p.u ?? 0)}));
   const level = (name, value, dash) => ({...series('', name), borderWidth: 1.2, borderDash: dash,
     data: points.length ? [{x: points[0].x, y: value}, {x: points.at(-1).x, y: value}] : []});
   const thin = {borderWidth: 1, borderDash: [2, 3]};
+  const outside = ({raw}) => limits && raw && (raw.y < limits.lower || raw.y > limits.upper);
+  const striking = marks ? {pointRadius: (point) => (outside(point) ? 7 : 4), pointStyle: (point) => (outside(point) ? 'rectRot' : 'circle'),
+    pointBackgroundColor: (point) => (outside(point) ? palette.bad : palette[output])} : {};
   const datasets = [
-    {...series(output, 'value', {points: marks}), borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
+    {...series(output, 'value', {points: marks}), ...striking, borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
     {...series(output, '2 std. uncertainties'), ...thin, data: edge(+1)},
     {...series(output, '_lower'), ...thin, data: edge(-1)},
   ];
   if (limits) datasets.push(level('centre', limits.centre, []), level('limits', limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
-  return plot(canvas, {x, y, datasets, xRange: {ticks: {precision: 0}}});
+  return plot(canvas, {x, y, datasets, xRange: {
+    min: points[0]?.x, max: points.at(-1)?.x, offset: marks,
+    ticks: {precision: 0, maxRotation: 0, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});
 }

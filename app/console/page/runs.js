@@ -1,12 +1,20 @@
 // The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
-import {byId, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {byId, decimals, duration, element, number, signed, small, table, DASH} from '/text.js';
 import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 
 const VERDICTS = {usable: 'Usable', doubtful: 'Doubtful', not_usable: 'Not usable'};
 const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read'};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
-const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Steer'];
+const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Go on'];
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
+const SYMBOLS = 's_ux: sensitivity of output u along axis x of the stage; s_u: its whole sensitivity, whatever the mounting; phi_uv: angle between u and v; O_u: offset of u.';
+
+// "s_u: sensitivity of output u".
+function inWords(property) {
+  const [kind, outputs] = property.split('_');
+  const words = {s: `sensitivity of output ${outputs}`, phi: `angle between outputs ${[...outputs].join(' and ')}`, O: `offset of output ${outputs}`};
+  return `${property}: ${words[kind]}`;
+}
 
 let list = [];
 const charts = [];
@@ -56,9 +64,11 @@ function drawList(resume) {
   const row = (run) => {
     const link = element('a', {href: `#runs/${encoded(run.name)}`}, run.name);
     const actions = element('td', {});
-    if (run.state === 'interrupted' || run.state === 'running') {
-      const button = element('button', {type: 'button', class: 'resume', 'data-run': run.name, 'aria-label': `Resume ${run.name}`}, 'Resume');
-      button.addEventListener('click', () => resume(run.name));
+    const measured = run.state === 'complete';
+    if (run.state === 'interrupted' || run.state === 'running' || (measured && run.analysed === false)) {
+      const word = measured ? 'Analyse' : 'Resume';
+      const button = element('button', {type: 'button', class: 'resume', 'data-run': run.name, 'aria-label': `${word} ${run.name}`}, word);
+      button.addEventListener('click', () => resume(run.name, measured));
       button.disabled = !document.body.classList.contains('may-resume');
       actions.append(button);
     }
@@ -68,7 +78,7 @@ function drawList(resume) {
       cell(1, run.item || DASH),
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
-      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : STATES[run.state] || run.state),
+      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? ', not analysed' : ''}`),
       cell(5, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
       cell(6, duration(run.duration_s)),
       actions);
@@ -99,6 +109,8 @@ export async function showRun(name) {
     element('h3', {id: 'run-name'}, run.name),
     verdict(abc, run),
     downloads(data.downloads, run),
+    card('Checks of the result', checks(abc, data.meanings)),
+    ...(abc.diagnostics.flags.length ? [card('Flagged angles', flagged(abc, data.meanings))] : []),
     card('Estimators side by side', estimators(results)),
     card('Other estimators in words', element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. ${r.why}`)))),
     card('Facts', facts(data)));
@@ -120,6 +132,25 @@ function verdict(result, run) {
     ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {}, note)))] : []));
 }
 
+// What failed comes first, with what is wrong; of the others, what was asked.
+function checks(result, meanings) {
+  const all = [...result.diagnostics.checks].sort((a, b) => a.passed - b.passed);
+  if (!all.length) return element('p', {}, 'Nothing was checked: the result has too few angles.');
+  const figure = (value, against) => (value === null ? DASH : number(value, Math.min(9, decimals(Math.abs(value) < 1e-3 * against ? 1e-3 * against : value))).replace('-', '−'));
+  const outcome = (c) => element('span', {class: c.passed ? 'grade-good' : 'grade-problem'}, c.found === null && c.passed ? 'not made' : c.passed ? 'passed' : 'FAILED');
+  const failed = all.filter((c) => !c.passed).length;
+  return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? `${failed} of ${all.length} checks failed.` : `All ${all.length} checks passed. A sound bench fails one about once in a million runs.`,
+    ['Check', 'Outcome', 'Found', 'Limit', 'Unit', 'What it means'],
+    all.map((c) => [c.check, outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), c.unit,
+      element('span', {}, meanings[c.check], ...(c.words ? [' ', element('strong', {}, `${c.words[0].toUpperCase()}${c.words.slice(1)}.`)] : []))])));
+}
+
+function flagged(result, meanings) {
+  const {flags, angles_used: used} = result.diagnostics;
+  return element('div', {class: 'stack', id: 'result-flags'}, table(`Of ${used} angles used; an angle may have several flags.`,
+    ['Flag', 'Angles', 'What it means'], flags.map((f) => [f.flag, f.dwells, meanings[f.flag]])));
+}
+
 function downloads(kinds, run) {
   const bar = element('p', {class: 'bar'}, 'Download:');
   for (const {name, words} of kinds || [])
@@ -138,11 +169,6 @@ function quantities(result) {
   return new Map(all);
 }
 
-// Nine decimals would be noise: as many as two digits of the uncertainty ask for.
-function decimals(u) {
-  return u > 0 && Number.isFinite(u) ? Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(u)))) : 6;
-}
-
 function estimators(results) {
   const per = results.map(quantities);
   const names = [...per[0].keys()].length ? [...per[0].keys()] : [...per[1].keys()];
@@ -154,7 +180,7 @@ function estimators(results) {
       return q ? [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)] : [DASH, DASH];
     })];
   });
-  const made = table('Standard uncertainties (k = 1). A dash: this estimator does not give it.', head, rows);
+  const made = table(`Standard uncertainties (k = 1). A dash: this estimator does not give it. ${SYMBOLS}`, head, rows);
   made.id = 'estimators';
   return element('div', {class: 'scroll-x'}, made);
 }
@@ -167,8 +193,11 @@ function facts(data) {
   fact('Bench', run.bench);
   fact('Operator', run.operator);
   fact('Begun', day(run.created_utc));
+  const {angles_used: used, flags} = data.results[0].diagnostics;
+  fact('Angles used', `${used}`);
+  fact('Flagged angles', flags.length ? flags.map((f) => `${f.flag}: ${f.dwells}`).join('; ') : 'none');
   fact('Moving, settling, reading, else', [timing.moving_s, timing.settling_s, timing.dwelling_s, timing.overhead_s].map(duration).join(', '));
-  for (const i of data.instruments) fact(i.role, `${i.maker} ${i.model}, serial number ${i.serial_number || 'not told'}`);
+  for (const i of data.instruments) fact(i.role[0].toUpperCase() + i.role.slice(1), `${i.maker} ${i.model}, serial number ${i.serial_number || 'not told'}`);
   fact('Program', data.program_version);
   return dl;
 }
@@ -256,7 +285,7 @@ async function compare(a, b) {
   const row = (name) => {
     const first = data.results[0].properties[name], second = data.results[1].properties[name], both = pair.properties[name];
     return [name, first.unit, ...[first, second].flatMap((q) => [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)]),
-      small(both.difference), small(both.standard_uncertainty), signed(both.e_n, 2)];
+      signed(both.difference, decimals(both.standard_uncertainty)), small(both.standard_uncertainty), signed(both.e_n, 2)];
   };
   byId('compare-table').replaceChildren(
     element('p', {id: 'compare-words', role: 'status'}, pair.why),
@@ -276,7 +305,8 @@ export async function showChart(serial) {
   }
   const items = [...new Set(list.filter((run) => run.state === 'complete' && run.item).map((run) => run.item))].sort();
   byId('chart-item').replaceChildren(...items.map((item) => element('option', {value: item, selected: item === serial}, item)));
-  byId('chart-property').replaceChildren(...PROPERTIES.map((p) => element('option', {value: p}, p)));
+  byId('chart-property').replaceChildren(...PROPERTIES.map((p) => element('option', {value: p}, inWords(p))));
+  byId('chart-form').onchange = () => drawChart(byId('chart-item').value, byId('chart-property').value);
   byId('chart-form').onsubmit = (event) => {
     event.preventDefault();
     drawChart(byId('chart-item').value, byId('chart-property').value);
@@ -296,14 +326,20 @@ async function drawChart(serial, property) {
   const points = data.runs.map((run, i) => ({run, x: i + 1, ...run.quantities.find((q) => q.name === property)})).filter((p) => p.value !== null && p.value !== undefined);
   const limits = data.limits ? data.limits[property] : null;
   const unit = points[0]?.unit || '1';
-  const canvas = element('canvas', {role: 'img', 'aria-label': `Control chart of ${property}; the table has the numbers`});
+  const canvas = element('canvas', {role: 'img', 'aria-label': `Control chart of ${inWords(property)}; the table has the numbers`});
   const words = limits
     ? `Centre ${number(limits.centre, decimals(limits.standard_deviation))} ${unit}; limits ${number(limits.lower, decimals(limits.standard_deviation))} to ${number(limits.upper, decimals(limits.standard_deviation))} ${unit} (3 standard deviations from the mean moving range). ${limits.outside ? `${limits.outside} outside.` : 'All inside.'}`
     : 'Limits need at least two runs.';
   byId('chart-body').replaceChildren(
     element('p', {id: 'chart-words', role: 'status'}, words),
     element('div', {class: 'plot'}, canvas),
-    element('div', {class: 'scroll-x'}, table(`${property} of item ${serial} (${unit}), oldest first`, ['Run', 'Begun', `Value (${unit})`, `std. uncertainty (${unit})`, 'Verdict'],
-      points.map((p) => [`${p.x}: ${p.run.name}`, day(p.run.created_utc), signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), VERDICTS[p.run.verdict]]))));
-  charts.push(band(canvas, {x: 'run (1), oldest first', y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty})), limits, marks: true}));
+    element('div', {class: 'scroll-x'}, table(`${inWords(property)}, of item ${serial}, oldest first`, ['Run', 'Begun', `Value (${unit})`, `std. uncertainty (${unit})`, 'Limits', 'Verdict'],
+      points.map((p) => [element('a', {href: `#runs/${encoded(p.run.name)}`}, `${p.x}: ${p.run.name}`), day(p.run.created_utc),
+        signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), against(limits, p.value), VERDICTS[p.run.verdict]]))));
+  charts.push(band(canvas, {x: 'number and day of the run', y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty, words: [String(p.x), p.run.created_utc.slice(0, 10)]})), limits, marks: true}));
+}
+
+function against(limits, value) {
+  if (!limits) return DASH;
+  return value < limits.lower || value > limits.upper ? element('span', {class: 'grade-problem'}, 'OUTSIDE') : 'inside';
 }

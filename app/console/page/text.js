@@ -9,13 +9,19 @@ export function number(value, digits, unit = '') {
 // Signs stand under each other.
 export function signed(value, digits, unit = '') {
   if (value === null || value === undefined || !Number.isFinite(value)) return DASH;
-  return (value < 0 ? '−' : '+') + Math.abs(value).toFixed(digits) + (unit ? ` ${unit}` : '');
+  const shown = Math.abs(value).toFixed(digits);
+  return (value < 0 && Number(shown) !== 0 ? '−' : '+') + shown + (unit ? ` ${unit}` : '');
+}
+
+// So many decimals give two significant digits of a value, an uncertainty as a rule.
+export function decimals(value) {
+  return value !== 0 && Number.isFinite(value) ? Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(Math.abs(value))))) : 6;
 }
 
 // Two significant digits: what an uncertainty deserves.
 export function small(value, unit = '') {
   if (value === null || value === undefined || !Number.isFinite(value)) return DASH;
-  return value.toPrecision(2).replace('e', 'e').replace('-', '−') + (unit ? ` ${unit}` : '');
+  return value.toFixed(decimals(value)).replace('-', '−') + (unit ? ` ${unit}` : '');
 }
 
 export const degrees = (value, digits) => number(value, digits, '').replace('-', '−') + (Number.isFinite(value) && value !== null ? '°' : '');
@@ -40,7 +46,7 @@ export function element(tag, attributes = {}, ...children) {
 }
 
 // A table: head is a list of words, rows are lists of cells; a row's first cell is its heading. Columns of numbers are set
-// to the right.
+// to the right. Each cell knows its heading, for narrow screens (.stack in the style sheet).
 export function table(caption, head, rows) {
   const numeric = head.map((_, i) => i > 0 && rows.every((row) => /^[-+−]?\d[\d.e+−]*$|^–$/.test(String(row[i]))));
   const kind = (i) => numeric[i] && 'number';
@@ -48,7 +54,7 @@ export function table(caption, head, rows) {
     element('caption', {}, caption),
     element('thead', {}, element('tr', {}, ...head.map((word, i) => element('th', {scope: 'col', class: kind(i)}, word)))),
     element('tbody', {}, ...rows.map((row) => element('tr', {},
-      ...row.map((cell, i) => (i === 0 ? element('th', {scope: 'row'}, cell) : element('td', {class: kind(i)}, cell)))))));
+      ...row.map((cell, i) => (i === 0 ? element('th', {scope: 'row'}, cell) : element('td', {class: kind(i), 'data-heading': head[i]}, cell)))))));
 }
 
 export const byId = (id) => document.getElementById(id);

@@ -9,6 +9,7 @@
 #include "app/certificate/certificate.h"
 #include "app/report/report_data.h"
 #include "tests/support/program.h"
+#include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"
 
@@ -61,7 +62,7 @@ step_error_deg = 0.005
 }
 
 inline std::string example_laboratory() {
-  return test::read_file(std::filesystem::path(ABCAL_SOURCE_DIR) / "docs/examples/laboratory.toml");
+  return test::read_file(test::source_folder() / "docs/examples/laboratory.toml");
 }
 
 /// `text` with the first `from` replaced. Fails the test where there is none.

@@ -1,27 +1,15 @@
-// The console's page in a real browser, with a simulated bench behind it. Run by ctest, which sets
-//   ABCAL_PROGRAM         the program abcal
-//   ABCAL_NODE_MODULES    where playwright-core is installed
-//   ABCAL_SCREENSHOTS     folder for pictures of the page
+// The console's page in a real browser, with a simulated bench behind it. Run by ctest, which sets what served_page.mjs
+// asks for, and ABCAL_SCREENSHOTS, a folder for pictures of the page.
 import assert from 'node:assert/strict';
-import {execFileSync, spawn} from 'node:child_process';
-import {existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
-import {createRequire} from 'node:module';
-import {tmpdir} from 'node:os';
+import {mkdirSync, readFileSync} from 'node:fs';
 import path from 'node:path';
 import {after, before, test} from 'node:test';
+import {missing, PATIENCE, ServedPage, SIZES} from './served_page.mjs';
 
-const CHROMIUM = process.env.ABCAL_CHROMIUM || '/usr/bin/chromium';
-const modules = process.env.ABCAL_NODE_MODULES;
-const skipped = 77;  // ctest's SKIP_RETURN_CODE
-if (!modules || !existsSync(path.join(modules, 'playwright-core'))) {
-  console.log('skipped: playwright-core is not installed');
-  process.exit(skipped);
+if (missing()) {
+  console.log(`skipped: ${missing()}`);
+  process.exit(77);  // ctest's SKIP_RETURN_CODE
 }
-if (!existsSync(CHROMIUM)) {
-  console.log(`skipped: there is no ${CHROMIUM}`);
-  process.exit(skipped);
-}
-const {chromium} = createRequire(path.join(modules, 'x.js'))('playwright-core');
 
 const BENCH = `
 [bench]
@@ -57,56 +45,23 @@ speed_deg_per_s = 60.0
 step_error_deg = 0.006
 `;
 const ANGLES = 39;
-const PATIENCE = 120_000;  // ms; a busy machine is slow, and a run takes some seconds on a fast one
-
-const folder = mkdtempSync(path.join(tmpdir(), 'abcal-page-'));
+const served = new ServedPage();
+const {folder} = served;
 const pictures = process.env.ABCAL_SCREENSHOTS || folder;
-let server, address, browser, page;
-const requests = [], problems = [];
+let page;
 
-const abcal = (...words) => execFileSync(process.env.ABCAL_PROGRAM, words, {cwd: folder, encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore']});
-const text = (selector) => page.locator(selector).innerText();
+const abcal = (...words) => served.abcal(...words);
+const text = (selector) => served.text(selector);
+const measured = () => served.measured();
+const stateIs = (pattern) => served.stateIs(pattern);
 const confirmDialog = () => page.locator('#confirm-yes').click();
-
-function watch(opened) {
-  opened.setDefaultTimeout(PATIENCE);
-  opened.on('request', (request) => requests.push(request.url()));
-  opened.on('pageerror', (error) => problems.push(String(error)));
-  opened.on('console', (message) => { if (['error', 'warning'].includes(message.type())) problems.push(message.text()); });
-  return opened;
-}
-
-async function stateIs(pattern) {
-  await page.waitForFunction((source) => new RegExp(source).test(document.getElementById('state').textContent), pattern.source, {timeout: PATIENCE});
-}
-
-const measured = async () => Number((await text('#measured')).split(' ')[0]);
 
 before(async () => {
   mkdirSync(pictures, {recursive: true});
-  writeFileSync(path.join(folder, 'bench.toml'), BENCH);
-  server = spawn(process.env.ABCAL_PROGRAM, ['serve', 'bench.toml', '--port', '0', '--pace', '10'], {cwd: folder, stdio: ['ignore', 'pipe', 'inherit']});
-  address = await new Promise((resolve, reject) => {
-    let said = '';
-    server.stdout.on('data', (bytes) => {
-      said += bytes;
-      const found = said.match(/Console: (http:\S+)/);
-      if (found) resolve(found[1]);
-    });
-    server.on('exit', (code) => reject(new Error(`abcal serve ended with ${code}`)));
-  });
-  browser = await chromium.launch({executablePath: CHROMIUM, headless: true, args: ['--headless', '--no-sandbox', '--disable-gpu', '--disable-quic',
-    '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync']});
-  page = watch(await browser.newPage({viewport: {width: 1366, height: 768}, acceptDownloads: true}));
-  await page.goto(address);
-  await page.waitForFunction(() => document.getElementById('link').textContent === 'Connected');
+  page = await served.open(BENCH, '--pace', '4');
 });
 
-after(async () => {
-  await browser?.close();
-  server?.kill('SIGINT');
-  rmSync(folder, {recursive: true, force: true});
-});
+after(() => served.close());
 
 // What a person who cannot see the page is told of everything that can be used.
 async function unlabelled() {
@@ -128,6 +83,23 @@ async function unlabelled() {
       for (const id of element.getAttribute('aria-labelledby').split(' ')) if (!document.getElementById(id)) found.push(`no element ${id}`);
     const ids = [...document.querySelectorAll('[id]')].map((element) => element.id);
     for (const id of ids) if (ids.indexOf(id) !== ids.lastIndexOf(id)) found.push(`id twice: ${id}`);
+    return found;
+  });
+}
+
+// Columns of numbers that do not say their unit: in their heading, in a column "Unit", or because they count.
+async function unitless() {
+  return page.evaluate(() => {
+    const counts = ['Experiment', 'n', 'Angles'];
+    const found = [];
+    for (const table of document.querySelectorAll('table')) {
+      const heads = [...table.querySelectorAll('thead th')].map((head) => head.textContent);
+      if (heads.includes('Unit')) continue;
+      for (const cell of table.querySelectorAll('tbody td.number')) {
+        const heading = cell.dataset.heading;
+        if (!/\(.+\)$/.test(heading) && !counts.includes(heading)) found.push(`${heading}: ${cell.textContent}`);
+      }
+    }
     return found;
   });
 }
@@ -160,8 +132,6 @@ async function faint() {
   });
 }
 
-const SIZES = {desk: {width: 1366, height: 768}, phone: {width: 390, height: 844}};
-
 // At both sizes, light and dark: nothing sticks out, all is labelled, and a picture is kept.
 async function look(name) {
   for (const [size, viewport] of Object.entries(SIZES)) {
@@ -173,6 +143,7 @@ async function look(name) {
       assert.ok(wide <= room, `${name}, ${size}: ${wide} px wide in ${room} px`);
       assert.deepEqual(await unlabelled(), [], name);
       assert.deepEqual(await faint(), [], `${name}, ${colorScheme}`);
+      assert.deepEqual(await unitless(), [], name);
       await page.evaluate(() => scrollTo(0, 0));
       await page.screenshot({path: path.join(pictures, `${name}-${size}-${colorScheme}.png`)});
     }
@@ -215,6 +186,7 @@ test('checks the bench', async () => {
   await confirmDialog();
   await page.locator('#checks table').waitFor();
   assert.match(await text('#checks'), /signs and axes/);
+  assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
   await page.locator('#do-start:enabled').waitFor();
 });
 
@@ -223,7 +195,9 @@ let runName;
 test('starts a run, and points appear', async () => {
   await page.locator('#do-start').click();
   await confirmDialog();
-  await page.waitForFunction(() => Number(document.getElementById('measured').textContent.split(' ')[0]) >= 3);
+  await served.pressAt(8, 'do-hold');
+  await page.waitForFunction(() => /^about (\d+ min )?\d+ s$/.test(document.getElementById('left').textContent));
+  await served.measuredAtLeast(3);
   runName = await text('#run-file');
   assert.match(runName, /^bench-\d{8}T\d{6}Z\.run$/);
   const drawn = await page.evaluate(() => {
@@ -235,28 +209,23 @@ test('starts a run, and points appear', async () => {
   for (const n of drawn.strip) assert.ok(n >= 2, JSON.stringify(drawn));
   assert.match(await text('#x-encoder'), /^−?\d+\.\d{4}°$/);
   assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
-  assert.match(await text('#left'), /about \d+ s/);
 });
 
-test('holds after an angle, keeps a note, and continues', async () => {
-  await page.waitForFunction(() => Number(document.getElementById('measured').textContent.split(' ')[0]) >= 8);  // A fit and residuals to look at.
-  await page.locator('#do-hold').click();
+test('holds after an angle, and keeps a note', async () => {
   await stateIs(/^Held/);
+  assert.match(await text('#left'), /^(\d+ min )?\d+ s \(held\)$/);
   const kept = await measured();
   await page.locator('#note').fill('<b>door opened</b>');
   await page.locator('#note').press('Enter');
   await page.getByText('Note, stored in the event log: <b>door opened</b>').waitFor();
   await look('live');
   assert.equal(await measured(), kept);
-  await page.locator('#do-continue').click();
-  await confirmDialog();
-  await page.waitForFunction((n) => Number(document.getElementById('measured').textContent.split(' ')[0]) > n, kept);
 });
 
 test('another page watches, and steers only after it took control', async () => {
-  const other = watch(await browser.newPage());
-  await other.goto(address);
-  await other.waitForFunction(() => Number(document.getElementById('measured').textContent.split(' ')[0]) >= 8);
+  const other = served.watch(await served.browser.newPage());
+  await other.goto(served.address);
+  await served.measuredAtLeast(8, other);
   assert.ok(await other.locator('#do-stop').isDisabled());
   await other.locator('#take-control').click();
   await other.locator('#confirm-yes').click();
@@ -267,11 +236,14 @@ test('another page watches, and steers only after it took control', async () => 
   await page.locator('#do-stop:enabled').waitFor();
 });
 
-test('stops at once, and resumes from the list of runs', async () => {
-  await page.locator('#do-stop').click();
+test('continues, stops at once, and resumes from the list of runs', async () => {
+  const held = await measured();
+  await page.locator('#do-continue').click();
+  await served.pressAt(held + 1, 'do-stop');
+  await confirmDialog();
   await stateIs(/^The run is interrupted and can be resumed: .*the stage is halted/);
   const kept = await measured();
-  assert.ok(kept < ANGLES);
+  assert.ok(kept > held && kept < ANGLES, `${held} then ${kept}`);
   await page.locator('nav a[href="#runs"]').click();
   await page.locator(`button.resume[data-run="${runName}"]:enabled`).click();
   await confirmDialog();
@@ -318,6 +290,35 @@ test('shows the result that abcal analyse prints', async () => {
   await look('result');
 });
 
+test('shows checks, closures, harmonics and step errors that abcal analyse prints', async () => {
+  const rowsOf = (caption) => page.locator('table', {has: page.locator('caption', {hasText: caption})}).locator('tbody tr')
+    .evaluateAll((all) => all.map((row) => [...row.children].map((cell) => cell.textContent)));
+  const abc = JSON.parse(abcal('analyse', runName, '--json')), joint = JSON.parse(abcal('analyse', runName, '--estimator', 'joint', '--json'));
+  const near = (shown, value, what) => assert.ok(Math.abs(Number(shown.replace('−', '-')) - value) <= Math.max(0.06 * Math.abs(value), 6e-6), `${what}: ${shown} for ${value}`);
+
+  const checks = await rowsOf(/checks? (passed|failed)/);
+  assert.deepEqual(checks.map((row) => row[0]).sort(), abc.diagnostics.checks.map((check) => check.check).sort());
+  assert.ok(checks.length >= 8, String(checks.length));
+  for (const [name, outcome, , , , meaning] of checks) {
+    assert.equal(outcome === 'passed', abc.diagnostics.checks.find((check) => check.check === name).passed, name);
+    assert.ok(meaning.length > 20, `${name}: ${meaning}`);
+  }
+  const closures = await rowsOf('Closures and their');
+  assert.equal(closures.length, abc.diagnostics.closures.length);
+  closures.forEach((row, i) => near(row[2], abc.diagnostics.closures[i].value.value, row[0]));
+  const harmonics = await rowsOf('Amplitudes');
+  const expected = abc.diagnostics.fits.flatMap((fit) => fit.harmonics.filter((h) => h.order >= 2).map((h) => Math.hypot(h.sin.value, h.cos.value)));
+  assert.equal(harmonics.length, expected.length);
+  harmonics.forEach((row, i) => near(row[3], expected[i], `harmonic ${row}`));
+  const steps = await rowsOf('Step errors (degrees)');
+  const errors = joint.step_error.flat().filter((q) => q.value !== null);
+  assert.equal(steps.length, errors.length);
+  steps.forEach((row, i) => near(row[2], errors[i].value, `step error ${row}`));
+  const drawn = await page.evaluate(() => [...document.querySelectorAll('#run-detail canvas')].map((canvas) => Chart.getChart(canvas).data.datasets[0].data.length));
+  assert.equal(drawn.length, 5);
+  for (const points of drawn) assert.ok(points > 0, JSON.stringify(drawn));
+});
+
 test('downloads readings that give the same result', async () => {
   const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', {name: 'Averaged readings (CSV)'}).click()]);
   const file = path.join(folder, 'fetched.csv');
@@ -332,7 +333,7 @@ test('downloads readings that give the same result', async () => {
 });
 
 test('compares two runs and shows the control chart of an item', async () => {
-  await page.goto(`${address}#live`);
+  await page.goto(`${served.address}#live`);
   await page.locator('#do-start:enabled').click();
   await confirmDialog();
   await stateIs(/^(?!The run is complete)/);  // the words are still those of the run before
@@ -367,6 +368,6 @@ test('connects again by itself, and the bench does not depend on it', async () =
 });
 
 test('loaded nothing from elsewhere, and the browser has nothing to complain of', () => {
-  assert.deepEqual(requests.filter((url) => !url.startsWith(address) && !url.startsWith('blob:')), []);
-  assert.deepEqual(problems, []);
+  assert.deepEqual(served.requests.filter((url) => !url.startsWith(served.address) && !url.startsWith('blob:')), []);
+  assert.deepEqual(served.problems, []);
 });

@@ -149,6 +149,29 @@ TEST(RunFileTest, ACompleteRunIsOneReadOnlyFileThatCannotBeContinued) {
   EXPECT_THAT(what([&] { RunFile::open_for_append(path); }), HasSubstr("cannot be resumed"));
 }
 
+TEST(RunFileTest, ClosingIsFinishedWhereverTheProgramWasKilledInIt) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  {
+    RunFile file = RunFile::create(path, header());
+    file.append_dwell(0, dwell(1), kReadings, {});
+    file.set_state(RunState::kComplete, "2026-03-01T13:00:00.000Z", "all angles measured");
+    std::filesystem::copy_file(path, folder / "killed.run");
+    std::filesystem::copy_file(path.string() + "-wal", folder / "killed.run-wal");
+  }
+  // Before its log was merged into the file, after that, and when it was read-only already.
+  using std::filesystem::perms;
+  for (const perms mode :
+       {perms::owner_read | perms::owner_write, perms::owner_read | perms::owner_write, perms::owner_read}) {
+    std::filesystem::permissions(folder / "killed.run", mode);
+    const std::string hash = RunFile::finish_closing(folder / "killed.run");
+    EXPECT_EQ(hash, sha256_of_file(folder / "killed.run"));
+    EXPECT_FALSE(std::filesystem::exists(folder / "killed.run-wal"));
+    EXPECT_EQ(std::filesystem::status(folder / "killed.run").permissions() & perms::owner_write, perms::none);
+    EXPECT_EQ(RunFile::load(folder / "killed.run").record.dwells.size(), 1U);
+  }
+}
+
 TEST(RunFileTest, NeverOverwritesAFile) {
   const test::TemporaryFolder folder;
   std::ofstream(folder / "a.run") << "precious";

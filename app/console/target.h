@@ -1,0 +1,21 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace abcal::console {
+
+/// Where an HTTP request goes: its target, taken apart. Reading it is apart from answering it.
+struct Target {
+  std::string path;                  ///< As it was sent, before "?": "/runs/a%20b.run/result".
+  std::vector<std::string> words;    ///< Its parts, decoded: "runs", "a b.run", "result". Any bytes, "/" too.
+  std::optional<std::string> token;  ///< Of the query "?token=...", decoded.
+};
+
+/// Reads a target in origin form (RFC 9112, section 3.2.1).
+/// @return nothing if it is none
+std::optional<Target> parse_target(std::string_view text);
+
+}  // namespace abcal::console

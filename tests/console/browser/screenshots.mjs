@@ -1,0 +1,75 @@
+// Makes the pictures of docs/images anew, of the bench in docs/examples/simulated.toml:
+//   cmake --build build/release --target console_screenshots
+// An argument names a folder into which all pictures go instead, every view at every size, light and dark, for looking at.
+import {mkdirSync, readFileSync} from 'node:fs';
+import path from 'node:path';
+import {fileURLToPath} from 'node:url';
+import {missing, ServedPage, SIZES} from './served_page.mjs';
+
+if (missing()) throw new Error(`no pictures: ${missing()}`);
+const root = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../..');
+const everything = process.argv[2];
+const folder = everything || path.join(root, 'docs/images');
+const example = readFileSync(path.join(root, 'docs/examples/simulated.toml'), 'utf8').replace('6284.123456', '6284-0417');
+const benchOf = (seed) => example.replace(/^seed = .*$/m, `seed = ${seed}`);
+
+mkdirSync(folder, {recursive: true});
+const served = new ServedPage();
+process.on('exit', () => served.server?.kill('SIGINT'));  // Also after an error.
+const page = await served.open(benchOf(1), '--pace', '400');
+
+// `kept` are the pictures for docs/images: [name, size, light or dark].
+async function keep(name, {kept = [], whole = false} = {}) {
+  const take = async (file, viewport, colorScheme, fullPage) => {
+    await page.setViewportSize(viewport);
+    await page.emulateMedia({colorScheme});
+    await page.waitForTimeout(400);  // Plots follow the size of their place.
+    await page.evaluate(() => scrollTo(0, 0));
+    await page.screenshot({path: path.join(folder, file), fullPage});
+  };
+  if (everything) {
+    for (const [size, viewport] of Object.entries(SIZES))
+      for (const colorScheme of ['light', 'dark']) await take(`${name}-${size}-${colorScheme}.png`, viewport, colorScheme, whole);
+  } else {
+    for (const [picture, viewport, colorScheme] of kept) await take(`console-${picture}.png`, viewport, colorScheme, false);
+  }
+  await page.setViewportSize(SIZES.desk);
+  await page.emulateMedia({colorScheme: 'light'});
+}
+
+await keep('idle');
+await page.locator('#take-control').click();
+await served.press('#do-check');
+await page.locator('#checks table').waitFor();
+await keep('checked', {whole: true});
+await served.press('#do-start');
+await served.pressAt(180, 'do-hold');
+await served.stateIs(/^Held/);
+await page.locator('#note').fill('Door opened for a moment');
+await page.locator('#note').press('Enter');
+await keep('live', {kept: [['live', {width: 1366, height: 1060}, 'light'], ['phone', SIZES.phone, 'dark']], whole: true});
+await page.locator('#do-continue').click();
+await keep('asks');
+await page.locator('#confirm-yes').click();
+await served.stateIs(/^The run is complete/);
+for (let seed = 2; seed <= 6; ++seed) {
+  served.describe(benchOf(seed));
+  await served.press('#do-start');
+  await served.stateIs(/^(?!The run is complete)/);
+  await served.stateIs(/^The run is complete/);
+}
+await keep('complete', {whole: true});
+await served.goTo('runs');
+await page.locator('#run-table table').waitFor();
+await keep('runs');
+await page.locator('#run-table tbody a').first().click();
+await page.locator('#estimators').waitFor();
+await keep('result', {kept: [['result', {width: 1366, height: 1400}, 'light']], whole: true});
+await served.goTo('compare');
+await page.locator('#compare-form button').click();
+await page.locator('#compare-words').waitFor();
+await keep('compare', {whole: true});
+await served.goTo('chart');
+await page.locator('#chart-words').waitFor();
+await keep('chart', {kept: [['chart', SIZES.desk, 'light']], whole: true});
+await served.close();

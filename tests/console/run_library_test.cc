@@ -1,0 +1,125 @@
+// What the console shows and hands out of runs that lie in its folder.
+
+#include "app/console/run_library.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <bit>
+#include <filesystem>
+#include <regex>
+#include <string>
+#include <vector>
+
+#include "app/child_process.h"
+#include "app/report/weasyprint.h"
+#include "protocol/analysis/meaning.h"
+#include "tests/console/console_fixture.h"
+
+namespace abcal::console {
+namespace {
+
+using testing::Contains;
+using testing::HasSubstr;
+using testing::Not;
+using testing::StartsWith;
+using Json = nlohmann::json;
+
+class RunLibraryTest : public ConsoleTest {
+ protected:
+  const std::filesystem::path examples = std::filesystem::path(ABCAL_SOURCE_DIR) / "docs/examples";
+
+  test::ProgramResult abcal(const std::vector<std::string>& words) {
+    return test::run_program(words, folder.path());
+  }
+  void measure(const std::string& bench_file, const std::string& name) {
+    std::filesystem::create_directories(runs());
+    const auto ran = abcal({"run", bench_file, "-o", "runs/" + name});
+    ASSERT_EQ(ran.exit_code, 0) << ran.err;
+  }
+  test::Answer get(const std::string& path) { return test::http_get(port, path); }
+  std::vector<std::string> offered(const std::string& run) {
+    const Json shown = Json::parse(get("/runs/" + run + "/result").body);
+    std::vector<std::string> names;
+    for (const Json& download : shown["downloads"]) names.push_back(download["name"]);
+    return names;
+  }
+  static std::string but_for_when(const std::string& text) {
+    return std::regex_replace(text, std::regex("# written_utc: .*"), "");
+  }
+};
+
+TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
+  measure((examples / "simulated.toml").string(), "a.run");
+  open();
+  EXPECT_THAT(offered("a.run"), Not(Contains("certificate.xml")));
+  const test::Answer none = get("/runs/a.run/certificate.xml");
+  EXPECT_EQ(none.status, 422U);
+  EXPECT_THAT(none.body, HasSubstr("abcal issue"));
+
+  const auto issued = abcal({"issue", "runs/a.run", "--laboratory", (examples / "laboratory.toml").string(),
+                             "--number", "EX-1", "--approved-by", "Approver N. N.", "--dcc", "a.xml"});
+  ASSERT_EQ(issued.exit_code, 0) << issued.err;
+  EXPECT_THAT(offered("a.run"), Contains("certificate.xml"));
+  EXPECT_EQ(get("/runs/a.run/certificate.xml").body, test::read_file(folder / "a.xml"));
+  const auto reported = abcal({"report", "runs/a.run", "--csv", "a.csv"});
+  ASSERT_EQ(reported.exit_code, 0) << reported.err;
+  EXPECT_EQ(but_for_when(get("/runs/a.run/readings.csv").body),
+            but_for_when(test::read_file(folder / "a.csv")));
+  const test::Answer report = get("/runs/a.run/report.html");
+  EXPECT_THAT(report.body, HasSubstr("EX-1"));
+  // It is kept as a file, never shown as a page of the console.
+  EXPECT_EQ(report.headers.at("Content-Disposition"), "attachment");
+  EXPECT_THAT(get("/runs/a.run/run.h5").body, StartsWith("\x89HDF"));
+  if (is_installed(kWeasyPrint)) {
+    EXPECT_THAT(get("/runs/a.run/report.pdf").body, StartsWith("%PDF"));
+  }
+}
+
+TEST_F(RunLibraryTest, SaysWhatEachCheckAndFlagMeans) {
+  static_assert(std::has_single_bit(kAllFlags + 1U));
+  for (std::uint32_t flag = 1; flag <= kAllFlags; flag *= 2)
+    EXPECT_NE(meaning_of_flag(describe_flags(flag)), "") << describe_flags(flag);
+  EXPECT_EQ(meaning_of_flag("no such flag"), "");
+  EXPECT_EQ(meaning_of_check("no such check"), "");
+
+  // A fault that has checks fail and flags set: the accelerometer reads twice what it should.
+  bench.simulation = "sensitivity_matrix = [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]]\n";
+  test::write_file(folder / "bench.toml", bench.text());
+  measure("bench.toml", "doubled.run");
+  open();
+  const Json shown = Json::parse(get("/runs/doubled.run/result").body);
+  const Json& result = shown["results"][0];
+  EXPECT_EQ(result["verdict"], "doubtful");
+  std::vector<std::string> failed;
+  for (const Json& check : result["diagnostics"]["checks"]) {
+    EXPECT_NE(shown["meanings"].value(check["check"].get<std::string>(), ""), "") << check;
+    if (!check["passed"].get<bool>()) failed.push_back(check["check"]);
+  }
+  EXPECT_THAT(failed, Contains("full scale"));
+  ASSERT_FALSE(result["diagnostics"]["flags"].empty());
+  for (const Json& flag : result["diagnostics"]["flags"])
+    EXPECT_NE(shown["meanings"].value(flag["flag"].get<std::string>(), ""), "") << flag;
+}
+
+TEST_F(RunLibraryTest, ChartsTheRunsOfOneItemAgainstTheirLimits) {
+  for (int i = 1; i <= 4; ++i) {
+    bench.simulation = "seed = " + std::to_string(i) + "\n";
+    test::write_file(folder / "bench.toml", bench.text());
+    measure("bench.toml", std::to_string(i) + ".run");
+  }
+  open();
+  const std::string item = Json::parse(get("/runs").body)[0]["item"];
+  const Json history = Json::parse(get("/history/" + item).body);
+  ASSERT_EQ(history["runs"].size(), 4U);
+  const Json& limits = history["limits"]["s_u"];
+  double sum = 0.0;
+  for (const Json& run : history["runs"]) sum += run["quantities"][0]["value"].get<double>();
+  EXPECT_NEAR(limits["centre"], sum / 4.0, 1e-12);
+  EXPECT_LT(limits["lower"], limits["centre"]);
+  EXPECT_GT(limits["upper"], limits["centre"]);
+  EXPECT_EQ(Json::parse(get("/history/another").body)["runs"].size(), 0U);
+}
+
+}  // namespace
+}  // namespace abcal::console
