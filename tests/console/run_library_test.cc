@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <bit>
 #include <filesystem>
 #include <regex>
@@ -60,7 +61,8 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   const auto issued = abcal({"issue", "runs/a.run", "--laboratory", (examples / "laboratory.toml").string(),
                              "--number", "EX-1", "--approved-by", "Approver N. N.", "--dcc", "a.xml"});
   ASSERT_EQ(issued.exit_code, 0) << issued.err;
-  EXPECT_THAT(offered("a.run"), Contains("certificate.xml"));
+  const std::vector<std::string> names = offered("a.run");
+  EXPECT_THAT(names, Contains("certificate.xml"));
   EXPECT_EQ(get("/runs/a.run/certificate.xml").body, test::read_file(folder / "a.xml"));
   const auto reported = abcal({"report", "runs/a.run", "--csv", "a.csv"});
   ASSERT_EQ(reported.exit_code, 0) << reported.err;
@@ -71,9 +73,8 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   // It is kept as a file, never shown as a page of the console.
   EXPECT_EQ(report.headers.at("Content-Disposition"), "attachment");
   EXPECT_THAT(get("/runs/a.run/run.h5").body, StartsWith("\x89HDF"));
-  if (is_installed(kWeasyPrint)) {
-    EXPECT_THAT(get("/runs/a.run/report.pdf").body, StartsWith("%PDF"));
-  }
+  // What it prints is tested with the reports: WeasyPrint takes its time.
+  EXPECT_EQ(std::count(names.begin(), names.end(), "report.pdf"), is_installed(kWeasyPrint) ? 1 : 0);
 }
 
 TEST_F(RunLibraryTest, SaysWhatEachCheckAndFlagMeans) {
