@@ -34,6 +34,10 @@ install(FILES ${manual_folder}/abcal.bash DESTINATION ${CMAKE_INSTALL_DATADIR}/b
 install(FILES ${manual_folder}/_abcal DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions COMPONENT abcal)
 
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal)
+# The pages that messages and the command line's help name; the changelog has its own place.
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal
+  FILES_MATCHING PATTERN "*.md" PATTERN "images/*.png" PATTERN "changelog.md" EXCLUDE
+  PATTERN "decisions" EXCLUDE PATTERN "examples" EXCLUDE PATTERN "udev" EXCLUDE)
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
 # The service names the program by its path, which only the installation knows (cmake --install --prefix).
 install(CODE "

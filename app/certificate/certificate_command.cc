@@ -16,6 +16,18 @@ void require_unchanged(const ReportData& data) {
   if (!problems.empty()) throw CertificateRefused(data.path.string(), std::move(problems));
 }
 
+/// A page beside the XML of a certificate must not show a calibration that the XML does not have.
+void require_issued_with(const IssuedCertificate& issued, const ReportData& as_found) {
+  if (as_found.sha256 && issued.xml.find(*as_found.sha256) != std::string::npos) return;
+  throw CertificateRefused(
+      issued.number, {{"--as-found", as_found.path.string() + ", of which this certificate has no results",
+                       "the run that it was issued with"}});
+}
+
+bool has_as_found(const IssuedCertificate& issued) {
+  return issued.xml.find("<dcc:status>beforeAdjustment<") != std::string::npos;
+}
+
 /// The certificate again as it was issued, from what was kept with it.
 Certificate restored(const IssuedCertificate& issued, const ReportData& data,
                      std::optional<ReportData> as_found) {
@@ -23,6 +35,7 @@ Certificate restored(const IssuedCertificate& issued, const ReportData& data,
   request.laboratory =
       parse_laboratory_file(issued.laboratory_toml, "as kept with certificate " + issued.number);
   request.run = data;
+  const bool only_as_left = !as_found && has_as_found(issued);
   request.as_found = std::move(as_found);
   IssueFacts& facts = request.issue.emplace();
   facts.number = issued.number;
@@ -33,9 +46,12 @@ Certificate restored(const IssuedCertificate& issued, const ReportData& data,
   request.draft =
       true;  // It was issued: what another program finds now is said beside it, and refuses nothing.
   Certificate certificate = make_certificate(std::move(request));
+  if (only_as_left)
+    certificate.reservations.emplace_back(
+        "Not all of it: the certificate has the calibration before adjustment, too; --as-found RUN shows it");
   if (issued.program_version != certificate.program_version) {
     certificate.reservations.push_back(fmt::format(
-        "The certificate was issued with abcal {}; numbers beside its XML are computed by abcal {}",
+        "Computed anew: the certificate was issued with abcal {}, the numbers beside its XML are of abcal {}",
         issued.program_version, certificate.program_version));
   }
   return certificate;
@@ -66,6 +82,7 @@ ReportedCertificate certificate_for_report(const ReportData& data, const Certifi
   if (data.run && !draft) {
     if (const auto issued = current_certificate(data.path)) {
       require_unchanged(data);
+      if (as_found) require_issued_with(*issued, *as_found);
       ReportedCertificate reported{restored(*issued, data, std::move(as_found)), issued->xml};
       if (!options.schemas.empty()) {
         std::vector<Problem> problems;

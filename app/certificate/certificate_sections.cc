@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <optional>
 
 #include "app/certificate/statements.h"
 
@@ -74,12 +76,28 @@ std::string rounded(double value, double u) {
   if (!std::isfinite(value)) return "-";
   if (!(u > 0.0) || !std::isfinite(u)) return fmt::format("{:.6g}", value);
   const int places = std::max(0, 1 - static_cast<int>(std::floor(std::log10(u))));
-  return places > 15 ? fmt::format("{:.6g}", value) : fmt::format("{:.{}f}", value, places);
+  if (places > 15) return fmt::format("{:.6g}", value);
+  const std::string text = fmt::format("{:.{}f}", value, places);
+  return text.find_first_of("123456789") == std::string::npos && text.front() == '-' ? text.substr(1) : text;
+}
+
+/// "transverse_sensitivity_u", as limits name it, in words.
+std::string words_of(std::string name) {
+  std::replace(name.begin(), name.end(), '_', ' ');
+  return name;
+}
+
+/// "0.98 to 1.02", "at most 2".
+std::string interval(const std::optional<double>& low, const std::optional<double>& high,
+                     const std::function<std::string(double)>& shown) {
+  if (low && high) return shown(*low) + " to " + shown(*high);
+  return high ? "at most " + shown(*high) : "at least " + shown(*low);
 }
 
 Section derived_section(const CertifiedRun& run) {
   Section section{"Further quantities", {}};
   DocumentTable table;
+  table.may_break = true;
   table.columns = {{"Quantity", CellKind::kText},
                    {"Value", CellKind::kNumber},
                    {"U (k = 2)", CellKind::kNumber},
@@ -88,7 +106,7 @@ Section derived_section(const CertifiedRun& run) {
     table.rows.push_back({group.words});
     for (const DerivedQuantity& quantity : group.quantities) {
       const double expanded = kCoverageFactor * quantity.value.standard_uncertainty;
-      table.rows.push_back({quantity.name, rounded(quantity.value.value, expanded),
+      table.rows.push_back({words_of(quantity.name), rounded(quantity.value.value, expanded),
                             rounded(expanded, expanded), quantity.value.unit});
     }
   }
@@ -98,21 +116,24 @@ Section derived_section(const CertifiedRun& run) {
 
 Section decision_section(const std::string& title, const Certificate& certificate, const CertifiedRun& run) {
   DocumentTable table;
-  table.columns = {{"Quantity", CellKind::kText},    {"Value", CellKind::kNumber},
-                   {"U (k = 2)", CellKind::kNumber}, {"Limits", CellKind::kText},
-                   {"Acceptance", CellKind::kText},  {"Unit", CellKind::kUnit},
-                   {"Inside with", CellKind::kText}, {"Decision", CellKind::kText}};
-  const auto interval = [](const std::optional<double>& low, const std::optional<double>& high) {
-    return fmt::format("{} to {}", low ? fmt::format("{:.6g}", *low) : "-",
-                       high ? fmt::format("{:.6g}", *high) : "-");
-  };
+  table.columns = {{"Quantity", CellKind::kText},
+                   {"Value", CellKind::kNumber},
+                   {"U (k = 2)", CellKind::kNumber},
+                   {"Limits", CellKind::kText},
+                   {"Acceptance", CellKind::kText},
+                   {"Unit", CellKind::kUnit},
+                   {"Within the limits", CellKind::kNumber},
+                   {"Decision", CellKind::kText}};
   for (const Decision& decision : run.decisions) {
-    table.rows.push_back({decision.limit.quantity, rounded(decision.value, decision.expanded_uncertainty),
-                          rounded(decision.expanded_uncertainty, decision.expanded_uncertainty),
-                          interval(decision.limit.lower, decision.limit.upper),
-                          interval(decision.lower_acceptance, decision.upper_acceptance), decision.limit.unit,
-                          fmt::format("{:.4g} %", 100.0 * decision.conformance_probability),
-                          std::string(to_string(decision.conformity))});
+    const double expanded = decision.expanded_uncertainty;
+    const auto as_given = [](double limit) { return fmt::format("{:.6g}", limit); };
+    const auto as_measured = [expanded](double limit) { return rounded(limit, expanded); };
+    table.rows.push_back(
+        {words_of(decision.limit.quantity), rounded(decision.value, expanded), rounded(expanded, expanded),
+         interval(decision.limit.lower, decision.limit.upper, as_given),
+         interval(decision.lower_acceptance, decision.upper_acceptance, as_measured), decision.limit.unit,
+         fmt::format("{:.4g} %", 100.0 * decision.conformance_probability),
+         std::string(to_string(decision.conformity))});
   }
   return {title, {Paragraph{describe(*certificate.laboratory.decision)}, table}};
 }
@@ -127,8 +148,9 @@ Section shift_section(const Certificate& certificate) {
                    {"E_n", CellKind::kNumber}};
   for (const Shift& shift : certificate.shifts) {
     const double expanded = kCoverageFactor * shift.difference.standard_uncertainty;
-    table.rows.push_back({shift.name, rounded(shift.difference.value, expanded), rounded(expanded, expanded),
-                          shift.difference.unit, fmt::format("{:.2f}", shift.normalised_error)});
+    table.rows.push_back({words_of(shift.name), rounded(shift.difference.value, expanded),
+                          rounded(expanded, expanded), shift.difference.unit,
+                          fmt::format("{:.2f}", shift.normalised_error)});
   }
   Section section{"As found and as left", {table}};
   section.blocks.push_back(Paragraph{"Adjustment: " + certificate.laboratory.job.adjustment});

@@ -110,7 +110,9 @@ UnitInDsi unit_in_dsi(const std::string& unit) {
     in.unit = in.unit * per_acceleration();
     if (in.own) {
       in.own = *in.own * per_acceleration();
-      in.definition = fmt::format("1 {} = {} in the SI unit {}", unit, in.factor, in.unit.text());
+      const std::string si = in.unit.text();
+      in.definition = fmt::format("1 {} = {}{}", unit, in.factor,
+                                  si == "\\one" ? ", a plain number in SI units" : " in the SI unit " + si);
     }
     return in;
   }

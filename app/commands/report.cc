@@ -92,7 +92,7 @@ std::vector<Output> outputs_of(const Options& options, const ReportData& data,
     file.commit();
   });
   add("--hdf5", options.hdf5, [&data](OutputFile& file) {
-    write_hdf5(data, file.temporary());
+    write_hdf5(data, file.temporary(), file.path().filename().string());
     file.commit();
   });
   return outputs;

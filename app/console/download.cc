@@ -74,7 +74,7 @@ std::string single_readings(const Path& run) {
 }
 
 std::string hdf5(const Path& run) {
-  return bytes_of([&](const Path& file) { write_hdf5(data_of(run), file); });
+  return bytes_of([&](const Path& file) { write_hdf5(data_of(run), file, run.stem().string() + ".h5"); });
 }
 
 }  // namespace

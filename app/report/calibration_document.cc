@@ -291,6 +291,7 @@ std::string with_sign(std::string text) {
 
 Section estimators_section(const ReportData& data) {
   DocumentTable table{"", {{"quantity", CellKind::kSymbol}}, {}};
+  table.may_break = true;
   std::vector<std::vector<NamedQuantity>> columns;
   for (const CalibrationResult& result : data.results) {
     table.columns.push_back(
@@ -335,40 +336,62 @@ Section estimators_section(const ReportData& data) {
   return section;
 }
 
-std::vector<std::string> check_row(std::string what, int accelerometer, const Quantity& q) {
-  return {std::move(what),
-          std::string(1, kAccelerometers[static_cast<std::size_t>(accelerometer)]),
-          number(q.value, "{:+.2e}"),
-          two_digits(q.standard_uncertainty),
-          number(q.value / q.standard_uncertainty, "{:+.1f}"),
-          q.unit};
+/// One row a check, the three outputs side by side, each with how many standard uncertainties it is from
+/// zero.
+DocumentTable check_table(std::string caption, const std::string& what, const std::string& unit) {
+  DocumentTable table{std::move(caption), {{what, CellKind::kSymbol}}, {}};
+  for (const char output : kAccelerometers) {
+    table.columns.push_back({fmt::format("output {} ({})", output, unit), CellKind::kNumber});
+    table.columns.push_back({"in unc.", CellKind::kNumber});
+  }
+  return table;
 }
 
-const std::vector<Column> kCheckColumns{{"check", CellKind::kSymbol},     {"output"},
-                                        {"value", CellKind::kNumber},     {"u", CellKind::kNumber},
-                                        {"value / u", CellKind::kNumber}, {"unit", CellKind::kUnit}};
+/// Fills in one cell pair; the outputs of a check stand one behind the other.
+void add_check(DocumentTable& table, const std::string& name, int accelerometer, const Quantity& q) {
+  if (table.rows.empty() || table.rows.back().front() != name) {
+    table.rows.emplace_back(table.columns.size(), kNone);
+    table.rows.back().front() = name;
+  }
+  const std::size_t cell = 1 + 2 * static_cast<std::size_t>(accelerometer);
+  table.rows.back()[cell] =
+      fmt::format("{} ± {}", number(q.value, "{:+.2e}"), two_digits(q.standard_uncertainty));
+  table.rows.back()[cell + 1] = number(q.value / q.standard_uncertainty, "{:+.1f}");
+}
 
-Section closures_section(const Diagnostics& d) {
+Section closures_section(const Diagnostics& d, const std::string& unit) {
   Section section{"Closures", {}};
   if (!d.closures.empty()) {
-    DocumentTable table{
-        "Combinations of the coefficients of different experiments that vanish for a perfect "
-        "stage; their uncertainty covers readings and tolerances.",
-        kCheckColumns,
-        {}};
+    DocumentTable table = check_table(
+        "Combinations of the coefficients of different experiments that vanish for a perfect stage, with "
+        "their standard uncertainty, which covers readings and tolerances.",
+        "closure", unit);
     for (const Closure& closure : d.closures)
-      table.rows.push_back(check_row(closure.name, closure.accelerometer, closure.value));
+      add_check(table, closure.name, closure.accelerometer, closure.value);
     section.blocks.push_back(std::move(table));
   }
   if (!d.closing_differences.empty()) {
-    DocumentTable table{"First angle measured again at the end of each experiment, minus the first reading.",
-                        kCheckColumns,
-                        {}};
+    DocumentTable table =
+        check_table("First angle measured again at the end of each experiment, minus the first reading.",
+                    "experiment", unit);
     for (const ClosingDifference& c : d.closing_differences)
-      table.rows.push_back(check_row(fmt::format("experiment {}", c.experiment), c.accelerometer, c.value));
+      add_check(table, std::to_string(c.experiment), c.accelerometer, c.value);
     section.blocks.push_back(std::move(table));
   }
   return section;
+}
+
+Section plausibility_section(const Diagnostics& d) {
+  DocumentTable table{
+      "What slips, missed steps, jumps, drift, a wrong scale or exchanged outputs would show.",
+      {{"check"}, {"found", CellKind::kNumber}, {"limit", CellKind::kNumber}, {"unit"}, {"outcome"}},
+      {}};
+  for (const Check& check : d.checks) {
+    if (!std::isfinite(check.found)) continue;  // not made: a note says why
+    table.rows.push_back({check.name, number(check.found, "{:.2g}"), number(check.limit, "{:.2g}"),
+                          check.unit, check.passed ? "passed" : "FAILED"});
+  }
+  return {"Plausibility checks", {std::move(table)}};
 }
 
 Section fits_section(const ReportData& data) {
@@ -552,7 +575,7 @@ Document calibration_document(const ReportData& data) {
   const CalibrationResult& result = data.result();
   if (result.verdict != Verdict::kNotUsable) {
     document.sections.push_back(estimators_section(data));
-    const Section closures = closures_section(result.diagnostics);
+    const Section closures = closures_section(result.diagnostics, result.response_unit);
     if (!closures.blocks.empty()) document.sections.push_back(closures);
     if (!result.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
     for (const CalibrationResult& each : data.results) {
@@ -561,6 +584,8 @@ Document calibration_document(const ReportData& data) {
     }
     if (data.budget) document.sections.push_back(budget_section(data));
   }
+  if (!result.diagnostics.checks.empty())
+    document.sections.push_back(plausibility_section(result.diagnostics));
   document.sections.push_back(flags_section(data));
   document.sections.push_back(origin_section(data));
   return document;

@@ -44,6 +44,7 @@ struct DocumentTable {
   std::vector<Column> columns;
   std::vector<std::vector<std::string>> rows;
   CellKind caption_kind = CellKind::kText;
+  bool may_break = false;  ///< Over two pages, though it would fit on one: leaves no half page empty.
 };
 
 /// A picture, drawn by gnuplot from a script that says neither terminal nor output. Pages only.

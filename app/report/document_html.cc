@@ -58,6 +58,7 @@ h1 { font-size: 17pt; font-weight: 600; line-height: 1.2; margin: 0 0 1mm 0; col
 h2 { font-size: 11.5pt; font-weight: 600; margin: 6mm 0 2mm 0; padding-bottom: 0.7mm; color: #10324e;
      border-bottom: 0.4mm solid #10324e; break-after: avoid; }
 p { margin: 1.5mm 0; }
+h2 + p, h2 + table.facts:not(:last-child) { break-after: avoid; break-inside: avoid; }
 p.subtitle { color: #505050; margin: 0 0 4mm 0; }
 p.caution { border: 0.8mm solid #b00020; color: #b00020; background: #fff4f4; font-size: 13pt; font-weight: 700;
             line-height: 1.3; padding: 2.5mm 3mm; margin: 2mm 0; overflow-wrap: anywhere; }
@@ -69,7 +70,7 @@ thead { display: table-header-group; }
 tr { break-inside: avoid; }
 th { text-align: left; font-weight: 600; background: #e8eef3; border-bottom: 0.3mm solid #10324e;
      padding: 0.9mm 1.6mm; vertical-align: bottom; }
-td { border-bottom: 0.15mm solid #d4d9de; padding: 0.7mm 1.6mm; vertical-align: top; overflow-wrap: break-word; }
+td { border-bottom: 0.15mm solid #d4d9de; padding: 0.45mm 1.6mm; vertical-align: top; overflow-wrap: break-word; }
 td.long { overflow-wrap: anywhere; }
 table.whole { break-inside: avoid; }
 td.number, th.number { text-align: right; }
@@ -277,7 +278,8 @@ class PageBuilder {
 
   void block(xmlNode* part, const DocumentTable& content) {
     constexpr std::size_t kFitsOnAPage = 30;
-    xmlNode* table = add(part, "table", content.rows.size() <= kFitsOnAPage ? "whole" : nullptr);
+    xmlNode* table =
+        add(part, "table", !content.may_break && content.rows.size() <= kFitsOnAPage ? "whole" : nullptr);
     if (!content.caption.empty()) cell_text(add(table, "caption"), content.caption, content.caption_kind);
     xmlNode* heading = add(add(table, "thead"), "tr");
     for (const Column& column : content.columns)

@@ -328,10 +328,11 @@ void put_note(const H5::Group& entry, const std::string& name, const std::string
   put(made, "data", data);
 }
 
-void write(const ReportData& data, const H5::H5File& file) {
+void write(const ReportData& data, const H5::H5File& file, const std::string& file_name) {
   const H5::Group root = file.openGroup("/");
   set_attribute(root, "NX_class", "NXroot");
   set_attribute(root, "default", "entry");
+  set_attribute(root, "file_name", file_name);
   set_attribute(root, "file_time", data.created_utc);
   set_attribute(root, "creator", "abcal");
   set_attribute(root, "creator_version", data.program_version);
@@ -366,11 +367,11 @@ void write(const ReportData& data, const H5::H5File& file) {
 
 }  // namespace
 
-void write_hdf5(const ReportData& data, const std::filesystem::path& path) {
+void write_hdf5(const ReportData& data, const std::filesystem::path& path, const std::string& file_name) {
   H5::Exception::dontPrint();  // What went wrong is in the exception.
   try {
     H5::H5File file(path.string(), H5F_ACC_TRUNC);
-    write(data, file);
+    write(data, file, file_name);
     // Asked for here, as a destructor keeps to itself that the disk was full.
     file.flush(H5F_SCOPE_GLOBAL);
     file.close();

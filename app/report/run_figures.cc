@@ -19,7 +19,7 @@ struct Style {
   const char* colour;
   int point;
 };
-constexpr std::array<Style, 3> kStyles{{{"U", "#D55E00", 1}, {"V", "#009E73", 2}, {"W", "#0072B2", 6}}};
+constexpr std::array<Style, 3> kStyles{{{"u", "#D55E00", 7}, {"v", "#009E73", 13}, {"w", "#0072B2", 9}}};
 
 constexpr const char* kFrame =
     "set grid lc rgb '#d0d0d0'\nset border lc rgb '#404040'\nset tics textcolor rgb '#202020'\n"
@@ -74,7 +74,7 @@ Figure response_figure(const ReportData& data, int experiment) {
     const Style& style = kStyles[j];
     script += fmt::format(
         "({:.17g})*sin(x)+({:.17g})*cos(x)+({:.17g}) with lines lw 1 lc rgb '{}' notitle, $r using 1:{} with "
-        "points pt {} ps 0.5 lc rgb '{}' title '{}'{}",
+        "points pt {} ps 0.4 lc rgb '{}' title '{}'{}",
         fit.sine.value, fit.cosine.value, fit.constant.value, style.colour, j + 2, style.point, style.colour,
         style.name, j < 2 ? ", " : "\n");
   }
@@ -82,7 +82,7 @@ Figure response_figure(const ReportData& data, int experiment) {
                         gnuplot_quoted(fmt::format("reading - fit ({})", result.response_unit)));
   for (std::size_t j = 0; j < 3; ++j) {
     const Style& style = kStyles[j];
-    script += fmt::format("$d using 1:{}{} pt {} ps 0.5 lc rgb '{}' title '{}'{}",
+    script += fmt::format("$d using 1:{}{} pt {} ps 0.35 lc rgb '{}' title '{}'{}",
                           with_u ? fmt::format("{}:{}", 2 * j + 2, 2 * j + 3) : std::to_string(2 * j + 2),
                           with_u ? " with yerrorbars" : " with points", style.point, style.colour, style.name,
                           j < 2 ? ", " : "\n");
@@ -99,7 +99,7 @@ Figure response_figure(const ReportData& data, int experiment) {
 Figure harmonics_figure(const CalibrationResult& result) {
   std::string data, plots;
   double highest = std::numeric_limits<double>::min();
-  constexpr double kRoomForTheLabel = 1.2;
+  constexpr double kRoomAbove = 1.05;
   for (int experiment = 1; experiment <= 3; ++experiment) {
     for (int j = 0; j < 3; ++j) {
       data += fmt::format("$h{}{} << EOD\n", experiment, j);
@@ -115,7 +115,7 @@ Figure harmonics_figure(const CalibrationResult& result) {
       }
       data += "EOD\n";
     }
-    plots += fmt::format("set label 1 'Experiment {}' at graph 0.04, graph 0.94\nplot ", experiment);
+    plots += fmt::format("set title 'Experiment {}' offset 0,-0.5\nplot ", experiment);
     for (std::size_t j = 0; j < 3; ++j) {
       plots +=
           fmt::format("$h{}{} using 1:2:3 with yerrorbars pt {} ps 0.6 lc rgb '{}' title '{}'{}", experiment,
@@ -126,11 +126,11 @@ Figure harmonics_figure(const CalibrationResult& result) {
   script += fmt::format(
       "set multiplot layout 1,3\nset xrange [1.5:5.5]\nset xtics 1\nset xlabel 'harmonic'\nset format y "
       "'%.1e'\n"
-      "set key on outside top center horizontal samplen 1\nset yrange [0:{:.6g}]\nset ylabel {}\n",
-      kRoomForTheLabel * highest, gnuplot_quoted(fmt::format("amplitude ({})", result.response_unit)));
+      "set key on outside bottom center horizontal samplen 1\nset yrange [0:{:.6g}]\nset ylabel {}\n",
+      kRoomAbove * highest, gnuplot_quoted(fmt::format("amplitude ({})", result.response_unit)));
   return {fmt::format("Amplitudes of harmonics 2 to 5; bars: k = {:g} times their standard uncertainty.",
                       kCoverageFactor),
-          script + plots + "unset multiplot\n", 240};
+          script + plots + "unset multiplot\n", 270};
 }
 
 Figure step_error_figure(const RunRecord& record, const JointResult& joint) {

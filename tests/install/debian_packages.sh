@@ -20,7 +20,7 @@ contents "$library" >"$work/library.list"
 for file in usr/bin/abcal usr/share/man/man1/abcal.1.gz usr/share/man/man1/abcal-run.1.gz \
     usr/share/bash-completion/completions/abcal usr/share/zsh/vendor-completions/_abcal \
     usr/lib/udev/rules.d/60-abcal.rules usr/lib/systemd/system/abcal-console.service \
-    usr/share/doc/abcal/examples/simulated.toml usr/share/doc/abcal/copyright \
+    usr/share/doc/abcal/certificate.md usr/share/doc/abcal/examples/simulated.toml usr/share/doc/abcal/copyright \
     usr/share/doc/abcal/changelog.gz usr/share/doc/abcal/changelog.Debian.gz; do
   grep -qx "./$file" "$work/program.list" || fail "the package abcal has no $file"
 done

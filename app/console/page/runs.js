@@ -139,7 +139,7 @@ function checks(result, meanings) {
   const figure = (value, against) => (value === null ? DASH : number(value, Math.min(9, decimals(Math.abs(value) < 1e-3 * against ? 1e-3 * against : value))).replace('-', '−'));
   const outcome = (c) => element('span', {class: c.passed ? 'grade-good' : 'grade-problem'}, c.found === null && c.passed ? 'not made' : c.passed ? 'passed' : 'FAILED');
   const failed = all.filter((c) => !c.passed).length;
-  return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? `${failed} of ${all.length} checks failed.` : `All ${all.length} checks passed. A sound bench fails one about once in a million runs.`,
+  return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? `${failed} of ${all.length} checks failed.` : `All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
     ['Check', 'Outcome', 'Found', 'Limit', 'Unit', 'What it means'],
     all.map((c) => [c.check, outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), c.unit,
       element('span', {}, meanings[c.check], ...(c.words ? [' ', element('strong', {}, `${c.words[0].toUpperCase()}${c.words.slice(1)}.`)] : []))])));

@@ -208,6 +208,7 @@ with h5py.File("a.h5") as file:
             assert thing.attrs["units"], name
     file.visititems(look)
     assert len(found) > 40, found
+    assert file.attrs["file_name"] == "a.h5"
     entry = file[file.attrs["default"]]
     assert entry.attrs["NX_class"] == "NXentry"
     data = entry[entry.attrs["default"]]
