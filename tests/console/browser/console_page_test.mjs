@@ -213,7 +213,7 @@ test('starts a run, and points appear', async () => {
 
 test('holds after an angle, and keeps a note', async () => {
   await stateIs(/^Held/);
-  assert.match(await text('#left'), /^(\d+ min )?\d+ s \(held\)$/);
+  await page.waitForFunction(() => /^(\d+ min )?\d+ s \(held\)$/.test(document.getElementById('left').textContent));  // Told each second.
   const kept = await measured();
   await page.locator('#note').fill('<b>door opened</b>');
   await page.locator('#note').press('Enter');
