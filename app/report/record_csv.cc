@@ -88,7 +88,7 @@ std::string averaged_csv(const ReportData& data) {
                         dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z));
   }
   std::string flags;
-  for (std::uint32_t bit = 1; bit <= kFlagRepeated; bit *= 2)
+  for (std::uint32_t bit = 1; bit <= kAllFlags; bit *= 2)
     flags += fmt::format("{}{} {}", flags.empty() ? "" : ", ", bit, describe_flags(bit));
   std::string text =
       comments(data, "averaged readings, their standard uncertainty (u_), times from the start");

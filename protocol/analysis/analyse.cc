@@ -33,9 +33,6 @@ constexpr int kDiagnosticHarmonics = 5;  // the paper's second fit: constant + f
 // only.
 constexpr std::uint32_t kSuspectFlags = kFlagNotQuiet | kFlagClipped | kFlagStuck | kFlagNotFinite |
                                         kFlagOutsideWindow | kFlagTemperature | kFlagNorm;
-constexpr std::array<std::uint32_t, 10> kAllFlags{
-    kFlagNotQuiet,      kFlagLostReadings, kFlagClipped,  kFlagStuck, kFlagNotFinite,
-    kFlagOutsideWindow, kFlagTemperature,  kFlagRepeated, kFlagHeld,  kFlagNorm};
 
 using Covariance27 = Eigen::Matrix<double, 27, 27>;
 using FitTable = std::array<HarmonicFit, 9>;  // index 3 (experiment - 1) + accelerometer
@@ -476,7 +473,7 @@ void fill_flags(const RunRecord& record, const Selection& selection, Calibration
       suspect_flags |= dwell.flags & kSuspectFlags;
     }
   }
-  for (const std::uint32_t flag : kAllFlags) {
+  for (std::uint32_t flag = 1; flag <= kAllFlags; flag *= 2) {
     const auto dwells = std::count_if(record.dwells.begin(), record.dwells.end(),
                                       [&](const DwellRecord& dwell) { return (dwell.flags & flag) != 0U; });
     if (dwells > 0) diagnostics.flags.push_back({describe_flags(flag), static_cast<int>(dwells)});

@@ -15,6 +15,7 @@
 
 #include "app/report/gnuplot.h"
 #include "app/report/weasyprint.h"
+#include "protocol/record/run_record.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"
 
@@ -150,6 +151,8 @@ TEST_F(ReportTest, TheAveragedReadingsAreReadBackToTheSameNumbers) {
   // An output that clips for a while is flagged, and makes the verdict doubtful: that is in the copy too.
   ASSERT_EQ(run("[[fault]]\nkind = \"clipped-output\"\nvalue = 0.9\nat_s = 4\nfor_s = 1\n").exit_code, 0);
   ASSERT_EQ(abcal({"report", "a.run", "--csv", "a.csv"}).exit_code, 0);
+  EXPECT_THAT(test::read_file(folder / "a.csv"),
+              HasSubstr(fmt::format("{} norm not that of gravity", +kFlagNorm)));
   for (const char* estimator : {"abc", "joint", "norm"}) {
     nlohmann::json of_run = json({"analyse", "a.run", "--json", "--estimator", estimator});
     nlohmann::json of_csv = json({"analyse", "a.csv", "--json", "--estimator", estimator});
