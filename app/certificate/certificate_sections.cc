@@ -6,6 +6,7 @@
 #include <cmath>
 #include <functional>
 #include <optional>
+#include <utility>
 
 #include "app/certificate/statements.h"
 
@@ -152,7 +153,8 @@ Section shift_section(const Certificate& certificate) {
                           rounded(expanded, expanded), shift.difference.unit,
                           fmt::format("{:.2f}", shift.normalised_error)});
   }
-  Section section{"As found and as left", {table}};
+  Section section{"As found and as left", {}};
+  section.blocks.emplace_back(std::move(table));
   section.blocks.push_back(Paragraph{"Adjustment: " + certificate.laboratory.job.adjustment});
   return section;
 }

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "tests/support/program.h"
+#include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -20,7 +21,7 @@ namespace {
 
 using testing::HasSubstr;
 
-const std::filesystem::path kRoot = ABCAL_SOURCE_DIR;
+const std::filesystem::path kRoot = test::source_folder();
 
 /// README.md and all below docs/.
 std::vector<std::filesystem::path> pages() {

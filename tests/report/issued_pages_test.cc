@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "tests/support/program.h"
+#include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -22,7 +23,7 @@ using testing::Not;
 class IssuedPagesTest : public testing::Test {
  protected:
   static std::string example(const char* name) {
-    return test::read_file(std::filesystem::path(ABCAL_SOURCE_DIR) / "docs/examples" / name);
+    return test::read_file(test::source_folder() / "docs/examples" / name);
   }
   test::ProgramResult abcal(const std::vector<std::string>& words) {
     return test::run_program(words, folder.path());
