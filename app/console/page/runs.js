@@ -271,6 +271,7 @@ export async function showCompare(first, second) {
     event.preventDefault();
     compare(byId('compare-a').value, byId('compare-b').value);
   };
+  byId('compare-form').querySelector('button').disabled = usable.length < 2;
   if (usable.length < 2) byId('compare-table').replaceChildren(element('p', {}, 'Two complete runs are needed.'));
 }
 
@@ -311,6 +312,7 @@ export async function showChart(serial) {
     event.preventDefault();
     drawChart(byId('chart-item').value, byId('chart-property').value);
   };
+  byId('chart-form').querySelector('button').disabled = items.length === 0;
   if (!items.length) byId('chart-body').replaceChildren(element('p', {}, 'There is no complete run of an item with a serial number yet.'));
   else drawChart(byId('chart-item').value, PROPERTIES[0]);
 }
