@@ -71,8 +71,8 @@ void BM_InterruptToStopBytes(benchmark::State& state) {
   const test::TemporaryFolder folder;
   test::write_file(
       folder / "bench.toml",
-      "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"pi_gcs\"\nport = \"stage\"\n[accelerometer]\n"
-      "driver = \"microstrain_mip\"\nport = \"accelerometer\"\nrate_hz = 200.0\n[protocol]\nsteps = 12\n"
+      "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"pi_gcs\"\nport = \"./stage\"\n[accelerometer]\n"
+      "driver = \"microstrain_mip\"\nport = \"./accelerometer\"\nrate_hz = 200.0\n[protocol]\nsteps = 12\n"
       "step_deg = 30.0\nsettle_s = 0.05\ndwell_readings = 10\n");
   RealClock clock;
   sim::BenchTruth truth;
