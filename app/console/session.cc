@@ -8,6 +8,7 @@
 
 #include "app/console/jog.h"
 #include "app/console/paced_clock.h"
+#include "app/report/result_text.h"
 #include "app/run_bench.h"
 #include "drivers/instrument/instrument_error.h"
 
@@ -32,8 +33,7 @@ std::string in_words(const AccelerometerInfo& info) {
 
 /// Of the default estimator.
 std::string verdict_of(const FinishedRun& run) {
-  const Verdict verdict = run.results.front().verdict;
-  return verdict == Verdict::kNotUsable ? "not usable" : std::string(to_string(verdict));
+  return verdict_words(run.results.front().verdict);
 }
 
 RunBegan describe(const BenchConfig& config, const Identities& who, const std::vector<PlannedAngle>& plan,
