@@ -49,8 +49,6 @@ constexpr std::uint64_t kLongestBody = 1024;
 /// Bytes a second at which a large answer must be taken.
 constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
-/// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead.
-constexpr std::size_t kLongestQueue = 64;
 /// What the system may buffer for one page.
 constexpr int kSendBuffer = 128 * 1024;
 /// Of what the bench tells, so much may wait for the thread of the server; strips are dropped beyond it.
@@ -226,18 +224,33 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
     });
   }
 
+  /// Tells the page what happened; dropped where the page is too slow.
   void send(const Text& message) {
     if (behind_) return;
-    if (queue_.size() >= kLongestQueue) {
-      queue_.clear();
+    if (queue_.size() >= server_.options.longest_queue) {
+      std::erase_if(queue_, [](const Waiting& waiting) { return !waiting.is_reply; });
       behind_ = true;
       return;
     }
-    queue_.push_back(message);
-    if (!writing_) write();
+    push({message, false});
+  }
+  /// Answers a request of the page; never dropped.
+  void reply(std::string message) {
+    ++replies_;
+    push({std::make_shared<const std::string>(std::move(message)), true});
   }
 
  private:
+  struct Waiting {
+    Text text;
+    bool is_reply;
+  };
+
+  void push(Waiting message) {
+    queue_.push_back(std::move(message));
+    if (!writing_) write();
+  }
+
   void read() {
     socket_.async_read(buffer_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) {
@@ -251,7 +264,8 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
       const auto data = self->buffer_.cdata();
       self->server_.received(*self, {static_cast<const char*>(data.data()), data.size()});
       self->buffer_.consume(self->buffer_.size());
-      self->read();
+      self->paused_ = self->replies_ >= self->server_.options.longest_queue;
+      if (!self->paused_) self->read();
     });
   }
 
@@ -259,12 +273,17 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
     writing_ = true;
     now_ = std::move(queue_.front());
     queue_.pop_front();
-    socket_.async_write(asio::buffer(*now_),
+    socket_.async_write(asio::buffer(*now_.text),
                         [self = shared_from_this()](beast::error_code error, std::size_t) {
                           self->writing_ = false;
                           if (error) {
                             self->server_.left(*self);
                             return;
+                          }
+                          if (self->now_.is_reply) --self->replies_;
+                          if (self->paused_ && self->replies_ < self->server_.options.longest_queue) {
+                            self->paused_ = false;
+                            self->read();
                           }
                           if (std::exchange(self->behind_, false)) self->server_.tell_all(*self);
                           if (!self->writing_ && !self->queue_.empty()) self->write();
@@ -275,8 +294,10 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
   websocket::stream<beast::tcp_stream> socket_;
   Peer peer_;
   beast::flat_buffer buffer_{kLongestRequest};
-  std::deque<Text> queue_;
-  Text now_;  ///< Being written.
+  std::deque<Waiting> queue_;
+  Waiting now_{};            ///< Being written.
+  std::size_t replies_ = 0;  ///< Not yet written.
+  bool paused_ = false;      ///< Nothing is read until replies have gone out.
   bool writing_ = false;
   bool behind_ = false;
 };
@@ -513,7 +534,7 @@ void Server::Impl::received(Page& page, std::string_view text) {
     log_refusal(page.peer(), text, error.what());
     reply["why"] = error.what();
   }
-  page.send(std::make_shared<const std::string>(reply.dump(-1, ' ', false, Json::error_handler_t::replace)));
+  page.reply(reply.dump(-1, ' ', false, Json::error_handler_t::replace));
 }
 
 Session::Refusal Server::Impl::carry_out(Page& page, const Command& command) {

@@ -16,6 +16,9 @@ struct ServerOptions {
   std::uint16_t port = 8474;  ///< 0: any free one.
   AccessRules access;
   std::size_t most_connections = 100;
+  /// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead. Replies
+  /// are never dropped: no more is read from a page that leaves as many of them waiting.
+  std::size_t longest_queue = 64;
   std::chrono::seconds request_time{10};  ///< For a request to come in, and for its answer to be taken.
   std::chrono::seconds silent_time{20};   ///< A page that answers no ping for so long is gone.
 };

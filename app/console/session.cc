@@ -290,9 +290,9 @@ void Session::do_start(const std::string& name) {
   const std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
   RunBegan began = describe(config, who, plan, pace_of(bench));
   began.file = name;
+  RunFile file = begin_run(bench, config, who, plan, options_.runs / name, nullptr);
   tell_(began);
   say(fmt::format("Run {} begins: {} angles.", name, plan.size()));
-  RunFile file = begin_run(bench, config, who, plan, options_.runs / name, nullptr);
   measure_and_finish(bench, config, std::move(file), plan, {});
 }
 
@@ -319,24 +319,26 @@ void Session::do_resume(const std::filesystem::path& path) {
 void Session::measure_and_finish(Bench& bench, const BenchConfig& config, RunFile file,
                                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far) {
   const std::string name = file.path().filename().string();
-  RunTiming timing;
   try {
-    Observer observer(*this, &file, *bench.clock);
-    timing = measure(bench, config, file, plan, so_far, observer, stop_.get_token());
+    RunTiming timing;
+    {
+      Observer observer(*this, &file, *bench.clock);
+      timing = measure(bench, config, file, plan, so_far, observer, stop_.get_token());
+    }
     store_notes(file, *bench.clock);
+    {
+      const std::lock_guard lock(mutex_);
+      activity_ = Activity::kAnalysing;
+      hold_ = false;
+    }
+    tell_activity();
+    const FinishedRun run = finish_run(bench, config, std::move(file), timing);
+    say(fmt::format("Run {} is complete: {}.", name, verdict_of(run)));
+    tell_(RunEnded{name, true, fmt::format("{}: {}", verdict_of(run), run.results.front().why)});
   } catch (const std::exception& error) {
     tell_(RunEnded{name, false, error.what()});
     throw;
   }
-  {
-    const std::lock_guard lock(mutex_);
-    activity_ = Activity::kAnalysing;
-    hold_ = false;
-  }
-  tell_activity();
-  const FinishedRun run = finish_run(bench, config, std::move(file), timing);
-  say(fmt::format("Run {} is complete: {}.", name, verdict_of(run)));
-  tell_(RunEnded{name, true, fmt::format("{}: {}", verdict_of(run), run.results.front().why)});
 }
 
 void Session::do_jog(StageAxis axis, Angle by) {

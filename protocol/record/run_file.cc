@@ -464,15 +464,29 @@ void RunFile::set_state(RunState state, const std::string& utc, std::string_view
   impl_->wire_is_stored();
 }
 
-std::string RunFile::close_complete(const std::string& utc, const RunTiming& timing) {
-  impl_->set_timing(timing);
-  set_state(RunState::kComplete, utc, "all angles measured");
-  return close();
+bool RunFile::wait_for_readers(int failures) {
+  sqlite3_sleep(50);
+  return failures < 200;
 }
 
-std::string RunFile::close() {
-  impl_->database.execute("pragma journal_mode=delete");
+std::string RunFile::close_complete(const std::string& utc, const RunTiming& timing,
+                                    const TryAgain& try_again) {
+  impl_->set_timing(timing);
+  set_state(RunState::kComplete, utc, "all angles measured");
+  return close(try_again);
+}
+
+std::string RunFile::close(const TryAgain& try_again) {
   const std::filesystem::path path = impl_->path;
+  // The log is folded into the file, for which SQLite wants it alone, and does not wait by itself.
+  for (int failures = 1; !impl_->database.execute_unless_busy("pragma journal_mode=delete"); ++failures) {
+    if (try_again(failures)) continue;
+    throw RunFileError(
+        path.string() +
+        ": all angles are measured and stored, but another program keeps the file open, so that "
+        "it cannot be closed: end that program, then close and analyse the run with `abcal "
+        "resume`");
+  }
   impl_.reset();
   // All is in the file now; but SQLite does not say if it could not remove its log.
   std::error_code ignored;
@@ -483,11 +497,12 @@ std::string RunFile::close() {
   return sha256_of_file(path);
 }
 
-std::string RunFile::finish_closing(const std::filesystem::path& path) {
+std::string RunFile::finish_closing(const std::filesystem::path& path, const TryAgain& try_again) {
   using std::filesystem::perms;
   if ((std::filesystem::status(path).permissions() & perms::owner_write) == perms::none)
     return sha256_of_file(path);
-  return RunFile(std::make_unique<Impl>(path, open_checked(path, SqliteDatabase::Mode::kReadWrite))).close();
+  return RunFile(std::make_unique<Impl>(path, open_checked(path, SqliteDatabase::Mode::kReadWrite)))
+      .close(try_again);
 }
 
 StoredRun RunFile::load(const std::filesystem::path& path) {

@@ -172,20 +172,29 @@ class RunFile {
   /// Sets the state and says why in an event.
   void set_state(RunState state, const std::string& utc, std::string_view why);
 
-  /// Closes a complete run: state, checkpoint, one single file again, read-only.
+  /// Asked each time that another program, which reads the run, keeps it from being closed, with the number
+  /// of times so far: waits for a while and says whether to try again.
+  using TryAgain = std::function<bool(int)>;
+  /// Waits 50 ms; 10 s in all.
+  static bool wait_for_readers(int failures);
+
+  /// Closes a complete run: state, checkpoint, one single file again, read-only. If the readers do not leave,
+  /// it throws; the run is complete on the disk then, and finish_closing() closes it.
   /// @return SHA-256 of the closed file's bytes, in hexadecimal.
-  std::string close_complete(const std::string& utc, const RunTiming& timing);
+  std::string close_complete(const std::string& utc, const RunTiming& timing,
+                             const TryAgain& try_again = wait_for_readers);
 
   /// Closes a run that is complete, but whose program was killed before it had closed it; does nothing to one
   /// that is closed. @return SHA-256 of the closed file's bytes.
-  static std::string finish_closing(const std::filesystem::path& path);
+  static std::string finish_closing(const std::filesystem::path& path,
+                                    const TryAgain& try_again = wait_for_readers);
 
   const std::filesystem::path& path() const;
 
  private:
   struct Impl;
   explicit RunFile(std::unique_ptr<Impl> impl);
-  std::string close();
+  std::string close(const TryAgain& try_again);
   std::unique_ptr<Impl> impl_;
 };
 

@@ -131,8 +131,15 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
 }
 
 void SqliteDatabase::execute(const std::string& sql) {
+  if (!execute_unless_busy(sql))
+    throw RunFileError(explain_sqlite_error(file_, SQLITE_BUSY, sqlite3_errmsg(handle_.get())));
+}
+
+bool SqliteDatabase::execute_unless_busy(const std::string& sql) {
   const int code = sqlite3_exec(handle_.get(), sql.c_str(), nullptr, nullptr, nullptr);
+  if ((code & 0xFF) == SQLITE_BUSY) return false;
   if (code != SQLITE_OK) throw RunFileError(explain_sqlite_error(file_, code, sqlite3_errmsg(handle_.get())));
+  return true;
 }
 
 std::optional<std::string> SqliteDatabase::value(std::string_view sql) {

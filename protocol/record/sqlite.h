@@ -63,6 +63,8 @@ class SqliteDatabase {
   SqliteDatabase(const std::filesystem::path& path, Mode mode);
 
   void execute(const std::string& sql);
+  /// As execute(), but tells by `false` that another connection stands in the way.
+  bool execute_unless_busy(const std::string& sql);
   SqliteStatement prepare(std::string_view sql) { return {handle_.get(), file_, sql}; }
   /// The first column of the first row of a query; nothing if there is no row.
   std::optional<std::string> value(std::string_view sql);

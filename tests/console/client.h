@@ -6,12 +6,14 @@
 #include <boost/beast/websocket.hpp>
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 namespace abcal::test {
 
@@ -135,7 +137,16 @@ class PageClient {
   Json ask(Json request) {
     request["id"] = ++last_id_;
     send(request.dump());
-    return wait_for([&](const Json& m) { return m["type"] == "reply" && m["id"] == last_id_; }, "the reply");
+    const auto deadline = std::chrono::steady_clock::now() + kPatience;
+    std::deque<Json> before;
+    while (std::optional<Json> message = next(deadline)) {
+      if ((*message)["type"] == "reply" && (*message)["id"] == last_id_) {
+        messages_.insert(messages_.begin(), before.begin(), before.end());
+        return *message;
+      }
+      before.push_back(std::move(*message));
+    }
+    throw std::runtime_error("no reply came in time to " + request.dump());
   }
   bool ok(const Json& request) { return ask(request)["ok"].get<bool>(); }
 
@@ -176,7 +187,7 @@ class PageClient {
           std::min(deadline, std::chrono::steady_clock::now() + std::chrono::milliseconds(100)));
     }
     if (messages_.empty()) return std::nullopt;
-    Json message = Json::parse(messages_.front());
+    Json message = std::move(messages_.front());
     messages_.pop_front();
     return message;
   }
@@ -188,7 +199,7 @@ class PageClient {
         ended_ = true;
         return;
       }
-      messages_.push_back(boost::beast::buffers_to_string(buffer_.cdata()));
+      messages_.push_back(Json::parse(boost::beast::buffers_to_string(buffer_.cdata())));
       buffer_.consume(buffer_.size());
       read();
     });
@@ -197,7 +208,7 @@ class PageClient {
   boost::asio::io_context io_;
   boost::beast::websocket::stream<boost::beast::tcp_stream> socket_{io_};
   boost::beast::flat_buffer buffer_;
-  std::deque<std::string> messages_;
+  std::deque<Json> messages_;
   std::int64_t last_id_ = 0;
   bool ended_ = false;
 };

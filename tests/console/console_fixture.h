@@ -27,6 +27,7 @@ class ConsoleTest : public testing::Test {
     before_ = spdlog::default_logger();
     spdlog::set_default_logger(std::make_shared<spdlog::logger>("test", sink_));
     options.port = 0;
+    options.longest_queue = 100000;  // However slow the page of a test, each message comes.
     pace = 500.0;
   }
   ~ConsoleTest() override {
@@ -62,10 +63,11 @@ class ConsoleTest : public testing::Test {
       count += entry.path().extension() == ".run" ? 1 : 0;
     return count;
   }
-  /// A page that steers.
+  /// A page that steers, and has seen all that was told until then.
   std::unique_ptr<test::PageClient> steering_page() {
     auto page = std::make_unique<test::PageClient>(port);
     EXPECT_TRUE(page->ok({{"do", "control"}}));
+    page->wait_for([](const auto& m) { return m["type"] == "control" && m["page"].is_number(); }, "control");
     return page;
   }
 

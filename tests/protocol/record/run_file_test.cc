@@ -172,6 +172,48 @@ TEST(RunFileTest, ClosingIsFinishedWhereverTheProgramWasKilledInIt) {
   }
 }
 
+TEST(RunFileTest, ClosingWaitsForThoseWhoReadTheRun) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  RunFile file = RunFile::create(path, header());
+  file.append_dwell(0, dwell(1), kReadings, {});
+  // As `sqlite3 a.run`, or the list of runs in the console: whoever has read keeps a lock while it is open.
+  std::optional<SqliteDatabase> reader;
+  reader.emplace(path, SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(reader->value("select count(*) from dwell"), "1");
+  int asked = 0;
+  const std::string hash = file.close_complete("2026-03-01T13:00:00.000Z", {}, [&](int failures) {
+    EXPECT_EQ(failures, ++asked);
+    if (failures == 3) reader.reset();
+    return true;
+  });
+  EXPECT_EQ(asked, 3);
+  EXPECT_EQ(hash, sha256_of_file(path));
+  EXPECT_FALSE(std::filesystem::exists(path.string() + "-wal"));
+  EXPECT_EQ(RunFile::load(path).state, RunState::kComplete);
+}
+
+TEST(RunFileTest, AReaderThatStaysIsToldAndTheRunCanBeClosedLater) {
+  const test::TemporaryFolder folder;
+  const std::filesystem::path path = folder / "a.run";
+  std::optional<SqliteDatabase> reader;
+  {
+    RunFile file = RunFile::create(path, header());
+    file.append_dwell(0, dwell(1), kReadings, {});
+    reader.emplace(path, SqliteDatabase::Mode::kReadOnly);
+    EXPECT_EQ(reader->value("select count(*) from dwell"), "1");
+    const std::string why =
+        what([&] { file.close_complete("2026-03-01T13:00:00.000Z", {}, [](int) { return false; }); });
+    EXPECT_THAT(why, HasSubstr("all angles are measured and stored"));
+    EXPECT_THAT(why, HasSubstr("abcal resume"));
+  }
+  EXPECT_EQ(RunFile::load(path).state, RunState::kComplete);
+  reader.reset();
+  const std::string hash = RunFile::finish_closing(path);
+  EXPECT_EQ(hash, sha256_of_file(path));
+  EXPECT_EQ(RunFile::load(path).record.dwells.size(), 1U);
+}
+
 TEST(RunFileTest, NeverOverwritesAFile) {
   const test::TemporaryFolder folder;
   std::ofstream(folder / "a.run") << "precious";
