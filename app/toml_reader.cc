@@ -68,7 +68,9 @@ std::optional<double> number_of(const toml::node& node) {
 
 std::string joined(const std::vector<std::string>& words) {
   std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + ("\"" + word + "\"");
+  for (const std::string& word : words) {
+    if (!word.empty()) text += (text.empty() ? "" : ", ") + ("\"" + word + "\"");
+  }
   return text;
 }
 
@@ -275,6 +277,7 @@ std::vector<Problem> TomlReader::take_problems() {
 
 void TomlReader::add_problem(const std::string& where, const std::string& found,
                              const std::string& required) {
+  if (wrong_.contains(where)) return;
   const toml::node* node = root_.at_path(where).node();
   add_problem_at(node == nullptr ? 0 : node->source().begin.line, where, found, required);
 }
@@ -289,6 +292,7 @@ void TomlReader::add_problem_at(std::uint32_t line, const std::string& where, co
 void TomlReader::problem(const toml::node& node, const std::string& where, std::string found,
                          std::string required) {
   const std::uint32_t line = node.source().begin.line;
+  wrong_.insert(where);
   found_.emplace_back(line, Problem{at(line) + display(where), std::move(found), std::move(required)});
 }
 

@@ -16,7 +16,7 @@
 
 namespace abcal {
 
-/// "a", "b", "c" in quotes, for messages.
+/// "a", "b", "c" in quotes, for messages; empty words are left out.
 std::string joined(const std::vector<std::string>& words);
 
 /// Reads the keys that it is asked for from a TOML file, and keeps every problem of it with its line. What is
@@ -60,7 +60,8 @@ class TomlReader final : public KeyVisitor {
   /// Keys and sections that no visit asked for.
   void report_unknown();
   std::vector<Problem> take_problems();
-  /// A problem that needs more than one key to be seen; `where` is a path such as "stage.x.sign".
+  /// A problem that needs more than one key to be seen; `where` is a path such as "stage.x.sign". Not told of
+  /// a key that is wrong by itself, as that says enough.
   void add_problem(const std::string& where, const std::string& found, const std::string& required);
   /// The same where only the line is known.
   void add_problem_at(std::uint32_t line, const std::string& where, const std::string& found,
@@ -78,6 +79,7 @@ class TomlReader final : public KeyVisitor {
   const toml::table* table_ = nullptr;
   std::string path_;
   std::map<std::string, std::set<std::string>> known_;
+  std::set<std::string> wrong_;  ///< Keys that are wrong by themselves.
   std::set<std::string> reported_;
   std::vector<std::pair<std::uint32_t, Problem>> found_;
 };

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "app/certificate/statements.h"
+#include "app/report/result_text.h"
 
 namespace abcal {
 namespace {
@@ -76,9 +77,9 @@ std::string rounded(double value, double u) {
   // Two digits of the uncertainty; the value to the same place.
   if (!std::isfinite(value)) return "-";
   if (!(u > 0.0) || !std::isfinite(u)) return fmt::format("{:.6g}", value);
-  const int places = std::max(0, 1 - static_cast<int>(std::floor(std::log10(u))));
-  if (places > 15) return fmt::format("{:.6g}", value);
-  const std::string text = fmt::format("{:.{}f}", value, places);
+  const int decimals = decimals_for(u);
+  if (decimals > 15) return fmt::format("{:.6g}", value);
+  const std::string text = fmt::format("{:.{}f}", value, decimals);
   return text.find_first_of("123456789") == std::string::npos && text.front() == '-' ? text.substr(1) : text;
 }
 

@@ -45,6 +45,15 @@ TEST(BenchConfigTest, FillsInTheDocumentedDefaults) {
   EXPECT_EQ(config.stage.z.axis, "2");
 }
 
+TEST(BenchConfigTest, AnUnknownDriverIsToldOnceWithThoseThatAreKnown) {
+  std::string toml = kSmallest;
+  toml.replace(toml.find("pi_gcs"), 6, "nope");
+  EXPECT_EQ(problems_of(toml),
+            "bench file bench.toml: 1 problem\n"
+            "  line 5, [stage] driver: found \"nope\"; required: one of \"pi_gcs\", \"newport_esp\", "
+            "\"zaber_ascii\", \"simulated\", \"manual_stage\"");
+}
+
 TEST(BenchConfigTest, WritesEveryDefaultOutAndReadsItBackToTheSame) {
   BenchConfig config = parse_bench(kSmallest, "bench.toml");
   config.name = "a \"name\" with \\ and ü";
