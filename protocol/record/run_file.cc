@@ -481,11 +481,10 @@ std::string RunFile::close(const TryAgain& try_again) {
   // The log is folded into the file, for which SQLite wants it alone, and does not wait by itself.
   for (int failures = 1; !impl_->database.execute_unless_busy("pragma journal_mode=delete"); ++failures) {
     if (try_again(failures)) continue;
-    throw RunFileError(
-        path.string() +
-        ": all angles are measured and stored, but another program keeps the file open, so that "
-        "it cannot be closed: end that program, then close and analyse the run with `abcal "
-        "resume`");
+    throw RunFileError(path.string() +
+                       ": all angles are measured and stored, but another program keeps the file open, so "
+                       "that it cannot be closed: end that program, then close and analyse the run with "
+                       "`abcal resume`");
   }
   impl_.reset();
   // All is in the file now; but SQLite does not say if it could not remove its log.

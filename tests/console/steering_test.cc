@@ -295,8 +295,9 @@ TEST_F(SteeringTest, APageThatDoesNotReadHoldsUpNobodyAndCatchesUp) {
   for (int id = 1; id <= kAsked; ++id) deaf.send(Json{{"do", "stop"}, {"id", id}}.dump());
   // It reads now: no reply was dropped; what else was, comes as a snapshot with all angles.
   int answered = 0;
-  bool all_angles = false, ended = false;
-  while (answered < kAsked || !all_angles || !ended) {
+  bool all_angles = false;
+  Json ended;
+  while (answered < kAsked || !all_angles || ended.is_null()) {
     const auto message = deaf.next(std::chrono::steady_clock::now() + test::kPatience);
     ASSERT_TRUE(message) << answered << " replies, " << all_angles << ended;
     const std::string type = (*message)["type"];
@@ -304,11 +305,12 @@ TEST_F(SteeringTest, APageThatDoesNotReadHoldsUpNobodyAndCatchesUp) {
       EXPECT_EQ((*message)["id"], ++answered);
     } else if (type == "snapshot" && (*message)["run"].is_object()) {
       all_angles = (*message)["run"]["dwells"].size() == 270;
-      ended = !(*message)["run"]["ended"].is_null();
+      ended = (*message)["run"]["ended"];
     } else if (type == "ended") {
-      ended = true;
+      ended = *message;
     }
   }
+  EXPECT_TRUE(ended["complete"].get<bool>());
 }
 
 TEST_F(SteeringTest, TheEndOfTheProgramHaltsARunAndLeavesItResumable) {
