@@ -4,15 +4,15 @@
 
 #include <CLI/CLI.hpp>
 
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
 #include "app/commands/commands.h"
+#include "app/commands/manual.h"
 #include "app/commands/simulate.h"
 #include "app/commands/uncertainty.h"
-#include "app/exit_code.h"
-#include "app/interrupt.h"
-#include "app/manual.h"
-#include "app/terminal.h"
-#include "app/version.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
+#include "app/system/terminal.h"
+#include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/run/experiment_run.h"

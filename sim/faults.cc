@@ -2,6 +2,7 @@
 
 #include <Random123/philox.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <stdexcept>

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "app/certificate/xml_tree.h"
+#include "app/xml/xml_tree.h"
 
 namespace abcal {
 

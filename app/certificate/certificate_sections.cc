@@ -9,7 +9,7 @@
 #include <utility>
 
 #include "app/certificate/statements.h"
-#include "app/report/result_text.h"
+#include "app/results/result_text.h"
 
 namespace abcal {
 namespace {

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "app/certificate/certificate.h"
-#include "app/certificate/xml_tree.h"
+#include "app/xml/xml_tree.h"
 
 namespace abcal {
 

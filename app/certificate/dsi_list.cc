@@ -7,8 +7,8 @@
 #include <cmath>
 #include <functional>
 
-#include "app/certificate/dsi_unit.h"
 #include "app/report/report_data.h"
+#include "app/units/dsi_unit.h"
 
 namespace abcal {
 namespace {

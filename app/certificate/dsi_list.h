@@ -7,7 +7,7 @@
 #include <string_view>
 #include <vector>
 
-#include "app/certificate/xml_tree.h"
+#include "app/xml/xml_tree.h"
 #include "protocol/analysis/calibration_result.h"
 
 namespace abcal {

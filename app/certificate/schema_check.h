@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "app/certificate/business_rules.h"
-#include "app/certificate/xml_tree.h"
+#include "app/xml/xml_tree.h"
 
 namespace abcal {
 

@@ -5,8 +5,8 @@
 
 #include <set>
 
-#include "app/certificate/dsi_unit.h"
-#include "app/certificate/xml_tree.h"
+#include "app/units/dsi_unit.h"
+#include "app/xml/xml_tree.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {

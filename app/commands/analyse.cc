@@ -2,15 +2,15 @@
 
 #include <fstream>
 
-#include "app/analyses.h"
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/load_record.h"
-#include "app/report/result_json.h"
-#include "app/report/result_text.h"
-#include "app/terminal.h"
-#include "app/version.h"
+#include "app/results/analyses.h"
+#include "app/results/load_record.h"
+#include "app/results/result_json.h"
+#include "app/results/result_text.h"
+#include "app/system/exit_code.h"
+#include "app/system/terminal.h"
+#include "app/system/version.h"
 #include "protocol/analysis/pose_import.h"
 #include "protocol/record/sha256.h"
 

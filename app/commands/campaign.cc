@@ -12,14 +12,14 @@
 #include <stdexcept>
 #include <vector>
 
-#include "app/analyses.h"
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
 #include "app/commands/run.h"
-#include "app/exit_code.h"
-#include "app/interrupt.h"
-#include "app/make_bench.h"
 #include "app/report/campaign_report.h"
-#include "app/run_bench.h"
+#include "app/results/analyses.h"
+#include "app/session/run_bench.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
 #include "protocol/record/run_file.h"
 #include "protocol/run/experiment_run.h"
 

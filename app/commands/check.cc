@@ -2,10 +2,10 @@
 
 #include <nlohmann/json.hpp>
 
-#include "app/bench_check.h"
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/terminal.h"
+#include "app/session/bench_check.h"
+#include "app/system/exit_code.h"
+#include "app/system/terminal.h"
 
 namespace abcal {
 namespace {

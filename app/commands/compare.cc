@@ -1,11 +1,11 @@
 #include <fmt/format.h>
 
-#include "app/analyses.h"
 #include "app/commands/commands.h"
 #include "app/compare/compare_results.h"
-#include "app/exit_code.h"
 #include "app/report/compare_json.h"
 #include "app/report/compare_text.h"
+#include "app/results/analyses.h"
+#include "app/system/exit_code.h"
 
 namespace abcal {
 

@@ -8,14 +8,14 @@
 #include <stdexcept>
 #include <thread>
 
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
+#include "app/bench/make_firmware.h"
+#include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
-#include "app/control_server.h"
-#include "app/exit_code.h"
-#include "app/interrupt.h"
-#include "app/make_bench.h"
-#include "app/make_firmware.h"
-#include "app/real_clock.h"
+#include "app/emulate/control_server.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
 #include "drivers/wire/port_list.h"
 #include "sim/emulator.h"
 #include "sim/firmware/faulty_port.h"

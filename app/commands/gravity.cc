@@ -5,7 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
+#include "app/system/exit_code.h"
 #include "protocol/gravity/local_gravity.h"
 
 namespace abcal {

@@ -3,11 +3,11 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "app/bench/probe.h"
+#include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/probe.h"
-#include "app/progress.h"
-#include "app/real_clock.h"
+#include "app/system/exit_code.h"
+#include "app/system/progress.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/registry.h"
 #include "drivers/wire/port_list.h"

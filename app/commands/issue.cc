@@ -2,12 +2,12 @@
 
 #include <memory>
 
+#include "app/bench/real_clock.h"
 #include "app/certificate/certificate_command.h"
 #include "app/certificate/issue.h"
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/output_file.h"
-#include "app/real_clock.h"
+#include "app/system/exit_code.h"
+#include "app/system/output_file.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {

@@ -2,14 +2,14 @@
 
 #include <nlohmann/json.hpp>
 
-#include "app/analyses.h"
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/level_file.h"
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/level_file.h"
-#include "app/report/result_text.h"
-#include "app/run_bench.h"
-#include "app/version.h"
+#include "app/results/analyses.h"
+#include "app/results/result_text.h"
+#include "app/session/run_bench.h"
+#include "app/system/exit_code.h"
+#include "app/system/version.h"
 #include "protocol/analysis/level.h"
 
 namespace abcal {

@@ -3,10 +3,10 @@
 
 #include <nlohmann/json.hpp>
 
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/progress.h"
+#include "app/system/exit_code.h"
+#include "app/system/progress.h"
 #include "protocol/plan/rotation_plan.h"
 
 namespace abcal {

@@ -7,12 +7,12 @@
 #include <string>
 #include <string_view>
 
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/transcript.h"
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
-#include "app/run_bench.h"
-#include "app/transcript.h"
-#include "app/version.h"
+#include "app/session/run_bench.h"
+#include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/replay_stream.h"
 #include "protocol/record/run_file.h"

@@ -7,14 +7,11 @@
 #include <string>
 #include <vector>
 
+#include "app/bench/real_clock.h"
 #include "app/certificate/certificate_command.h"
 #include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/interrupt.h"
-#include "app/output_file.h"
-#include "app/real_clock.h"
 #include "app/report/calibration_document.h"
 #include "app/report/document_html.h"
 #include "app/report/document_text.h"
@@ -23,7 +20,10 @@
 #include "app/report/report_data.h"
 #include "app/report/report_json.h"
 #include "app/report/weasyprint.h"
-#include "app/temporary_folder.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
+#include "app/system/output_file.h"
+#include "app/system/temporary_folder.h"
 #include "protocol/run/experiment_run.h"
 
 namespace abcal {

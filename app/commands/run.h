@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "app/bench_config.h"
-#include "app/make_bench.h"
-#include "app/run_bench.h"
-#include "app/transcript.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
+#include "app/bench/transcript.h"
+#include "app/session/run_bench.h"
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/run_file.h"

@@ -7,11 +7,11 @@
 #include <stdexcept>
 #include <string>
 
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
 #include "app/commands/commands.h"
 #include "app/console/server.h"
-#include "app/exit_code.h"
-#include "app/interrupt.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
 
 namespace abcal {
 namespace {

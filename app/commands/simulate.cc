@@ -12,14 +12,14 @@
 #include <sstream>
 #include <thread>
 
+#include "app/bench/real_clock.h"
 #include "app/commands/simulate_joint.h"
-#include "app/exit_code.h"
-#include "app/interrupt.h"
-#include "app/progress.h"
-#include "app/real_clock.h"
 #include "app/report/study_figures.h"
 #include "app/report/study_json.h"
 #include "app/report/study_text.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
+#include "app/system/progress.h"
 #include "protocol/uncertainty/simulation_sets.h"
 
 namespace abcal {

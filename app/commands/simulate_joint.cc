@@ -5,10 +5,10 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "app/exit_code.h"
-#include "app/interrupt.h"
-#include "app/progress.h"
-#include "app/real_clock.h"
+#include "app/bench/real_clock.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
+#include "app/system/progress.h"
 
 namespace abcal {
 

@@ -7,15 +7,15 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "app/bench/real_clock.h"
+#include "app/commands/mpi_team.h"
 #include "app/commands/simulate.h"
-#include "app/exit_code.h"
-#include "app/interrupt.h"
-#include "app/load_record.h"
-#include "app/mpi_team.h"
-#include "app/progress.h"
-#include "app/real_clock.h"
 #include "app/report/study_json.h"
 #include "app/report/study_text.h"
+#include "app/results/load_record.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
+#include "app/system/progress.h"
 #include "protocol/uncertainty/run_uncertainty.h"
 
 namespace abcal {

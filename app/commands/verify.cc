@@ -3,8 +3,8 @@
 #include <nlohmann/json.hpp>
 
 #include "app/commands/commands.h"
-#include "app/exit_code.h"
-#include "app/terminal.h"
+#include "app/system/exit_code.h"
+#include "app/system/terminal.h"
 #include "protocol/record/verify.h"
 
 namespace abcal {

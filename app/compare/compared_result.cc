@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "app/analyses.h"
 #include "app/compare/read_certificate.h"
-#include "app/load_record.h"
+#include "app/results/analyses.h"
+#include "app/results/load_record.h"
 #include "protocol/analysis/intrinsic_properties.h"
 
 namespace abcal {

@@ -12,7 +12,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "app/certificate/xml_tree.h"
+#include "app/xml/xml_tree.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/sensitivity_matrix.h"
 

@@ -7,8 +7,8 @@
 #include <variant>
 #include <vector>
 
-#include "app/bench_check.h"
 #include "app/console/watched.h"
+#include "app/session/bench_check.h"
 #include "drivers/instrument/clock.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/run_record.h"

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <chrono>
 
-#include "app/real_clock.h"
+#include "app/bench/real_clock.h"
 #include "drivers/instrument/clock.h"
 #include "sim/sim_clock.h"
 

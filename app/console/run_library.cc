@@ -6,11 +6,11 @@
 #include <cmath>
 #include <utility>
 
-#include "app/analyses.h"
 #include "app/compare/compare_results.h"
 #include "app/console/download.h"
 #include "app/report/compare_json.h"
-#include "app/report/result_json.h"
+#include "app/results/analyses.h"
+#include "app/results/result_json.h"
 #include "protocol/analysis/meaning.h"
 #include "protocol/uncertainty/control_chart.h"
 

@@ -23,14 +23,14 @@
 #include <thread>
 #include <utility>
 
+#include "app/bench/real_clock.h"
 #include "app/console/asset.h"
 #include "app/console/download.h"
 #include "app/console/live_view.h"
 #include "app/console/request.h"
 #include "app/console/run_library.h"
 #include "app/console/target.h"
-#include "app/real_clock.h"
-#include "app/version.h"
+#include "app/system/version.h"
 #include "drivers/wire/readable_bytes.h"
 
 namespace abcal::console {

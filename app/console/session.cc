@@ -8,8 +8,8 @@
 
 #include "app/console/jog.h"
 #include "app/console/paced_clock.h"
-#include "app/report/result_text.h"
-#include "app/run_bench.h"
+#include "app/results/result_text.h"
+#include "app/session/run_bench.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal::console {

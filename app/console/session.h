@@ -11,9 +11,9 @@
 #include <thread>
 #include <vector>
 
+#include "app/bench/make_bench.h"
 #include "app/commands/run.h"
 #include "app/console/event.h"
-#include "app/make_bench.h"
 
 namespace abcal::console {
 

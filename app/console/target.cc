@@ -1,7 +1,6 @@
 #include "app/console/target.h"
 
 #include <boost/url/parse.hpp>
-#include <boost/url/src.hpp>  // Here and nowhere else: what the headers only declare.
 #include <boost/url/url_view.hpp>
 
 namespace abcal::console {

@@ -6,7 +6,7 @@
 #include <optional>
 #include <string>
 
-#include "app/real_clock.h"
+#include "app/bench/real_clock.h"
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/rotation_stage.h"
 

@@ -8,10 +8,10 @@
 #include <optional>
 #include <set>
 
-#include "app/progress.h"
-#include "app/report/result_text.h"
 #include "app/report/run_figures.h"
 #include "app/report/study_text.h"
+#include "app/results/result_text.h"
+#include "app/system/progress.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {

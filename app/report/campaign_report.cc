@@ -4,8 +4,8 @@
 
 #include <algorithm>
 
-#include "app/report/result_text.h"
-#include "app/terminal.h"
+#include "app/results/result_text.h"
+#include "app/system/terminal.h"
 
 namespace abcal {
 namespace {

@@ -13,9 +13,9 @@
 #include <stdexcept>
 #include <string_view>
 
-#include "app/child_process.h"
 #include "app/report/gnuplot.h"
 #include "app/report/valid_text.h"
+#include "app/system/child_process.h"
 
 namespace abcal {
 namespace {

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "app/report/valid_text.h"
-#include "app/terminal.h"
+#include "app/system/terminal.h"
 
 namespace abcal {
 namespace {

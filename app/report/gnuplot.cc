@@ -6,7 +6,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "app/temporary_folder.h"
+#include "app/system/temporary_folder.h"
 
 namespace abcal {
 

@@ -3,8 +3,8 @@
 #include <filesystem>
 #include <string>
 
-#include "app/child_process.h"
 #include "app/report/document.h"
+#include "app/system/child_process.h"
 
 namespace abcal {
 

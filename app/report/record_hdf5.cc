@@ -10,9 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "app/report/result_json.h"
-#include "app/report/result_text.h"
 #include "app/report/valid_text.h"
+#include "app/results/result_json.h"
+#include "app/results/result_text.h"
 
 namespace abcal {
 namespace {

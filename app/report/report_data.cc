@@ -3,11 +3,11 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include "app/analyses.h"
-#include "app/load_record.h"
-#include "app/make_bench.h"
-#include "app/report/result_text.h"
-#include "app/version.h"
+#include "app/bench/make_bench.h"
+#include "app/results/analyses.h"
+#include "app/results/load_record.h"
+#include "app/results/result_text.h"
+#include "app/system/version.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {

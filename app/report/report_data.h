@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
 #include "drivers/instrument/clock.h"
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/record/run_file.h"

@@ -2,8 +2,8 @@
 
 #include <cmath>
 
-#include "app/report/result_json.h"
 #include "app/report/valid_text.h"
+#include "app/results/result_json.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {

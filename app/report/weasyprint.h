@@ -3,7 +3,7 @@
 #include <filesystem>
 #include <optional>
 
-#include "app/child_process.h"
+#include "app/system/child_process.h"
 
 namespace abcal {
 

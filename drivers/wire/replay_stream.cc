@@ -10,7 +10,7 @@ namespace {
 
 using Kind = WireEvent::Kind;
 
-std::string quoted(std::string_view bytes) {
+std::string in_quotes(std::string_view bytes) {
   constexpr std::size_t kShown = 80;
   return fmt::format("{:?}{}", bytes.substr(0, kShown),
                      bytes.size() > kShown ? fmt::format(" and {} bytes more", bytes.size() - kShown) : "");
@@ -55,7 +55,7 @@ void ReplayStream::leave(std::string_view found, const WireEvent& recorded) cons
   throw InstrumentError(name_, Fault::kLinkLost,
                         fmt::format("the replay leaves the recording: found {}, recorded {} at t = {:.6f} s; "
                                     "replay with the version of abcal that recorded it",
-                                    quoted(found), quoted(recorded.bytes), seconds_at(recorded.time)));
+                                    in_quotes(found), in_quotes(recorded.bytes), seconds_at(recorded.time)));
 }
 
 void ReplayStream::write(std::string_view bytes) {

@@ -1,6 +1,7 @@
 #include "protocol/analysis/norm_fit.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>

@@ -1,6 +1,7 @@
 #include "protocol/analysis/pose_import.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <array>

@@ -1,6 +1,7 @@
 #include "protocol/gravity/local_gravity.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <cmath>
 #include <stdexcept>

@@ -1,4 +1,4 @@
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -15,8 +15,8 @@
 #include <functional>
 #include <set>
 
-#include "app/make_firmware.h"
-#include "app/real_clock.h"
+#include "app/bench/make_firmware.h"
+#include "app/bench/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/microstrain_mip/codec.h"
 #include "drivers/newport_esp/stage.h"

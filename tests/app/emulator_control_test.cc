@@ -11,9 +11,9 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
-#include "app/bench_config.h"
-#include "app/control_server.h"
-#include "app/make_bench.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
+#include "app/emulate/control_server.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/sqlite.h"
 #include "sim/firmware/faulty_port.h"

@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <map>
 
-#include "app/report/result_json.h"
+#include "app/results/result_json.h"
 #include "protocol/record/verify.h"
 #include "tests/app/in_process_run.h"
 #include "tests/app/repeatable_run.h"

@@ -9,9 +9,9 @@
 #include <string>
 #include <string_view>
 
-#include "app/bench_config.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
 #include "app/commands/run.h"
-#include "app/make_bench.h"
 
 namespace abcal::test {
 

@@ -6,8 +6,8 @@
 
 #include <string>
 
-#include "app/bench_config.h"
-#include "app/make_bench.h"
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {

@@ -1,4 +1,4 @@
-#include "app/compare/response_unit.h"
+#include "app/units/response_unit.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -12,7 +12,7 @@
 #include <fstream>
 #include <random>
 
-#include "app/analyses.h"
+#include "app/results/analyses.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/verify.h"
 #include "sim/faults.h"

@@ -1,11 +1,11 @@
-#include "app/stage_watchdog.h"
+#include "app/bench/stage_watchdog.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <condition_variable>
 
-#include "app/real_clock.h"
+#include "app/bench/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {

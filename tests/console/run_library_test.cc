@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "app/child_process.h"
 #include "app/report/weasyprint.h"
+#include "app/system/child_process.h"
 #include "protocol/analysis/meaning.h"
 #include "tests/console/console_fixture.h"
 #include "tests/support/project_paths.h"

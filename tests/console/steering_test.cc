@@ -10,8 +10,8 @@
 #include <thread>
 #include <vector>
 
-#include "app/analyses.h"
-#include "app/report/result_json.h"
+#include "app/results/analyses.h"
+#include "app/results/result_json.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
 

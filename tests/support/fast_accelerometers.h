@@ -11,8 +11,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/make_firmware.h"
-#include "app/real_clock.h"
+#include "app/bench/make_firmware.h"
+#include "app/bench/real_clock.h"
 #include "drivers/registry.h"
 #include "drivers/wire/open_stream.h"
 #include "sim/emulator.h"

@@ -8,8 +8,8 @@
 #include <locale>
 
 #include "app/certificate/dsi_list.h"
-#include "app/certificate/dsi_unit.h"
-#include "app/certificate/xml_tree.h"
+#include "app/units/dsi_unit.h"
+#include "app/xml/xml_tree.h"
 
 namespace abcal {
 namespace {

@@ -1,0 +1,133 @@
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "app/bench/fault_schedule.h"
+#include "drivers/instrument/angle.h"
+#include "drivers/instrument/instrument_settings.h"
+#include "protocol/plan/run_config.h"
+#include "protocol/plan/tolerances.h"
+#include "protocol/record/run_record.h"
+#include "sim/bench_truth.h"
+
+namespace abcal {
+
+struct ItemConfig {
+  std::string maker, model, serial_number, range, filter, firmware, supply;
+};
+
+struct StageAxisConfig {
+  std::string axis;  ///< The controller's name of the axis.
+  int sign = +1;     ///< -1: the controller counts against the right-hand rule.
+  Angle zero;        ///< Controller angle at the default orientation.
+  std::optional<double> travel_min_deg, travel_max_deg;  ///< Narrower than the controller's own.
+  std::optional<double> speed_deg_per_s;                 ///< Absent: as the controller has it.
+  // Where the axis has a controller of its own; else empty.
+  std::string driver, port;
+  std::optional<int> baud;
+  std::string address;
+};
+
+/// One controller and its two axes, or one controller for each axis.
+struct StageConfig {
+  std::string driver, port;
+  std::optional<int> baud;  ///< Absent: the driver's usual one.
+  std::string address;
+  std::string serial_number;  ///< If given, any other controller is refused.
+  std::string level_file;  ///< Made by `abcal level`; empty: the alignment is known from [tolerances] only.
+  StageAxisConfig x, z;
+
+  bool split() const { return !x.driver.empty() || !z.driver.empty(); }
+
+  StageConfig() {
+    x.axis = "1";
+    z.axis = "2";
+  }
+};
+
+struct AccelerometerConfig {
+  std::string driver, port;
+  std::optional<int> baud;
+  double rate_hz = 100.0;
+  std::string response_unit;  ///< Empty: what the instrument says; else it must say the same.
+  std::optional<double> full_scale;
+  std::string serial_number;
+  // As in AccelerometerSettings: voltmeters and boards that print lines of text.
+  Eigen::Vector3d scale = Eigen::Vector3d::Ones(), bias = Eigen::Vector3d::Zero();
+  std::array<int, 3> channels = AccelerometerSettings{}.channels;
+  double range_v = AccelerometerSettings{}.range_v;
+  double integration_plc = AccelerometerSettings{}.integration_plc;
+  std::array<int, 3> columns = AccelerometerSettings{}.columns;
+  std::string separator = AccelerometerSettings{}.separator;
+  std::string comment = AccelerometerSettings{}.comment;
+};
+
+/// Typed in, or a sensor that prints lines of text.
+struct EnvironmentConfig {
+  std::optional<double> temperature_degc, humidity_percent, pressure_hpa;
+  std::string driver, port;  ///< Empty: no sensor.
+  std::optional<int> baud;
+  int temperature_column = EnvironmentSettings{}.temperature_column;
+  int humidity_column = EnvironmentSettings{}.humidity_column;
+  int pressure_column = EnvironmentSettings{}.pressure_column;
+  std::string separator = EnvironmentSettings{}.separator;
+  std::string comment = EnvironmentSettings{}.comment;
+};
+
+/// A bench file (schema abcal.bench/1), with every default filled in.
+struct BenchConfig {
+  std::string schema = "abcal.bench/1";
+  std::string name;
+  LocalGravity g_loc;
+  std::optional<double> latitude_deg, height_m;
+  ItemConfig item;
+  ExpectedItem expected;  ///< In [item], too.
+  std::string operator_name;
+  StageConfig stage;
+  AccelerometerConfig accelerometer;
+  EnvironmentConfig environment;
+  ProtocolConfig protocol;
+  Tolerances tolerances;
+  LimitsConfig limits;
+  sim::BenchTruth simulation;
+  sim::LinkTiming link;  ///< Of the simulated instruments.
+  std::vector<FaultConfig> faults;
+  std::vector<ChangeConfig> changes;
+
+  std::vector<std::string> warnings;  ///< What a person should know though nothing is wrong.
+};
+
+/// A bench file that cannot be used: every problem of it, with its line.
+class BenchError : public std::runtime_error {
+ public:
+  BenchError(const std::string& file, std::vector<Problem> problems);
+  const std::vector<Problem>& problems() const { return problems_; }
+
+ private:
+  std::vector<Problem> problems_;
+};
+
+/// Reads a bench file. @throws BenchError
+BenchConfig read_bench(const std::filesystem::path& path);
+
+/// The same from text; `source` names it in messages.
+BenchConfig parse_bench(std::string_view toml, const std::string& source);
+
+/// A fault or change as `abcal emulate --control` takes it, from one line of JSON with the keys of [[fault]]
+/// or [[change]]; what a change does not name stays as it is in `now`. at_s counts from the start of the
+/// world.
+/// @throws BenchError
+FaultConfig parse_fault(const std::string& json);
+ChangeConfig parse_change(const std::string& json, const sim::OutputTruth& now);
+
+/// The bench file with every default written out, so that a stored run keeps its meaning when a default
+/// changes. parse_bench() reads it back to the same configuration.
+std::string write_bench(const BenchConfig& config);
+
+}  // namespace abcal

@@ -1,0 +1,299 @@
+#include "app/bench/make_bench.h"
+
+#include <algorithm>
+#include <map>
+#include <stdexcept>
+#include <utility>
+
+#include "app/bench/make_firmware.h"
+#include "app/bench/real_clock.h"
+#include "app/bench/stage_watchdog.h"
+#include "drivers/instrument/mounted_stage.h"
+#include "drivers/instrument/replaceable.h"
+#include "drivers/instrument/split_stage.h"
+#include "drivers/manual_stage/manual_stage.h"
+#include "drivers/registry.h"
+#include "drivers/text_line/environment.h"
+#include "drivers/wire/open_stream.h"
+#include "drivers/wire/reopenable_stream.h"
+#include "sim/faults.h"
+#include "sim/firmware/firmware_stream.h"
+#include "sim/followed_stage.h"
+#include "sim/sim_accelerometer.h"
+#include "sim/sim_clock.h"
+#include "sim/sim_stage.h"
+
+namespace abcal {
+namespace {
+
+constexpr const char* kSimulated = "simulated";
+constexpr const char* kManual = "manual_stage";
+constexpr SerialDefaults kEnvironmentSerial{9600, false};
+
+AxisMounting mounting(const StageAxisConfig& axis) {
+  const auto angle = [](const std::optional<double>& degrees) {
+    return degrees ? std::optional(Angle::degrees(*degrees)) : std::nullopt;
+  };
+  return {axis.zero, axis.sign, angle(axis.travel_min_deg), angle(axis.travel_max_deg)};
+}
+
+template <class Driver>
+const Driver& find_driver(const std::vector<Driver>& drivers, const std::string& name) {
+  const auto found =
+      std::find_if(drivers.begin(), drivers.end(), [&](const Driver& d) { return d.name == name; });
+  if (found == drivers.end()) throw std::invalid_argument("no driver is called \"" + name + "\"");
+  return *found;
+}
+
+StageSettings stage_settings(const BenchConfig& config, const InstrumentPort& port) {
+  StageSettings settings;
+  settings.axis_names = port.axis_names(config.stage);
+  settings.speed_deg_per_s = {config.stage.x.speed_deg_per_s, config.stage.z.speed_deg_per_s};
+  settings.address = port.address;
+  return settings;
+}
+
+AccelerometerSettings accelerometer_settings(const AccelerometerConfig& config) {
+  AccelerometerSettings settings;
+  settings.rate_hz = config.rate_hz;
+  settings.full_scale = config.full_scale;
+  // A baud rate in the bench file means a line that has one; USB and TCP are as fast as they are. 10 bits a
+  // byte.
+  if (config.baud) settings.link_bytes_per_s = *config.baud / 10.0;
+  for (std::size_t j = 0; j < 3; ++j) {
+    settings.scale[j] = config.scale[static_cast<Eigen::Index>(j)];
+    settings.bias[j] = config.bias[static_cast<Eigen::Index>(j)];
+  }
+  settings.unit = config.response_unit;
+  settings.channels = config.channels;
+  settings.range_v = config.range_v;
+  settings.integration_plc = config.integration_plc;
+  settings.columns = config.columns;
+  settings.separator = config.separator;
+  settings.comment = config.comment;
+  return settings;
+}
+
+EnvironmentSettings environment_settings(const EnvironmentConfig& config) {
+  EnvironmentSettings settings;
+  settings.temperature_column = config.temperature_column;
+  settings.humidity_column = config.humidity_column;
+  settings.pressure_column = config.pressure_column;
+  settings.separator = config.separator;
+  settings.comment = config.comment;
+  return settings;
+}
+
+/// The use of a stream by one driver; the next driver on the same port gets another.
+class SharedStream final : public wire::ByteStream {
+ public:
+  explicit SharedStream(std::shared_ptr<wire::ByteStream> stream) : stream_(std::move(stream)) {}
+
+  void write(std::string_view bytes) override { stream_->write(bytes); }
+  wire::ReceivedBytes read_until(Clock::Instant deadline) override { return stream_->read_until(deadline); }
+  void discard_input() override { stream_->discard_input(); }
+  std::size_t dropped_bytes() const override { return stream_->dropped_bytes(); }
+  std::string name() const override { return stream_->name(); }
+
+ private:
+  std::shared_ptr<wire::ByteStream> stream_;
+};
+
+/// Opens the instruments of one bench file, also again. The streams outlive the drivers, so that a recording,
+/// scripted faults and simulated firmware go on when a port was gone for a while.
+class Opener {
+ public:
+  Opener(const BenchConfig& config, BenchStreams streams, std::shared_ptr<sim::SimBench> world, Clock& clock)
+      : config_(config), streams_(std::move(streams)), world_(std::move(world)), clock_(clock) {}
+
+  std::unique_ptr<RotationStage> stage() {
+    const std::array<AxisMounting, 2> mountings{mounting(config_.stage.x), mounting(config_.stage.z)};
+    if (config_.stage.driver == kSimulated) {
+      // In-process and without a controller: protocol angles all the way.
+      std::array<AxisMounting, 2> limits;
+      for (std::size_t k = 0; k < 2; ++k)
+        limits[k] = {Angle{}, +1, mountings[k].travel_min, mountings[k].travel_max};
+      return std::make_unique<MountedStage>(std::make_unique<sim::SimStage>(world_, clock_), limits);
+    }
+    if (config_.stage.driver == kManual) {
+      if (streams_.replay)
+        throw std::invalid_argument("a stage turned by hand has no bytes: what was typed is not recorded");
+      return std::make_unique<MountedStage>(
+          manual_stage::at_terminal(stage_settings(config_, InstrumentPort{})), mountings);
+    }
+    std::vector<std::unique_ptr<RotationStage>> parts;
+    for (const InstrumentPort& port : stage_ports(config_.stage)) {
+      const StageDriver& driver = find_driver(stage_drivers(), port.driver);
+      parts.push_back(driver.make(open(port, driver.serial), clock_, stage_settings(config_, port)));
+    }
+    std::unique_ptr<RotationStage> stage =
+        parts.size() == 1 ? std::move(parts[0])
+                          : std::make_unique<SplitStage>(std::move(parts[0]), std::move(parts[1]));
+    return std::make_unique<MountedStage>(std::move(stage), mountings);
+  }
+
+  std::unique_ptr<Accelerometer> accelerometer() {
+    const AccelerometerConfig& config = config_.accelerometer;
+    if (config.driver == kSimulated) {
+      return std::make_unique<sim::SimAccelerometer>(
+          world_, clock_, config.rate_hz, config.response_unit.empty() ? "g" : config.response_unit);
+    }
+    const AccelerometerDriver& driver = find_driver(accelerometer_drivers(), config.driver);
+    std::vector<std::unique_ptr<wire::ByteStream>> streams;
+    for (const InstrumentPort& port : accelerometer_ports(config))
+      streams.push_back(open(port, driver.serial));
+    return driver.make(std::move(streams), clock_, accelerometer_settings(config));
+  }
+
+  std::unique_ptr<EnvironmentSensor> environment() {
+    for (const InstrumentPort& port : environment_ports(config_.environment)) {
+      return std::make_unique<TextLineEnvironment>(open(port, kEnvironmentSerial), clock_,
+                                                   environment_settings(config_.environment));
+    }
+    return nullptr;
+  }
+
+ private:
+  struct Opened {
+    std::shared_ptr<wire::ByteStream> stream;
+    wire::ReopenableStream* port = nullptr;  ///< At the end of `stream`; null: nothing real to be opened.
+  };
+
+  /// The bytes to and from an instrument; the port is opened again if it was gone.
+  std::unique_ptr<wire::ByteStream> open(const InstrumentPort& port, const SerialDefaults& defaults) {
+    auto found = opened_.find(port.name);
+    if (found == opened_.end()) {
+      found = opened_.emplace(port.name, open_first(port, defaults)).first;
+    } else {
+      if (found->second.port != nullptr) found->second.port->reopen();
+      found->second.stream->discard_input();
+    }
+    return std::make_unique<SharedStream>(found->second.stream);
+  }
+
+  /// A recording, a real port, or simulated firmware in this process; with the faults and the delays that the
+  /// bench file asks for.
+  Opened open_first(const InstrumentPort& port, const SerialDefaults& defaults) {
+    if (streams_.replay) return {streams_.replay(port.name, clock_)};
+    const bool simulated = port.port == kSimulated;
+    Opened opened;
+    std::unique_ptr<wire::ByteStream> stream;
+    if (simulated) {
+      stream = std::make_unique<sim::FirmwareStream>(make_firmware(config_, port, world_), clock_);
+    } else {
+      wire::SerialSettings settings;
+      settings.baud = port.baud ? static_cast<unsigned>(*port.baud) : defaults.baud;
+      settings.rts_cts = defaults.rts_cts;
+      auto reopenable = std::make_unique<wire::ReopenableStream>(
+          [name = port.port, settings, &clock = clock_] { return wire::open_stream(name, settings, clock); });
+      opened.port = reopenable.get();
+      stream = std::move(reopenable);
+    }
+    auto faults = wire_faults(config_.faults, port.name, clock_.now());
+    const sim::LinkTiming timing = simulated ? config_.link : sim::LinkTiming{};
+    if (!faults.empty() || timing.latency + timing.jitter > Clock::Duration::zero()) {
+      stream = std::make_unique<sim::FaultyStream>(std::move(stream), clock_, std::move(faults),
+                                                   config_.simulation.seed, timing);
+    }
+    opened.stream = streams_.wrap ? streams_.wrap(port.name, std::move(stream), clock_) : std::move(stream);
+    return opened;
+  }
+
+  const BenchConfig config_;
+  const BenchStreams streams_;
+  std::shared_ptr<sim::SimBench> world_;
+  Clock& clock_;
+  std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
+};
+
+/// The instruments of a bench whose drivers can be made anew.
+class BenchReconnector final : public Reconnector {
+ public:
+  BenchReconnector(ReplaceableStage& stage, ReplaceableAccelerometer& accelerometer)
+      : stage_(stage), accelerometer_(accelerometer) {}
+
+  bool stage_lost() const override { return stage_.lost(); }
+
+  void reconnect() override {
+    if (stage_.lost()) stage_.replace();
+    if (accelerometer_.lost()) accelerometer_.replace();
+  }
+
+ private:
+  ReplaceableStage& stage_;
+  ReplaceableAccelerometer& accelerometer_;
+};
+
+}  // namespace
+
+std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock) {
+  return Opener(config, {}, nullptr, clock).stage();
+}
+
+std::vector<std::string> simulated_instruments(const BenchConfig& config) {
+  const auto simulated = [](const InstrumentPort& port) { return port.port == kSimulated; };
+  const std::vector<InstrumentPort> stage = stage_ports(config.stage);
+  const std::vector<InstrumentPort> accelerometer = accelerometer_ports(config.accelerometer);
+  std::vector<std::string> list;
+  if (config.stage.driver == kSimulated || std::any_of(stage.begin(), stage.end(), simulated))
+    list.emplace_back("stage");
+  if (config.accelerometer.driver == kSimulated ||
+      std::any_of(accelerometer.begin(), accelerometer.end(), simulated))
+    list.emplace_back("accelerometer");
+  return list;
+}
+
+Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_ptr<Clock> simulated_clock) {
+  std::vector<InstrumentPort> ports = stage_ports(config.stage);
+  const bool stage_is_simulated =
+      config.stage.driver == kSimulated ||
+      (!ports.empty() && std::all_of(ports.begin(), ports.end(),
+                                     [](const InstrumentPort& port) { return port.port == kSimulated; }));
+  const bool accelerometer_is_simulated = config.accelerometer.port == kSimulated;
+  for (const InstrumentPort& port : accelerometer_ports(config.accelerometer)) ports.push_back(port);
+  for (const InstrumentPort& port : environment_ports(config.environment)) ports.push_back(port);
+  const auto real_port = [](const InstrumentPort& port) { return port.port != kSimulated; };
+
+  Bench bench;
+  bench.replayed = static_cast<bool>(streams.replay);
+  bench.simulated_time = bench.replayed || (config.stage.driver != kManual &&
+                                            std::none_of(ports.begin(), ports.end(), real_port));
+  if (bench.replayed) {
+    bench.clock = std::move(streams.replay_clock);
+  } else if (bench.simulated_time) {
+    bench.clock = simulated_clock ? std::move(simulated_clock) : std::make_unique<sim::SimClock>();
+  } else {
+    bench.clock = std::make_unique<RealClock>();
+  }
+  const bool anything_simulated =
+      stage_is_simulated || accelerometer_is_simulated || !std::all_of(ports.begin(), ports.end(), real_port);
+  if (anything_simulated) {
+    bench.world = std::make_shared<sim::SimBench>(config.simulation, bench.clock->now());
+    schedule(config.faults, config.changes, *bench.world);
+  } else if (!config.changes.empty()) {
+    throw std::invalid_argument(
+        "[[change]]: nothing on this bench is simulated, so that nothing would change");
+  }
+
+  const auto opener = std::make_shared<Opener>(config, std::move(streams), bench.world, *bench.clock);
+  // A real stage turns the simulated world by what its encoder says.
+  const bool followed = accelerometer_is_simulated && !stage_is_simulated;
+  auto stage = std::make_unique<ReplaceableStage>(
+      [opener, followed, world = bench.world, &clock = *bench.clock]() -> std::unique_ptr<RotationStage> {
+        auto made = opener->stage();
+        if (followed) made = std::make_unique<sim::FollowedStage>(std::move(made), world, clock);
+        return made;
+      });
+  auto accelerometer =
+      std::make_unique<ReplaceableAccelerometer>([opener] { return opener->accelerometer(); });
+  bench.environment = opener->environment();
+  bench.reconnector = std::make_unique<BenchReconnector>(*stage, *accelerometer);
+  bench.stage = std::move(stage);
+  // A person who turns a stage by hand cannot be halted, and jumping time needs no second thread.
+  if (!bench.simulated_time && config.stage.driver != kManual)
+    bench.stage = std::make_unique<StageWatchdog>(std::move(bench.stage), *bench.clock);
+  bench.accelerometer = std::move(accelerometer);
+  return bench;
+}
+
+}  // namespace abcal

@@ -1,0 +1,201 @@
+#include "app/bench/make_firmware.h"
+
+#include <map>
+#include <sstream>
+#include <stdexcept>
+#include <utility>
+
+#include "sim/firmware/mip_firmware.h"
+#include "sim/firmware/newport_esp_firmware.h"
+#include "sim/firmware/pi_gcs_firmware.h"
+#include "sim/firmware/scpi_voltmeter_firmware.h"
+#include "sim/firmware/text_line_firmware.h"
+#include "sim/firmware/vectornav_firmware.h"
+#include "sim/firmware/witmotion_firmware.h"
+#include "sim/firmware/xsens_mti_firmware.h"
+#include "sim/firmware/zaber_ascii_firmware.h"
+
+namespace abcal {
+namespace {
+
+/// Settings that every stage's firmware has: axis names, signs and zeros, serial number.
+template <class Settings>
+Settings stage_firmware_settings(const StageConfig& stage, const InstrumentPort& port) {
+  Settings settings;
+  settings.axis_names = port.axis_names(stage);
+  settings.sign = {stage.x.sign, stage.z.sign};
+  settings.zero = {stage.x.zero, stage.z.zero};
+  if (!stage.serial_number.empty()) settings.serial_number = stage.serial_number;
+  return settings;
+}
+
+std::shared_ptr<sim::Firmware> pi_gcs_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                               std::shared_ptr<sim::SimBench> world) {
+  auto settings = stage_firmware_settings<sim::PiGcsSettings>(config.stage, port);
+  if (!port.address.empty()) settings.address = std::stoi(port.address);
+  return std::make_shared<sim::PiGcsFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, const InstrumentPort&,
+                                            std::shared_ptr<sim::SimBench> world) {
+  sim::MipSettings settings;
+  if (!config.accelerometer.serial_number.empty())
+    settings.serial_number = config.accelerometer.serial_number;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::MipFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> newport_esp_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  return std::make_shared<sim::NewportEspFirmware>(
+      std::move(world), stage_firmware_settings<sim::NewportEspSettings>(config.stage, port));
+}
+
+std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::VectorNavSettings settings;
+  if (!config.accelerometer.serial_number.empty())
+    settings.serial_number = config.accelerometer.serial_number;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  const AccelerometerConfig& accelerometer = config.accelerometer;
+  sim::TextLineSettings settings;
+  settings.rate_hz = accelerometer.rate_hz;
+  settings.separator = accelerometer.separator;
+  for (std::size_t j = 0; j < 3; ++j) {
+    settings.scale[j] = accelerometer.scale[static_cast<Eigen::Index>(j)];
+    settings.bias[j] = accelerometer.bias[static_cast<Eigen::Index>(j)];
+  }
+  return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::WitMotionSettings settings;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::WitMotionFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                       std::shared_ptr<sim::SimBench> world) {
+  sim::ScpiVoltmeterSettings settings;
+  if (!config.accelerometer.serial_number.empty())
+    settings.serial_number = config.accelerometer.serial_number;
+  return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
+}
+
+/// Three voltmeters of one channel each.
+std::shared_ptr<sim::Firmware> scpi_single_firmware(const BenchConfig&, const InstrumentPort& port,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  sim::ScpiVoltmeterSettings settings;
+  settings.family = sim::ScpiFamily::kKeysight34401a;
+  settings.single_channel = port.part;
+  settings.serial_number += "uvw"[port.part];
+  return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> environment_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  sim::TextLineSettings settings;
+  settings.content = sim::TextLineSettings::Content::kEnvironment;
+  settings.rate_hz = 1.0;
+  settings.separator = config.environment.separator;
+  return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> xsens_mti_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::XsensMtiSettings settings;
+  if (!config.accelerometer.serial_number.empty()) settings.device_id = config.accelerometer.serial_number;
+  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  return std::make_shared<sim::XsensMtiFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  auto settings = stage_firmware_settings<sim::ZaberAsciiSettings>(config.stage, port);
+  if (!port.address.empty()) settings.address = std::stoi(port.address);
+  // Of two devices: "12345/67890", as the driver gives it.
+  if (const auto slash = settings.serial_number.find('/'); slash != std::string::npos) {
+    settings.z_serial_number = settings.serial_number.substr(slash + 1);
+    settings.serial_number.resize(slash);
+  }
+  return std::make_shared<sim::ZaberAsciiFirmware>(std::move(world), settings);
+}
+
+using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const InstrumentPort&,
+                                                        std::shared_ptr<sim::SimBench>);
+
+/// Driver name -> the simulated instrument that it talks to.
+const std::map<std::string, MakeFirmware>& firmwares() {
+  static const std::map<std::string, MakeFirmware> all{{"microstrain_mip", mip_firmware},
+                                                       {"newport_esp", newport_esp_firmware},
+                                                       {"pi_gcs", pi_gcs_firmware},
+                                                       {"scpi_single", scpi_single_firmware},
+                                                       {"scpi_voltmeter", scpi_voltmeter_firmware},
+                                                       {"text_line", text_line_firmware},
+                                                       {"vectornav", vectornav_firmware},
+                                                       {"witmotion", witmotion_firmware},
+                                                       {"xsens_mti", xsens_mti_firmware},
+                                                       {"zaber_ascii", zaber_ascii_firmware}};
+  return all;
+}
+
+bool has_bytes(const std::string& driver) {
+  return driver != "simulated" && driver != "manual_stage" && !driver.empty();
+}
+
+}  // namespace
+
+std::array<std::string, 2> InstrumentPort::axis_names(const StageConfig& stage) const {
+  std::array<std::string, 2> names{stage.x.axis, stage.z.axis};
+  if (axis) names[1 - index(*axis)].clear();
+  return names;
+}
+
+std::vector<InstrumentPort> stage_ports(const StageConfig& stage) {
+  if (stage.split()) {
+    return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address, 0, StageAxis::kX},
+            {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address, 1, StageAxis::kZ}};
+  }
+  if (!has_bytes(stage.driver)) return {};
+  return {{"stage", stage.driver, stage.port, stage.baud, stage.address}};
+}
+
+std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accelerometer) {
+  if (!has_bytes(accelerometer.driver)) return {};
+  if (accelerometer.driver != "scpi_single")
+    return {{"accelerometer", accelerometer.driver, accelerometer.port, accelerometer.baud}};
+  std::vector<InstrumentPort> ports;
+  std::istringstream words(accelerometer.port);
+  std::string port = accelerometer.port;
+  for (std::size_t j = 0; j < 3; ++j) {
+    // One word for all three: simulated.
+    if (std::string word; words >> word) port = word;
+    ports.push_back(
+        {std::string("accelerometer-") + "uvw"[j], accelerometer.driver, port, accelerometer.baud, "", j});
+  }
+  return ports;
+}
+
+std::vector<InstrumentPort> environment_ports(const EnvironmentConfig& environment) {
+  if (environment.driver.empty()) return {};
+  return {{"environment", environment.driver, environment.port, environment.baud}};
+}
+
+std::shared_ptr<sim::Firmware> make_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                             std::shared_ptr<sim::SimBench> world) {
+  if (port.name == "environment") return environment_firmware(config, port, std::move(world));
+  const auto found = firmwares().find(port.driver);
+  if (found == firmwares().end()) {
+    throw std::invalid_argument("driver \"" + port.driver +
+                                "\" has no simulated firmware; required: a real port, or another driver");
+  }
+  return found->second(config, port, std::move(world));
+}
+
+}  // namespace abcal

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/bench/bench_config.h"
+#include "sim/firmware/firmware.h"
+#include "sim/sim_bench.h"
+
+namespace abcal {
+
+/// One port of a bench: of an instrument, or of a part of one.
+struct InstrumentPort {
+  std::string
+      name;  ///< "stage", "stage-z", "accelerometer-u", ...: for [[fault]], recordings, the emulator's links.
+  std::string driver, port;
+  std::optional<int> baud;
+  std::string address{};
+  std::size_t part = 0;             ///< Of several ports of one instrument: which.
+  std::optional<StageAxis> axis{};  ///< Of a stage's controller that has one axis only: which.
+
+  /// The controller's names of X and Z; empty: not on this controller.
+  std::array<std::string, 2> axis_names(const StageConfig& stage) const;
+};
+
+/// The stage's controller, or one for each axis. Empty for a stage without bytes.
+std::vector<InstrumentPort> stage_ports(const StageConfig& stage);
+/// The accelerometer's port, or several of them ("PORT PORT PORT"). Empty for one without bytes.
+std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accelerometer);
+/// The port of the thermometer and hygrometer, if there is one.
+std::vector<InstrumentPort> environment_ports(const EnvironmentConfig& environment);
+
+/// The simulated inside of the instrument behind a port of this bench.
+/// @throws std::invalid_argument for a driver that has none.
+std::shared_ptr<sim::Firmware> make_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                             std::shared_ptr<sim::SimBench> world);
+
+}  // namespace abcal

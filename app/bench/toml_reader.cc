@@ -1,0 +1,392 @@
+#include "app/bench/toml_reader.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+
+namespace abcal {
+namespace {
+
+std::string words_of(const toml::node& node) {
+  std::ostringstream text;
+  if (const auto* string = node.as_string()) {
+    text << '"' << string->get() << '"';
+  } else if (node.is_table()) {
+    text << "a table";
+  } else if (node.is_array()) {
+    text << "an array of " << node.as_array()->size();
+  } else if (const auto number = node.as_floating_point()) {
+    text << number->get();
+  } else if (const auto whole = node.as_integer()) {
+    text << whole->get();
+  } else if (const auto truth = node.as_boolean()) {
+    text << (truth->get() ? "true" : "false");
+  } else if (const auto date = node.as_date()) {
+    text << date->get();
+  } else {
+    text << "a time";
+  }
+  return text.str();
+}
+
+std::size_t edit_distance(std::string_view a, std::string_view b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    std::size_t diagonal = row[0];
+    row[0] = i;
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      const std::size_t above = row[j];
+      row[j] = std::min({row[j] + 1, row[j - 1] + 1, diagonal + (a[i - 1] == b[j - 1] ? 0 : 1)});
+      diagonal = above;
+    }
+  }
+  return row[b.size()];
+}
+
+std::string parent_of(const std::string& path) {
+  const auto dot = path.rfind('.');
+  return dot == std::string::npos ? std::string() : path.substr(0, dot);
+}
+std::string at(std::uint32_t line) {
+  return line == 0 ? "" : fmt::format("line {}, ", line);
+}
+/// "[stage.x] sign" for "stage.x.sign".
+std::string display(const std::string& name) {
+  const std::string parent = parent_of(name);
+  return parent.empty() ? name : "[" + parent + "] " + name.substr(parent.size() + 1);
+}
+std::optional<double> number_of(const toml::node& node) {
+  if (const auto* real = node.as_floating_point()) return real->get();
+  if (const auto* whole = node.as_integer()) return static_cast<double>(whole->get());
+  return std::nullopt;
+}
+
+}  // namespace
+
+std::string joined(const std::vector<std::string>& words) {
+  std::string text;
+  for (const std::string& word : words) {
+    if (!word.empty()) text += (text.empty() ? "" : ", ") + ("\"" + word + "\"");
+  }
+  return text;
+}
+
+void TomlReader::section(const std::string& path) {
+  path_ = path;
+  table_ = &root_;
+  std::istringstream parts(path);
+  for (std::string part, so_far; std::getline(parts, part, '.');) {
+    so_far += (so_far.empty() ? "" : ".") + part;
+    known_[parent_of(so_far)].insert(part);
+    if (table_ == nullptr) continue;
+    const toml::node* node = table_->get(part);
+    if (node != nullptr && !node->is_table() && reported_.insert(so_far).second) {
+      problem(*node, so_far, words_of(*node), "a table [" + so_far + "]");
+    }
+    table_ = node == nullptr ? nullptr : node->as_table();
+  }
+  known_[path];
+}
+
+void TomlReader::text(const std::string& key, std::string& value, const std::vector<std::string>& choices) {
+  read_text(key, value, choices, false);
+}
+void TomlReader::required_text(const std::string& key, std::string& value,
+                               const std::vector<std::string>& choices) {
+  read_text(key, value, choices, true);
+}
+
+void TomlReader::number(const std::string& key, double& value, Range range) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  if (const auto found = number_of(*node); found && std::isfinite(*found) && range.contains(*found)) {
+    value = *found;
+  } else {
+    problem(*node, name(key), words_of(*node), range.words());
+  }
+}
+
+void TomlReader::number(const std::string& key, std::optional<double>& value, Range range) {
+  if (find(key) == nullptr) return;
+  double found = value.value_or(std::numeric_limits<double>::quiet_NaN());
+  number(key, found, range);
+  value = found;
+}
+
+void TomlReader::integer(const std::string& key, int& value, int min, int max) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const auto* whole = node->as_integer();
+  if (whole != nullptr && whole->get() >= min && whole->get() <= max) {
+    value = static_cast<int>(whole->get());
+  } else {
+    problem(*node, name(key), words_of(*node), fmt::format("a whole number from {} to {}", min, max));
+  }
+}
+
+void TomlReader::integer(const std::string& key, std::optional<int>& value, int min, int max) {
+  if (find(key) == nullptr) return;
+  int found = value.value_or(min);
+  integer(key, found, min, max);
+  value = found;
+}
+
+void TomlReader::seed(const std::string& key, std::uint64_t& value) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const auto* whole = node->as_integer();
+  if (whole != nullptr && whole->get() >= 0) {
+    value = static_cast<std::uint64_t>(whole->get());
+  } else {
+    problem(*node, name(key), words_of(*node), "a whole number >= 0");
+  }
+}
+
+void TomlReader::boolean(const std::string& key, bool& value) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  if (const auto* truth = node->as_boolean()) {
+    value = truth->get();
+  } else {
+    problem(*node, name(key), words_of(*node), "true or false");
+  }
+}
+
+void TomlReader::vector(const std::string& key, Eigen::Vector3d& value) {
+  if (const toml::node* node = find(key)) read_triple(*node, name(key), value);
+}
+
+void TomlReader::matrix(const std::string& key, Eigen::Matrix3d& value) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const toml::array* rows = node->as_array();
+  if (rows == nullptr || rows->size() != 3) {
+    problem(*node, name(key), words_of(*node),
+            "three rows of three numbers, [[ux, uy, uz], [vx, ...], [wx, ...]]");
+    return;
+  }
+  for (int j = 0; j < 3; ++j) {
+    Eigen::Vector3d row = value.row(j);
+    read_triple(*rows->get(static_cast<std::size_t>(j)), name(key), row);
+    value.row(j) = row;
+  }
+}
+
+void TomlReader::integers(const std::string& key, std::array<int, 3>& value, int min, int max) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const toml::array* list = node->as_array();
+  std::array<int, 3> found{};
+  bool good = list != nullptr && list->size() == 3;
+  for (std::size_t i = 0; good && i < 3; ++i) {
+    const auto* whole = list->get(i)->as_integer();
+    good = whole != nullptr && whole->get() >= min && whole->get() <= max;
+    if (good) found[i] = static_cast<int>(whole->get());
+  }
+  if (good) {
+    value = found;
+  } else {
+    problem(*node, name(key), words_of(*node),
+            fmt::format("three whole numbers from {} to {}, [u, v, w]", min, max));
+  }
+}
+
+void TomlReader::tables(const std::string& key, std::size_t,
+                        const std::function<void(std::size_t)>& visit_entry) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const toml::array* entries = node->as_array();
+  if (entries == nullptr) {
+    problem(*node, name(key), words_of(*node), "a list of tables [[" + name(key) + "]]");
+    return;
+  }
+  const toml::table* outer = table_;
+  const std::string outer_path = path_;
+  std::size_t index = 0;
+  for (const toml::node& entry : *entries) {
+    path_ = outer_path.empty() ? key : outer_path + "." + key;
+    table_ = entry.as_table();
+    if (table_ == nullptr) {
+      problem(entry, path_, words_of(entry), "a table [[" + path_ + "]]");
+      continue;
+    }
+    visit_entry(index++);
+    report_unknown(*table_, path_);
+  }
+  table_ = outer;
+  path_ = outer_path;
+}
+
+void TomlReader::date(const std::string& key, std::optional<std::chrono::year_month_day>& value) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  if (const auto* found = node->as_date()) {
+    const toml::date day = found->get();
+    value = std::chrono::year(day.year) / day.month / day.day;
+  } else {
+    problem(*node, name(key), words_of(*node), "a date without quotes, 2026-03-01");
+  }
+}
+
+void TomlReader::texts(const std::string& key, std::vector<std::string>& value,
+                       const std::vector<std::string>& choices) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  std::vector<std::string> found;
+  const auto* list = node->as_array();
+  bool good = list != nullptr;
+  for (std::size_t i = 0; good && i < list->size(); ++i) {
+    const auto* word = list->get(i)->as_string();
+    good = word != nullptr && !word->get().empty() &&
+           (choices.empty() || std::find(choices.begin(), choices.end(), word->get()) != choices.end());
+    if (good) found.push_back(word->get());
+  }
+  if (good) {
+    value = std::move(found);
+  } else {
+    problem(*node, name(key), words_of(*node),
+            choices.empty() ? "a list of texts in quotes" : "a list of some of " + joined(choices));
+  }
+}
+
+void TomlReader::add_missing(const std::string& key, const std::string& required) {
+  const std::uint32_t where = line();
+  add_problem_at(where, name(key), "nothing", required);
+}
+
+void TomlReader::report_unknown() {
+  report_unknown(root_, "");
+  for (const auto& [path, keys] : known_) {
+    if (path.empty()) continue;
+    if (const toml::node* node = root_.at_path(path).node(); node != nullptr && node->is_table()) {
+      report_unknown(*node->as_table(), path);
+    }
+  }
+}
+
+std::vector<Problem> TomlReader::take_problems() {
+  std::stable_sort(found_.begin(), found_.end(),
+                   [](const auto& a, const auto& b) { return a.first < b.first; });
+  std::vector<Problem> problems;
+  for (auto& [line, problem] : found_) problems.push_back(std::move(problem));
+  return problems;
+}
+
+void TomlReader::add_problem(const std::string& where, const std::string& found,
+                             const std::string& required) {
+  if (wrong_.contains(where)) return;
+  const toml::node* node = root_.at_path(where).node();
+  add_problem_at(node == nullptr ? 0 : node->source().begin.line, where, found, required);
+}
+
+void TomlReader::add_problem_at(std::uint32_t line, const std::string& where, const std::string& found,
+                                const std::string& required) {
+  // What has no line stands at the end.
+  found_.emplace_back(line == 0 ? std::numeric_limits<std::uint32_t>::max() : line,
+                      Problem{at(line) + display(where), found, required});
+}
+
+void TomlReader::problem(const toml::node& node, const std::string& where, std::string found,
+                         std::string required) {
+  const std::uint32_t line = node.source().begin.line;
+  wrong_.insert(where);
+  found_.emplace_back(line, Problem{at(line) + display(where), std::move(found), std::move(required)});
+}
+
+const toml::node* TomlReader::find(const std::string& key) {
+  known_[path_].insert(key);
+  return table_ == nullptr ? nullptr : table_->get(key);
+}
+
+void TomlReader::read_text(const std::string& key, std::string& value,
+                           const std::vector<std::string>& choices, bool required) {
+  const std::string wanted = choices.empty() ? "text in quotes" : "one of " + joined(choices);
+  const toml::node* node = find(key);
+  if (node == nullptr) {
+    if (required) add_missing(key, wanted);
+    return;
+  }
+  const auto* string = node->as_string();
+  const bool allowed = string != nullptr && (choices.empty() || std::find(choices.begin(), choices.end(),
+                                                                          string->get()) != choices.end());
+  if (allowed && !(required && string->get().find_first_not_of(" \t\r\n") == std::string::npos)) {
+    value = string->get();
+  } else {
+    problem(*node, name(key), words_of(*node), wanted);
+  }
+}
+
+void TomlReader::read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value) {
+  const toml::array* list = node.as_array();
+  if (list != nullptr && list->size() == 3) {
+    Eigen::Vector3d found;
+    bool good = true;
+    for (int j = 0; j < 3; ++j) {
+      const auto number = number_of(*list->get(static_cast<std::size_t>(j)));
+      good = good && number && std::isfinite(*number);
+      if (good) found[j] = *number;
+    }
+    if (good) {
+      value = found;
+      return;
+    }
+  }
+  problem(node, where, words_of(node), "three finite numbers, [u, v, w]");
+}
+
+void TomlReader::report_unknown(const toml::table& table, const std::string& path) {
+  const std::set<std::string>& known = known_[path];
+  for (const auto& [key, node] : table) {
+    const std::string word(key.str());
+    if (known.contains(word)) continue;
+    const auto nearest = std::min_element(known.begin(), known.end(), [&](const auto& a, const auto& b) {
+      return edit_distance(word, a) < edit_distance(word, b);
+    });
+    const bool close = nearest != known.end() && edit_distance(word, *nearest) <= 2 + word.size() / 5;
+    problem(node, path.empty() ? word : path + "." + word,
+            node.is_table() ? "a section of this name" : "a key of this name",
+            close ? "a known one: did you mean \"" + *nearest + "\"?"
+                  : "one of " + joined({known.begin(), known.end()}));
+  }
+}
+
+toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
+                       std::vector<Problem>& problems) {
+  if (text.find_first_not_of(" \t\r\n") == std::string_view::npos) {
+    problems.push_back({"the file", "nothing in it", kind});
+    return {};
+  }
+  try {
+    return toml::parse(text, source);
+  } catch (const toml::parse_error& error) {
+    problems.push_back(
+        {fmt::format("line {}, column {}", error.source().begin.line, error.source().begin.column),
+         std::string(error.description()), "TOML (key = value under [section]; text in quotes)"});
+    return {};
+  }
+}
+
+std::string read_text_file(const std::string& path, const std::string& kind, std::vector<Problem>& problems) {
+  std::error_code error;
+  if (!std::filesystem::exists(path, error)) {
+    problems.push_back({"the file", "no such file", "an existing " + kind});
+    return {};
+  }
+  if (std::filesystem::is_directory(path, error)) {
+    problems.push_back({"the file", "a folder", "a " + kind});
+    return {};
+  }
+  std::ifstream file(path, std::ios::binary);
+  if (!file) {
+    problems.push_back({"the file", "it cannot be opened", "a file that this user may read"});
+    return {};
+  }
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+}  // namespace abcal

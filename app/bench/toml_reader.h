@@ -1,0 +1,96 @@
+#pragma once
+
+#include <toml++/toml.h>
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "app/bench/key_visitor.h"
+#include "protocol/plan/run_config.h"
+
+namespace abcal {
+
+/// "a", "b", "c" in quotes, for messages; empty words are left out.
+std::string joined(const std::vector<std::string>& words);
+
+/// Reads the keys that it is asked for from a TOML file, and keeps every problem of it with its line. What is
+/// absent, or wrong, leaves the value as it was.
+class TomlReader final : public KeyVisitor {
+ public:
+  explicit TomlReader(const toml::table& root) : root_(root) {}
+
+  void section(const std::string& path) override;
+  void text(const std::string& key, std::string& value,
+            const std::vector<std::string>& choices = {}) override;
+  void required_text(const std::string& key, std::string& value,
+                     const std::vector<std::string>& choices = {}) override;
+  void number(const std::string& key, double& value, Range range) override;
+  void number(const std::string& key, std::optional<double>& value, Range range) override;
+  void integer(const std::string& key, int& value, int min, int max) override;
+  void integer(const std::string& key, std::optional<int>& value, int min, int max) override;
+  void seed(const std::string& key, std::uint64_t& value) override;
+  void boolean(const std::string& key, bool& value) override;
+  void vector(const std::string& key, Eigen::Vector3d& value) override;
+  void matrix(const std::string& key, Eigen::Matrix3d& value) override;
+  void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override;
+  void tables(const std::string& key, std::size_t size,
+              const std::function<void(std::size_t)>& visit_entry) override;
+
+  /// A date of TOML, without quotes: 2026-03-01.
+  void date(const std::string& key, std::optional<std::chrono::year_month_day>& value);
+  /// A list of texts.
+  void texts(const std::string& key, std::vector<std::string>& value,
+             const std::vector<std::string>& choices = {});
+  /// Whether a key stands in the section being visited.
+  bool has(const std::string& key) const { return table_ != nullptr && table_->contains(key); }
+  /// Reports a key of the section being visited that must be there, and is not.
+  void add_missing(const std::string& key, const std::string& required);
+  /// The line of the section being visited; 0 if it is absent.
+  std::uint32_t line() const { return table_ == nullptr ? 0 : table_->source().begin.line; }
+
+  /// The path of a key of the section being visited, as add_problem_at() takes it.
+  std::string name(const std::string& key) const { return path_.empty() ? key : path_ + "." + key; }
+
+  /// Keys and sections that no visit asked for.
+  void report_unknown();
+  std::vector<Problem> take_problems();
+  /// A problem that needs more than one key to be seen; `where` is a path such as "stage.x.sign". Not told of
+  /// a key that is wrong by itself, as that says enough.
+  void add_problem(const std::string& where, const std::string& found, const std::string& required);
+  /// The same where only the line is known.
+  void add_problem_at(std::uint32_t line, const std::string& where, const std::string& found,
+                      const std::string& required);
+
+ private:
+  void problem(const toml::node& node, const std::string& where, std::string found, std::string required);
+  const toml::node* find(const std::string& key);
+  void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,
+                 bool required);
+  void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value);
+  void report_unknown(const toml::table& table, const std::string& path);
+
+  const toml::table& root_;
+  const toml::table* table_ = nullptr;
+  std::string path_;
+  std::map<std::string, std::set<std::string>> known_;
+  std::set<std::string> wrong_;  ///< Keys that are wrong by themselves.
+  std::set<std::string> reported_;
+  std::vector<std::pair<std::uint32_t, Problem>> found_;
+};
+
+/// A TOML file that cannot be parsed at all, or is empty, as a problem; else its table.
+/// @param kind  "a bench file; docs/examples holds commented ones": what should stand there
+toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
+                       std::vector<Problem>& problems);
+
+/// The whole of a file of a kind ("bench file"). What stands in the way (absent, a folder, no permission) is
+/// added to the problems.
+std::string read_text_file(const std::string& path, const std::string& kind, std::vector<Problem>& problems);
+
+}  // namespace abcal

@@ -1,0 +1,118 @@
+#include "app/results/analyses.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "protocol/analysis/analyse.h"
+#include "protocol/analysis/joint_fit.h"
+#include "protocol/analysis/norm_fit.h"
+#include "protocol/analysis/plausibility.h"
+#include "sim/sim_bench.h"
+
+namespace abcal {
+
+namespace {
+
+CalibrationResult estimate(const RunRecord& record, const std::string& estimator) {
+  try {
+    if (estimator == "joint") {
+      JointOptions options;
+      options.measured_alignment = record.measured_alignment;
+      return analyse_joint(record, options);
+    }
+    if (estimator == "norm") return analyse_norm(record);
+    return analyse_abc(record);
+  } catch (const std::exception& error) {
+    CalibrationResult result;
+    result.estimator = estimator;
+    result.source = record.source;
+    result.response_unit = record.response_unit;
+    result.verdict = Verdict::kNotUsable;
+    result.why = error.what();
+    return result;
+  }
+}
+
+/// What is true of the run goes with every estimator's result.
+CalibrationResult checked(const RunRecord& record, const std::string& estimator,
+                          const std::vector<Check>& of_the_record) {
+  const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
+  CalibrationResult result = estimate(record, estimator);
+  apply_checks(of_the_record, record, result);
+  if (record.continuations > 0) {
+    result.diagnostics.notes.push_back(
+        fmt::format("the run was interrupted and went on {}; each time the axes were referenced anew and the "
+                    "last angle was measured again and agreed",
+                    times(record.continuations)));
+  }
+  if (record.reconnections > 0) {
+    result.diagnostics.notes.push_back(fmt::format(
+        "the port of an instrument vanished and came back {}; each time it was the same instrument "
+        "and the last angle was measured again and agreed",
+        times(record.reconnections)));
+  }
+  return result;
+}
+
+}  // namespace
+
+CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
+  return checked(record, estimator, check_record(record));
+}
+
+std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
+  std::vector<CalibrationResult> results;
+  const std::vector<Check> of_the_record = check_record(record);
+  for (const std::string& estimator : kEstimators) {
+    results.push_back(checked(record, estimator, of_the_record));
+  }
+  return results;
+}
+
+TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench) {
+  const sim::SimBench world(bench.simulation);
+  const Eigen::Matrix3d s = world.true_sensitivity_matrix();
+  const sim::TrueIntrinsicProperties intrinsic = world.true_intrinsic_properties();
+  TruthComparison comparison;
+  comparison.text = fmt::format("  {:<8} {:>14} {:>14} {:>12} {:>12}\n", "quantity", "truth", "result",
+                                "difference", "/ std. unc.");
+  const auto add = [&](const std::string& name, double truth, const Quantity& q) {
+    if (std::isnan(q.value) && result.estimator == "norm") return;
+    const double ratio = (q.value - truth) / q.standard_uncertainty;
+    // A result that is not a number agrees with nothing.
+    comparison.largest = std::max(
+        comparison.largest, std::isfinite(ratio) ? std::abs(ratio) : std::numeric_limits<double>::infinity());
+    comparison.text += fmt::format("  {:<8} {:>14.7f} {:>14.7f} {:>+12.2e} {:>+12.2f}\n", name, truth,
+                                   q.value, q.value - truth, ratio);
+  };
+  const char* const names[] = {"u", "v", "w"};
+  const char* const axes[] = {"x", "y", "z"};
+  const char* const pairs[] = {"uv", "vw", "wu"};
+  if (result.sensitivity_matrix) {
+    for (std::size_t j = 0; j < 3; ++j) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        add(fmt::format("s_{}{}", names[j], axes[k]), s(static_cast<int>(j), static_cast<int>(k)),
+            (*result.sensitivity_matrix)[j][k]);
+      }
+    }
+  }
+  for (std::size_t j = 0; j < 3; ++j) {
+    add(fmt::format("s_{}", names[j]), intrinsic.sensitivity[static_cast<int>(j)],
+        result.intrinsic_sensitivity[j]);
+  }
+  for (std::size_t j = 0; j < 3; ++j) {
+    add(fmt::format("phi_{}", pairs[j]), intrinsic.angle[j].deg(), result.intrinsic_angle[j]);
+  }
+  for (std::size_t j = 0; j < 3; ++j) {
+    add(fmt::format("O_{}", names[j]), intrinsic.offset[static_cast<int>(j)], result.offset[j]);
+  }
+  comparison.text +=
+      fmt::format("  largest difference: {:.2f} standard uncertainties; {} {}: {}\n", comparison.largest,
+                  "required: at most", comparison.allowed, comparison.agrees() ? "agrees" : "DISAGREES");
+  return comparison;
+}
+
+}  // namespace abcal

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "app/bench/bench_config.h"
+#include "app/results/load_record.h"
+#include "protocol/analysis/calibration_result.h"
+
+namespace abcal {
+
+/// Names of the estimators, as on the command line.
+inline const std::vector<std::string> kEstimators{"abc", "joint", "norm"};
+
+/// One estimator on one record. A record that an estimator cannot solve gives Verdict::kNotUsable with the
+/// reason.
+CalibrationResult analyse(const RunRecord& record, const std::string& estimator);
+
+/// All three: the independent check of every run.
+std::vector<CalibrationResult> analyse_all(const RunRecord& record);
+
+/// Every output beside the truth of a simulated bench, with the difference in standard uncertainties.
+struct TruthComparison {
+  std::string text;
+  double largest = 0.0;  ///< Largest difference, in standard uncertainties.
+  double allowed = 4.0;  ///< 4 standard uncertainties: 1 in 16 000 for each output by chance.
+  bool agrees() const { return largest <= allowed; }
+};
+TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench);
+
+}  // namespace abcal

@@ -1,0 +1,23 @@
+#include "app/results/load_record.h"
+
+#include <stdexcept>
+
+#include "protocol/record/import_csv.h"
+
+namespace abcal {
+
+LoadedRecord load_record(const std::filesystem::path& path) {
+  std::error_code error;
+  if (!std::filesystem::exists(path, error)) throw std::runtime_error(path.string() + ": no such file");
+  if (std::filesystem::is_directory(path, error)) {
+    throw std::runtime_error(path.string() + ": is a folder; required: a run file or a CSV");
+  }
+  if (RunFile::looks_like_run_file(path)) {
+    StoredRun run = RunFile::load(path);
+    RunRecord record = run.record;
+    return {std::move(record), std::move(run)};
+  }
+  return {import_csv(path), std::nullopt};
+}
+
+}  // namespace abcal

@@ -1,0 +1,153 @@
+#include "app/results/result_json.h"
+
+#include <cmath>
+
+namespace abcal {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json number(double value) {
+  return std::isfinite(value) ? Json(value) : Json(nullptr);
+}
+Json number(const std::optional<double>& value) {
+  return value ? number(*value) : Json(nullptr);
+}
+
+Json quantity(const Quantity& q) {
+  return {{"value", number(q.value)},
+          {"standard_uncertainty", number(q.standard_uncertainty)},
+          {"type_a", number(q.type_a)},
+          {"type_b", number(q.type_b)},
+          {"unit", q.unit}};
+}
+
+template <class Range>
+Json quantities(const Range& range) {
+  Json list = Json::array();
+  for (const Quantity& q : range) list.push_back(quantity(q));
+  return list;
+}
+
+template <class Matrix>
+Json matrix(const std::optional<Matrix>& m) {
+  if (!m) return nullptr;
+  Json rows = Json::array();
+  for (Eigen::Index i = 0; i < m->rows(); ++i) {
+    Json row = Json::array();
+    for (Eigen::Index j = 0; j < m->cols(); ++j) row.push_back(number((*m)(i, j)));
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+constexpr const char* kAccelerometers[] = {"u", "v", "w"};
+
+Json diagnostics(const Diagnostics& d) {
+  Json fits = Json::array();
+  for (const FitDiagnostic& fit : d.fits) {
+    Json harmonics = Json::array();
+    for (const Harmonic& harmonic : fit.harmonics) {
+      harmonics.push_back({{"order", harmonic.order},
+                           {"sin", quantity(harmonic.sin_amplitude)},
+                           {"cos", quantity(harmonic.cos_amplitude)}});
+    }
+    fits.push_back({{"experiment", fit.experiment},
+                    {"accelerometer", kAccelerometers[fit.accelerometer]},
+                    {"sine", quantity(fit.sine)},
+                    {"cosine", quantity(fit.cosine)},
+                    {"constant", quantity(fit.constant)},
+                    {"angles", fit.angles},
+                    {"degrees_of_freedom", fit.degrees_of_freedom},
+                    {"residual_rms", number(fit.residual_rms)},
+                    {"chi2", number(fit.chi2)},
+                    {"harmonics", std::move(harmonics)},
+                    {"harmonics_residual_rms", number(fit.harmonics_residual_rms)}});
+  }
+  Json closures = Json::array();
+  for (const Closure& closure : d.closures) {
+    closures.push_back({{"name", closure.name},
+                        {"accelerometer", kAccelerometers[closure.accelerometer]},
+                        {"value", quantity(closure.value)}});
+  }
+  Json closing = Json::array();
+  for (const ClosingDifference& difference : d.closing_differences) {
+    closing.push_back({{"experiment", difference.experiment},
+                       {"accelerometer", kAccelerometers[difference.accelerometer]},
+                       {"value", quantity(difference.value)}});
+  }
+  Json flags = Json::array();
+  Json checks = Json::array();
+  for (const Check& check : d.checks) {
+    checks.push_back({{"check", check.name},
+                      {"passed", check.passed},
+                      {"found", number(check.found)},
+                      {"limit", number(check.limit)},
+                      {"unit", check.unit},
+                      {"words", check.words}});
+  }
+  for (const FlagCount& flag : d.flags) flags.push_back({{"flag", flag.flag}, {"dwells", flag.dwells}});
+  return {{"fits", std::move(fits)},
+          {"closures", std::move(closures)},
+          {"closing_differences", std::move(closing)},
+          {"chi2", number(d.chi2)},
+          {"degrees_of_freedom", d.degrees_of_freedom},
+          {"chi2_probability", number(d.chi2_probability)},
+          {"reciprocal_condition", number(d.reciprocal_condition)},
+          {"rank", d.rank},
+          {"angles_used", d.angles_used},
+          {"angles_flagged", d.angles_flagged},
+          {"flags", std::move(flags)},
+          {"checks", std::move(checks)},
+          {"notes", d.notes}};
+}
+
+}  // namespace
+
+Json result_json(const CalibrationResult& result) {
+  Json json;
+  json["schema"] = "abcal.result/1";
+  json["estimator"] = result.estimator;
+  json["verdict"] = to_string(result.verdict);
+  json["why"] = result.why;
+  json["source"] = result.source;
+  json["response_unit"] = result.response_unit;
+  json["g_loc"] = quantity(result.g_loc);
+  json["g_loc"]["source"] = result.g_loc_source;
+  if (result.sensitivity_matrix) {
+    Json rows = Json::array();
+    for (const auto& row : *result.sensitivity_matrix) rows.push_back(quantities(row));
+    json["sensitivity_matrix"] = std::move(rows);
+  } else {
+    json["sensitivity_matrix"] = nullptr;
+  }
+  json["offset"] = quantities(result.offset);
+  json["intrinsic_sensitivity"] = quantities(result.intrinsic_sensitivity);
+  json["intrinsic_angle"] = quantities(result.intrinsic_angle);
+  json["covariance"] = matrix(result.covariance);
+  json["covariance_intrinsic"] = matrix(result.covariance_intrinsic);
+  json["diagnostics"] = diagnostics(result.diagnostics);
+  if (result.joint) {
+    const JointResult& joint = *result.joint;
+    json["alignment"] = quantities(joint.alignment);
+    json["initial_turn_error"] = quantities(joint.initial_turn_error);
+    json["mean_step_error"] = quantities(joint.mean_step_error);
+    json["step_error"] = Json::array();
+    for (const auto& experiment : joint.step_error) json["step_error"].push_back(quantities(experiment));
+    json["drift"] = quantities(joint.drift);
+    json["nonlinearity"] = {
+        {"k2", quantities(joint.k2)}, {"k3", quantities(joint.k3)}, {"fitted", joint.nonlinearity_fitted}};
+    json["iterations"] = joint.iterations;
+  }
+  if (result.norm) {
+    const NormResult& norm = *result.norm;
+    json["poses"] = norm.poses;
+    json["poses_left_out"] = norm.poses_left_out;
+    json["norm_rms"] = number(norm.norm_rms);
+    json["sphere_coverage"] = number(norm.sphere_coverage);
+    json["coverage_words"] = norm.coverage_words;
+  }
+  return json;
+}
+
+}  // namespace abcal

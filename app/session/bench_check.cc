@@ -1,0 +1,336 @@
+#include "app/session/bench_check.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <filesystem>
+#include <limits>
+#include <optional>
+#include <random>
+
+#include "app/session/run_bench.h"
+#include "drivers/instrument/instrument_error.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/run/dwell.h"
+
+namespace abcal {
+namespace {
+
+using Grade = Finding::Grade;
+
+constexpr double kTurnDeg = 30.0;
+// What a reading may miss of the prediction, relative to the change that gravity makes: room for an
+// accelerometer that stands some degrees askew, and well below what a wrong sign does (at least 0.5).
+constexpr double kAgreement = 0.2;
+// A norm of the readings this far from local gravity means another unit, range or scale.
+constexpr double kNormTolerance = 0.1;
+constexpr double kRateTolerance = 0.05;
+constexpr double kShortestLookS = 1.0;
+constexpr int kMostReadings = 200;
+
+/// Specific force (g_loc) in the platter's frame at a pose of an ideal stage: Rot(X, x) Rot(Z, z) undone.
+Eigen::Vector3d gravity_at(Angle x, Angle z) {
+  return Eigen::AngleAxisd(-z.rad(), Eigen::Vector3d::UnitZ()) *
+         (Eigen::AngleAxisd(-x.rad(), Eigen::Vector3d::UnitX()) * Eigen::Vector3d::UnitZ());
+}
+
+/// A simple way in which bench and bench file may differ.
+struct Hypothesis {
+  std::string words;
+  int sign_x = +1, sign_z = +1;
+  Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();  ///< Output = axes * (force along x, y, z).
+};
+
+std::vector<Hypothesis> hypotheses() {
+  std::vector<Hypothesis> all{
+      {"", +1, +1, Eigen::Matrix3d::Identity()},
+      {"[stage.x] sign is to be reversed", -1, +1, Eigen::Matrix3d::Identity()},
+      {"[stage.z] sign is to be reversed", +1, -1, Eigen::Matrix3d::Identity()},
+      {"both signs, [stage.x] and [stage.z], are to be reversed", -1, -1, Eigen::Matrix3d::Identity()}};
+  std::array<int, 3> order{0, 1, 2};
+  do {
+    for (int signs = 0; signs < 8; ++signs) {
+      Hypothesis h{"the accelerometer's u, v, w lie along", +1, +1, Eigen::Matrix3d::Zero()};
+      for (int j = 0; j < 3; ++j) {
+        const bool reversed = ((signs >> j) & 1) != 0;
+        const int axis = order[static_cast<std::size_t>(j)];
+        h.axes(j, axis) = reversed ? -1.0 : 1.0;
+        h.words += fmt::format("{} {}{}", j == 0 ? "" : ",", reversed ? "-" : "+", "xyz"[axis]);
+      }
+      if (!h.axes.isIdentity()) all.push_back(std::move(h));
+    }
+  } while (std::next_permutation(order.begin(), order.end()));
+  return all;
+}
+
+/// Relative disagreement of a hypothesis with the changes between poses, its scale fitted.
+double disagreement(const std::vector<PoseReading>& poses, const Hypothesis& h) {
+  const auto predicted = [&](const PoseReading& pose) -> Eigen::Vector3d {
+    return h.axes * gravity_at(pose.x * h.sign_x, pose.z * h.sign_z);
+  };
+  const auto changes = static_cast<Eigen::Index>(3 * (poses.size() - 1));
+  Eigen::VectorXd seen(changes), expected(changes);
+  for (std::size_t i = 1; i < poses.size(); ++i) {
+    seen.segment<3>(static_cast<Eigen::Index>(3 * (i - 1))) = poses[i].mean - poses[0].mean;
+    expected.segment<3>(static_cast<Eigen::Index>(3 * (i - 1))) = predicted(poses[i]) - predicted(poses[0]);
+  }
+  const double scale = seen.dot(expected) / expected.squaredNorm();
+  if (!(scale > 0.0)) return std::numeric_limits<double>::infinity();
+  return (seen - scale * expected).norm() / (scale * expected.norm());
+}
+
+std::string in_words(const Eigen::Vector3d& v, const std::string& unit) {
+  return fmt::format("({:+.5g}, {:+.5g}, {:+.5g}) {}", v[0], v[1], v[2], unit);
+}
+
+/// Local gravity in the output's unit, where that is known.
+std::optional<double> gravity_in(const std::string& unit, const LocalGravity& g_loc) {
+  if (unit == "g") return g_loc.value_mps2 / 9.80665;
+  if (unit == "mg") return g_loc.value_mps2 / 9.80665e-3;
+  if (unit == "m/s2") return g_loc.value_mps2;
+  return std::nullopt;
+}
+
+class Checker {
+ public:
+  Checker(Bench& bench, const BenchConfig& config, bool no_motion, const MeasureTurn& measure_turn)
+      : bench_(bench), config_(config), no_motion_(no_motion), measure_turn_(measure_turn) {}
+
+  std::vector<Finding> run() {
+    for (const std::string& warning : config_.warnings) add(Grade::kWarning, "bench file", warning);
+    const bool stage = attempt("stage", [&] { look_at_stage(); });
+    const bool accelerometer = attempt("accelerometer", [&] { look_at_accelerometer(); });
+    if (accelerometer) attempt("readings at rest", [&] { look_at_rest(); });
+    bench_.accelerometer->stop();
+    if (no_motion_) {
+      add(Grade::kLeftOut, "signs and axes", "nothing was moved (--no-motion)");
+    } else if (!stage || !accelerometer || failed_) {
+      add(Grade::kLeftOut, "signs and axes", "nothing was moved, because of the problems above");
+    } else {
+      attempt("signs and axes", [&] { turn(); });
+    }
+    return std::move(findings_);
+  }
+
+ private:
+  void add(Grade grade, std::string what, std::string found, std::string advice = "") {
+    failed_ = failed_ || grade == Grade::kProblem;
+    findings_.push_back({grade, std::move(what), std::move(found), std::move(advice)});
+  }
+
+  /// An instrument that fails is what a check is for.
+  template <class Look>
+  bool attempt(const std::string& what, Look look) {
+    try {
+      look();
+      return true;
+    } catch (const InstrumentError& error) {
+      add(Grade::kProblem, what, error.what());
+    } catch (const PlanError& error) {
+      add(Grade::kProblem, what, error.what());
+    } catch (const std::invalid_argument& error) {
+      add(Grade::kProblem, what, error.what());
+    }
+    return false;
+  }
+
+  void look_at_stage() {
+    who_.stage = bench_.stage->identify();
+    const StageInfo& info = who_.stage;
+    require_serial_number("stage", info.model, info.serial_number, config_.stage.serial_number);
+    add(Grade::kGood, "stage",
+        fmt::format("{} {}, serial number {}, firmware {}", info.maker, info.model,
+                    info.serial_number.empty() ? "not told" : info.serial_number,
+                    info.firmware.empty() ? "not told" : info.firmware));
+    for (const StageAxis axis : kStageAxes) {
+      const StageAxisInfo& a = info.axes[index(axis)];
+      const std::string name = fmt::format("stage axis {}", to_string(axis));
+      add(Grade::kGood, name,
+          fmt::format("travel {:g} to {:g} deg, speed {:g} deg/s, resolution {:g} deg, {}",
+                      a.travel_min.deg(), a.travel_max.deg(), a.speed_deg_per_s, a.resolution.deg(),
+                      a.referenced ? "referenced" : "not referenced: a run searches its reference first"));
+      if (a.resolution > config_.protocol.position_window)
+        add(Grade::kProblem, name,
+            fmt::format("its resolution of {:g} deg is coarser than position_window_deg = {:g}",
+                        a.resolution.deg(), config_.protocol.position_window.deg()),
+            "position_window_deg of at least the resolution");
+    }
+    const auto plan = make_rotation_plan(config_.protocol, who_.travel());
+    add(Grade::kGood, "travel", fmt::format("all {} angles of the plan lie inside", plan.size()));
+  }
+
+  void look_at_accelerometer() {
+    who_.accelerometer = bench_.accelerometer->identify();
+    const AccelerometerInfo& info = who_.accelerometer;
+    require_serial_number("accelerometer", info.model, info.serial_number,
+                          config_.accelerometer.serial_number);
+    std::string words = fmt::format("{} {}, serial number {}, firmware {}, output in {}", info.maker,
+                                    info.model, info.serial_number.empty() ? "not told" : info.serial_number,
+                                    info.firmware.empty() ? "not told" : info.firmware, info.output_unit);
+    if (info.full_scale) words += fmt::format(", full scale {:g} {}", *info.full_scale, info.output_unit);
+    add(Grade::kGood, "accelerometer", words);
+    const std::string& unit = config_.accelerometer.response_unit;
+    if (!unit.empty() && config_.accelerometer.driver != "simulated" && unit != info.output_unit)
+      add(Grade::kProblem, "response unit",
+          fmt::format("its output is in {}, response_unit is {}", info.output_unit, unit),
+          "the instrument's own unit, or none");
+  }
+
+  void look_at_rest() {
+    Accelerometer& accelerometer = *bench_.accelerometer;
+    Clock& clock = *bench_.clock;
+    accelerometer.start();
+    accelerometer.discard_pending();
+    const int wanted = std::min(kMostReadings, std::max(config_.protocol.dwell_readings,
+                                                        static_cast<int>(config_.accelerometer.rate_hz)));
+    std::vector<Reading> readings;
+    const Clock::Instant begin = clock.now();
+    const Clock::Duration patience = from_seconds(config_.protocol.reading_timeout_s);
+    while (static_cast<int>(readings.size()) < wanted || to_seconds(clock.now() - begin) < kShortestLookS) {
+      const auto reading = accelerometer.next(clock.now() + patience);
+      if (!reading)
+        throw InstrumentError(
+            "accelerometer " + who_.accelerometer.model, Fault::kNoReply,
+            fmt::format("no reading for {} s (reading_timeout_s)", config_.protocol.reading_timeout_s));
+      readings.push_back(*reading);
+    }
+    const DwellStatistics at_rest = dwell_statistics(readings, who_.accelerometer);
+    const std::string& unit = who_.accelerometer.output_unit;
+    const double rate = static_cast<double>(readings.size() - 1) /
+                        to_seconds(readings.back().arrival - readings.front().arrival);
+    const double asked = config_.accelerometer.rate_hz;
+    const bool rate_good = std::abs(rate / asked - 1.0) <= kRateTolerance;
+    add(rate_good ? Grade::kGood : Grade::kWarning, "sample rate",
+        fmt::format("{:.4g} readings/s came, rate_hz = {:g}", rate, asked),
+        rate_good ? "" : "the rate that the instrument gives, as rate_hz");
+    const StreamHealth health = accelerometer.health();
+    const bool whole = at_rest.lost == 0 && health.bad_frames == 0;
+    add(whole ? Grade::kGood : Grade::kWarning, "losses",
+        fmt::format("{} of {} readings lost, {} damaged frames", at_rest.lost, readings.size(),
+                    health.bad_frames),
+        whole ? "" : "a better cable, a higher baud rate or a lower rate_hz");
+    if ((at_rest.flags & kFlagClipped) != 0)
+      add(Grade::kProblem, "range", "an output clips at rest", "a larger full scale, or another mounting");
+    if (at_rest.not_finite > 0)
+      add(Grade::kProblem, "readings at rest", fmt::format("{} readings are not finite", at_rest.not_finite));
+    const bool silent = (at_rest.spread.array() == 0.0).all();
+    add(silent ? Grade::kWarning : Grade::kGood, "noise at rest",
+        fmt::format("mean {}, standard deviation {}, of the mean of {} readings {}",
+                    in_words(at_rest.mean, unit), in_words(at_rest.spread, unit), at_rest.count,
+                    in_words(at_rest.u_mean, unit)),
+        silent ? "an output that does not change at all may be stuck; look at it while the bench is touched"
+               : "");
+    if (const auto gravity = gravity_in(unit, config_.g_loc)) {
+      const double norm = at_rest.mean.norm();
+      const bool plausible = std::abs(norm / *gravity - 1.0) <= kNormTolerance;
+      add(plausible ? Grade::kGood : Grade::kProblem, "norm",
+          fmt::format("the readings' norm is {:.5g} {}, local gravity {:.5g} {}", norm, unit, *gravity, unit),
+          plausible
+              ? ""
+              : "the right unit and full scale; a norm off by more than 10 % is no accelerometer at rest");
+    }
+  }
+
+  void turn() {
+    const auto travel = who_.travel();
+    const auto turn_of = [](const AxisTravel& t) {
+      return Angle::degrees(t.max.deg() >= kTurnDeg ? kTurnDeg : -kTurnDeg);
+    };
+    const Angle x = turn_of(travel[0]), z = turn_of(travel[1]);
+    const std::vector<PlannedAngle> plan{
+        {0, 1, false, Angle{}, Angle{}, Angle{}}, {0, 2, false, x, x, Angle{}}, {0, 3, false, z, x, z}};
+    BenchConfig quick = config_;
+    quick.protocol.dwell_readings = std::min(config_.protocol.dwell_readings, kMostReadings);
+    quick.protocol.warm_up_s = 0.0;
+
+    const TemporaryFile path;
+    RunFile file = RunFile::create(path.path, make_header(quick, who_, plan, *bench_.clock));
+    measure_turn_(bench_, quick, file, plan);
+    std::vector<PoseReading> poses;
+    for (const DwellRecord& dwell : RunFile::load(path.path).record.dwells) {
+      poses.push_back({dwell.commanded_x, dwell.commanded_z, dwell.mean});
+      if (dwell.flags != 0)
+        add(Grade::kWarning, "readings",
+            fmt::format("at X = {:g} deg, Z = {:g} deg: {}", dwell.commanded_x.deg(), dwell.commanded_z.deg(),
+                        describe_flags(dwell.flags)));
+    }
+    const Finding signs = judge_signs(poses);
+    add(signs.grade, signs.what, signs.found, signs.advice);
+  }
+
+  /// The turn is measured as a run is; its file is of no use afterwards.
+  struct TemporaryFile {
+    std::filesystem::path path = std::filesystem::temp_directory_path() /
+                                 fmt::format("abcal-check-{:08x}.run", std::random_device{}());
+    TemporaryFile() = default;
+    TemporaryFile(const TemporaryFile&) = delete;
+    TemporaryFile& operator=(const TemporaryFile&) = delete;
+    ~TemporaryFile() {
+      std::error_code ignored;
+      for (const char* ending : {"", "-wal", "-shm"})
+        std::filesystem::remove(path.string() + ending, ignored);
+    }
+  };
+
+  Bench& bench_;
+  const BenchConfig& config_;
+  bool no_motion_;
+  const MeasureTurn& measure_turn_;
+  bool failed_ = false;
+  Identities who_;
+  std::vector<Finding> findings_;
+};
+
+}  // namespace
+
+Finding judge_signs(const std::vector<PoseReading>& poses) {
+  Finding finding{Grade::kGood, "signs and axes", "", ""};
+  double largest_change = 0.0;
+  for (const PoseReading& pose : poses)
+    largest_change = std::max(largest_change, (pose.mean - poses.front().mean).norm());
+  if (!(largest_change > 0.05 * poses.front().mean.norm())) {
+    finding.grade = Grade::kProblem;
+    finding.found = fmt::format("turning both axes changed the readings by {:.2g} only", largest_change);
+    finding.advice = "an accelerometer that is bolted to this stage, and the right port for each";
+    return finding;
+  }
+  std::vector<Hypothesis> all = hypotheses();
+  const double as_configured = disagreement(poses, all.front());
+  if (as_configured <= kAgreement) {
+    finding.found = fmt::format(
+        "both axes turn as gravity says, right-handed; u, v, w lie along x, y, z to about {:.0f} %",
+        100.0 * as_configured);
+    return finding;
+  }
+  std::string reasons;
+  for (std::size_t i = 1; i < all.size(); ++i) {
+    if (disagreement(poses, all[i]) <= kAgreement) reasons += (reasons.empty() ? "" : "; or ") + all[i].words;
+  }
+  // Any orientation of the accelerometer can be calibrated; a reversed stage axis cannot be told from it by
+  // gravity alone, and gives a wrong matrix: a person must look.
+  finding.grade = Grade::kProblem;
+  finding.found = reasons.empty()
+                      ? "the readings do not change as gravity requires, and no simple reason explains it"
+                      : "the readings do not change as gravity requires of the bench file";
+  finding.advice =
+      reasons.empty() ? "a look at cables, mounting and the axes' names" : "look at the bench: " + reasons;
+  return finding;
+}
+
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion) {
+  return check_bench(
+      bench, config, no_motion,
+      [](Bench& the_bench, const BenchConfig& quick, RunFile& file, const std::vector<PlannedAngle>& plan) {
+        measure(the_bench, quick, file, plan, {}, "Turning both axes by 30 degrees", std::nullopt);
+      });
+}
+
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion,
+                                 const MeasureTurn& measure_turn) {
+  return Checker(bench, config, no_motion, measure_turn).run();
+}
+
+}  // namespace abcal

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
+#include "drivers/instrument/angle.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// One thing that `abcal check` looked at.
+struct Finding {
+  enum class Grade { kGood, kWarning, kProblem, kLeftOut };
+  Grade grade = Grade::kGood;
+  std::string what;    ///< "stage", "travel", "noise at rest", ...
+  std::string found;   ///< In words, with units.
+  std::string advice;  ///< What to change; empty where nothing is to be done.
+};
+
+/// Talks to both instruments of a bench: identity, travel against the plan, speed, reference, readings at
+/// rest, rate, and (unless `no_motion`) a small turn of both axes, from which it sees whether signs and axes
+/// agree with gravity. The stage ends at zero, or halted.
+/// @throws RunInterrupted; an instrument that fails is a finding.
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion);
+
+/// How the small turn is measured: as measure() of run_bench.h does, shown wherever a person looks.
+using MeasureTurn =
+    std::function<void(Bench&, const BenchConfig&, RunFile&, const std::vector<PlannedAngle>& plan)>;
+
+/// The same where no terminal watches.
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion,
+                                 const MeasureTurn& measure_turn);
+
+/// Readings (mean output, R) at one pose of the stage.
+struct PoseReading {
+  Angle x, z;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+};
+
+/// Whether the readings change between poses as gravity requires of an accelerometer whose u, v, w point
+/// roughly along the platter's x, y, z. If not, names every simple reason that would explain them: a sign of
+/// a stage axis, swapped or reversed accelerometer axes. The first pose is the one compared with.
+Finding judge_signs(const std::vector<PoseReading>& poses);
+
+}  // namespace abcal

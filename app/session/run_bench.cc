@@ -1,0 +1,188 @@
+#include "app/session/run_bench.h"
+
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+
+#include <ctime>
+#include <functional>
+#include <optional>
+#include <stop_token>
+
+#include "app/bench/level_file.h"
+#include "app/system/interrupt.h"
+#include "app/system/terminal.h"
+#include "app/system/version.h"
+#include "drivers/instrument/instrument_error.h"
+
+namespace abcal {
+namespace {
+
+InstrumentIdentity identity(const StageInfo& info) {
+  std::string details;
+  for (const StageAxis axis : kStageAxes) {
+    const StageAxisInfo& a = info.axes[index(axis)];
+    details += fmt::format("{}axis {}: {} travel {:g} to {:g} deg, speed {:g} deg/s, resolution {:g} deg",
+                           details.empty() ? "" : "; ", to_string(axis), a.stage_name, a.travel_min.deg(),
+                           a.travel_max.deg(), a.speed_deg_per_s, a.resolution.deg());
+  }
+  return {"stage", info.maker, info.model, info.serial_number, info.firmware, details};
+}
+
+InstrumentIdentity identity(const AccelerometerInfo& info) {
+  std::string details = fmt::format("output in {}, {:g} readings/s", info.output_unit, info.rate_hz);
+  if (info.full_scale) details += fmt::format(", full scale {:g} {}", *info.full_scale, info.output_unit);
+  return {"accelerometer", info.maker, info.model, info.serial_number, info.firmware, details};
+}
+
+}  // namespace
+
+TerminalObserver::TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan,
+                                   std::set<std::size_t> measured)
+    : plan_(plan), measured_(std::move(measured)), bar_(std::move(title), clock_) {}
+
+void TerminalObserver::phase(std::size_t position, RunPhase phase) {
+  std::string words(to_string(phase));
+  if (position < plan_.size() && phase != RunPhase::kHoming && phase != RunPhase::kWarmingUp) {
+    const PlannedAngle& angle = plan_[position];
+    words += angle.experiment > 0
+                 ? fmt::format(", experiment {}, alpha = {:g} deg", angle.experiment, angle.alpha.deg())
+                 : fmt::format(", X = {:g} deg, Z = {:g} deg", angle.x.deg(), angle.z.deg());
+  }
+  bar_.show(static_cast<double>(measured_.size()), static_cast<double>(plan_.size()), words);
+}
+
+void TerminalObserver::dwell(std::size_t position, const DwellRecord&) {
+  measured_.insert(position);
+}
+
+void TerminalObserver::notice(std::string_view text) {
+  bar_.line(emphasised(stderr, Emphasis::kWarning, fmt::format("flag: {}", text)));
+}
+
+std::array<AxisTravel, 2> Identities::travel() const {
+  return {AxisTravel{stage.axes[0].travel_min, stage.axes[0].travel_max},
+          AxisTravel{stage.axes[1].travel_min, stage.axes[1].travel_max}};
+}
+
+void require_serial_number(const std::string& role, const std::string& model, const std::string& found,
+                           const std::string& required) {
+  if (required.empty() || found == required) return;
+  throw InstrumentError(
+      role + " " + model, Fault::kWrongIdentity,
+      fmt::format("serial number {}; required: {} (serial_number in the bench file). Connect the "
+                  "right one, or name its port by usb:VID:PID:SERIAL",
+                  found.empty() ? "not told" : found, required));
+}
+
+Identities identify(Bench& bench, const BenchConfig& config) {
+  Identities who{bench.stage->identify(), bench.accelerometer->identify()};
+  require_serial_number("stage", who.stage.model, who.stage.serial_number, config.stage.serial_number);
+  require_serial_number("accelerometer", who.accelerometer.model, who.accelerometer.serial_number,
+                        config.accelerometer.serial_number);
+  const std::string& unit = config.accelerometer.response_unit;
+  if (!unit.empty() && config.accelerometer.driver != "simulated" && unit != who.accelerometer.output_unit) {
+    throw InstrumentError("accelerometer " + who.accelerometer.model, Fault::kWrongIdentity,
+                          fmt::format("its output is in {}; required: {} ([accelerometer] response_unit)",
+                                      who.accelerometer.output_unit, unit));
+  }
+  return who;
+}
+
+RunHeader make_header(const BenchConfig& config, const Identities& who, std::vector<PlannedAngle> plan,
+                      const Clock& clock) {
+  RunHeader header;
+  header.program_version = program_version();
+  header.created_utc = format_utc(clock.utc_now());
+  header.bench_toml = write_bench(config);
+  const auto label = [&](const std::string& key, const std::string& value) {
+    if (!value.empty()) header.labels[key] = value;
+  };
+  label("bench.name", config.name);
+  label("operator.name", config.operator_name);
+  label("item.maker", config.item.maker);
+  label("item.model", config.item.model);
+  label("item.serial_number", config.item.serial_number);
+  label("item.range", config.item.range);
+  label("item.filter", config.item.filter);
+  label("item.firmware", config.item.firmware);
+  label("item.supply", config.item.supply);
+  header.instruments = {identity(who.stage), identity(who.accelerometer)};
+  header.response_unit = who.accelerometer.output_unit;
+  header.g_loc = config.g_loc;
+  header.tolerances = config.tolerances;
+  header.limits = config.limits;
+  header.expected = config.expected;
+  if (!config.stage.level_file.empty()) {
+    const LevelFile level = read_level_file(config.stage.level_file);
+    require_serial_number("stage", who.stage.model, who.stage.serial_number, level.stage_serial_number);
+    header.measured_alignment = level.alignment;
+  }
+  header.step = config.protocol.step;
+  header.steps = config.protocol.steps;
+  header.plan = std::move(plan);
+  return header;
+}
+
+std::filesystem::path output_path(const std::string& given, const std::string& bench_file,
+                                  const std::string& extension) {
+  if (!given.empty()) return given;
+  // The name carries real time also when the run's time is simulated: two dry runs are two files.
+  const std::time_t now = std::time(nullptr);
+  return fmt::format("{}-{:%Y%m%dT%H%M%SZ}{}", std::filesystem::path(bench_file).stem().string(),
+                     fmt::gmtime(now), extension);
+}
+
+void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, std::string_view moment) {
+  constexpr Clock::Duration kPatience = std::chrono::seconds(30);  // some sensors speak every ten seconds
+  EnvironmentReading now;
+  if (bench.environment) {
+    try {
+      now = bench.environment->read(bench.clock->now() + kPatience);
+    } catch (const InstrumentError& error) {
+      if (moment == "start") throw;
+      file.append_event(format_utc(bench.clock->utc_now()), "environment not read", error.what());
+      fmt::print(stderr, "warning: the environment could not be read: {}\n", error.what());
+    }
+  }
+  const auto either = [](const std::optional<double>& measured, const std::optional<double>& typed) {
+    return measured ? measured : typed;
+  };
+  file.append_environment(format_utc(bench.clock->utc_now()), moment,
+                          either(now.temperature_degc, config.environment.temperature_degc),
+                          either(now.humidity_percent, config.environment.humidity_percent),
+                          either(now.pressure_hpa, config.environment.pressure_hpa));
+}
+
+RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, RunObserver& observer,
+                  const std::stop_token& stop) {
+  // Simulated time has one thread only.
+  std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
+  if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
+  RunProgress progress = so_far;
+  progress.tolerances = config.tolerances;
+  progress.expected = config.expected;
+  progress.g_loc_mps2 = config.g_loc.value_mps2;
+  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()}, plan,
+                         progress, config.protocol, config.limits, file, observer, stop);
+}
+
+RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
+                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, const std::string& title,
+                  const std::optional<std::string>& on_failure) {
+  TerminalObserver observer(title, plan, so_far.measured);
+  try {
+    const RunTiming timing = measure(bench, config, file, plan, so_far, observer, interrupt_token());
+    observer.finish();
+    return timing;
+  } catch (...) {
+    observer.finish();
+    if (on_failure) {
+      fmt::print(stderr, "{} of {} angles are measured and kept in {}{}\n", observer.measured(), plan.size(),
+                 file.path().string(), *on_failure);
+    }
+    throw;
+  }
+}
+
+}  // namespace abcal
