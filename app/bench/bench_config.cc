@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "app/bench/bench_keys.h"
 #include "app/bench/key_visitor.h"
 #include "app/bench/toml_reader.h"
 #include "drivers/registry.h"
@@ -406,6 +407,10 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
 }
 
 }  // namespace
+
+void visit_bench_keys(KeyVisitor& keys, BenchConfig& config) {
+  visit(keys, config);
+}
 
 BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
     : std::runtime_error([&] {
