@@ -3,44 +3,22 @@
 #include <string>
 #include <vector>
 
+#include "app/bench/bench_config.h"
+#include "app/toml/key_visitor.h"
+
 namespace abcal {
 
-class KeyVisitor;
-struct BenchConfig;
+/// What [stage] driver may be; empty where each axis has a driver of its own.
+std::vector<std::string> stage_driver_names();
 
-/// Visits every key of a bench file in the order in which it is written. Defined where the keys are listed,
-/// in bench_config.cc.
-void visit_bench_keys(KeyVisitor& keys, BenchConfig& config);
+/// Visits every key of a bench file. Reading, writing and the list of known keys follow from it: a new key is
+/// one line in the function of its section.
+void visit_bench_file(KeyVisitor& keys, BenchConfig& config);
 
-/// One key of a bench file as docs/bench_file.md shows it. All texts are for people.
-struct BenchKey {
-  std::string section;    ///< "stage.x"; empty: the top of the file.
-  bool repeated = false;  ///< The section is an array of tables, [[fault]].
-  std::string key;
-  std::string type;      ///< "number", "text", "3 numbers", ...
-  std::string unit;      ///< Empty: none.
-  std::string range;     ///< What is accepted; empty: anything of the type.
-  std::string fallback;  ///< The default as TOML; empty: none, the key may be absent.
-  std::string meaning;   ///< Empty: nobody has written it (a test fails).
-  bool required = false;
-};
+/// The keys of one [[fault]].
+void visit_fault(KeyVisitor& keys, FaultConfig& fault);
 
-/// Every key, in the order of the file.
-std::vector<BenchKey> bench_keys();
-
-/// The page docs/bench_file.md in Markdown, as `abcal plan --keys` prints it.
-std::string bench_file_page();
-
-/// What a key means, and its unit where the ending of its name does not tell it (`_deg`, `_s`). Empty
-/// if it is not listed.
-struct KeyMeaning {
-  std::string text;
-  std::string unit;
-};
-/// @param path  "protocol.settle_s"; "stage.AXIS.sign" stands for both axes.
-KeyMeaning bench_key_meaning(const std::string& path);
-
-/// The introduction of a section; empty if it needs none.
-std::string bench_section_text(const std::string& section);
+/// The keys of one [[change]].
+void visit_change(KeyVisitor& keys, ChangeConfig& change);
 
 }  // namespace abcal

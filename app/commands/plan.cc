@@ -4,7 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/bench/bench_config.h"
-#include "app/bench/bench_keys.h"
+#include "app/bench/key_reference.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
 #include "app/system/progress.h"

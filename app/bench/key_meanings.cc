@@ -1,18 +1,19 @@
 #include <map>
 #include <string>
 
-#include "app/bench/bench_keys.h"
+#include "app/bench/key_reference.h"
 
 namespace abcal {
 namespace {
 
-// A key that is added to bench_config.cc needs a line here, and docs/bench_file.md is made again with
+// A key that is added to bench_keys.cc needs a line here, and docs/bench_file.md is made again with
 // `abcal plan --keys > docs/bench_file.md`. The unit is given where the ending of the name does not tell it.
 const std::map<std::string, KeyMeaning>& key_meanings() {
   static const std::map<std::string, KeyMeaning> meanings{
       {"schema", {"Version of the format. `abcal.bench/1` is the only one.", ""}},
       {"bench.name", {"Name of the bench, for the report.", ""}},
-      {"bench.g_loc_mps2", {"Local gravity. Required unless `latitude_deg` and `height_m` are given.", ""}},
+      {"bench.g_loc_mps2",
+       {"Local gravity. Required unless `latitude_deg` and `height_m` are given.", "", true}},
       {"bench.g_loc_expanded_uncertainty_mps2", {"Expanded uncertainty U = k u of `g_loc_mps2`.", ""}},
       {"bench.g_loc_k", {"Coverage factor k of that uncertainty.", "1"}},
       {"bench.g_loc_source", {"Where the value comes from: survey, certificate number.", ""}},

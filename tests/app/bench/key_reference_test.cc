@@ -1,4 +1,4 @@
-#include "app/bench/bench_keys.h"
+#include "app/bench/key_reference.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -23,26 +23,26 @@ const BenchKey& key_of(const std::vector<BenchKey>& keys, const std::string& sec
   return found == keys.end() ? keys.front() : *found;
 }
 
-TEST(BenchKeysTest, ThePageIsWhatTheProgramPrints) {
+TEST(KeyReferenceTest, ThePageIsWhatTheProgramPrints) {
   // Made with `abcal plan --keys > docs/bench_file.md`.
   EXPECT_EQ(test::read_file(test::source_folder() / "docs/bench_file.md"), bench_file_page());
 }
 
-TEST(BenchKeysTest, EveryKeyHasAMeaning) {
+TEST(KeyReferenceTest, EveryKeyHasAMeaning) {
   for (const BenchKey& key : bench_keys()) {
     EXPECT_FALSE(key.meaning.empty())
-        << "[" << key.section << "] " << key.key << " has no line in bench_key_meanings.cc";
+        << "[" << key.section << "] " << key.key << " has no line in key_meanings.cc";
   }
 }
 
-TEST(BenchKeysTest, EveryKeyIsListedOnce) {
+TEST(KeyReferenceTest, EveryKeyIsListedOnce) {
   std::set<std::string> seen;
   for (const BenchKey& key : bench_keys())
     EXPECT_TRUE(seen.insert(key.section + "." + key.key).second) << key.section << "." << key.key;
   EXPECT_GT(seen.size(), 150U);
 }
 
-TEST(BenchKeysTest, AKeyHasItsTypeUnitRangeAndDefault) {
+TEST(KeyReferenceTest, AKeyHasItsTypeUnitRangeAndDefault) {
   const std::vector<BenchKey> keys = bench_keys();
   const BenchKey& steps = key_of(keys, "protocol", "steps");
   EXPECT_EQ(steps.type, "integer");
