@@ -1,8 +1,9 @@
 #include <fmt/format.h>
-#include <spdlog/sinks/stdout_color_sinks.h>
-#include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
+#include <cstdlib>
+#include <exception>
+#include <sstream>
 
 #include "app/bench/bench_config.h"
 #include "app/commands/commands.h"
@@ -11,28 +12,35 @@
 #include "app/commands/uncertainty.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
-#include "app/system/terminal.h"
+#include "app/system/output.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/run/experiment_run.h"
 
+namespace abcal {
 namespace {
 
-int fail(abcal::ExitCode code, const char* what) {
-  fmt::print(stderr, "{} {}\n", abcal::emphasised(stderr, abcal::Emphasis::kBad, "abcal:"), what);
+int fail(ExitCode code, const char* what) {
+  print_error(what);
   return code;
 }
 
-}  // namespace
+/// A command was refused, or help was asked for.
+int explain(const CLI::App& app, const CLI::ParseError& error) {
+  if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success)) {
+    std::ostringstream text, ignored;
+    const int exit_code = app.exit(error, text, ignored);
+    print_result("{}", text.str());
+    return exit_code;
+  }
+  print_log("abcal: {}\nRun `abcal --help` or `abcal COMMAND --help` to see what is possible.\n",
+            error.what());
+  return kExitUsage;
+}
 
-int main(int argc, char** argv) {
-  using namespace abcal;
-  watch_for_signals();
-  // Standard output belongs to results; whatever is logged goes to standard error.
-  spdlog::set_default_logger(spdlog::stderr_color_mt("abcal"));
-  spdlog::set_pattern("%^%l%$: %v");
-
+/// @returns what the program shall return to the shell; whatever was thrown is a message by then.
+int run_command(int argc, char** argv) {
   int exit_code = kExitDone;
   CLI::App app(
       "abcal calibrates triaxial accelerometers with gravity on a two-axis rotation stage (ABC protocol).\n"
@@ -63,10 +71,7 @@ int main(int argc, char** argv) {
     app.parse(argc, argv);
     return exit_code;
   } catch (const CLI::ParseError& error) {
-    if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success)) return app.exit(error);  // --help
-    fmt::print(stderr, "abcal: {}\nRun `abcal --help` or `abcal COMMAND --help` to see what is possible.\n",
-               error.what());
-    return kExitUsage;
+    return explain(app, error);
   } catch (const BenchError& error) {
     return fail(kExitUsage, error.what());
   } catch (const PlanError& error) {
@@ -77,7 +82,37 @@ int main(int argc, char** argv) {
     return fail(kExitInterrupted, error.what());
   } catch (const std::invalid_argument& error) {
     return fail(kExitUsage, error.what());
-  } catch (const std::exception& error) {
-    return fail(kExitFailed, error.what());
   }
+}
+
+/// An exception that nobody caught, in whichever thread, is a bug; its words are not lost.
+[[noreturn]] void end_after_bug() noexcept {
+  try {
+    if (const std::exception_ptr pending = std::current_exception()) std::rethrow_exception(pending);
+    print_error("ended by an error of its own");
+  } catch (const std::exception& error) {
+    print_log("abcal: ended by an error of its own: {}\n", error.what());
+  } catch (...) {
+    print_error("ended by an error of its own, of an unknown kind");
+  }
+  std::abort();
+}
+
+}  // namespace
+}  // namespace abcal
+
+int main(int argc, char** argv) {
+  using namespace abcal;
+  reserve_standard_descriptors();
+  std::set_terminate(end_after_bug);
+  watch_for_signals();
+  int exit_code = kExitFailed;
+  try {
+    exit_code = run_command(argc, argv);
+  } catch (const std::exception& error) {
+    print_error(error.what());
+  } catch (...) {
+    print_error("failed for a reason that has no words");
+  }
+  return finish_output(exit_code);
 }

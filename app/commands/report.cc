@@ -22,6 +22,7 @@
 #include "app/report/weasyprint.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/temporary_folder.h"
 #include "protocol/run/experiment_run.h"
@@ -44,7 +45,7 @@ struct Output {
 };
 
 void print_warnings(const HtmlPage& page) {
-  for (const std::string& warning : page.warnings) fmt::print(stderr, "warning: {}\n", warning);
+  for (const std::string& warning : page.warnings) print_warning(warning);
 }
 
 /// The certificate goes with its page: its XML is inside the PDF unless another file is asked for.
@@ -162,17 +163,18 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       OutputFile file(output.requested.path);
       output.write(file);
       // Standard output belongs to the JSON object if there is one.
-      fmt::print(options->json ? stderr : stdout, "{} written: {}\n", output.requested.option.substr(2),
-                 std::filesystem::absolute(output.requested.path).string());
+      const std::string text = fmt::format("{} written: {}\n", output.requested.option.substr(2),
+                                           std::filesystem::absolute(output.requested.path).string());
+      options->json ? print_log("{}", text) : print_result("{}", text);
       if (interrupt_token().stop_requested()) throw RunInterrupted("interrupted");
     }
     if (options->json) {
-      fmt::print("{}\n", report_json(data).dump(2));
+      print_result("{}\n", report_json(data).dump(2));
     } else if (outputs.empty()) {
-      fmt::print("{}", document_text(document, stdout));
+      print_result("{}", document_text(document, stdout));
     }
     for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : document.cautions)
-      fmt::print(stderr, "caution: {}\n", caution);
+      print_log("caution: {}\n", caution);
     exit_code = data.result().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
   });
   return command;

@@ -15,6 +15,7 @@
 #include "app/results/load_record.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "protocol/uncertainty/run_uncertainty.h"
 
@@ -90,10 +91,10 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
 
 void print(const RunUncertainty& study, bool json) {
   if (json) {
-    fmt::print("{}\n", study_json(study).dump(2));
-    for (const std::string& warning : study.warnings) fmt::print(stderr, "warning: {}\n", warning);
+    print_result("{}\n", study_json(study).dump(2));
+    for (const std::string& warning : study.warnings) print_warning(warning);
   } else {
-    fmt::print("{}", study_text(study));
+    print_result("{}", study_text(study));
   }
 }
 
