@@ -15,8 +15,8 @@
 #include "app/report/calibration_document.h"
 #include "app/report/document_html.h"
 #include "app/report/document_text.h"
+#include "app/report/hdf5_export.h"
 #include "app/report/record_csv.h"
-#include "app/report/record_hdf5.h"
 #include "app/report/report_data.h"
 #include "app/report/report_json.h"
 #include "app/report/weasyprint.h"
@@ -93,7 +93,7 @@ std::vector<Output> outputs_of(const Options& options, const ReportData& data,
     file.commit();
   });
   add("--hdf5", options.hdf5, [&data](OutputFile& file) {
-    write_hdf5(data, file.temporary(), file.path().filename().string());
+    export_hdf5(data, file.temporary(), file.path().filename().string());
     file.commit();
   });
   return outputs;

@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <cstring>
 #include <mutex>
+#include <utility>
 
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
@@ -27,6 +28,7 @@ struct Streams {
   std::mutex mutex;
   bool log_is_stuck = false;  ///< Its reader did not read within its time.
   std::size_t messages_left_out = 0;
+  std::function<void(std::string_view)> listener;
   int result_error = 0;  ///< errno of the first result that was lost; 0: none.
 };
 
@@ -75,6 +77,10 @@ void write_log(std::string_view bytes) noexcept {
   try {
     Streams& state = streams();
     const std::lock_guard lock(state.mutex);
+    if (state.listener) {
+      state.listener(bytes);
+      return;
+    }
     const auto write = [&](std::string_view text) {
       int error = 0;
       const int patience_ms = state.log_is_stuck ? 0 : kPatienceWithLogReader_ms;
@@ -182,6 +188,12 @@ void vprint_log(fmt::string_view format, fmt::format_args arguments) noexcept {
   } catch (...) {
     write_log(kNoWords);
   }
+}
+
+void send_log_to(std::function<void(std::string_view)> listener) {
+  Streams& state = streams();
+  const std::lock_guard lock(state.mutex);
+  state.listener = std::move(listener);
 }
 
 void print_warning(std::string_view text) noexcept {

@@ -3,6 +3,7 @@
 #include <fmt/core.h>
 
 #include <cstddef>
+#include <functional>
 #include <string>
 #include <string_view>
 
@@ -23,6 +24,10 @@ template <typename... Arguments>
 void print_log(fmt::format_string<Arguments...> format, const Arguments&... arguments) noexcept {
   vprint_log(format, fmt::make_format_args(arguments...));
 }
+
+/// Whoever wants the words instead of standard error, from any thread, one call at a time; nothing: nobody
+/// (as at the start). For tests of a program inside their own process.
+void send_log_to(std::function<void(std::string_view)> listener);
 
 /// A line "warning: TEXT" on standard error.
 void print_warning(std::string_view text) noexcept;
