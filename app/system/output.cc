@@ -91,7 +91,7 @@ void write_log(std::string_view bytes) noexcept {
     };
     if (state.messages_left_out > 0 && wait_for_room(STDERR_FILENO, 0) == Room::kThere) {
       const std::size_t count = state.messages_left_out;
-      if (write(fmt::format("\nwarning: {} messages are missing here: nobody read them in time\n", count)))
+      if (write(fmt::format("\nwarning: {} messages are missing here: they could not be written\n", count)))
         state.messages_left_out = 0;
     }
     if (!write(bytes)) ++state.messages_left_out;

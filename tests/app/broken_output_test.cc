@@ -22,8 +22,9 @@ class BrokenOutputTest : public EmulatedBenchTest {
  protected:
   /// Runs a script in which "abcal" is the program, as `sh -c` does. Its exit code is that of the script.
   test::ProgramResult shell(const std::string& script) {
-    test::Program sh("/bin/sh", {"-c", "abcal() { '" + abcal_program() + "' \"$@\"; }\n" + script},
-                     folder.path());
+    const std::vector<std::string> words{"-c",
+                                         "abcal() { '" + test::abcal_program() + "' \"$@\"; }\n" + script};
+    test::Program sh(std::string("/bin/sh"), words, folder.path());
     const int exit_code = sh.wait();
     return {exit_code, sh.out(), sh.err()};
   }
@@ -90,9 +91,9 @@ TEST_F(BrokenOutputTest, ClosedDescriptorsAreNotTakenByFilesOrPorts) {
 TEST_F(BrokenOutputTest, CtrlCThatEndsTheReaderTooLeavesAResumableRunWithItsReason) {
   bench.protocol = "steps = 12\nstep_deg = 30.0\nsettle_s = 0.2\ndwell_readings = 20\n";
   start_emulator();
-  const std::string script = "trap : INT\n{ trap : INT; '" + abcal_program() +
+  const std::string script = "trap : INT\n{ trap : INT; '" + test::abcal_program() +
                              "' run bench.toml -o a.run; echo $? >code; } 2>&1 | tee log\n";
-  test::Program sh("/bin/sh", {"-c", script}, folder.path());
+  test::Program sh(std::string("/bin/sh"), std::vector<std::string>{"-c", script}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 2; }, 60s)) << sh.err();
   ::kill(-sh.pid(), SIGINT);  // As a terminal does: to every process of the pipe.
   sh.wait();

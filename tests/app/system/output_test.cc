@@ -136,6 +136,11 @@ TEST(OutputTest, AReaderThatIsGoneOrADescriptorThatIsClosedLosesWordsOnly) {
 // A terminal that was stopped with Ctrl-S, or a pager that waits.
 TEST(OutputTest, AReaderThatDoesNotReadCostsOneSecondOnce) {
   const Pipe pipe;
+  {
+    const Replaced replaced(STDERR_FILENO, pipe.writer());
+    print_log("what other tests lost is told now\n");
+  }
+  pipe.drain();
   pipe.fill();
   std::string read;
   {
