@@ -53,7 +53,7 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
       ->excludes(bench);
   command->callback([options, &exit_code] {
     if (options->keys) {
-      fmt::print("{}", bench_file_page());
+      print_result("{}", bench_file_page());
       exit_code = kExitDone;
       return;
     }
