@@ -18,38 +18,36 @@ if(ABCAL_SANITIZE)
 endif()
 
 # A whole build reads the sources of a target as few translation units: the headers that they share are parsed once, which
-# is half of a build from nothing. The preset dev leaves it off, so that a changed file is compiled alone. Where two
-# sources of a target have the same name in their anonymous namespaces, one of them stands in the target's APART.
+# is half of a build from nothing. The preset dev leaves it off, so that a changed file is compiled alone.
 option(ABCAL_UNITY "Compile the sources of a target as few translation units" OFF)
+
+# Sources never read together with others: their anonymous namespaces hold names that others have too.
+function(abcal_read_apart)
+  set_source_files_properties(${ARGV} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+endfunction()
 
 # Folder path = include path from the repository root. A result must not depend on the machine that printed
 # it: no -march=native, no contraction of a*b+c into fused operations, no -ffast-math.
-# QUICK_BUILD: little optimisation in release builds, for code that waits for people, files or instruments.
+# Folders that set ABCAL_QUICK_BUILD get little optimisation in release builds.
 function(abcal_target_options target)
-  cmake_parse_arguments(ARG "QUICK_BUILD" "" "APART" ${ARGN})
   target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}>)
   target_compile_options(${target} PRIVATE ${ABCAL_WARNINGS} -ffp-contract=off)
-  if(ARG_QUICK_BUILD)
+  if(ABCAL_QUICK_BUILD)
     target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-O1>)
   endif()
   if(ABCAL_UNITY)
     set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 12)
     # A source that another one includes looks like a header, whose anonymous namespace would be a mistake.
     target_compile_options(${target} PRIVATE -Wno-subobject-linkage)
-    set_source_files_properties(${ARG_APART} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
   endif()
 endfunction()
 
-# abcal_add_library(name SOURCES ... APART ... PUBLIC ... PRIVATE ...) makes abcal_name with alias abcal::name. APART:
-# sources too, never read together with others.
+# abcal_add_library(name SOURCES ... PUBLIC ... PRIVATE ...) makes abcal_name with alias abcal::name.
 function(abcal_add_library name)
-  cmake_parse_arguments(ARG "QUICK_BUILD" "" "SOURCES;APART;PUBLIC;PRIVATE" ${ARGN})
+  cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
   if(ARG_SOURCES)
-    add_library(abcal_${name} STATIC ${ARG_SOURCES} ${ARG_APART})
-    if(ARG_QUICK_BUILD)
-      set(quick QUICK_BUILD)
-    endif()
-    abcal_target_options(abcal_${name} ${quick} APART ${ARG_APART})
+    add_library(abcal_${name} STATIC ${ARG_SOURCES})
+    abcal_target_options(abcal_${name})
     target_link_libraries(abcal_${name} PUBLIC ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
   else()
     add_library(abcal_${name} INTERFACE)
@@ -59,14 +57,14 @@ function(abcal_add_library name)
   add_library(abcal::${name} ALIAS abcal_${name})
 endfunction()
 
-# abcal_add_test(name SOURCES ... APART ... LINK ...) makes test program name and of it two tests of ctest: all its quick
+# abcal_add_test(name SOURCES ... LINK ...) makes test program name and of it two tests of ctest: all its quick
 # suites in one process, or in SHARDS of them side by side, and the suites whose name begins with "Long" (label long).
 # PROGRAM: its tests start the program abcal. TIMEOUT: seconds for the quick ones (default 300). UNSANITIZED: not run under
 # sanitizers, as nothing in it is ours to find there.
 function(abcal_add_test name)
-  cmake_parse_arguments(ARG "PROGRAM;UNSANITIZED" "SHARDS;TIMEOUT" "SOURCES;APART;LINK" ${ARGN})
-  add_executable(${name} ${ARG_SOURCES} ${ARG_APART})
-  abcal_target_options(${name} QUICK_BUILD APART ${ARG_APART})
+  cmake_parse_arguments(ARG "PROGRAM;UNSANITIZED" "SHARDS;TIMEOUT" "SOURCES;LINK" ${ARGN})
+  add_executable(${name} ${ARG_SOURCES})
+  abcal_target_options(${name})
   target_link_libraries(${name} PRIVATE ${ARG_LINK} abcal::project_paths GTest::gmock GTest::gtest_main)
   if(ARG_PROGRAM)
     add_dependencies(${name} abcal)
