@@ -13,8 +13,9 @@ struct ClockPair {
   Clock::Duration monotonic;  ///< Since some fixed moment.
 };
 
-/// The step of the system clock between two moments, if it is more than a clock that is only corrected in its rate
-/// can gain: 1 s and 500 parts in a million of the time between (the largest rate that a time service sets).
+/// The step of the system clock between two moments, if it is more than a clock that is only corrected in its
+/// rate can gain: 1 s and 500 parts in a million of the time between (the largest rate that a time service
+/// sets).
 std::optional<Clock::Duration> clock_step(const ClockPair& before, const ClockPair& now);
 
 /// The words for a step, for the event log.

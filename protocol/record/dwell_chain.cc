@@ -13,7 +13,8 @@ constexpr std::array kHeadQueries{
     "select key, value from meta where key not like 'timing.%' and key not in ('state', 'wire.start_utc_ns')"
     " order by key",
     "select role, maker, model, serial_number, firmware, details from instrument order by role",
-    "select k, maker, model, serial_number, firmware, driver, port, mounting, response_unit, rate_hz, full_scale,"
+    "select k, maker, model, serial_number, firmware, driver, port, mounting, response_unit, rate_hz, "
+    "full_scale,"
     " resolution from item order by k",
     "select item, name, value from item_register order by item, name",
     "select position, experiment, n, closing, alpha_deg, x_deg, z_deg from plan order by position",
@@ -22,8 +23,10 @@ constexpr const char* kSessionOfDwell =
     "select id, begun_utc, begun_utc_ns, origin_ns, monotonic_ns, boot_id, since_boot_ns, clock_offset_s,"
     " clock_error_s, program_version from session where id = (select session from dwell where id = :dwell)";
 constexpr const char* kDwell =
-    "select id, position, item, role, session, experiment, n, closing, alpha_deg, commanded_x_deg, commanded_z_deg,"
-    " encoder_x_deg, encoder_z_deg, time_ns, time_s, utc, settle_s, count, lost, r_u, r_v, r_w, spread_u, spread_v,"
+    "select id, position, item, role, session, experiment, n, closing, alpha_deg, commanded_x_deg, "
+    "commanded_z_deg,"
+    " encoder_x_deg, encoder_z_deg, time_ns, time_s, utc, settle_s, count, lost, r_u, r_v, r_w, spread_u, "
+    "spread_v,"
     " spread_w, u_u, u_v, u_w, temperature_degc, flags, flag_words, first_sequence, first_reading_ns,"
     " reading_interval_ns, first_temperature_degc, temperature_step_degc from dwell where id = :dwell";
 constexpr const char* kReadings =

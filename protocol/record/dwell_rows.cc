@@ -17,17 +17,45 @@ constexpr double kNanosecondsPerSecond = 1e9;
 constexpr int kDoubleDigits = std::numeric_limits<double>::digits;
 constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();
 
-constexpr std::array<std::string_view, 36> kDwellColumns{
-    "id",       "position",        "item",            "role",           "session",       "experiment",
-    "n",        "closing",         "alpha_deg",       "commanded_x_deg", "commanded_z_deg", "encoder_x_deg",
-    "encoder_z_deg", "time_ns",    "time_s",          "utc",            "settle_s",      "count",
-    "lost",     "r_u",             "r_v",             "r_w",            "spread_u",      "spread_v",
-    "spread_w", "u_u",             "u_v",             "u_w",            "temperature_degc", "flags",
-    "flag_words", "first_sequence", "first_reading_ns", "reading_interval_ns", "first_temperature_degc",
-    "temperature_step_degc"};
+constexpr std::array<std::string_view, 36> kDwellColumns{"id",
+                                                         "position",
+                                                         "item",
+                                                         "role",
+                                                         "session",
+                                                         "experiment",
+                                                         "n",
+                                                         "closing",
+                                                         "alpha_deg",
+                                                         "commanded_x_deg",
+                                                         "commanded_z_deg",
+                                                         "encoder_x_deg",
+                                                         "encoder_z_deg",
+                                                         "time_ns",
+                                                         "time_s",
+                                                         "utc",
+                                                         "settle_s",
+                                                         "count",
+                                                         "lost",
+                                                         "r_u",
+                                                         "r_v",
+                                                         "r_w",
+                                                         "spread_u",
+                                                         "spread_v",
+                                                         "spread_w",
+                                                         "u_u",
+                                                         "u_v",
+                                                         "u_w",
+                                                         "temperature_degc",
+                                                         "flags",
+                                                         "flag_words",
+                                                         "first_sequence",
+                                                         "first_reading_ns",
+                                                         "reading_interval_ns",
+                                                         "first_temperature_degc",
+                                                         "temperature_step_degc"};
 
-constexpr std::array<std::string_view, 8> kReadingColumns{"dwell",   "k",       "u",       "v",
-                                                          "w",       "skipped", "late_ns", "temperature_steps"};
+constexpr std::array<std::string_view, 8> kReadingColumns{"dwell", "k",       "u",       "v",
+                                                          "w",     "skipped", "late_ns", "temperature_steps"};
 
 std::int64_t nanoseconds(double seconds) {
   return static_cast<std::int64_t>(std::llround(seconds * kNanosecondsPerSecond));
@@ -105,7 +133,8 @@ DwellRecord dwell_from(const SqliteStatement& row) {
     return value ? std::optional(Angle::degrees(*value)) : std::nullopt;
   };
   const auto vector = [&](std::string_view u, std::string_view v, std::string_view w) {
-    return Eigen::Vector3d(row.optional_real(u).value_or(kNotANumber), row.optional_real(v).value_or(kNotANumber),
+    return Eigen::Vector3d(row.optional_real(u).value_or(kNotANumber),
+                           row.optional_real(v).value_or(kNotANumber),
                            row.optional_real(w).value_or(kNotANumber));
   };
   DwellRecord dwell;
@@ -244,9 +273,10 @@ void read_all_dwells(SqliteDatabase& database, const std::function<void(const St
                 : "select *, id not in (select min(id) from dwell group by position, item) as again"
                   " from dwell order by id");
   SqliteStatement readings = database.prepare(
-      version_2 ? "select sequence, time_s, u, v, w, temperature_degc from reading where dwell = :dwell order by k"
-                : "select sequence, time_s, u, v, w, temperature_degc from timed_reading where dwell = :dwell"
-                  " order by k");
+      version_2
+          ? "select sequence, time_s, u, v, w, temperature_degc from reading where dwell = :dwell order by k"
+          : "select sequence, time_s, u, v, w, temperature_degc from timed_reading where dwell = :dwell"
+            " order by k");
   while (dwells.step()) {
     StoredDwell dwell;
     dwell.plan_position = static_cast<std::size_t>(dwells.integer("position"));

@@ -15,9 +15,9 @@ namespace abcal {
 
 /// What the times of a session's dwells are counted from.
 struct SessionTimes {
-  std::int64_t session = 1;              ///< Row of the table `session`.
-  std::int64_t origin_ns = 0;            ///< True time from the first session's beginning to this one's.
-  std::optional<Clock::UtcTime> begun;   ///< UTC at its beginning.
+  std::int64_t session = 1;             ///< Row of the table `session`.
+  std::int64_t origin_ns = 0;           ///< True time from the first session's beginning to this one's.
+  std::optional<Clock::UtcTime> begun;  ///< UTC at its beginning.
 };
 
 /// Writes dwells with their readings and their link of the chain. Within a transaction.
@@ -34,8 +34,8 @@ class DwellWriter {
   SessionTimes times_;
 };
 
-/// Temperatures as whole multiples of a step, from the first: exact for every finite double, and short where the
-/// sensor's resolution is coarse.
+/// Temperatures as whole multiples of a step, from the first: exact for every finite double, and short where
+/// the sensor's resolution is coarse.
 struct TemperatureScale {
   double first_degc = 0.0;
   double step_degc = 1.0;

@@ -10,8 +10,8 @@
 namespace abcal {
 namespace {
 
-/// Lags that are summed one by one: readings that hardly correlate need no more, and beyond them a transform of all
-/// lags at once is faster.
+/// Lags that are summed one by one: readings that hardly correlate need no more, and beyond them a transform
+/// of all lags at once is faster.
 constexpr std::size_t kDirectLags = 64;
 
 /// Sums of values[k] values[k - lag] for every lag below `lags`.
@@ -75,8 +75,8 @@ double effective_number_of_readings(std::span<const double> values) {
 ReadingStatistics mean_and_spread(std::span<const Eigen::Vector3d> outputs) {
   ReadingStatistics result;
   if (outputs.empty()) return result;
-  // Two passes, the mean first and relative to the first reading, so that a large offset costs the spread no digits
-  // and readings that are all the same have a spread of exactly zero.
+  // Two passes, the mean first and relative to the first reading, so that a large offset costs the spread no
+  // digits and readings that are all the same have a spread of exactly zero.
   const auto n = static_cast<double>(outputs.size());
   const Eigen::Vector3d origin = outputs.front();
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();

@@ -48,10 +48,10 @@ void ResultsFile::require_none(const std::filesystem::path& run_path) {
   const std::filesystem::path results = path_beside(run_path);
   std::error_code ignored;
   if (!std::filesystem::exists(results, ignored)) return;
-  throw RunFileError(results.string() + ": belongs to another run, so that the results of " +
-                     run_path.string() +
-                     " could not be kept; required: no such file before a run is closed. Move it to the run that "
-                     "it belongs to, or choose another name with -o");
+  throw RunFileError(
+      results.string() + ": belongs to another run, so that the results of " + run_path.string() +
+      " could not be kept; required: no such file before a run is closed. Move it to the run that "
+      "it belongs to, or choose another name with -o");
 }
 
 ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256, Making making)
@@ -85,7 +85,8 @@ void ResultsFile::add_analysis(const std::string& utc, std::string_view program_
   Transaction transaction(database_);
   {
     SqliteStatement same = database_.prepare(
-        "select 1 from analysis where program_version=:version and estimator=:estimator and result_json=:json");
+        "select 1 from analysis where program_version=:version and estimator=:estimator and "
+        "result_json=:json");
     same.set("version", program_version).set("estimator", estimator).set("json", result_json);
     if (same.step()) return;
   }

@@ -23,8 +23,8 @@ struct IssuedCertificate {
   std::string xml;              ///< Its bytes, signature included.
 };
 
-/// `RUN.results`, in the folder of the run: analyses and issued certificates. Rows are only ever added, each in one
-/// transaction: several programs may add at once.
+/// `RUN.results`, in the folder of the run: analyses and issued certificates. Rows are only ever added, each
+/// in one transaction: several programs may add at once.
 class ResultsFile {
  public:
   /// Whether the results of a run are made for the first time.

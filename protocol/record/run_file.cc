@@ -10,6 +10,8 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <fstream>
+#include <stdexcept>
 #include <system_error>
 #include <utility>
 
@@ -69,6 +71,22 @@ void name_file(const std::filesystem::path& draft, const std::filesystem::path& 
   throw RunFileError(path.string() + ": cannot be created: " + std::strerror(error));
 }
 
+/// As the header of an SQLite file says: a file without a log is changed by nobody who only reads.
+bool uses_write_ahead_log(const std::filesystem::path& path) {
+  constexpr std::size_t kReadVersionAt = 19;  // SQLite file format, section 1.3: 2 is write-ahead logging.
+  std::array<char, kReadVersionAt + 1> head{};
+  std::ifstream file(path, std::ios::binary);
+  file.read(head.data(), static_cast<std::streamsize>(head.size()));
+  return head[kReadVersionAt] == 2;
+}
+
+void make_read_only(const std::filesystem::path& path) {
+  using std::filesystem::perms;
+  const perms writing = perms::owner_write | perms::group_write | perms::others_write;
+  if ((std::filesystem::status(path).permissions() & writing) == perms::none) return;
+  std::filesystem::permissions(path, writing, std::filesystem::perm_options::remove);
+}
+
 /// Where the session before left the clocks.
 struct LastSession {
   std::int64_t id = 0;
@@ -81,7 +99,8 @@ struct LastSession {
 std::optional<LastSession> last_session(SqliteDatabase& database) {
   SqliteStatement row = database.prepare(
       "select *, (select max(time_ns) from dwell where dwell.session = session.id) as last_dwell_ns,"
-      " (select sum(value) from meta where key like 'timing.%') as spent_s from session order by id desc limit 1");
+      " (select sum(value) from meta where key like 'timing.%') as spent_s from session order by id desc "
+      "limit 1");
   if (!row.step()) return std::nullopt;
   LastSession last;
   last.id = row.integer("id");
@@ -137,8 +156,9 @@ void write_session(SqliteDatabase& database, const SessionTimes& times, const Se
       "boot_id", "since_boot_ns", "clock_offset_s", "clock_error_s", "program_version"};
   const auto utc_ns =
       times.begun ? std::optional<std::int64_t>(times.begun->time_since_epoch().count()) : std::nullopt;
-  const auto monotonic_ns =
-      start.monotonic ? std::optional<std::int64_t>(start.monotonic->time_since_epoch().count()) : std::nullopt;
+  const auto monotonic_ns = start.monotonic
+                                ? std::optional<std::int64_t>(start.monotonic->time_since_epoch().count())
+                                : std::nullopt;
   database.prepare(insert_into("session", kColumns))
       .set("id", times.session)
       .set("begun_utc", times.begun ? format_utc(*times.begun) : std::string())
@@ -227,7 +247,8 @@ struct RunFile::Impl {
     if (!take_wire) return;
     for (WireRow& row : take_wire()) wire_waiting.push_back(std::move(row));
     if (wire_waiting.empty()) return;
-    static constexpr std::array<std::string_view, 5> kColumns{"role", "time_ns", "arrival_ns", "kind", "bytes"};
+    static constexpr std::array<std::string_view, 5> kColumns{"role", "time_ns", "arrival_ns", "kind",
+                                                              "bytes"};
     SqliteStatement statement = database.prepare(insert_into("wire", kColumns));
     for (const WireRow& row : wire_waiting) {
       statement.bind(1, std::string_view(row.role))
@@ -244,7 +265,7 @@ struct RunFile::Impl {
   std::function<std::vector<WireRow>()> take_wire;
   std::vector<WireRow> wire_waiting;
   std::filesystem::path path;
-  std::optional<SessionTimes> session;           ///< Under way.
+  std::optional<SessionTimes> session;            ///< Under way.
   std::optional<Clock::Instant> session_instant;  ///< Of its beginning.
   WriterLock lock;  // Outlives the database: closing any descriptor of the file drops SQLite's own locks.
   SqliteDatabase database;
@@ -338,6 +359,10 @@ Clock::UtcTime RunFile::utc(Clock::Instant instant) const {
   return *impl_->session->begun + (instant - *impl_->session_instant);
 }
 
+Clock::UtcTime RunFile::utc_now(const Clock& clock) const {
+  return impl_->session_instant && impl_->session->begun ? utc(clock.now()) : clock.utc_now();
+}
+
 void RunFile::keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take) {
   Transaction transaction(impl_->database);
   impl_->database.execute(kWireSchema);
@@ -352,8 +377,7 @@ void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
                            std::span<const StoredReading> readings, const RunTiming& timing) {
   const SessionTimes& times = impl_->session_times();
   Transaction transaction(impl_->database);
-  DwellWriter(impl_->database, times)
-      .write(static_cast<std::int64_t>(plan_position), dwell, readings);
+  DwellWriter(impl_->database, times).write(static_cast<std::int64_t>(plan_position), dwell, readings);
   set_timing(impl_->database, timing);
   impl_->append_wire();
   transaction.commit();
@@ -398,9 +422,10 @@ void RunFile::complete(const std::string& utc, const RunTiming& timing) {
   set_timing(database, timing);
   impl_->write_state(RunState::kComplete, utc, "all angles measured");
   database
-      .prepare("insert into seal(utc, dwells, dwell_chain, event_chain) values(:utc,"
-               " (select count(*) from dwell), (select chain from dwell order by id desc limit 1),"
-               " (select chain from event order by id desc limit 1))")
+      .prepare(
+          "insert into seal(utc, dwells, dwell_chain, event_chain) values(:utc,"
+          " (select count(*) from dwell), (select chain from dwell order by id desc limit 1),"
+          " (select chain from event order by id desc limit 1))")
       .set("utc", utc)
       .run();
   transaction.commit();
@@ -428,21 +453,27 @@ std::optional<std::string> RunFile::close(const TryAgain& try_again) {
   // All is in the file now; but SQLite does not say if it could not remove its log.
   std::error_code ignored;
   std::filesystem::remove(path.string() + "-wal", ignored);
-  using std::filesystem::perms;
-  std::filesystem::permissions(path, perms::owner_write | perms::group_write | perms::others_write,
-                               std::filesystem::perm_options::remove);
+  make_read_only(path);
   return sha256_of_file(path);
 }
 
+bool RunFile::is_closed(const std::filesystem::path& path) {
+  if (uses_write_ahead_log(path)) return false;
+  SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
+  return database.value("select value from meta where key='state'") == to_string(RunState::kComplete);
+}
+
 std::string RunFile::finish_closing(const std::filesystem::path& path, const TryAgain& try_again) {
-  using std::filesystem::perms;
-  if ((std::filesystem::status(path).permissions() & perms::owner_write) == perms::none)
+  if (is_closed(path)) {
+    make_read_only(path);
     return sha256_of_file(path);
+  }
   RunFile file(std::make_unique<Impl>(path, open_run_file(path, SqliteDatabase::Mode::kReadWrite)));
   if (auto hash = file.close(try_again)) return *std::move(hash);
-  throw RunFileError(path.string() +
-                     ": the run is complete, but another program keeps the file open, so that it cannot be closed: "
-                     "end that program, then close and analyse the run with `abcal resume`");
+  throw RunFileError(
+      path.string() +
+      ": the run is complete, but another program keeps the file open, so that it cannot be closed: "
+      "end that program, then close and analyse the run with `abcal resume`");
 }
 
 StoredRun RunFile::load(const std::filesystem::path& path) {
@@ -476,10 +507,9 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   }
   SqliteStatement environment = database.prepare("select * from environment order by id");
   while (environment.step()) {
-    run.environment.push_back({environment.text("utc"), environment.text("moment"),
-                               environment.optional_real("temperature_degc"),
-                               environment.optional_real("humidity_percent"),
-                               environment.optional_real("pressure_hpa")});
+    run.environment.push_back(
+        {environment.text("utc"), environment.text("moment"), environment.optional_real("temperature_degc"),
+         environment.optional_real("humidity_percent"), environment.optional_real("pressure_hpa")});
   }
   return run;
 }

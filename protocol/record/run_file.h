@@ -56,7 +56,8 @@ struct RunItem {
   std::optional<double> rate_hz;
   std::optional<double> full_scale;  ///< Response unit.
   std::optional<double> resolution;  ///< Response unit.
-  /// Correction registers in force at the start (bias, scale, misalignment ...), by name, as the instrument said.
+  /// Correction registers in force at the start (bias, scale, misalignment ...), by name, as the instrument
+  /// said.
   std::map<std::string, std::string> registers;
 };
 
@@ -178,12 +179,13 @@ struct StoredRun {
 /// One writer at a time (a lock on the file); readers at any time. All functions throw RunFileError.
 class RunFile {
  public:
-  /// Creates a new file. Refuses one that exists: a run is never overwritten; and a name beside which the results
-  /// of another run lie, since those of this run could not be kept then.
+  /// Creates a new file. Refuses one that exists: a run is never overwritten; and a name beside which the
+  /// results of another run lie, since those of this run could not be kept then.
   static RunFile create(const std::filesystem::path& path, const RunHeader& header);
 
-  /// Opens an interrupted run to go on with it; one of version 2 becomes one of version 3. Refuses a closed one, one
-  /// that another process is writing, and one beside which results lie, which must be those of another run.
+  /// Opens an interrupted run to go on with it; one of version 2 becomes one of version 3. Refuses a closed
+  /// one, one that another process is writing, and one beside which results lie, which must be those of
+  /// another run.
   static RunFile open_for_append(const std::filesystem::path& path);
 
   /// Reads a run in any state.
@@ -204,8 +206,9 @@ class RunFile {
   RunFile& operator=(RunFile&&) noexcept;
   ~RunFile();
 
-  /// Begins a session: all that is measured from now on belongs to it. The time since the session before is known from
-  /// the computer's clock since its start, else from UTC; a system clock that was moved in between is an event.
+  /// Begins a session: all that is measured from now on belongs to it. The time since the session before is
+  /// known from the computer's clock since its start, else from UTC; a system clock that was moved in between
+  /// is an event.
   void begin_session(const SessionStart& start);
   /// Whether begin_session() was called since the file was opened.
   bool in_session() const;
@@ -213,6 +216,8 @@ class RunFile {
   double time_s(Clock::Instant instant) const;
   /// UTC of an instant of this session, which goes on evenly however the system clock is moved.
   Clock::UtcTime utc(Clock::Instant instant) const;
+  /// UTC of now: as utc() in a session that knows it, else by the system clock.
+  Clock::UtcTime utc_now(const Clock& clock) const;
 
   /// From now on a transcript is kept. What `take` gives (all rows since it was asked last) is written at
   /// once, with each angle, and with each change of state.
@@ -235,19 +240,22 @@ class RunFile {
   /// Waits 50 ms; 10 s in all.
   static bool wait_for_readers(int failures);
 
-  /// All angles are measured: on return the disk says so, with the last links of the chains (table `seal`). The run can
-  /// be loaded and analysed from now on.
+  /// All angles are measured: on return the disk says so, with the last links of the chains (table `seal`).
+  /// The run can be loaded and analysed from now on.
   void complete(const std::string& utc, const RunTiming& timing);
 
   /// Closes a run that is complete: checkpoint, one single file again, read-only.
-  /// @return SHA-256 of the closed file's bytes, in hexadecimal; nothing where readers keep the file open: it stays
-  /// complete, and close() or finish_closing() closes it later.
+  /// @return SHA-256 of the closed file's bytes, in hexadecimal; nothing where readers keep the file open: it
+  /// stays complete, and close() or finish_closing() closes it later.
   std::optional<std::string> close(const TryAgain& try_again = wait_for_readers);
 
-  /// complete() and close(). If the readers do not leave, it throws; the run is complete on the disk then, and
-  /// finish_closing() closes it.
+  /// complete() and close(). If the readers do not leave, it throws; the run is complete on the disk then,
+  /// and finish_closing() closes it.
   std::string close_complete(const std::string& utc, const RunTiming& timing,
                              const TryAgain& try_again = wait_for_readers);
+
+  /// Whether a run is complete and closed: one file whose bytes no longer change, so that they have a hash.
+  static bool is_closed(const std::filesystem::path& path);
 
   /// Closes a run that is complete, but whose program was killed before it had closed it; does nothing to one
   /// that is closed. @return SHA-256 of the closed file's bytes.

@@ -56,9 +56,9 @@ struct DwellRecord {
   /// Middle of the dwell, in true time from the beginning of the first session: pauses between sessions are
   /// in it. (In run files of version 2 they are not.)
   std::optional<double> time_s;
-  double settle_time_s = 0.0;                 ///< From stopped to the first reading used.
-  std::int64_t count = 0;                     ///< Readings averaged; 0: not known (CSV).
-  std::int64_t lost = 0;                      ///< Readings known to be lost during the dwell.
+  double settle_time_s = 0.0;  ///< From stopped to the first reading used.
+  std::int64_t count = 0;      ///< Readings averaged; 0: not known (CSV).
+  std::int64_t lost = 0;       ///< Readings known to be lost during the dwell.
   Eigen::Vector3d mean =
       Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());  ///< r_u, r_v, r_w (R).
   Eigen::Vector3d spread = Eigen::Vector3d::Zero();  ///< Standard deviation of single readings (R).

@@ -29,8 +29,8 @@ create table environment(id integer primary key, utc text, moment text, temperat
 create table event(id integer primary key, utc text, who text, kind text, text text, chain text);
 )";
 
-/// New in version 3. A reading holds what differs from the constants of its dwell; the view timed_reading puts them
-/// together again.
+/// New in version 3. A reading holds what differs from the constants of its dwell; the view timed_reading
+/// puts them together again.
 constexpr const char* kTablesOfVersion3 = R"(
 create table item(k integer primary key, maker text, model text, serial_number text, firmware text, driver text,
                   port text, mounting text, response_unit text, rate_hz real, full_scale real, resolution real);
@@ -131,10 +131,11 @@ void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& p
   const std::int64_t version = run_file_version(database);
   if (version == kRunFileVersion) return;
   if (version != 2) {
-    throw RunFileError(fmt::format(
-        "{}: was begun with run file version {}; this program goes on with versions 2 and {}: finish it with the "
-        "abcal that began it",
-        path.string(), version, kRunFileVersion));
+    throw RunFileError(
+        fmt::format("{}: was begun with run file version {}; this program goes on with versions 2 and {}: "
+                    "finish it with the "
+                    "abcal that began it",
+                    path.string(), version, kRunFileVersion));
   }
   Transaction transaction(database);
   upgrade_run_schema_2_to_3(database);
@@ -149,16 +150,18 @@ void upgrade_run_schema_2_to_3(SqliteDatabase& database) {
       .set("schema", kRunSchemaName)
       .run();
   database
-      .prepare("insert into item(k, maker, model, serial_number, response_unit) values(1, :maker, :model, "
-               ":serial_number, :response_unit)")
+      .prepare(
+          "insert into item(k, maker, model, serial_number, response_unit) values(1, :maker, :model, "
+          ":serial_number, :response_unit)")
       .set("maker", meta_value(database, "label.item.maker"))
       .set("model", meta_value(database, "label.item.model"))
       .set("serial_number", meta_value(database, "label.item.serial_number"))
       .set("response_unit", meta_value(database, "response_unit"))
       .run();
   database
-      .prepare("insert into session(id, begun_utc, origin_ns, program_version, end_reason) values(1, :utc, 0, "
-               ":version, 'begun with run file version 2: pauses are not in its times')")
+      .prepare(
+          "insert into session(id, begun_utc, origin_ns, program_version, end_reason) values(1, :utc, 0, "
+          ":version, 'begun with run file version 2: pauses are not in its times')")
       .set("utc", meta_value(database, "created_utc"))
       .set("version", meta_value(database, "program_version"))
       .run();

@@ -26,13 +26,13 @@ SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::
 /// Whether a file begins as an SQLite file does.
 bool begins_as_sqlite(const std::filesystem::path& path);
 
-/// Turns a file of an older version, which is open for writing, into one of the present: step by step, all in one
-/// transaction. Closed runs are never changed; they are read as they are.
+/// Turns a file of an older version, which is open for writing, into one of the present: step by step, all in
+/// one transaction. Closed runs are never changed; they are read as they are.
 /// @throws RunFileError for a version that cannot be continued
 void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path);
 
-/// The step from version 2 to 3, within a transaction. The dwells become those of one session, with the times that
-/// version 2 gave them: pauses between its sessions are not in them.
+/// The step from version 2 to 3, within a transaction. The dwells become those of one session, with the times
+/// that version 2 gave them: pauses between its sessions are not in them.
 void upgrade_run_schema_2_to_3(SqliteDatabase& database);
 
 }  // namespace abcal

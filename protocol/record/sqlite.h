@@ -7,8 +7,8 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
-#include <stdexcept>
 #include <span>
+#include <stdexcept>
 #include <string>
 #include <string_view>
 
@@ -105,8 +105,8 @@ class SqliteDatabase {
 /// "insert into TABLE(a, b) values(:a, :b)": columns by name, whatever their order in the table.
 std::string insert_into(std::string_view table, std::span<const std::string_view> columns);
 
-/// A transaction that may write from its beginning, rolled back unless it is committed. What it reads stays true until
-/// it is committed: no other connection writes meanwhile.
+/// A transaction that may write from its beginning, rolled back unless it is committed. What it reads stays
+/// true until it is committed: no other connection writes meanwhile.
 class Transaction {
  public:
   explicit Transaction(SqliteDatabase& database);

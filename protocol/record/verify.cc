@@ -48,10 +48,11 @@ IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
     ++count;
     link = dwell_link(database, rows.integer("id"), link);
     if (link != rows.text("chain"))
-      return {what, false,
-              fmt::format("dwell {} or its readings, one before it, or what stands before the first angle, was "
-                          "changed",
-                          count)};
+      return {
+          what, false,
+          fmt::format("dwell {} or its readings, one before it, or what stands before the first angle, was "
+                      "changed",
+                      count)};
   }
   if (!complete) return {what, true, fmt::format("{}, each linked to the one before", count)};
   SqliteStatement seal = database.prepare("select * from seal order by id desc limit 1");
@@ -83,8 +84,13 @@ StatedDwell stated_dwell(const SqliteStatement& row) {
     }
     return value;
   };
-  return {vector("r_"),         vector("spread_"),   vector("u_"), row.optional_real("u_u").has_value(),
-          row.integer("count"), row.integer("lost"), static_cast<std::uint32_t>(row.integer("flags"))};
+  return {vector("r_"),
+          vector("spread_"),
+          vector("u_"),
+          row.optional_real("u_u").has_value(),
+          row.integer("count"),
+          row.integer("lost"),
+          static_cast<std::uint32_t>(row.integer("flags"))};
 }
 
 bool agrees(double stated, double computed, double tolerance) {
@@ -159,8 +165,9 @@ void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>
   std::error_code error;
   if (!std::filesystem::exists(results, error)) {
     checks.push_back({"SHA-256", false,
-                      results.string() + ", which names the hash of the run, is missing; `abcal analyse` makes it "
-                                         "again, with a note that analyses of before are not known"});
+                      results.string() +
+                          ", which names the hash of the run, is missing; `abcal analyse` makes it "
+                          "again, with a note that analyses of before are not known"});
     return;
   }
   SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
@@ -208,11 +215,13 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
 
 std::string attested_by(const std::filesystem::path& run) {
   SqliteDatabase database = open_run_file(run, SqliteDatabase::Mode::kReadOnly);
-  const char* chained = run_file_version(database) >= 3
-                            ? "dwells with their readings, events, analyses and certificates are chained"
-                            : "events, analyses and certificates are chained, dwells are not (run file version 2)";
+  const char* chained =
+      run_file_version(database) >= 3
+          ? "dwells with their readings, events, analyses and certificates are chained"
+          : "events, analyses and certificates are chained, dwells are not (run file version 2)";
   return fmt::format(
-      "self-consistent only: {}; anyone who can write the run and its results can rebuild all of it, since there is "
+      "self-consistent only: {}; anyone who can write the run and its results can rebuild all of it, since "
+      "there is "
       "neither a signature nor a time stamp. Keep the SHA-256 elsewhere if that matters",
       chained);
 }

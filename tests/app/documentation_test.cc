@@ -89,7 +89,8 @@ TEST_F(DocumentationTest, PythonAndCppReadARunFileAsItsPageShows) {
   EXPECT_EQ(std::count(read.out.begin(), read.out.end(), '\n'), 10) << read.out;
   // The queries for the shell of SQLite.
   const std::string page = test::read_file(test::source_folder() / "docs/run_file.md");
-  const std::regex query(R"re((sqlite3 (-header -csv )?sn1234.run "[^"\n]*(plan|state|order by k)[^"\n]*"))re");
+  const std::regex query(
+      R"re((sqlite3 (-header -csv )?sn1234.run "[^"\n]*(plan|state|order by k)[^"\n]*"))re");
   int queries = 0;
   for (std::sregex_iterator found(page.begin(), page.end(), query), end; found != end; ++found, ++queries) {
     const test::ProgramResult rows = shell((*found)[1]);

@@ -1,4 +1,5 @@
-// Run files of version 2 through the program: analysed to the digits that abcal 0.1 gave, verified, reported, replayed.
+// Run files of version 2 through the program: analysed to the digits that abcal 0.1 gave, verified, reported,
+// replayed.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -36,15 +36,21 @@ std::vector<StoredReading> correlated_readings(std::size_t count, double correla
 
 void statistics(benchmark::State& state, double correlation) {
   std::vector<Eigen::Vector3d> outputs;
-  for (const StoredReading& reading : correlated_readings(static_cast<std::size_t>(state.range(0)), correlation))
+  for (const StoredReading& reading :
+       correlated_readings(static_cast<std::size_t>(state.range(0)), correlation))
     outputs.push_back(reading.output);
   for (auto _ : state) benchmark::DoNotOptimize(reading_statistics(outputs, 1e-7));
 }
 BENCHMARK_CAPTURE(statistics, uncorrelated, 0.0)->Arg(1'000)->Arg(1'000'000)->Unit(benchmark::kMillisecond);
-BENCHMARK_CAPTURE(statistics, correlated, 0.9999)->Arg(60'000)->Arg(120'000)->Arg(1'000'000)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(statistics, correlated, 0.9999)
+    ->Arg(60'000)
+    ->Arg(120'000)
+    ->Arg(1'000'000)
+    ->Unit(benchmark::kMillisecond);
 
 void write_dwell(benchmark::State& state) {
-  const std::vector<StoredReading> readings = correlated_readings(static_cast<std::size_t>(state.range(0)), 0.9);
+  const std::vector<StoredReading> readings =
+      correlated_readings(static_cast<std::size_t>(state.range(0)), 0.9);
   DwellRecord dwell;
   dwell.experiment = dwell.n = 1;
   RunHeader header;
@@ -64,7 +70,8 @@ void write_dwell(benchmark::State& state) {
 BENCHMARK(write_dwell)->Arg(1'000)->Arg(1'000'000)->Unit(benchmark::kMillisecond);
 
 void verify_dwell(benchmark::State& state) {
-  const std::vector<StoredReading> readings = correlated_readings(static_cast<std::size_t>(state.range(0)), 0.9);
+  const std::vector<StoredReading> readings =
+      correlated_readings(static_cast<std::size_t>(state.range(0)), 0.9);
   const test::TemporaryFolder folder;
   DwellRecord dwell;
   dwell.experiment = dwell.n = 1;

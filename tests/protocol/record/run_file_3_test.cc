@@ -1,5 +1,5 @@
-// What version 3 of the run file promises: true time, sessions, roles, items, compact readings, chained dwells, and
-// results that many programs may write at once.
+// What version 3 of the run file promises: true time, sessions, roles, items, compact readings, chained
+// dwells, and results that many programs may write at once.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,6 +13,7 @@
 #include "protocol/record/dwell_rows.h"
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
+#include "protocol/record/sha256.h"
 #include "protocol/record/verify.h"
 #include "tests/support/temporary_folder.h"
 
@@ -299,8 +300,9 @@ TEST_F(RunFile3Test, AChangedReadingDwellSessionOrPlanBreaksTheChain) {
   }
   EXPECT_TRUE(found("dwells").good) << found("dwells").found;
   for (const char* sql :
-       {"update reading set u = u + 1e-9 where dwell = 1 and k = 3", "delete from reading where dwell = 1 and k = 19",
-        "update dwell set r_u = r_u + 1e-9 where id = 1", "update session set begun_utc_ns = begun_utc_ns + 1",
+       {"update reading set u = u + 1e-9 where dwell = 1 and k = 3",
+        "delete from reading where dwell = 1 and k = 19", "update dwell set r_u = r_u + 1e-9 where id = 1",
+        "update session set begun_utc_ns = begun_utc_ns + 1",
         "update plan set alpha_deg = 1.0 where position = 0", "update item set serial_number = '78'",
         "update meta set value = '9.9' where key = 'g_loc.value_mps2'",
         "insert into item_register values(1, 'bias', '0.1')", "delete from dwell where id = 1"}) {
@@ -345,7 +347,14 @@ TEST_F(RunFile3Test, ACompleteRunCanBeAnalysedBeforeItIsClosed) {
     EXPECT_EQ(RunFile::load(path).state, RunState::kComplete);
     EXPECT_EQ(file.close([](int) { return false; }), std::nullopt);
   }
+  EXPECT_FALSE(RunFile::is_closed(path));
   EXPECT_EQ(file.close()->size(), 64U);
+  EXPECT_TRUE(RunFile::is_closed(path));
+  // A copy that may be written is as closed, and closing it changes no byte.
+  using std::filesystem::perms;
+  std::filesystem::copy_file(path, folder / "copy.run");
+  std::filesystem::permissions(folder / "copy.run", perms::owner_read | perms::owner_write);
+  EXPECT_EQ(RunFile::finish_closing(folder / "copy.run"), sha256_of_file(path));
   EXPECT_TRUE(found("dwells").good) << found("dwells").found;
   EXPECT_THAT(found("dwells").found, HasSubstr("sealed"));
 }
@@ -365,7 +374,8 @@ TEST_F(RunFile3Test, VerifyComputesAgainWhatDwellsState) {
   EXPECT_THAT(verdict([](DwellRecord&) {}).found, HasSubstr("200 readings"));
   EXPECT_THAT(verdict([](DwellRecord& d) { d.mean[1] += 1e-10; }).found, HasSubstr("its mean"));
   EXPECT_THAT(verdict([](DwellRecord& d) { d.spread[2] *= 1.0001; }).found, HasSubstr("its spread"));
-  EXPECT_THAT(verdict([](DwellRecord& d) { (*d.u_mean)[0] *= 0.99; }).found, HasSubstr("standard uncertainty"));
+  EXPECT_THAT(verdict([](DwellRecord& d) { (*d.u_mean)[0] *= 0.99; }).found,
+              HasSubstr("standard uncertainty"));
   EXPECT_THAT(verdict([](DwellRecord& d) { d.count -= 1; }).found, HasSubstr("number of readings"));
   EXPECT_THAT(verdict([](DwellRecord& d) { d.flags = 0; }).found, HasSubstr("lost readings"));
   EXPECT_FALSE(verdict([](DwellRecord& d) { d.flags |= kFlagNotFinite; }).good);
@@ -401,7 +411,8 @@ TEST_F(RunFile3Test, AnalysesOfManyProgramsAtOnceKeepOneChain) {
     std::vector<std::jthread> programs;
     for (int program = 0; program < 4; ++program) {
       programs.emplace_back([&, program] {
-        ResultsFile(path, hash).add_analysis("2026-11-22T09:00:00.000Z", "0.2", "abc", std::to_string(program));
+        ResultsFile(path, hash)
+            .add_analysis("2026-11-22T09:00:00.000Z", "0.2", "abc", std::to_string(program));
       });
     }
     programs.clear();

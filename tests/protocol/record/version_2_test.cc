@@ -36,9 +36,9 @@ class Version2Test : public testing::Test {
 };
 
 TEST_F(Version2Test, ACompleteRunIsReadAndVerifiedAsItIs) {
-  for (const auto& [name, dwells, readings] :
-       {std::tuple{"complete.run", 39U, 39U * 20U}, {"resumed.run", 39U, 40U * 20U},
-        {"recorded.run", 21U, 21U * 12U}}) {
+  for (const auto& [name, dwells, readings] : {std::tuple{"complete.run", 39U, 39U * 20U},
+                                               {"resumed.run", 39U, 40U * 20U},
+                                               {"recorded.run", 21U, 21U * 12U}}) {
     SCOPED_TRACE(name);
     const std::filesystem::path path = copy(name);
     const std::string before = sha256_of_file(path);
@@ -64,7 +64,8 @@ TEST_F(Version2Test, ThePauseIsNotInItsTimesAndItsCheckDoesNotCount) {
   EXPECT_DOUBLE_EQ(*run.record.dwells.at(16).time_s, 17.223635742);
   EXPECT_EQ(run.record.continuations, 1);
   int repeats = 0;
-  RunFile::read_dwells(folder / "resumed.run", [&](const StoredDwell& dwell) { repeats += dwell.repeat ? 1 : 0; });
+  RunFile::read_dwells(folder / "resumed.run",
+                       [&](const StoredDwell& dwell) { repeats += dwell.repeat ? 1 : 0; });
   EXPECT_EQ(repeats, 1);
 }
 

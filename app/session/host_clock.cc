@@ -1,4 +1,4 @@
-#include "app/system/host_clock.h"
+#include "app/session/host_clock.h"
 
 #include <sys/timex.h>
 #include <time.h>
