@@ -15,6 +15,7 @@ enum class NoiseStream : std::uint64_t {
   kRandomWalk = 6,
   kFlicker = 7,
   kCorrelated = 8,
+  kScenario = 9,  ///< Studies that draw whole benches.
 };
 
 /// Four independent standard normal numbers: a pure function of seed, stream and counter (Philox4x64-10 and
