@@ -1,4 +1,4 @@
-#include "app/certificate/certificate_command.h"
+#include "app/certificate/report_certificate.h"
 
 #include <fmt/format.h>
 

@@ -3,7 +3,7 @@
 #include <memory>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_command.h"
+#include "app/certificate/report_certificate.h"
 #include "app/certificate/issue.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"

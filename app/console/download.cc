@@ -5,7 +5,7 @@
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_command.h"
+#include "app/certificate/report_certificate.h"
 #include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
 #include "app/report/calibration_document.h"
