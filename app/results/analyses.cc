@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 
+#include "app/results/effect_words.h"
 #include "protocol/analysis/analyse.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/norm_fit.h"
@@ -42,6 +43,8 @@ CalibrationResult checked(const RunRecord& record, const std::string& estimator,
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
   CalibrationResult result = estimate(record, estimator);
   apply_checks(of_the_record, record, result);
+  if (std::string words = default_effects_words(record.tolerances); !words.empty())
+    result.diagnostics.notes.push_back(std::move(words));
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("the run was interrupted and went on {}; each time the axes were referenced anew and the "

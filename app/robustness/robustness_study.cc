@@ -60,8 +60,11 @@ RunOutcome outcome_of(const CalibrationResult& result, const sim::TrueLineRespon
 /// Runs are summed in their order, whoever computed them.
 ScenarioOutcome summed(const Scenario& scenario, const std::string& estimator,
                        const std::vector<const RunOutcome*>& runs) {
-  ScenarioOutcome sum{
-      .scenario = scenario.name, .words = scenario.words, .estimator = estimator, .kind = scenario.kind};
+  ScenarioOutcome sum;
+  sum.scenario = scenario.name;
+  sum.words = scenario.words;
+  sum.estimator = estimator;
+  sum.kind = scenario.kind;
   std::array<double, kOutputGroups> covered{}, error2{}, u2{}, count{};
   for (const RunOutcome* run : runs) {
     ++sum.runs;
