@@ -1,11 +1,10 @@
 #include "app/commands/simulate_robustness.h"
 
-#include <fmt/format.h>
-
 #include "app/bench/real_clock.h"
 #include "app/robustness/robustness_text.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 
 namespace abcal {
@@ -22,9 +21,9 @@ int simulate_robustness(const RobustnessOptions& given, bool json) {
   const RobustnessStudy study = run_robustness_study(options);
   bar.clear();
   if (json) {
-    fmt::print("{}\n", robustness_json(study).dump(2));
+    print_result("{}\n", robustness_json(study).dump(2));
   } else {
-    fmt::print("{}", robustness_text(study));
+    print_result("{}", robustness_text(study));
   }
   return study.interrupted ? kExitInterrupted : kExitDone;
 }
