@@ -11,9 +11,9 @@ std::string default_effects_words(const EffectSizes& sizes) {
   const std::vector<std::string> effects = unstated_effects(sizes);
   if (effects.empty()) return {};
   return fmt::format(
-      "default sizes, not yours, were used for: {}; state them in [stage_uncertainty] and [item_uncertainty] "
-      "of "
-      "the bench file (docs/effects.md)",
+      "not stated, so that default sizes stand, not yours: {}; [stage_uncertainty] and [item_uncertainty] of "
+      "the "
+      "bench file state them (docs/effects.md)",
       fmt::join(effects, "; "));
 }
 

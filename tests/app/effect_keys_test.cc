@@ -134,9 +134,9 @@ TEST(EffectKeysTest, AWrittenFileTellsDefaultsFromStatedValues) {
       "}\n[tolerances]\nstep_deg = "
       "0.006\n");
   const std::string once = write_bench(config);
-  EXPECT_THAT(once, HasSubstr("schema = \"abcal.bench/2\""));
+  EXPECT_THAT(once, HasSubstr("schema = 'abcal.bench/2'"));
   EXPECT_THAT(once, Not(HasSubstr("[tolerances]")));
-  EXPECT_THAT(once, HasSubstr("hysteresis = { value = 1e-05, source = \"default\" }"));
+  EXPECT_THAT(once, HasSubstr("hysteresis = { value = 1e-05, source = 'default' }"));
   const BenchConfig again = parse_bench(once, "stored");
   EXPECT_EQ(write_bench(again), once);
   EXPECT_EQ(again.tolerances.sources, config.tolerances.sources);
@@ -148,7 +148,7 @@ TEST(EffectKeysTest, AWrittenFileTellsDefaultsFromStatedValues) {
 TEST(EffectKeysTest, DefaultsAreNamed) {
   const BenchConfig config = bench_with("[stage_uncertainty]\nwobble_urad = 12\n");
   const std::string words = default_effects_words(config.tolerances);
-  EXPECT_THAT(words, HasSubstr("default sizes, not yours"));
+  EXPECT_THAT(words, HasSubstr("default sizes stand, not yours"));
   EXPECT_THAT(words, HasSubstr("hysteresis"));
   EXPECT_THAT(words, Not(HasSubstr("wobble")));
 }
