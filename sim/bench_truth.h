@@ -48,7 +48,7 @@ struct AxisTruth {
 /// What the accelerometer and the room do: the part of the truth that may change while the world goes on
 /// (SimBench::change). R is the response unit, g_loc the unit of acceleration.
 struct OutputTruth {
-  /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (physics.md section 2), in
+  /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (docs/theory/model.md), in
   /// R/g_loc.
   Eigen::Matrix3d sensitivity_matrix = Eigen::Matrix3d::Identity();
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();           ///< R
@@ -57,7 +57,7 @@ struct OutputTruth {
   Eigen::Vector3d drift_per_hour = Eigen::Vector3d::Zero();   ///< R/h, zero at the start of the world's time.
   Eigen::Vector3d offset_per_degc = Eigen::Vector3d::Zero();  ///< R/degC, from the first temperature_degc on.
 
-  // Beyond physics.md section 5 (section 7.2). "Span" is BenchTruth::span_s, t its time from -1/2 to 1/2.
+  // Beyond the published model (docs/effects.md). "Span" is BenchTruth::span_s, t its time from -1/2 to 1/2.
   Eigen::Vector3d k4 = Eigen::Vector3d::Zero();  ///< 1/R^3: + k4 (l - O)^4.
   Eigen::Vector3d k5 = Eigen::Vector3d::Zero();  ///< 1/R^4: + k5 (l - O)^5.
   /// 1: + asymmetry |l - O|: the scale for + and for - differ by twice this.

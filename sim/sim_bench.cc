@@ -21,8 +21,8 @@ constexpr std::uint64_t kPoseMinus90 = 270'000'000;
 // exp(-40) is below the resolution of a double: the ring-down is over.
 constexpr double kRingDownTimeConstants = 40.0;
 constexpr double kMicro = 1e-6;
-constexpr int kDrawnErrorOrders = 6;   // physics.md section 7.2, smooth step errors
-constexpr int kDrawnWobbleOrders = 3;  // physics.md section 7.2, wobble
+constexpr int kDrawnErrorOrders = 6;   // docs/effects.md, smooth step errors
+constexpr int kDrawnWobbleOrders = 3;  // docs/effects.md, wobble
 constexpr double kSmallestSpanS = 1e-3;
 
 /// The pose as an integer, so that a target reached by different sums is the same pose.

@@ -17,7 +17,7 @@
 
 namespace abcal::sim {
 
-/// What does not depend on how the accelerometer is mounted (physics.md section 1).
+/// What does not depend on how the accelerometer is mounted (docs/theory/model.md).
 struct TrueIntrinsicProperties {
   Eigen::Vector3d sensitivity;  ///< Norms of the rows u, v, w, in R/g_loc.
   std::array<Angle, 3> angle;   ///< phi_uv, phi_vw, phi_wu.
@@ -25,7 +25,7 @@ struct TrueIntrinsicProperties {
 };
 
 /// The least-squares linear function through the noise-free outputs over all directions of gravity
-/// (physics.md section 7.1): what a calibration is to find.
+/// (docs/effects.md): what a calibration is to find.
 struct TrueLineResponse {
   Eigen::Matrix3d
       sensitivity_matrix;  ///< Rows u, v, w along x, y, z of the LGCS, default orientation; R/g_loc.
@@ -48,10 +48,10 @@ struct SimOutput {
 /// index, never on the order of calls; the only history a pose has is backlash and hysteresis. Moves must be
 /// commanded in order of time.
 ///
-/// Physics: physics.md sections 2 and 7.2. The platter's orientation is Rot(X, thetaX) Rot(Z, thetaZ), each
-/// followed by the wobble of its axis, applied to its orientation at rest, tilted with Z. Eigen turns the
-/// vectors; no formula of the analysis is used here. The accelerometer sits where the axes cross: no
-/// centripetal acceleration. Safe to use from several threads.
+/// Physics: docs/theory/model.md, docs/effects.md. The platter's orientation is Rot(X, thetaX) Rot(Z,
+/// thetaZ), each followed by the wobble of its axis, applied to its orientation at rest, tilted with Z. Eigen
+/// turns the vectors; no formula of the analysis is used here. The accelerometer sits where the axes cross:
+/// no centripetal acceleration. Safe to use from several threads.
 class SimBench {
  public:
   /// `start` is the zero of the world's time (drift, temperature).

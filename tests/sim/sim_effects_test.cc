@@ -1,4 +1,4 @@
-// The effects of physics.md section 7.2 in the simulated world, each against a formula of its own.
+// The effects of docs/effects.md in the simulated world, each against a formula of its own.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
