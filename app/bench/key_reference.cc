@@ -25,7 +25,7 @@ std::string meaning_path(const std::string& section, const std::string& key) {
   return path.empty() ? key : path + "." + key;
 }
 
-/// The unit that the ending of a name tells.
+/// The unit that the ending of a name gives.
 std::string unit_of_name(const std::string& key) {
   constexpr std::pair<const char*, const char*> kEndings[] = {{"_deg_per_s2", "degree/s2"},
                                                               {"_deg_per_s", "degree/s"},
