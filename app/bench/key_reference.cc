@@ -68,6 +68,13 @@ std::string choices_text(const std::string& key, const std::vector<std::string>&
   return fmt::format("{}", fmt::join(words, ", "));
 }
 
+/// A bar would end the cell of a Markdown table.
+std::string in_table_cell(std::string text) {
+  for (std::size_t at = text.find('|'); at != std::string::npos; at = text.find('|', at + 2))
+    text.insert(at, "\\");
+  return text;
+}
+
 /// Notes every key that it is shown, with its default.
 class KeyCollector final : public KeyVisitor {
  public:
@@ -109,7 +116,8 @@ class KeyCollector final : public KeyVisitor {
     add(key, "uncertainty", range_text({0.0, most}), real_text(stated.value));
     found_.back().unit = unit;
     for (const EffectSizeKey& size : effect_size_keys()) {
-      if (size.key == key) found_.back().meaning = "Standard uncertainty: " + std::string(size.words) + ".";
+      if (size.key == key)
+        found_.back().meaning = "Standard uncertainty: " + in_table_cell(std::string(size.words)) + ".";
     }
   }
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override {

@@ -94,8 +94,8 @@ std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
 }
 
 TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench) {
-  const sim::TrueLineResponse truth = mean_line_response(bench.simulation);
-  const Eigen::Matrix3d& s = truth.sensitivity_matrix;
+  const sim::TrueLineResponse line = mean_line_response(bench.simulation);
+  const Eigen::Matrix3d& s = line.sensitivity_matrix;
   const IntrinsicProperties intrinsic = intrinsic_properties(s);
   TruthComparison comparison;
   comparison.text = fmt::format("  {:<8} {:>14} {:>14} {:>12} {:>12}\n", "quantity", "truth", "result",
@@ -128,7 +128,7 @@ TruthComparison compare_with_truth(const CalibrationResult& result, const BenchC
     add(fmt::format("phi_{}", pairs[j]), intrinsic.angle_deg[static_cast<int>(j)], result.intrinsic_angle[j]);
   }
   for (std::size_t j = 0; j < 3; ++j) {
-    add(fmt::format("O_{}", names[j]), truth.offset[static_cast<int>(j)], result.offset[j]);
+    add(fmt::format("O_{}", names[j]), line.offset[static_cast<int>(j)], result.offset[j]);
   }
   comparison.text +=
       fmt::format("  largest difference: {:.2f} standard uncertainties; {} {}: {}\n", comparison.largest,

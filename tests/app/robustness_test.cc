@@ -8,7 +8,6 @@
 #include <set>
 #include <stdexcept>
 #include <string>
-#include <thread>
 
 #include "app/robustness/robustness_text.h"
 
@@ -91,17 +90,6 @@ TEST(RobustnessTest, ShortfallsFollowTheKindOfTheScenario) {
   outcome.kind = ScenarioKind::kWrong;
   outcome.usable = 5;
   EXPECT_TRUE(outcome.shortfalls().empty()) << "five usable runs say nothing of their intervals";
-}
-
-/// The whole table, as docs/effects.md has it: minutes.
-TEST(LongRobustness, EveryScenarioOfTheTable) {
-  RobustnessOptions options;
-  options.threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
-  const RobustnessStudy study = run_robustness_study(options);
-  for (const ScenarioOutcome& outcome : study.outcomes) {
-    for (const std::string& shortfall : outcome.shortfalls())
-      ADD_FAILURE() << outcome.scenario << ", " << outcome.estimator << ": " << shortfall;
-  }
 }
 
 }  // namespace
