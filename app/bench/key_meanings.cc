@@ -2,7 +2,6 @@
 #include <string>
 
 #include "app/bench/key_reference.h"
-#include "protocol/plan/effect_sizes.h"
 
 namespace abcal {
 namespace {
@@ -11,7 +10,7 @@ namespace {
 // `abcal plan --keys > docs/bench_file.md`. The unit is given where the ending of the name does not tell it.
 const std::map<std::string, KeyMeaning>& key_meanings() {
   static const std::map<std::string, KeyMeaning> meanings{
-      {"schema", {"Version of the format.", ""}},
+      {"schema", {"Version of the format. `abcal.bench/1` is the only one.", ""}},
       {"bench.name", {"Name of the bench, for the report.", ""}},
       {"bench.g_loc_mps2",
        {"Local gravity. Required unless `latitude_deg` and `height_m` are given.", "", true}},
@@ -203,68 +202,6 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.AXIS.harmonics.order", {"Order m of the harmonic of the axis's error map.", ""}},
       {"simulation.AXIS.harmonics.sin_deg", {"Coefficient of sin(m angle).", ""}},
       {"simulation.AXIS.harmonics.cos_deg", {"Coefficient of cos(m angle) - 1.", ""}},
-      {"protocol.estimator",
-       {"Estimator of the result and of the certificate, declared before the run. The others are shown as "
-        "plausibility checks.",
-        ""}},
-      {"simulation.k4", {"Non-linearity: + k4 (l - O)^4.", "1/R^3"}},
-      {"simulation.k5", {"Non-linearity: + k5 (l - O)^5.", "1/R^4"}},
-      {"simulation.asymmetry",
-       {"+ asymmetry \\|l - O\\|: the scales for + and - differ by twice this.", "1"}},
-      {"simulation.cross_ab",
-       {"S times this times the product of two relative outputs. a is the output itself, b and c the next "
-        "two in the order u, v, w, u.",
-        "1"}},
-      {"simulation.cross_ac", {"Likewise for a and c.", "1"}},
-      {"simulation.cross_bc", {"Likewise for b and c.", "1"}},
-      {"simulation.cross_bb", {"Likewise for b and b.", "1"}},
-      {"simulation.cross_cc", {"Likewise for c and c.", "1"}},
-      {"simulation.hysteresis", {"Times the sign of the output's change in the last motion.", "R"}},
-      {"simulation.drift_1",
-       {"Times half the Legendre polynomial of 2t of order 1; t from -1/2 to 1/2 over the span.", "R"}},
-      {"simulation.drift_2", {"Likewise of order 2.", "R"}},
-      {"simulation.drift_3", {"Likewise of order 3.", "R"}},
-      {"simulation.exponential_drift", {"Times exp(-time / time constant).", "R"}},
-      {"simulation.exponential_drift_s", {"Time constant of `exponential_drift`.", ""}},
-      {"simulation.sinusoidal_drift", {"Amplitude of a sine in time.", "R"}},
-      {"simulation.sinusoidal_drift_period_s", {"Period of that sine.", ""}},
-      {"simulation.sinusoidal_drift_phase_deg", {"Phase of that sine at the start.", ""}},
-      {"simulation.sensitivity_drift",
-       {"Relative change of the sensitivity over the span, zero at its middle.", "1"}},
-      {"simulation.gain_step", {"Relative change of the sensitivity from `gain_step_at_s` on.", "1"}},
-      {"simulation.gain_step_at_s", {"Time of `gain_step`.", ""}},
-      {"simulation.random_walk", {"Standard deviation of a random walk at the end of the span.", "R"}},
-      {"simulation.flicker_noise", {"Standard deviation of noise with a spectrum of 1/frequency.", "R"}},
-      {"simulation.correlated_noise",
-       {"Standard deviation of noise with an exponential autocorrelation.", "R"}},
-      {"simulation.correlated_noise_s", {"Correlation time of `correlated_noise`.", ""}},
-      {"simulation.mount_creep_urad",
-       {"The mount turns by this about x, y, z of the platter, times 1 - exp(-time / time constant).", ""}},
-      {"simulation.mount_creep_s", {"Time constant of `mount_creep_urad`.", ""}},
-      {"simulation.span_s",
-       {"The span: the time of effects that act over a run, from the start of the simulated world.", ""}},
-      {"simulation.floor_tilt_x_urad",
-       {"Tilt of the base about x over the span, linear in time, zero at its middle.", ""}},
-      {"simulation.floor_tilt_y_urad", {"Likewise about y.", ""}},
-      {"simulation.sag_urad",
-       {"Bending of the platform under its load: it turns by (direction of up) x sag, in platter "
-        "coordinates.",
-        ""}},
-      {"simulation.AXIS.smooth_error_deg",
-       {"Standard deviation of each coefficient of the smooth step errors of orders 1 to 6, drawn from the "
-        "seed.",
-        ""}},
-      {"simulation.AXIS.wobble_urad",
-       {"Standard deviation of each wobble coefficient of orders 1 to 3, drawn from the seed.", ""}},
-      {"simulation.AXIS.wobble.order", {"Order m of the wobble.", ""}},
-      {"simulation.AXIS.wobble.cos_1_urad",
-       {"Coefficient of cos(m angle) about direction 1: perpendicular to the axis, horizontal for X, nearest "
-        "to x for Z.",
-        ""}},
-      {"simulation.AXIS.wobble.sin_1_urad", {"Coefficient of sin(m angle) about direction 1.", ""}},
-      {"simulation.AXIS.wobble.cos_2_urad",
-       {"Coefficient of cos(m angle) about direction 2: the axis times direction 1.", ""}},
-      {"simulation.AXIS.wobble.sin_2_urad", {"Coefficient of sin(m angle) about direction 2.", ""}},
       {"simulation.link.latency_s", {"What comes back comes later by this time.", ""}},
       {"simulation.link.jitter_s", {"And by up to this more, in order.", ""}},
       {"fault.kind", {"What goes wrong; [emulate](emulate.md#faults) describes each kind.", ""}},
@@ -313,13 +250,6 @@ const std::map<std::string, std::string>& section_texts() {
       {"simulation", "The truth of simulated and emulated instruments. A run never sees it."},
       {"simulation.x", "The simulated outer axis: actual angle = commanded angle + error(commanded angle)."},
       {"simulation.x.harmonics", "Systematic part of the axis's error map; may be repeated."},
-      {"stage_uncertainty",
-       "Standard uncertainties of the stage: a number, or a table with its source "
-       "([effects](effects.md#how-sizes-are-stated)). 0 leaves the effect out."},
-      {"item_uncertainty",
-       "Standard uncertainties of the accelerometer under test, relative to its intrinsic sensitivity; "
-       "stated as in `[stage_uncertainty]`."},
-      {"simulation.x.wobble", "Given wobble of the axis; may be repeated."},
       {"simulation.link", "Timing of the simulated links."},
       {"fault", "A fault that the simulation injects; may be repeated ([emulate](emulate.md#faults))."},
       {"change",
@@ -333,10 +263,6 @@ const std::map<std::string, std::string>& section_texts() {
 }  // namespace
 
 KeyMeaning bench_key_meaning(const std::string& path) {
-  for (const EffectSizeKey& size : effect_size_keys()) {
-    if (path == std::string(size.section) + "." + std::string(size.key))
-      return {"Standard uncertainty: " + std::string(size.words) + ".", std::string(size.unit)};
-  }
   const auto found = key_meanings().find(path);
   return found == key_meanings().end() ? KeyMeaning{} : found->second;
 }

@@ -118,8 +118,6 @@ class KeyCollector final : public KeyVisitor {
     repeated_ = false;
     section_ = outer;
   }
-  /// Keys that are only read, as files of an older schema have them, are left out.
-  bool writes() const { return true; }
   std::vector<BenchKey> keys() { return std::move(found_); }
 
  private:
@@ -161,17 +159,24 @@ bool second_axis(const std::string& section) {
   return section.find(".z") != std::string::npos;
 }
 
-constexpr const char* kPageTop = R"(# The bench file: every key
-
-A bench file (TOML) describes stage, accelerometer, environment, local gravity and the measurement. This page is made
-from the program's own table of keys: `abcal plan --keys` prints it. Do not edit it. Commented examples:
-`docs/examples`. `abcal plan BENCH` reports every mistake of a file, with its line.
-
-- *Default*: the value where the key is absent, as TOML. `-`: no value; the meaning says what happens then.
-- *Range*: empty where any value of the type is accepted. Numbers must be finite.
-- R is the response unit of the accelerometer (V, g, m/s2, LSB ...); other symbols: [notation](notation.md).
-- Unknown keys and sections are mistakes.
-)";
+constexpr const char* kPageTop =
+    "# The bench file: every key\n"
+    "\n"
+    "A bench file (TOML, schema `abcal.bench/1`) describes stage, accelerometer, environment, local gravity "
+    "and "
+    "the\n"
+    "measurement. This page is made from the program's own table of keys: `abcal plan --keys` prints it. Do "
+    "not "
+    "edit\n"
+    "it. Commented examples: `docs/examples`. `abcal plan BENCH` reports every mistake of a file, with its "
+    "line.\n"
+    "\n"
+    "- *Default*: the value where the key is absent, as TOML. `-`: no value; the meaning says what happens "
+    "then.\n"
+    "- *Range*: empty where any value of the type is accepted. Numbers must be finite.\n"
+    "- R is the response unit of the accelerometer (V, g, m/s2, LSB ...); other symbols: "
+    "[notation](notation.md).\n"
+    "- Unknown keys and sections are mistakes.\n";
 
 }  // namespace
 
