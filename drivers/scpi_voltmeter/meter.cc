@@ -218,7 +218,7 @@ void Meter::run_out_of_time() {
         return;
       }
       stage_ = Stage::kAwaitingIdentity;
-      identity_asked_ = 0;  // The next call asks anew.
+      identity_asked_ = 0;  // The next call asks again.
       fail(Fault::kNoReply, complaint_ + ", and no answer to \"*IDN?\" and \"SYST:ERR?\" after that");
   }
 }
