@@ -3,7 +3,9 @@
 #include <nlohmann/json.hpp>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/key_reference.h"
 #include "app/commands/commands.h"
+#include "app/results/effect_words.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/progress.h"
@@ -41,13 +43,22 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string bench_file;
     bool json = false;
+    bool keys = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
       parent.add_subcommand("plan", "Show the sequence, its duration, and every problem of the bench file");
-  command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
+  CLI::Option* bench = command->add_option("BENCH", options->bench_file, "bench file (TOML)");
   command->add_flag("--json", options->json, "print one JSON object");
+  command->add_flag("--keys", options->keys, "print the reference of all keys of a bench file (Markdown)")
+      ->excludes(bench);
   command->callback([options, &exit_code] {
+    if (options->keys) {
+      print_result("{}", bench_file_page());
+      exit_code = kExitDone;
+      return;
+    }
+    if (options->bench_file.empty()) throw CLI::RequiredError("BENCH");
     const BenchConfig config = read_bench(options->bench_file);
     for (const std::string& warning : config.warnings) print_warning(warning);
     const KnownAxis x = known_axis(config.stage, config.stage.x, config.simulation.x);
@@ -63,6 +74,8 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
                                   {"settling_s", duration.settling_s},
                                   {"dwelling_s", duration.dwelling_s},
                                   {"travel_assumed", x.travel_assumed || z.travel_assumed},
+                                  {"estimator", config.protocol.estimator},
+                                  {"default_effects", unstated_effects(config.tolerances)},
                                   {"cable_twist_deg",
                                    {{"x", {twist[0].min.deg(), twist[0].max.deg()}},
                                     {"z", {twist[1].min.deg(), twist[1].max.deg()}}}}};
@@ -101,6 +114,9 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
           "the stage is parked at zero. Where they do not reach so far, say travel_min_deg and "
           "travel_max_deg.\n",
           twist[0].min.deg(), twist[0].max.deg(), twist[1].min.deg(), twist[1].max.deg());
+      print_result("The result will be that of the {} estimator.\n", config.protocol.estimator);
+      if (const std::string words = default_effects_words(config.tolerances); !words.empty())
+        print_result("Note: {}.\n", words);
       if (x.travel_assumed || z.travel_assumed) {
         print_result(
             "The travel of the stage was taken as -360 to 360 deg where the bench file does not say; `run` "
