@@ -73,7 +73,7 @@ class Session::Observer final : public RunObserver {
     session_.tell_(DwellSeen{position, dwell, RealClock().utc_now()});
     store_notes();
   }
-  void notice(std::string_view text) override {
+  void notice(std::string_view, std::string_view text) override {
     session_.tell_(LogLine{LogLine::Grade::kWarning, std::string(text)});
   }
   bool hold_wanted() override {

@@ -55,7 +55,7 @@ void TerminalObserver::dwell(std::size_t position, const DwellRecord&) {
   measured_.insert(position);
 }
 
-void TerminalObserver::notice(std::string_view text) {
+void TerminalObserver::notice(std::string_view, std::string_view text) {
   bar_.line(emphasised(stderr, Emphasis::kWarning, fmt::format("flag: {}", text)));
 }
 
@@ -159,12 +159,10 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
   // Simulated time has one thread only.
   std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
   if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
-  RunProgress progress = so_far;
-  progress.tolerances = config.tolerances;
-  progress.expected = config.expected;
-  progress.g_loc_mps2 = config.g_loc.value_mps2;
-  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()}, plan,
-                         progress, config.protocol, config.limits, file, observer, stop);
+  const RunSettings settings{config.protocol, config.limits, config.tolerances, config.expected,
+                             config.g_loc.value_mps2};
+  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()},
+                         {plan, settings, so_far}, file, observer, stop);
 }
 
 RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,

@@ -23,7 +23,7 @@ class TerminalObserver final : public RunObserver {
 
   void phase(std::size_t position, RunPhase phase) override;
   void dwell(std::size_t position, const DwellRecord& dwell) override;
-  void notice(std::string_view text) override;
+  void notice(std::string_view, std::string_view text) override;
   void finish() { bar_.clear(); }
   std::size_t measured() const { return measured_.size(); }
 

@@ -17,7 +17,7 @@ class InProcessRun::Observer final : public RunObserver {
     run_.reported_.insert(position);
     note_time();
   }
-  void notice(std::string_view) override {}
+  void notice(std::string_view, std::string_view) override {}
   void note_time() {
     const Clock::Instant now = clock_.now();
     run_.longest_angle_s_ = std::max(run_.longest_angle_s_, to_seconds(now - std::exchange(last_, now)));
