@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <charconv>
 
-#include "app/bench/toml_reader.h"
+#include "app/toml/toml_reader.h"
 #include "app/certificate/derived.h"
 #include "app/certificate/iso_codes.h"
 

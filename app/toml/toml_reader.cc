@@ -1,4 +1,4 @@
-#include "app/bench/toml_reader.h"
+#include "app/toml/toml_reader.h"
 
 #include <algorithm>
 #include <cmath>

@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/bench/key_visitor.h"
+#include "app/toml/key_visitor.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal {

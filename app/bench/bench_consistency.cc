@@ -1,0 +1,138 @@
+#include "app/bench/bench_consistency.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <utility>
+
+#include "app/bench/bench_keys.h"
+#include "protocol/gravity/local_gravity.h"
+#include "protocol/plan/limits.h"
+
+namespace abcal {
+namespace {
+
+constexpr const char* kPortWords = "a port: a path, usb:VID:PID[:SERIAL], tcp:HOST:PORT, or \"simulated\"";
+
+/// One controller for both axes, or one for each; what needs bytes has a port.
+void check_stage_ports(TomlReader& reader, StageConfig& stage) {
+  if (!stage.split()) {
+    if (stage.driver.empty())
+      reader.add_problem("stage.driver", "nothing", "one of " + joined(stage_driver_names()));
+    const bool no_bytes = stage.driver == "simulated" || stage.driver == "manual_stage";
+    if (no_bytes && stage.port.empty()) stage.port = stage.driver;
+    if (no_bytes && stage.port != stage.driver)
+      reader.add_problem("stage.port", "\"" + stage.port + "\"",
+                         "\"" + stage.driver + "\", as the driver is");
+    if (stage.port.empty()) reader.add_problem("stage.port", "nothing", kPortWords);
+    for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
+      if (!axis->port.empty())
+        reader.add_problem(std::string(section) + ".port", "\"" + axis->port + "\"",
+                           "a driver beside it, and both for the other axis, or neither");
+    }
+    return;
+  }
+  for (const auto& [key, value] : {std::pair{"driver", stage.driver}, std::pair{"port", stage.port}}) {
+    if (!value.empty())
+      reader.add_problem(std::string("stage.") + key, "\"" + value + "\"",
+                         "nothing, as [stage.x] and [stage.z] have their own");
+  }
+  for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
+    if (axis->driver.empty())
+      reader.add_problem(std::string(section) + ".driver", "nothing", "a driver, as the other axis has one");
+    if (axis->port.empty()) reader.add_problem(std::string(section) + ".port", "nothing", kPortWords);
+  }
+}
+
+void check_gravity(TomlReader& reader, const toml::table& root, BenchConfig& c) {
+  const bool value_given = root.at_path("bench.g_loc_mps2").node() != nullptr;
+  if (!value_given && !(c.latitude_deg && c.height_m)) {
+    reader.add_problem("bench.g_loc_mps2", "neither g_loc_mps2 nor latitude_deg and height_m",
+                       "local gravity in m/s2 (a survey is best), or latitude and height for a formula");
+  } else if (!value_given && std::isfinite(*c.latitude_deg) && std::isfinite(*c.height_m)) {
+    const FormulaGravity formula = formula_gravity(Angle::degrees(*c.latitude_deg), *c.height_m);
+    c.g_loc = {formula.value_mps2, 2.0 * formula.standard_uncertainty_mps2, 2.0, formula.source};
+    c.warnings.push_back(formula.warning);
+  }
+}
+
+void check_stage_axes(TomlReader& reader, const StageConfig& stage) {
+  const auto check_travel = [&](const std::string& section, const auto& min, const auto& max) {
+    if (min && max && !(*min < *max)) {
+      reader.add_problem(section + ".travel_min_deg", fmt::format("{} to {}", *min, *max),
+                         "travel_min_deg < travel_max_deg");
+    }
+  };
+  check_travel("stage.x", stage.x.travel_min_deg, stage.x.travel_max_deg);
+  check_travel("stage.z", stage.z.travel_min_deg, stage.z.travel_max_deg);
+  for (const auto& [section, axis] :
+       {std::pair{"stage.x.sign", &stage.x}, std::pair{"stage.z.sign", &stage.z}}) {
+    if (axis->sign == 0) reader.add_problem(section, "0", "1 or -1");
+  }
+  if (!stage.split() && stage.x.axis == stage.z.axis) {
+    reader.add_problem("stage.z.axis", "\"" + stage.z.axis + "\", the same as [stage.x] axis",
+                       "two different axes");
+  }
+}
+
+void check_plan_and_item(TomlReader& reader, const BenchConfig& c) {
+  if (c.protocol.step.deg() * (c.protocol.steps - 1) >= 360.0) {
+    reader.add_problem("protocol.steps",
+                       fmt::format("{} steps of {} deg", c.protocol.steps, c.protocol.step.deg()),
+                       "steps * step_deg <= 360");
+  }
+  if (!(c.limits.temperature_min_degc < c.limits.temperature_max_degc)) {
+    reader.add_problem("limits.temperature_min_degc",
+                       fmt::format("{} to {}", c.limits.temperature_min_degc, c.limits.temperature_max_degc),
+                       "temperature_min_degc < temperature_max_degc");
+  }
+  if (!mounting_matrix(c.expected.mounting)) {
+    reader.add_problem("item.mounting", "\"" + c.expected.mounting + "\"",
+                       "the axes along which u, v and w point, each once, as \"x y z\" or \"-y x z\"");
+  }
+}
+
+void check_sensor_ports(TomlReader& reader, BenchConfig& c) {
+  if (c.accelerometer.driver == "simulated") {
+    if (c.accelerometer.port.empty()) c.accelerometer.port = "simulated";
+    if (c.accelerometer.port != "simulated")
+      reader.add_problem("accelerometer.port", "\"" + c.accelerometer.port + "\"",
+                         "\"simulated\", as the driver is");
+  } else if (c.accelerometer.port.empty()) {
+    reader.add_problem("accelerometer.port", "nothing", kPortWords);
+  }
+  if (c.environment.driver.empty() != c.environment.port.empty())
+    reader.add_problem(c.environment.port.empty() ? "environment.port" : "environment.driver", "nothing",
+                       "driver and port, or neither");
+  for (int j = 0; j < 3; ++j) {
+    if (c.accelerometer.scale[j] == 0.0) reader.add_problem("accelerometer.scale", "0", "no zeros");
+  }
+}
+
+void check_faults_and_changes(TomlReader& reader, const BenchConfig& c) {
+  for (std::size_t i = 0; i < c.faults.size(); ++i) {
+    if (c.faults[i].kind.empty()) continue;  // reported already
+    if (const auto problem = problem_of(c.faults[i]))
+      reader.add_problem(fmt::format("fault[{}].kind", i), *problem,
+                         "instrument = \"stage\" or \"accelerometer\"");
+  }
+  for (std::size_t i = 1; i < c.changes.size(); ++i) {
+    if (c.changes[i].at_s < c.changes[i - 1].at_s)
+      reader.add_problem(fmt::format("change[{}].at_s", i),
+                         fmt::format("{} after {}", c.changes[i].at_s, c.changes[i - 1].at_s),
+                         "changes in order of time");
+  }
+}
+
+}  // namespace
+
+void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c) {
+  check_gravity(reader, root, c);
+  check_stage_axes(reader, c.stage);
+  check_plan_and_item(reader, c);
+  check_stage_ports(reader, c.stage);
+  check_sensor_ports(reader, c);
+  check_faults_and_changes(reader, c);
+}
+
+}  // namespace abcal

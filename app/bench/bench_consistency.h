@@ -1,0 +1,13 @@
+#pragma once
+
+#include "app/bench/bench_config.h"
+#include "app/toml/toml_reader.h"
+
+namespace abcal {
+
+/// Reports every problem that needs more than one key of the bench file to be seen, and fills in what follows
+/// from other keys (local gravity from latitude and height, the port of simulated instruments).
+/// @param root  the file that `reader` reads
+void check_together(TomlReader& reader, const toml::table& root, BenchConfig& config);
+
+}  // namespace abcal

@@ -1,0 +1,269 @@
+#include "app/bench/bench_keys.h"
+
+#include <cmath>
+#include <optional>
+
+#include "drivers/registry.h"
+
+namespace abcal {
+namespace {
+
+std::vector<std::string> names_and_simulated(const auto& drivers) {
+  std::vector<std::string> names;
+  for (const auto& driver : drivers) names.push_back(driver.name);
+  names.push_back("simulated");
+  return names;
+}
+
+void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisConfig& axis) {
+  keys.section(section);
+  keys.text("axis", axis.axis);
+  keys.integer("sign", axis.sign, -1, 1);
+  keys.angle("zero_deg", axis.zero, kAny);
+  keys.number("travel_min_deg", axis.travel_min_deg, kAny);
+  keys.number("travel_max_deg", axis.travel_max_deg, kAny);
+  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
+  std::vector<std::string> drivers{""};
+  for (const StageDriver& driver : stage_drivers()) drivers.push_back(driver.name);
+  keys.text("driver", axis.driver, drivers);
+  keys.text("port", axis.port);
+  keys.integer("baud", axis.baud, 300, 4'000'000);
+  keys.text("address", axis.address);
+}
+
+void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTruth& axis) {
+  keys.section(section);
+  keys.angle("mean_step_error_deg", axis.mean_step_error, kAny);
+  keys.angle("initial_turn_error_deg", axis.initial_turn_error, kAny);
+  keys.angle("step_error_deg", axis.step_error_sd, kNotNegative);
+  keys.angle("backlash_deg", axis.backlash, kNotNegative);
+  keys.angle("travel_min_deg", axis.travel_min, kAny);
+  keys.angle("travel_max_deg", axis.travel_max, kAny);
+  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
+  keys.number("acceleration_deg_per_s2", axis.acceleration_deg_per_s2, kPositive);
+  keys.angle("encoder_resolution_deg", axis.encoder_resolution, kNotNegative);
+  keys.list("harmonics", axis.harmonics, sim::ErrorHarmonic{},
+            [](KeyVisitor& entry, sim::ErrorHarmonic& harmonic) {
+              entry.integer("order", harmonic.order, 1, 1000);
+              entry.angle("sin_deg", harmonic.sin_coefficient, kAny);
+              entry.angle("cos_deg", harmonic.cos_coefficient, kAny);
+            });
+}
+
+void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
+  keys.matrix("sensitivity_matrix", s.sensitivity_matrix);
+  keys.vector("offset", s.offset);
+  keys.vector("k2", s.k2);
+  keys.vector("k3", s.k3);
+  keys.vector("drift_per_hour", s.drift_per_hour);
+  keys.vector("offset_per_degc", s.offset_per_degc);
+  keys.number("noise", s.noise, kNotNegative);
+  keys.number("quantisation", s.quantisation, kNotNegative);
+  std::optional<double> full_scale;
+  if (std::isfinite(s.full_scale)) full_scale = s.full_scale;
+  keys.number("full_scale", full_scale, kPositive);
+  s.full_scale = full_scale.value_or(kInfinity);
+  keys.number("ring_down_amplitude", s.ring_down_amplitude, kNotNegative);
+  keys.number("ring_down_frequency_hz", s.ring_down_frequency_hz, kNotNegative);
+  keys.number("ring_down_decay_s", s.ring_down_decay_s, kPositive);
+  keys.number("temperature_degc", s.temperature_degc, {-100.0, 200.0});
+  keys.number("temperature_per_hour", s.temperature_per_hour, kAny);
+}
+
+void visit_bench(KeyVisitor& keys, BenchConfig& c) {
+  keys.section("bench");
+  keys.text("name", c.name);
+  keys.number("g_loc_mps2", c.g_loc.value_mps2, {9.5, 10.0});
+  keys.number("g_loc_expanded_uncertainty_mps2", c.g_loc.expanded_uncertainty_mps2, kNotNegative);
+  keys.number("g_loc_k", c.g_loc.coverage_factor, kPositive);
+  keys.text("g_loc_source", c.g_loc.source);
+  keys.number("latitude_deg", c.latitude_deg, {-90.0, 90.0});
+  keys.number("height_m", c.height_m, {-500.0, 9000.0});
+}
+
+void visit_item(KeyVisitor& keys, BenchConfig& c) {
+  keys.section("item");
+  keys.text("maker", c.item.maker);
+  keys.text("model", c.item.model);
+  keys.text("serial_number", c.item.serial_number);
+  keys.text("range", c.item.range);
+  keys.text("filter", c.item.filter);
+  keys.text("firmware", c.item.firmware);
+  keys.text("supply", c.item.supply);
+  keys.number("nominal_sensitivity", c.expected.nominal_sensitivity, kPositive);
+  keys.number("sensitivity_tolerance", c.expected.sensitivity_tolerance, {0.0, 1.0, true});
+  keys.text("mounting", c.expected.mounting);
+
+  keys.section("operator");
+  keys.text("name", c.operator_name);
+}
+
+void visit_stage(KeyVisitor& keys, StageConfig& stage) {
+  keys.section("stage");
+  keys.text("driver", stage.driver, stage_driver_names());
+  keys.text("port", stage.port);
+  keys.integer("baud", stage.baud, 300, 4'000'000);
+  keys.text("address", stage.address);
+  keys.text("serial_number", stage.serial_number);
+  keys.text("level_file", stage.level_file);
+  visit_stage_axis(keys, "stage.x", stage.x);
+  visit_stage_axis(keys, "stage.z", stage.z);
+}
+
+void visit_accelerometer(KeyVisitor& keys, AccelerometerConfig& a) {
+  keys.section("accelerometer");
+  keys.required_text("driver", a.driver, names_and_simulated(accelerometer_drivers()));
+  keys.text("port", a.port);
+  keys.integer("baud", a.baud, 300, 4'000'000);
+  keys.number("rate_hz", a.rate_hz, {0.0, 10'000.0, true});
+  keys.text("response_unit", a.response_unit);
+  keys.number("full_scale", a.full_scale, kPositive);
+  keys.text("serial_number", a.serial_number);
+  keys.vector("scale", a.scale);
+  keys.vector("bias", a.bias);
+  keys.integers("channels", a.channels, 0, 99'999);
+  keys.number("range_v", a.range_v, kPositive);
+  keys.number("integration_plc", a.integration_plc, {0.0, 1000.0, true});
+  keys.integers("columns", a.columns, 1, 1000);
+  keys.text("separator", a.separator);
+  keys.text("comment", a.comment);
+}
+
+void visit_environment(KeyVisitor& keys, EnvironmentConfig& e) {
+  keys.section("environment");
+  keys.number("temperature_degc", e.temperature_degc, {-100.0, 200.0});
+  keys.number("humidity_percent", e.humidity_percent, {0.0, 100.0});
+  keys.number("pressure_hpa", e.pressure_hpa, {300.0, 1200.0});
+  keys.text("driver", e.driver, {"", "text_line"});
+  keys.text("port", e.port);
+  keys.integer("baud", e.baud, 300, 4'000'000);
+  keys.integer("temperature_column", e.temperature_column, 0, 1000);
+  keys.integer("humidity_column", e.humidity_column, 0, 1000);
+  keys.integer("pressure_column", e.pressure_column, 0, 1000);
+  keys.text("separator", e.separator);
+  keys.text("comment", e.comment);
+}
+
+void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
+  keys.section("protocol");
+  keys.integer("steps", p.steps, 4, 7200);
+  keys.angle("step_deg", p.step, {0.0, 180.0, true});
+  keys.boolean("closing_angle", p.closing_angle);
+  keys.angle("approach_deg", p.approach, {0.0, 45.0});
+  keys.angle("position_window_deg", p.position_window, {0.0, 5.0, true});
+  keys.integer("window_polls", p.window_polls, 1, 1000);
+  keys.number("poll_interval_s", p.poll_interval_s, {0.0, 10.0, true});
+  keys.number("motion_timeout_s", p.motion_timeout_s, {0.0, 86'400.0, true});
+  keys.number("homing_timeout_s", p.homing_timeout_s, {0.0, 86'400.0, true});
+  keys.number("settle_s", p.settle_s, {0.0, 86'400.0});
+  keys.number("quiet_timeout_s", p.quiet_timeout_s, {0.0, 86'400.0});
+  keys.integer("dwell_readings", p.dwell_readings, 4, 1'000'000);
+  keys.number("mains_hz", p.mains_hz, {0.0, 1000.0});
+  keys.number("reading_timeout_s", p.reading_timeout_s, {0.0, 3600.0, true});
+  keys.number("warm_up_s", p.warm_up_s, {0.0, 604'800.0});
+  keys.number("replug_timeout_s", p.replug_timeout_s, {0.0, 604'800.0});
+  keys.number("stability_s", p.stability_s, {0.0, 86'400.0});
+  keys.number("stability_timeout_s", p.stability_timeout_s, {0.0, 604'800.0});
+}
+
+void visit_tolerances(KeyVisitor& keys, Tolerances& t) {
+  keys.section("tolerances");
+  keys.angle("alignment_deg", t.alignment, {0.0, 10.0});
+  keys.angle("step_deg", t.step, {0.0, 10.0});
+  keys.angle("initial_turn_deg", t.initial_turn, {0.0, 10.0});
+  keys.angle("zero_deg", t.zero, {0.0, 10.0});
+  keys.number("drift", t.drift, {0.0, 1.0});
+}
+
+void visit_limits(KeyVisitor& keys, LimitsConfig& l) {
+  keys.section("limits");
+  keys.number("max_lost_fraction", l.max_lost_fraction, {0.0, 1.0});
+  keys.number("temperature_min_degc", l.temperature_min_degc, kAny);
+  keys.number("temperature_max_degc", l.temperature_max_degc, kAny);
+  keys.integer("max_replugs", l.max_replugs, 0, 1000);
+  keys.number("temperature_change_degc", l.temperature_change_degc, kPositive);
+  keys.number("temperature_wait_s", l.temperature_wait_s, {0.0, 604'800.0});
+  keys.number("spread_factor", l.spread_factor, {1.0, kInfinity, true});
+  keys.integer("repeats", l.repeats, 0, 1000);
+  keys.number("norm_fraction", l.norm_fraction, kPositive);
+  keys.number("stability", l.stability, kPositive);
+  keys.number("stability_degc", l.stability_degc, kPositive);
+  keys.angle("mounting_deg", l.mounting, {0.0, 180.0, true});
+  keys.angle("slip_deg", l.slip, {0.0, 180.0, true});
+  keys.angle("angle_deg", l.angle, {0.0, 180.0, true});
+  keys.number("drift", l.drift, kPositive);
+}
+
+void visit_simulation(KeyVisitor& keys, sim::BenchTruth& s) {
+  keys.section("simulation");
+  keys.seed("seed", s.seed);
+  visit_output_truth(keys, s);
+  keys.boolean("noise_seeded_by_angle", s.noise_seeded_by_angle);
+  keys.number("zx", s.zx, {-0.1, 0.1});
+  keys.number("zy", s.zy, {-0.1, 0.1});
+  keys.number("xz", s.xz, {-0.1, 0.1});
+  visit_axis_truth(keys, "simulation.x", s.x);
+  visit_axis_truth(keys, "simulation.z", s.z);
+}
+
+void visit_link(KeyVisitor& keys, sim::LinkTiming& link) {
+  keys.section("simulation.link");
+  double latency_s = to_seconds(link.latency), jitter_s = to_seconds(link.jitter);
+  keys.number("latency_s", latency_s, {0.0, 60.0});
+  keys.number("jitter_s", jitter_s, {0.0, 60.0});
+  link = {from_seconds(latency_s), from_seconds(jitter_s)};
+}
+
+}  // namespace
+
+std::vector<std::string> stage_driver_names() {
+  std::vector<std::string> names = names_and_simulated(stage_drivers());
+  names.insert(names.end(), {"manual_stage", ""});
+  return names;
+}
+
+void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
+  keys.required_text("kind", fault.kind, fault_names());
+  keys.text("instrument", fault.instrument,
+            {"", "stage", "stage-x", "stage-z", "accelerometer", "accelerometer-u", "accelerometer-v",
+             "accelerometer-w", "environment"});
+  keys.text("axis", fault.axis, {"x", "z"});
+  keys.number("at_s", fault.at_s, kNotNegative);
+  keys.number("for_s", fault.for_s, kNotNegative);
+  keys.integer("at_write", fault.at_write, 1, 1'000'000'000);
+  keys.integer("for_writes", fault.for_writes, 1, 1'000'000'000);
+  keys.number("value", fault.value, kAny);
+  keys.text("output", fault.output, {"", "u", "v", "w"});
+  keys.text("text", fault.text);
+  keys.number("delay_s", fault.delay_s, kNotNegative);
+}
+
+void visit_change(KeyVisitor& keys, ChangeConfig& change) {
+  keys.number("at_s", change.at_s, kNotNegative);
+  visit_output_truth(keys, change.truth);
+}
+
+void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
+  keys.section("");
+  keys.text("schema", c.schema, {"abcal.bench/1"});
+  visit_bench(keys, c);
+  visit_item(keys, c);
+  visit_stage(keys, c.stage);
+  visit_accelerometer(keys, c.accelerometer);
+  visit_environment(keys, c.environment);
+  visit_protocol(keys, c.protocol);
+  visit_tolerances(keys, c.tolerances);
+  visit_limits(keys, c.limits);
+  visit_simulation(keys, c.simulation);
+  visit_link(keys, c.link);
+
+  keys.section("");
+  keys.list("fault", c.faults, FaultConfig{}, visit_fault);
+  keys.tables("change", c.changes.size(), [&](std::size_t i) {
+    // What a change does not name stays as it was.
+    if (i >= c.changes.size()) c.changes.push_back({0.0, i == 0 ? c.simulation : c.changes[i - 1].truth});
+    visit_change(keys, c.changes[i]);
+  });
+}
+
+}  // namespace abcal
