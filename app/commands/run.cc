@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <filesystem>
 #include <memory>
@@ -14,6 +13,7 @@
 #include "app/session/run_bench.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "app/system/terminal.h"
 
@@ -34,7 +34,7 @@ std::string timing_text(const RunTiming& t) {
 }  // namespace
 
 void print_warnings(const BenchConfig& config) {
-  for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
+  for (const std::string& warning : config.warnings) print_warning(warning);
 }
 
 int print_outcome(const RunOutcome& outcome, bool json) {
@@ -50,12 +50,12 @@ int print_outcome(const RunOutcome& outcome, bool json) {
                        {"settling_s", timing.settling_s},
                        {"dwelling_s", timing.dwelling_s},
                        {"overhead_s", timing.overhead_s}}}};
-    fmt::print("{}\n", output.dump(2));
+    print_result("{}\n", output.dump(2));
   } else {
-    fmt::print("{}\n{}\n", result_text(result, stdout),
-               emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
-    fmt::print("{}\n{}\n", comparison_text(outcome.results), timing_text(timing));
-    fmt::print("Run file: {} (SHA-256 {})\n", outcome.path.string(), outcome.sha256);
+    print_result("{}\n{}\n", result_text(result, stdout),
+                 emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
+    print_result("{}\n{}\n", comparison_text(outcome.results), timing_text(timing));
+    print_result("Run file: {} (SHA-256 {})\n", outcome.path.string(), outcome.sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
@@ -136,7 +136,7 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
     RunSession session(at_terminal(terminal));
     const RunOutcome outcome = session.resume({options->run_file});
     if (outcome.measured_before) {
-      fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", options->run_file);
+      print_log("All angles of {} were measured already; it is analysed now\n", options->run_file);
     }
     exit_code = print_outcome(outcome, options->json);
   });

@@ -1,4 +1,5 @@
 #include "app/commands/terminal_listener.h"
+#include "app/system/output.h"
 
 #include <fmt/format.h>
 
@@ -24,23 +25,23 @@ void TerminalListener::finish() {
 }
 
 void TerminalListener::line(const std::string& text) {
-  const std::string shown = emphasised(stderr, Emphasis::kWarning, fmt::format("flag: {}", text));
+  const std::string shown = emphasised(stderr, Emphasis::kWarning, text);
   if (bar_) {
     bar_->line(shown);
   } else {
-    fmt::print(stderr, "{}\n", shown);
+    print_log("{}\n", shown);
   }
 }
 
 void TerminalListener::show(const RunBeganEvent& event) {
   if (options_.introduce && !event.resumed) {
-    fmt::print(stderr,
-               "Stage: {} {} (SN {})\nAccelerometer: {} {} (SN {}), {:g} readings/s in {}\n{} angles, about "
-               "{}{}\n",
-               event.stage.maker, event.stage.model, event.stage.serial_number, event.accelerometer.maker,
-               event.accelerometer.model, event.accelerometer.serial_number, event.rate_hz, event.unit,
-               event.plan.size(), describe_duration(event.estimated_s),
-               event.simulated_time ? " of simulated time (nothing real takes part)" : "");
+    print_log(
+        "Stage: {} {} (SN {})\nAccelerometer: {} {} (SN {}), {:g} readings/s in {}\n{} angles, about "
+        "{}{}\n",
+        event.stage.maker, event.stage.model, event.stage.serial_number, event.accelerometer.maker,
+        event.accelerometer.model, event.accelerometer.serial_number, event.rate_hz, event.unit,
+        event.plan.size(), describe_duration(event.estimated_s),
+        event.simulated_time ? " of simulated time (nothing real takes part)" : "");
   }
   begin(event.plan);
   for (const DwellDoneEvent& each : event.measured) measured_.insert(each.position);
@@ -64,16 +65,16 @@ void TerminalListener::show(const DwellDoneEvent& event) {
 }
 
 void TerminalListener::show(const ReplayComparedEvent& event) {
-  fmt::print(stderr, "Replay: {} of {} angles are exactly as recorded; {}\n", event.same, event.replayed,
-             event.ended_alike ? "it ended as the recorded run did"
-                               : "it did not end as the recorded run did, which says: " + event.recorded_end);
+  print_log("Replay: {} of {} angles are exactly as recorded; {}\n", event.same, event.replayed,
+            event.ended_alike ? "it ended as the recorded run did"
+                              : "it did not end as the recorded run did, which says: " + event.recorded_end);
 }
 
 void TerminalListener::show(const FinishedEvent& event) {
   finish();
   if (event.complete || !options_.tell_what_is_kept) return;
-  fmt::print(stderr, "{} of {} angles are measured and kept in {}{}\n", event.measured, event.planned,
-             event.file, options_.tell_how_to_resume ? "; go on with: abcal resume " + event.file : "");
+  print_log("{} of {} angles are measured and kept in {}{}\n", event.measured, event.planned, event.file,
+            options_.tell_how_to_resume ? "; go on with: abcal resume " + event.file : "");
 }
 
 }  // namespace abcal

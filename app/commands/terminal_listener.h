@@ -39,7 +39,7 @@ class TerminalListener {
   void show(const RunBeganEvent& event);
   void show(const PhaseEvent& event);
   void show(const DwellDoneEvent& event);
-  void show(const FlagEvent& event) { line(event.text); }
+  void show(const FlagEvent& event) { line("flag: " + event.text); }
   void show(const PortLostEvent& event) { line(event.text); }
   void show(const PortBackEvent& event) { line(event.text); }
   void show(const NoticeEvent& event) { line(event.text); }
