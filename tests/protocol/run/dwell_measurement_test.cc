@@ -105,7 +105,7 @@ TEST_F(DwellMeasurementTest, AnAxisThatDoesNotStayEndsTheRun) {
 
 TEST_F(DwellMeasurementTest, ReadingsThatOnlyTheDriverMissedCountAsLost) {
   accelerometer.output = [this](std::uint64_t k) {
-    if (k == 50) accelerometer.lost = 4;
+    if (k == 30) accelerometer.lost = 4;  // In the middle of the dwell.
     return noisy(k);
   };
   const MeasuredDwell measured = measure();
