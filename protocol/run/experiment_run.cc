@@ -158,9 +158,12 @@ class Runner {
     bool stage_lost = reconnector_->stage_lost();
     const std::string who = stage_lost ? stage_name() : accelerometer_name();
     // What stands still stays still meanwhile, also where the accelerometer was lost while the stage moved.
-    const bool halted = !stage_lost && stage_.halt();
-    note("lost", fmt::format("the port of {} is gone: {} ({}){}; waiting up to {} s for it to come back", who,
-                             lost.detail(), where_, halted ? "; the stage is halted" : "",
+    // Where a port of the stage is gone, the axis on the other one, if there is one, is halted.
+    const HaltReport halted = stage_.halt_axes();
+    note_stage_events();
+    note("lost", fmt::format("the port of {} is gone: {} ({}); {}; waiting up to {} s for it to come back",
+                             who, lost.detail(), where_,
+                             halted.all_halted() ? std::string("the stage is halted") : in_words(halted),
                              protocol_.replug_timeout_s));
     observer_.phase(measured_.size(), RunPhase::kReconnecting);
     const Clock::Instant deadline = clock_.now() + from_seconds(protocol_.replug_timeout_s);
@@ -211,6 +214,10 @@ class Runner {
   }
 
   /// Into the run file, and before the person.
+  void note_stage_events() {
+    for (const StageEvent& event : stage_.take_events()) note(event.kind, event.text);
+  }
+
   void note(std::string_view kind, const std::string& text) {
     file_.append_event(format_utc(utc()), kind, text);
     observer_.notice(text);
@@ -771,13 +778,18 @@ RunTiming run_experiments(const RunInstruments& instruments, const std::vector<P
   } catch (const std::exception& error) {
     reason = error.what();
   }
-  const bool halted = instruments.stage.halt();
+  const HaltReport halted = instruments.stage.halt_axes();
   instruments.accelerometer.stop();
   const std::string where = runner.where();
   std::string text = fmt::format("{} ({})", reason, where);
-  text += halted ? "; the stage is halted"
-                 : "; the stage did not acknowledge the halt: stop it by its own switch";
+  text += halted.all_halted() ? "; the stage is halted"
+                              : fmt::format(
+                                    "; the stage did not acknowledge the halt ({}): stop it by its own "
+                                    "switch",
+                                    in_words(halted));
   try {
+    for (const StageEvent& event : instruments.stage.take_events())
+      file.append_event(format_utc(instruments.clock.utc_now()), event.kind, event.text);
     file.set_state(RunState::kInterrupted, format_utc(instruments.clock.utc_now()), text);
   } catch (const RunFileError& error) {
     text += fmt::format("; the reason could not be stored ({})", error.what());

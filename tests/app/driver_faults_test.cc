@@ -51,9 +51,10 @@ struct Trouble {
   FaultKind kind;
   bool once = false;  ///< Ends with the next command (or after a second); else it lasts.
   enum class Outcome { kRight, kFault, kEither } outcome = Outcome::kEither;
-  std::set<Fault> faults{};  ///< Those that are right.
-  bool damages = false;      ///< What comes may pass for a sound reply where there are no checksums.
-  Clock::Duration delay{};   ///< Of kLateReply.
+  std::set<Fault> faults{};   ///< Those that are right.
+  bool damages = false;       ///< What comes may pass for a sound reply where there are no checksums.
+  Clock::Duration delay{};    ///< Of kLateReply.
+  bool late_refusal = false;  ///< A refusal comes, and late: it is the answer to its own command only.
 };
 
 const std::vector<Trouble>& troubles() {
@@ -77,6 +78,9 @@ const std::vector<Trouble>& troubles() {
       {"LateReplyOnceBy7s", FaultKind::kLateReply, true, kEither, {Fault::kNoReply}, false, 7s},
       {"LateReplies", FaultKind::kLateReply, false, kFault, {Fault::kNoReply}, false, 20s},
       {"RefusalOnce", FaultKind::kReplacedReply, true, kEither, refusal, true},
+      {"LateRefusalOnceBy1s", FaultKind::kReplacedReply, true, kEither, refusal, true, 1100ms, true},
+      {"LateRefusalOnceBy2s", FaultKind::kReplacedReply, true, kEither, refusal, true, 2100ms, true},
+      {"LateRefusalOnceBy7s", FaultKind::kReplacedReply, true, kEither, refusal, true, 7s, true},
       {"Unplugged", FaultKind::kUnplug, false, kFault, {Fault::kLinkLost}},
   };
   return all;
@@ -408,6 +412,10 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
       if (trouble().once) fault.until = *fault.at + 1s;
     }
     faulty.add(fault);
+    if (trouble().late_refusal) {
+      fault.kind = FaultKind::kLateReply;
+      faulty.add(fault);
+    }
 
     const Clock::Instant begin = rig->clock().now();
     try {
@@ -467,8 +475,8 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
         } catch (const InstrumentError& thrown) {
           error = thrown.what();
           // Nothing was asked that the instrument refuses: such an error is a late answer to something else.
-          EXPECT_TRUE(thrown.fault() != Fault::kRefused || nature_.measures_rate || trouble().damages)
-              << error;
+          const bool may_refuse = nature_.measures_rate || (trouble().damages && !trouble().late_refusal);
+          EXPECT_TRUE(thrown.fault() != Fault::kRefused || may_refuse) << error;
         }
         EXPECT_LE(rig.clock().now() - begin, nature_.deadline);
       }
@@ -496,7 +504,8 @@ TEST_P(DriverFaults, EveryCallEndsInTimeWithTheRightAnswerOrTheRightFault) {
       }
     }
   }
-  EXPECT_TRUE(refused_ > 0 || trouble().kind != FaultKind::kReplacedReply || nature_.refusal.empty());
+  EXPECT_TRUE(refused_ > 0 || trouble().kind != FaultKind::kReplacedReply || trouble().late_refusal ||
+              nature_.refusal.empty());
   RecordProperty("cases", static_cast<int>(cases));
   RecordProperty("longest_ms", static_cast<int>(1e3 * to_seconds(longest_)));
 }
