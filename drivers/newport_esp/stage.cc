@@ -69,8 +69,6 @@ wire::LineExchange::Manner manner() {
           .show = printable};
 }
 
-}  // namespace
-
 class NewportEspController final : public wire::LineController {
  public:
   NewportEspController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
@@ -432,6 +430,8 @@ class NewportEspController final : public wire::LineController {
   std::array<bool, 2> speed_set_{};
   std::array<int, 2> motion_error_{};  ///< That came up between other questions; 0: none.
 };
+
+}  // namespace
 
 NewportEspStage::NewportEspStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                                  const StageSettings& settings)

@@ -68,8 +68,6 @@ wire::LineExchange::Manner manner(const StageSettings& settings) {
           .show = printable};
 }
 
-}  // namespace
-
 class PiGcsController final : public wire::LineController {
  public:
   PiGcsController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
@@ -414,6 +412,8 @@ class PiGcsController final : public wire::LineController {
   std::array<bool, 2> speed_set_{};
   MotionQuery motion_query_ = MotionQuery::kMask;
 };
+
+}  // namespace
 
 PiGcsStage::PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
     : LineStage((check_settings(stream.get(), settings),

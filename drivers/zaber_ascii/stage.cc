@@ -106,8 +106,6 @@ std::optional<std::string> any_text(std::string_view data) {
   return std::string(data);
 }
 
-}  // namespace
-
 // A reply is known by its device, its axis and its message id, which runs through 0 to 99: a late one bears
 // an id that nobody waits for any more, and is skipped.
 class ZaberAsciiController final : public wire::LineController {
@@ -558,6 +556,8 @@ class ZaberAsciiController final : public wire::LineController {
   std::array<bool, 2> speed_set_{};
   std::array<bool, 2> halted_{};  ///< By us: that its motion was interrupted is then no surprise.
 };
+
+}  // namespace
 
 ZaberAsciiStage::ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                                  const StageSettings& settings)
