@@ -248,7 +248,7 @@ class Opener {
   std::map<std::string, HaltPort, std::less<>> halt_ports_;  ///< By InstrumentPort::name.
 };
 
-/// The instruments of a bench whose drivers can be made anew.
+/// The instruments of a bench whose drivers can be made again.
 class BenchReconnector final : public Reconnector {
  public:
   BenchReconnector(ReplaceableStage& stage, ReplaceableAccelerometer& accelerometer)

@@ -1,11 +1,11 @@
 #include "app/bench/stage_watchdog.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <utility>
 
+#include "app/system/output.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {
@@ -60,7 +60,7 @@ void StageWatchdog::watch(const std::stop_token& stop) {
       note(not_halted);
       halted_because_ += "; " + not_halted;
     }
-    spdlog::error("stage: {}", halted_because_);
+    print_error("stage: " + halted_because_);
   }
 }
 
