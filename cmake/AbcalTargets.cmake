@@ -63,6 +63,18 @@ function(abcal_add_library name)
   add_library(abcal::${name} ALIAS abcal_${name})
 endfunction()
 
+# abcal_add_driver(name SOURCES driver.cc codec.cc ... PRIVATE ...) makes the library of the driver in the folder name.
+# CODEC_NAME: what its codec is called in tests/fuzz, where that is not the name of the folder.
+function(abcal_add_driver name)
+  cmake_parse_arguments(ARG "" "CODEC_NAME" "SOURCES;PRIVATE" ${ARGN})
+  abcal_add_library(${name} SOURCES ${ARG_SOURCES} PUBLIC abcal::wire PRIVATE ${ARG_PRIVATE})
+  if(NOT ARG_CODEC_NAME)
+    set(ARG_CODEC_NAME ${name})
+  endif()
+  set_property(GLOBAL APPEND PROPERTY ABCAL_DRIVERS ${name})
+  set_property(GLOBAL PROPERTY ABCAL_CODEC_OF_${name} ${ARG_CODEC_NAME})
+endfunction()
+
 # abcal_add_test(name SOURCES ... LINK ...) makes test program name and of it two tests of ctest: all its quick
 # suites in one process, or in SHARDS of them side by side, and the suites whose name begins with "Long" (label long).
 # PROGRAM: its tests start the program abcal. TIMEOUT: seconds for the quick ones (default 300). UNSANITIZED: not run under
