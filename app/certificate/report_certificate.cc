@@ -1,10 +1,11 @@
-#include "app/certificate/certificate_command.h"
+#include "app/certificate/report_certificate.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
 
 #include "app/certificate/issue.h"
+#include "app/system/output.h"
 
 namespace abcal {
 namespace {
@@ -70,8 +71,7 @@ void add_certificate_options(CLI::App& command, CertificateOptions& options) {
 
 std::optional<DccSchema> schema_for(const CertificateOptions& options) {
   if (!options.schemas.empty()) return DccSchema(options.schemas);
-  fmt::print(stderr,
-             "note: the certificate follows the business rules; --schemas DIR validates it as well\n");
+  print_log("note: the certificate follows the business rules; --schemas DIR validates it as well\n");
   return std::nullopt;
 }
 

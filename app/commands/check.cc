@@ -5,6 +5,7 @@
 #include "app/commands/commands.h"
 #include "app/session/bench_check.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/terminal.h"
 
 namespace abcal {
@@ -33,7 +34,7 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "check", "Talk to both instruments, turn the stage a little, and say what is not as it should be");
+      "check", "Identify both instruments, turn the stage a little, and report what is wrong");
   command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
   command->add_flag("--no-motion", options->no_motion, "move nothing");
   command->add_flag("--json", options->json, "print one JSON object");
@@ -55,17 +56,17 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
                                     {"what", finding.what},
                                     {"found", finding.found},
                                     {"advice", finding.advice}});
-      fmt::print("{}\n", json.dump(2));
+      print_result("{}\n", json.dump(2));
     } else {
       for (const Finding& finding : findings) {
         const Emphasis emphasis = finding.grade == Finding::Grade::kProblem   ? Emphasis::kBad
                                   : finding.grade == Finding::Grade::kWarning ? Emphasis::kWarning
                                                                               : Emphasis::kNone;
-        fmt::print("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", word(finding.grade))),
-                   finding.what, finding.found);
-        if (!finding.advice.empty()) fmt::print("{:>8}  required: {}\n", "", finding.advice);
+        print_result("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", word(finding.grade))),
+                     finding.what, finding.found);
+        if (!finding.advice.empty()) print_result("{:>8}  required: {}\n", "", finding.advice);
       }
-      fmt::print(
+      print_result(
           "{}\n",
           problems > 0   ? fmt::format("{} problem{}: not fit for a run", problems, problems == 1 ? "" : "s")
           : warnings > 0 ? fmt::format("fit for a run, with {} warning{}", warnings, warnings == 1 ? "" : "s")

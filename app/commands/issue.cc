@@ -3,10 +3,11 @@
 #include <memory>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_command.h"
+#include "app/certificate/report_certificate.h"
 #include "app/certificate/issue.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "protocol/record/sha256.h"
 
@@ -57,11 +58,11 @@ void issue(const Options& options) {
   const IssuedCertificate issued =
       issue_certificate(certificate, schema ? &*schema : nullptr, key, format_utc(now));
   if (!options.dcc.empty()) OutputFile(options.dcc).write(issued.xml);
-  fmt::print("certificate {} of {}: measured by {}, approved by {}\n", issued.number, issued.date,
-             issued.measured_by, issued.approved_by);
-  if (!issued.replaces.empty()) fmt::print("it replaces {}: {}\n", issued.replaces, issued.reason);
-  fmt::print("kept in {}{}; SHA-256 of its XML {}\n", ResultsFile::path_beside(options.run).string(),
-             key ? ", signed" : "", sha256_of(issued.xml));
+  print_result("certificate {} of {}: measured by {}, approved by {}\n", issued.number, issued.date,
+               issued.measured_by, issued.approved_by);
+  if (!issued.replaces.empty()) print_result("it replaces {}: {}\n", issued.replaces, issued.reason);
+  print_result("kept in {}{}; SHA-256 of its XML {}\n", ResultsFile::path_beside(options.run).string(),
+               key ? ", signed" : "", sha256_of(issued.xml));
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include "app/results/result_text.h"
 #include "app/session/run_bench.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/version.h"
 #include "protocol/analysis/level.h"
 
@@ -103,19 +104,19 @@ CLI::App* add_level(CLI::App& parent, int& exit_code) {
     level.delta_z = {tilt.delta_z.value, tilt.delta_z.standard_uncertainty};
     write_level_file(output, level);
     if (options->json) {
-      fmt::print("{}\n", level_json(level).dump(2));
+      print_result("{}\n", level_json(level).dump(2));
     } else {
       const auto row = [](const char* name, const Quantity& q, const char* words) {
-        fmt::print("  {:<10} {:>28} {:<7} {}\n", name, value_with_uncertainty(q), q.unit, words);
+        print_result("  {:<10} {:>28} {:<7} {}\n", name, value_with_uncertainty(q), q.unit, words);
       };
-      fmt::print("From {} angles about Z at X = 0, and the four positions of the reversal:\n",
-                 plan.size() - 4);
+      print_result("From {} angles about Z at X = 0, and the four positions of the reversal:\n",
+                   plan.size() - 4);
       row("Delta_Z", tilt.delta_z, "tilt of the Z axis");
       row("Zx", tilt.zx, "its components");
       row("Zy", tilt.zy, "");
       row("Zx + Xz", x_zero.zx_plus_xz, "");
       row("X zero", x_zero.error, "actual minus commanded angle of X at 0");
-      fmt::print(
+      print_result(
           "Stored in {} (readings in {}). Under [stage] of a bench file, level_file = \"{}\" gives Zx, Zy "
           "and Xz to\n"
           "the joint estimator as data.\n",

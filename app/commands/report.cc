@@ -8,20 +8,21 @@
 #include <vector>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_command.h"
+#include "app/certificate/report_certificate.h"
 #include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
 #include "app/commands/commands.h"
 #include "app/report/calibration_document.h"
 #include "app/report/document_html.h"
 #include "app/report/document_text.h"
+#include "app/report/hdf5_export.h"
 #include "app/report/record_csv.h"
-#include "app/report/record_hdf5.h"
 #include "app/report/report_data.h"
 #include "app/report/report_json.h"
 #include "app/report/weasyprint.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/temporary_folder.h"
 #include "protocol/run/experiment_run.h"
@@ -44,7 +45,7 @@ struct Output {
 };
 
 void print_warnings(const HtmlPage& page) {
-  for (const std::string& warning : page.warnings) fmt::print(stderr, "warning: {}\n", warning);
+  for (const std::string& warning : page.warnings) print_warning(warning);
 }
 
 /// The certificate goes with its page: its XML is inside the PDF unless another file is asked for.
@@ -92,7 +93,7 @@ std::vector<Output> outputs_of(const Options& options, const ReportData& data,
     file.commit();
   });
   add("--hdf5", options.hdf5, [&data](OutputFile& file) {
-    write_hdf5(data, file.temporary(), file.path().filename().string());
+    export_hdf5(data, file.temporary(), file.path().filename().string());
     file.commit();
   });
   return outputs;
@@ -162,17 +163,18 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       OutputFile file(output.requested.path);
       output.write(file);
       // Standard output belongs to the JSON object if there is one.
-      fmt::print(options->json ? stderr : stdout, "{} written: {}\n", output.requested.option.substr(2),
-                 std::filesystem::absolute(output.requested.path).string());
+      const std::string text = fmt::format("{} written: {}\n", output.requested.option.substr(2),
+                                           std::filesystem::absolute(output.requested.path).string());
+      options->json ? print_log("{}", text) : print_result("{}", text);
       if (interrupt_token().stop_requested()) throw RunInterrupted("interrupted");
     }
     if (options->json) {
-      fmt::print("{}\n", report_json(data).dump(2));
+      print_result("{}\n", report_json(data).dump(2));
     } else if (outputs.empty()) {
-      fmt::print("{}", document_text(document, stdout));
+      print_result("{}", document_text(document, stdout));
     }
     for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : document.cautions)
-      fmt::print(stderr, "caution: {}\n", caution);
+      print_log("caution: {}\n", caution);
     exit_code = data.result().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
   });
   return command;

@@ -19,6 +19,7 @@
 #include "app/report/study_text.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "protocol/uncertainty/simulation_sets.h"
 
@@ -117,15 +118,15 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
     bool without_mean_step = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command =
-      parent.add_subcommand("simulate", "The simulations of Geist & Gaitan (2021), printed values beside");
+  CLI::App* command = parent.add_subcommand(
+      "simulate", "The simulations of Geist & Gaitan (2021), compared with the printed values");
   std::string sets;
   for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
   command->add_option("SET", options->set, "one of " + sets + "; or joint: the joint estimator's coverage")
       ->required();
   command->add_option("--trials", options->trials, "simulations (default: as many as in the paper)");
   command->add_option("--seed", options->seed, "seed of the random numbers")->capture_default_str();
-  command->add_option("--threads", options->threads, "threads; 0: as many as the machine has (same result)");
+  command->add_option("--threads", options->threads, "threads; 0: one per processor (same result)");
   command->add_option("--aut", options->aut,
                       "accelerometer: JSON with sensitivity_matrix and offset, or 12 numbers");
   command->add_option("--alignment", options->alignment, "alignment of the axes, degrees");
@@ -211,13 +212,13 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
     bar.clear();
     if (!options->csv.empty()) write_file(options->csv, study_csv(study));
     if (options->json) {
-      fmt::print("{}\n", study_json(study).dump(2));
+      print_result("{}\n", study_json(study).dump(2));
     } else {
-      fmt::print("{}", study_text(study));
+      print_result("{}", study_text(study));
     }
     if (!options->figures.empty()) {
       for (const std::filesystem::path& path : write_study_figures(study, options->figures)) {
-        fmt::print(stderr, "wrote {}\n", path.string());
+        print_log("wrote {}\n", path.string());
       }
     }
     exit_code = study.interrupted ? kExitInterrupted : kExitDone;

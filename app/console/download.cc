@@ -5,13 +5,13 @@
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_command.h"
+#include "app/certificate/report_certificate.h"
 #include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
 #include "app/report/calibration_document.h"
 #include "app/report/document_html.h"
+#include "app/report/hdf5_export.h"
 #include "app/report/record_csv.h"
-#include "app/report/record_hdf5.h"
 #include "app/report/report_data.h"
 #include "app/report/weasyprint.h"
 #include "app/system/child_process.h"
@@ -74,7 +74,7 @@ std::string single_readings(const Path& run) {
 }
 
 std::string hdf5(const Path& run) {
-  return bytes_of([&](const Path& file) { write_hdf5(data_of(run), file, run.stem().string() + ".h5"); });
+  return bytes_of([&](const Path& file) { export_hdf5(data_of(run), file, run.stem().string() + ".h5"); });
 }
 
 }  // namespace

@@ -41,7 +41,7 @@ struct EffectSizes {
 
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
   /// is absent was not stated: its size is the default, and results say so.
-  std::map<std::string, std::string, std::less<>> sources;
+  std::map<std::string, std::string, std::less<>> sources = {};
 };
 
 /// `sizes` with every effect that the published protocol and section 5 of the theory do not know left out

@@ -23,7 +23,7 @@ using testing::StartsWith;
 using Json = nlohmann::json;
 
 // Averaged readings of an accelerometer (s row by row over 1 g_loc, O) on a perfect stage, 12 angles of 30
-// degrees: physics.md section 2, written down once more.
+// degrees: docs/theory/model.md, written down once more.
 std::string perfect_run(const std::array<double, 9>& s, const std::array<double, 3>& offset) {
   std::string csv = "experiment,n,alpha_deg,r_u,r_v,r_w\n";
   for (int experiment = 1; experiment <= 3; ++experiment) {
@@ -202,12 +202,16 @@ TEST_F(StudyCommands, SeveralProcessesGiveTheSameBitsAsOne) {
     arguments.insert(arguments.end(), number.begin(), number.end());
     const ProgramResult alone = abcal(arguments);
     ASSERT_EQ(alone.exit_code, 0) << alone.err;
-    std::vector<std::string> words{"--oversubscribe", "-n", "3", test::abcal_program()};
+    std::vector<std::string> words{"--oversubscribe", "-n", "3", test::abcal_program() + "-mpi"};
     words.insert(words.end(), arguments.begin(), arguments.end());
     test::Program team(ABCAL_MPIRUN, words, folder.path());
     EXPECT_EQ(team.wait(), 0) << team.err();
     EXPECT_EQ(team.out(), alone.out);
   }
+  test::Program wrong(ABCAL_MPIRUN, {"-n", "1", test::abcal_program(), "uncertainty", "run.csv"},
+                      folder.path());
+  EXPECT_NE(wrong.wait(), 0);
+  EXPECT_THAT(wrong.err(), HasSubstr("required: mpirun abcal-mpi uncertainty"));
 #endif
 }
 

@@ -86,7 +86,7 @@ TEST(RunUncertaintyTest, NoiseEntersAsTheFitPassesItOn) {
   const Budget budget = make_budget(record, analyse_abc(record));
   for (const BudgetLine& line : budget.lines) {
     if (!line.type_a) continue;
-    // metrology.md 1.2: u(s) = sigma/sqrt(N), u(O) = sigma/sqrt(3 N), u(phi) = sqrt(2) sigma/sqrt(N) rad.
+    // docs/theory/uncertainty.md: u(s) = sigma/sqrt(N), u(O) = sigma/sqrt(3 N), u(phi) = sqrt(2) sigma/sqrt(N) rad.
     // The correction for k3 (0.75 - 0.6 of it in the diagonal) costs what k3 is known to: a third harmonic of
     // 1/4 on two circles.
     EXPECT_NEAR(line.contribution(0), 1e-3 * std::sqrt(1.0 / 72.0 + 0.15 * 0.15 * 32.0 / 144.0), 1e-9);
@@ -170,7 +170,8 @@ TEST(RunUncertaintyTest, ThePaperPresetWarnsWhereTheBenchExceedsIt) {
   UncertaintyOptions options = quick();
   options.paper_preset = true;
   const RunUncertainty study = run_uncertainty(record, options);
-  // physics.md, slip 4: Table 2's accelerometer gives more than the bounds for s_vy, s_v and O_v.
+  // docs/theory/abc_protocol.md, slip 4: Table 2's accelerometer gives more than the bounds for s_vy, s_v and
+  // O_v.
   std::string all;
   for (const std::string& warning : study.warnings) all += warning + "\n";
   for (const char* symbol : {"s_vy:", "s_v:", "O_v:"}) EXPECT_NE(all.find(symbol), std::string::npos) << all;
