@@ -268,9 +268,10 @@ wire::DecodedFrame VectorNavAccelerometer::decode(const Message& message) {
     measurement = vectornav::decode_binary_measurement(std::get<BinaryMessage>(message));
   }
   if (!measurement) return {.malformed = true};
-  return {.reading = Reading{.output = measurement->acceleration_mps2,
-                             .temperature_degc = measurement->temperature_degc},
-          .steps = steps_since_last_reading(measurement->time_startup_ns)};
+  Reading reading;
+  reading.output = measurement->acceleration_mps2;
+  reading.temperature_degc = measurement->temperature_degc;
+  return {.reading = reading, .steps = steps_since_last_reading(measurement->time_startup_ns)};
 }
 
 /// How many readings the device has made since the last one received, by its clock: 1 if none was lost.
