@@ -54,8 +54,8 @@ constexpr std::array<std::string_view, 36> kDwellColumns{"id",
                                                          "first_temperature_degc",
                                                          "temperature_step_degc"};
 
-constexpr std::array<std::string_view, 8> kStoredColumns{"dwell", "k",       "u",       "v",
-                                                          "w",     "skipped", "late_ns", "temperature_steps"};
+constexpr std::array<std::string_view, 8> kStoredReadingColumns{
+    "dwell", "k", "u", "v", "w", "skipped", "late_ns", "temperature_steps"};
 
 std::int64_t nanoseconds(double seconds) {
   return static_cast<std::int64_t>(std::llround(seconds * kNanosecondsPerSecond));
@@ -94,8 +94,8 @@ void bind_temperature(SqliteStatement& row, int position, const std::optional<do
 
 void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<const StoredReading> readings,
                     const ReadingConstants& constants, std::int64_t origin_ns) {
-  // Bound by position, since there may be a million: parameter k stands for kStoredColumns[k - 1].
-  SqliteStatement row = database.prepare(insert_into("reading", kStoredColumns));
+  // Bound by position, since there may be a million: parameter k stands for kStoredReadingColumns[k - 1].
+  SqliteStatement row = database.prepare(insert_into("reading", kStoredReadingColumns));
   for (std::size_t index = 0; index < readings.size(); ++index) {
     const StoredReading& reading = readings[index];
     const auto k = static_cast<std::int64_t>(index);
