@@ -197,6 +197,8 @@ constexpr const char* kPageTop =
     "([effects](effects.md)).\n"
     "- R is the response unit of the accelerometer (V, g, m/s2, LSB ...); other symbols: "
     "[notation](notation.md).\n"
+    "- Type *uncertainty*: a standard uncertainty as a number, or a table with its source\n"
+    "  ([effects](effects.md#how-sizes-are-stated)).\n"
     "- Unknown keys and sections are mistakes.\n";
 
 }  // namespace

@@ -20,7 +20,7 @@ struct Problem {
 std::string to_string(const Problem& problem);
 
 /// The estimator whose result is the result of a run, unless `[protocol] estimator` names another.
-inline constexpr std::string_view kDefaultEstimator = "abc";
+inline constexpr std::string_view kDefaultProtocolEstimator = "abc";
 
 /// How the three rotation experiments are measured (`[protocol]` of a bench file). Times in seconds.
 struct ProtocolConfig {
@@ -29,7 +29,7 @@ struct ProtocolConfig {
   bool closing_angle = true;         ///< Measure the first angle again, at alpha + 360 degrees.
   bool check_poses = false;          ///< Measure two poses at the start, between experiments and at the end.
   /// "abc", "joint", "norm": chosen before the first angle, so that nobody chooses by the result.
-  std::string estimator{kDefaultEstimator};
+  std::string estimator{kDefaultProtocolEstimator};
   Angle approach = Angle::degrees(1.0);  ///< Every angle is reached from below, by this much; 0: either side.
   Angle position_window = Angle::degrees(0.01);  ///< Largest distance of the encoder from the command.
   int window_polls = 3;                          ///< So many polls in a row must find it stopped and inside.
