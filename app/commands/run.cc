@@ -43,7 +43,7 @@ int print_outcome(const RunOutcome& outcome, bool json) {
   if (json) {
     nlohmann::ordered_json output = result_json(result);
     output["run"] = {{"file", outcome.path.string()},
-                     {"sha256", outcome.sha256},
+                     {"sha256", outcome.sha256.empty() ? nullptr : nlohmann::ordered_json(outcome.sha256)},
                      {"state", std::string(to_string(outcome.stored.state))},
                      {"timing",
                       {{"moving_s", timing.moving_s},
@@ -55,7 +55,8 @@ int print_outcome(const RunOutcome& outcome, bool json) {
     print_result("{}\n{}\n", result_text(result, stdout),
                  emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
     print_result("{}\n{}\n", comparison_text(outcome.results), timing_text(timing));
-    print_result("Run file: {} (SHA-256 {})\n", outcome.path.string(), outcome.sha256);
+    print_result("Run file: {} ({})\n", outcome.path.string(),
+                 outcome.sha256.empty() ? "not closed yet" : "SHA-256 " + outcome.sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
