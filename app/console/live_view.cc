@@ -16,14 +16,14 @@ constexpr std::size_t kKeptStrip = 400;  // groups of readings: 20 s
 constexpr std::size_t kKeptLog = 200;    // lines
 constexpr std::size_t kIntervals = 15;   // of which the median tells the time left
 
-Json number(double value) {
+Json finite_or_null(double value) {
   return std::isfinite(value) ? Json(value) : Json(nullptr);
 }
 Json degrees(const std::optional<Angle>& angle) {
-  return angle ? number(angle->deg()) : Json(nullptr);
+  return angle ? finite_or_null(angle->deg()) : Json(nullptr);
 }
 Json vector(const Eigen::Vector3d& v) {
-  return Json::array({number(v[0]), number(v[1]), number(v[2])});
+  return Json::array({finite_or_null(v[0]), finite_or_null(v[1]), finite_or_null(v[2])});
 }
 
 std::string_view name(Activity activity) {
@@ -83,8 +83,8 @@ Json dwell_json(std::size_t position, const DwellRecord& dwell) {
           {"spread", vector(dwell.spread)},
           {"u_mean", dwell.u_mean ? vector(*dwell.u_mean) : Json(nullptr)},
           {"count", dwell.count},
-          {"settle_s", number(dwell.settle_time_s)},
-          {"temperature_degc", dwell.temperature_degc ? number(*dwell.temperature_degc) : Json(nullptr)},
+          {"settle_s", finite_or_null(dwell.settle_time_s)},
+          {"temperature_degc", dwell.temperature_degc ? finite_or_null(*dwell.temperature_degc) : Json(nullptr)},
           {"flags", describe_flags(dwell.flags)}};
 }
 
@@ -124,13 +124,13 @@ LiveView::LiveView(Json about, const Clock& clock) : about_(std::move(about)), c
 std::string LiveView::apply(const Event& event) {
   if (const auto* began = std::get_if<RunBegan>(&event)) {
     begin(*began);
-    return snapshot();  // Everything changes: what a new page is told serves those that look on too.
+    return snapshot();  // Everything changes: what a new page gets serves the others as well.
   }
   return text_of(std::visit([this](const auto& seen) { return on(seen); }, event));
 }
 
 Json LiveView::on(const ActivitySeen& seen) {
-  // The readings begin anew, and so does their time.
+  // The readings begin again, and their time with them.
   if (seen.activity == Activity::kChecking && activity_.activity != Activity::kChecking) strip_.clear();
   activity_ = seen;
   if (seen.activity == Activity::kIdle) phase_.reset();
@@ -190,11 +190,11 @@ Json LiveView::fit_of(int experiment) const {
   for (const std::vector<double>& output : readings) {
     try {
       const HarmonicFit fit = fit_harmonics(alpha, output, {}, 1);
-      outputs.push_back({{"constant", number(fit.coefficients[0])},
-                         {"sine", number(fit.coefficients[1])},
-                         {"cosine", number(fit.coefficients[2])},
+      outputs.push_back({{"constant", finite_or_null(fit.coefficients[0])},
+                         {"sine", finite_or_null(fit.coefficients[1])},
+                         {"cosine", finite_or_null(fit.coefficients[2])},
                          {"residual_rms",
-                          number(std::sqrt(fit.residual_sum_squares / static_cast<double>(alpha.size())))}});
+                          finite_or_null(std::sqrt(fit.residual_sum_squares / static_cast<double>(alpha.size())))}});
     } catch (const UndeterminedFit&) {
       outputs.push_back(nullptr);  // Too few angles so far.
     }
@@ -215,7 +215,7 @@ Json LiveView::progress() const {
       std::nth_element(intervals.begin(), middle, intervals.end());
       each = *middle;
     }
-    left = number(missing * each);
+    left = finite_or_null(missing * each);
   }
   return {{"measured", measured}, {"total", total}, {"left_s", left}};
 }
@@ -232,13 +232,13 @@ Json LiveView::on(const StageSeen& seen) {
 
 Json LiveView::on(const StripSeen& seen) {
   const Json group = {
-      {"time_s", number(seen.time_s)},
+      {"time_s", finite_or_null(seen.time_s)},
       {"mean", vector(seen.mean)},
       {"lowest", vector(seen.lowest)},
       {"highest", vector(seen.highest)},
       {"readings", seen.readings},
       {"unit", seen.unit},
-      {"temperature_degc", seen.temperature_degc ? number(*seen.temperature_degc) : Json(nullptr)}};
+      {"temperature_degc", seen.temperature_degc ? finite_or_null(*seen.temperature_degc) : Json(nullptr)}};
   strip_.push_back(group);
   if (strip_.size() > kKeptStrip) strip_.pop_front();
   return {{"type", "strip"}, {"group", group}};

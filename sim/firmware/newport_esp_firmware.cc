@@ -18,7 +18,7 @@
 namespace abcal::sim {
 namespace {
 
-// Error codes (instruments.md A.1). Those of an axis are 100 * axis + code.
+// Error codes (docs/protocols/newport_esp.md). Those of an axis are 100 * axis + code.
 constexpr int kEmergencyStop = 4;
 constexpr int kNoSuchCommand = 6;
 constexpr int kOutOfRange = 7;
@@ -43,8 +43,9 @@ enum AxisError : int {
 constexpr std::size_t kErrorMemory = 10;
 constexpr std::size_t kLongestLine = 80;
 constexpr Clock::Duration kShortestHoming = std::chrono::milliseconds(200);
-constexpr double kAbruptDeceleration = 1e5;                              // deg/s2
-constexpr Clock::Duration kServoCycle = std::chrono::microseconds(400);  // Error times count these [M].
+constexpr double kAbruptDeceleration = 1e5;  // deg/s2
+// Error times count these [unverified against a device].
+constexpr Clock::Duration kServoCycle = std::chrono::microseconds(400);
 
 /// Degrees in one unit of SN; 0: not an angle.
 double degrees_per_unit(int unit, double resolution_deg) {
@@ -631,8 +632,9 @@ std::optional<std::string> NewportEspFirmware::Controller::abort_motion(const Co
 std::optional<std::string> NewportEspFirmware::Controller::origin(const Command& c) {
   const std::size_t k = index_of(c);
   Axis& a = axes_[k];
-  const int mode =
-      c.parameter.empty() ? 1 : whole_number(c.parameter, 0, 6);  // [M] without number: as OM says, 1
+  const int mode = c.parameter.empty()
+                       ? 1
+                       : whole_number(c.parameter, 0, 6);  // Without number: 1 [unverified against a device]
   refuse_while_homing(k);
   if (!a.motor_on) throw Refusal{axis_error(k, kMotorNotEnabled)};
   double where = a.offset_deg;  // The home switch stands where a homed axis reads 0.
