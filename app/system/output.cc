@@ -36,7 +36,7 @@ struct Streams {
 };
 
 Streams& streams() {
-  static Streams instance;
+  static Streams& instance = *new Streams;  // For ever: threads may speak until the very end.
   return instance;
 }
 
