@@ -229,7 +229,7 @@ TEST(TemperatureScaleTest, FitsEveryValueOrSaysThatNoneDoes) {
   EXPECT_EQ(scale({23.0625, 23.125})->step_degc, 0.0625);
   EXPECT_EQ(scale({0.0, 0.0})->step_degc, 1.0);
   EXPECT_TRUE(scale({22.1, 22.3})->whole);
-  EXPECT_FALSE(scale({22.1, -40.7})->whole) << "more steps than a double has digits";
+  EXPECT_FALSE(scale({22.3, -40.7})->whole) << "more steps than a double has digits";
   EXPECT_FALSE(scale({1e-300, 25.0})->whole);
 }
 
