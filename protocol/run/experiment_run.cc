@@ -189,6 +189,9 @@ struct RunFailure {
   std::string consequences = fmt::format(" ({}); {}", activity, halt.words);
   const std::string& reason = failure.reason;
   try {
+    for (const StageEvent& event : instruments.stage.take_events()) {
+      file.append_event(format_utc(instruments.clock.utc_now()), event.kind, event.text);
+    }
     file.set_state(RunState::kInterrupted, format_utc(instruments.clock.utc_now()), reason + consequences);
   } catch (const RunFileError& error) {
     consequences += fmt::format("; the reason could not be stored ({})", error.what());
