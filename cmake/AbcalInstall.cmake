@@ -59,7 +59,7 @@ foreach(target IN LISTS library_targets)
 endforeach()
 install(TARGETS ${library_targets} EXPORT abcal-targets ARCHIVE COMPONENT dev
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
-foreach(folder drivers/instrument protocol/plan protocol/model protocol/record protocol/analysis)
+foreach(folder drivers/instrument tests/contract protocol/plan protocol/model protocol/record protocol/analysis)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/${folder}
     COMPONENT dev FILES_MATCHING PATTERN "*.h")
 endforeach()

@@ -17,7 +17,8 @@ namespace {
 using std::chrono::seconds;
 using text_line::LineReader;
 
-// Many boards restart when their port is opened, and wait 2 s for a new program before they run theirs [M].
+// Many boards restart when their port is opened, and wait 2 s for a new program before they run theirs
+// [unverified against a device].
 constexpr seconds kFirstLineTime{5};
 constexpr unsigned kLikeLines = 2;
 
@@ -53,8 +54,9 @@ TextLineAccelerometer::TextLineAccelerometer(std::unique_ptr<wire::ByteStream> s
       format_{.columns = {settings.columns.begin(), settings.columns.end()},
               .separator = settings.separator,
               .comment = settings.comment},
-      readings_(*stream_, LineReader(format_),
-                [this](const text_line::NumberLine& line) { return take(line); }) {}
+      readings_(*stream_, LineReader(format_), [this](const text_line::NumberLine& line) {
+        return wire::DecodedFrame{.reading = take(line)};
+      }) {}
 
 AccelerometerInfo TextLineAccelerometer::identify() {
   return interrogate();

@@ -17,11 +17,12 @@ using std::chrono::seconds;
 using witmotion::Frame;
 using witmotion::FrameParser;
 
-// A device answers within milliseconds, between the frames that it streams [M].
+// A device answers within milliseconds, between the frames that it streams [unverified against a device].
 constexpr seconds kAnswerTime{1};
 // One that streams once in 5 s, the slowest that a device may be left at, is heard.
 constexpr seconds kFirstFrameTime{6};
-// [M] The maker's own library waits a millisecond between unlock and write; more than enough at 9600 baud.
+// [unverified against a device] The maker's own library waits a millisecond between unlock and write; more
+// than enough at 9600 baud.
 constexpr milliseconds kBetweenCommands{10};
 
 // Its clock is not said to be accurate; its rates, and what a line too slow for one carries, differ by more.
@@ -38,7 +39,8 @@ WitMotionAccelerometer::WitMotionAccelerometer(std::unique_ptr<wire::ByteStream>
       clock_(clock),
       settings_(settings),
       who_(fmt::format("accelerometer witmotion on {}", stream_->name())),
-      readings_(*stream_, FrameParser(), [this](const Frame& frame) { return take(frame); }) {
+      readings_(*stream_, FrameParser(),
+                [this](const Frame& frame) { return wire::DecodedFrame{.reading = take(frame)}; }) {
   if (!(settings_.rate_hz > 0.0) || !std::isfinite(settings_.rate_hz)) {
     throw std::invalid_argument(
         fmt::format("WitMotionAccelerometer: rate_hz is {}; required: a positive number", settings_.rate_hz));

@@ -15,7 +15,7 @@
 /// length follow. All numbers are big-endian.
 namespace abcal::xbus {
 
-inline constexpr std::size_t kMaxData = 2048;  ///< [M] Longest data of a message.
+inline constexpr std::size_t kMaxData = 2048;  ///< [unverified against a device] Longest data of a message.
 
 /// Message ids. The answer to a command has its id + 1.
 enum MessageId : std::uint8_t {
@@ -54,6 +54,11 @@ struct Message {
   std::uint8_t id = 0;
   std::string_view data;
 };
+inline constexpr std::size_t kFrameBytes = 5;  ///< FA FF, id, length, checksum.
+/// Bytes of a message on the wire.
+inline std::size_t wire_size(const Message& message) {
+  return message.data.size() + kFrameBytes;
+}
 
 /// One item of an MTData2 message; `data` points into the message.
 struct Item {
@@ -84,7 +89,7 @@ class MessageParser {
   bool has_partial() const { return begin_ < buffer_.size(); }
 
   /// Something that was framed like a message and had a wrong checksum or impossible items.
-  std::uint64_t bad_messages() const { return bad_messages_; }
+  std::uint64_t bad_frames() const { return bad_frames_; }
   /// Bytes that belong to no message, those of bad ones included.
   std::uint64_t skipped_bytes() const { return skipped_bytes_; }
 
@@ -99,7 +104,7 @@ class MessageParser {
 
   std::string buffer_;
   std::size_t begin_ = 0;  ///< What lies before is used up.
-  std::uint64_t bad_messages_ = 0;
+  std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
 
@@ -121,7 +126,7 @@ std::optional<std::uint32_t> decode_u32(std::string_view data);
 
 /// E020: an accelerometer has clipped. Bits 8, 9, 10 are those of accelerometer x, y, z; 11 to 16 of
 /// gyroscope and magnetometer; 19 says that something clipped, and counts here only if no other bit tells
-/// what [M].
+/// what [unverified against a device].
 constexpr bool accelerometer_clipped(std::uint32_t status_word) {
   constexpr std::uint32_t kAccelerometer = 0x0000'0700U;
   constexpr std::uint32_t kOthers = 0x0001'F800U;

@@ -48,7 +48,7 @@ std::string all_rows(const std::filesystem::path& run, const std::string& table)
   SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
   const std::string columns = table == "dwell" ? "id||'|'||time_s||'|'||settle_s||'|'||r_u||'|'||u_w"
                                                : "dwell||'|'||k||'|'||sequence||'|'||time_s||'|'||u||'|'||w";
-  SqliteStatement rows = database.prepare("select " + columns + " from " + table);
+  SqliteStatement rows = database.prepare("select " + columns + " from " + (table == "dwell" ? "dwell" : "timed_reading"));
   std::string all;
   while (rows.step()) all += rows.text(0) + "\n";
   return all;
@@ -128,7 +128,7 @@ TEST_F(ProgramTest, AReplayThatLeavesItsRecordingSaysWhere) {
   EXPECT_EQ(replay.exit_code, 3);
   EXPECT_THAT(replay.err, AllOf(HasSubstr("the replay leaves the recording"), HasSubstr("MOV 1 90"),
                                 HasSubstr("MOV 1 91"), HasSubstr("did not end as the recorded run did"),
-                                Not(HasSubstr("go on with"))));
+                                Not(HasSubstr("continue with"))));
   EXPECT_EQ(RunFile::load(folder / "a-replay.run").state, RunState::kAbandoned);
   EXPECT_NE(abcal({"resume", "a-replay.run"}).exit_code, 0);  // It would turn the real stage.
 }

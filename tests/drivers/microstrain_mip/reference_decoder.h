@@ -8,8 +8,8 @@
 #include <string_view>
 #include <vector>
 
-/// MIP decoded the slow way, from instruments.md B.1 and without a line of the driver's codec: looks at every
-/// byte of a whole recording whether a packet begins there.
+/// MIP decoded the slow way, from docs/protocols/mip.md and without a line of the driver's codec: looks at
+/// every byte of a whole recording whether a packet begins there.
 namespace abcal::test::mip_reference {
 
 inline unsigned byte_at(std::string_view bytes, std::size_t index) {
@@ -38,7 +38,7 @@ struct FoundPacket {
 
 struct Decoded {
   std::vector<FoundPacket> packets;
-  std::size_t bad_checksums = 0;
+  std::size_t bad_frames = 0;
   std::size_t skipped_bytes = 0;
   std::size_t undecided_from = 0;  ///< From here on a packet may begin that is not complete.
 };
@@ -57,7 +57,7 @@ inline Decoded decode(std::string_view bytes) {
         offset += total;
         continue;
       }
-      ++decoded.bad_checksums;
+      ++decoded.bad_frames;
     }
     ++offset;
     ++decoded.skipped_bytes;

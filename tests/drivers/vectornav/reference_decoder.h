@@ -9,8 +9,8 @@
 #include <string_view>
 #include <vector>
 
-/// VectorNav messages decoded the slow way, from instruments.md B.2 and without a line of the driver's codec:
-/// looks at every byte of a whole recording whether a message begins there.
+/// VectorNav messages decoded the slow way, from docs/protocols/vectornav.md and without a line of the
+/// driver's codec: looks at every byte of a whole recording whether a message begins there.
 namespace abcal::test::vectornav_reference {
 
 inline unsigned byte_at(std::string_view bytes, std::size_t index) {
@@ -76,7 +76,7 @@ struct FoundMessage {
 
 struct Decoded {
   std::vector<FoundMessage> messages;
-  std::size_t bad_checksums = 0;
+  std::size_t bad_frames = 0;
   std::size_t skipped_bytes = 0;
   std::size_t undecided_from = 0;  ///< From here on a message may begin that is not complete.
 };
@@ -155,7 +155,7 @@ inline Decoded decode(std::string_view bytes) {
       offset += frame.size;
       continue;
     }
-    if (frame.kind == Kind::kWhole) ++decoded.bad_checksums;
+    if (frame.kind == Kind::kWhole) ++decoded.bad_frames;
     ++offset;
     ++decoded.skipped_bytes;
   }
