@@ -8,7 +8,7 @@
 #include "app/certificate/decision.h"
 #include "app/certificate/derived.h"
 #include "app/certificate/laboratory_file.h"
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 
 namespace abcal {
 

@@ -3,8 +3,8 @@
 #include <memory>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_command.h"
 #include "app/certificate/issue.h"
+#include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
 #include "app/system/output_file.h"
@@ -16,7 +16,7 @@ namespace {
 struct Options {
   std::string run, number, measured_by, approved_by, date, replaces, reason, dcc, key, key_certificate;
   bool force = false;
-  CertificateOptions certificate;
+  CertificateFiles certificate;
 };
 
 IssueFacts facts_of(const Options& options, const std::string& now_utc) {
@@ -51,7 +51,8 @@ void issue(const Options& options) {
   request.issue = facts_of(options, format_utc(now));
   const Certificate certificate = make_certificate(std::move(request));
 
-  const std::optional<DccSchema> schema = schema_for(options.certificate);
+  const std::optional<DccSchema> schema = schema_of(options.certificate);
+  if (!schema) print_note(kNotValidated);
   std::optional<SigningKey> key;
   if (!options.key.empty()) key = SigningKey{options.key, options.key_certificate};
   const IssuedCertificate issued =

@@ -8,18 +8,18 @@
 #include <vector>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_command.h"
 #include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
+#include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
 #include "app/report/calibration_document.h"
-#include "app/report/document_html.h"
-#include "app/report/document_text.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
 #include "app/report/record_csv.h"
 #include "app/report/record_hdf5.h"
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 #include "app/report/report_json.h"
-#include "app/report/weasyprint.h"
+#include "app/document/weasyprint.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output_file.h"
@@ -33,7 +33,7 @@ struct Options {
   std::string file;
   std::string html, pdf, csv, csv_raw, hdf5;
   std::string attachment, dcc;
-  CertificateOptions certificate;
+  CertificateFiles certificate;
   bool draft = false, json = false, force = false;
 };
 
@@ -145,6 +145,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
     std::optional<ReportedCertificate> certificate;
     if (of_certificate(*options, data)) {
       certificate = certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
+      print_note(certificate->note);
       add_certificate_sections(document, certificate->certificate);
     }
     std::optional<HtmlPage> made;

@@ -8,7 +8,7 @@
 
 #include "app/compare/compare_results.h"
 #include "app/console/download.h"
-#include "app/report/compare_json.h"
+#include "app/compare/compare_json.h"
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
 #include "protocol/analysis/meaning.h"
@@ -194,7 +194,7 @@ Json RunLibrary::compare(const std::filesystem::path& first, const std::filesyst
                          bool shared_stage) {
   std::vector<ComparedResult> results;
   for (const std::filesystem::path& run : {first, second}) {
-    results.push_back(load_compared(run, kEstimators.front()));
+    results.push_back(load_compared(run, kDefaultEstimator));
     results.back().file = run.filename().string();  // A page knows runs by name.
   }
   CompareOptions options;
@@ -213,7 +213,7 @@ Json RunLibrary::history(const std::string& serial_number) {
       Entry& known = entry(name);
       if (known.summary["item"] != serial_number || known.summary["state"] != "complete") continue;
       if (!known.intrinsic) {
-        const CalibrationResult result = analyse(RunFile::load(folder_ / name).record, kEstimators.front());
+        const CalibrationResult result = analyse(RunFile::load(folder_ / name).record, kDefaultEstimator);
         known.intrinsic = Json{{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
       }
       Json point = {{"name", name}, {"created_utc", known.summary["created_utc"]}};

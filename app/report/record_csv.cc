@@ -9,7 +9,7 @@
 #include <optional>
 #include <stdexcept>
 
-#include "app/report/valid_text.h"
+#include "app/document/valid_text.h"
 #include "protocol/record/limits_entries.h"
 
 namespace abcal {

@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "app/report/valid_text.h"
+#include "app/document/valid_text.h"
 #include "app/results/result_json.h"
 #include "protocol/uncertainty/study_output.h"
 

@@ -1,4 +1,4 @@
-#include "app/units/response_unit.h"
+#include "protocol/plan/response_unit.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -50,7 +50,7 @@ TEST_F(MakeCertificateTest, EveryClauseOfReportingHasItsPlace) {
   asked.issue = facts();
   asked.issue->replaces = Replacement{"EX-0", "wrong address", std::string(64, 'a')};
   const Certificate certificate = make_certificate(std::move(asked));
-  const XmlQuery xml(xml_text(dcc_document(certificate)));
+  const CertificateXml xml(xml_text(dcc_document(certificate)));
   const std::vector<std::pair<const char*, const char*>> clauses{
       {"7.8.2.1 a", "/dcc:digitalCalibrationCertificate"},
       {"7.8.2.1 b", "//dcc:calibrationLaboratory/dcc:contact[dcc:name and dcc:location/dcc:street]"},
@@ -155,7 +155,7 @@ TEST_F(MakeCertificateTest, AFailedVerdictGivesNoCertificateAndADraftWithoutNumb
     EXPECT_THAT(refusal(asked), AllOf(HasSubstr("verdict"), HasSubstr("the closure is large")));
     asked.draft = true;
     const Certificate draft = make_certificate(std::move(asked));
-    const XmlQuery xml(checked_xml(draft, nullptr));
+    const CertificateXml xml(checked_xml(draft, nullptr));
     EXPECT_EQ(xml.text("//dcc:result[@refType='abc_noResult']").empty(), verdict == Verdict::kDoubtful);
     EXPECT_EQ(xml.text("//dcc:results//si:valueXMLList").empty(), verdict == Verdict::kNotUsable);
   }
@@ -204,7 +204,7 @@ TEST_F(MakeCertificateTest, DecisionsAreThoseOfTheLimits) {
   const Certificate tight =
       make_certificate(request(replaced(example_laboratory(), "upper = 1.02", "upper = 1.0021")));
   EXPECT_EQ(tight.run.decisions[0].conformity, Conformity::kFail);
-  const XmlQuery xml(xml_text(dcc_document(tight)));
+  const CertificateXml xml(xml_text(dcc_document(tight)));
   EXPECT_EQ(xml.text("//dcc:metaData[@refType='basic_conformity']/dcc:conformity"), "fail");
   const auto probability =
       xml.numbers("//dcc:quantity[@refType='abc_conformanceProbability']/si:real/si:value");
