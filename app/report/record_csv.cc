@@ -48,11 +48,7 @@ std::string comments(const ReportData& data, const std::string& what) {
             comment("g_loc.coverage_factor", number(record.g_loc.coverage_factor)) +
             comment("g_loc.source", record.g_loc.source);
   }
-  const Tolerances& t = record.tolerances;
-  text += comment("tolerances.alignment_deg", number(t.alignment.deg())) +
-          comment("tolerances.step_deg", number(t.step.deg())) +
-          comment("tolerances.initial_turn_deg", number(t.initial_turn.deg())) +
-          comment("tolerances.zero_deg", number(t.zero.deg())) + comment("tolerances.drift", number(t.drift));
+  for (const auto& [name, value] : effect_size_entries(record.tolerances)) text += comment(name, value);
   for (const auto& [name, value] : limits_entries(record.limits, record.expected))
     text += comment(name, value);
   const MeasuredAlignment& a = record.measured_alignment;

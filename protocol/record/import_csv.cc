@@ -191,19 +191,13 @@ class Importer {
     }
     if (const auto unit = metadata_.find("response_unit"); unit != metadata_.end())
       record_.response_unit = unit->second;
-    const auto degrees = [&](const char* key, Angle& angle) {
-      if (const auto value = metadata_number(key)) angle = Angle::degrees(*value);
+    const auto comment_text = [&](const std::string& key) -> std::optional<std::string> {
+      const auto found = metadata_.find(key);
+      return found == metadata_.end() ? std::nullopt : std::optional(found->second);
     };
-    degrees("tolerances.alignment_deg", record_.tolerances.alignment);
-    degrees("tolerances.step_deg", record_.tolerances.step);
-    degrees("tolerances.initial_turn_deg", record_.tolerances.initial_turn);
-    degrees("tolerances.zero_deg", record_.tolerances.zero);
-    record_.tolerances.drift = metadata_number("tolerances.drift").value_or(record_.tolerances.drift);
-    read_limits_entries([&](const std::string& key) { return metadata_number(key, -1e9); },
-                        [&](const std::string& key) -> std::optional<std::string> {
-                          const auto found = metadata_.find(key);
-                          return found == metadata_.end() ? std::nullopt : std::optional(found->second);
-                        },
+    read_effect_sizes([&](const std::string& key, double most) { return metadata_number(key, 0.0, most); },
+                      comment_text, record_.tolerances);
+    read_limits_entries([&](const std::string& key) { return metadata_number(key, -1e9); }, comment_text,
                         record_.limits, record_.expected);
     record_.continuations = static_cast<int>(metadata_number("continuations", 0.0, 1e6).value_or(0.0));
     MeasuredAlignment& alignment = record_.measured_alignment;

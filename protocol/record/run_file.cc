@@ -186,6 +186,8 @@ void write_header(SqliteDatabase& database, const RunHeader& header) {
       {"protocol.steps", std::to_string(header.steps)},
   };
   for (const auto& [key, value] : meta) set_meta(database, key, value);
+  // The five "tolerances" above stay, so that older programs open the file; these are what is read.
+  for (const auto& [key, value] : effect_size_entries(header.tolerances)) set_meta(database, key, value);
   const auto alignment = [&](const std::string& name, const std::optional<MeasuredValue>& measured) {
     if (!measured) return;
     set_meta(database, "alignment." + name, number(measured->value));
@@ -535,19 +537,23 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   header.response_unit = text("response_unit");
   header.g_loc = {real("g_loc.value_mps2"), real("g_loc.expanded_uncertainty_mps2"),
                   real("g_loc.coverage_factor"), text("g_loc.source")};
-  header.tolerances = {Angle::degrees(real("tolerances.alignment_deg")),
-                       Angle::degrees(real("tolerances.step_deg")),
-                       Angle::degrees(real("tolerances.initial_turn_deg")),
-                       Angle::degrees(real("tolerances.zero_deg")), real("tolerances.drift")};
+  const auto optional_real = [&](const std::string& key) {
+    return meta.contains(key) ? std::optional(real(key)) : std::nullopt;
+  };
+  const auto optional_text = [&](const std::string& key) {
+    return meta.contains(key) ? std::optional(text(key)) : std::nullopt;
+  };
+  // Version 2 has the five tolerances only: further effects keep their defaults.
+  for (const char* key : {"alignment_deg", "step_deg", "initial_turn_deg", "zero_deg", "drift"})
+    static_cast<void>(text(std::string("tolerances.") + key));
+  read_effect_sizes([&](const std::string& key, double) { return optional_real(key); }, optional_text,
+                    header.tolerances);
   const auto alignment = [&](const std::string& name) -> std::optional<MeasuredValue> {
     if (!meta.contains("alignment." + name)) return std::nullopt;
     return MeasuredValue{real("alignment." + name), real("alignment.u_" + name)};
   };
   header.measured_alignment = {alignment("zx"), alignment("zy"), alignment("xz")};
-  read_limits_entries(
-      [&](const std::string& key) { return meta.contains(key) ? std::optional(real(key)) : std::nullopt; },
-      [&](const std::string& key) { return meta.contains(key) ? std::optional(text(key)) : std::nullopt; },
-      header.limits, header.expected);
+  read_limits_entries(optional_real, optional_text, header.limits, header.expected);
   header.step = Angle::degrees(real("protocol.step_deg"));
   header.steps = static_cast<int>(real("protocol.steps"));
   run.timing = {real("timing.moving_s"), real("timing.settling_s"), real("timing.dwelling_s"),

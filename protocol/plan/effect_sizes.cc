@@ -1,0 +1,115 @@
+#include "protocol/plan/effect_sizes.h"
+
+#include <fmt/format.h>
+
+#include <array>
+
+namespace abcal {
+namespace {
+
+constexpr std::string_view kStage = "stage_uncertainty";
+/// A stored default is not mistaken for a stated value.
+constexpr std::string_view kDefaultSource = "default";
+constexpr std::string_view kItem = "item_uncertainty";
+
+template <Angle EffectSizes::*member>
+constexpr double degrees_of(const EffectSizes& sizes) {
+  return (sizes.*member).deg();
+}
+template <Angle EffectSizes::*member>
+constexpr void set_degrees(EffectSizes& sizes, double value) {
+  sizes.*member = Angle::degrees(value);
+}
+template <double EffectSizes::*member>
+constexpr double value_of(const EffectSizes& sizes) {
+  return sizes.*member;
+}
+template <double EffectSizes::*member>
+constexpr void set_value(EffectSizes& sizes, double value) {
+  sizes.*member = value;
+}
+
+template <Angle EffectSizes::*member>
+constexpr EffectSizeKey angle(std::string_view section, std::string_view key, double most,
+                              std::string_view words, bool was_tolerance) {
+  return {section, key, "degree", most, words, was_tolerance, degrees_of<member>, set_degrees<member>};
+}
+template <double EffectSizes::*member>
+constexpr EffectSizeKey value(std::string_view section, std::string_view key, std::string_view unit,
+                              double most, std::string_view words, bool was_tolerance = false) {
+  return {section, key, unit, most, words, was_tolerance, value_of<member>, set_value<member>};
+}
+
+constexpr std::array kKeys{
+    angle<&EffectSizes::alignment>(kStage, "alignment_deg", 10.0, "alignment of the axes", true),
+    angle<&EffectSizes::initial_turn>(kStage, "initial_turn_deg", 10.0, "initial turns of -90 degrees", true),
+    angle<&EffectSizes::zero>(kStage, "zero_deg", 10.0, "zeros of the axes", true),
+    angle<&EffectSizes::step>(kStage, "step_deg", 10.0, "step errors without memory", true),
+    angle<&EffectSizes::step_smooth>(kStage, "step_smooth_deg", 10.0,
+                                     "smooth step errors, each coefficient to 6/rev", false),
+    value<&EffectSizes::wobble_urad>(kStage, "wobble_urad", "urad", 10'000.0,
+                                     "wobble of the axes, each coefficient to 3/rev"),
+    value<&EffectSizes::drift>(kItem, "drift", "1", 1.0, "drift of the offset, each order", true),
+    value<&EffectSizes::sensitivity_drift>(kItem, "sensitivity_drift", "1", 1.0, "drift of the sensitivity"),
+    value<&EffectSizes::nonlinearity>(kItem, "nonlinearity", "1", 0.1,
+                                      "non-linearity of orders 4 and 5, |a| and cross terms"),
+    value<&EffectSizes::hysteresis>(kItem, "hysteresis", "1", 0.1, "hysteresis"),
+    value<&EffectSizes::k2>(kItem, "k2", "1", 0.1, "non-linearity of order 2"),
+    value<&EffectSizes::k3>(kItem, "k3", "1", 0.1, "non-linearity of order 3"),
+    angle<&EffectSizes::orthogonality>(kItem, "orthogonality_deg", 45.0,
+                                       "angles between the item's axes about 90 degrees", false),
+};
+
+std::string full_name(const EffectSizeKey& key) {
+  return fmt::format("{}.{}", key.section, key.key);
+}
+
+}  // namespace
+
+std::span<const EffectSizeKey> effect_size_keys() {
+  return kKeys;
+}
+
+void read_effect_sizes(const std::function<std::optional<double>(const std::string&, double)>& number,
+                       const std::function<std::optional<std::string>(const std::string&)>& text,
+                       EffectSizes& sizes) {
+  for (const EffectSizeKey& key : kKeys) {
+    const std::string name = full_name(key);
+    std::string source = "stated";
+    std::optional<double> found = number(name, key.most);
+    if (found) {
+      source = text(name + ".source").value_or("stated");
+    } else if (key.was_tolerance) {
+      found = number(fmt::format("tolerances.{}", key.key), key.most);
+      source = "tolerances";
+    }
+    if (!found) continue;
+    key.set(sizes, *found);
+    if (source == kDefaultSource) {
+      sizes.sources.erase(std::string(key.key));
+    } else {
+      sizes.sources.insert_or_assign(std::string(key.key), source);
+    }
+  }
+}
+
+std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes) {
+  std::map<std::string, std::string> entries;
+  for (const EffectSizeKey& key : kKeys) {
+    const std::string name = full_name(key);
+    entries[name] = fmt::format("{:.17g}", key.get(sizes));
+    const auto source = sizes.sources.find(key.key);
+    entries[name + ".source"] = source == sizes.sources.end() ? std::string(kDefaultSource) : source->second;
+  }
+  return entries;
+}
+
+std::vector<std::string> unstated_effects(const EffectSizes& sizes) {
+  std::vector<std::string> words;
+  for (const EffectSizeKey& key : kKeys) {
+    if (key.get(sizes) > 0.0 && !sizes.sources.contains(key.key)) words.emplace_back(key.words);
+  }
+  return words;
+}
+
+}  // namespace abcal

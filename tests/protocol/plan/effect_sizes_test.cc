@@ -1,0 +1,68 @@
+#include "protocol/plan/effect_sizes.h"
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <optional>
+#include <string>
+
+namespace abcal {
+namespace {
+
+EffectSizes read_back(const std::map<std::string, std::string>& entries) {
+  EffectSizes sizes;
+  read_effect_sizes(
+      [&](const std::string& name, double most) -> std::optional<double> {
+        const auto found = entries.find(name);
+        if (found == entries.end()) return std::nullopt;
+        EXPECT_LE(std::stod(found->second), most) << name;
+        return std::stod(found->second);
+      },
+      [&](const std::string& name) -> std::optional<std::string> {
+        const auto found = entries.find(name);
+        return found == entries.end() ? std::nullopt : std::optional(found->second);
+      },
+      sizes);
+  return sizes;
+}
+
+TEST(EffectSizesTest, EveryEntryIsReadBack) {
+  EffectSizes sizes;
+  double value = 0.001;
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    key.set(sizes, value);
+    value += 0.001;
+  }
+  sizes.sources["wobble_urad"] = "certificate 12";
+  const EffectSizes back = read_back(effect_size_entries(sizes));
+  value = 0.001;
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    EXPECT_DOUBLE_EQ(key.get(back), value) << key.key;
+    value += 0.001;
+  }
+  EXPECT_EQ(back.sources, sizes.sources);
+}
+
+TEST(EffectSizesTest, ADefaultIsNotTakenForAStatement) {
+  const EffectSizes sizes = read_back(effect_size_entries({}));
+  EXPECT_TRUE(sizes.sources.empty());
+  // Orthogonality is zero: it is no effect of this run.
+  EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 1);
+  EXPECT_EQ(sizes.wobble_urad, 50.0);
+}
+
+TEST(EffectSizesTest, AnOlderFileStatesItsTolerances) {
+  const EffectSizes sizes = read_back({{"tolerances.step_deg", "0.002"}, {"tolerances.wobble_urad", "1"}});
+  EXPECT_DOUBLE_EQ(sizes.step.deg(), 0.002);
+  EXPECT_EQ(sizes.sources.at("step_deg"), "tolerances");
+  EXPECT_EQ(sizes.wobble_urad, 50.0) << "[tolerances] never had it";
+}
+
+TEST(EffectSizesTest, AValueWithoutASourceIsStated) {
+  const EffectSizes sizes = read_back({{"item_uncertainty.hysteresis", "0"}});
+  EXPECT_EQ(sizes.hysteresis, 0.0);
+  EXPECT_EQ(sizes.sources.at("hysteresis"), "stated");
+}
+
+}  // namespace
+}  // namespace abcal
