@@ -19,10 +19,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json number(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
-}
-
 std::string label(const RunHeader& header, const std::string& key) {
   const auto found = header.labels.find(key);
   return found == header.labels.end() ? "" : found->second;
@@ -58,8 +54,8 @@ Json quantities_of(const CalibrationResult& result) {
   Json list = Json::array();
   const auto add = [&](const std::string& name, const Quantity& q) {
     list.push_back({{"name", name},
-                    {"value", number(q.value)},
-                    {"standard_uncertainty", number(q.standard_uncertainty)},
+                    {"value", json_number(q.value)},
+                    {"standard_uncertainty", json_number(q.standard_uncertainty)},
                     {"unit", q.unit}});
   };
   constexpr const char* kOutputs[] = {"u", "v", "w"};

@@ -63,7 +63,11 @@ CalibrationResult checked(const RunRecord& record, const Estimator& estimator,
 }  // namespace
 
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
-  return checked(record, find_estimator(estimator), check_record(record));
+  return analyse(record, find_estimator(estimator));
+}
+
+CalibrationResult analyse(const RunRecord& record, const Estimator& estimator) {
+  return checked(record, estimator, check_record(record));
 }
 
 std::vector<CalibrationResult> analyse_all(const RunRecord& record) {

@@ -22,7 +22,7 @@ std::string xml_content(const xmlNode* node) {
 }
 
 std::vector<std::string> xml_words(std::string_view list) {
-  const std::vector<std::string_view> words = text::words(list);
+  const std::vector<std::string_view> words = pieces::words(list);
   return {words.begin(), words.end()};
 }
 
@@ -51,7 +51,7 @@ std::vector<std::string> XmlQuery::texts(const std::string& path, xmlNode* from)
 
 std::string XmlQuery::text(const std::string& path, xmlNode* from) const {
   const std::vector<xmlNode*> found = nodes(path, from);
-  return found.empty() ? std::string() : std::string(text::trimmed(xml_content(found.front())));
+  return found.empty() ? std::string() : std::string(pieces::trimmed(xml_content(found.front())));
 }
 
 std::vector<std::string> XmlQuery::words(const std::string& path, xmlNode* from) const {

@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "app/certificate/dcc_xml.h"
 #include "app/certificate/issue.h"
 #include "tests/app/certificate/certificate_fixtures.h"
@@ -159,6 +161,22 @@ TEST_F(MakeCertificateTest, AFailedVerdictGivesNoCertificateAndADraftWithoutNumb
     EXPECT_EQ(xml.text("//dcc:result[@refType='abc_noResult']").empty(), verdict == Verdict::kDoubtful);
     EXPECT_EQ(xml.text("//dcc:results//si:valueXMLList").empty(), verdict == Verdict::kNotUsable);
   }
+}
+
+TEST_F(MakeCertificateTest, TheReportedEstimatorIsFoundByName) {
+  CertificateRequest asked = request();
+  const CalibrationResult abc = result_of(asked.run.results, "abc");
+  std::reverse(asked.run.results.begin(), asked.run.results.end());
+  const Certificate certificate = make_certificate(asked);
+  EXPECT_EQ(certificate.run.data.result().estimator, "abc");
+  EXPECT_EQ(certificate.run.data.result().offset[0].value, abc.offset[0].value);
+}
+
+TEST_F(MakeCertificateTest, AnEstimatorWithoutAMatrixGivesNotEvenADraft) {
+  CertificateRequest asked = request();
+  asked.run.estimator = "norm";
+  asked.draft = true;
+  EXPECT_THAT(refusal(std::move(asked)), AllOf(HasSubstr("estimator"), HasSubstr("norm")));
 }
 
 TEST_F(MakeCertificateTest, ACsvGetsNoCertificate) {
