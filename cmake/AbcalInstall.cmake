@@ -16,6 +16,11 @@ endif()
 
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
+# Where abcal looks for it (app/system/helper_program.cc).
+install(TARGETS abcal-hdf5 RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
+if(TARGET abcal-mpi)
+  install(TARGETS abcal-mpi RUNTIME COMPONENT abcal)
+endif()
 
 # Manual pages and completions come from the command line's own tree. gzip -n: no time stamp, the same bits each time.
 find_program(ABCAL_GZIP gzip REQUIRED)

@@ -1,11 +1,11 @@
 #include "app/bench/stage_watchdog.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <utility>
 
+#include "app/system/output.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {
@@ -42,7 +42,7 @@ void StageWatchdog::watch(const std::stop_token& stop) {
     const bool acknowledged = stage_->halt();
     lock.lock();
     if (!acknowledged) halted_because_ += "; the halt was not acknowledged: stop it by its own switch";
-    spdlog::error("stage: {}", halted_because_);
+    print_error("stage: " + halted_because_);
   }
 }
 

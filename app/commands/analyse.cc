@@ -9,6 +9,7 @@
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/terminal.h"
 #include "app/system/version.h"
 #include "protocol/analysis/pose_import.h"
@@ -35,7 +36,7 @@ void keep(const StoredRun& run, const std::filesystem::path& path, const Calibra
     ResultsFile(path, sha256_of_file(path))
         .add_analysis("", program_version(), result.estimator, result_json(result).dump());
   } catch (const RunFileError& error) {
-    fmt::print(stderr, "warning: the analysis was not kept: {}\n", error.what());
+    print_log("warning: the analysis was not kept: {}\n", error.what());
   }
 }
 
@@ -77,26 +78,27 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
     if (loaded.run) keep(*loaded.run, path, result);
     exit_code = result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
     if (options->json) {
-      fmt::print("{}\n", result_json(result).dump(2));
+      print_result("{}\n", result_json(result).dump(2));
     } else {
       if (loaded.run && loaded.run->state != RunState::kComplete) {
-        fmt::print("{}\n", emphasised(stdout, Emphasis::kWarning,
-                                      fmt::format("This run is {}: {} of {} angles are measured.",
-                                                  to_string(loaded.run->state), loaded.run->measured.size(),
-                                                  loaded.run->header.plan.size())));
+        print_result("{}\n", emphasised(stdout, Emphasis::kWarning,
+                                        fmt::format("This run is {}: {} of {} angles are measured.",
+                                                    to_string(loaded.run->state), loaded.run->measured.size(),
+                                                    loaded.run->header.plan.size())));
       }
-      fmt::print("{}", result_text(result, stdout));
+      print_result("{}", result_text(result, stdout));
       if (options->estimator.empty()) {
-        fmt::print("\n{}\n{}", emphasised(stdout, Emphasis::kHeading, "Estimators side by side"),
-                   comparison_text(analyse_all(loaded.record)));
+        print_result("\n{}\n{}", emphasised(stdout, Emphasis::kHeading, "Estimators side by side"),
+                     comparison_text(analyse_all(loaded.record)));
       }
     }
     if (!options->truth.empty()) {
       const TruthComparison comparison = compare_with_truth(result, read_bench(options->truth));
-      fmt::print(options->json ? stderr : stdout, "\n{}\n{}",
-                 emphasised(stdout, Emphasis::kHeading,
-                            fmt::format("Beside the simulated truth ({} estimator)", estimator)),
-                 comparison.text);
+      std::FILE* stream = options->json ? stderr : stdout;
+      const std::string heading = fmt::format("Beside the simulated truth ({} estimator)", estimator);
+      const std::string text =
+          fmt::format("\n{}\n{}", emphasised(stream, Emphasis::kHeading, heading), comparison.text);
+      options->json ? print_log("{}", text) : print_result("{}", text);
       if (!comparison.agrees()) exit_code = kExitFailed;
     }
   });

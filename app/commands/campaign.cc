@@ -20,6 +20,7 @@
 #include "app/session/run_bench.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "protocol/record/run_file.h"
 #include "protocol/run/experiment_run.h"
 
@@ -65,10 +66,10 @@ bool is_done(const std::filesystem::path& path, const CampaignOptions& options, 
 
 /// Waits for a person. @throws RunInterrupted
 void ask_to_remount(int run, int runs) {
-  fmt::print(stderr,
-             "\nRun {} of {}: the stage stands at its zeros. Take the accelerometer off, mount it again, and "
-             "press Enter when nobody touches the stage any more (Ctrl-C ends the campaign): ",
-             run, runs);
+  print_log(
+      "\nRun {} of {}: the stage stands at its zeros. Take the accelerometer off, mount it again, and "
+      "press Enter when nobody touches the stage any more (Ctrl-C ends the campaign): ",
+      run, runs);
   std::array<char, 256> line{};
   for (;;) {
     if (interrupt_token().stop_requested()) throw RunInterrupted("stopped by the operator between two runs");
@@ -90,11 +91,10 @@ void say_how_to_go_on(const CampaignOptions& options, const std::vector<std::fil
   }
   std::error_code ignored;
   const bool begun = std::filesystem::exists(paths[failed], ignored);
-  fmt::print(stderr, "The campaign ended in run {} of {}. Complete and kept: {}. Go on with: {}{}\n",
-             failed + 1, paths.size(),
-             complete.empty() ? "none" : fmt::format("{}", fmt::join(complete, ", ")),
-             begun ? fmt::format("abcal resume {}, then ", paths[failed].string()) : "",
-             command_to_go_on(options, paths.front()));
+  print_log("The campaign ended in run {} of {}. Complete and kept: {}. Go on with: {}{}\n", failed + 1,
+            paths.size(), complete.empty() ? "none" : fmt::format("{}", fmt::join(complete, ", ")),
+            begun ? fmt::format("abcal resume {}, then ", paths[failed].string()) : "",
+            command_to_go_on(options, paths.front()));
 }
 
 }  // namespace
@@ -130,8 +130,8 @@ int run_campaign(const CampaignOptions& options) {
           measure(*bench, config, file, plan, {}, fmt::format("Run {} of {}", k + 1, paths.size()), "");
       const FinishedRun run = finish_run(*bench, config, std::move(file), timing);
       const CalibrationResult& result = run.results.front();
-      fmt::print(stderr, "Run {} of {}: {}: {} ({})\n", k + 1, paths.size(), paths[k].string(),
-                 to_string(result.verdict), result.why);
+      print_log("Run {} of {}: {}: {} ({})\n", k + 1, paths.size(), paths[k].string(),
+                to_string(result.verdict), result.why);
     } catch (...) {
       say_how_to_go_on(options, paths, k);
       throw;
@@ -143,9 +143,9 @@ int run_campaign(const CampaignOptions& options) {
     report.runs.push_back({path, analyse_all(RunFile::load(path).record)});
   }
   if (options.json) {
-    fmt::print("{}\n", campaign_json(report).dump(2));
+    print_result("{}\n", campaign_json(report).dump(2));
   } else {
-    fmt::print("{}", campaign_text(report, stdout));
+    print_result("{}", campaign_text(report, stdout));
   }
   return report.usable() ? kExitDone : kExitFailed;
 }

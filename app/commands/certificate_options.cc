@@ -1,6 +1,6 @@
 #include "app/commands/certificate_options.h"
 
-#include <fmt/format.h>
+#include "app/system/output.h"
 
 namespace abcal {
 
@@ -14,7 +14,7 @@ void add_certificate_options(CLI::App& command, CertificateFiles& files) {
 }
 
 void print_note(const std::string& note) {
-  if (!note.empty()) fmt::print(stderr, "note: {}\n", note);
+  if (!note.empty()) print_log("note: {}\n", note);
 }
 
 }  // namespace abcal

@@ -5,6 +5,7 @@
 #include "app/commands/commands.h"
 #include "app/session/bench_check.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/terminal.h"
 
 namespace abcal {
@@ -55,17 +56,17 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
                                     {"what", finding.what},
                                     {"found", finding.found},
                                     {"advice", finding.advice}});
-      fmt::print("{}\n", json.dump(2));
+      print_result("{}\n", json.dump(2));
     } else {
       for (const Finding& finding : findings) {
         const Emphasis emphasis = finding.grade == Finding::Grade::kProblem   ? Emphasis::kBad
                                   : finding.grade == Finding::Grade::kWarning ? Emphasis::kWarning
                                                                               : Emphasis::kNone;
-        fmt::print("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", word(finding.grade))),
-                   finding.what, finding.found);
-        if (!finding.advice.empty()) fmt::print("{:>8}  required: {}\n", "", finding.advice);
+        print_result("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", word(finding.grade))),
+                     finding.what, finding.found);
+        if (!finding.advice.empty()) print_result("{:>8}  required: {}\n", "", finding.advice);
       }
-      fmt::print(
+      print_result(
           "{}\n",
           problems > 0   ? fmt::format("{} problem{}: not fit for a run", problems, problems == 1 ? "" : "s")
           : warnings > 0 ? fmt::format("fit for a run, with {} warning{}", warnings, warnings == 1 ? "" : "s")

@@ -6,6 +6,7 @@
 #include "app/compare/compare_text.h"
 #include "app/results/analyses.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 
 namespace abcal {
 
@@ -38,9 +39,9 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
     for (const std::string& file : options->files) results.push_back(load_compared(file, options->estimator));
     const ResultsComparison comparison = compare_results(std::move(results), options->compare);
     if (options->json) {
-      fmt::print("{}\n", compare_json(comparison).dump(2));
+      print_result("{}\n", compare_json(comparison).dump(2));
     } else {
-      fmt::print("{}", compare_text(comparison, stdout));
+      print_result("{}", compare_text(comparison, stdout));
     }
     exit_code = comparison.agree() ? kExitDone : kExitFailed;
   });

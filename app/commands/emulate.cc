@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <filesystem>
@@ -16,6 +17,7 @@
 #include "app/emulate/control_server.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "drivers/wire/port_list.h"
 #include "sim/emulator.h"
 #include "sim/firmware/faulty_port.h"
@@ -50,15 +52,30 @@ struct Served {
   std::shared_ptr<sim::FaultyPort> firmware;
 };
 
+/// Where to listen for "tcp:HOST:PORT". Port 0 is any free one, which is then printed. Without a host
+/// ("tcp:PORT", "tcp::PORT") on the loopback only: who serves the network says so with an address (0.0.0.0).
+/// @throws std::invalid_argument
+sim::TcpPort listening_port(const std::string& port) {
+  const std::size_t colon = port.rfind(':');  // at least that of "tcp:"
+  std::string host = colon < 4 ? "" : port.substr(4, colon - 4);
+  if (host.size() >= 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
+  sim::TcpPort where;
+  if (!host.empty()) where.host = host;
+  const char* const end = port.data() + port.size();
+  const auto [stopped, error] = std::from_chars(port.data() + colon + 1, end, where.port);
+  if (error != std::errc() || stopped != end) {
+    throw std::invalid_argument(
+        fmt::format("port \"{}\": \"{}\" is no port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
+                    "(listens on the "
+                    "loopback), PORT from 0 (any free one) to 65535",
+                    port, port.substr(colon + 1)));
+  }
+  return where;
+}
+
 /// Where an instrument is served: on the TCP port that the bench file names, else on a pseudo-terminal.
 sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links) {
-  // Any free port, which is then printed: only for listening, so no port name of a bench file otherwise.
-  if (served.port.starts_with("tcp:") && served.port.ends_with(":0"))
-    return {served.firmware, sim::TcpPort{served.port.substr(4, served.port.size() - 6), 0}};
-  if (served.port.starts_with("tcp:")) {
-    const wire::PortName name = wire::parse_port(served.port);
-    return {served.firmware, sim::TcpPort{name.host, name.tcp_port}};
-  }
+  if (served.port.starts_with("tcp:")) return {served.firmware, listening_port(served.port)};
   return {served.firmware, sim::PtyLink{links / served.name}};
 }
 
@@ -171,16 +188,15 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
     if (options->control) control_server.emplace(control, *options->control);
     const std::vector<std::string> addresses = emulator.addresses();
     for (std::size_t i = 0; i < all.size(); ++i)
-      fmt::print("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
-    if (follower) fmt::print("The accelerometer follows the stage's read-back.\n");
-    if (control_server) fmt::print("control: tcp:127.0.0.1:{}\n", control_server->port());
-    fmt::print("Serving until interrupted (Ctrl-C).\n");
-    std::fflush(stdout);
+      print_result("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
+    if (follower) print_result("The accelerometer follows the stage's read-back.\n");
+    if (control_server) print_result("control: tcp:127.0.0.1:{}\n", control_server->port());
+    print_result("Serving until interrupted (Ctrl-C).\n");
     emulator.run(end.get_token());
     if (follower) follower->finish();
     if (emulator.dropped_bytes() > 0) {
-      fmt::print(stderr, "{} bytes of output were dropped because no program read them in time\n",
-                 emulator.dropped_bytes());
+      print_log("{} bytes of output were dropped because no program read them in time\n",
+                emulator.dropped_bytes());
     }
     exit_code = kExitDone;
   });

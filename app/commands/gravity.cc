@@ -1,11 +1,11 @@
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <map>
 #include <nlohmann/json.hpp>
 
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "protocol/gravity/local_gravity.h"
 
 namespace abcal {
@@ -72,13 +72,14 @@ CLI::App* add_gravity(CLI::App& parent, int& exit_code) {
     const FormulaGravity gravity =
         formula_gravity(Angle::degrees(options->latitude_deg), options->height_m, formula);
     if (options->json) {
-      fmt::print("{}\n", gravity_json(gravity, formula, options->latitude_deg, options->height_m).dump(2));
+      print_result("{}\n", gravity_json(gravity, formula, options->latitude_deg, options->height_m).dump(2));
     } else {
-      fmt::print("g_loc  {:.10f} m/s2  ({})\n", gravity.value_mps2, gravity.source);
-      fmt::print("u      {:.7f} m/s2  (standard; rectangular, half width {:.7f} m/s2 = 5e-5 of the value)\n",
-                 gravity.standard_uncertainty_mps2, gravity.half_width_mps2);
-      fmt::print("\nFor the bench file:\n\n{}", bench_piece(gravity));
-      spdlog::warn("{}", gravity.warning);
+      print_result("g_loc  {:.10f} m/s2  ({})\n", gravity.value_mps2, gravity.source);
+      print_result(
+          "u      {:.7f} m/s2  (standard; rectangular, half width {:.7f} m/s2 = 5e-5 of the value)\n",
+          gravity.standard_uncertainty_mps2, gravity.half_width_mps2);
+      print_result("\nFor the bench file:\n\n{}", bench_piece(gravity));
+      print_warning(gravity.warning);
     }
     exit_code = kExitDone;
   });

@@ -7,6 +7,7 @@
 #include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/registry.h"
@@ -121,37 +122,38 @@ CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
       for (const auto& driver : accelerometer_drivers())
         output["accelerometer_drivers"].push_back(
             {{"name", driver.name}, {"description", driver.description}});
-      fmt::print("{}\n", output.dump(2));
+      print_result("{}\n", output.dump(2));
     } else {
-      fmt::print("Serial ports:\n");
-      if (ports.empty()) fmt::print("  none\n");
+      print_result("Serial ports:\n");
+      if (ports.empty()) print_result("  none\n");
       for (const wire::PortInfo& port : ports) {
-        fmt::print("  {}  {}\n", port.path, port.description);
-        if (const std::string id = usb(port); !id.empty()) fmt::print("    port = \"{}\"\n", id);
-        if (!port.by_id.empty()) fmt::print("    {}\n", port.by_id);
+        print_result("  {}  {}\n", port.path, port.description);
+        if (const std::string id = usb(port); !id.empty()) print_result("    port = \"{}\"\n", id);
+        if (!port.by_id.empty()) print_result("    {}\n", port.by_id);
         if (!port.permitted) {
-          fmt::print("    not permitted for this user: sudo usermod -aG {} $USER, then log in again\n",
-                     port.owner_group.empty() ? "dialout" : port.owner_group);
+          print_result("    not permitted for this user: sudo usermod -aG {} $USER, then log in again\n",
+                       port.owner_group.empty() ? "dialout" : port.owner_group);
         }
-        if (!port.holder.empty()) fmt::print("    in use by {}\n", port.holder);
+        if (!port.holder.empty()) print_result("    in use by {}\n", port.holder);
         if (port.latency_timer_ms && *port.latency_timer_ms > 2) {
-          fmt::print(
+          print_result(
               "    its adapter waits {} ms before it passes a short reply on; setserial {} low_latency makes "
               "it 1 ms\n",
               *port.latency_timer_ms, port.path);
         }
       }
       if (options->probe) {
-        fmt::print("Asked:\n");
-        if (probed.empty()) fmt::print("  no port that is free and permitted\n");
-        for (const Probed& one : probed) fmt::print("  {}: {}\n", one.port, one.words());
+        print_result("Asked:\n");
+        if (probed.empty()) print_result("  no port that is free and permitted\n");
+        for (const Probed& one : probed) print_result("  {}: {}\n", one.port, one.words());
       }
-      fmt::print("Stage drivers:\n");
-      for (const auto& driver : stage_drivers()) fmt::print("  {:<18} {}\n", driver.name, driver.description);
-      fmt::print("Accelerometer drivers:\n");
+      print_result("Stage drivers:\n");
+      for (const auto& driver : stage_drivers())
+        print_result("  {:<18} {}\n", driver.name, driver.description);
+      print_result("Accelerometer drivers:\n");
       for (const auto& driver : accelerometer_drivers())
-        fmt::print("  {:<18} {}\n", driver.name, driver.description);
-      fmt::print(
+        print_result("  {:<18} {}\n", driver.name, driver.description);
+      print_result(
           "Both: \"simulated\" as driver (no bytes), or as the port of a driver above (its bytes, in this "
           "program).\n");
     }

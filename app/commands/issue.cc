@@ -7,19 +7,20 @@
 #include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {
 namespace {
 
-struct Options {
+struct IssueOptions {
   std::string run, number, measured_by, approved_by, date, replaces, reason, dcc, key, key_certificate;
   bool force = false;
   CertificateFiles certificate;
 };
 
-IssueFacts facts_of(const Options& options, const std::string& now_utc) {
+IssueFacts facts_of(const IssueOptions& options, const std::string& now_utc) {
   IssueFacts facts;
   facts.number = options.number;
   facts.measured_by = options.measured_by;
@@ -37,7 +38,7 @@ IssueFacts facts_of(const Options& options, const std::string& now_utc) {
   return facts;
 }
 
-void issue(const Options& options) {
+void issue(const IssueOptions& options) {
   const Clock::UtcTime now = RealClock().utc_now();
   if (options.key.empty() != options.key_certificate.empty())
     throw std::invalid_argument("--sign KEY.pem and --certificate CERT.pem go together");
@@ -58,17 +59,17 @@ void issue(const Options& options) {
   const IssuedCertificate issued =
       issue_certificate(certificate, schema ? &*schema : nullptr, key, format_utc(now));
   if (!options.dcc.empty()) OutputFile(options.dcc).write(issued.xml);
-  fmt::print("certificate {} of {}: measured by {}, approved by {}\n", issued.number, issued.date,
-             issued.measured_by, issued.approved_by);
-  if (!issued.replaces.empty()) fmt::print("it replaces {}: {}\n", issued.replaces, issued.reason);
-  fmt::print("kept in {}{}; SHA-256 of its XML {}\n", ResultsFile::path_beside(options.run).string(),
-             key ? ", signed" : "", sha256_of(issued.xml));
+  print_result("certificate {} of {}: measured by {}, approved by {}\n", issued.number, issued.date,
+               issued.measured_by, issued.approved_by);
+  if (!issued.replaces.empty()) print_result("it replaces {}: {}\n", issued.replaces, issued.reason);
+  print_result("kept in {}{}; SHA-256 of its XML {}\n", ResultsFile::path_beside(options.run).string(),
+               key ? ", signed" : "", sha256_of(issued.xml));
 }
 
 }  // namespace
 
 CLI::App* add_issue(CLI::App& parent, int& exit_code) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<IssueOptions>();
   CLI::App* command = parent.add_subcommand(
       "issue",
       "Issue the calibration certificate of a complete run: approved, numbered, kept in RUN.results");

@@ -9,6 +9,7 @@
 #include "app/results/result_text.h"
 #include "app/session/run_bench.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/version.h"
 #include "protocol/analysis/level.h"
 #include "protocol/plan/limits.h"
@@ -73,9 +74,9 @@ LevelFile level_of(const TiltOfZ& tilt, const XZero& x_zero) {
 
 void print_level(const TiltOfZ& tilt, const XZero& x_zero, std::size_t angles) {
   const auto row = [](const char* name, const Quantity& q, const char* words) {
-    fmt::print("  {:<10} {:>28} {:<7} {}\n", name, value_with_uncertainty(q), q.unit, words);
+    print_result("  {:<10} {:>28} {:<7} {}\n", name, value_with_uncertainty(q), q.unit, words);
   };
-  fmt::print("From {} angles about Z at X = 0, and the four positions of the reversal:\n", angles);
+  print_result("From {} angles about Z at X = 0, and the four positions of the reversal:\n", angles);
   row("Delta_Z", tilt.delta_z, "tilt of the Z axis");
   row("Zx", tilt.zx, "its components");
   row("Zy", tilt.zy, "");
@@ -108,11 +109,11 @@ void measure_level(const LevelCommand& command) {
   level.stage_serial_number = who.stage.serial_number;
   write_level_file(output, level);
   if (command.json) {
-    fmt::print("{}\n", level_json(level).dump(2));
+    print_result("{}\n", level_json(level).dump(2));
     return;
   }
   print_level(tilt, x_zero, plan.size() - 4);
-  fmt::print(
+  print_result(
       "Stored in {} (readings in {}). Under [stage] of a bench file, level_file = \"{}\" gives Zx, Zy "
       "and Xz to\n"
       "the joint estimator as data.\n",

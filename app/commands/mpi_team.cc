@@ -10,6 +10,8 @@
 #include <stdexcept>
 #include <thread>
 
+#include "app/system/output.h"
+
 namespace abcal {
 namespace {
 
@@ -219,7 +221,7 @@ class MpiTeam final : public MonteCarloTeam {
         block(first, count, values.data());
       } catch (const std::exception& failure) {
         // The leader refuses values that are not finite and names the trial; the reason is said here.
-        fmt::print(stderr, "abcal: trials from {}: {}\n", first, failure.what());
+        print_log("abcal: trials from {}: {}\n", first, failure.what());
         values.assign(values.size(), std::numeric_limits<double>::quiet_NaN());
       }
       send(values.data(), values.size(), kLeader, tag);
@@ -253,7 +255,7 @@ std::unique_ptr<MonteCarloTeam> mpi_team() {
 void abandon(MonteCarloTeam* team, const char* why, int exit_code) {
   const auto* mpi = dynamic_cast<const MpiTeam*>(team);
   if (mpi == nullptr) return;
-  fmt::print(stderr, "abcal: process {}: {}\n", mpi->rank(), why);
+  print_log("abcal: process {}: {}\n", mpi->rank(), why);
   MPI_Abort(MPI_COMM_WORLD, exit_code);
 }
 

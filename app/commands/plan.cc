@@ -1,11 +1,11 @@
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <nlohmann/json.hpp>
 
 #include "app/bench/bench_config.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "protocol/plan/rotation_plan.h"
 
@@ -49,7 +49,7 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file);
-    for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
+    for (const std::string& warning : config.warnings) print_warning(warning);
     const KnownAxis x = known_axis(config.stage, config.stage.x, config.simulation.x);
     const KnownAxis z = known_axis(config.stage, config.stage.z, config.simulation.z);
     const std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, {x.travel, z.travel});
@@ -74,35 +74,35 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
                                   {"x_deg", angle.x.deg()},
                                   {"z_deg", angle.z.deg()}});
       }
-      fmt::print("{}\n", json.dump(2));
+      print_result("{}\n", json.dump(2));
     } else {
-      fmt::print("{:>5} {:>10} {:>5} {:>10} {:>10} {:>10}\n", "", "experiment", "n", "alpha/deg", "X/deg",
-                 "Z/deg");
+      print_result("{:>5} {:>10} {:>5} {:>10} {:>10} {:>10}\n", "", "experiment", "n", "alpha/deg", "X/deg",
+                   "Z/deg");
       for (std::size_t k = 0; k < plan.size(); ++k) {
         const PlannedAngle& angle = plan[k];
-        fmt::print("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}\n", k + 1, angle.experiment, angle.n,
-                   angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.closing ? "  closing angle" : "");
+        print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}\n", k + 1, angle.experiment, angle.n,
+                     angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.closing ? "  closing angle" : "");
       }
-      fmt::print("{} angles; {} readings at each\n", plan.size(),
-                 readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
+      print_result("{} angles; {} readings at each\n", plan.size(),
+                   readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
       if (x.speed_deg_per_s > 0.0 && z.speed_deg_per_s > 0.0) {
-        fmt::print("About {}: moving {}, settling {}, reading {}\n", describe_duration(duration.total_s()),
-                   describe_duration(duration.moving_s), describe_duration(duration.settling_s),
-                   describe_duration(duration.dwelling_s));
+        print_result("About {}: moving {}, settling {}, reading {}\n", describe_duration(duration.total_s()),
+                     describe_duration(duration.moving_s), describe_duration(duration.settling_s),
+                     describe_duration(duration.dwelling_s));
       } else {
-        fmt::print(
+        print_result(
             "About {} and the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n",
             describe_duration(duration.total_s()), describe_duration(duration.settling_s),
             describe_duration(duration.dwelling_s));
       }
-      fmt::print(
+      print_result(
           "Cables are wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, counted from "
           "zero; "
           "the stage is parked at zero. Where they do not reach so far, say travel_min_deg and "
           "travel_max_deg.\n",
           twist[0].min.deg(), twist[0].max.deg(), twist[1].min.deg(), twist[1].max.deg());
       if (x.travel_assumed || z.travel_assumed) {
-        fmt::print(
+        print_result(
             "The travel of the stage was taken as -360 to 360 deg where the bench file does not say; `run` "
             "asks "
             "the stage.\n");

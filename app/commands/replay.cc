@@ -12,6 +12,7 @@
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
 #include "app/session/run_bench.h"
+#include "app/system/output.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/replay_stream.h"
@@ -57,9 +58,9 @@ void compare(const StoredRun& recorded, const StoredRun& replayed) {
     if (is_same(recorded.record.dwells[before], replayed.record.dwells[k])) ++same;
   }
   const std::string end = end_of(recorded);
-  fmt::print(stderr, "Replay: {} of {} angles are exactly as recorded; {}\n", same, replayed.measured.size(),
-             end == end_of(replayed) ? "it ended as the recorded run did"
-                                     : "it did not end as the recorded run did, which says: " + end);
+  print_log("Replay: {} of {} angles are exactly as recorded; {}\n", same, replayed.measured.size(),
+            end == end_of(replayed) ? "it ended as the recorded run did"
+                                    : "it did not end as the recorded run did, which says: " + end);
 }
 
 /// A replayed run must not be resumed: its bench file names real ports.
@@ -69,7 +70,7 @@ void close_ended_replay(const StoredRun& recorded, const std::filesystem::path& 
     compare(recorded, RunFile::load(path));
     RunFile::open_for_append(path).set_state(RunState::kAbandoned, utc, "a replay ends where it ends");
   } catch (const RunFileError& error) {
-    fmt::print(stderr, "{}\n", error.what());
+    print_log("{}\n", error.what());
   }
 }
 

@@ -16,12 +16,13 @@
 #include "app/document/document_html.h"
 #include "app/document/document_text.h"
 #include "app/report/record_csv.h"
-#include "app/report/record_hdf5.h"
+#include "app/report/hdf5_export.h"
 #include "app/results/report_data.h"
 #include "app/report/report_json.h"
 #include "app/document/weasyprint.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/temporary_folder.h"
 #include "protocol/run/experiment_run.h"
@@ -29,7 +30,7 @@
 namespace abcal {
 namespace {
 
-struct Options {
+struct ReportOptions {
   std::string file;
   std::string html, pdf, csv, csv_raw, hdf5;
   std::string attachment, dcc;
@@ -44,7 +45,7 @@ struct Output {
 };
 
 void print_warnings(const HtmlPage& page) {
-  for (const std::string& warning : page.warnings) fmt::print(stderr, "warning: {}\n", warning);
+  for (const std::string& warning : page.warnings) print_warning(warning);
 }
 
 /// The certificate goes with its page: its XML is inside the PDF unless another file is asked for.
@@ -66,7 +67,7 @@ void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attach
 
 /// Whether the report is one of a certificate: where one is asked for, and where one was issued for the run
 /// as it still is.
-bool of_certificate(const Options& options, const ReportData& data) {
+bool of_certificate(const ReportOptions& options, const ReportData& data) {
   if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
   const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
                                                  [](const IntegrityCheck& check) { return check.good; });
@@ -74,7 +75,7 @@ bool of_certificate(const Options& options, const ReportData& data) {
 }
 
 /// The outputs asked for. `page` makes the HTML page, once for all who need it.
-std::vector<Output> outputs_of(const Options& options, const ReportData& data,
+std::vector<Output> outputs_of(const ReportOptions& options, const ReportData& data,
                                const ReportedCertificate* certificate,
                                const std::function<const HtmlPage&()>& page) {
   std::vector<Output> outputs;
@@ -92,14 +93,14 @@ std::vector<Output> outputs_of(const Options& options, const ReportData& data,
     file.commit();
   });
   add("--hdf5", options.hdf5, [&data](OutputFile& file) {
-    write_hdf5(data, file.temporary(), file.path().filename().string());
+    export_hdf5(data, file.temporary(), file.path().filename().string());
     file.commit();
   });
   return outputs;
 }
 
 /// Everything that can be known to fail before the first file is written.
-void check(const Options& options, const ReportData& data, const std::vector<Output>& outputs) {
+void check(const ReportOptions& options, const ReportData& data, const std::vector<Output>& outputs) {
   std::vector<RequestedOutput> requested;
   for (const Output& output : outputs) requested.push_back(output.requested);
   std::vector<std::filesystem::path> inputs{data.path};
@@ -120,7 +121,7 @@ void check(const Options& options, const ReportData& data, const std::vector<Out
 }  // namespace
 
 CLI::App* add_report(CLI::App& parent, int& exit_code) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<ReportOptions>();
   CLI::App* command = parent.add_subcommand("report", "The report of a run or CSV, for people and programs");
   command->add_option("RUN", options->file, "run file, or CSV of averaged readings")->required();
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
@@ -163,17 +164,18 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       OutputFile file(output.requested.path);
       output.write(file);
       // Standard output belongs to the JSON object if there is one.
-      fmt::print(options->json ? stderr : stdout, "{} written: {}\n", output.requested.option.substr(2),
-                 std::filesystem::absolute(output.requested.path).string());
+      const std::string text = fmt::format("{} written: {}\n", output.requested.option.substr(2),
+                                           std::filesystem::absolute(output.requested.path).string());
+      options->json ? print_log("{}", text) : print_result("{}", text);
       if (interrupt_token().stop_requested()) throw RunInterrupted("interrupted");
     }
     if (options->json) {
-      fmt::print("{}\n", report_json(data).dump(2));
+      print_result("{}\n", report_json(data).dump(2));
     } else if (outputs.empty()) {
-      fmt::print("{}", document_text(document, stdout));
+      print_result("{}", document_text(document, stdout));
     }
     for (const std::string& caution : outputs.empty() ? std::vector<std::string>() : document.cautions)
-      fmt::print(stderr, "caution: {}\n", caution);
+      print_log("caution: {}\n", caution);
     exit_code = data.result().verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
   });
   return command;

@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <algorithm>
 #include <ctime>
@@ -16,6 +15,7 @@
 #include "app/session/run_bench.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "app/system/terminal.h"
 #include "app/system/version.h"
@@ -47,16 +47,16 @@ void keep_recording_without_run(BenchConfig config, const Clock& clock, const st
     RunFile file = RunFile::create(path, header);
     transcript.keep_in(file);
     file.set_state(RunState::kAbandoned, format_utc(clock.utc_now()), why);
-    fmt::print(stderr, "Nothing was measured; the recording is kept in {}\n", path.string());
+    print_log("Nothing was measured; the recording is kept in {}\n", path.string());
   } catch (const RunFileError& error) {
-    fmt::print(stderr, "The recording is lost: {}\n", error.what());
+    print_log("The recording is lost: {}\n", error.what());
   }
 }
 
 }  // namespace
 
 void print_warnings(const BenchConfig& config) {
-  for (const std::string& warning : config.warnings) spdlog::warn("{}", warning);
+  for (const std::string& warning : config.warnings) print_warning(warning);
 }
 
 std::vector<PlannedAngle> plan_and_introduce(const Bench& bench, const BenchConfig& config,
@@ -65,8 +65,7 @@ std::vector<PlannedAngle> plan_and_introduce(const Bench& bench, const BenchConf
   const PlanDuration estimate = estimate_duration(
       plan, config.protocol, {who.stage.axes[0].speed_deg_per_s, who.stage.axes[1].speed_deg_per_s},
       who.accelerometer.rate_hz);
-  fmt::print(
-      stderr,
+  print_log(
       "Stage: {} {} (SN {})\nAccelerometer: {} {} (SN {}), {:g} readings/s in {}\n{} angles, about {}{}\n",
       who.stage.maker, who.stage.model, who.stage.serial_number, who.accelerometer.maker,
       who.accelerometer.model, who.accelerometer.serial_number, who.accelerometer.rate_hz,
@@ -161,12 +160,12 @@ int print_finished_run(const std::filesystem::path& path, const FinishedRun& run
                        {"settling_s", timing.settling_s},
                        {"dwelling_s", timing.dwelling_s},
                        {"overhead_s", timing.overhead_s}}}};
-    fmt::print("{}\n", output.dump(2));
+    print_result("{}\n", output.dump(2));
   } else {
-    fmt::print("{}\n{}\n", result_text(result, stdout),
-               emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
-    fmt::print("{}\n{}\n", comparison_text(run.results), timing_text(timing));
-    fmt::print("Run file: {} (SHA-256 {})\n", path.string(), run.sha256);
+    print_result("{}\n{}\n", result_text(result, stdout),
+                 emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
+    print_result("{}\n{}\n", comparison_text(run.results), timing_text(timing));
+    print_result("Run file: {} (SHA-256 {})\n", path.string(), run.sha256);
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
@@ -256,7 +255,7 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     if (const auto finished = finish_killed_run(options->run_file)) {
-      fmt::print(stderr, "All angles of {} were measured already; it is analysed now\n", options->run_file);
+      print_log("All angles of {} were measured already; it is analysed now\n", options->run_file);
       exit_code = print_finished_run(options->run_file, *finished, options->json);
       return;
     }

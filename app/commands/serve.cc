@@ -12,6 +12,7 @@
 #include "app/console/server.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 
 namespace abcal {
 namespace {
@@ -76,13 +77,12 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
     const bool made = choose_access(options->server, options->token_file);
     console::Server server(options->server, options->bench);
     const std::string& token = options->server.access.token;
-    fmt::print("Console: http://{}:{}/{}\n", name_to_call(options->server.address), server.port(),
-               made ? "?token=" + token : "");
-    fmt::print(
+    print_result("Console: http://{}:{}/{}\n", name_to_call(options->server.address), server.port(),
+                 made ? "?token=" + token : "");
+    print_result(
         "{}A stop by the console is no emergency stop: keep the stage's own switch within reach.\n"
         "Serving until interrupted (Ctrl-C).\n",
         token.empty() ? "Whoever has an account on this computer can use it.\n" : "");
-    std::fflush(stdout);
     exit_code = server.serve(interrupt_token()) ? kExitInterrupted : kExitDone;
   });
   return command;

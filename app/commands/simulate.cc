@@ -19,6 +19,7 @@
 #include "app/report/study_text.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "protocol/uncertainty/simulation_sets.h"
 
@@ -211,13 +212,13 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
     bar.clear();
     if (!options->csv.empty()) write_file(options->csv, study_csv(study));
     if (options->json) {
-      fmt::print("{}\n", study_json(study).dump(2));
+      print_result("{}\n", study_json(study).dump(2));
     } else {
-      fmt::print("{}", study_text(study));
+      print_result("{}", study_text(study));
     }
     if (!options->figures.empty()) {
       for (const std::filesystem::path& path : write_study_figures(study, options->figures)) {
-        fmt::print(stderr, "wrote {}\n", path.string());
+        print_log("wrote {}\n", path.string());
       }
     }
     exit_code = study.interrupted ? kExitInterrupted : kExitDone;

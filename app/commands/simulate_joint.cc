@@ -8,6 +8,7 @@
 #include "app/bench/real_clock.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 
 namespace abcal {
@@ -24,7 +25,7 @@ int simulate_joint(const JointStudyOptions& given, bool json) {
   const JointStudy study = run_joint_study(options);
   bar.clear();
   if (study.interrupted) {
-    fmt::print(stderr, "interrupted: the first {} of {} runs\n", study.trials, options.trials);
+    print_log("interrupted: the first {} of {} runs\n", study.trials, options.trials);
   }
   const int exit_code = study.interrupted ? kExitInterrupted : kExitDone;
   const auto number = [](double value) {
@@ -57,29 +58,30 @@ int simulate_joint(const JointStudyOptions& given, bool json) {
                                    {"ratio", number(o.ratio())},
                                    {"abc_rms_error", number(o.abc_rms_error)}});
     }
-    fmt::print("{}\n", output.dump(2));
+    print_result("{}\n", output.dump(2));
     return exit_code;
   }
-  fmt::print("Joint estimator: {} simulated runs of 3 x {} angles, seed {}\n", study.trials, options.steps,
-             options.seed);
-  fmt::print(
+  print_result("Joint estimator: {} simulated runs of 3 x {} angles, seed {}\n", study.trials, options.steps,
+               options.seed);
+  print_result(
       "reading noise {:g} R, k2 and k3 {:g}, drift {:g} R, response times {:g}; angles from their "
       "tolerances{}\n\n",
       options.noise, options.k, options.drift, options.scale,
       options.joint.mean_step ? "" : "; the fit leaves the mean step errors out");
-  fmt::print("{:<8} {:>9} {:>12} {:>16} {:>7} {:>16}\n", "output", "coverage", "rms error", "rms uncertainty",
-             "ratio", "plain ABC rms");
+  print_result("{:<8} {:>9} {:>12} {:>16} {:>7} {:>16}\n", "output", "coverage", "rms error",
+               "rms uncertainty", "ratio", "plain ABC rms");
   for (const JointStudyOutput& o : study.outputs) {
     if (o.trials == 0) continue;
-    fmt::print("{:<8} {:>9.3f} {:>12.3e} {:>16.3e} {:>7.3f} {:>16}\n", o.name, o.coverage, o.rms_error,
-               o.rms_uncertainty, o.ratio(),
-               std::isfinite(o.abc_rms_error) ? fmt::format("{:.3e}", o.abc_rms_error) : "-");
+    print_result("{:<8} {:>9.3f} {:>12.3e} {:>16.3e} {:>7.3f} {:>16}\n", o.name, o.coverage, o.rms_error,
+                 o.rms_uncertainty, o.ratio(),
+                 std::isfinite(o.abc_rms_error) ? fmt::format("{:.3e}", o.abc_rms_error) : "-");
   }
-  fmt::print(
+  print_result(
       "\nmean chi2/dof {:.4f}; {} fits did not converge; non-linearity fitted in {}; {} verdicts other than "
       "usable\n",
       study.mean_chi2_per_dof, study.failed, study.nonlinearity_fitted, study.not_usable_or_doubtful);
-  fmt::print("coverage: share of runs with the truth inside +-1.96 standard uncertainties (nominal 0.95)\n");
+  print_result(
+      "coverage: share of runs with the truth inside +-1.96 standard uncertainties (nominal 0.95)\n");
   return exit_code;
 }
 

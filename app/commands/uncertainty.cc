@@ -2,19 +2,20 @@
 
 #include <fmt/format.h>
 
+#include <cstdlib>
 #include <fstream>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 
 #include "app/bench/real_clock.h"
-#include "app/commands/mpi_team.h"
 #include "app/commands/simulate.h"
 #include "app/report/study_json.h"
 #include "app/report/study_text.h"
 #include "app/results/load_record.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/progress.h"
 #include "protocol/uncertainty/run_uncertainty.h"
 
@@ -90,10 +91,10 @@ RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
 
 void print(const RunUncertainty& study, bool json) {
   if (json) {
-    fmt::print("{}\n", study_json(study).dump(2));
-    for (const std::string& warning : study.warnings) fmt::print(stderr, "warning: {}\n", warning);
+    print_result("{}\n", study_json(study).dump(2));
+    for (const std::string& warning : study.warnings) print_warning(warning);
   } else {
-    fmt::print("{}", study_text(study));
+    print_result("{}", study_text(study));
   }
 }
 
@@ -126,7 +127,19 @@ MeasuredAcs read_measured_acs(const std::filesystem::path& path) {
   return acs;
 }
 
-CLI::App* add_uncertainty(CLI::App& parent, int& exit_code) {
+StudyProcesses one_process() {
+  const auto join = []() -> std::unique_ptr<MonteCarloTeam> {
+    // Set by Open MPI's mpirun and srun.
+    if (std::getenv("OMPI_COMM_WORLD_SIZE") == nullptr && std::getenv("PMIX_RANK") == nullptr) return nullptr;
+    throw std::runtime_error(
+        "under mpirun each process of abcal would do the whole study; found: mpirun; required: mpirun "
+        "abcal-mpi "
+        "uncertainty (made where libopenmpi-dev is installed), or abcal without mpirun");
+  };
+  return {join, [](MonteCarloTeam*, const char*, int) {}};
+}
+
+CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses processes) {
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
       "uncertainty", "Type B and type A uncertainty of a run, with budget and coverage intervals");
@@ -151,14 +164,14 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code) {
   command->add_option("--measured-acs", options->measured,
                       "JSON of a joint analysis: measured system errors for the type A evaluation");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
-  command->callback([options, &exit_code] {
-    const std::unique_ptr<MonteCarloTeam> team = mpi_team();
+  command->callback([options, processes = std::move(processes), &exit_code] {
+    const std::unique_ptr<MonteCarloTeam> team = processes.join();
     try {
       const RunUncertainty study = study_of(*options, team.get());
       if (team == nullptr || team->leads()) print(study, options->json);
       exit_code = study.interrupted ? kExitInterrupted : kExitDone;
     } catch (const std::exception& error) {
-      abandon(team.get(), error.what(), kExitFailed);
+      processes.abandon(team.get(), error.what(), kExitFailed);
       throw;
     }
   });

@@ -2,14 +2,29 @@
 
 #include <CLI/CLI.hpp>
 #include <filesystem>
+#include <functional>
+#include <memory>
 
+#include "protocol/uncertainty/monte_carlo_team.h"
 #include "protocol/uncertainty/type_a.h"
 
 namespace abcal {
 
+/// How several processes share one study.
+struct StudyProcesses {
+  /// The team of this process; null for a process alone. @throws std::runtime_error if it cannot be made
+  std::function<std::unique_ptr<MonteCarloTeam>()> join;
+  /// Ends the processes of the team after a failure in this one; does nothing without a team.
+  std::function<void(MonteCarloTeam*, const char* why, int exit_code)> abandon;
+};
+
+/// Of `abcal`, which is one process: under mpirun, where every process would do and print the whole study,
+/// `join` throws std::runtime_error and names `abcal-mpi`.
+StudyProcesses one_process();
+
 /// `abcal uncertainty RUN|FILE.csv`: type B, type A, budget and both combined. Bad options throw
 /// std::invalid_argument.
-CLI::App* add_uncertainty(CLI::App& parent, int& exit_code);
+CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses processes);
 
 /// Measured errors of the calibration system from the JSON of a joint analysis (`abcal analyse RUN
 /// --estimator joint

@@ -4,6 +4,7 @@
 
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
+#include "app/system/output.h"
 #include "app/system/terminal.h"
 #include "protocol/record/verify.h"
 
@@ -27,15 +28,15 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
       nlohmann::ordered_json json{{"schema", "abcal.verify/1"}, {"good", good}};
       for (const IntegrityCheck& check : checks)
         json["checks"].push_back({{"what", check.what}, {"good", check.good}, {"found", check.found}});
-      fmt::print("{}\n", json.dump(2));
+      print_result("{}\n", json.dump(2));
     } else {
       for (const IntegrityCheck& check : checks) {
-        fmt::print(
+        print_result(
             "{}  {}: {}\n",
             emphasised(stdout, check.good ? Emphasis::kGood : Emphasis::kBad, check.good ? "good" : " bad"),
             check.what, check.found);
       }
-      fmt::print("{}\n", good ? "unchanged since it was written" : "not as it was written, or not closed");
+      print_result("{}\n", good ? "unchanged since it was written" : "not as it was written, or not closed");
     }
     exit_code = good ? kExitDone : kExitFailed;
   });

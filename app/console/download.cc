@@ -11,7 +11,7 @@
 #include "app/report/calibration_document.h"
 #include "app/document/document_html.h"
 #include "app/report/record_csv.h"
-#include "app/report/record_hdf5.h"
+#include "app/report/hdf5_export.h"
 #include "app/results/report_data.h"
 #include "app/document/weasyprint.h"
 #include "app/system/child_process.h"
@@ -74,7 +74,7 @@ std::string single_readings(const Path& run) {
 }
 
 std::string hdf5(const Path& run) {
-  return bytes_of([&](const Path& file) { write_hdf5(data_of(run), file, run.stem().string() + ".h5"); });
+  return bytes_of([&](const Path& file) { export_hdf5(data_of(run), file, run.stem().string() + ".h5"); });
 }
 
 }  // namespace

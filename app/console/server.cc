@@ -1,7 +1,6 @@
 #include "app/console/server.h"
 
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -30,6 +29,7 @@
 #include "app/console/request.h"
 #include "app/console/run_library.h"
 #include "app/console/target.h"
+#include "app/system/output.h"
 #include "app/system/version.h"
 #include "drivers/wire/readable_bytes.h"
 
@@ -114,13 +114,13 @@ class RefusalLog {
     constexpr std::size_t kShown = 200;
     const Clock::Instant now = clock_.now();
     if (now - since_ > kWhile) {
-      if (count_ > kMost) spdlog::warn("console: {} more were refused", count_ - kMost);
+      if (count_ > kMost) print_warning(fmt::format("console: {} more were refused", count_ - kMost));
       since_ = now;
       count_ = 0;
     }
     if (++count_ > kMost) return;
-    spdlog::warn("console: refused from {}: {}: {}", peer.remote, wire::bytes_as_text(what.substr(0, kShown)),
-                 why);
+    print_warning(fmt::format("console: refused from {}: {}: {}", peer.remote,
+                              wire::bytes_as_text(what.substr(0, kShown)), why));
   }
 
  private:

@@ -7,9 +7,10 @@
 
 namespace abcal {
 
-/// The record and its result as HDF5 with NeXus conventions (docs/report.md names every dataset): units on
-/// every number, standard uncertainties beside their values as NAME_errors, single readings where the record
-/// is a run. Readable with h5py and whatever else reads HDF5.
+/// The record and its result as HDF5, in the program abcal-hdf5 (app/report/hdf5_export.h starts it) with
+/// NeXus conventions (docs/report.md names every dataset): units on every number, standard uncertainties
+/// beside their values as NAME_errors, single readings where the record is a run. Readable with h5py and
+/// whatever else reads HDF5.
 /// @param file_name what the file is called when it is handed out (NeXus: file_name), if `path` is temporary
 /// @throws RunFileError, std::runtime_error (what HDF5 says)
 void write_hdf5(const ReportData& data, const std::filesystem::path& path, const std::string& file_name);

@@ -10,6 +10,7 @@
 
 #include "app/bench/level_file.h"
 #include "app/system/interrupt.h"
+#include "app/system/output.h"
 #include "app/system/terminal.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
@@ -141,7 +142,7 @@ void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, st
     } catch (const InstrumentError& error) {
       if (moment == "start") throw;
       file.append_event(format_utc(bench.clock->utc_now()), "environment not read", error.what());
-      fmt::print(stderr, "warning: the environment could not be read: {}\n", error.what());
+      print_log("warning: the environment could not be read: {}\n", error.what());
     }
   }
   const auto either = [](const std::optional<double>& measured, const std::optional<double>& typed) {
@@ -178,8 +179,8 @@ RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
   } catch (...) {
     observer.finish();
     if (on_failure) {
-      fmt::print(stderr, "{} of {} angles are measured and kept in {}{}\n", observer.measured(), plan.size(),
-                 file.path().string(), *on_failure);
+      print_log("{} of {} angles are measured and kept in {}{}\n", observer.measured(), plan.size(),
+                file.path().string(), *on_failure);
     }
     throw;
   }

@@ -7,11 +7,14 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <array>
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <sstream>
+#include <utility>
 
 #include "app/system/interrupt.h"
 #include "protocol/run/experiment_run.h"
@@ -21,10 +24,11 @@ extern char** environ;
 namespace abcal {
 namespace {
 
-/// How the child begins: signals as in a program that nobody changed, so that Ctrl-C ends it too.
+/// How the child begins: signals as in a program that nobody changed, so that Ctrl-C ends it too, and no
+/// descriptor of this program but the standard ones. Standard output goes where standard error goes.
 class SpawnSettings {
  public:
-  explicit SpawnSettings(ToolOutput output) {
+  SpawnSettings() {
     ::posix_spawnattr_init(&attributes_);
     ::posix_spawn_file_actions_init(&actions_);
     sigset_t none, all;
@@ -33,9 +37,6 @@ class SpawnSettings {
     ::posix_spawnattr_setsigmask(&attributes_, &none);
     ::posix_spawnattr_setsigdefault(&attributes_, &all);
     ::posix_spawnattr_setflags(&attributes_, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
-    if (output == ToolOutput::kHidden)
-      ::posix_spawn_file_actions_addopen(&actions_, STDERR_FILENO, "/dev/null", O_WRONLY, 0);
-    ::posix_spawn_file_actions_adddup2(&actions_, STDERR_FILENO, STDOUT_FILENO);
   }
   SpawnSettings(const SpawnSettings&) = delete;
   SpawnSettings& operator=(const SpawnSettings&) = delete;
@@ -43,17 +44,68 @@ class SpawnSettings {
     ::posix_spawn_file_actions_destroy(&actions_);
     ::posix_spawnattr_destroy(&attributes_);
   }
-  const posix_spawnattr_t* attributes() const { return &attributes_; }
-  const posix_spawn_file_actions_t* actions() const { return &actions_; }
+  void hide_words() {
+    ::posix_spawn_file_actions_addopen(&actions_, STDERR_FILENO, "/dev/null", O_WRONLY, 0);
+  }
+  void send_words_to(int descriptor) {
+    ::posix_spawn_file_actions_adddup2(&actions_, descriptor, STDERR_FILENO);
+  }
+
+  /// @throws ProgramMissing, std::runtime_error
+  pid_t start(const Tool& tool, const std::vector<std::string>& arguments) {
+    require_installed(tool);
+    ::posix_spawn_file_actions_adddup2(&actions_, STDERR_FILENO, STDOUT_FILENO);
+    ::posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 1);
+    std::vector<std::string> words{tool.program};
+    words.insert(words.end(), arguments.begin(), arguments.end());
+    std::vector<char*> argv;
+    for (std::string& word : words) argv.push_back(word.data());
+    argv.push_back(nullptr);
+    pid_t child = 0;
+    const int error =
+        ::posix_spawnp(&child, tool.program.c_str(), &actions_, &attributes_, argv.data(), environ);
+    if (error != 0)
+      throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(error)));
+    return child;
+  }
 
  private:
   posix_spawnattr_t attributes_{};
   posix_spawn_file_actions_t actions_{};
 };
 
+/// @returns the exit code; 128 + signal if a signal ended it
+/// @throws RunInterrupted (Ctrl-C meanwhile), std::runtime_error
+int wait_for_end(pid_t child, const Tool& tool) {
+  int status = 0;
+  while (::waitpid(child, &status, 0) < 0) {
+    if (errno != EINTR)
+      throw std::runtime_error(fmt::format("waiting for {}: {}", tool.program, std::strerror(errno)));
+  }
+  if (interrupt_token().stop_requested())
+    throw RunInterrupted(fmt::format("interrupted while {} was at work", tool.program));
+  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+}
+
+/// All that comes until the writer is gone; what is more than 64 kB is not kept.
+std::string read_words(int descriptor) {
+  constexpr std::size_t kMost = 65'536;
+  std::string words;
+  std::array<char, 4096> chunk{};
+  for (;;) {
+    const ssize_t count = ::read(descriptor, chunk.data(), chunk.size());
+    if (count == 0 || (count < 0 && errno != EINTR)) break;
+    if (count > 0)
+      words.append(chunk.data(), std::min(static_cast<std::size_t>(count), kMost - words.size()));
+  }
+  while (words.ends_with('\n')) words.pop_back();
+  return words;
+}
+
 }  // namespace
 
 bool is_installed(const Tool& tool) {
+  if (tool.program.find('/') != std::string::npos) return ::access(tool.program.c_str(), X_OK) == 0;
   const char* path = std::getenv("PATH");
   std::istringstream folders(path != nullptr ? path : "/usr/local/bin:/usr/bin:/bin");
   for (std::string folder; std::getline(folders, folder, ':');) {
@@ -71,27 +123,29 @@ void require_installed(const Tool& tool) {
 }
 
 int run_tool(const Tool& tool, const std::vector<std::string>& arguments, ToolOutput output) {
-  require_installed(tool);
-  std::vector<std::string> words{tool.program};
-  words.insert(words.end(), arguments.begin(), arguments.end());
-  std::vector<char*> argv;
-  for (std::string& word : words) argv.push_back(word.data());
-  argv.push_back(nullptr);
-  const SpawnSettings settings(output);
+  SpawnSettings settings;
+  if (output == ToolOutput::kHidden) settings.hide_words();
+  return wait_for_end(settings.start(tool, arguments), tool);
+}
+
+ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments) {
+  std::array<int, 2> ends{};
+  if (::pipe2(ends.data(), O_CLOEXEC) != 0)
+    throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
+  SpawnSettings settings;
+  settings.send_words_to(ends[1]);
   pid_t child = 0;
-  if (const int error = ::posix_spawnp(&child, tool.program.c_str(), settings.actions(),
-                                       settings.attributes(), argv.data(), environ);
-      error != 0) {
-    throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(error)));
+  try {
+    child = settings.start(tool, arguments);
+  } catch (...) {
+    ::close(ends[0]);
+    ::close(ends[1]);
+    throw;
   }
-  int status = 0;
-  while (::waitpid(child, &status, 0) < 0) {
-    if (errno != EINTR)
-      throw std::runtime_error(fmt::format("waiting for {}: {}", tool.program, std::strerror(errno)));
-  }
-  if (interrupt_token().stop_requested())
-    throw RunInterrupted(fmt::format("interrupted while {} was at work", tool.program));
-  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  ::close(ends[1]);
+  std::string words = read_words(ends[0]);
+  ::close(ends[0]);
+  return {wait_for_end(child, tool), std::move(words)};
 }
 
 }  // namespace abcal

@@ -14,7 +14,7 @@ class ProgramMissing : public std::runtime_error {
 
 /// Another program of this machine, and how to get it.
 struct Tool {
-  std::string program;  ///< Looked for in PATH.
+  std::string program;  ///< Looked for in PATH, but a path with "/" is taken as it stands.
   std::string needed_by;
   std::string package;  ///< Of Debian.
 };
@@ -36,5 +36,15 @@ enum class ToolOutput {
 /// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error
 int run_tool(const Tool& tool, const std::vector<std::string>& arguments,
              ToolOutput output = ToolOutput::kShown);
+
+/// How a program ended, and what it printed on either stream.
+struct ToolResult {
+  int exit_code = 0;  ///< 128 + signal if a signal ended it
+  std::string words;  ///< At most 64 kB, without the newlines at its end.
+};
+
+/// The same for a program whose words belong to the message of its failure.
+/// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error
+ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments);
 
 }  // namespace abcal

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <utility>
 
+#include "app/system/output.h"
 #include "app/system/terminal.h"
 
 namespace abcal {
@@ -19,12 +20,8 @@ std::string describe_duration(double seconds) {
   return fmt::format("{} s", whole);
 }
 
-ProgressBar::ProgressBar(std::string title, const Clock& clock, std::FILE* stream)
-    : title_(std::move(title)),
-      clock_(clock),
-      stream_(stream),
-      visible_(is_terminal(stream)),
-      started_(clock.now()) {}
+ProgressBar::ProgressBar(std::string title, const Clock& clock)
+    : title_(std::move(title)), clock_(clock), visible_(is_terminal(stderr)), started_(clock.now()) {}
 
 ProgressBar::~ProgressBar() {
   clear();
@@ -54,22 +51,19 @@ void ProgressBar::show(double done, double total, std::string_view words) {
   if (!words.empty()) text.append("  ").append(words);
   winsize size{};
   const std::size_t width =
-      ::ioctl(::fileno(stream_), TIOCGWINSZ, &size) == 0 && size.ws_col > 10 ? size.ws_col : 80;
+      ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 10 ? size.ws_col : 80;
   if (text.size() >= width) text.resize(width - 1);
-  fmt::print(stream_, "\r{}\x1b[K", text);
-  std::fflush(stream_);
+  print_to_terminal(fmt::format("\r{}\x1b[K", printable_text(text)));
 }
 
 void ProgressBar::line(std::string_view text) {
   clear();
-  fmt::print(stream_, "{}\n", text);
-  std::fflush(stream_);
+  print_log("{}\n", text);
 }
 
 void ProgressBar::clear() {
   if (!drawn_) return;
-  fmt::print(stream_, "\r\x1b[K");
-  std::fflush(stream_);
+  print_to_terminal("\r\x1b[K");
   drawn_ = false;
 }
 

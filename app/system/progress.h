@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdio>
 #include <string>
 #include <string_view>
 
@@ -15,8 +14,8 @@ std::string describe_duration(double seconds);
 /// A progress bar with the time that is left, on a terminal's one line; silent where nobody looks.
 class ProgressBar {
  public:
-  /// `stream` is standard error, so that standard output stays the result's.
-  ProgressBar(std::string title, const Clock& clock, std::FILE* stream = stderr);
+  /// On standard error, so that standard output stays the result's.
+  ProgressBar(std::string title, const Clock& clock);
   ~ProgressBar();
   ProgressBar(const ProgressBar&) = delete;
   ProgressBar& operator=(const ProgressBar&) = delete;
@@ -31,7 +30,6 @@ class ProgressBar {
  private:
   std::string title_;
   const Clock& clock_;
-  std::FILE* stream_;
   bool visible_;
   bool drawn_ = false;
   Clock::Instant started_;

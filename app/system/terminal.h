@@ -2,6 +2,7 @@
 
 #include <cstdio>
 #include <string>
+#include <string_view>
 
 namespace abcal {
 
@@ -10,7 +11,15 @@ bool is_terminal(std::FILE* stream);
 
 enum class Emphasis { kNone, kGood, kWarning, kBad, kHeading };
 
-/// `text` in a colour if `stream` is a terminal and NO_COLOR is not set, else as it is.
+/// `text` marked for print_log() and print_result() (app/system/output.h), which show it in a colour, if
+/// `stream` is a terminal and NO_COLOR is not set; else as it is.
 std::string emphasised(std::FILE* stream, Emphasis emphasis, const std::string& text);
+
+/// Bytes that begin and end what is emphasised. None of them occurs in UTF-8, so no text of a bench file
+/// holds one.
+inline constexpr std::string_view kEmphasisMarks = "\xf8\xf9\xfa\xfb\xfc";
+
+/// What a terminal takes for one of kEmphasisMarks.
+std::string_view terminal_sequence(char mark);
 
 }  // namespace abcal

@@ -1,13 +1,84 @@
 #include "app/toml/toml_reader.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
 
+#include "app/system/output.h"
+
 namespace abcal {
 namespace {
+
+// What a message shows of a file, in bytes: enough to find the place, whatever stands there.
+constexpr std::size_t kLongestShown = 200;
+constexpr std::size_t kLongestRequired = 1000;
+constexpr std::size_t kMostProblems = 50;
+
+constexpr std::size_t kLargestTomlFile = 16U << 20U;  // bytes
+// Parts of one key, and brackets within each other. No file of ours comes near (3 and 2); tables within
+// tables without end would exhaust the stack.
+constexpr std::size_t kDeepestToml = 16;
+
+Problem shown_problem(const std::string& where, const std::string& found, const std::string& required) {
+  return {shortened_text(where, kLongestShown), shortened_text(found, kLongestShown),
+          shortened_text(required, kLongestRequired)};
+}
+
+/// Goes once over a TOML text, without knowing more of it than strings and comments.
+class NestingCheck {
+ public:
+  explicit NestingCheck(std::string_view text) : text_(text) {}
+
+  /// The first line that nests too deeply; nothing: none does.
+  std::optional<std::size_t> line_too_deep() {
+    while (at_ < text_.size()) {
+      const char c = text_[at_];
+      if (c == '#') {
+        at_ = std::min(text_.find('\n', at_), text_.size());
+        continue;
+      }
+      if (c == '"' || c == '\'') {
+        skip_string(c);
+        continue;
+      }
+      ++at_;
+      count(c);
+      if (dots_ >= kDeepestToml || brackets_ > kDeepestToml) return line_;
+    }
+    return std::nullopt;
+  }
+
+ private:
+  void count(char c) {
+    if (c == '.') ++dots_;
+    if (c == '\n') ++line_;
+    if (c == '[' || c == '{') ++brackets_;
+    if ((c == ']' || c == '}') && brackets_ > 0) --brackets_;
+    if (std::string_view("\n=,[]{}").find(c) != std::string_view::npos) dots_ = 0;
+  }
+
+  void skip_string(char quote) {
+    const std::string triple(3, quote);
+    const bool has_lines = text_.substr(at_, 3) == triple;
+    at_ += has_lines ? 3 : 1;
+    while (at_ < text_.size()) {
+      const char c = text_[at_];
+      if (c == '\n' && !has_lines) return;  // Not closed: the parser says so.
+      if (has_lines ? text_.substr(at_, 3) == triple : c == quote) {
+        at_ += has_lines ? 3 : 1;
+        return;
+      }
+      if (c == '\n') ++line_;
+      at_ += c == '\\' && quote == '"' ? 2 : 1;
+    }
+  }
+
+  std::string_view text_;
+  std::size_t at_ = 0, line_ = 1, dots_ = 0, brackets_ = 0;
+};
 
 std::string words_of(const toml::node& node) {
   std::ostringstream text;
@@ -271,7 +342,14 @@ std::vector<Problem> TomlReader::take_problems() {
   std::stable_sort(found_.begin(), found_.end(),
                    [](const auto& a, const auto& b) { return a.first < b.first; });
   std::vector<Problem> problems;
-  for (auto& [line, problem] : found_) problems.push_back(std::move(problem));
+  for (auto& [line, problem] : found_) {
+    if (problems.size() == kMostProblems) {
+      problems.push_back({"the file", fmt::format("{} further problems", found_.size() - kMostProblems),
+                          "that these are mended first"});
+      break;
+    }
+    problems.push_back(std::move(problem));
+  }
   return problems;
 }
 
@@ -286,14 +364,14 @@ void TomlReader::add_problem_at(std::uint32_t line, const std::string& where, co
                                 const std::string& required) {
   // What has no line stands at the end.
   found_.emplace_back(line == 0 ? std::numeric_limits<std::uint32_t>::max() : line,
-                      Problem{at(line) + display(where), found, required});
+                      shown_problem(at(line) + display(where), found, required));
 }
 
-void TomlReader::problem(const toml::node& node, const std::string& where, std::string found,
-                         std::string required) {
+void TomlReader::problem(const toml::node& node, const std::string& where, const std::string& found,
+                         const std::string& required) {
   const std::uint32_t line = node.source().begin.line;
   wrong_.insert(where);
-  found_.emplace_back(line, Problem{at(line) + display(where), std::move(found), std::move(required)});
+  found_.emplace_back(line, shown_problem(at(line) + display(where), found, required));
 }
 
 const toml::node* TomlReader::find(const std::string& key) {
@@ -342,10 +420,11 @@ void TomlReader::report_unknown(const toml::table& table, const std::string& pat
   for (const auto& [key, node] : table) {
     const std::string word(key.str());
     if (known.contains(word)) continue;
+    const std::string_view start = std::string_view(word).substr(0, kLongestShown);
     const auto nearest = std::min_element(known.begin(), known.end(), [&](const auto& a, const auto& b) {
-      return edit_distance(word, a) < edit_distance(word, b);
+      return edit_distance(start, a) < edit_distance(start, b);
     });
-    const bool close = nearest != known.end() && edit_distance(word, *nearest) <= 2 + word.size() / 5;
+    const bool close = nearest != known.end() && edit_distance(start, *nearest) <= 2 + start.size() / 5;
     problem(node, path.empty() ? word : path + "." + word,
             node.is_table() ? "a section of this name" : "a key of this name",
             close ? "a known one: did you mean \"" + *nearest + "\"?"
@@ -359,12 +438,19 @@ toml::table parse_toml(std::string_view text, const std::string& source, const s
     problems.push_back({"the file", "nothing in it", kind});
     return {};
   }
+  if (const auto line = NestingCheck(text).line_too_deep()) {
+    problems.push_back({fmt::format("line {}", *line), "tables or lists nested too deeply",
+                        fmt::format("at most {} parts of a key and {} brackets within each other",
+                                    kDeepestToml, kDeepestToml)});
+    return {};
+  }
   try {
     return toml::parse(text, source);
   } catch (const toml::parse_error& error) {
     problems.push_back(
         {fmt::format("line {}, column {}", error.source().begin.line, error.source().begin.column),
-         std::string(error.description()), "TOML (key = value under [section]; text in quotes)"});
+         shortened_text(error.description(), kLongestShown),
+         "TOML (key = value under [section]; text in quotes)"});
     return {};
   }
 }
@@ -384,9 +470,15 @@ std::string read_text_file(const std::string& path, const std::string& kind, std
     problems.push_back({"the file", "it cannot be opened", "a file that this user may read"});
     return {};
   }
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
+  std::string text;
+  std::array<char, 65536> chunk{};
+  while (text.size() <= kLargestTomlFile && file.read(chunk.data(), chunk.size()).gcount() > 0)
+    text.append(chunk.data(), static_cast<std::size_t>(file.gcount()));
+  if (text.size() > kLargestTomlFile) {
+    problems.push_back({"the file", fmt::format("more than {} MiB", kLargestTomlFile >> 20U), "a " + kind});
+    return {};
+  }
+  return text;
 }
 
 }  // namespace abcal

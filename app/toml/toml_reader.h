@@ -68,7 +68,8 @@ class TomlReader final : public KeyVisitor {
                       const std::string& required);
 
  private:
-  void problem(const toml::node& node, const std::string& where, std::string found, std::string required);
+  void problem(const toml::node& node, const std::string& where, const std::string& found,
+               const std::string& required);
   const toml::node* find(const std::string& key);
   void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,
                  bool required);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <boost/asio/bind_cancellation_slot.hpp>
 #include <boost/asio/buffer.hpp>
 #include <boost/asio/cancellation_signal.hpp>
@@ -55,16 +56,19 @@ class AsioLink {
       } catch (const std::exception& error) {
         queue_.close(std::string("the thread that reads it failed: ") + error.what());
       }
+      ended_ = true;
     });
   }
 
+  /// @throws InstrumentError kNoReply after kWriteDeadline, kLinkLost if the port or its thread has ended
   void write(std::string_view bytes) {
     const std::lock_guard lock(write_mutex_);  // One write is never torn by another.
     queue_.throw_if_closed();
     if (bytes.empty()) return;
-    const auto job = std::make_shared<WriteJob>(io_);
+    const auto job = std::make_shared<WriteJob>(io_, bytes);
     auto result = job->result.get_future();
-    boost::asio::post(io_, [this, job, bytes] {
+    boost::asio::post(io_, [this, job] {
+      if (job->abandoned) return;
       job->timer.expires_after(kWriteDeadline);
       job->timer.async_wait([job](const boost::system::error_code& error) {
         if (error || job->done) return;
@@ -72,7 +76,7 @@ class AsioLink {
         job->cancel.emit(boost::asio::cancellation_type::terminal);
       });
       boost::asio::async_write(
-          port_, boost::asio::buffer(bytes.data(), bytes.size()),
+          port_, boost::asio::buffer(job->bytes),
           boost::asio::bind_cancellation_slot(
               job->cancel.slot(), [job](const boost::system::error_code& error, std::size_t written) {
                 job->done = true;
@@ -80,7 +84,8 @@ class AsioLink {
                 job->result.set_value({error, written, job->timed_out});
               }));
     });
-    const WriteResult outcome = result.get();  // Within the deadline: the timer sees to it.
+    wait_for(*job, result);
+    const WriteResult outcome = result.get();
     if (!outcome.error) return;
     if (outcome.timed_out) {
       throw InstrumentError(queue_.name(), Fault::kNoReply,
@@ -101,13 +106,31 @@ class AsioLink {
 
   /// Shared by the two handlers, since either may come last.
   struct WriteJob {
-    explicit WriteJob(boost::asio::io_context& io) : timer(io) {}
+    WriteJob(boost::asio::io_context& io, std::string_view written) : bytes(written), timer(io) {}
+    std::string bytes;  // A copy: a thread that hangs may come to it after the caller has gone.
     boost::asio::steady_timer timer;
     boost::asio::cancellation_signal cancel;
     bool done = false;
     bool timed_out = false;
+    std::atomic<bool> abandoned = false;  ///< The caller was told that it failed: it is not sent later.
     std::promise<WriteResult> result;
   };
+
+  /// The job's timer ends every write in time, but not without the thread that runs both.
+  void wait_for(WriteJob& job, const std::future<WriteResult>& result) {
+    constexpr auto kGrace = std::chrono::seconds(5);  // a busy machine
+    const auto longest = std::chrono::steady_clock::now() + kWriteDeadline + kGrace;
+    while (result.wait_for(std::chrono::milliseconds(20)) != std::future_status::ready) {
+      const bool hangs = std::chrono::steady_clock::now() > longest;
+      if (!ended_ && !hangs) continue;
+      job.abandoned = true;
+      if (ended_) {
+        queue_.throw_if_closed();  // It says why.
+        throw InstrumentError(queue_.name(), Fault::kLinkLost, "the thread that writes to it has ended");
+      }
+      throw InstrumentError(queue_.name(), Fault::kLinkLost, "the thread that writes to it does not answer");
+    }
+  }
 
   static std::string lost_because(const boost::system::error_code& error) {
     return "unplugged, switched off, or closed by the other side (" + error.message() + ")";
@@ -132,6 +155,7 @@ class AsioLink {
   std::optional<boost::asio::executor_work_guard<boost::asio::io_context::executor_type>> work_;
   std::array<char, 65536> chunk_{};
   std::mutex write_mutex_;
+  std::atomic<bool> ended_ = false;  ///< Nobody runs io_ any more.
   std::thread thread_;
 };
 

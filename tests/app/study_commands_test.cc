@@ -202,12 +202,16 @@ TEST_F(StudyCommands, SeveralProcessesGiveTheSameBitsAsOne) {
     arguments.insert(arguments.end(), number.begin(), number.end());
     const ProgramResult alone = abcal(arguments);
     ASSERT_EQ(alone.exit_code, 0) << alone.err;
-    std::vector<std::string> words{"--oversubscribe", "-n", "3", test::abcal_program()};
+    std::vector<std::string> words{"--oversubscribe", "-n", "3", test::abcal_program() + "-mpi"};
     words.insert(words.end(), arguments.begin(), arguments.end());
     test::Program team(ABCAL_MPIRUN, words, folder.path());
     EXPECT_EQ(team.wait(), 0) << team.err();
     EXPECT_EQ(team.out(), alone.out);
   }
+  test::Program wrong(ABCAL_MPIRUN, {"-n", "1", test::abcal_program(), "uncertainty", "run.csv"},
+                      folder.path());
+  EXPECT_NE(wrong.wait(), 0);
+  EXPECT_THAT(wrong.err(), HasSubstr("required: mpirun abcal-mpi uncertainty"));
 #endif
 }
 

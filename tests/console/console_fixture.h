@@ -1,18 +1,18 @@
 #pragma once
 
 #include <gtest/gtest.h>
-#include <spdlog/sinks/ostream_sink.h>
-#include <spdlog/spdlog.h>
 
 #include <filesystem>
 #include <memory>
 #include <mutex>
-#include <sstream>
 #include <stop_token>
 #include <string>
+#include <string_view>
 #include <thread>
 
 #include "app/console/server.h"
+#include "app/system/helper_program.h"
+#include "app/system/output.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/console/client.h"
 #include "tests/support/temporary_folder.h"
@@ -23,16 +23,18 @@ namespace abcal::console {
 class ConsoleTest : public testing::Test {
  protected:
   ConsoleTest() {
-    sink_ = std::make_shared<spdlog::sinks::ostream_sink_mt>(log_);
-    before_ = spdlog::default_logger();
-    spdlog::set_default_logger(std::make_shared<spdlog::logger>("test", sink_));
+    set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());
+    send_log_to([this](std::string_view words) {
+      const std::lock_guard lock(log_mutex_);
+      log_ += words;
+    });
     options.port = 0;
     options.longest_queue = 100000;  // However slow the page of a test, each message comes.
     pace = 500.0;
   }
   ~ConsoleTest() override {
     close();
-    spdlog::set_default_logger(before_);
+    send_log_to(nullptr);
   }
 
   void open() {
@@ -50,9 +52,8 @@ class ConsoleTest : public testing::Test {
 
   std::filesystem::path runs() const { return folder / "runs"; }
   std::string logged() {
-    // The sink's lock is the one that guards the stream.
-    sink_->flush();
-    return log_.str();
+    const std::lock_guard lock(log_mutex_);
+    return log_;
   }
   bool is_logged(const std::string& text) {
     return test::wait_for([&] { return logged().find(text) != std::string::npos; }, test::kPatience);
@@ -79,42 +80,8 @@ class ConsoleTest : public testing::Test {
   bool something_was_on = false;
 
  private:
-  /// A stream buffer that one thread writes while another looks.
-  class SharedLog : public std::ostream {
-   public:
-    SharedLog() : std::ostream(&buffer_) {}
-    std::string str() { return buffer_.text(); }
-
-   private:
-    class Buffer : public std::streambuf {
-     public:
-      std::string text() {
-        const std::lock_guard lock(mutex_);
-        return text_;
-      }
-
-     protected:
-      int_type overflow(int_type c) override {
-        const std::lock_guard lock(mutex_);
-        if (c != traits_type::eof()) text_ += traits_type::to_char_type(c);
-        return c;
-      }
-      std::streamsize xsputn(const char* data, std::streamsize size) override {
-        const std::lock_guard lock(mutex_);
-        text_.append(data, static_cast<std::size_t>(size));
-        return size;
-      }
-
-     private:
-      std::mutex mutex_;
-      std::string text_;
-    };
-    Buffer buffer_;
-  };
-
-  SharedLog log_;
-  std::shared_ptr<spdlog::sinks::ostream_sink_mt> sink_;
-  std::shared_ptr<spdlog::logger> before_;
+  std::mutex log_mutex_;
+  std::string log_;
   std::unique_ptr<Server> server_;
   std::stop_source stop_;
   std::jthread thread_;

@@ -11,11 +11,11 @@ const CHROMIUM = process.env.ABCAL_CHROMIUM || '/usr/bin/chromium';
 const modules = process.env.ABCAL_NODE_MODULES;
 
 export const SIZES = {desk: {width: 1366, height: 768}, phone: {width: 390, height: 844}};
-export const PATIENCE = 120_000;  // ms; a busy machine is slow, and a run takes some seconds on a fast one
+export const PATIENCE = 25_000;  // ms; a busy machine is slow, and a run takes some seconds on a fast one
 
 // What no page can be shown without, in words; null if all is there.
 export function missing() {
-  if (!modules || !existsSync(path.join(modules, 'playwright-core'))) return 'playwright-core is not installed';
+  if (!modules || !existsSync(path.join(modules, 'playwright-core'))) return 'playwright-core is not installed (scripts/setup --tests does that)';
   return existsSync(CHROMIUM) ? null : `there is no ${CHROMIUM}`;
 }
 
@@ -64,7 +64,7 @@ export class ServedPage {
   }
 
   abcal(...words) {
-    return execFileSync(process.env.ABCAL_PROGRAM, words, {cwd: this.folder, encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore']});
+    return execFileSync(process.env.ABCAL_PROGRAM, words, {cwd: this.folder, encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore'], timeout: PATIENCE});
   }
 
   text(selector) { return this.page.locator(selector).innerText(); }
@@ -93,6 +93,12 @@ export class ServedPage {
     await this.page.locator('#confirm-yes').click();
   }
   goTo(view) { return this.page.locator(`nav a[href="#${view}"]`).click(); }
+
+  // At once, for a test that takes too long; the browser ends with this process.
+  kill() {
+    this.server?.kill('SIGKILL');
+    rmSync(this.folder, {recursive: true, force: true});
+  }
 
   async close() {
     await this.browser?.close();

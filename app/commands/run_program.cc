@@ -1,0 +1,94 @@
+#include "app/commands/run_program.h"
+
+#include <CLI/CLI.hpp>
+#include <cstdlib>
+#include <exception>
+#include <sstream>
+
+#include "app/bench/bench_config.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
+#include "app/system/output.h"
+#include "app/system/version.h"
+#include "drivers/instrument/instrument_error.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/run/experiment_run.h"
+
+namespace abcal {
+namespace {
+
+int fail_with(ExitCode code, const char* what) {
+  print_error(what);
+  return code;
+}
+
+/// A command was refused, or help was asked for.
+int explain_command_line(const CLI::App& app, const CLI::ParseError& error) {
+  if (error.get_exit_code() == static_cast<int>(CLI::ExitCodes::Success)) {
+    std::ostringstream text, ignored;
+    const int exit_code = app.exit(error, text, ignored);
+    print_result("{}", text.str());
+    return exit_code;
+  }
+  print_log("{0}: {1}\nRun `{0} --help` or `{0} COMMAND --help` to see what is possible.\n", app.get_name(),
+            error.what());
+  return kExitUsage;
+}
+
+/// @returns what the program shall return to the shell.
+int run_command(int argc, char** argv, const ProgramDescription& program) {
+  int exit_code = kExitDone;
+  CLI::App app(program.description, program.name);
+  app.set_version_flag("--version", program.name + " " + program_version());
+  app.require_subcommand(1);
+  app.failure_message(CLI::FailureMessage::help);
+  program.add_commands(app, exit_code);
+  try {
+    app.parse(argc, argv);
+    return exit_code;
+  } catch (const CLI::ParseError& error) {
+    return explain_command_line(app, error);
+  } catch (const BenchError& error) {
+    return fail_with(kExitUsage, error.what());
+  } catch (const PlanError& error) {
+    return fail_with(kExitUsage, error.what());
+  } catch (const InstrumentError& error) {
+    return fail_with(kExitInstrument, error.what());
+  } catch (const RunInterrupted& error) {
+    return fail_with(kExitInterrupted, error.what());
+  } catch (const std::invalid_argument& error) {
+    return fail_with(kExitUsage, error.what());
+  }
+}
+
+/// An exception that nobody caught, in whichever thread, is a bug; its words are not lost.
+[[noreturn]] void end_after_bug() noexcept {
+  try {
+    if (const std::exception_ptr pending = std::current_exception()) std::rethrow_exception(pending);
+    print_error("ended by an error of its own");
+  } catch (const std::exception& error) {
+    print_log("abcal: ended by an error of its own: {}\n", error.what());
+  } catch (...) {
+    print_error("ended by an error of its own, of an unknown kind");
+  }
+  std::abort();
+}
+
+}  // namespace
+
+int run_program(int argc, char** argv, const ProgramDescription& program) noexcept {
+  reserve_standard_descriptors();
+  std::set_terminate(end_after_bug);
+  int exit_code = kExitFailed;
+  try {
+    watch_for_signals();
+    exit_code = run_command(argc, argv, program);
+  } catch (const std::exception& error) {
+    print_error(error.what());
+  } catch (...) {
+    print_error("failed for a reason that has no words");
+  }
+  return finish_output(exit_code);
+}
+
+}  // namespace abcal

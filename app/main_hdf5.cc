@@ -1,0 +1,39 @@
+// abcal-hdf5: a record and its results as HDF5. Started by abcal (app/report/hdf5_export.h), which so need
+// not load HDF5 and what that brings along.
+#include <CLI/CLI.hpp>
+#include <memory>
+#include <string>
+
+#include "app/bench/real_clock.h"
+#include "app/commands/run_program.h"
+#include "app/report/record_hdf5.h"
+
+namespace {
+
+void add_export(CLI::App& parent) {
+  struct Options {
+    std::string record, output, file_name, created_utc;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand("export", "Write a record and its results as HDF5");
+  command->add_option("RECORD", options->record, "run file or CSV")->required();
+  command->add_option("OUTPUT", options->output, "file to write; what is there is replaced")->required();
+  command->add_option("--file-name", options->file_name, "what OUTPUT will be called (NeXus: file_name)")
+      ->required();
+  command->add_option("--created-utc", options->created_utc, "when it is made, in ISO 8601")->required();
+  command->callback([options] {
+    using namespace abcal;
+    ReportData data = gather_report(options->record, RealClock().utc_now());
+    data.created_utc = options->created_utc;
+    write_hdf5(data, options->output, options->file_name);
+  });
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return abcal::run_program(
+      argc, argv,
+      {"abcal-hdf5", "abcal-hdf5 writes the HDF5 files of `abcal report --hdf5` and of the console.",
+       [](CLI::App& app, int&) { add_export(app); }});
+}

@@ -1,0 +1,17 @@
+// abcal-mpi: `abcal uncertainty` for several processes (mpirun). A program of its own, so that abcal need not
+// load MPI.
+#include "app/commands/mpi_team.h"
+#include "app/commands/run_program.h"
+#include "app/commands/uncertainty.h"
+
+int main(int argc, char** argv) {
+  using namespace abcal;
+  return run_program(
+      argc, argv,
+      {"abcal-mpi",
+       "abcal-mpi shares one Monte Carlo study of `abcal uncertainty` among the processes that mpirun "
+       "starts:\n  mpirun -n 4 abcal-mpi uncertainty RUN",
+       [](CLI::App& app, int& exit_code) {
+         add_uncertainty(app, exit_code, {mpi_team, abandon});
+       }});
+}

@@ -1,0 +1,59 @@
+// Two pages of one bench; stopping and resuming a run.
+import assert from 'node:assert/strict';
+import {ANGLES, begin, complainsOfNothing, confirmDialog, measured, served, stateIs, text} from './page_test.mjs';
+
+const step = begin({pace: 10});
+let runName;
+
+step('starts a run, and holds it', async (page) => {
+  await page.getByRole('button', {name: 'Take control', exact: true}).click();
+  await page.locator('#do-start:enabled').click();
+  await confirmDialog();
+  await served.pressAt(8, 'do-hold');
+  await stateIs(/^Held/);
+  runName = await text('#run-file');
+});
+
+step('another page watches, and steers only after it took control', async (page) => {
+  const other = served.watch(await served.browser.newPage());
+  await other.goto(served.address);
+  await served.measuredAtLeast(8, other);
+  assert.ok(await other.locator('#do-stop').isDisabled());
+  await other.getByRole('button', {name: 'Take control from the other page'}).click();
+  await other.locator('#confirm-yes').click();
+  await other.locator('#do-stop:enabled').waitFor();
+  assert.ok(await page.locator('#do-stop').isDisabled());
+  await other.close();
+  // Only when the console has noticed that nobody steers: before, the button asks, and nobody would answer.
+  await page.getByRole('button', {name: 'Take control', exact: true}).click();
+  await page.locator('#do-stop:enabled').waitFor();
+});
+
+step('continues, stops at once, and resumes from the list of runs', async (page) => {
+  const held = await measured();
+  await page.locator('#do-continue').click();
+  await served.pressAt(held + 1, 'do-stop');
+  await confirmDialog();
+  await stateIs(/^The run is interrupted and can be resumed: .*the stage is halted/);
+  const kept = await measured();
+  assert.ok(kept > held && kept < ANGLES, `${held} then ${kept}`);
+  await page.locator('nav a[href="#runs"]').click();
+  await page.locator(`button.resume[data-run="${runName}"]:enabled`).click();
+  await confirmDialog();
+  await page.locator('#view-live').waitFor();
+  await stateIs(/^The run is complete\. Result: usable/);
+  assert.equal(await measured(), ANGLES);
+  await page.locator('nav a[href="#runs"]').click();
+  await page.getByRole('link', {name: runName}).click();
+  await page.locator('#estimators').waitFor();
+  assert.match(await text('#verdict'), /interrupted and went on once/);
+});
+
+step('connects again by itself, and the bench does not depend on it', async (page) => {
+  await page.context().setOffline(true);
+  await page.context().setOffline(false);
+  await page.reload();
+  await page.waitForFunction(() => document.getElementById('link').textContent === 'Connected');
+});
+
+step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

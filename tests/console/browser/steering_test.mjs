@@ -1,0 +1,87 @@
+// Steering a bench from the page: control, check, start, hold, note.
+import assert from 'node:assert/strict';
+import {begin, complainsOfNothing, confirmDialog, look, measured, served, stateIs, text} from './page_test.mjs';
+
+const step = begin({pace: 4});
+
+step('says that its stop is no emergency stop', async (page) => {
+  assert.match(await text('#no-emergency'), /no emergency stop/);
+});
+
+step('offers nothing before it has control', async (page) => {
+  for (const id of ['do-check', 'do-start', 'do-hold', 'do-continue', 'do-stop', 'do-jog'])
+    assert.ok(await page.locator(`#${id}`).isDisabled(), id);
+});
+
+step('is used with the keyboard alone: takes control, and asks before it moves the stage', async (page) => {
+  const reached = async (id) => {
+    for (let i = 0; i < 40; ++i) {
+      await page.keyboard.press('Tab');
+      if (await page.evaluate(() => document.activeElement.id) === id) return true;
+    }
+    return false;
+  };
+  assert.ok(await reached('take-control'));
+  await page.keyboard.press('Enter');
+  await page.locator('#do-start:enabled').waitFor();
+  assert.ok(await reached('do-start'));
+  await page.keyboard.press('Enter');
+  assert.ok(await page.locator('#confirm').isVisible());
+  assert.equal(await page.evaluate(() => document.activeElement.id), 'confirm-no');
+  await page.keyboard.press('Enter');
+  assert.ok(await page.locator('#confirm').isHidden());
+  assert.equal(await text('#state'), 'No run is on.');
+});
+
+step('checks the bench', async (page) => {
+  await page.locator('#do-check').click();
+  await confirmDialog();
+  await page.locator('#checks table').waitFor();
+  assert.match(await text('#checks'), /signs and axes/);
+  assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
+  await page.locator('#do-start:enabled').waitFor();
+});
+
+let runName;
+
+step('starts a run, and points appear', async (page) => {
+  await page.locator('#do-start').click();
+  await confirmDialog();
+  await served.pressAt(8, 'do-hold');
+  await page.waitForFunction(() => /^about (\d+ min )?\d+ s$/.test(document.getElementById('left').textContent));
+  await served.measuredAtLeast(3);
+  runName = await text('#run-file');
+  assert.match(runName, /^bench-\d{8}T\d{6}Z\.run$/);
+  const drawn = await page.evaluate(() => {
+    const [response, residual] = document.querySelectorAll('#responses canvas');
+    const points = (canvas) => Chart.getChart(canvas).data.datasets.map((set) => set.data.length);
+    return {response: points(response), residual: points(residual), strip: points(document.getElementById('strip'))};
+  });
+  for (const n of drawn.response.slice(0, 3)) assert.ok(n >= 3, JSON.stringify(drawn));
+  for (const n of drawn.strip) assert.ok(n >= 2, JSON.stringify(drawn));
+  assert.match(await text('#x-encoder'), /^−?\d+\.\d{4}°$/);
+  assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
+});
+
+step('holds after an angle, and keeps a note', async (page) => {
+  await stateIs(/^Held/);
+  await page.waitForFunction(() => /^(\d+ min )?\d+ s \(held\)$/.test(document.getElementById('left').textContent));  // Told each second.
+  const kept = await measured();
+  await page.locator('#note').fill('<b>door opened</b>');
+  await page.locator('#note').press('Enter');
+  await page.getByText('Note, stored in the event log: <b>door opened</b>').waitFor();
+  await look('live');
+  assert.equal(await measured(), kept);
+});
+
+step('stops the run, and jogs an axis', async (page) => {
+  await page.locator('#do-stop:enabled').click();
+  await stateIs(/^The run is interrupted/);
+  await page.locator('#jog-axis').selectOption('z');
+  await page.locator('#jog-by').fill('-7.5');
+  await page.locator('#do-jog').click();
+  await confirmDialog();
+  await page.getByText(/Axis Z stands at -7\.50\d+ degrees/).waitFor();
+});
+
+step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);
