@@ -10,7 +10,7 @@ set(listed "")
 
 # Standard library and POSIX: no slash and no extension, or one of these.
 set(system_headers "^(sys|netinet|arpa|linux)/"
-  "^(fcntl|unistd|poll|pty|termios|signal|spawn|grp|pwd|netdb|stdlib|dirent|errno)\\.h$")
+  "^(fcntl|unistd|poll|pty|termios|signal|spawn|grp|pwd|netdb|stdlib|dirent|errno|limits)\\.h$")
 
 function(check_file file may foreign)
   file(STRINGS "${file}" includes REGEX "^[ \t]*#[ \t]*include")
@@ -102,7 +102,7 @@ layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ spdlo
 # commands, console -> session -> bench, results; report, compare, certificate -> results.
 layer(app/xml FOREIGN libxml/ fmt/)
 layer(app/units MAY app/xml/ protocol/plan/ FOREIGN fmt/)
-layer(app/toml MAY ${angle} protocol/plan/ FOREIGN toml++/ Eigen/ fmt/)
+layer(app/toml MAY app/system/ ${angle} protocol/plan/ FOREIGN toml++/ Eigen/ fmt/)
 layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ spdlog/)
 layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
   FOREIGN toml++/ Eigen/ nlohmann/ fmt/ spdlog/ boost/)

@@ -89,7 +89,8 @@ class Rules {
       }
     }
     for (xmlNode* id : select_.nodes("//@id"))
-      if (!referred.contains(xml_content(id))) add(id, "id \"" + xml_content(id) + "\" is referred to by no refId");
+      if (!referred.contains(xml_content(id)))
+        add(id, "id \"" + xml_content(id) + "\" is referred to by no refId");
   }
 
   void check_languages() {
@@ -178,9 +179,10 @@ class Rules {
       const std::vector<xmlNode*> values = select_.nodes("si:valueXMLList", list);
       if (values.empty()) continue;
       const std::size_t count = xml_words(xml_content(values.front())).size();
-      for (xmlNode* beside : select_.nodes("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* | "
-                                         ".//si:covarianceXMLList/si:valueXMLList",
-                                         list)) {
+      for (xmlNode* beside :
+           select_.nodes("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* | "
+                         ".//si:covarianceXMLList/si:valueXMLList",
+                         list)) {
         const std::size_t found = xml_words(xml_content(beside)).size();
         if (found != count && found != 1) add(beside, fmt::format("{} entries for {} values", found, count));
       }

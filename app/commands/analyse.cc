@@ -69,7 +69,8 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
     const std::string estimator = options->estimator.empty() ? kDefaultEstimator : options->estimator;
     LoadedRecord loaded;
     std::error_code error;
-    if (!find_estimator(estimator).needs_angles && std::filesystem::is_regular_file(path, error) && has_no_angles(path)) {
+    if (!find_estimator(estimator).needs_angles && std::filesystem::is_regular_file(path, error) &&
+        has_no_angles(path)) {
       loaded.record = import_poses(path).record;
     } else {
       loaded = load_record(path);

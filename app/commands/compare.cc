@@ -1,8 +1,8 @@
 #include <fmt/format.h>
 
 #include "app/commands/commands.h"
-#include "app/compare/compare_results.h"
 #include "app/compare/compare_json.h"
+#include "app/compare/compare_results.h"
 #include "app/compare/compare_text.h"
 #include "app/results/analyses.h"
 #include "app/system/exit_code.h"
@@ -26,7 +26,8 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
       ->required()
       ->expected(2, 10'000);
   command
-      ->add_option("--estimator", options->estimator, fmt::format("of runs and CSVs: {} (default: {})", estimator_choice(), kDefaultEstimator))
+      ->add_option("--estimator", options->estimator,
+                   fmt::format("of runs and CSVs: {} (default: {})", estimator_choice(), kDefaultEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--shared", options->compare.shared_stage,
                     "all were measured on one stage: subtract its common type B from the differences");

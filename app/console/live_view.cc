@@ -191,8 +191,8 @@ Json LiveView::fit_of(int experiment) const {
       outputs.push_back({{"constant", json_number(fit.coefficients[0])},
                          {"sine", json_number(fit.coefficients[1])},
                          {"cosine", json_number(fit.coefficients[2])},
-                         {"residual_rms",
-                          json_number(std::sqrt(fit.residual_sum_squares / static_cast<double>(alpha.size())))}});
+                         {"residual_rms", json_number(std::sqrt(fit.residual_sum_squares /
+                                                                static_cast<double>(alpha.size())))}});
     } catch (const UndeterminedFit&) {
       outputs.push_back(nullptr);  // Too few angles so far.
     }

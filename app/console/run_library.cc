@@ -6,9 +6,9 @@
 #include <cmath>
 #include <utility>
 
+#include "app/compare/compare_json.h"
 #include "app/compare/compare_results.h"
 #include "app/console/download.h"
-#include "app/compare/compare_json.h"
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
 #include "protocol/analysis/meaning.h"

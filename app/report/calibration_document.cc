@@ -301,9 +301,8 @@ Section estimators_section(const ReportData& data) {
   const auto reported = static_cast<std::size_t>(&data.result() - data.results.data());
   for (std::size_t c = 0; c < data.results.size(); ++c) {
     if (c == reported) continue;
-    table.columns.push_back(
-        {fmt::format("{} - {}, in u", data.results[c].estimator, data.result().estimator),
-         CellKind::kNumber});
+    table.columns.push_back({fmt::format("{} - {}, in u", data.results[c].estimator, data.result().estimator),
+                             CellKind::kNumber});
   }
   for (std::size_t row = 0; row < columns.front().size(); ++row) {
     std::vector<std::string> cells{columns.front()[row].name};

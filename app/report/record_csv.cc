@@ -73,15 +73,15 @@ std::string averaged_csv(const ReportData& data) {
       continue;
     }
     rows += fmt::format("{},{},{},{},{},{},{}", dwell.experiment, dwell.n, dwell.closing ? 1 : 0,
-                        csv_number(dwell.alpha.deg()), number(dwell.mean[0]), number(dwell.mean[1]),
+                        csv_number(dwell.alpha.deg()), csv_number(dwell.mean[0]), csv_number(dwell.mean[1]),
                         csv_number(dwell.mean[2]));
     for (int j = 0; j < 3; ++j) rows += "," + (dwell.u_mean ? csv_number((*dwell.u_mean)[j]) : "");
     const auto degrees = [](const std::optional<Angle>& angle) {
       return angle ? csv_number(angle->deg()) : std::string();
     };
-    rows += fmt::format(",{},{},{},{},{},{}\n", csv_number(dwell.time_s),
-                        dwell.count > 0 ? std::to_string(dwell.count) : "", csv_number(dwell.temperature_degc),
-                        dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z));
+    rows += fmt::format(
+        ",{},{},{},{},{},{}\n", csv_number(dwell.time_s), dwell.count > 0 ? std::to_string(dwell.count) : "",
+        csv_number(dwell.temperature_degc), dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z));
   }
   std::string flags;
   for (std::uint32_t bit = 1; bit <= kAllFlags; bit *= 2)
@@ -108,9 +108,9 @@ void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
   RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
     for (const StoredReading& r : dwell.readings) {
       file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
-                          dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()), dwell.repeat ? 1 : 0, r.sequence,
-                          csv_number(r.time_s), number(r.output[0]), number(r.output[1]), number(r.output[2]),
-                          csv_number(r.temperature_degc));
+                          dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()), dwell.repeat ? 1 : 0,
+                          r.sequence, csv_number(r.time_s), csv_number(r.output[0]), csv_number(r.output[1]),
+                          csv_number(r.output[2]), csv_number(r.temperature_degc));
     }
   });
   file.close();

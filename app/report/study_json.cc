@@ -118,7 +118,8 @@ nlohmann::ordered_json study_json(const StudyResult& study) {
                                   {"intrinsic_properties", (*one.means_not_zero)[1]}};
       }
     }
-    if (one.largest_higher_harmonic) item["largest_higher_harmonic"] = json_number(*one.largest_higher_harmonic);
+    if (one.largest_higher_harmonic)
+      item["largest_higher_harmonic"] = json_number(*one.largest_higher_harmonic);
     if (!one.table.empty()) item["table"] = one.table;
     if (one.published_truth) {
       item["paper"] = {{"truth", groups(*one.published_truth)}};

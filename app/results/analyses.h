@@ -11,8 +11,8 @@
 
 namespace abcal {
 
-/// One estimator on one record. A record that the estimator refuses gives Verdict::kNotUsable with the reason;
-/// any other exception is a fault of the program and is not caught.
+/// One estimator on one record. A record that the estimator refuses gives Verdict::kNotUsable with the
+/// reason; any other exception is a fault of the program and is not caught.
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator);
 CalibrationResult analyse(const RunRecord& record, const Estimator& estimator);
 

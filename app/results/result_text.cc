@@ -133,10 +133,10 @@ void add_outputs(std::string& text, const CalibrationResult& result, std::FILE* 
 }
 
 void add_poses(std::string& text, const NormResult& norm) {
-  text += fmt::format(
-      "\n{} poses used, {} left out; rms of |a|/g_loc - 1: {:.2e}; sphere coverage {:.2f}{}{}\n", norm.poses,
-      norm.poses_left_out, norm.norm_rms, norm.sphere_coverage, norm.coverage_words.empty() ? "" : ": ",
-      norm.coverage_words);
+  text +=
+      fmt::format("\n{} poses used, {} left out; rms of |a|/g_loc - 1: {:.2e}; sphere coverage {:.2f}{}{}\n",
+                  norm.poses, norm.poses_left_out, norm.norm_rms, norm.sphere_coverage,
+                  norm.coverage_words.empty() ? "" : ": ", norm.coverage_words);
 }
 
 void add_fits(std::string& text, const Diagnostics& d, const std::string& unit) {
@@ -173,9 +173,10 @@ void add_chi2(std::string& text, const Diagnostics& d, bool fits_stage_errors) {
       fits_stage_errors
           ? fmt::format("chi2 = {:.1f} for {} degrees of freedom{}\n", *d.chi2, d.degrees_of_freedom,
                         d.chi2_probability ? fmt::format(", probability {:.3g}", *d.chi2_probability) : "")
-          : fmt::format("Residuals are {:.1f} times what the readings' noise alone would leave (the stage's "
-                        "step errors are in them)\n",
-                        std::sqrt(*d.chi2 / d.degrees_of_freedom));
+          : fmt::format(
+                "Residuals are {:.1f} times what the readings' noise alone would leave (the stage's "
+                "step errors are in them)\n",
+                std::sqrt(*d.chi2 / d.degrees_of_freedom));
 }
 
 void add_checks(std::string& text, const Diagnostics& d, std::FILE* stream) {

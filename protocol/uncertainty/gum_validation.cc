@@ -25,7 +25,8 @@ GumValidation validate_gum(double y, double u, const CoverageInterval& monte_car
       validation.d_low <= validation.tolerance && validation.d_high <= validation.tolerance;
   // Standard deviation of a quantile of M normal values.
   const double tail = 0.5 * (1.0 - p);
-  const double end_point = u * std::sqrt(tail * (1.0 - tail) / trials) / boost::math::pdf(boost::math::normal(), k);
+  const double end_point =
+      u * std::sqrt(tail * (1.0 - tail) / trials) / boost::math::pdf(boost::math::normal(), k);
   validation.decided = 2.0 * end_point <= validation.tolerance / 5.0;
   return validation;
 }

@@ -10,7 +10,8 @@ TEST(ResponseUnitTest, AUnitOfAccelerationIsKnownInMetresPerSecondSquared) {
   EXPECT_DOUBLE_EQ(*acceleration_unit_mps2("mg"), 9.80665e-3);
   EXPECT_DOUBLE_EQ(*acceleration_unit_mps2("ug"), 9.80665e-6);
   EXPECT_DOUBLE_EQ(*acceleration_unit_mps2("\u00b5g"), 9.80665e-6);
-  for (const char* name : {"m/s2", "m/s^2", "m/s\u00b2"}) EXPECT_EQ(acceleration_unit_mps2(name), 1.0) << name;
+  for (const char* name : {"m/s2", "m/s^2", "m/s\u00b2"})
+    EXPECT_EQ(acceleration_unit_mps2(name), 1.0) << name;
   for (const char* name : {"V", "LSB", "R", "", "mm/s2"}) EXPECT_FALSE(acceleration_unit_mps2(name)) << name;
 }
 
