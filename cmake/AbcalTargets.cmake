@@ -17,17 +17,28 @@ if(ABCAL_SANITIZE)
   endif()
 endif()
 
-# A whole build reads the sources of a target as few translation units: their common headers are then parsed once, which is
-# half of a build from nothing. The preset dev leaves it off, so that a changed file is compiled alone.
+# A whole build reads the sources of a target as few translation units: the headers that they share are parsed once, which
+# is half of a build from nothing. The preset dev leaves it off, so that a changed file is compiled alone.
 option(ABCAL_UNITY "Compile the sources of a target as few translation units" OFF)
+
+# Sources never read together with others: their anonymous namespaces hold names that others have too.
+function(abcal_read_apart)
+  set_source_files_properties(${ARGV} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+endfunction()
 
 # Folder path = include path from the repository root. A result must not depend on the machine that printed
 # it: no -march=native, no contraction of a*b+c into fused operations, no -ffast-math.
+# Folders that set ABCAL_QUICK_BUILD get little optimisation in release builds.
 function(abcal_target_options target)
   target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}>)
   target_compile_options(${target} PRIVATE ${ABCAL_WARNINGS} -ffp-contract=off)
+  if(ABCAL_QUICK_BUILD)
+    target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-O1>)
+  endif()
   if(ABCAL_UNITY)
-    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 10)
+    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 12)
+    # A source that another one includes looks like a header, whose anonymous namespace would be a mistake.
+    target_compile_options(${target} PRIVATE -Wno-subobject-linkage)
   endif()
 endfunction()
 
@@ -46,19 +57,56 @@ function(abcal_add_library name)
   add_library(abcal::${name} ALIAS abcal_${name})
 endfunction()
 
-# abcal_add_test(name SOURCES ... LINK ...) makes test program name. Test suites whose name begins with "Long"
-# carry the ctest label "long", all others "quick". PROGRAM: its tests start the program abcal.
+# abcal_add_test(name SOURCES ... LINK ...) makes test program name and of it two tests of ctest: all its quick
+# suites in one process, or in SHARDS of them side by side, and the suites whose name begins with "Long" (label long).
+# PROGRAM: its tests start the program abcal. TIMEOUT: seconds for the quick ones (default 300). UNSANITIZED: not run under
+# sanitizers, as nothing in it is ours to find there.
 function(abcal_add_test name)
-  cmake_parse_arguments(ARG "PROGRAM" "" "SOURCES;LINK" ${ARGN})
+  cmake_parse_arguments(ARG "PROGRAM;UNSANITIZED" "SHARDS;TIMEOUT" "SOURCES;LINK" ${ARGN})
   add_executable(${name} ${ARG_SOURCES})
   abcal_target_options(${name})
   target_link_libraries(${name} PRIVATE ${ARG_LINK} abcal::project_paths GTest::gmock GTest::gtest_main)
   if(ARG_PROGRAM)
     add_dependencies(${name} abcal)
   endif()
-  include(GoogleTest)
-  gtest_discover_tests(${name} TEST_FILTER "-Long*:*/Long*" DISCOVERY_TIMEOUT 60
-    PROPERTIES LABELS quick TIMEOUT 300)
-  gtest_discover_tests(${name} TEST_FILTER "Long*:*/Long*" TEST_LIST ${name}_long DISCOVERY_TIMEOUT 60
-    PROPERTIES LABELS long TIMEOUT 3600)
+  set(unsanitized)
+  if(ARG_UNSANITIZED)
+    set(unsanitized UNSANITIZED)
+  endif()
+  abcal_add_test_processes(${name} ${unsanitized} SHARDS "${ARG_SHARDS}" TIMEOUT "${ARG_TIMEOUT}")
+endfunction()
+
+# The tests of ctest for one test program. What its tests say is kept in build/PRESET/test_results (scripts/test counts it).
+function(abcal_add_test_processes name)
+  cmake_parse_arguments(ARG "UNSANITIZED" "SHARDS;TIMEOUT" "" ${ARGN})
+  if(NOT ARG_SHARDS)
+    set(ARG_SHARDS 1)
+  endif()
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 300)
+  endif()
+  set(results ${PROJECT_BINARY_DIR}/test_results)
+  math(EXPR last "${ARG_SHARDS} - 1")
+  foreach(shard RANGE ${last})
+    set(test ${name})
+    if(ARG_SHARDS GREATER 1)
+      set(test ${name}.${shard})
+    endif()
+    add_test(NAME ${test} COMMAND ${name} --gtest_brief=1 --gtest_filter=-Long*:*/Long* --gtest_output=json:${results}/${test}.json)
+    set_tests_properties(${test} PROPERTIES LABELS quick TIMEOUT ${ARG_TIMEOUT}
+      ENVIRONMENT "GTEST_TOTAL_SHARDS=${ARG_SHARDS};GTEST_SHARD_INDEX=${shard}")
+    if(ARG_UNSANITIZED)
+      set_tests_properties(${test} PROPERTIES LABELS "quick;unsanitized")
+    endif()
+  endforeach()
+  get_target_property(sources ${name} SOURCES)
+  foreach(source IN LISTS sources)
+    cmake_path(ABSOLUTE_PATH source)
+    file(STRINGS ${source} long REGEX "^(TEST|TEST_F|TEST_P|INSTANTIATE_TEST_SUITE_P)\\(Long")
+    if(long)
+      add_test(NAME ${name}.long COMMAND ${name} --gtest_filter=Long*:*/Long* --gtest_output=json:${results}/${name}.long.json)
+      set_tests_properties(${name}.long PROPERTIES LABELS long TIMEOUT 3600)
+      break()
+    endif()
+  endforeach()
 endfunction()

@@ -35,7 +35,7 @@ struct AxisTruth {
 /// What the accelerometer and the room do: the part of the truth that may change while the world goes on
 /// (SimBench::change). R is the response unit, g_loc the unit of acceleration.
 struct OutputTruth {
-  /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (physics.md section 2), in
+  /// Rows u, v, w along the platter's x, y, z before the platter tilts with Z (docs/theory/model.md), in
   /// R/g_loc.
   Eigen::Matrix3d sensitivity_matrix = Eigen::Matrix3d::Identity();
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();           ///< R

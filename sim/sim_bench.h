@@ -16,7 +16,7 @@
 
 namespace abcal::sim {
 
-/// What does not depend on how the accelerometer is mounted (physics.md section 1).
+/// What does not depend on how the accelerometer is mounted (docs/theory/model.md).
 struct TrueIntrinsicProperties {
   Eigen::Vector3d sensitivity;  ///< Norms of the rows u, v, w, in R/g_loc.
   std::array<Angle, 3> angle;   ///< phi_uv, phi_vw, phi_wu.
@@ -39,7 +39,7 @@ struct SimOutput {
 /// index, never on the order of calls; the only history a pose has is backlash. Moves must be commanded in
 /// order of time.
 ///
-/// Physics: physics.md section 2. The platter's orientation is Rot(X, thetaX) Rot(Z, thetaZ) applied to its
+/// Physics: docs/theory/model.md. The platter's orientation is Rot(X, thetaX) Rot(Z, thetaZ) applied to its
 /// orientation at rest, tilted with Z. Eigen turns the vectors; no formula of the analysis is used here. The
 /// accelerometer sits where the axes cross: no centripetal acceleration. Safe to use from several threads.
 class SimBench {

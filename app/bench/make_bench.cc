@@ -206,7 +206,7 @@ class Opener {
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
 };
 
-/// The instruments of a bench whose drivers can be made anew.
+/// The instruments of a bench whose drivers can be made again.
 class BenchReconnector final : public Reconnector {
  public:
   BenchReconnector(ReplaceableStage& stage, ReplaceableAccelerometer& accelerometer)

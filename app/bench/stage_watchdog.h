@@ -14,7 +14,7 @@
 
 namespace abcal {
 
-/// Whether a stage that was told to move has been heard of lately. Not thread-safe.
+/// Whether a stage that was commanded to move has answered lately. Not thread-safe.
 class MotionWatch {
  public:
   explicit MotionWatch(Clock::Duration patience) : patience_(patience) {}
@@ -25,7 +25,7 @@ class MotionWatch {
   void stands_still(StageAxis axis) { moving_[index(axis)] = false; }
   void forget() { moving_ = {}; }
 
-  /// It may be moving, and nothing was heard of it for longer than the patience.
+  /// It may be moving, and it has not answered for longer than the patience.
   bool overdue(Clock::Instant now) const;
 
  private:
@@ -36,7 +36,7 @@ class MotionWatch {
 
 /// A stage under a watchdog: where it may be moving and the controller has not answered for `patience` (it is
 /// silent, or this program hangs: a blocked terminal, a disk that does not answer), a thread of its own halts
-/// it. After that every call throws kStalled until the stage is identified anew.
+/// it. After that every call throws kStalled until the stage is identified again.
 class StageWatchdog final : public RotationStage {
  public:
   static constexpr Clock::Duration kPatience = std::chrono::seconds(5);

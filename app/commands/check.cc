@@ -34,7 +34,7 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "check", "Talk to both instruments, turn the stage a little, and say what is not as it should be");
+      "check", "Identify both instruments, turn the stage a little, and report what is wrong");
   command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
   command->add_flag("--no-motion", options->no_motion, "move nothing");
   command->add_flag("--json", options->json, "print one JSON object");

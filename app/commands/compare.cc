@@ -19,7 +19,7 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "compare", "Whether results of one item agree: E_n, mounting, repeatability, control charts");
+      "compare", "Check whether results of one item agree: E_n, mounting, repeatability, control charts");
   command
       ->add_option("FILE", options->files,
                    "two or more: run files, CSVs of averaged readings, or certificates (DCC XML)")

@@ -195,11 +195,10 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
   command->add_option("BENCH", options->bench_file, "bench file (TOML); [simulation] is the truth")
       ->required();
   command->add_option("--link-dir", options->link_dir, "folder for the links `stage` and `accelerometer`");
-  CLI::Option* speed = command->add_option("--speed", options->speed, "time passes so many times as fast")
+  CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time runs faster")
                            ->check(CLI::PositiveNumber);
-  command->add_option(
-      "--control", options->control,
-      "port on the loopback for faults and changes while it runs, one line of JSON each; 0: any");
+  command->add_option("--control", options->control,
+                      "loopback port for faults and changes during the run, one line of JSON each; 0: any");
   command
       ->add_flag("--follow-stage", options->follow_stage,
                  "the bench's stage is real: serve the accelerometer only, and let it follow the stage")

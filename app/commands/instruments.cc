@@ -149,10 +149,10 @@ CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
   CLI::App* command =
       parent.add_subcommand("instruments", "List the serial ports of this machine, and the drivers");
   command->add_flag("--json", options->json, "print one JSON object");
-  CLI::Option* probe_flag =
-      command->add_flag("--probe", options->probe,
-                        "ask on every free port what is there; nothing moves, but streams may be stopped");
-  command->add_option("--port", options->ports, "with --probe: ask on this port only, e.g. tcp:HOST:PORT")
+  CLI::Option* probe_flag = command->add_flag(
+      "--probe", options->probe,
+      "identify the instrument on every free port; nothing moves, but streams may be stopped");
+  command->add_option("--port", options->ports, "with --probe: this port only, e.g. tcp:HOST:PORT")
       ->needs(probe_flag);
   command->callback([options, &exit_code] {
     const std::vector<wire::PortInfo> ports = wire::list_ports();

@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/key_reference.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
@@ -41,13 +42,22 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string bench_file;
     bool json = false;
+    bool keys = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
       parent.add_subcommand("plan", "Show the sequence, its duration, and every problem of the bench file");
-  command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
+  CLI::Option* bench = command->add_option("BENCH", options->bench_file, "bench file (TOML)");
   command->add_flag("--json", options->json, "print one JSON object");
+  command->add_flag("--keys", options->keys, "print the reference of all keys of a bench file (Markdown)")
+      ->excludes(bench);
   command->callback([options, &exit_code] {
+    if (options->keys) {
+      print_result("{}", bench_file_page());
+      exit_code = kExitDone;
+      return;
+    }
+    if (options->bench_file.empty()) throw CLI::RequiredError("BENCH");
     const BenchConfig config = read_bench(options->bench_file);
     for (const std::string& warning : config.warnings) print_warning(warning);
     const KnownAxis x = known_axis(config.stage, config.stage.x, config.simulation.x);

@@ -17,7 +17,7 @@
 namespace abcal {
 namespace {
 
-/// The token, where one is needed or given. @return whether it was made here, and the person must be told.
+/// The token, where one is needed or given. @return whether it was made here and must be shown.
 bool choose_access(console::ServerOptions& server, const std::filesystem::path& token_file) {
   boost::system::error_code error;
   const auto address = boost::asio::ip::make_address(server.address, error);
@@ -56,22 +56,21 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
   command->add_option("--runs", options->bench.runs, "folder of the run files (default: the bench file's)");
   command
       ->add_option("--listen", options->server.address,
-                   "address to listen on; any but the loopback's requires a token of everyone")
+                   "address to listen on; any other than the loopback requires a token")
       ->capture_default_str();
   command->add_option("--port", options->server.port, "port to listen on; 0: any free one")
       ->capture_default_str();
   command
       ->add_option("--pace", options->bench.pace,
-                   "where nothing real takes part: time passes so many times as fast")
+                   "if all instruments are simulated: factor by which time runs faster")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  command->add_option(
-      "--token-file", options->token_file,
-      "file with the token that every page must know (default: one is made where it is needed)");
+  command->add_option("--token-file", options->token_file,
+                      "file with the token that every page must send (default: made if required)");
   command->add_option("--host", options->server.access.hosts,
                       "further name[:port] by which pages call the console, e.g. behind a proxy");
   command->callback([options, &exit_code] {
-    read_bench(options->bench.bench_file);  // Its problems are told at once, not to the first page.
+    read_bench(options->bench.bench_file);  // Its problems are reported at once, not to the first page.
     if (options->bench.runs.empty()) options->bench.runs = options->bench.bench_file.parent_path();
     if (options->bench.runs.empty()) options->bench.runs = ".";
     const bool made = choose_access(options->server, options->token_file);

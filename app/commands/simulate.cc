@@ -118,15 +118,15 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
     bool without_mean_step = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command =
-      parent.add_subcommand("simulate", "The simulations of Geist & Gaitan (2021), printed values beside");
+  CLI::App* command = parent.add_subcommand(
+      "simulate", "The simulations of Geist & Gaitan (2021), compared with the printed values");
   std::string sets;
   for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
   command->add_option("SET", options->set, "one of " + sets + "; or joint: the joint estimator's coverage")
       ->required();
   command->add_option("--trials", options->trials, "simulations (default: as many as in the paper)");
   command->add_option("--seed", options->seed, "seed of the random numbers")->capture_default_str();
-  command->add_option("--threads", options->threads, "threads; 0: as many as the machine has (same result)");
+  command->add_option("--threads", options->threads, "threads; 0: one per processor (same result)");
   command->add_option("--aut", options->aut,
                       "accelerometer: JSON with sensitivity_matrix and offset, or 12 numbers");
   command->add_option("--alignment", options->alignment, "alignment of the axes, degrees");

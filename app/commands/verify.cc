@@ -16,8 +16,8 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
     bool json = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command =
-      parent.add_subcommand("verify", "Whether a run and its results are as they were written");
+  CLI::App* command = parent.add_subcommand(
+      "verify", "Check that a run and its results are unchanged since they were written");
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] {

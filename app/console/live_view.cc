@@ -15,7 +15,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t kKeptStrip = 400;  // groups of readings: 20 s
 constexpr std::size_t kKeptLog = 200;    // lines
-constexpr std::size_t kIntervals = 15;   // of which the median tells the time left
+constexpr std::size_t kIntervals = 15;   // their median gives the remaining time
 
 Json degrees(const std::optional<Angle>& angle) {
   return angle ? json_number(angle->deg()) : Json(nullptr);
@@ -122,13 +122,13 @@ LiveView::LiveView(Json about, const Clock& clock) : about_(std::move(about)), c
 std::string LiveView::apply(const Event& event) {
   if (const auto* began = std::get_if<RunBegan>(&event)) {
     begin(*began);
-    return snapshot();  // Everything changes: what a new page is told serves those that look on too.
+    return snapshot();  // Everything changes: what a new page gets serves the others as well.
   }
   return text_of(std::visit([this](const auto& seen) { return on(seen); }, event));
 }
 
 Json LiveView::on(const ActivitySeen& seen) {
-  // The readings begin anew, and so does their time.
+  // The readings begin again, and their time with them.
   if (seen.activity == Activity::kChecking && activity_.activity != Activity::kChecking) strip_.clear();
   activity_ = seen;
   if (seen.activity == Activity::kIdle) phase_.reset();
@@ -175,7 +175,7 @@ Json LiveView::on(const DwellSeen& seen) {
           {"progress", progress()}};
 }
 
-/// The one-harmonic curve through what is measured of an experiment so far.
+/// The one-harmonic curve through the angles of an experiment that are measured so far.
 Json LiveView::fit_of(int experiment) const {
   std::vector<Angle> alpha;
   std::array<std::vector<double>, 3> readings;

@@ -51,7 +51,7 @@ constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
 /// What the system may buffer for one page.
 constexpr int kSendBuffer = 128 * 1024;
-/// Of what the bench tells, so much may wait for the thread of the server; strips are dropped beyond it.
+/// Most events that may wait for the server's thread; strips beyond it are dropped.
 constexpr int kMostPending = 500;
 
 std::string_view view(beast::string_view text) {
@@ -92,7 +92,7 @@ struct Peer {
 
 Caller caller_of(const Peer& peer, const HttpRequest& request) {
   Caller caller;
-  // Of two, nobody knows which one counts: neither does.
+  // With two it is not known which one counts: neither does.
   if (request.count(http::field::host) == 1) caller.host = view(request[http::field::host]);
   caller.origin = request.count(http::field::origin) > 1 ? "null" : view(request[http::field::origin]);
   caller.cookie = view(request[http::field::cookie]);
@@ -103,7 +103,8 @@ Caller caller_of(const Peer& peer, const HttpRequest& request) {
   return caller;
 }
 
-/// Says who was refused, and why; but a flood of refusals does not drown everything else. For one thread.
+/// Logs refusals with their origin and reason, at a limited rate so that a flood does not hide other lines.
+/// For one thread.
 class RefusalLog {
  public:
   explicit RefusalLog(const Clock& clock) : clock_(clock) {}
@@ -163,10 +164,10 @@ struct Server::Impl {
   ~Impl();
 
   void accept();
-  void hear(Event event);
+  void pass_on(Event event);
   void broadcast(std::string message);
   Text snapshot();
-  void tell_all(Page& page);
+  void send_snapshot(Page& page);
   void arrived(const std::shared_ptr<Page>& page);
   void left(Page& page);
   void received(Page& page, std::string_view text);
@@ -285,7 +286,7 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
                             self->paused_ = false;
                             self->read();
                           }
-                          if (std::exchange(self->behind_, false)) self->server_.tell_all(*self);
+                          if (std::exchange(self->behind_, false)) self->server_.send_snapshot(*self);
                           if (!self->writing_ && !self->queue_.empty()) self->write();
                         });
   }
@@ -435,7 +436,7 @@ Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
     throw std::runtime_error(fmt::format("the console cannot listen on {}, port {}: {}", options.address,
                                          options.port, error.code().message()));
   }
-  session = std::make_unique<Session>(std::move(bench), [this](Event event) { hear(std::move(event)); });
+  session = std::make_unique<Session>(std::move(bench), [this](Event event) { pass_on(std::move(event)); });
   options.access.cookie = fmt::format("abcal_token_{}", acceptor.local_endpoint().port());
   asio::post(reader, [] {
     // Who looks at an old run leaves the processor to the run that is on.
@@ -473,7 +474,7 @@ void Server::Impl::accept() {
 }
 
 /// In the measuring thread: hands the event over and returns.
-void Server::Impl::hear(Event event) {
+void Server::Impl::pass_on(Event event) {
   const bool can_be_missed = std::holds_alternative<StripSeen>(event);
   if (can_be_missed && pending > kMostPending) return;
   ++pending;
@@ -499,11 +500,11 @@ void Server::Impl::arrived(const std::shared_ptr<Page>& page) {
   page->number = ++pages_so_far;
   pages.insert(page);
   page->send(std::make_shared<const std::string>(Json{{"type", "you"}, {"number", page->number}}.dump()));
-  tell_all(*page);
+  send_snapshot(*page);
 }
 
 /// What a page must know to begin with, or to catch up.
-void Server::Impl::tell_all(Page& page) {
+void Server::Impl::send_snapshot(Page& page) {
   page.send(snapshot());
   page.send(std::make_shared<const std::string>(control_message()));
 }

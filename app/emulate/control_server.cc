@@ -42,15 +42,15 @@ std::string EmulatorControl::answer(const std::string& line) {
     if (!request.is_object() || !request.contains("do") || !request["do"].is_string())
       throw std::invalid_argument(
           R"(found no JSON object with "do"; required: {"do": "status" | "fault" | "change" | "clear", ...})");
-    const std::string what = request["do"];
+    const std::string action = request["do"];
     request.erase("do");
-    if (what != "fault" && what != "change" && !request.empty())
-      throw std::invalid_argument(fmt::format("\"{}\" has no key \"{}\"", what, request.begin().key()));
+    if (action != "fault" && action != "change" && !request.empty())
+      throw std::invalid_argument(fmt::format("\"{}\" has no key \"{}\"", action, request.begin().key()));
     // What has no time happens now.
-    if ((what == "fault" || what == "change") && !request.contains("at_s")) request["at_s"] = now_s;
+    if ((action == "fault" || action == "change") && !request.contains("at_s")) request["at_s"] = now_s;
 
     Json reply = {{"ok", true}, {"time_s", now_s}};
-    if (what == "status") {
+    if (action == "status") {
       reply["x"] = axis_status(world_, StageAxis::kX, now);
       reply["z"] = axis_status(world_, StageAxis::kZ, now);
       reply["temperature_degc"] = world_.temperature_degc(now);
@@ -62,7 +62,7 @@ std::string EmulatorControl::answer(const std::string& line) {
       for (const sim::WorldFault& fault : world_.faults_at(now)) add(fault.kind, "world");
       for (const auto& [name, link] : links_)
         for (const sim::FaultKind kind : link->active()) add(kind, name);
-    } else if (what == "fault") {
+    } else if (action == "fault") {
       const FaultConfig fault = parse_fault(request.dump());
       if (const auto of_the_world = world_fault(fault, world_.start())) {
         world_.inject(*of_the_world);
@@ -75,15 +75,15 @@ std::string EmulatorControl::answer(const std::string& line) {
         if (of_the_wire.at_write) *of_the_wire.at_write += link->second->writes();
         link->second->add(std::move(of_the_wire));
       }
-    } else if (what == "change") {
+    } else if (action == "change") {
       const ChangeConfig change = parse_change(request.dump(), world_.output_truth(now));
       world_.change(change.truth, world_.start() + from_seconds(change.at_s));
-    } else if (what == "clear") {
+    } else if (action == "clear") {
       world_.clear_faults(now);
       for (const auto& [name, link] : links_) link->clear();
     } else {
       throw std::invalid_argument(
-          fmt::format("\"do\" is \"{}\"; required: status, fault, change or clear", what));
+          fmt::format("\"do\" is \"{}\"; required: status, fault, change or clear", action));
     }
     return reply.dump();
   } catch (const std::exception& error) {
@@ -130,7 +130,7 @@ struct ControlServer::Impl {
   Impl(EmulatorControl& the_control, std::uint16_t port)
       : control(the_control),
         acceptor(io, tcp::endpoint(boost::asio::ip::address_v4::loopback(), port)),
-        number(acceptor.local_endpoint().port()) {
+        port_number(acceptor.local_endpoint().port()) {
     accept();
     thread = std::jthread([this] { io.run(); });
   }
@@ -146,7 +146,7 @@ struct ControlServer::Impl {
   EmulatorControl& control;
   boost::asio::io_context io;
   tcp::acceptor acceptor;
-  std::uint16_t number;
+  std::uint16_t port_number;
   std::jthread thread;
 };
 
@@ -162,7 +162,7 @@ ControlServer::~ControlServer() {
 }
 
 std::uint16_t ControlServer::port() const {
-  return impl_->number;
+  return impl_->port_number;
 }
 
 }  // namespace abcal

@@ -27,7 +27,7 @@ Problem shown_problem(const std::string& where, const std::string& found, const 
           shortened_text(required, kLongestRequired)};
 }
 
-/// Goes once over a TOML text, without knowing more of it than strings and comments.
+/// One pass over a TOML text that recognises strings and comments only.
 class NestingCheck {
  public:
   explicit NestingCheck(std::string_view text) : text_(text) {}

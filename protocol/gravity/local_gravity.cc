@@ -11,7 +11,7 @@ namespace abcal {
 
 namespace {
 
-/// A reference ellipsoid with its normal gravity (metrology.md section 6).
+/// A reference ellipsoid with its normal gravity (docs/theory/gravity.md).
 struct Ellipsoid {
   double semi_major_m;  // a
   double flattening;    // f

@@ -7,7 +7,7 @@
 
 namespace abcal {
 
-/// Formulas of normal gravity (metrology.md section 6).
+/// Formulas of normal gravity (docs/theory/gravity.md).
 enum class GravityFormula {
   kGrs80,   ///< Somigliana on the ellipsoid of the Geodetic Reference System 1980.
   kWgs84,   ///< The same on WGS 84.

@@ -41,7 +41,7 @@ struct EffectSizes {
 
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
   /// is absent was not stated: its size is the default, and results say so.
-  std::map<std::string, std::string, std::less<>> sources;
+  std::map<std::string, std::string, std::less<>> sources = {};
 };
 
 /// One size as data: what a bench file, a CSV file and a run file call it.

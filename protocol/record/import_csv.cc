@@ -358,7 +358,7 @@ class Importer {
     }
   }
 
-  // The default orientation turned as the experiment says (physics.md section 2), modulo a full turn.
+  // The default orientation turned as the experiment says (docs/theory/model.md), modulo a full turn.
   static void set_commanded_angles(DwellRecord& dwell) {
     const Angle turned = Angle::degrees(std::remainder(dwell.alpha.deg(), 360.0));
     const Angle initial = Angle::degrees(-90.0);

@@ -20,7 +20,7 @@
 namespace abcal::sim {
 namespace {
 
-// Descriptors and codes as in instruments.md B.1.
+// Descriptors and codes as in docs/protocols/mip.md.
 constexpr std::uint8_t kSync1 = 0x75;
 constexpr std::uint8_t kSync2 = 0x65;
 constexpr std::size_t kHeader = 4;
@@ -205,8 +205,8 @@ Stored MipFirmware::Device::factory() const {
 // Bytes.
 
 void MipFirmware::Device::receive(std::string_view bytes, Clock::Instant now) {
-  // A packet that does not end is given up, as the maker's own parser does [M]: the next one must not be
-  // swallowed by its length.
+  // A packet that does not end is given up, as the maker's own parser does [unverified against a device]: the
+  // next one must not be swallowed by its length.
   if (now - now_ > kPacketTimeout) input_.clear();
   now_ = now;
   input_ += bytes;
@@ -413,7 +413,8 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::stream_control(A
       if (enable > 1) throw Refusal{kBadParameter};
       if (!sensor) return std::nullopt;  // this device has nothing else to stream
       current_.sensor_stream = enable == 1;
-      // Hosts that enable a stream after "set idle" and never send "resume" expect data [M].
+      // Hosts that enable a stream after "set idle" and never send "resume" expect data [unverified against a
+      // device].
       if (current_.sensor_stream) idle_ = false;
       stream_from(now_);
       return std::nullopt;
@@ -519,7 +520,7 @@ std::string MipFirmware::Device::device_info() const {
   put_big_endian(data, static_cast<std::uint16_t>(settings_.firmware_version));
   for (std::string text : {settings_.model_name, settings_.model_number, settings_.serial_number,
                            settings_.lot_number, settings_.options}) {
-    text.insert(0, 16 - text.size(), ' ');  // 16 characters, padded on the left [M]
+    text.insert(0, 16 - text.size(), ' ');  // 16 characters, padded on the left [unverified against a device]
     data += text;
   }
   return data;

@@ -24,7 +24,7 @@ struct MipSettings {
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 
-/// A MicroStrain accelerometer that speaks MIP (instruments.md B.1), reading the world of a SimBench. Its
+/// A MicroStrain accelerometer that speaks MIP (docs/protocols/mip.md), reading the world of a SimBench. Its
 /// output unit R is g (field 80,04). Samples lie on the grid of its base rate, from the start of the world's
 /// time.
 class MipFirmware final : public Firmware {

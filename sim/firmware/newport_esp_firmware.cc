@@ -19,7 +19,7 @@
 namespace abcal::sim {
 namespace {
 
-// Error codes (instruments.md A.1). Those of an axis are 100 * axis + code.
+// Error codes (docs/protocols/newport_esp.md). Those of an axis are 100 * axis + code.
 constexpr int kEmergencyStop = 4;
 constexpr int kNoSuchCommand = 6;
 constexpr int kOutOfRange = 7;
@@ -44,8 +44,9 @@ enum AxisError : int {
 constexpr std::size_t kErrorMemory = 10;
 constexpr std::size_t kLongestLine = 80;
 constexpr Clock::Duration kShortestHoming = std::chrono::milliseconds(200);
-constexpr double kAbruptDeceleration = 1e5;                              // deg/s2
-constexpr Clock::Duration kServoCycle = std::chrono::microseconds(400);  // Error times count these [M].
+constexpr double kAbruptDeceleration = 1e5;  // deg/s2
+// Error times count these [unverified against a device].
+constexpr Clock::Duration kServoCycle = std::chrono::microseconds(400);
 
 /// Degrees in one unit of SN; 0: not an angle.
 double degrees_per_unit(int unit, double resolution_deg) {
@@ -626,8 +627,9 @@ std::optional<std::string> NewportEspFirmware::Controller::abort_motion(const Co
 std::optional<std::string> NewportEspFirmware::Controller::origin(const Command& c) {
   const std::size_t k = index_of(c);
   Axis& a = axes_[k];
-  const int mode =
-      c.parameter.empty() ? 1 : whole_number(c.parameter, 0, 6);  // [M] without number: as OM says, 1
+  const int mode = c.parameter.empty()
+                       ? 1
+                       : whole_number(c.parameter, 0, 6);  // Without number: 1 [unverified against a device]
   refuse_while_homing(k);
   if (!a.motor_on) throw Refusal{axis_error(k, kMotorNotEnabled)};
   double where = a.offset_deg;  // The home switch stands where a homed axis reads 0.
@@ -749,7 +751,7 @@ std::optional<std::string> NewportEspFirmware::Controller::units(const Command& 
   const std::size_t k = index_of(c);
   if (c.asks()) return std::to_string(axes_[k].unit);
   const int wanted = whole_number(c.parameter, 0, 11);
-  // A length is no unit for a rotation stage; what a real controller makes of it is not known.
+  // A length is no unit for a rotation stage; the reaction of a real controller is not known.
   if (degrees_per_unit(wanted, truth(k).encoder_resolution.deg()) == 0.0) throw Refusal{kOutOfRange};
   axes_[k].unit = wanted;
   return std::nullopt;

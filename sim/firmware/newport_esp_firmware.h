@@ -30,9 +30,9 @@ struct NewportEspSettings {
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
 };
 
-/// A Newport ESP300, ESP301 or ESP302 motion controller (instruments.md A.1), turning the axes of a SimBench.
-/// Accepts what host programs send in their differing styles: any case, "01PA5.0", "1PA5", "1 PA 5.0",
-/// several commands joined by ';', CR or CR LF.
+/// A Newport ESP300, ESP301 or ESP302 motion controller (docs/protocols/newport_esp.md), turning the axes of
+/// a SimBench. Accepts what host programs send in their differing styles: any case, "01PA5.0", "1PA5" and
+/// "1 PA 5.0", several commands joined by ';', CR or CR LF.
 ///
 /// Its encoders are incremental: wherever an axis is when the controller is switched on, it reads 0 until it
 /// is homed (OR). The home switch lies at the controller's zero. The controller does not say whether an axis

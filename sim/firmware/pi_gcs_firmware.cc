@@ -17,7 +17,7 @@
 namespace abcal::sim {
 namespace {
 
-// Error codes of GCS 2.0 (instruments.md A.2).
+// Error codes of GCS 2.0 (docs/protocols/pi_gcs.md).
 constexpr int kNoError = 0;
 constexpr int kUnknownCommand = 2;
 constexpr int kCommandTooLong = 3;

@@ -28,9 +28,9 @@ struct PiGcsSettings {
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 
-/// A PI controller that speaks GCS 2.0 (instruments.md A.2), turning the axes of a SimBench. Accepts what
-/// host programs send in their differing styles: any case, CR LF, several blanks, with or without axes, with
-/// or without address.
+/// A PI controller that speaks GCS 2.0 (docs/protocols/pi_gcs.md), turning the axes of a SimBench. Accepts
+/// what host programs send in their differing styles: any case, CR LF, several blanks, with or without axes,
+/// with or without address.
 class PiGcsFirmware final : public Firmware {
  public:
   explicit PiGcsFirmware(std::shared_ptr<SimBench> bench, PiGcsSettings settings = {});

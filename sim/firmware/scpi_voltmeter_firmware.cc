@@ -588,7 +588,8 @@ void ScpiVoltmeterFirmware::Meter::set_range(std::string_view text) {
   range_ = *std::find_if(kRanges.begin(), kRanges.end(), [&](double range) { return wanted <= range; });
 }
 
-/// A resolution chooses the integration time: 4 1/2 digits need 0.02 power line cycles, 6 1/2 need 10 [M].
+/// A resolution chooses the integration time: 4 1/2 digits need 0.02 power line cycles, 6 1/2 need 10
+/// [unverified against a device].
 void ScpiVoltmeterFirmware::Meter::set_resolution(std::string_view text) {
   const std::string word = upper(text);
   const double range = range_ > 0.0 ? range_ : kRanges.back();
@@ -923,7 +924,7 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::scan_select(co
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::trigger_source(const Arguments& a) {
   if (a.empty()) throw Refusal{kMissingParameter};
   const std::string word = upper(a[0]);
-  // There is nobody to trigger it from outside.
+  // No external trigger is simulated.
   if (word != "IMM" && word != "IMMEDIATE") throw Refusal{kIllegalParameter};
   trigger_source_ = "IMM";
   return std::nullopt;

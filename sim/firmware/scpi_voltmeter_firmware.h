@@ -25,15 +25,16 @@ struct ScpiVoltmeterSettings {
   std::array<int, 3> channels{101, 102, 103};  ///< Where u, v, w of the SimBench are wired.
   std::size_t single_channel = 0;              ///< The one that a 34401A is wired to: 0 u, 1 v, 2 w.
   double line_frequency_hz = 50.0;
-  bool accepts_second_auto = true;  ///< "CONF:VOLT:DC AUTO,AUTO,(@...)": not every model may [M].
-  bool needs_remote = false;        ///< Refuses measurements before SYST:REM, as a 34401A on a serial line.
+  /// "CONF:VOLT:DC AUTO,AUTO,(@...)": not every model may [unverified against a device].
+  bool accepts_second_auto = true;
+  bool needs_remote = false;  ///< Refuses measurements before SYST:REM, as a 34401A on a serial line.
   Clock::Duration channel_overhead =
       std::chrono::milliseconds(4);  ///< Switching and settling of one channel.
   Clock::Duration reply_delay = std::chrono::microseconds(500);
 };
 
-/// A SCPI voltmeter (instruments.md B.4) that measures the outputs of a SimBench, whose response unit R is
-/// then volt.
+/// A SCPI voltmeter (docs/protocols/scpi_voltmeters.md) that measures the outputs of a SimBench, whose
+/// response unit R is then volt.
 ///
 /// A measurement lasts as long as the integration of each channel (number of power line cycles, twice with
 /// automatic zero) and its switching; each channel is measured at its own time. Commands that come meanwhile

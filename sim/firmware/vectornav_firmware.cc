@@ -22,7 +22,7 @@
 namespace abcal::sim {
 namespace {
 
-// Codes, registers and layouts as in instruments.md B.2.
+// Codes, registers and layouts as in docs/protocols/vectornav.md.
 enum ErrorCode : unsigned {
   kBufferOverflow = 2,
   kBadChecksum = 3,
@@ -136,7 +136,8 @@ struct Part {
 using BinaryField = std::vector<Part>;
 
 /// Fields of the common, time, IMU and attitude groups in the order of their bits; what this device does not
-/// simulate is zero. Those of time, IMU and attitude that instruments.md does not list are [M].
+/// simulate is zero. Those of time, IMU and attitude that docs/protocols/vectornav.md does not list are
+/// [unverified against a device].
 const std::vector<BinaryField>& fields_of_group(unsigned group) {
   using C = Content;
   static const std::vector<BinaryField> common{
@@ -522,7 +523,7 @@ std::string VectorNavFirmware::Device::write_register(const Words& words) {
       if (values.size() > current_.protocol.size()) throw Refusal{kTooManyParameters};
       std::array<unsigned, 7> protocol{};
       for (std::size_t n = 0; n < protocol.size(); ++n) protocol[n] = number(values[n]);
-      // Checksum of the asynchronous messages: 1 is XOR, 3 the CRC [M].
+      // Checksum of the asynchronous messages: 1 is XOR, 3 the CRC [unverified against a device].
       if (protocol[4] != 1 && protocol[4] != 3) throw Refusal{kBadParameter};
       current_.protocol = protocol;
       break;
@@ -536,7 +537,7 @@ std::string VectorNavFirmware::Device::write_register(const Words& words) {
       const auto found = current_.vectors.find(reg);
       if (found == current_.vectors.end()) {
         values_of(reg);                 // Unknown altogether: bad register.
-        throw Refusal{kNotAuthorised};  // It can be read only [M].
+        throw Refusal{kNotAuthorised};  // It can be read only [unverified against a device].
       }
       if (values.size() < found->second.size()) throw Refusal{kTooFewParameters};
       if (values.size() > found->second.size()) throw Refusal{kTooManyParameters};

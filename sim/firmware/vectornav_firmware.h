@@ -19,13 +19,14 @@ struct VectorNavSettings {
   unsigned async_type = 14;     ///< Register 6 from the factory: YMR; 0: nothing.
   unsigned async_rate_hz = 40;  ///< Register 7 from the factory.
   Clock::Duration reply_delay = std::chrono::microseconds(500);
-  Clock::Duration reset_time = std::chrono::milliseconds(300);  ///< Silence after VNRST [M].
+  /// Silence after VNRST [unverified against a device].
+  Clock::Duration reset_time = std::chrono::milliseconds(300);
 };
 
-/// A VectorNav VN-100 (instruments.md B.2), reading the world of a SimBench. Its output unit R is m/s2: a
-/// truth of about 9.8 R per g_loc makes an ideal one. ASCII, asynchronous ASCII and binary outputs; both
-/// checksums. Samples lie on the grid of its 800 Hz IMU, from the start of the world's time. The port is its
-/// serial port 1.
+/// A VectorNav VN-100 (docs/protocols/vectornav.md), reading the world of a SimBench. Its output unit R is
+/// m/s2: a truth of about 9.8 R per g_loc makes an ideal one. ASCII, asynchronous ASCII and binary outputs;
+/// both checksums. Samples lie on the grid of its 800 Hz IMU, from the start of the world's time. The port is
+/// its serial port 1.
 class VectorNavFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a baud rate, type or output rate that a VN-100 does not have.

@@ -17,7 +17,7 @@
 namespace abcal::sim {
 namespace {
 
-// Registers and frames as in instruments.md B.5.
+// Registers and frames as in docs/protocols/witmotion.md.
 constexpr std::uint8_t kSave = 0x00;
 constexpr std::uint8_t kCalibrate = 0x01;
 constexpr std::uint8_t kOutputMask = 0x02;
@@ -34,16 +34,17 @@ constexpr std::uint16_t kUnlockKey = 0xB588;
 constexpr double kFullScale = 16.0;  // g
 constexpr double kCounts = 32768.0;
 
-/// An unlocked sensor locks itself again [M].
+/// An unlocked sensor locks itself again [unverified against a device].
 constexpr Clock::Duration kUnlockedFor = std::chrono::seconds(10);
 
-/// Register 04. [M] but for 2 and 6.
+/// Register 04. [unverified against a device] but for 2 and 6.
 constexpr std::array<unsigned, 10> kBaudRates{0,     4800,   9600,   19200,  38400,
                                               57600, 115200, 230400, 460800, 921600};
 
 constexpr std::uint16_t kOnce = 0x0C;
 
-/// Milliseconds between outputs by the code in register 03; 0: none. 02, 04, 05 and 0D are [M].
+/// Milliseconds between outputs by the code in register 03; 0: none. 02, 04, 05 and 0D are [unverified
+/// against a device].
 std::optional<unsigned> period_ms(std::uint16_t code) {
   switch (code) {
     case 0x01:
@@ -181,7 +182,7 @@ void WitMotionFirmware::Device::write(std::uint8_t reg, std::uint16_t value) {
     case kSave:
       if (value == 0) saved_ = registers_;
       if (value == 1) registers_ = saved_ = factory();
-      if (value == 0xFF) registers_ = saved_;  // restart [M]
+      if (value == 0xFF) registers_ = saved_;  // restart [unverified against a device]
       stream_from(now_);
       return;
     case kCalibrate:

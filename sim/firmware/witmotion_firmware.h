@@ -17,8 +17,8 @@ struct WitMotionSettings {
   Clock::Duration reply_delay = std::chrono::microseconds(500);
 };
 
-/// A WitMotion sensor (instruments.md B.5), reading the world of a SimBench. Its output unit R is g, in steps
-/// of 16/32768 g, clipped at +-16 g without a word. Streams from power on, as they all do.
+/// A WitMotion sensor (docs/protocols/witmotion.md), reading the world of a SimBench. Its output unit R is g,
+/// in steps of 16/32768 g, clipped at +-16 g without a word. Streams from power on, as they all do.
 class WitMotionFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a baud rate or a rate code that it does not have.

@@ -152,7 +152,7 @@ std::string message(unsigned id, std::string_view data) {
 std::uint64_t fixed_point(double value, int bits, int fraction_bits) {
   const double scaled = std::round(std::ldexp(value, fraction_bits));
   const double limit = std::ldexp(1.0, bits - 1);
-  // NaN has no fixed-point form: it shows as the lowest value [M].
+  // NaN has no fixed-point form: it shows as the lowest value [unverified against a device].
   const double held = scaled >= -limit ? std::min(scaled, limit - 1.0) : -limit;
   return static_cast<std::uint64_t>(static_cast<std::int64_t>(held));
 }
@@ -288,7 +288,8 @@ XsensMtiFirmware::Device::Device(std::shared_ptr<SimBench> bench, XsensMtiSettin
 // Messages.
 
 void XsensMtiFirmware::Device::receive(std::string_view bytes, Clock::Instant now) {
-  // A message that does not end is given up [M]: the next one must not be swallowed by its length.
+  // A message that does not end is given up [unverified against a device]: the next one must not be swallowed
+  // by its length.
   if (now - now_ > kMessageTimeout) input_.clear();
   update(now);
   now_ = now;
@@ -409,7 +410,7 @@ std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_vie
   }
 }
 
-/// No data: asks. Else sets, and tells what it has made of it.
+/// No data: a query. Otherwise sets the configuration and replies with the one that results.
 std::string XsensMtiFirmware::Device::output_configuration(std::string_view data) {
   if (data.size() % 4 != 0 || data.size() > 4 * kMostOutputs) throw Refusal{kInvalidParameter};
   std::vector<Output> wanted;
@@ -446,7 +447,8 @@ std::string XsensMtiFirmware::Device::baudrate(std::string_view data) {
   });
   if (known == kBaudCodes.end()) throw Refusal{kInvalidBaudrate};
   if (!data.empty()) {
-    settings_.baud = known->baud;  // Holds from the next reset on [M]: nothing changes.
+    // Takes effect at the next reset [unverified against a device]: nothing changes now.
+    settings_.baud = known->baud;
     return {};
   }
   return std::string(1, static_cast<char>(known->code));
@@ -467,7 +469,7 @@ std::string XsensMtiFirmware::Device::filter_profile(std::string_view data) {
   return answer;
 }
 
-/// Those to set, then those to clear [M].
+/// Those to set, then those to clear [unverified against a device].
 std::string XsensMtiFirmware::Device::option_flags(std::string_view data) {
   std::string answer;
   if (data.empty()) {

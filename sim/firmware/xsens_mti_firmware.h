@@ -10,7 +10,8 @@
 namespace abcal::sim {
 
 struct XsensMtiSettings {
-  std::string device_id = "037003F8";  ///< Hexadecimal, 8 digits (or 16 of the MTi-600 series [M]).
+  /// Hexadecimal, 8 digits (or 16 of the MTi-600 series [unverified against a device]).
+  std::string device_id = "037003F8";
   std::string product_code = "MTi-30-2A8G4";
   unsigned hardware_version = 0x0105;
   std::array<unsigned, 3> firmware_version{1, 8, 2};
@@ -19,16 +20,17 @@ struct XsensMtiSettings {
   unsigned base_rate_hz = 400;   ///< Highest of its outputs; the others are whole fractions of it.
   bool just_switched_on = true;  ///< WakeUp at the start of the world's time; else it is measuring then.
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
-  Clock::Duration reset_time = std::chrono::milliseconds(300);  ///< Silence after Reset [M].
+  /// Silence after Reset [unverified against a device].
+  Clock::Duration reset_time = std::chrono::milliseconds(300);
 };
 
-/// An Xsens (Movella) MTi that speaks Xbus (instruments.md B.3), reading the world of a SimBench. Its output
-/// unit R is m/s2: a truth of about 9.8 R per g_loc makes an ideal one. Samples lie on the grid of its base
-/// rate, from the start of the world's time. Gyroscope, magnetometer and orientation are not simulated: they
-/// show rest.
+/// An Xsens (Movella) MTi that speaks Xbus (docs/protocols/xbus.md), reading the world of a SimBench. Its
+/// output unit R is m/s2: a truth of about 9.8 R per g_loc makes an ideal one. Samples lie on the grid of its
+/// base rate, from the start of the world's time. Gyroscope, magnetometer and orientation are not simulated:
+/// they show rest.
 ///
-/// Switched on, it says WakeUp and begins to measure 500 ms later unless it is told otherwise, with the
-/// output configuration that it had last. The baud rate is kept and told, and bounds nothing: USB has none.
+/// Switched on, it says WakeUp and begins to measure 500 ms later unless a command says otherwise, with
+/// its last output configuration. The baud rate is kept and reported, and limits nothing: USB has none.
 class XsensMtiFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a device id, product code, baud rate or base rate that cannot be.

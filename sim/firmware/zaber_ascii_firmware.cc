@@ -366,7 +366,8 @@ void ZaberAsciiFirmware::Chain::receive(std::string_view bytes, Clock::Instant n
   }
 }
 
-/// A command begins at the first '/'; what comes before is nobody's. A damaged one is not answered [M].
+/// A command begins at the first '/'; what comes before is ignored. A damaged one is not answered
+/// [unverified against a device].
 void ZaberAsciiFirmware::Chain::take_line(std::string line) {
   const std::size_t begin = line.find('/');
   if (begin == std::string::npos || line.size() > kLongestCommand) return;
@@ -409,7 +410,7 @@ void ZaberAsciiFirmware::Chain::run(const Words& words, bool with_checksum) {
     ++at;
   }
   const auto id = at == 3 ? std::optional(header[2]) : std::nullopt;
-  if (at == 2 && at < words.size() && words[at] == "--") ++at;  // No id [M].
+  if (at == 2 && at < words.size() && words[at] == "--") ++at;  // No id [unverified against a device].
   const Words data(words.begin() + static_cast<std::ptrdiff_t>(at), words.end());
   for (Device& device : devices_)
     if (header[0] == 0 || header[0] == device.number) run_on({&device, header[1], id, with_checksum, data});
@@ -798,7 +799,7 @@ void ZaberAsciiFirmware::Chain::set_position(std::size_t k, const std::string& v
   require_idle(k);
   const double wanted = to_degrees(k, whole(value));
   axes_[k].offset_deg += wanted - controller_deg(k, bench_->target(kStageAxes[k], now_));
-  axes_[k].referenced = true;  // [M]
+  axes_[k].referenced = true;  // Setting a position does so [unverified against a device].
 }
 
 std::string ZaberAsciiFirmware::Chain::encoder_position(std::size_t k) const {

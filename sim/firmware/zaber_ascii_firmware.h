@@ -22,9 +22,11 @@ struct ZaberAsciiSettings {
   std::string serial_number = "54321";    ///< Of the device of X.
   std::string z_serial_number = "54322";  ///< Of the device of Z, if it is another one.
   std::string version = "7.38.16432";     ///< Below 7: no "driver", and no flags of it.
-  unsigned controller_id = 30222;         ///< deviceid of one with several axes, X-MCC2 [M].
-  unsigned unit_id = 50009;               ///< deviceid of one with a single axis: X-RSW60A-E03.
-  std::array<unsigned, 2> peripheral_ids{70009, 70009};  ///< Of the axes of a controller [M].
+  /// deviceid of one with several axes, X-MCC2 [unverified against a device].
+  unsigned controller_id = 30222;
+  unsigned unit_id = 50009;  ///< deviceid of one with a single axis: X-RSW60A-E03.
+  /// Of the axes of a controller [unverified against a device].
+  std::array<unsigned, 2> peripheral_ids{70009, 70009};
   std::array<double, 2> full_steps_per_turn{6000.0, 6000.0};
   int resolution = 64;  ///< Microsteps of a full step: 384000 of a turn.
   double max_speed_deg_per_s = 720.0;
@@ -35,8 +37,8 @@ struct ZaberAsciiSettings {
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
 };
 
-/// Zaber devices that speak ASCII on one line (instruments.md A.3), turning the axes of a SimBench: a
-/// controller with two axes, or single-axis units in a daisy chain. All of them hear every byte.
+/// Zaber devices that speak ASCII on one line (docs/protocols/zaber_ascii.md), turning the axes of a
+/// SimBench: a controller with two axes, or single-axis units in a daisy chain. All of them hear every byte.
 ///
 /// Wherever an axis is when it is switched on, it reads 0 until it is homed; the home sensor lies at the
 /// controller's zero. comm.checksum, comm.alert and the device number are kept without power, positions are

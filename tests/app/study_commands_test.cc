@@ -23,7 +23,7 @@ using testing::StartsWith;
 using Json = nlohmann::json;
 
 // Averaged readings of an accelerometer (s row by row over 1 g_loc, O) on a perfect stage, 12 angles of 30
-// degrees: physics.md section 2, written down once more.
+// degrees: docs/theory/model.md, written down once more.
 std::string perfect_run(const std::array<double, 9>& s, const std::array<double, 3>& offset) {
   std::string csv = "experiment,n,alpha_deg,r_u,r_v,r_w\n";
   for (int experiment = 1; experiment <= 3; ++experiment) {

@@ -23,9 +23,9 @@ using testing::HasSubstr;
 
 const std::filesystem::path kRoot = test::source_folder();
 
-/// README.md and all below docs/.
+/// README.md, CONTRIBUTING.md and all below docs/.
 std::vector<std::filesystem::path> pages() {
-  std::vector<std::filesystem::path> found{kRoot / "README.md"};
+  std::vector<std::filesystem::path> found{kRoot / "README.md", kRoot / "CONTRIBUTING.md"};
   for (const auto& entry : std::filesystem::recursive_directory_iterator(kRoot / "docs"))
     if (entry.path().extension() == ".md") found.push_back(entry.path());
   return found;

@@ -7,8 +7,8 @@
 #include "drivers/instrument/angle.h"
 #include "protocol/model/alignment.h"
 
-/// Numbers printed in Geist & Gaitan, J. Res. NIST 126, 126038 (2021), and in physics.md section 4 where the
-/// print is known to slip. Each with its last printed digit.
+/// Numbers printed in Geist & Gaitan, J. Res. NIST 126, 126038 (2021), and in docs/theory/abc_protocol.md
+/// where the print is known to slip. Each with its last printed digit.
 namespace abcal::reference {
 
 /// sin(0.008 degrees), the paper's standard uncertainty of Zx, Zy, Xz.
@@ -40,7 +40,7 @@ struct Printed {
   double value = 0.0;
   int digits = 3;
 
-  /// Half of the last printed digit; for round-off entries the bound that physics.md section 4 states.
+  /// Half of the last printed digit; for round-off entries the bound that docs/theory/abc_protocol.md states.
   double tolerance() const {
     if (std::abs(value) < 1e-14) return 1e-14;
     return 0.5 * std::pow(10.0, std::floor(std::log10(std::abs(value))) - digits);

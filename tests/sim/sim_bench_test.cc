@@ -73,12 +73,12 @@ std::vector<Vector3d> drive_experiments(const BenchTruth& truth) {
   return readings;
 }
 
-/// RRF(v, e, a) of physics.md section 2, written out.
+/// RRF(v, e, a) of docs/theory/model.md, written out.
 Vector3d rrf(const Vector3d& v, const Vector3d& e, double radians) {
   return v * std::cos(radians) + e.cross(v) * std::sin(radians) + e * e.dot(v) * (1.0 - std::cos(radians));
 }
 
-/// The forward model of physics.md section 2 in its closed form; `f` is a step error in degrees at every
+/// The forward model of docs/theory/model.md in its closed form; `f` is a step error in degrees at every
 /// angle but 0 and 270.
 std::vector<Vector3d> closed_form(const BenchTruth& truth, double f = 0.0) {
   const double zz = std::sqrt(1.0 - truth.zx * truth.zx - truth.zy * truth.zy);
@@ -120,7 +120,7 @@ struct NamedTruth {
   BenchTruth truth;
 };
 
-/// The cases of physics.md section 4.
+/// The cases of docs/theory/abc_protocol.md.
 std::vector<NamedTruth> paper_cases() {
   std::vector<NamedTruth> cases;
   cases.push_back({"table2_ideal_acs", table2_truth()});
@@ -135,8 +135,8 @@ std::vector<NamedTruth> paper_cases() {
   cases.push_back({"table7", table7});
   BenchTruth table8 = table2_truth();
   table8.zx = table8.zy = kQ;
-  // The shared readings were made with 0.9144 (a fit to them gives 0.91440000); physics.md says 0.91434,
-  // which the digits of Table 8 cannot tell from it.
+  // The shared readings were made with 0.9144 (a fit to them gives 0.91440000); docs/theory/abc_protocol.md
+  // says 0.91434, which the digits of Table 8 cannot tell from it.
   table8.xz = 0.9144 * kQ;
   cases.push_back({"table8_as_printed", table8});
   return cases;

@@ -64,11 +64,11 @@ const CLEAR = 'Is the stage free to turn, and is everybody clear of it?';
 byId('take-control').addEventListener('click', async () => {
   if (controller === me) return ask({do: 'control', release: true});
   if (controller === null) return ask({do: 'control'});
-  if (await confirmed('Take control from the other page?', 'Somebody else steers this bench from another page, which then only watches.', 'Take control'))
+  if (await confirmed('Take control from the other page?', 'Another page steers this bench. It will then only watch.', 'Take control'))
     await ask({do: 'control', from_another: true});
 });
 byId('do-check').addEventListener('click', async () => {
-  if (await confirmed('Check the bench?', `Both instruments are asked who they are, the accelerometer is read at rest, and both axes are turned by 30 degrees. ${CLEAR}`, 'Check, and turn the stage'))
+  if (await confirmed('Check the bench?', `Both instruments are identified, the accelerometer is read at rest, and both axes are turned by 30 degrees. ${CLEAR}`, 'Check, and turn the stage'))
     await ask({do: 'check', with_motion: true, confirmed: true});
 });
 byId('do-start').addEventListener('click', async () => {
@@ -89,13 +89,13 @@ byId('note-form').addEventListener('submit', async (event) => {
 byId('jog-form').addEventListener('submit', async (event) => {
   event.preventDefault();
   const axis = byId('jog-axis').value, by = Number(byId('jog-by').value);
-  if (await confirmed(`Turn axis ${axis.toUpperCase()} by ${by} degrees?`, `It searches its reference first if it has none. ${CLEAR}`, 'Turn the stage'))
+  if (await confirmed(`Turn axis ${axis.toUpperCase()} by ${by} degrees?`, `It is homed first if it is not homed. ${CLEAR}`, 'Turn the stage'))
     await ask({do: 'jog', axis, by_deg: by, confirmed: true});
 });
 
 // Of a run whose angles are all measured only the analysis is missing: nothing moves.
 async function resume(run, measured) {
-  if (!measured && !(await confirmed(`Resume ${run}?`, `Both axes search their reference, the last angle is measured again, and the run goes on. ${CLEAR}`, 'Resume, and turn the stage'))) return;
+  if (!measured && !(await confirmed(`Resume ${run}?`, `Both axes are homed, the last angle is measured again, and the run continues. ${CLEAR}`, 'Resume, and turn the stage'))) return;
   if (await ask({do: 'resume', run, confirmed: true})) location.hash = '#live';
 }
 

@@ -25,7 +25,7 @@ export class Link {
     };
     this.socket.onclose = () => {
       this.onState(false);
-      for (const resolve of this.waiting.values()) resolve({ok: false, why: 'the connection was lost; look at the state before you ask again'});
+      for (const resolve of this.waiting.values()) resolve({ok: false, why: 'the connection was lost; check the state before you try again'});
       this.waiting.clear();
       setTimeout(() => this.open(), this.wait);
       this.wait = Math.min(2 * this.wait, 8000);

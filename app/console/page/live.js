@@ -3,8 +3,8 @@ import {byId, degrees, duration, element, number, signed, small, table, DASH} fr
 import {drawGimbal} from '/gimbal.js';
 import {OUTPUTS, plot, series} from '/plots.js';
 
-const PHASES = {referencing: 'The stage searches its reference', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
-  moving: 'The stage moves', settling: 'Waiting until all is still', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
+const PHASES = {referencing: 'The axes are homed', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
+  moving: 'The stage moves', settling: 'Waiting until the outputs are quiet', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 
 export class LiveView {
@@ -80,7 +80,7 @@ alignedLeft: true,
     switch (message.type) {
       case 'snapshot': this.snapshot(message); break;
       case 'activity':
-        if (message.activity === 'checking') this.stripData = [];  // The readings begin anew, and so does their time.
+        if (message.activity === 'checking') this.stripData = [];  // The readings begin again, and their time with them.
         this.activity = message;
         this.words();
         break;
@@ -108,7 +108,7 @@ alignedLeft: true,
   // One sentence that a screen reader says; angles alone are not announced each time.
   words() {
     const what = this.activity ? this.activity.activity : 'idle';
-    let text = 'No run is on.';
+    let text = 'No run is in progress.';
     if (what === 'running') {
       text = this.phase ? PHASES[this.phase.phase] ?? this.phase.phase : 'The run begins';
       if (this.activity.hold_asked && this.phase && this.phase.phase !== 'held') text += '; it holds after this angle';
@@ -117,7 +117,7 @@ alignedLeft: true,
     } else if (what === 'jogging') {
       text = 'The stage is jogged';
     } else if (what === 'analysing') {
-      text = 'All angles are measured; the run is analysed';
+      text = 'All angles are measured; the run is being analysed';
     } else if (this.ended) {
       text = this.ended.complete ? `The run is complete. Result: ${this.ended.words}` : `The run is interrupted and can be resumed: ${this.ended.words}`;
     }
@@ -133,7 +133,7 @@ alignedLeft: true,
 
   // Whether all is still now; else how long that took at the angle measured last.
   settling() {
-    const now = {moving: 'the stage moves', settling: 'waiting until all is still', reading: 'still', held: 'still'}[this.phase?.phase];
+    const now = {moving: 'the stage moves', settling: 'waiting until the outputs are quiet', reading: 'still', held: 'still'}[this.phase?.phase];
     const took = this.lastDwell && Number.isFinite(this.lastDwell.settle_s) ? `last angle: ${number(this.lastDwell.settle_s, 1, 's')}` : '';
     const on = this.activity && this.activity.activity === 'running';
     byId('settling').textContent = [on ? now : '', took].filter(Boolean).join('; ') || DASH;
@@ -177,7 +177,7 @@ alignedLeft: true,
   }
 
   checks(findings) {
-    byId('checks').replaceChildren(table('What was asked of the bench, and what was found', ['What', 'Grade', 'Found', 'Advice'],
+    byId('checks').replaceChildren(table('Checks of the bench and their findings', ['Check', 'Grade', 'Found', 'Advice'],
       findings.map((f) => [f.what, element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, f.grade), f.found, f.advice])));
   }
 

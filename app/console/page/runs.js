@@ -7,7 +7,7 @@ const STATES = {running: 'running, or its program died', interrupted: 'interrupt
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
 const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Go on'];
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
-const SYMBOLS = 's_ux: sensitivity of output u along axis x of the stage; s_u: its whole sensitivity, whatever the mounting; phi_uv: angle between u and v; O_u: offset of u.';
+const SYMBOLS = 's_ux: sensitivity of output u along axis x of the stage; s_u: its intrinsic sensitivity, independent of the mounting; phi_uv: angle between u and v; O_u: offset of u.';
 
 // "s_u: sensitivity of output u".
 function inWords(property) {
@@ -117,7 +117,7 @@ export async function showRun(name) {
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
-  detail.append(card('Events', element('div', {class: 'scroll'}, table('What happened during the run, and when', ['Time', 'Kind', 'What'],
+  detail.append(card('Events', element('div', {class: 'scroll'}, table('Events of the run', ['Time', 'Kind', 'Event'],
     data.events.map((e) => [day(e.utc), e.kind, e.text])))));
   byId('main').focus();
 }
@@ -140,7 +140,7 @@ function checks(result, meanings) {
   const outcome = (c) => element('span', {class: c.passed ? 'grade-good' : 'grade-problem'}, c.found === null && c.passed ? 'not made' : c.passed ? 'passed' : 'FAILED');
   const failed = all.filter((c) => !c.passed).length;
   return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? `${failed} of ${all.length} checks failed.` : `All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
-    ['Check', 'Outcome', 'Found', 'Limit', 'Unit', 'What it means'],
+    ['Check', 'Outcome', 'Found', 'Limit', 'Unit', 'Meaning'],
     all.map((c) => [c.check, outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), c.unit,
       element('span', {}, meanings[c.check], ...(c.words ? [' ', element('strong', {}, `${c.words[0].toUpperCase()}${c.words.slice(1)}.`)] : []))])));
 }
@@ -148,7 +148,7 @@ function checks(result, meanings) {
 function flagged(result, meanings) {
   const {flags, angles_used: used} = result.diagnostics;
   return element('div', {class: 'stack', id: 'result-flags'}, table(`Of ${used} angles used; an angle may have several flags.`,
-    ['Flag', 'Angles', 'What it means'], flags.map((f) => [f.flag, f.dwells, meanings[f.flag]])));
+    ['Flag', 'Angles', 'Meaning'], flags.map((f) => [f.flag, f.dwells, meanings[f.flag]])));
 }
 
 function downloads(kinds, run) {
@@ -205,7 +205,7 @@ function facts(data) {
 function closures(result) {
   const rows = result.diagnostics.closures;
   const canvas = element('canvas', {role: 'img', 'aria-label': 'Closures in standard uncertainties; the table has the numbers'});
-  const block = card('Closures: what vanishes for a perfect stage', element('div', {},
+  const block = card('Closures: zero for a perfect stage', element('div', {},
     element('div', {class: 'plot'}, canvas),
     element('details', {}, element('summary', {}, 'As a table'), table(`Closures and their standard uncertainty (${result.response_unit})`,
       ['Closure', 'Output', `Value (${result.response_unit})`, `std. uncertainty (${result.response_unit})`, 'Ratio (1)'],
@@ -313,7 +313,7 @@ export async function showChart(serial) {
     drawChart(byId('chart-item').value, byId('chart-property').value);
   };
   byId('chart-form').querySelector('button').disabled = items.length === 0;
-  if (!items.length) byId('chart-body').replaceChildren(element('p', {}, 'There is no complete run of an item with a serial number yet.'));
+  if (!items.length) byId('chart-body').replaceChildren(element('p', {}, 'No complete run of an item with a serial number exists yet.'));
   else drawChart(byId('chart-item').value, PROPERTIES[0]);
 }
 

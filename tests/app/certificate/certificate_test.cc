@@ -35,8 +35,8 @@ class MakeCertificateTest : public CertificateTest {
   }
 };
 
-// ISO/IEC 17025:2017 as listed in metrology.md 4.2: where each item stands (docs/certificate.md has the
-// table).
+// ISO/IEC 17025:2017 as listed in docs/theory/certificate_rules.md: where each item stands
+// (docs/certificate.md has the table).
 TEST_F(MakeCertificateTest, EveryClauseOfReportingHasItsPlace) {
   std::string laboratory = example_laboratory();
   laboratory =

@@ -29,7 +29,7 @@ Conformity with(DecisionKind kind, double factor, double value, double u) {
   return decide(rule, limit(-1.0, 1.0), value, u).conformity;
 }
 
-// metrology.md 4.3; u = 0.05, so U = 0.1.
+// docs/theory/certificate_rules.md; u = 0.05, so U = 0.1.
 TEST(DecisionTest, SimpleAcceptanceKnowsNoGuardBand) {
   EXPECT_EQ(with(DecisionKind::kSimple, 1.0, 1.0, 0.05), Conformity::kPass);
   EXPECT_EQ(with(DecisionKind::kSimple, 1.0, std::nextafter(1.0, 2.0), 0.05), Conformity::kFail);

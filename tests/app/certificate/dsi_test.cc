@@ -86,7 +86,7 @@ TEST(XmlTextTest, OnlyWhatXmlMayHold) {
   EXPECT_EQ(one_line(" \n"), "");
 }
 
-// metrology.md 3.3, p = 0.95, to the digits given there.
+// docs/theory/uncertainty.md, p = 0.95, to the digits given there.
 TEST(EllipsoidTest, FactorsOfTheTable) {
   const std::vector<std::pair<int, double>> table{{1, 1.960}, {2, 2.448}, {3, 2.795}, {4, 3.080},
                                                   {5, 3.327}, {6, 3.548}, {9, 4.113}, {12, 4.585}};

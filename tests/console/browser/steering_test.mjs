@@ -30,7 +30,7 @@ step('is used with the keyboard alone: takes control, and asks before it moves t
   assert.equal(await page.evaluate(() => document.activeElement.id), 'confirm-no');
   await page.keyboard.press('Enter');
   assert.ok(await page.locator('#confirm').isHidden());
-  assert.equal(await text('#state'), 'No run is on.');
+  assert.equal(await text('#state'), 'No run is in progress.');
 });
 
 step('checks the bench', async (page) => {

@@ -234,7 +234,7 @@ TEST(AnalyseTest, MissingAnglesAreNotedAndDoNoHarm) {
 // --- uncertainty
 // -----------------------------------------------------------------------------------------------------
 
-TEST(AnalyseTest, TypeAFollowsTheTextbookForWhiteNoise) {  // metrology.md 1.2
+TEST(AnalyseTest, TypeAFollowsTheTextbookForWhiteNoise) {  // docs/theory/uncertainty.md
   RunRecord record = made_record(ideal(), {});
   constexpr double kSigma = 1e-5;
   for (DwellRecord& dwell : record.dwells) dwell.u_mean = Eigen::Vector3d::Constant(kSigma);
@@ -250,7 +250,7 @@ TEST(AnalyseTest, TypeAFollowsTheTextbookForWhiteNoise) {  // metrology.md 1.2
   }
 }
 
-TEST(AnalyseTest, TypeBOfTheAlignmentFollowsTheFirstOrderTable) {  // metrology.md 1.1
+TEST(AnalyseTest, TypeBOfTheAlignmentFollowsTheFirstOrderTable) {  // docs/theory/uncertainty.md
   RunRecord record = made_record(ideal(), {});
   record.tolerances = {Angle::degrees(0.008), Angle(), Angle(), Angle(), 0.0};
   const CalibrationResult result = analyse_abc(record);
@@ -276,9 +276,9 @@ TEST(AnalyseTest, TypeBOfStepErrorsAloneMatchesTheSimulatedDiagonal) {
   RunRecord record = made_record(ideal(), {});
   record.tolerances = {Angle(), Angle::degrees(0.008), Angle(), Angle(), 0.0};
   const CalibrationResult result = analyse_abc(record);
-  // Diagonal 8.1e-6 (4000 simulations, metrology.md 1.1: known to 1 %, printed to two digits). The exact
-  // first-order value is u_f/sqrt(4 N): sin cos has mean square 1/8 over the circle, and s_jj averages two
-  // fits.
+  // Diagonal 8.1e-6 (4000 simulations, docs/theory/uncertainty.md: known to 1 %, printed to two digits). The
+  // exact first-order value is u_f/sqrt(4 N): sin cos has mean square 1/8 over the circle, and s_jj averages
+  // two fits.
   for (std::size_t j = 0; j < 3; ++j) {
     const double u = (*result.sensitivity_matrix)[j][j].type_b.value();
     EXPECT_NEAR(u, 8.1e-6, 0.1e-6 + 0.5e-7);
@@ -445,7 +445,7 @@ TEST(AnalyseTest, AMisalignmentFarBeyondTheToleranceIsDoubtful) {
   EXPECT_THAT(result.why, HasSubstr("closure"));
 }
 
-TEST(AnalyseTest, ClosuresCarryTheirFirstOrderSignatures) {  // metrology.md 1.3
+TEST(AnalyseTest, ClosuresCarryTheirFirstOrderSignatures) {  // docs/theory/abc_protocol.md
   const double e = 1e-6;
   const auto closures = [&](const Alignment& alignment) {
     AcsErrors errors;
@@ -477,7 +477,7 @@ TEST(AnalyseTest, NonLinearityBeyondTheUncertaintyIsDoubtfulAndNamed) {
   EXPECT_EQ(result.verdict, Verdict::kDoubtful);
   EXPECT_THAT(result.why, HasSubstr("harmonic 2 of v"));
   // Second harmonic of amplitude K2/2 in v, experiment 1, and an error of the offset of K2/3
-  // (metrology.md 1.2).
+  // (docs/theory/uncertainty.md).
   const FitDiagnostic& fit = result.diagnostics.fits[1];
   EXPECT_NEAR(std::hypot(fit.harmonics[2].sin_amplitude.value, fit.harmonics[2].cos_amplitude.value), 5e-4,
               1e-9);

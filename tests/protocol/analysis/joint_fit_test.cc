@@ -359,9 +359,9 @@ TEST(JointFitTest, ChiSquareRefusesAnAccelerometerThatTheModelDoesNotKnow) {
   EXPECT_LT(*result.diagnostics.chi2_probability, 1e-3);
 }
 
-// physics.md section 5: "k2 = 1e-4 gives chi2/dof 3.3 and 7e-5 in s_uz, s_wx, O; k3 = 1e-4 gives 2.2 and 8e-5
-// in the diagonal" when they are left out. Its figures are of one AUT and two digits: 10 % on chi2, 20 % on
-// the errors.
+// docs/theory/joint_estimator.md: "k2 = 1e-4 gives chi2/dof 3.3 and 7e-5 in s_uz, s_wx, O; k3 = 1e-4
+// gives 2.2 and 8e-5 in the diagonal" when they are left out. Its figures are of one AUT and two digits: 10 %
+// on chi2, 20 % on the errors.
 TEST(JointFitTest, NonlinearityLeftOutIsSoakedUpElsewhereAndChiSquareSays) {
   const AccelerometerModel ideal;
   std::mt19937_64 engine(29);

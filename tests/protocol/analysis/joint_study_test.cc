@@ -106,13 +106,14 @@ TEST(JointStudyTest, TwoThousandRunsInCountsAreTheSameNumbers) {
   }
 }
 
-// The test of the test: without the mean step errors the study must fail, where physics.md says it does.
+// The test of the test: without the mean step errors the study must fail, where
+// docs/theory/joint_estimator.md says it does.
 TEST(JointStudyTest, FailsWithoutTheMeanStepErrors) {
   JointStudyOptions options = options_of(kSlowBuild ? 20 : 200);
   options.joint.mean_step = false;
   const JointStudy study = run_joint_study(options);
   for (const char* name : {"s_vz", "s_wy"}) {
-    EXPECT_LT(study.output(name).coverage, 0.30) << name;  // physics.md: 0.10
+    EXPECT_LT(study.output(name).coverage, 0.30) << name;  // docs/theory/joint_estimator.md: 0.10
     EXPECT_GT(study.output(name).ratio(), 5.0) << name;    // 1.4e-4 against 1.2e-5
   }
   EXPECT_EQ(study.not_usable_or_doubtful, study.trials);
@@ -122,11 +123,11 @@ TEST(JointStudyTest, FailsWithoutTheDrift) {
   JointStudyOptions options = options_of(kSlowBuild ? 40 : 200);
   options.joint.drift = false;
   const JointStudy study = run_joint_study(options);
-  EXPECT_LT(study.output("O_v").coverage, 0.85);  // physics.md: 0.5-0.8
+  EXPECT_LT(study.output("O_v").coverage, 0.85);  // docs/theory/joint_estimator.md: 0.5-0.8
 }
 
-// physics.md section 5, posterior uncertainty of the worst output of a near-unit AUT. Tolerance: half of the
-// last printed digit, and 1 % because "near-unit" is not exactly unit.
+// docs/theory/joint_estimator.md, posterior uncertainty of the worst output of a near-unit AUT. Tolerance:
+// half of the last printed digit, and 1 % because "near-unit" is not exactly unit.
 TEST(JointStudyTest, UncertaintiesAreThoseOfTheDesign) {
   JointStudyOptions options = options_of(kSlowBuild ? 4 : 40);
   options.diagonal_sd = options.off_diagonal_sd = 1e-3;

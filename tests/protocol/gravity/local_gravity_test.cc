@@ -18,7 +18,7 @@ struct Listed {
   double latitude_deg, height_m, grs80, wgs84, welmec, npl;
 };
 
-// metrology.md section 6, ten decimals; the first and third rows are the published ge and gp, the second the
+// docs/theory/gravity.md, ten decimals; the first and third rows are the published ge and gp, the second the
 // published GRS80 gamma45 = 9.806199203.
 constexpr std::array<Listed, 6> kListed{{
     {0, 0, 9.7803267715, 9.7803253359, 9.7803180000, 9.7803270000},
@@ -49,7 +49,7 @@ TEST(LocalGravityTest, GivesTheListedValuesToEveryDigit) {
 TEST(LocalGravityTest, UncertaintyCoversTheSurveyAtGaithersburg) {
   const FormulaGravity gravity = formula_gravity(Angle::degrees(39.1333), 130.0);
   EXPECT_NEAR(gravity.half_width_mps2, 5e-5 * gravity.value_mps2, 1e-15);
-  EXPECT_NEAR(gravity.standard_uncertainty_mps2, 2.8e-4, 0.05e-4);  // metrology.md section 6
+  EXPECT_NEAR(gravity.standard_uncertainty_mps2, 2.8e-4, 0.05e-4);  // docs/theory/gravity.md
   EXPECT_LT(std::abs(gravity.value_mps2 - 9.80101), gravity.half_width_mps2);
 }
 

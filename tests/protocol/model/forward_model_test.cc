@@ -25,7 +25,7 @@ AcsErrors some_errors(std::mt19937_64& engine, double size) {
   return errors;
 }
 
-// The equations of physics.md section 2 as they stand there: the sensitivity vectors turn, z stays.
+// The equations of docs/theory/model.md as they stand there: the sensitivity vectors turn, z stays.
 double reading_by_turning_the_vector(int experiment, int n, Angle alpha, const AcsErrors& errors,
                                      const Eigen::Vector3d& s) {
   const Eigen::Vector3d x = errors.alignment.x_axis();

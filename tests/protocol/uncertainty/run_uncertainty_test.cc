@@ -85,7 +85,8 @@ TEST(RunUncertaintyTest, NoiseEntersAsTheFitPassesItOn) {
   const Budget budget = make_budget(record, analyse_abc(record));
   for (const BudgetLine& line : budget.lines) {
     if (!line.type_a) continue;
-    // metrology.md 1.2: u(s) = sigma/sqrt(N), u(O) = sigma/sqrt(3 N), u(phi) = sqrt(2) sigma/sqrt(N) rad.
+    // docs/theory/uncertainty.md: u(s) = sigma/sqrt(N), u(O) = sigma/sqrt(3 N), u(phi) = sqrt(2)
+    // sigma/sqrt(N) rad.
     EXPECT_NEAR(line.contribution(0), 1e-3 / std::sqrt(72.0), 1e-9);
     EXPECT_NEAR(line.contribution(9), 1e-3 / std::sqrt(216.0), 1e-9);
     EXPECT_NEAR(line.contribution(15), std::sqrt(2.0) * 1e-3 / std::sqrt(72.0) * 57.29578, 5e-5);
@@ -160,7 +161,8 @@ TEST(RunUncertaintyTest, ThePaperPresetWarnsWhereTheBenchExceedsIt) {
   UncertaintyOptions options = quick();
   options.paper_preset = true;
   const RunUncertainty study = run_uncertainty(record, options);
-  // physics.md, slip 4: Table 2's accelerometer gives more than the bounds for s_vy, s_v and O_v.
+  // docs/theory/abc_protocol.md, slip 4: Table 2's accelerometer gives more than the bounds for s_vy, s_v and
+  // O_v.
   std::string all;
   for (const std::string& warning : study.warnings) all += warning + "\n";
   for (const char* symbol : {"s_vy:", "s_v:", "O_v:"}) EXPECT_NE(all.find(symbol), std::string::npos) << all;

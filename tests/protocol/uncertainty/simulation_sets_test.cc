@@ -68,7 +68,7 @@ TEST(SimulationSetTest, Tables5To7ToEveryPrintedDigit) {
 
 TEST(SimulationSetTest, Table8NeedsAnXzThatItsTextDoesNotName) {
   const StudyResult set = run_simulation_set("6", {});
-  // As the text says: physics.md section 4, row "T2, Zx = Zy = q, Xz = 0".
+  // As the text says: docs/theory/abc_protocol.md, row "T2, Zx = Zy = q, Xz = 0".
   const StudyOutput text =
       to_output((OutputVector() << -7.796e-06, -2.598e-06, +1.514e-04, -5.983e-05, -1.995e-05, +5.156e-05,
                  -1.717e-04, -5.724e-05, -1.638e-05, -1.732e-06, -1.330e-05, -3.816e-05, -2.492e-06,
@@ -119,7 +119,7 @@ TEST(SimulationSetTest, Abc1MeetsTheDominantEntriesOfTables3And4) {
   for (const int k : {1, 2, 3, 5, 6, 7, 9, 10, 11, 16, 17}) {
     EXPECT_NEAR(random.standard_deviation(k) / printed(k), 1.0, 0.08) << output_symbol(k);
   }
-  // physics.md, slip 3: with Table 2's accelerometer these do not match the print.
+  // docs/theory/abc_protocol.md, slip 3: with Table 2's accelerometer these do not match the print.
   const MonteCarloResult& table_2 = *set.cases[0].monte_carlo;
   EXPECT_NEAR(table_2.standard_deviation(4), 3.3e-5, 0.1e-5);  // s_vy
   EXPECT_NEAR(table_2.standard_deviation(9), 4.8e-5, 0.1e-5);  // O

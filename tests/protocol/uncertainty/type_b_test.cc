@@ -111,7 +111,7 @@ TEST(TypeBTest, TheNumberOfThreadsChangesNoBit) {
   }
 }
 
-// metrology.md 1.1: first order for an ideal accelerometer, alignment alone.
+// docs/theory/uncertainty.md: first order for an ideal accelerometer, alignment alone.
 TEST(TypeBTest, StandardDeviationsAreThoseOfFirstOrder) {
   TypeBStudy study;
   study.tolerances = paper_tolerances();
