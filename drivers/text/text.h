@@ -4,7 +4,7 @@
 #include <vector>
 
 /// Pieces of text that instruments and files send: cutting, no copies. Every layer may include this.
-namespace abcal::text {
+namespace abcal::pieces {
 
 inline constexpr std::string_view kWhiteSpace = " \t\r\n";
 
@@ -38,4 +38,4 @@ inline std::vector<std::string_view> words(std::string_view text, std::string_vi
   return found;
 }
 
-}  // namespace abcal::text
+}  // namespace abcal::pieces

@@ -3,7 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-namespace abcal::text {
+namespace abcal::pieces {
 namespace {
 
 using testing::ElementsAre;
@@ -27,4 +27,4 @@ TEST(TextTest, WordsAreNeverEmpty) {
 }
 
 }  // namespace
-}  // namespace abcal::text
+}  // namespace abcal::pieces
