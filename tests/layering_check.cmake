@@ -107,6 +107,7 @@ layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ spdlog/)
 layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
   FOREIGN toml++/ Eigen/ nlohmann/ fmt/ spdlog/ boost/)
 layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
 layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
 layer(app/certificate MAY app/results/ app/document/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
@@ -115,8 +116,8 @@ layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Ei
 layer(app/session MAY app/bench/ app/results/ app/system/ drivers/instrument/ drivers/wire/ protocol/ sim/
   FOREIGN Eigen/ nlohmann/ fmt/ spdlog/)
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/ spdlog/)
-set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/report/ app/results/ app/session/
-  app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
+set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/report/ app/results/ app/robustness/
+  app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
 # run.h: until the console listens to a session as the commands do.
 layer(app/console MAY ${below_people} app/commands/run.h FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/ spdlog/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/ spdlog/)

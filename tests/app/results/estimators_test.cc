@@ -31,14 +31,14 @@ TEST(EstimatorsTest, AResultIsFoundByNameWhereverItStands) {
 
 // A record that an estimator refuses is not usable; a fault of the program is no verdict on a record.
 TEST(EstimatorsTest, ARefusalIsAVerdictAndAnyOtherExceptionIsNot) {
-  const Estimator refuses{.name = "refuses", .fit = [](const RunRecord&) -> CalibrationResult {
+  const Estimator refuses{.name = "refuses", .words = "", .fit = [](const RunRecord&) -> CalibrationResult {
                             throw std::runtime_error("two angles determine nothing");
                           }};
   const CalibrationResult result = analyse(RunRecord{}, refuses);
   EXPECT_EQ(result.verdict, Verdict::kNotUsable);
   EXPECT_EQ(result.estimator, "refuses");
   EXPECT_THAT(result.why, HasSubstr("two angles"));
-  const Estimator broken{.name = "broken", .fit = [](const RunRecord&) -> CalibrationResult {
+  const Estimator broken{.name = "broken", .words = "", .fit = [](const RunRecord&) -> CalibrationResult {
                            return std::vector<CalibrationResult>().at(0);
                          }};
   EXPECT_THROW(analyse(RunRecord{}, broken), std::out_of_range);
