@@ -76,9 +76,12 @@ endfunction()
 layer(drivers/text)
 layer(drivers/instrument FOREIGN Eigen/)
 layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h spdlog/ fmt/ Eigen/)
-foreach(driver pi_gcs newport_esp zaber_ascii manual_stage microstrain_mip vectornav xsens_mti witmotion text_line
-    scpi_voltmeter)
-  layer(drivers/${driver} MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ spdlog/ fmt/ Eigen/)
+layer(drivers/manual_stage MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ spdlog/ fmt/ Eigen/)
+# Every folder with a driver.cc is a driver; all have the same rule.
+file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")
+foreach(registration IN LISTS registrations)
+  get_filename_component(driver ${registration} DIRECTORY)
+  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ spdlog/ fmt/ Eigen/)
 endforeach()
 layer(drivers TOP MAY drivers/ FOREIGN fmt/)
 
@@ -110,7 +113,7 @@ layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ 
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
 layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
-layer(app/certificate MAY app/results/ app/document/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
+layer(app/certificate MAY app/results/ app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
   Eigen/ unsupported/Eigen/ boost/math/ libxml/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
 layer(app/session MAY app/bench/ app/results/ app/system/ drivers/instrument/ drivers/wire/ protocol/ sim/
