@@ -121,8 +121,7 @@ layer(app/session MAY app/bench/ app/results/ app/system/ drivers/instrument/ dr
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/ spdlog/)
 set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/report/ app/results/ app/robustness/
   app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
-# run.h: until the console listens to a session as the commands do.
-layer(app/console MAY ${below_people} app/commands/run.h FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/ spdlog/)
+layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/ spdlog/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/ spdlog/)
 layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ spdlog/)
 
