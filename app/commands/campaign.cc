@@ -52,7 +52,7 @@ bool is_measured(const std::filesystem::path& path, const CampaignOptions& optio
     throw std::invalid_argument(
         path.string() +
         ": exists already; a run is never overwritten: choose another name with -o, or "
-        "go on with a campaign that was ended early with --go-on");
+        "continue a campaign that ended early with --go-on");
   }
   const StoredRun stored = RunFile::load(path);
   if (stored.header.bench_toml != write_bench(config)) {
@@ -69,8 +69,8 @@ bool is_measured(const std::filesystem::path& path, const CampaignOptions& optio
 /// Waits for a person. @throws RunInterrupted
 void ask_to_remount(int run, int runs) {
   print_log(
-      "\nRun {} of {}: the stage stands at its zeros. Take the accelerometer off, mount it again, and "
-      "press Enter when nobody touches the stage any more (Ctrl-C ends the campaign): ",
+      "\nRun {} of {}: the stage is at its zeros. Take the accelerometer off, mount it again, and "
+      "press Enter when nobody touches the stage (Ctrl-C ends the campaign): ",
       run, runs);
   std::array<char, 256> line{};
   for (;;) {
@@ -79,7 +79,8 @@ void ask_to_remount(int run, int runs) {
     const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
     if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
     if (::read(STDIN_FILENO, line.data(), line.size()) > 0) return;
-    throw std::runtime_error("the terminal has gone, so nobody can say that the accelerometer is mounted");
+    throw std::runtime_error(
+        "the terminal has gone, so nobody can confirm that the accelerometer is mounted");
   }
 }
 
@@ -93,7 +94,7 @@ void tell_how_to_continue(const CampaignOptions& options, const std::vector<std:
   }
   std::error_code ignored;
   const bool begun = std::filesystem::exists(paths[failed], ignored);
-  print_log("The campaign ended in run {} of {}. Complete and kept: {}. Go on with: {}{}\n", failed + 1,
+  print_log("The campaign ended in run {} of {}. Complete and kept: {}. Continue with: {}{}\n", failed + 1,
             paths.size(), complete.empty() ? "none" : fmt::format("{}", fmt::join(complete, ", ")),
             begun ? fmt::format("abcal resume {}, then ", paths[failed].string()) : "",
             command_to_continue(options, paths.front()));

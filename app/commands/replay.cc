@@ -17,8 +17,8 @@ CLI::App* add_replay(CLI::App& parent, int& exit_code) {
     bool json = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command = parent.add_subcommand(
-      "replay", "Drive a recorded run again from its own bytes; no instrument is touched");
+  CLI::App* command =
+      parent.add_subcommand("replay", "Repeat a recorded run from its own bytes; no instrument is used");
   command->add_option("RUN", options->run_file, "run file made with `abcal run BENCH --record`")->required();
   command->add_option("-o,--output", options->output,
                       "run file to create (default: RUN-replay.run beside RUN)");

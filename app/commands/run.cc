@@ -129,7 +129,7 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
     bool json = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command = parent.add_subcommand("resume", "Go on with an interrupted run");
+  CLI::App* command = parent.add_subcommand("resume", "Continue an interrupted run");
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {

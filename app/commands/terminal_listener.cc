@@ -74,7 +74,7 @@ void TerminalListener::show(const FinishedEvent& event) {
   finish();
   if (event.complete || !options_.tell_what_is_kept) return;
   print_log("{} of {} angles are measured and kept in {}{}\n", event.measured, event.planned, event.file,
-            options_.tell_how_to_resume ? "; go on with: abcal resume " + event.file : "");
+            options_.tell_how_to_resume ? "; continue with: abcal resume " + event.file : "");
 }
 
 }  // namespace abcal

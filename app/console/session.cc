@@ -161,7 +161,7 @@ Session::Refusal Session::continue_run() {
     if (activity_ != Activity::kRunning || !run_ || !run_->is_hold_wanted()) return "no run is held";
     run_->continue_run();
   }
-  log("Continue: the stage goes on.");
+  log("Continue: the stage moves on.");
   tell_activity();
   return std::nullopt;
 }
@@ -169,8 +169,8 @@ Session::Refusal Session::continue_run() {
 Session::Refusal Session::stop() {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ == Activity::kIdle) return "nothing goes on that could be stopped";
-    if (activity_ == Activity::kAnalysing) return "the stage stands still already; the run is analysed";
+    if (activity_ == Activity::kIdle) return "nothing is in progress that could be stopped";
+    if (activity_ == Activity::kAnalysing) return "the stage is at rest; the run is being analysed";
     if (stop_.stop_requested()) return std::nullopt;
     // Requesting the stop sends the halt to the stage and waits for its answer: not in the caller's thread.
     stopper_ = std::jthread([source = stop_]() mutable { source.request_stop(); });
@@ -221,7 +221,7 @@ void Session::show(const SessionEvent& event) {
       if (began.file.empty()) return;  // The small turn of a check.
       session.tell_(session.describe(began));
       session.log(began.resumed
-                      ? fmt::format("Run {} goes on: {} of {} angles are measured.", file_name(began.file),
+                      ? fmt::format("Run {} continues: {} of {} angles are measured.", file_name(began.file),
                                     began.measured.size(), began.plan.size())
                       : fmt::format("Run {} begins: {} angles.", file_name(began.file), began.plan.size()));
     }
@@ -297,7 +297,7 @@ void Session::do_jog(StageAxis axis, Angle by) {
   if (!bench.simulated_time) halt_at_once.emplace(stop_.get_token(), [&] { bench.stage->halt(); });
   const Angle angle =
       console::jog(*bench.stage, *bench.clock, axis, by, jog_bench_->config.protocol, stop_.get_token());
-  log(fmt::format("Axis {} stands at {:.4f} degrees (encoder).", to_string(axis), angle.deg()));
+  log(fmt::format("Axis {} is at {:.4f} degrees (encoder).", to_string(axis), angle.deg()));
 }
 
 }  // namespace abcal::console

@@ -444,9 +444,9 @@ void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, 
         "(non-linearity or "
         "synchronous step errors)",
         diagnostic.experiment, harmonic.order, kAccelerometerNames[j], amplitude, result.response_unit);
-    // What a non-linearity of this size does to the result (metrology.md 1.2): K2/2 is the second harmonic
-    // and K2/3 the offset's error; K3/4 is the third harmonic and 3 K3/4 the sensitivity's. Within the stated
-    // uncertainty (k = 2) it is worth a note only.
+    // What a non-linearity of this size does to the result (docs/theory/uncertainty.md): K2/2 is the second
+    // harmonic and K2/3 the offset's error; K3/4 is the third harmonic and 3 K3/4 the sensitivity's. Within
+    // the stated uncertainty (k = 2) it is worth a note only.
     const double in_offset = harmonic.order == 2 ? amplitude * 2.0 / 3.0 : 0.0;
     const double in_sensitivity = harmonic.order == 3 ? amplitude * 3.0 : 0.0;
     if (in_offset > 2.0 * result.offset[j].standard_uncertainty ||

@@ -82,7 +82,7 @@ struct JointPriors {
   Eigen::Matrix<double, kGeometryUnknowns, 1> sd = Eigen::Matrix<double, kGeometryUnknowns, 1>::Zero();
   double step = 0.0;
   double drift = 0.0;  ///< times S_j
-  double k2 = 1e-2;    ///< over S_j (physics.md section 5, table of unknowns)
+  double k2 = 1e-2;    ///< over S_j (docs/theory/joint_estimator.md, table of unknowns)
   double k3 = 1e-2;    ///< over S_j^2
 
   static JointPriors from(const Tolerances& tolerances, const MeasuredAlignment& measured = {});

@@ -93,7 +93,7 @@ std::vector<std::string> output_names() {
   return names;
 }
 
-/// Readings by the equations of physics.md section 2 as they stand (the fit turns gravity instead, with
+/// Readings by the equations of docs/theory/model.md as they stand (the fit turns gravity instead, with
 /// closed forms of its own): every row of the matrix is turned with the stage, and its z component is what
 /// gravity acts on.
 Eigen::Vector3d readings_at(const Truth& truth, int experiment, int n, Angle alpha, double t) {

@@ -59,7 +59,7 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
     throw InstrumentError(context_.stage_name(), Fault::kNoReply,
                           "it is back, but does not acknowledge the halt: stop it by its own switch");
   }
-  journal.notify(kReconnectedEvent, fmt::format("{} is back; the run goes on{}", name,
+  journal.notify(kReconnectedEvent, fmt::format("{} is back; the run continues{}", name,
                                                 stage_lost ? " after homing both axes again" : ""));
   return stage_lost;
 }

@@ -203,7 +203,7 @@ TEST(SharedTypeBTest, TellsWhyARecordCannotBeUsed) {
   }
 }
 
-// Pairs of runs on the same imperfect stage, the accelerometer mounted anew in between: with what is shared
+// Pairs of runs on the same imperfect stage, the accelerometer remounted in between: with what is shared
 // subtracted, the differences scatter as their uncertainties say; without, they look too good.
 TEST(SharedTypeBTest, ZetaHasUnitVarianceOnOneStage) {
   std::mt19937_64 engine(20260301);
