@@ -17,6 +17,16 @@ struct ErrorHarmonic {
   Angle cos_coefficient;
 };
 
+/// One harmonic of an axis's wobble: for the commanded angle a the platform is turned by
+/// (cos_1 cos(order a) + sin_1 sin(order a)) about direction 1 and likewise about direction 2. Direction 1 is
+/// perpendicular to the axis: horizontal for X, nearest to x for Z; direction 2 is the axis times
+/// direction 1.
+struct WobbleHarmonic {
+  int order = 1;
+  double cos_1_urad = 0.0, sin_1_urad = 0.0;
+  double cos_2_urad = 0.0, sin_2_urad = 0.0;
+};
+
 /// What one stage axis really does: actual angle = commanded angle + error(commanded angle). The error is a
 /// map of the physical pose (commanded angle modulo 360 degrees) and zero at 0, where the axis has its zero.
 struct AxisTruth {
@@ -24,7 +34,10 @@ struct AxisTruth {
   Angle initial_turn_error;  ///< The error at -90 degrees (d2 on Z, d3 on X), in place of all the others.
   Angle step_error_sd;       ///< Standard deviation of an error drawn once for each pose of both axes.
   std::vector<ErrorHarmonic> harmonics;  ///< Systematic part of the map.
-  Angle backlash;  ///< Lag of the actual angle when a move ends in the negative direction.
+  Angle smooth_error_sd;  ///< Standard deviation of each coefficient of six harmonics drawn from the seed.
+  std::vector<WobbleHarmonic> wobble;
+  double wobble_sd_urad = 0.0;  ///< Standard deviation of each coefficient of three orders, from the seed.
+  Angle backlash;               ///< Lag of the actual angle when a move ends in the negative direction.
   Angle travel_min = Angle::degrees(-360.0);
   Angle travel_max = Angle::degrees(360.0);
   double speed_deg_per_s = 20.0;
@@ -43,6 +56,38 @@ struct OutputTruth {
   Eigen::Vector3d k3 = Eigen::Vector3d::Zero();               ///< 1/R^2: + k3 (l - O)^3.
   Eigen::Vector3d drift_per_hour = Eigen::Vector3d::Zero();   ///< R/h, zero at the start of the world's time.
   Eigen::Vector3d offset_per_degc = Eigen::Vector3d::Zero();  ///< R/degC, from the first temperature_degc on.
+
+  // Beyond the published model (docs/effects.md). "Span" is BenchTruth::span_s, t its time from -1/2 to 1/2.
+  Eigen::Vector3d k4 = Eigen::Vector3d::Zero();  ///< 1/R^3: + k4 (l - O)^4.
+  Eigen::Vector3d k5 = Eigen::Vector3d::Zero();  ///< 1/R^4: + k5 (l - O)^5.
+  /// 1: + asymmetry |l - O|: the scale for + and for - differ by twice this.
+  Eigen::Vector3d asymmetry = Eigen::Vector3d::Zero();
+  /// 1: cross terms S (ab y_a y_b + ac y_a y_c + bc y_b y_c + bb y_b^2 + cc y_c^2), y = (l - O) / S, S the
+  /// norm of the row; a is the output itself, b and c are the next two in the order u, v, w, u.
+  Eigen::Vector3d cross_ab = Eigen::Vector3d::Zero(), cross_ac = Eigen::Vector3d::Zero(),
+                  cross_bc = Eigen::Vector3d::Zero(), cross_bb = Eigen::Vector3d::Zero(),
+                  cross_cc = Eigen::Vector3d::Zero();
+  /// R: times the sign of the change of l over the last motion that changed it.
+  Eigen::Vector3d hysteresis = Eigen::Vector3d::Zero();
+  /// R: times half the Legendre polynomials of 2t of order 1, 2, 3.
+  Eigen::Vector3d drift_1 = Eigen::Vector3d::Zero(), drift_2 = Eigen::Vector3d::Zero(),
+                  drift_3 = Eigen::Vector3d::Zero();
+  Eigen::Vector3d exponential_drift = Eigen::Vector3d::Zero();  ///< R: times exp(-time / time constant).
+  double exponential_drift_s = 600.0;
+  Eigen::Vector3d sinusoidal_drift = Eigen::Vector3d::Zero();  ///< R, amplitude.
+  double sinusoidal_drift_period_s = 3600.0;
+  Angle sinusoidal_drift_phase;                                 ///< At the start of the world's time.
+  Eigen::Vector3d sensitivity_drift = Eigen::Vector3d::Zero();  ///< 1 over the span, zero at its middle.
+  Eigen::Vector3d gain_step = Eigen::Vector3d::Zero();          ///< 1: from gain_step_at_s on.
+  double gain_step_at_s = 0.0;
+  double random_walk = 0.0;          ///< R, standard deviation at the end of the span.
+  double flicker_noise = 0.0;        ///< R, standard deviation of noise with a spectrum of 1/frequency.
+  double correlated_noise = 0.0;     ///< R, standard deviation of noise with an exponential correlation.
+  double correlated_noise_s = 60.0;  ///< Its correlation time.
+  /// The mount turns by this about x, y, z of the platter, times 1 - exp(-time / time constant).
+  Eigen::Vector3d mount_creep_urad = Eigen::Vector3d::Zero();
+  double mount_creep_s = 1200.0;
+
   double noise = 0.0;         ///< R, standard deviation of one reading, white.
   double quantisation = 0.0;  ///< R, step of the output; 0: none.
   double full_scale = std::numeric_limits<double>::infinity();  ///< R, where the output clips.
@@ -63,6 +108,12 @@ struct BenchTruth : OutputTruth {
   double zx = 0.0, zy = 0.0;  ///< Horizontal components of the Z axis at rest.
   double xz = 0.0;            ///< Vertical component of the X axis.
   AxisTruth x, z;
+  double span_s = 3600.0;  ///< Time of the effects that are said to act "over the span", from the start on.
+  /// Tilt of the base about x and y of the LGCS over the span, linear in time, zero at its middle.
+  double floor_tilt_x_urad = 0.0, floor_tilt_y_urad = 0.0;
+  /// Bending under the load of the platform: it turns by (direction of up) x sag, all in platter coordinates;
+  /// the direction of sag is from where the axes cross to the load's centre of mass.
+  Eigen::Vector3d sag_urad = Eigen::Vector3d::Zero();
 };
 
 }  // namespace abcal::sim

@@ -6,7 +6,17 @@
 namespace abcal::sim {
 
 /// What a random number of the world is for: streams that never meet.
-enum class NoiseStream : std::uint64_t { kStepError = 1, kReading = 2, kReadingAtPose = 3 };
+enum class NoiseStream : std::uint64_t {
+  kStepError = 1,
+  kReading = 2,
+  kReadingAtPose = 3,
+  kSmoothError = 4,
+  kWobble = 5,
+  kRandomWalk = 6,
+  kFlicker = 7,
+  kCorrelated = 8,
+  kScenario = 9,  ///< Studies that draw whole benches.
+};
 
 /// Four independent standard normal numbers: a pure function of seed, stream and counter (Philox4x64-10 and
 /// the Box-Muller transform of Random123), so that nothing depends on the order in which they are asked for.

@@ -20,6 +20,10 @@ constexpr std::uint64_t kPoseZero = 0;
 constexpr std::uint64_t kPoseMinus90 = 270'000'000;
 // exp(-40) is below the resolution of a double: the ring-down is over.
 constexpr double kRingDownTimeConstants = 40.0;
+constexpr double kMicro = 1e-6;
+constexpr int kDrawnErrorOrders = 6;   // docs/effects.md, smooth step errors
+constexpr int kDrawnWobbleOrders = 3;  // docs/effects.md, wobble
+constexpr double kSmallestSpanS = 1e-3;
 
 /// The pose as an integer, so that a target reached by different sums is the same pose.
 std::uint64_t canonical(Angle angle) {
@@ -31,6 +35,13 @@ std::uint64_t canonical(Angle angle) {
 /// Reduced in degrees before it becomes radians, so that whole turns cost no digits.
 double reduced_rad(double deg) {
   return Angle::degrees(std::remainder(deg, 360.0)).rad();
+}
+
+/// Turns by a vector: about its direction by its norm.
+Eigen::Matrix3d turned_by(const Eigen::Vector3d& rotation_vector) {
+  const double angle = rotation_vector.norm();
+  if (angle == 0.0) return Eigen::Matrix3d::Identity();
+  return Eigen::AngleAxisd(angle, rotation_vector / angle).toRotationMatrix();
 }
 
 Angle angle_between(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
@@ -58,7 +69,15 @@ void check_axis(const AxisTruth& axis, const std::string& name) {
     finite(harmonic.sin_coefficient, "harmonics.sin_coefficient");
     finite(harmonic.cos_coefficient, "harmonics.cos_coefficient");
   }
+  for (const WobbleHarmonic& w : axis.wobble) {
+    for (const double each : {w.cos_1_urad, w.sin_1_urad, w.cos_2_urad, w.sin_2_urad})
+      require(std::isfinite(each), name + ".wobble", each, "finite");
+  }
   const auto positive = [](double value) { return value > 0.0 && std::isfinite(value); };
+  require(axis.wobble_sd_urad >= 0.0 && std::isfinite(axis.wobble_sd_urad), name + ".wobble_sd_urad",
+          axis.wobble_sd_urad, ">= 0");
+  require(axis.smooth_error_sd.deg() >= 0.0 && std::isfinite(axis.smooth_error_sd.deg()),
+          name + ".smooth_error_sd", axis.smooth_error_sd.deg(), ">= 0");
   require(axis.step_error_sd.deg() >= 0.0 && std::isfinite(axis.step_error_sd.deg()), name + ".step_error_sd",
           axis.step_error_sd.deg(), ">= 0");
   require(axis.encoder_resolution.deg() >= 0.0 && std::isfinite(axis.encoder_resolution.deg()),
@@ -69,7 +88,45 @@ void check_axis(const AxisTruth& axis, const std::string& name) {
   require(axis.travel_min < axis.travel_max, name + ".travel_min", axis.travel_min.deg(), "below travel_max");
 }
 
+void check_slow_effects(const OutputTruth& truth) {
+  const auto finite = [](const Eigen::Vector3d& value, const char* what) {
+    if (!value.allFinite()) refuse(what, "not finite", "finite");
+  };
+  finite(truth.k4, "k4");
+  finite(truth.k5, "k5");
+  finite(truth.asymmetry, "asymmetry");
+  for (const Eigen::Vector3d* cross :
+       {&truth.cross_ab, &truth.cross_ac, &truth.cross_bc, &truth.cross_bb, &truth.cross_cc})
+    finite(*cross, "cross terms");
+  finite(truth.hysteresis, "hysteresis");
+  finite(truth.drift_1, "drift_1");
+  finite(truth.drift_2, "drift_2");
+  finite(truth.drift_3, "drift_3");
+  finite(truth.exponential_drift, "exponential_drift");
+  finite(truth.sinusoidal_drift, "sinusoidal_drift");
+  finite(truth.sensitivity_drift, "sensitivity_drift");
+  finite(truth.gain_step, "gain_step");
+  finite(truth.mount_creep_urad, "mount_creep_urad");
+  require(std::isfinite(truth.sinusoidal_drift_phase.deg()), "sinusoidal_drift_phase",
+          truth.sinusoidal_drift_phase.deg(), "finite");
+  require(std::isfinite(truth.gain_step_at_s), "gain_step_at_s", truth.gain_step_at_s, "finite");
+  const auto size = [](double value, const char* what) {
+    require(value >= 0.0 && std::isfinite(value), what, value, ">= 0");
+  };
+  size(truth.random_walk, "random_walk");
+  size(truth.flicker_noise, "flicker_noise");
+  size(truth.correlated_noise, "correlated_noise");
+  const auto time = [](double value, const char* what) {
+    require(value > 0.0 && std::isfinite(value), what, value, "> 0");
+  };
+  time(truth.exponential_drift_s, "exponential_drift_s");
+  time(truth.sinusoidal_drift_period_s, "sinusoidal_drift_period_s");
+  time(truth.correlated_noise_s, "correlated_noise_s");
+  time(truth.mount_creep_s, "mount_creep_s");
+}
+
 void check(const OutputTruth& truth) {
+  check_slow_effects(truth);
   const auto finite = [](const auto& matrix, const char* what) {
     if (!matrix.allFinite()) refuse(what, "not finite", "finite");
   };
@@ -95,19 +152,30 @@ void check(const OutputTruth& truth) {
           "finite");
 }
 
-void check(const BenchTruth& truth) {
+/// The truth, once it is found to be possible: nothing is made of it before.
+BenchTruth checked(BenchTruth truth) {
   check(static_cast<const OutputTruth&>(truth));
+  require(truth.span_s >= kSmallestSpanS && std::isfinite(truth.span_s), "span_s", truth.span_s, ">= 0.001");
+  require(std::isfinite(truth.floor_tilt_x_urad), "floor_tilt_x_urad", truth.floor_tilt_x_urad, "finite");
+  require(std::isfinite(truth.floor_tilt_y_urad), "floor_tilt_y_urad", truth.floor_tilt_y_urad, "finite");
+  if (!truth.sag_urad.allFinite()) refuse("sag_urad", "not finite", "finite");
   require(truth.zx * truth.zx + truth.zy * truth.zy < 1.0, "zx^2 + zy^2",
           truth.zx * truth.zx + truth.zy * truth.zy, "below 1");
   require(std::abs(truth.xz) < 1.0, "xz", truth.xz, "between -1 and 1");
   check_axis(truth.x, "x");
   check_axis(truth.z, "z");
+  return truth;
 }
 
 }  // namespace
 
-SimBench::SimBench(BenchTruth truth, Clock::Instant start) : truth_(std::move(truth)), start_(start) {
-  check(truth_);
+SimBench::SimBench(BenchTruth truth, Clock::Instant start)
+    : truth_(checked(std::move(truth))),
+      start_(start),
+      random_walk_(truth_.seed, NoiseStream::kRandomWalk, truth_.span_s, std::nullopt),
+      correlated_(truth_.seed, NoiseStream::kCorrelated, truth_.span_s,
+                  truth_.correlated_noise_s / truth_.span_s),
+      flicker_(truth_.seed, truth_.span_s) {
   axis_x_ = {std::sqrt(1.0 - truth_.xz * truth_.xz), 0.0, truth_.xz};
   axis_z_ = {truth_.zx, truth_.zy, std::sqrt(1.0 - truth_.zx * truth_.zx - truth_.zy * truth_.zy)};
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
@@ -119,8 +187,29 @@ SimBench::SimBench(BenchTruth truth, Clock::Instant start) : truth_(std::move(tr
     const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
     limits_[index(axis)] = {a.speed_deg_per_s, a.acceleration_deg_per_s2, a.acceleration_deg_per_s2};
   }
+  draw_stage();
   Epoch rest{.start = start, .settled = start, .motion = {AxisMotion({}, start), AxisMotion({}, start)}};
   epochs_.push_back(std::move(rest));
+}
+
+void SimBench::draw_stage() {
+  for (const StageAxis axis : kStageAxes) {
+    const std::size_t k = index(axis);
+    const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
+    harmonics_[k] = a.harmonics;
+    for (int order = 1; order <= kDrawnErrorOrders && a.smooth_error_sd.deg() > 0.0; ++order) {
+      const auto normal = normal_numbers(truth_.seed, NoiseStream::kSmoothError,
+                                         {k, static_cast<std::uint64_t>(order), 0, 0});
+      harmonics_[k].push_back({order, a.smooth_error_sd * normal[0], a.smooth_error_sd * normal[1]});
+    }
+    wobble_[k] = a.wobble;
+    for (int order = 1; order <= kDrawnWobbleOrders && a.wobble_sd_urad > 0.0; ++order) {
+      const auto normal =
+          normal_numbers(truth_.seed, NoiseStream::kWobble, {k, static_cast<std::uint64_t>(order), 0, 0});
+      wobble_[k].push_back({order, a.wobble_sd_urad * normal[0], a.wobble_sd_urad * normal[1],
+                            a.wobble_sd_urad * normal[2], a.wobble_sd_urad * normal[3]});
+    }
+  }
 }
 
 const SimBench::Epoch& SimBench::epoch_at(Clock::Instant t) const {
@@ -170,6 +259,11 @@ void SimBench::command(StageAxis axis, AxisMotion motion, Clock::Instant t) {
   const Epoch& before = epochs_.back();
   Epoch next = before;
   next.start = t;
+  // The change of the outputs counts from the last rest at another pose; commands of one instant are one
+  // motion.
+  const bool was_at_rest = t >= before.settled && !before.motion[0].moving(t) && !before.motion[1].moving(t);
+  const bool changes = motion.target() != before.motion[index(axis)].position(t);
+  if (was_at_rest && changes && before.start < t) next.force_before = force(before, t);
   next.force_at_rest.reset();
   next.motion[index(axis)] = motion;
   if (motion.direction() != 0) next.backlash[index(axis)] = motion.direction() < 0;
@@ -262,7 +356,7 @@ Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_command
   if (pose == kPoseZero) return {};
   if (pose == kPoseMinus90) return a.initial_turn_error;
   double error = a.mean_step_error.deg();
-  for (const ErrorHarmonic& harmonic : a.harmonics) {
+  for (const ErrorHarmonic& harmonic : harmonics_[index(axis)]) {
     const double phase = reduced_rad(harmonic.order * std::remainder(commanded.deg(), 360.0));
     error += harmonic.sin_coefficient.deg() * std::sin(phase) +
              harmonic.cos_coefficient.deg() * (std::cos(phase) - 1.0);
@@ -273,22 +367,68 @@ Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_command
   return Angle::degrees(error);
 }
 
+Eigen::Matrix3d SimBench::wobble(std::size_t axis, double turn_rad) const {
+  const Eigen::Vector3d& e = axis == 0 ? axis_x_ : axis_z_;
+  // Neither axis comes near the vector that its first direction is made of: zx, zy, xz are small.
+  const Eigen::Vector3d first =
+      (axis == 0 ? Eigen::Vector3d::UnitZ() : Eigen::Vector3d::UnitY()).cross(e).normalized();
+  const Eigen::Vector3d second = e.cross(first);
+  Eigen::Vector3d by = Eigen::Vector3d::Zero();
+  for (const WobbleHarmonic& w : wobble_[axis]) {
+    const double c = std::cos(w.order * turn_rad);
+    const double s = std::sin(w.order * turn_rad);
+    by += (w.cos_1_urad * c + w.sin_1_urad * s) * first + (w.cos_2_urad * c + w.sin_2_urad * s) * second;
+  }
+  return turned_by(kMicro * by);
+}
+
+Eigen::Matrix3d SimBench::orientation(const std::array<double, 2>& actual_rad,
+                                      const std::array<double, 2>& commanded_rad) const {
+  // L: LGCS. P: platter, which carries the accelerometer. X carries Z, Z carries the platter.
+  Eigen::Matrix3d R_LP;
+  if (wobble_[0].empty() && wobble_[1].empty()) {
+    R_LP = (Eigen::AngleAxisd(actual_rad[0], axis_x_) * Eigen::AngleAxisd(actual_rad[1], axis_z_))
+               .toRotationMatrix() *
+           R_LP_rest_;
+  } else {
+    R_LP = wobble(0, commanded_rad[0]) * Eigen::AngleAxisd(actual_rad[0], axis_x_).toRotationMatrix() *
+           wobble(1, commanded_rad[1]) * Eigen::AngleAxisd(actual_rad[1], axis_z_).toRotationMatrix() *
+           R_LP_rest_;
+  }
+  if (truth_.sag_urad.isZero(0.0)) return R_LP;
+  const Eigen::Vector3d up_P = R_LP.transpose() * Eigen::Vector3d::UnitZ();
+  return R_LP * turned_by(kMicro * up_P.cross(truth_.sag_urad));
+}
+
+double SimBench::span_time(Clock::Instant t) const {
+  return to_seconds(t - start_) / truth_.span_s - 0.5;
+}
+
+/// Up, seen from the base of the stage, which may tilt slowly.
+Eigen::Vector3d SimBench::up_in_base(Clock::Instant t) const {
+  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  // specific force at rest: up, not down
+  if (truth_.floor_tilt_x_urad == 0.0 && truth_.floor_tilt_y_urad == 0.0) return up;
+  const Eigen::Vector3d tilt(truth_.floor_tilt_x_urad, truth_.floor_tilt_y_urad, 0.0);
+  return turned_by(kMicro * span_time(t) * tilt).transpose() * up;
+}
+
 Eigen::Vector3d SimBench::force(const Epoch& epoch, Clock::Instant t) const {
   std::array<double, 2> shift{};
   for (std::size_t k = 0; k < 2; ++k)
     shift[k] = shift_deg(FaultKind::kMissedStep, k, t) + shift_deg(FaultKind::kMovedAxis, k, t);
-  const bool at_rest = shift[0] == 0.0 && shift[1] == 0.0 && t >= epoch.settled &&
+  const bool level = truth_.floor_tilt_x_urad == 0.0 && truth_.floor_tilt_y_urad == 0.0;
+  const bool at_rest = level && shift[0] == 0.0 && shift[1] == 0.0 && t >= epoch.settled &&
                        !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
   if (at_rest && epoch.force_at_rest) return *epoch.force_at_rest;
   std::array<double, 2> turn{};
-  for (std::size_t k = 0; k < 2; ++k)
-    turn[k] = reduced_rad(epoch.motion[k].position(t).deg() + error_deg(epoch, k, t) + shift[k]);
-  // L: LGCS. P: platter, which carries the accelerometer. X carries Z, Z carries the platter.
-  const Eigen::Matrix3d R_LP =
-      (Eigen::AngleAxisd(turn[0], axis_x_) * Eigen::AngleAxisd(turn[1], axis_z_)).toRotationMatrix() *
-      R_LP_rest_;
-  const Eigen::Vector3d f_L = Eigen::Vector3d::UnitZ();  // specific force at rest: up, not down
-  const Eigen::Vector3d f_P = R_LP.transpose() * f_L;
+  std::array<double, 2> commanded{};
+  for (std::size_t k = 0; k < 2; ++k) {
+    const double position_deg = epoch.motion[k].position(t).deg();
+    turn[k] = reduced_rad(position_deg + error_deg(epoch, k, t) + shift[k]);
+    commanded[k] = reduced_rad(position_deg);
+  }
+  const Eigen::Vector3d f_L = up_in_base(t);
+  const Eigen::Vector3d f_P = orientation(turn, commanded).transpose() * f_L;
   if (at_rest) epoch.force_at_rest = f_P;
   return f_P;
 }
@@ -351,6 +491,58 @@ SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
   return output;
 }
 
+Eigen::Array3d SimBench::gain(const OutputTruth& truth, Clock::Instant t) const {
+  Eigen::Array3d gain = Eigen::Array3d::Ones();
+  if (!truth.sensitivity_drift.isZero(0.0)) gain += truth.sensitivity_drift.array() * span_time(t);
+  if (!truth.gain_step.isZero(0.0) && to_seconds(t - start_) >= truth.gain_step_at_s)
+    gain += truth.gain_step.array();
+  return gain;
+}
+
+/// What the offset does beside its linear drift and its temperature coefficient.
+Eigen::Array3d SimBench::slow_offset(const OutputTruth& truth, Clock::Instant t) const {
+  Eigen::Array3d sum = Eigen::Array3d::Zero();
+  const double since_s = std::max(0.0, to_seconds(t - start_));
+  const double x = 2.0 * span_time(t);  // -1 to 1 in the span
+  if (!truth.drift_1.isZero(0.0)) sum += 0.5 * x * truth.drift_1.array();
+  if (!truth.drift_2.isZero(0.0)) sum += 0.25 * (3.0 * x * x - 1.0) * truth.drift_2.array();
+  if (!truth.drift_3.isZero(0.0)) sum += 0.25 * (5.0 * x * x - 3.0) * x * truth.drift_3.array();
+  if (!truth.exponential_drift.isZero(0.0))
+    sum += std::exp(-since_s / truth.exponential_drift_s) * truth.exponential_drift.array();
+  if (!truth.sinusoidal_drift.isZero(0.0)) {
+    const double cycles = since_s / truth.sinusoidal_drift_period_s;
+    sum += std::sin(2.0 * std::numbers::pi * cycles + truth.sinusoidal_drift_phase.rad()) *
+           truth.sinusoidal_drift.array();
+  }
+  if (truth.random_walk > 0.0) sum += truth.random_walk * random_walk_.at(since_s).array();
+  if (truth.flicker_noise > 0.0) sum += truth.flicker_noise * flicker_.at(since_s).array();
+  if (truth.correlated_noise > 0.0) sum += truth.correlated_noise * correlated_.at(since_s).array();
+  return sum;
+}
+
+/// The sensitivity matrix along the platter's axes, with the mount as it has crept.
+Eigen::Matrix3d SimBench::mounted_matrix(const OutputTruth& truth, Clock::Instant t) const {
+  if (truth.mount_creep_urad.isZero(0.0)) return truth.sensitivity_matrix;
+  const double since_s = std::max(0.0, to_seconds(t - start_));
+  const double done = -std::expm1(-since_s / truth.mount_creep_s);
+  return truth.sensitivity_matrix * turned_by(kMicro * done * truth.mount_creep_urad).transpose();
+}
+
+/// The deviations from a straight line beyond k2 and k3.
+Eigen::Array3d SimBench::bend(const OutputTruth& truth, const Eigen::Array3d& linear) const {
+  const Eigen::Array3d square = linear.square();
+  Eigen::Array3d sum = square * square * (truth.k4.array() + linear * truth.k5.array()) +
+                       linear.abs() * truth.asymmetry.array();
+  const Eigen::Array3d norm = truth.sensitivity_matrix.rowwise().norm().array();
+  const Eigen::Array3d a = linear / norm;
+  const Eigen::Array3d b(a[1], a[2], a[0]);
+  const Eigen::Array3d c(a[2], a[0], a[1]);
+  sum += norm *
+         (truth.cross_ab.array() * a * b + truth.cross_ac.array() * a * c + truth.cross_bc.array() * b * c +
+          truth.cross_bb.array() * b * b + truth.cross_cc.array() * c * c);
+  return sum;
+}
+
 SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,
                                           Clock::Duration sample_period) const {
   const OutputTruth& truth = truth_at(t);
@@ -358,10 +550,15 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
   SimOutput output;
   output.temperature_degc = truth.temperature_degc + truth.temperature_per_hour * hours;
 
-  const Eigen::Array3d linear = (truth.sensitivity_matrix * force(epoch, t)).array();  // l - O
+  const Eigen::Vector3d f_P = force(epoch, t);
+  const Eigen::Matrix3d mounted = mounted_matrix(truth, t);
+  const Eigen::Array3d linear = (mounted * f_P).array() * gain(truth, t);  // l - O
   Eigen::Array3d r = linear + truth.offset.array() + linear.square() * truth.k2.array() +
                      linear.cube() * truth.k3.array() + truth.drift_per_hour.array() * hours +
                      truth.offset_per_degc.array() * (output.temperature_degc - truth_.temperature_degc);
+  r += bend(truth, linear) + slow_offset(truth, t);
+  if (!truth.hysteresis.isZero(0.0) && !epoch.force_before.isZero(0.0))
+    r += truth.hysteresis.array() * (mounted * (f_P - epoch.force_before)).array().sign();
 
   if (truth.ring_down_amplitude != 0.0) {
     for (const AxisMotion& motion : epoch.motion) {
@@ -412,6 +609,42 @@ TrueIntrinsicProperties SimBench::true_intrinsic_properties() const {
   return {.sensitivity = s.rowwise().norm(),
           .angle = {angle_between(u, v), angle_between(v, w), angle_between(w, u)},
           .offset = truth_.offset};
+}
+
+TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  const OutputTruth& truth = truth_at(t);
+  // Up in the platter's frame is what the accelerometer feels; at the pose (0, 0) that frame, as it really
+  // is, defines x, y, z.
+  const Eigen::Vector3d tilt(truth_.floor_tilt_x_urad, truth_.floor_tilt_y_urad, 0.0);
+  const Eigen::Matrix3d R_LB = turned_by(kMicro * span_time(t) * tilt);
+  const Eigen::Matrix3d R_LP = R_LB * orientation({0.0, 0.0}, {0.0, 0.0});
+  const Eigen::Array3d gains = gain(truth, t);
+  const Eigen::Matrix3d s = gains.matrix().asDiagonal() * mounted_matrix(truth, t) * R_LP.transpose();
+
+  // Means over the sphere of the powers of y = S n . g: y^2: S^2 / 3, y^4: S^4 / 5, |y|: S / 2; the slope of
+  // y^3 is 3/5 S^2, that of y^5 3/7 S^4; of y_j y_k the mean is S_j S_k (n_j . n_k) / 3.
+  const Eigen::Array3d size = s.rowwise().norm().array();
+  const Eigen::Array3d size2 = size.square();
+  const Eigen::Array3d slope =
+      1.0 + 0.6 * truth.k3.array() * size2 + 3.0 / 7.0 * truth.k5.array() * size2 * size2;
+  Eigen::Array3d offset = truth.offset.array() + truth.k2.array() * size2 / 3.0 +
+                          truth.k4.array() * size2 * size2 / 5.0 + truth.asymmetry.array() * size / 2.0;
+  const Eigen::Array3d norm = truth.sensitivity_matrix.rowwise().norm().array();
+  const Eigen::Matrix3d y = norm.inverse().matrix().asDiagonal() * s;
+  for (int j = 0; j < 3; ++j) {
+    const Eigen::Vector3d a = y.row(j);
+    const Eigen::Vector3d b = y.row((j + 1) % 3);
+    const Eigen::Vector3d c = y.row((j + 2) % 3);
+    offset[j] += norm[j] / 3.0 *
+                 (truth.cross_ab[j] * a.dot(b) + truth.cross_ac[j] * a.dot(c) + truth.cross_bc[j] * b.dot(c) +
+                  truth.cross_bb[j] * b.dot(b) + truth.cross_cc[j] * c.dot(c));
+  }
+  const double hours = to_seconds(t - start_) / 3600.0;
+  const double temperature = truth.temperature_degc + truth.temperature_per_hour * hours;
+  offset += slow_offset(truth, t) + truth.drift_per_hour.array() * hours +
+            truth.offset_per_degc.array() * (temperature - truth_.temperature_degc);
+  return {slope.matrix().asDiagonal() * s, offset.matrix()};
 }
 
 void SimBench::inject(const WorldFault& fault) {

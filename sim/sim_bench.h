@@ -13,6 +13,7 @@
 #include "sim/axis_motion.h"
 #include "sim/bench_truth.h"
 #include "sim/faults.h"
+#include "sim/slow_noise.h"
 
 namespace abcal::sim {
 
@@ -21,6 +22,14 @@ struct TrueIntrinsicProperties {
   Eigen::Vector3d sensitivity;  ///< Norms of the rows u, v, w, in R/g_loc.
   std::array<Angle, 3> angle;   ///< phi_uv, phi_vw, phi_wu.
   Eigen::Vector3d offset;       ///< R
+};
+
+/// The least-squares linear function through the noise-free outputs over all directions of gravity
+/// (docs/effects.md): what a calibration is to find.
+struct TrueLineResponse {
+  Eigen::Matrix3d
+      sensitivity_matrix;  ///< Rows u, v, w along x, y, z of the LGCS, default orientation; R/g_loc.
+  Eigen::Vector3d offset;  ///< R
 };
 
 /// One output of the simulated accelerometer.
@@ -36,12 +45,13 @@ struct SimOutput {
 ///
 /// Everything is a function of time and of the moves commanded so far: asking changes nothing, and the past
 /// may be asked about (the last 4096 moves are kept). Results depend on the pose, the time and the sample
-/// index, never on the order of calls; the only history a pose has is backlash. Moves must be commanded in
-/// order of time.
+/// index, never on the order of calls; the only history a pose has is backlash and hysteresis. Moves must be
+/// commanded in order of time.
 ///
-/// Physics: docs/theory/model.md. The platter's orientation is Rot(X, thetaX) Rot(Z, thetaZ) applied to its
-/// orientation at rest, tilted with Z. Eigen turns the vectors; no formula of the analysis is used here. The
-/// accelerometer sits where the axes cross: no centripetal acceleration. Safe to use from several threads.
+/// Physics: docs/theory/model.md, docs/effects.md. The platter's orientation is Rot(X, thetaX) Rot(Z,
+/// thetaZ), each followed by the wobble of its axis, applied to its orientation at rest, tilted with Z. Eigen
+/// turns the vectors; no formula of the analysis is used here. The accelerometer sits where the axes cross:
+/// no centripetal acceleration. Safe to use from several threads.
 class SimBench {
  public:
   /// `start` is the zero of the world's time (drift, temperature).
@@ -105,6 +115,10 @@ class SimBench {
   /// R/g_loc.
   Eigen::Matrix3d true_sensitivity_matrix() const;
   TrueIntrinsicProperties true_intrinsic_properties() const;
+  /// With drift, creep, tilt, slow noise and non-linearity as they are at `t`; without hysteresis. The
+  /// default orientation is the pose (0, 0) as it really is, wobble and sag included. White noise is left
+  /// out.
+  TrueLineResponse true_line_response(Clock::Instant t) const;
 
   // Faults.
 
@@ -125,6 +139,7 @@ class SimBench {
     std::array<double, 2> error_to_deg{};
     std::array<bool, 2> backlash{};       ///< The last move of the axis ended in the negative direction.
     std::array<std::uint64_t, 2> pose{};  ///< Canonical targets.
+    Eigen::Vector3d force_before = Eigen::Vector3d::Zero();  ///< At rest, before the motion; zero: none yet.
     mutable std::optional<Eigen::Vector3d> force_at_rest{};
   };
 
@@ -134,6 +149,16 @@ class SimBench {
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
   double shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const;
   Eigen::Vector3d force(const Epoch& epoch, Clock::Instant t) const;
+  void draw_stage();
+  Eigen::Matrix3d wobble(std::size_t axis, double turn_rad) const;
+  Eigen::Matrix3d orientation(const std::array<double, 2>& actual_rad,
+                              const std::array<double, 2>& commanded_rad) const;
+  Eigen::Vector3d up_in_base(Clock::Instant t) const;
+  double span_time(Clock::Instant t) const;
+  Eigen::Array3d gain(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d slow_offset(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Matrix3d mounted_matrix(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d bend(const OutputTruth& truth, const Eigen::Array3d& linear) const;
   const WorldFault* find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const;
   SimOutput output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,
                                   Clock::Duration sample_period) const;
@@ -142,7 +167,11 @@ class SimBench {
   Clock::Instant start_;
   Eigen::Vector3d axis_x_;  ///< Unit vectors in the LGCS, platter at rest.
   Eigen::Vector3d axis_z_;
-  Eigen::Matrix3d R_LP_rest_;  ///< Platter at rest to LGCS: the tilt with Z.
+  Eigen::Matrix3d R_LP_rest_;                            ///< Platter at rest to LGCS: the tilt with Z.
+  std::array<std::vector<ErrorHarmonic>, 2> harmonics_;  ///< Given and drawn.
+  std::array<std::vector<WobbleHarmonic>, 2> wobble_;    ///< Given and drawn.
+  mutable MarkovNoise random_walk_, correlated_;
+  FlickerNoise flicker_;
   std::array<MotionLimits, 2> limits_;
   std::deque<Epoch> epochs_;
   std::vector<WorldFault> faults_;

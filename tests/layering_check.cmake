@@ -15,7 +15,7 @@ set(rules
   "protocol/plan|drivers/instrument/angle.h;protocol/plan/|Eigen/;fmt/"
   "protocol/model|drivers/instrument/angle.h;protocol/model/|Eigen/"
   "protocol/gravity|drivers/instrument/angle.h;protocol/gravity/|fmt/"
-  "protocol/record|${record}|Eigen/;fmt/;sqlite3.h;openssl/"
+  "protocol/record|${record}|Eigen/;unsupported/Eigen/;fmt/;sqlite3.h;openssl/"
   "protocol/run|drivers/instrument/;protocol/plan/;protocol/record/;protocol/run/|Eigen/;fmt/;boost/math/"
   "protocol/analysis|${numbers};protocol/analysis/|Eigen/;fmt/;boost/math/;Random123/"
   "protocol/uncertainty|${numbers};protocol/analysis/;protocol/uncertainty/|Eigen/;fmt/;boost/math/;Random123/;hwy/"

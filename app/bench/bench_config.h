@@ -40,7 +40,7 @@ struct StageConfig {
   std::optional<int> baud;  ///< Absent: the driver's usual one.
   std::string address;
   std::string serial_number;  ///< If given, any other controller is refused.
-  std::string level_file;  ///< Made by `abcal level`; empty: the alignment is known from [tolerances] only.
+  std::string level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }
@@ -80,9 +80,9 @@ struct EnvironmentConfig {
   std::string comment = EnvironmentSettings{}.comment;
 };
 
-/// A bench file (schema abcal.bench/1), with every default filled in.
+/// A bench file (schema abcal.bench/2; abcal.bench/1 is read), with every default filled in.
 struct BenchConfig {
-  std::string schema = "abcal.bench/1";
+  std::string schema = "abcal.bench/2";
   std::string name;
   LocalGravity g_loc;
   std::optional<double> latitude_deg, height_m;
@@ -93,7 +93,7 @@ struct BenchConfig {
   AccelerometerConfig accelerometer;
   EnvironmentConfig environment;
   ProtocolConfig protocol;
-  Tolerances tolerances;
+  Tolerances tolerances;  ///< [stage_uncertainty] and [item_uncertainty].
   LimitsConfig limits;
   sim::BenchTruth simulation;
   sim::LinkTiming link;  ///< Of the simulated instruments.

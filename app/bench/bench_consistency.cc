@@ -124,12 +124,25 @@ void check_faults_and_changes(TomlReader& reader, const BenchConfig& c) {
   }
 }
 
+/// One quantity, one place: its old key and its new one are not both given.
+void check_stated_once(TomlReader& reader, const toml::table& root) {
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    if (!key.was_tolerance) continue;
+    const std::string before = fmt::format("tolerances.{}", key.key);
+    const std::string now = fmt::format("{}.{}", key.section, key.key);
+    if (root.at_path(before).node() != nullptr && root.at_path(now).node() != nullptr)
+      reader.add_problem(before, fmt::format("also [{}] {}", key.section, key.key),
+                         "one of them; [tolerances] is the older form");
+  }
+}
+
 }  // namespace
 
 void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c) {
   check_gravity(reader, root, c);
   check_stage_axes(reader, c.stage);
   check_plan_and_item(reader, c);
+  check_stated_once(reader, root);
   check_stage_ports(reader, c.stage);
   check_sensor_ports(reader, c);
   check_faults_and_changes(reader, c);

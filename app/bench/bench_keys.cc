@@ -3,6 +3,7 @@
 #include <cmath>
 #include <optional>
 
+#include "app/bench/effect_keys.h"
 #include "drivers/registry.h"
 
 namespace abcal {
@@ -42,12 +43,14 @@ void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTru
   keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
   keys.number("acceleration_deg_per_s2", axis.acceleration_deg_per_s2, kPositive);
   keys.angle("encoder_resolution_deg", axis.encoder_resolution, kNotNegative);
+  visit_axis_effects(keys, axis);
   keys.list("harmonics", axis.harmonics, sim::ErrorHarmonic{},
             [](KeyVisitor& entry, sim::ErrorHarmonic& harmonic) {
               entry.integer("order", harmonic.order, 1, 1000);
               entry.angle("sin_deg", harmonic.sin_coefficient, kAny);
               entry.angle("cos_deg", harmonic.cos_coefficient, kAny);
             });
+  visit_axis_wobble(keys, axis);
 }
 
 void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
@@ -68,6 +71,7 @@ void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
   keys.number("ring_down_decay_s", s.ring_down_decay_s, kPositive);
   keys.number("temperature_degc", s.temperature_degc, {-100.0, 200.0});
   keys.number("temperature_per_hour", s.temperature_per_hour, kAny);
+  visit_output_effects(keys, s);
 }
 
 void visit_bench(KeyVisitor& keys, BenchConfig& c) {
@@ -148,6 +152,7 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.section("protocol");
   keys.integer("steps", p.steps, 4, 7200);
   keys.angle("step_deg", p.step, {0.0, 180.0, true});
+  keys.text("estimator", p.estimator, {"abc", "joint", "norm"});
   keys.boolean("closing_angle", p.closing_angle);
   keys.angle("approach_deg", p.approach, {0.0, 45.0});
   keys.angle("position_window_deg", p.position_window, {0.0, 5.0, true});
@@ -164,15 +169,6 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.number("replug_timeout_s", p.replug_timeout_s, {0.0, 604'800.0});
   keys.number("stability_s", p.stability_s, {0.0, 86'400.0});
   keys.number("stability_timeout_s", p.stability_timeout_s, {0.0, 604'800.0});
-}
-
-void visit_tolerances(KeyVisitor& keys, Tolerances& t) {
-  keys.section("tolerances");
-  keys.angle("alignment_deg", t.alignment, {0.0, 10.0});
-  keys.angle("step_deg", t.step, {0.0, 10.0});
-  keys.angle("initial_turn_deg", t.initial_turn, {0.0, 10.0});
-  keys.angle("zero_deg", t.zero, {0.0, 10.0});
-  keys.number("drift", t.drift, {0.0, 1.0});
 }
 
 void visit_limits(KeyVisitor& keys, LimitsConfig& l) {
@@ -202,6 +198,7 @@ void visit_simulation(KeyVisitor& keys, sim::BenchTruth& s) {
   keys.number("zx", s.zx, {-0.1, 0.1});
   keys.number("zy", s.zy, {-0.1, 0.1});
   keys.number("xz", s.xz, {-0.1, 0.1});
+  visit_world_effects(keys, s);
   visit_axis_truth(keys, "simulation.x", s.x);
   visit_axis_truth(keys, "simulation.z", s.z);
 }
@@ -245,14 +242,15 @@ void visit_change(KeyVisitor& keys, ChangeConfig& change) {
 
 void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   keys.section("");
-  keys.text("schema", c.schema, {"abcal.bench/1"});
+  keys.text("schema", c.schema, {"abcal.bench/2", "abcal.bench/1"});
+  c.schema = "abcal.bench/2";  // What is read is kept, and written, in the terms of this schema.
   visit_bench(keys, c);
   visit_item(keys, c);
   visit_stage(keys, c.stage);
   visit_accelerometer(keys, c.accelerometer);
   visit_environment(keys, c.environment);
   visit_protocol(keys, c.protocol);
-  visit_tolerances(keys, c.tolerances);
+  visit_effect_sizes(keys, c);
   visit_limits(keys, c.limits);
   visit_simulation(keys, c.simulation);
   visit_link(keys, c.link);

@@ -12,7 +12,7 @@ namespace abcal {
 std::vector<std::string> stage_driver_names();
 
 /// Visits every key of a bench file. Reading, writing and the list of known keys follow from it: a new key is
-/// one line in the function of its section.
+/// one line in the function of its section, and its meaning one line in key_meanings.cc.
 void visit_bench_file(KeyVisitor& keys, BenchConfig& config);
 
 /// The keys of one [[fault]].

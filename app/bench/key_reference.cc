@@ -25,7 +25,7 @@ std::string meaning_path(const std::string& section, const std::string& key) {
   return path.empty() ? key : path + "." + key;
 }
 
-/// The unit that the ending of a name tells.
+/// The unit that the ending of a name gives.
 std::string unit_of_name(const std::string& key) {
   constexpr std::pair<const char*, const char*> kEndings[] = {{"_deg_per_s2", "degree/s2"},
                                                               {"_deg_per_s", "degree/s"},
@@ -68,6 +68,13 @@ std::string choices_text(const std::string& key, const std::vector<std::string>&
   return fmt::format("{}", fmt::join(words, ", "));
 }
 
+/// A bar would end the cell of a Markdown table.
+std::string in_table_cell(std::string text) {
+  for (std::size_t at = text.find('|'); at != std::string::npos; at = text.find('|', at + 2))
+    text.insert(at, "\\");
+  return text;
+}
+
 /// Notes every key that it is shown, with its default.
 class KeyCollector final : public KeyVisitor {
  public:
@@ -100,6 +107,18 @@ class KeyCollector final : public KeyVisitor {
   }
   void vector(const std::string& key, Eigen::Vector3d& value) override {
     add(key, "3 numbers", {}, triple_text(value));
+  }
+  void vector_in(const std::string& key, Eigen::Vector3d& value, Range range) override {
+    add(key, "3 numbers", range_text(range), triple_text(value));
+  }
+  void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
+                   const std::string& unit) override {
+    add(key, "uncertainty", range_text({0.0, most}), real_text(stated.value));
+    found_.back().unit = unit;
+    for (const EffectSizeKey& size : effect_size_keys()) {
+      if (size.key == key)
+        found_.back().meaning = "Standard uncertainty: " + in_table_cell(std::string(size.words)) + ".";
+    }
   }
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override {
     add(key, "3 integers", fmt::format("{} to {}", min, max),
@@ -162,7 +181,7 @@ bool second_axis(const std::string& section) {
 constexpr const char* kPageTop =
     "# The bench file: every key\n"
     "\n"
-    "A bench file (TOML, schema `abcal.bench/1`) describes stage, accelerometer, environment, local gravity "
+    "A bench file (TOML, schema `abcal.bench/2`) describes stage, accelerometer, environment, local gravity "
     "and "
     "the\n"
     "measurement. This page is made from the program's own table of keys: `abcal plan --keys` prints it. Do "
@@ -174,8 +193,12 @@ constexpr const char* kPageTop =
     "- *Default*: the value where the key is absent, as TOML. `-`: no value; the meaning says what happens "
     "then.\n"
     "- *Range*: empty where any value of the type is accepted. Numbers must be finite.\n"
+    "- *uncertainty*: a standard uncertainty as a number, or a table with its source "
+    "([effects](effects.md)).\n"
     "- R is the response unit of the accelerometer (V, g, m/s2, LSB ...); other symbols: "
     "[notation](notation.md).\n"
+    "- Type *uncertainty*: a standard uncertainty as a number, or a table with its source\n"
+    "  ([effects](effects.md#how-sizes-are-stated)).\n"
     "- Unknown keys and sections are mistakes.\n";
 
 }  // namespace

@@ -14,7 +14,7 @@ struct BenchKey {
   std::string unit;      ///< Empty: none.
   std::string range;     ///< What is accepted; empty: anything of the type.
   std::string fallback;  ///< The default as TOML; empty: none, the key may be absent.
-  std::string meaning;   ///< Empty: nobody has written it (a test fails).
+  std::string meaning;   ///< Empty: not written yet (a test fails).
   bool required = false;
 };
 

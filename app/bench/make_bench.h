@@ -53,7 +53,8 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
 /// instrument on a pseudo-terminal looks like a real one and is not among them.
 std::vector<std::string> simulated_instruments(const BenchConfig& config);
 
-/// The stage of a bench file alone, in protocol angles; none of it simulated without bytes.
+/// The stage of a bench file alone, in protocol angles. Simulated stages speak through their firmware's
+/// bytes.
 std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock);
 
 }  // namespace abcal

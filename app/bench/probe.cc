@@ -44,7 +44,7 @@ std::optional<ProbeAnswer> probe_port(const std::string& port, Clock& clock,
     if (auto found = ask(driver, true, make)) return found;
   }
   for (const AccelerometerDriver& driver : accelerometer_drivers()) {
-    if (driver.ports != 1) continue;  // one port tells too little of them
+    if (driver.ports != 1) continue;  // one port does not identify an instrument of several
     const auto make = [&](auto stream) {
       std::vector<std::unique_ptr<wire::ByteStream>> streams;
       streams.push_back(std::move(stream));

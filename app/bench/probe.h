@@ -16,9 +16,9 @@ struct ProbeAnswer {
   std::string maker, model, serial_number, firmware;
 };
 
-/// Asks on one port, driver after driver with its usual settings, who is there. Only what identify() sends:
-/// nothing moves and nothing is stored; a sensor that streams may be told to be quiet.
-/// @param trying told the name of the driver that is about to ask.
+/// Identifies the instrument on one port: tries one driver after the other with its usual settings. Sends
+/// only what identify() sends, so nothing moves and nothing is stored; a sensor that streams may be stopped.
+/// @param trying gets the name of each driver before it is tried.
 /// @return nothing if no known instrument answers.
 /// @throws InstrumentError kCannotOpen if the port cannot be opened at all.
 std::optional<ProbeAnswer> probe_port(const std::string& port, Clock& clock,

@@ -14,7 +14,7 @@
 
 namespace abcal {
 
-/// Whether a stage that was told to move has been heard of lately. Not thread-safe.
+/// Whether a stage that was commanded to move has answered lately. Not thread-safe.
 class MotionWatch {
  public:
   explicit MotionWatch(Clock::Duration patience) : patience_(patience) {}
@@ -25,7 +25,7 @@ class MotionWatch {
   void stands_still(StageAxis axis) { moving_[index(axis)] = false; }
   void forget() { moving_ = {}; }
 
-  /// It may be moving, and nothing was heard of it for longer than the patience.
+  /// It may be moving, and it has not answered for longer than the patience.
   bool overdue(Clock::Instant now) const;
 
  private:

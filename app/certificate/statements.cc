@@ -110,7 +110,7 @@ void add_optional(std::vector<Statement>& statements, const Certificate& certifi
   }
   if (job.recalibration) {
     Statement statement = plain("basic_recalibration", "Recalibration",
-                                "Date of the next calibration, as the customer asked for it to be stated.");
+                                "Date of the next calibration, stated at the request of the customer.");
     statement.date = job.recalibration;
     statement.of_customer = true;
     statements.push_back(statement);
@@ -147,9 +147,8 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
                     fmt::join(data.simulated, " and the "), data.simulated.size() == 1 ? "was" : "were")));
   }
   if (const std::string of = data.label("replay.of"); !of.empty())
-    statements.push_back(
-        plain("abc_replayed", "REPLAYED",
-              "REPLAYED: driven again from the recording in " + of + ", not measured anew."));
+    statements.push_back(plain("abc_replayed", "REPLAYED",
+                               "REPLAYED: repeated from the recording in " + of + ", not measured again."));
   statements.push_back(
       plain("abc_scope", "Scope",
             "The results relate only to the item calibrated, in the state in which it was and "

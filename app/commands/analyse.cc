@@ -3,6 +3,7 @@
 #include <fstream>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
@@ -29,12 +30,17 @@ bool has_no_angles(const std::filesystem::path& path) {
   return false;
 }
 
-/// Keeps an analysis beside a closed run; one that cannot be kept (a read-only folder) is still shown.
-void keep(const StoredRun& run, const std::filesystem::path& path, const CalibrationResult& result) {
-  if (run.state != RunState::kComplete) return;
+/// Keeps an analysis with a closed run; one that cannot be kept (a read-only folder) is still shown.
+void keep(const std::filesystem::path& path, const CalibrationResult& result) {
+  if (!RunFile::is_closed(path)) return;
   try {
-    ResultsFile(path, sha256_of_file(path))
-        .add_analysis("", program_version(), result.estimator, result_json(result).dump());
+    ResultsFile results(path, sha256_of_file(path));
+    if (results.made_again()) {
+      print_log("{} was missing and is made again; analyses of before are not known\n",
+                ResultsFile::path_beside(path).string());
+    }
+    results.add_analysis(format_utc(RealClock().utc_now()), program_version(), result.estimator,
+                         result_json(result).dump());
   } catch (const RunFileError& error) {
     print_log("warning: the analysis was not kept: {}\n", error.what());
   }
@@ -75,7 +81,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
       loaded = load_record(path);
     }
     const CalibrationResult result = analyse(loaded.record, estimator);
-    if (loaded.run) keep(*loaded.run, path, result);
+    if (loaded.run) keep(path, result);
     exit_code = result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
     if (options->json) {
       print_result("{}\n", result_json(result).dump(2));

@@ -5,6 +5,7 @@
 #include "app/bench/bench_config.h"
 #include "app/bench/key_reference.h"
 #include "app/commands/commands.h"
+#include "app/results/effect_words.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/progress.h"
@@ -73,6 +74,8 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
                                   {"settling_s", duration.settling_s},
                                   {"dwelling_s", duration.dwelling_s},
                                   {"travel_assumed", x.travel_assumed || z.travel_assumed},
+                                  {"estimator", config.protocol.estimator},
+                                  {"default_effects", unstated_effects(config.tolerances)},
                                   {"cable_twist_deg",
                                    {{"x", {twist[0].min.deg(), twist[0].max.deg()}},
                                     {"z", {twist[1].min.deg(), twist[1].max.deg()}}}}};
@@ -111,6 +114,9 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
           "the stage is parked at zero. Where they do not reach so far, say travel_min_deg and "
           "travel_max_deg.\n",
           twist[0].min.deg(), twist[0].max.deg(), twist[1].min.deg(), twist[1].max.deg());
+      print_result("The result will be that of the {} estimator.\n", config.protocol.estimator);
+      if (const std::string words = default_effects_words(config.tolerances); !words.empty())
+        print_result("Note: {}.\n", words);
       if (x.travel_assumed || z.travel_assumed) {
         print_result(
             "The travel of the stage was taken as -360 to 360 deg where the bench file does not say; `run` "

@@ -17,7 +17,7 @@
 namespace abcal {
 namespace {
 
-/// The token, where one is needed or given. @return whether it was made here, and the person must be told.
+/// The token, where one is needed or given. @return whether it was made here and must be shown.
 bool choose_access(console::ServerOptions& server, const std::filesystem::path& token_file) {
   boost::system::error_code error;
   const auto address = boost::asio::ip::make_address(server.address, error);

@@ -14,6 +14,7 @@
 
 #include "app/bench/real_clock.h"
 #include "app/commands/simulate_joint.h"
+#include "app/commands/simulate_robustness.h"
 #include "app/report/study_figures.h"
 #include "app/report/study_json.h"
 #include "app/report/study_text.h"
@@ -43,6 +44,16 @@ std::uint64_t not_negative(const char* option, std::int64_t value) {
   if (value < 0) throw std::invalid_argument(fmt::format("{} = {}, it must not be negative", option, value));
   return static_cast<std::uint64_t>(value);
 }
+
+namespace {
+
+/// --threads: 0 means as many as the machine has.
+int threads_of(int threads) {
+  const auto wanted = static_cast<int>(not_negative("--threads", threads));
+  return wanted > 0 ? wanted : static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+}
+
+}  // namespace
 
 AccelerometerUnderTest read_accelerometer(const std::filesystem::path& path) {
   std::ifstream file(path, std::ios::binary);
@@ -116,13 +127,19 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
     bool scale = false, resolution = false, json = false;
     JointStudyOptions joint;
     bool without_mean_step = false;
+    std::int64_t benches = RobustnessOptions{}.benches;
+    std::vector<std::string> scenarios;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
       "simulate", "The simulations of Geist & Gaitan (2021), compared with the printed values");
   std::string sets;
   for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
-  command->add_option("SET", options->set, "one of " + sets + "; or joint: the joint estimator's coverage")
+  command
+      ->add_option("SET", options->set,
+                   "one of " + sets +
+                       "; joint: the joint estimator's coverage; or robustness: "
+                       "coverage and verdicts on benches that break the model")
       ->required();
   command->add_option("--trials", options->trials, "simulations (default: as many as in the paper)");
   command->add_option("--seed", options->seed, "seed of the random numbers")->capture_default_str();
@@ -161,14 +178,30 @@ CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
       ->add_flag("--without-mean-step", options->without_mean_step,
                  "leave the mean step errors out of the fit: must fail")
       ->group(joint);
+  const std::string robustness = "robustness study";
+  command->add_option("--benches", options->benches, "simulated benches of each scenario")
+      ->group(robustness)
+      ->capture_default_str();
+  command
+      ->add_option("--scenarios", options->scenarios,
+                   "only these scenarios, separated by commas (default: all)")
+      ->group(robustness)
+      ->delimiter(',');
   command->callback([options, &exit_code] {
+    if (options->set == "robustness") {
+      RobustnessOptions study;
+      study.benches = static_cast<int>(not_negative("--benches", options->benches));
+      study.scenarios = options->scenarios;
+      study.seed = not_negative("--seed", options->seed);
+      study.threads = threads_of(options->threads);
+      exit_code = simulate_robustness(study, options->json);
+      return;
+    }
     if (options->set == "joint") {
       JointStudyOptions study = options->joint;
       study.trials = static_cast<int>(not_negative("--trials", options->trials.value_or(study.trials)));
       study.seed = not_negative("--seed", options->seed);
-      const auto threads = static_cast<int>(not_negative("--threads", options->threads));
-      study.threads =
-          threads > 0 ? threads : static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+      study.threads = threads_of(options->threads);
       study.joint.mean_step = !options->without_mean_step;
       const auto set_angle = [](Angle& tolerance, std::optional<double> degrees) {
         if (degrees) tolerance = Angle::degrees(*degrees);

@@ -26,6 +26,7 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
     for (const IntegrityCheck& check : checks) good = good && check.good;
     if (options->json) {
       nlohmann::ordered_json json{{"schema", "abcal.verify/1"}, {"good", good}};
+      if (good) json["attests"] = attested_by(options->run_file);
       for (const IntegrityCheck& check : checks)
         json["checks"].push_back({{"what", check.what}, {"good", check.good}, {"found", check.found}});
       print_result("{}\n", json.dump(2));
@@ -36,6 +37,7 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
             emphasised(stdout, check.good ? Emphasis::kGood : Emphasis::kBad, check.good ? "good" : " bad"),
             check.what, check.found);
       }
+      if (good) print_result("{}\n", attested_by(options->run_file));
       print_result("{}\n", good ? "unchanged since it was written" : "not as it was written, or not closed");
     }
     exit_code = good ? kExitDone : kExitFailed;

@@ -16,7 +16,7 @@
 
 namespace abcal::console {
 
-// What the measuring thread tells those who watch. Each is a copy: nothing is shared.
+// Events of the measuring thread for those who watch. Each is a copy: nothing is shared.
 
 enum class Activity { kIdle, kChecking, kRunning, kJogging, kAnalysing };
 

@@ -14,7 +14,7 @@ using Json = nlohmann::ordered_json;
 
 constexpr std::size_t kKeptStrip = 400;  // groups of readings: 20 s
 constexpr std::size_t kKeptLog = 200;    // lines
-constexpr std::size_t kIntervals = 15;   // of which the median tells the time left
+constexpr std::size_t kIntervals = 15;   // their median gives the remaining time
 
 Json finite_or_null(double value) {
   return std::isfinite(value) ? Json(value) : Json(nullptr);
@@ -74,18 +74,19 @@ Json planned_json(const PlannedAngle& angle) {
 }
 
 Json dwell_json(std::size_t position, const DwellRecord& dwell) {
-  return {{"position", position},
-          {"experiment", dwell.experiment},
-          {"n", dwell.n},
-          {"closing", dwell.closing},
-          {"alpha_deg", dwell.alpha.deg()},
-          {"mean", vector(dwell.mean)},
-          {"spread", vector(dwell.spread)},
-          {"u_mean", dwell.u_mean ? vector(*dwell.u_mean) : Json(nullptr)},
-          {"count", dwell.count},
-          {"settle_s", finite_or_null(dwell.settle_time_s)},
-          {"temperature_degc", dwell.temperature_degc ? finite_or_null(*dwell.temperature_degc) : Json(nullptr)},
-          {"flags", describe_flags(dwell.flags)}};
+  return {
+      {"position", position},
+      {"experiment", dwell.experiment},
+      {"n", dwell.n},
+      {"closing", dwell.closing},
+      {"alpha_deg", dwell.alpha.deg()},
+      {"mean", vector(dwell.mean)},
+      {"spread", vector(dwell.spread)},
+      {"u_mean", dwell.u_mean ? vector(*dwell.u_mean) : Json(nullptr)},
+      {"count", dwell.count},
+      {"settle_s", finite_or_null(dwell.settle_time_s)},
+      {"temperature_degc", dwell.temperature_degc ? finite_or_null(*dwell.temperature_degc) : Json(nullptr)},
+      {"flags", describe_flags(dwell.flags)}};
 }
 
 Json stage_json(const StageSeen& seen) {
@@ -177,7 +178,7 @@ Json LiveView::on(const DwellSeen& seen) {
           {"progress", progress()}};
 }
 
-/// The one-harmonic curve through what is measured of an experiment so far.
+/// The one-harmonic curve through the angles of an experiment that are measured so far.
 Json LiveView::fit_of(int experiment) const {
   std::vector<Angle> alpha;
   std::array<std::vector<double>, 3> readings;
@@ -193,8 +194,8 @@ Json LiveView::fit_of(int experiment) const {
       outputs.push_back({{"constant", finite_or_null(fit.coefficients[0])},
                          {"sine", finite_or_null(fit.coefficients[1])},
                          {"cosine", finite_or_null(fit.coefficients[2])},
-                         {"residual_rms",
-                          finite_or_null(std::sqrt(fit.residual_sum_squares / static_cast<double>(alpha.size())))}});
+                         {"residual_rms", finite_or_null(std::sqrt(fit.residual_sum_squares /
+                                                                   static_cast<double>(alpha.size())))}});
     } catch (const UndeterminedFit&) {
       outputs.push_back(nullptr);  // Too few angles so far.
     }

@@ -20,7 +20,7 @@ class PacedClock final : public Clock {
   UtcTime utc_now() const override { return sim_.utc_now(); }
   void sleep_until(Instant instant) override {
     if (instant <= sim_.now()) return;
-    // Time in which nobody slept is not made up for, but for a little: short sleeps last longer than asked.
+    // Time without sleep is not made up for, except a little: short sleeps last longer than requested.
     constexpr Duration kMadeUp = std::chrono::milliseconds(100);
     due_ = std::max(due_, real_.now() - kMadeUp) + from_seconds(to_seconds(instant - sim_.now()) / pace_);
     real_.sleep_until(due_);

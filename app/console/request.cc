@@ -72,7 +72,7 @@ StageAxis axis_of(const std::string& name) {
 }
 
 Angle turn_of(double degrees) {
-  // Written so that what is not a number is refused too.
+  // Written so that NaN is refused as well.
   if (!(std::abs(degrees) <= 360.0)) throw RequestError("\"by_deg\" must be from -360 to 360 degrees");
   return Angle::degrees(degrees);
 }

@@ -51,7 +51,7 @@ constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
 /// What the system may buffer for one page.
 constexpr int kSendBuffer = 128 * 1024;
-/// Of what the bench tells, so much may wait for the thread of the server; strips are dropped beyond it.
+/// Most events that may wait for the server's thread; strips beyond it are dropped.
 constexpr int kMostPending = 500;
 
 std::string_view view(beast::string_view text) {
@@ -92,7 +92,7 @@ struct Peer {
 
 Caller caller_of(const Peer& peer, const HttpRequest& request) {
   Caller caller;
-  // Of two, nobody knows which one counts: neither does.
+  // With two it is not known which one counts: neither does.
   if (request.count(http::field::host) == 1) caller.host = view(request[http::field::host]);
   caller.origin = request.count(http::field::origin) > 1 ? "null" : view(request[http::field::origin]);
   caller.cookie = view(request[http::field::cookie]);
@@ -103,7 +103,8 @@ Caller caller_of(const Peer& peer, const HttpRequest& request) {
   return caller;
 }
 
-/// Says who was refused, and why; but a flood of refusals does not drown everything else. For one thread.
+/// Logs refusals with their origin and reason, at a limited rate so that a flood does not hide other lines.
+/// For one thread.
 class RefusalLog {
  public:
   explicit RefusalLog(const Clock& clock) : clock_(clock) {}

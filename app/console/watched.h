@@ -30,8 +30,8 @@ struct StripSeen {
   std::optional<double> temperature_degc;
 };
 
-/// A stage that lets others see what it is told and what it says. It asks the controller nothing of its own:
-/// a watched run sends the same bytes as one that nobody watches.
+/// A stage that publishes its commands and replies. It sends no queries of its own: a watched run sends the
+/// same bytes as an unwatched one.
 class WatchedStage final : public RotationStage {
  public:
   /// `see` must return at once.

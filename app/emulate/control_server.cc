@@ -46,7 +46,7 @@ std::string EmulatorControl::answer(const std::string& line) {
     request.erase("do");
     if (action != "fault" && action != "change" && !request.empty())
       throw std::invalid_argument(fmt::format("\"{}\" has no key \"{}\"", action, request.begin().key()));
-    // What has no time happens now.
+    // No at_s: takes effect immediately.
     if ((action == "fault" || action == "change") && !request.contains("at_s")) request["at_s"] = now_s;
 
     Json reply = {{"ok", true}, {"time_s", now_s}};

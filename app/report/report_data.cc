@@ -55,7 +55,7 @@ std::vector<std::string> cautions(const ReportData& data) {
                                data.simulated.size() == 1 ? "was" : "were"));
   }
   if (!data.label("replay.of").empty()) {
-    list.push_back(fmt::format("Replayed: driven again from the recording in {}, not measured anew",
+    list.push_back(fmt::format("Replayed: repeated from the recording in {}, not measured again",
                                data.label("replay.of")));
   }
   return list;

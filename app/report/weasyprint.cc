@@ -26,7 +26,7 @@ void print_pdf(const std::filesystem::path& html, const std::filesystem::path& p
   arguments.insert(arguments.end(), {html.string(), pdf.string()});
   if (const int code = run_tool(kWeasyPrint, arguments); code != 0)
     throw std::runtime_error("weasyprint failed with exit code " + std::to_string(code) +
-                             "; what it said stands above");
+                             "; its messages are above");
 }
 
 }  // namespace abcal

@@ -6,7 +6,9 @@
 #include <cmath>
 #include <limits>
 
+#include "app/results/effect_words.h"
 #include "protocol/analysis/analyse.h"
+#include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/norm_fit.h"
 #include "protocol/analysis/plausibility.h"
@@ -36,12 +38,31 @@ CalibrationResult estimate(const RunRecord& record, const std::string& estimator
   }
 }
 
+/// The line response of a simulated bench, averaged over its span. What changes without end (drift_per_hour,
+/// the room's temperature) counts from the start, as how long the run took is not known here.
+sim::TrueLineResponse mean_line_response(sim::BenchTruth truth) {
+  constexpr int kTimes = 101;
+  truth.drift_per_hour.setZero();
+  truth.temperature_per_hour = 0.0;
+  const sim::SimBench world(truth);
+  sim::TrueLineResponse mean{Eigen::Matrix3d::Zero(), Eigen::Vector3d::Zero()};
+  for (int k = 0; k < kTimes; ++k) {
+    const sim::TrueLineResponse at =
+        world.true_line_response(world.start() + from_seconds(truth.span_s * k / (kTimes - 1)));
+    mean.sensitivity_matrix += at.sensitivity_matrix / kTimes;
+    mean.offset += at.offset / kTimes;
+  }
+  return mean;
+}
+
 /// What is true of the run goes with every estimator's result.
 CalibrationResult checked(const RunRecord& record, const std::string& estimator,
                           const std::vector<Check>& of_the_record) {
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
   CalibrationResult result = estimate(record, estimator);
   apply_checks(of_the_record, record, result);
+  if (std::string words = default_effects_words(record.tolerances); !words.empty())
+    result.diagnostics.notes.push_back(std::move(words));
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("the run was interrupted and went on {}; each time the axes were referenced anew and the "
@@ -73,9 +94,9 @@ std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
 }
 
 TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench) {
-  const sim::SimBench world(bench.simulation);
-  const Eigen::Matrix3d s = world.true_sensitivity_matrix();
-  const sim::TrueIntrinsicProperties intrinsic = world.true_intrinsic_properties();
+  const sim::TrueLineResponse line = mean_line_response(bench.simulation);
+  const Eigen::Matrix3d& s = line.sensitivity_matrix;
+  const IntrinsicProperties intrinsic = intrinsic_properties(s);
   TruthComparison comparison;
   comparison.text = fmt::format("  {:<8} {:>14} {:>14} {:>12} {:>12}\n", "quantity", "truth", "result",
                                 "difference", "/ std. unc.");
@@ -104,10 +125,10 @@ TruthComparison compare_with_truth(const CalibrationResult& result, const BenchC
         result.intrinsic_sensitivity[j]);
   }
   for (std::size_t j = 0; j < 3; ++j) {
-    add(fmt::format("phi_{}", pairs[j]), intrinsic.angle[j].deg(), result.intrinsic_angle[j]);
+    add(fmt::format("phi_{}", pairs[j]), intrinsic.angle_deg[static_cast<int>(j)], result.intrinsic_angle[j]);
   }
   for (std::size_t j = 0; j < 3; ++j) {
-    add(fmt::format("O_{}", names[j]), intrinsic.offset[static_cast<int>(j)], result.offset[j]);
+    add(fmt::format("O_{}", names[j]), line.offset[static_cast<int>(j)], result.offset[j]);
   }
   comparison.text +=
       fmt::format("  largest difference: {:.2f} standard uncertainties; {} {}: {}\n", comparison.largest,

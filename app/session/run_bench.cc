@@ -107,6 +107,7 @@ RunHeader make_header(const BenchConfig& config, const Identities& who, std::vec
   label("item.filter", config.item.filter);
   label("item.firmware", config.item.firmware);
   label("item.supply", config.item.supply);
+  label("protocol.estimator", config.protocol.estimator);
   header.instruments = {identity(who.stage), identity(who.accelerometer)};
   header.response_unit = who.accelerometer.output_unit;
   header.g_loc = config.g_loc;

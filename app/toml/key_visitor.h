@@ -9,6 +9,7 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "drivers/instrument/angle.h"
@@ -35,6 +36,15 @@ inline constexpr Range kAny{};
 inline constexpr Range kPositive{0.0, kInfinity, true};
 inline constexpr Range kNotNegative{0.0, kInfinity};
 
+/// What a written file calls the source of a default, so that it is not taken for a stated value when read.
+inline constexpr std::string_view kDefaultSource = "default";
+
+/// A standard uncertainty and where it comes from; no source: a default that nobody stated.
+struct StatedUncertainty {
+  double value = 0.0;
+  std::string source;
+};
+
 /// What visits the keys of a file. Each key is named once; reading, writing and the list of known keys all
 /// follow from it.
 class KeyVisitor {
@@ -52,6 +62,16 @@ class KeyVisitor {
   virtual void seed(const std::string& key, std::uint64_t& value) = 0;
   virtual void boolean(const std::string& key, bool& value) = 0;
   virtual void vector(const std::string& key, Eigen::Vector3d& value) = 0;
+  /// Three numbers, each in the range. Visitors to whom the range is nothing need not know of it.
+  virtual void vector_in(const std::string& key, Eigen::Vector3d& value, Range) { vector(key, value); }
+  /// A standard uncertainty from 0 to `most`: a number, or a table with its source (docs/effects.md). `unit`
+  /// is for messages. For a visitor that does not tell them apart it is a number.
+  virtual void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
+                           const std::string&) {
+    number(key, stated.value, {0.0, most});
+  }
+  /// Whether keys that are only read, as files of an older schema have them, are to be left out.
+  virtual bool writes() const { return false; }
   virtual void integers(const std::string& key, std::array<int, 3>& value, int min, int max) = 0;
   virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
   /// An array of tables below the current section: visits each entry; those that are not there yet

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <numbers>
 #include <sstream>
 
 #include "app/system/output.h"
@@ -27,7 +28,7 @@ Problem shown_problem(const std::string& where, const std::string& found, const 
           shortened_text(required, kLongestRequired)};
 }
 
-/// Goes once over a TOML text, without knowing more of it than strings and comments.
+/// One pass over a TOML text that recognises strings and comments only.
 class NestingCheck {
  public:
   explicit NestingCheck(std::string_view text) : text_(text) {}
@@ -228,6 +229,112 @@ void TomlReader::boolean(const std::string& key, bool& value) {
 
 void TomlReader::vector(const std::string& key, Eigen::Vector3d& value) {
   if (const toml::node* node = find(key)) read_triple(*node, name(key), value);
+}
+
+void TomlReader::vector_in(const std::string& key, Eigen::Vector3d& value, Range range) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  Eigen::Vector3d found = value;
+  read_triple(*node, name(key), found);
+  const auto inside = [&](double each) { return range.contains(each); };
+  if (std::all_of(found.begin(), found.end(), inside)) {
+    value = found;
+  } else {
+    problem(*node, name(key), fmt::format("[{}, {}, {}]", found[0], found[1], found[2]),
+            "three numbers, [u, v, w], each " + range.words());
+  }
+}
+
+void TomlReader::uncertainty(const std::string& key, StatedUncertainty& stated, double most,
+                             const std::string& unit) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const Range range{0.0, most};
+  const std::string in_unit = unit.empty() || unit == "1" ? "" : " " + unit;
+  if (const toml::table* table = node->as_table()) {
+    read_uncertainty_table(*table, name(key), stated, range, in_unit);
+  } else if (const auto found = number_of(*node); found && std::isfinite(*found) && range.contains(*found)) {
+    stated = {*found, "stated"};
+  } else {
+    problem(*node, name(key), words_of(*node) + (found ? in_unit : ""),
+            fmt::format("a standard uncertainty, {}{}, or a table with its source", range.words(), in_unit));
+  }
+}
+
+void TomlReader::read_uncertainty_table(const toml::table& table, const std::string& where,
+                                        StatedUncertainty& stated, const Range& range,
+                                        const std::string& unit) {
+  static const std::map<std::string, double> kDivisors{{"rectangular", std::numbers::sqrt3},
+                                                       {"triangular", std::sqrt(6.0)},
+                                                       {"u-shaped", std::numbers::sqrt2}};
+  static const std::set<std::string> kKnown{"value", "half_width", "distribution", "expanded_uncertainty",
+                                            "k",     "source"};
+  const std::size_t problems_before = found_.size();
+  for (const auto& [key, node] : table) {
+    if (const std::string word(key.str()); !kKnown.contains(word))
+      problem(node, where + "." + word, "a key of this name",
+              "one of " + joined({kKnown.begin(), kKnown.end()}));
+  }
+  const std::string words = range.words() + unit;
+  const auto value = number_in_table(table, where, "value", range, words);
+  const auto half_width = number_in_table(table, where, "half_width", range, words);
+  const auto expanded = number_in_table(table, where, "expanded_uncertainty", range, words);
+  const auto k = number_in_table(table, where, "k", {0.0, 100.0, true}, "a coverage factor above 0 to 100");
+  const auto word_of = [&](const char* key, const char* required) -> std::string {
+    const toml::node* node = table.get(key);
+    if (node == nullptr) return {};
+    const auto* word = node->as_string();
+    if (word != nullptr && word->get().find_first_not_of(" \t\r\n") != std::string::npos) return word->get();
+    problem(*node, where + "." + key, words_of(*node), required);
+    return {};
+  };
+  std::string source = word_of("source", "where the value comes from, text in quotes");
+  const std::string distribution = word_of("distribution", "\"rectangular\", \"triangular\" or \"u-shaped\"");
+  const int given = (table.contains("value") ? 1 : 0) + (table.contains("half_width") ? 1 : 0) +
+                    (table.contains("expanded_uncertainty") ? 1 : 0);
+  constexpr const char* kOneOf =
+      "one of value (standard uncertainty), half_width with distribution, expanded_uncertainty with k";
+  if (given != 1)
+    problem(table, where,
+            given == 0 ? (source.empty() ? "no value" : "a source without a value") : "several values",
+            kOneOf);
+  if (table.contains("half_width") != table.contains("distribution")) {
+    problem(table, where, half_width ? "half_width without distribution" : "distribution without half_width",
+            kOneOf);
+  } else if (!distribution.empty() && !kDivisors.contains(distribution)) {
+    problem(*table.get("distribution"), where + ".distribution", "\"" + distribution + "\"",
+            "\"rectangular\", \"triangular\" or \"u-shaped\"");
+  }
+  if (table.contains("expanded_uncertainty") != table.contains("k"))
+    problem(table, where, expanded ? "expanded_uncertainty without k" : "k without expanded_uncertainty",
+            kOneOf);
+  if (found_.size() != problems_before) return;
+
+  // A written file keeps the default and says so; read again, it is a default again.
+  if (value && source == kDefaultSource) {
+    stated = {*value, ""};
+    return;
+  }
+  if (source.empty()) source = "stated";
+  if (value) {
+    stated = {*value, source};
+  } else if (half_width) {
+    stated = {*half_width / kDivisors.at(distribution),
+              fmt::format("{} ({}, half-width {:g}{})", source, distribution, *half_width, unit)};
+  } else {
+    stated = {*expanded / *k, fmt::format("{} (U = {:g}{}, k = {:g})", source, *expanded, unit, *k)};
+  }
+}
+
+std::optional<double> TomlReader::number_in_table(const toml::table& table, const std::string& where,
+                                                  const std::string& key, const Range& range,
+                                                  const std::string& words) {
+  const toml::node* node = table.get(key);
+  if (node == nullptr) return std::nullopt;
+  const auto found = number_of(*node);
+  if (found && std::isfinite(*found) && range.contains(*found)) return found;
+  problem(*node, where + "." + key, words_of(*node), words);
+  return std::nullopt;
 }
 
 void TomlReader::matrix(const std::string& key, Eigen::Matrix3d& value) {

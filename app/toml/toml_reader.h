@@ -37,6 +37,9 @@ class TomlReader final : public KeyVisitor {
   void seed(const std::string& key, std::uint64_t& value) override;
   void boolean(const std::string& key, bool& value) override;
   void vector(const std::string& key, Eigen::Vector3d& value) override;
+  void vector_in(const std::string& key, Eigen::Vector3d& value, Range range) override;
+  void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
+                   const std::string& unit) override;
   void matrix(const std::string& key, Eigen::Matrix3d& value) override;
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override;
   void tables(const std::string& key, std::size_t size,
@@ -73,6 +76,10 @@ class TomlReader final : public KeyVisitor {
   const toml::node* find(const std::string& key);
   void read_text(const std::string& key, std::string& value, const std::vector<std::string>& choices,
                  bool required);
+  void read_uncertainty_table(const toml::table& table, const std::string& where, StatedUncertainty& stated,
+                              const Range& range, const std::string& unit);
+  std::optional<double> number_in_table(const toml::table& table, const std::string& where,
+                                        const std::string& key, const Range& range, const std::string& words);
   void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value);
   void report_unknown(const toml::table& table, const std::string& path);
 

@@ -19,6 +19,12 @@ std::string triple(const Eigen::Vector3d& v) {
   return fmt::format("[{}, {}, {}]", real(v[0]), real(v[1]), real(v[2]));
 }
 
+std::string toml_text(const std::string& value) {
+  std::ostringstream text;
+  text << toml::toml_formatter(toml::value<std::string>(value));
+  return text.str();
+}
+
 }  // namespace
 
 void TomlWriter::section(const std::string& path) {
@@ -27,9 +33,12 @@ void TomlWriter::section(const std::string& path) {
 }
 
 void TomlWriter::text(const std::string& key, std::string& value, const std::vector<std::string>&) {
-  std::ostringstream quoted;
-  quoted << toml::toml_formatter(toml::value<std::string>(value));
-  line(key, quoted.str());
+  line(key, toml_text(value));
+}
+
+void TomlWriter::uncertainty(const std::string& key, StatedUncertainty& stated, double, const std::string&) {
+  const std::string source = stated.source.empty() ? std::string(kDefaultSource) : stated.source;
+  line(key, fmt::format("{{ value = {}, source = {} }}", real(stated.value), toml_text(source)));
 }
 
 void TomlWriter::required_text(const std::string& key, std::string& value,

@@ -16,7 +16,7 @@
 
 namespace abcal {
 
-/// An analog accelerometer whose three outputs SCPI voltmeters measure (instruments.md B.4).
+/// An analog accelerometer whose three outputs SCPI voltmeters measure (docs/protocols/scpi_voltmeters.md).
 ///
 /// Reading::output is (V - bias) / scale by channel, in AccelerometerSettings::unit ("V" if that is empty);
 /// cross-axis terms are the calibration's business. Each reading is one scan on request (READ?), begun

@@ -9,9 +9,9 @@
 
 #include "drivers/wire/frame.h"
 
-/// The replies of SCPI voltmeters (instruments.md B.4): bytes to values, no port, no clock. SCPI has no
-/// checksum and names no query in a reply, so every form here is strict, and no two of them can be taken for
-/// each other.
+/// The replies of SCPI voltmeters (docs/protocols/scpi_voltmeters.md): bytes to values, no port, no clock.
+/// SCPI has no checksum and names no query in a reply, so every form here is strict, and no two of them can
+/// be taken for each other.
 namespace abcal::scpi {
 
 /// Longer than this no reply is.

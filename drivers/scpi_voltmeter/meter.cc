@@ -10,10 +10,10 @@
 namespace abcal::scpi {
 namespace {
 
-// [M] The slowest thing asked for is *RST, a second or two.
+// [unverified against a device] The slowest thing asked for is *RST, a second or two.
 constexpr std::chrono::seconds kAnswerTime{5};
 constexpr int kTries = 2;
-// [M] An error queue holds 10 to 32 of them.
+// [unverified against a device] An error queue holds 10 to 32 of them.
 constexpr std::size_t kMostErrors = 40;
 
 /// -400 to -499: a reply was not fetched, or cut off. Asking for the identity out of turn may cause one.
@@ -164,7 +164,7 @@ std::optional<ScanOutcome> Meter::await_scan(Clock::Instant deadline) {
 }
 
 /// The readings of a reply in the order of the plan: some voltmeters scan in the order of the channel
-/// numbers, whatever the order of the list [M].
+/// numbers, whatever the order of the list [unverified against a device].
 std::optional<std::vector<ChannelReading>> Meter::decode_scan(std::string_view text,
                                                               std::string& complaint) const {
   const auto complain = [&](std::string_view what) {
@@ -218,7 +218,7 @@ void Meter::run_out_of_time() {
         return;
       }
       stage_ = Stage::kAwaitingIdentity;
-      identity_asked_ = 0;  // The next call asks anew.
+      identity_asked_ = 0;  // The next call asks again.
       fail(Fault::kNoReply, complaint_ + ", and no answer to \"*IDN?\" and \"SYST:ERR?\" after that");
   }
 }

@@ -33,7 +33,7 @@ ReceivedBytes RecordingStream::read_until(Clock::Instant deadline) {
 }
 
 void RecordingStream::discard_input() {
-  // Read rather than dropped: the recording has also what nobody wanted.
+  // Read rather than dropped: discarded bytes are recorded too.
   std::string discarded;
   try {
     for (;;) {

@@ -26,7 +26,7 @@ constexpr std::array<Rate, 8> kRates{{{1.0, 0x03},
 /// Register 04: the code is the place in the list, from 1 on.
 constexpr std::array<double, 10> kBaudRates{0.0,     4800.0,   9600.0,   19200.0,  38400.0,
                                             57600.0, 115200.0, 230400.0, 460800.0, 921600.0};
-/// Register 21 [M].
+/// Register 21 [unverified against a device].
 constexpr std::array<double, 4> kRangesG{2.0, 4.0, 8.0, 16.0};
 
 unsigned byte_at(std::string_view bytes, std::size_t index) {

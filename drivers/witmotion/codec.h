@@ -96,7 +96,7 @@ double nearest_rate_hz(double rate_hz);
 
 /// Of the content of register 04; nothing if the code is not known.
 std::optional<double> baud_rate(std::uint16_t code);
-/// Of the content of register 21, g; nothing if the code is not known [M].
+/// Of the content of register 21, g; nothing if the code is not known [unverified against a device].
 std::optional<double> range_g(std::uint16_t code);
 
 }  // namespace abcal::witmotion

@@ -24,7 +24,7 @@ constexpr int kMaxIterations = 25;
 
 using GeometryVector = Eigen::Matrix<double, kGeometryUnknowns, 1>;
 
-/// g(a) = centre + cosine cos(a) + sine sin(a) of one experiment (the circle of physics.md section 2), with
+/// g(a) = centre + cosine cos(a) + sine sin(a) of one experiment (the circle of docs/theory/model.md), with
 /// its derivatives by Zx, Zy, Xz and the experiment's own turn error (d2 or d3).
 struct Circle {
   Eigen::Vector3d centre, cosine, sine;

@@ -11,8 +11,8 @@
 
 namespace abcal {
 
-/// What the simulated runs of a study are drawn from (physics.md section 5). Everything in units of a
-/// response of 1 per g_loc; `scale` multiplies the response afterwards.
+/// What the simulated runs of a study are drawn from (docs/theory/joint_estimator.md). Everything in units of
+/// a response of 1 per g_loc; `scale` multiplies the response afterwards.
 struct JointStudyOptions {
   int trials = 2000;
   std::uint64_t seed = 1;

@@ -23,7 +23,7 @@ struct KnownAcsFit {
 };
 
 /// Given the ACS errors the response is linear in (s, O): one weighted 4x4 normal matrix, shared by the three
-/// accelerometers, and one solve (paper, section 6; physics.md section 6).
+/// accelerometers, and one solve (paper, section 6; docs/theory/uncertainty.md).
 /// @param gravity   specific force (g_loc) seen from the accelerometer at each angle
 /// @param readings  r_u, r_v, r_w (R) at the same angles
 /// @param weights   one a reading triple; empty: all 1

@@ -28,15 +28,15 @@ constexpr Eigen::Index offset_index(int accelerometer) {
   return 9 + accelerometer;
 }
 
-/// s_jx = -(A2 + A3)/2, s_jy = (A1 - B3)/2, s_jz = (B1 + B2)/2, O_j = (C1 + C2 + C3)/3  (physics.md section
-/// 3).
+/// s_jx = -(A2 + A3)/2, s_jy = (A1 - B3)/2, s_jz = (B1 + B2)/2, O_j = (C1 + C2 + C3)/3
+/// (docs/theory/abc_protocol.md).
 AbcOutputs abc_outputs(const AbcCoefficients& coefficients);
 
 /// The same as a matrix: outputs = abc_equations() * coefficients.
 const Eigen::Matrix<double, 12, 27>& abc_equations();
 
-/// What must vanish for a perfect stage and a linear accelerometer (metrology.md 1.3): A1+B3, A2-A3, B1-B2,
-/// C1-C2, C2-C3, in this order, u v w for each.
+/// What must vanish for a perfect stage and a linear accelerometer (docs/theory/abc_protocol.md): A1+B3,
+/// A2-A3, B1-B2, C1-C2, C2-C3, in this order, u v w for each.
 inline constexpr std::array<const char*, 5> kClosureNames{"A1+B3", "A2-A3", "B1-B2", "C1-C2", "C2-C3"};
 using AbcClosures = Eigen::Matrix<double, 15, 1>;
 AbcClosures abc_closures(const AbcCoefficients& coefficients);

@@ -9,7 +9,7 @@
 namespace abcal {
 
 /// RRF(v, e, a) = v cos a + (e x v) sin a + e (e . v) (1 - cos a): `v` turned right-handed by `a` about the
-/// unit vector `e` (Rodrigues; physics.md section 2). Both in the same frame; the unit is that of `v`.
+/// unit vector `e` (Rodrigues; docs/theory/model.md). Both in the same frame; the unit is that of `v`.
 Eigen::Vector3d rodrigues(const Eigen::Vector3d& v, const Eigen::Vector3d& e, Angle a);
 
 /// Directions of the stage's axes in the LGCS (z up; turned so that X has no y component).
@@ -27,7 +27,7 @@ struct Alignment {
 /// The sensitivity matrix in the LGCS of an accelerometer that stands on the platter: each row of
 /// `platter_sensitivity` (rows u, v, w; R/g_loc) turned by RRF(s_j, E, Theta_E), E = z x Z / |z x Z|, Theta_E
 /// the angle from z to Z. What the measurement determines, and what is called truth, is this tilted matrix
-/// (physics.md section 2). zx = zy = 0 gives the matrix back unchanged.
+/// (docs/theory/model.md). zx = zy = 0 gives the matrix back unchanged.
 Eigen::Matrix3d tilted(const Eigen::Matrix3d& platter_sensitivity, const Alignment& alignment);
 
 /// All angular errors of the accelerometer calibration system (ACS). Default: a perfect stage.

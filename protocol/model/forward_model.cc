@@ -26,7 +26,7 @@ Eigen::Vector3d GravityCircle::at(Angle actual) const {
 }
 
 // The accelerometer turns, gravity stays: s turned by R, dotted with z, is s dotted with z turned back. So
-// the rotations of physics.md section 2 are undone on z, the last one first.
+// the rotations of docs/theory/model.md are undone on z, the last one first.
 GravityCircle gravity_circle(int experiment, const AcsErrors& errors) {
   // Specific force at rest: up, not down (the platter pushes), 1 in units of g_loc.
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();

@@ -41,7 +41,7 @@ struct AccelerometerModel {
 };
 
 /// Response (R) to the specific force `gravity` (g_loc) at time t, from -1/2 to 1/2 over the run:
-/// l + k2 (l - O)^2 + k3 (l - O)^3 + b t,  l = s . g + O  (physics.md section 5).
+/// l + k2 (l - O)^2 + k3 (l - O)^3 + b t,  l = s . g + O  (docs/theory/joint_estimator.md).
 Eigen::Vector3d response(const AccelerometerModel& accelerometer, const Eigen::Vector3d& gravity,
                          double t = 0.0);
 

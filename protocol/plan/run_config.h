@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "drivers/instrument/angle.h"
@@ -18,11 +19,17 @@ struct Problem {
 /// "line 12, [protocol] steps: found 2; required: 3 to 3600".
 std::string to_string(const Problem& problem);
 
+/// The estimator whose result is the result of a run, unless `[protocol] estimator` names another.
+inline constexpr std::string_view kDefaultProtocolEstimator = "abc";
+
 /// How the three rotation experiments are measured (`[protocol]` of a bench file). Times in seconds.
 struct ProtocolConfig {
-  int steps = 72;                        ///< N, angles of each experiment.
-  Angle step = Angle::degrees(5.0);      ///< D, desired rotation step.
-  bool closing_angle = true;             ///< Measure the first angle again, at alpha + 360 degrees.
+  int steps = 72;                    ///< N, angles of each experiment.
+  Angle step = Angle::degrees(5.0);  ///< D, desired rotation step.
+  bool closing_angle = true;         ///< Measure the first angle again, at alpha + 360 degrees.
+  bool check_poses = false;          ///< Measure two poses at the start, between experiments and at the end.
+  /// "abc", "joint", "norm": chosen before the first angle, so that nobody chooses by the result.
+  std::string estimator{kDefaultProtocolEstimator};
   Angle approach = Angle::degrees(1.0);  ///< Every angle is reached from below, by this much; 0: either side.
   Angle position_window = Angle::degrees(0.01);  ///< Largest distance of the encoder from the command.
   int window_polls = 3;                          ///< So many polls in a row must find it stopped and inside.

@@ -13,6 +13,7 @@
 
 #include "drivers/instrument/clock.h"
 #include "protocol/plan/rotation_plan.h"
+#include "protocol/record/results_file.h"
 #include "protocol/record/run_record.h"
 #include "protocol/record/sqlite.h"
 
@@ -45,6 +46,47 @@ struct RunTiming {
   double total_s() const { return moving_s + settling_s + dwelling_s + overhead_s; }
 };
 
+/// An accelerometer under calibration: a row of the table `item`.
+struct RunItem {
+  int k = 1;  ///< Counts the items of a run from 1.
+  std::string maker, model, serial_number, firmware;
+  std::string driver, port;
+  std::string mounting;  ///< How it sits on the stage, in words.
+  std::string response_unit;
+  std::optional<double> rate_hz;
+  std::optional<double> full_scale;  ///< Response unit.
+  std::optional<double> resolution;  ///< Response unit.
+  /// Correction registers in force at the start (bias, scale, misalignment ...), by name, as the instrument
+  /// said.
+  std::map<std::string, std::string> registers;
+};
+
+/// The computer's clock when a session begins. All unknown for simulated time.
+struct HostClock {
+  std::string boot_id;                        ///< Names the start of the computer; empty: not known.
+  std::optional<Clock::Duration> since_boot;  ///< Asleep or awake.
+  std::optional<double> offset_s;             ///< System clock less UTC, as the time service estimates it.
+  std::optional<double> error_s;              ///< Its bound of the error of the system clock.
+};
+
+/// When, by which clocks and by which program measuring begins, or goes on.
+struct SessionStart {
+  std::optional<Clock::UtcTime> utc;        ///< By the system clock.
+  std::optional<Clock::Instant> monotonic;  ///< The same moment by the clock of the run.
+  HostClock host;
+  std::string program_version;
+};
+
+/// One spell of measuring: from the start of a run, or of its continuation, to its end.
+struct StoredSession {
+  std::int64_t id = 0;
+  std::optional<Clock::UtcTime> begun;  ///< The UTC from which the times of its dwells are counted.
+  double origin_s = 0.0;                ///< True time from the beginning of the first session to its own.
+  std::string program_version;
+  std::string ended_utc;   ///< Empty: its program was killed, or is at work.
+  std::string end_reason;  ///< Empty: as above.
+};
+
 /// What is known before the first angle.
 struct RunHeader {
   std::string program_version;
@@ -52,6 +94,7 @@ struct RunHeader {
   std::string bench_toml;                     ///< The bench file with every default written out.
   std::map<std::string, std::string> labels;  ///< "item.serial_number", "operator.name", ...
   std::vector<InstrumentIdentity> instruments;
+  std::vector<RunItem> items;  ///< Empty: one, as the labels "item.*" name it.
   std::string response_unit = "R";
   LocalGravity g_loc;
   Tolerances tolerances;
@@ -66,13 +109,15 @@ struct RunHeader {
 /// One reading as it is stored.
 struct StoredReading {
   std::uint64_t sequence = 0;
-  double time_s = 0.0;                               ///< Arrival, from the start of the run.
+  double time_s = 0.0;                               ///< Arrival, on the scale of DwellRecord::time_s.
   Eigen::Vector3d output = Eigen::Vector3d::Zero();  ///< R
   std::optional<double> temperature_degc;
 };
 
 /// The kind of the event that says that a port which had vanished is back; the analysis counts them.
 inline constexpr std::string_view kReconnectedEvent = "reconnected";
+/// The kind of the event that says that the system clock was moved.
+inline constexpr std::string_view kClockStepEvent = "clock step";
 
 /// One look at the room.
 struct StoredEnvironment {
@@ -87,6 +132,7 @@ struct StoredDwell {
   int experiment = 0;
   int n = 0;
   bool closing = false;
+  int item = 1;  ///< Which of the run's items.
   Angle alpha;
   bool repeat = false;  ///< The angle was measured again, for comparison: its first dwell counts.
   std::vector<StoredReading> readings;
@@ -123,7 +169,8 @@ struct StoredRun {
   RunState state = RunState::kInterrupted;
   RunTiming timing;
   RunRecord record;
-  std::vector<std::size_t> measured;  ///< Positions in header.plan that have a dwell.
+  std::vector<StoredSession> sessions;  ///< None in a file of version 2.
+  std::vector<std::size_t> measured;    ///< Positions in header.plan that have a dwell.
   std::vector<RunEvent> events;
   std::vector<StoredEnvironment> environment;
 };
@@ -132,11 +179,13 @@ struct StoredRun {
 /// One writer at a time (a lock on the file); readers at any time. All functions throw RunFileError.
 class RunFile {
  public:
-  /// Creates a new file. Refuses one that exists: a run is never overwritten.
+  /// Creates a new file. Refuses one that exists: a run is never overwritten; and a name beside which the
+  /// results of another run lie, since those of this run could not be kept then.
   static RunFile create(const std::filesystem::path& path, const RunHeader& header);
 
-  /// Opens an interrupted run to go on with it. Refuses a closed one, and one that another process is
-  /// writing.
+  /// Opens an interrupted run to go on with it; one of version 2 becomes one of version 3. Refuses a closed
+  /// one, one that another process is writing, and one beside which results lie, which must be those of
+  /// another run.
   static RunFile open_for_append(const std::filesystem::path& path);
 
   /// Reads a run in any state.
@@ -156,6 +205,19 @@ class RunFile {
   RunFile(RunFile&&) noexcept;
   RunFile& operator=(RunFile&&) noexcept;
   ~RunFile();
+
+  /// Begins a session: all that is measured from now on belongs to it. The time since the session before is
+  /// known from the computer's clock since its start, else from UTC; a system clock that was moved in between
+  /// is an event.
+  void begin_session(const SessionStart& start);
+  /// Whether begin_session() was called since the file was opened.
+  bool in_session() const;
+  /// True time from the beginning of the first session to an instant of this one: DwellRecord::time_s.
+  double time_s(Clock::Instant instant) const;
+  /// UTC of an instant of this session, which goes on evenly however the system clock is moved.
+  Clock::UtcTime utc(Clock::Instant instant) const;
+  /// UTC of now: as utc() in a session that knows it, else by the system clock.
+  Clock::UtcTime utc_now(const Clock& clock) const;
 
   /// From now on a transcript is kept. What `take` gives (all rows since it was asked last) is written at
   /// once, with each angle, and with each change of state.
@@ -178,11 +240,22 @@ class RunFile {
   /// Waits 50 ms; 10 s in all.
   static bool wait_for_readers(int failures);
 
-  /// Closes a complete run: state, checkpoint, one single file again, read-only. If the readers do not leave,
-  /// it throws; the run is complete on the disk then, and finish_closing() closes it.
-  /// @return SHA-256 of the closed file's bytes, in hexadecimal.
+  /// All angles are measured: on return the disk says so, with the last links of the chains (table `seal`).
+  /// The run can be loaded and analysed from now on.
+  void complete(const std::string& utc, const RunTiming& timing);
+
+  /// Closes a run that is complete: checkpoint, one single file again, read-only.
+  /// @return SHA-256 of the closed file's bytes, in hexadecimal; nothing where readers keep the file open: it
+  /// stays complete, and close() or finish_closing() closes it later.
+  std::optional<std::string> close(const TryAgain& try_again = wait_for_readers);
+
+  /// complete() and close(). If the readers do not leave, it throws; the run is complete on the disk then,
+  /// and finish_closing() closes it.
   std::string close_complete(const std::string& utc, const RunTiming& timing,
                              const TryAgain& try_again = wait_for_readers);
+
+  /// Whether a run is complete and closed: one file whose bytes no longer change, so that they have a hash.
+  static bool is_closed(const std::filesystem::path& path);
 
   /// Closes a run that is complete, but whose program was killed before it had closed it; does nothing to one
   /// that is closed. @return SHA-256 of the closed file's bytes.
@@ -194,47 +267,7 @@ class RunFile {
  private:
   struct Impl;
   explicit RunFile(std::unique_ptr<Impl> impl);
-  std::string close(const TryAgain& try_again);
   std::unique_ptr<Impl> impl_;
-};
-
-/// A certificate as it was issued. Fields in the order in which they are chained.
-struct IssuedCertificate {
-  std::string utc;  ///< When it was issued.
-  std::string number;
-  std::string measured_by, approved_by;
-  std::string date;      ///< Of issue, as on the certificate: "2026-03-01".
-  std::string replaces;  ///< Number of the certificate it replaces; empty: none.
-  std::string reason;    ///< Why.
-  std::string program_version;
-  std::string laboratory_toml;  ///< The laboratory file as it was read.
-  std::string xml;              ///< Its bytes, signature included.
-};
-
-/// `RUN.results`, beside the run: analyses and issued certificates. Rows are only ever added.
-class ResultsFile {
- public:
-  /// Opens or creates the results of a run; they name the hash of the closed run they belong to.
-  ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256);
-
-  /// Stores an analysis unless the very same one is there already.
-  void add_analysis(const std::string& utc, std::string_view program_version, std::string_view estimator,
-                    std::string_view result_json);
-
-  /// How many are stored.
-  std::size_t analyses();
-
-  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that does not
-  /// replace the first, and the replacement of one that is replaced already.
-  void add_certificate(const IssuedCertificate& certificate);
-
-  static std::filesystem::path path_beside(const std::filesystem::path& run_path);
-
-  /// The certificates issued for a run, oldest first; none where there are no results.
-  static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path);
-
- private:
-  SqliteDatabase database_;
 };
 
 }  // namespace abcal

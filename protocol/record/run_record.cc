@@ -4,6 +4,30 @@
 #include <utility>
 
 namespace abcal {
+namespace {
+
+constexpr std::array<std::pair<DwellRole, std::string_view>, 4> kRoleWords{{
+    {DwellRole::kPlan, "plan"},
+    {DwellRole::kReturn, "return"},
+    {DwellRole::kClosing, "closing"},
+    {DwellRole::kCheck, "check"},
+}};
+
+}  // namespace
+
+std::string_view to_string(DwellRole role) {
+  for (const auto& [known, word] : kRoleWords) {
+    if (known == role) return word;
+  }
+  return "unknown";
+}
+
+std::optional<DwellRole> dwell_role_from(std::string_view word) {
+  for (const auto& [role, known] : kRoleWords) {
+    if (known == word) return role;
+  }
+  return std::nullopt;
+}
 
 std::string describe_flags(std::uint32_t flags) {
   static constexpr std::array<std::pair<std::uint32_t, const char*>, 10> kWords{{

@@ -5,6 +5,7 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "drivers/instrument/angle.h"
@@ -32,18 +33,32 @@ inline constexpr std::uint32_t kAllFlags = 2U * kFlagNorm - 1U;
 /// The words for the flags of one dwell, in a fixed order ("not quiet, lost readings"); empty for none.
 std::string describe_flags(std::uint32_t flags);
 
+/// Why an angle was measured.
+enum class DwellRole {
+  kPlan,     ///< An angle of the plan, for the fits.
+  kReturn,   ///< A pose of the plan to which the stage returns, to show a change of the item.
+  kClosing,  ///< The extra angle that closes an experiment's circle; not part of the fits.
+  kCheck,    ///< Measured again after an interruption, for comparison; does not count.
+};
+std::string_view to_string(DwellRole role);
+/// @return nothing for a word that is none of them
+std::optional<DwellRole> dwell_role_from(std::string_view word);
+
 /// One angle of one experiment: what was commanded, where the encoder was, and what the accelerometer said.
 struct DwellRecord {
   int experiment = 0;    ///< 1, 2, 3 as in the paper.
   int n = 0;             ///< 1..N, the paper's index of the desired angle alpha(n).
   bool closing = false;  ///< The extra angle alpha = 360 degrees that shows drift; not part of the fits.
-  Angle alpha;           ///< Desired rotation angle.
+  DwellRole role = DwellRole::kPlan;  ///< kPlan with `closing` set means kClosing: RunFile stores it so.
+  Angle alpha;                        ///< Desired rotation angle.
   Angle commanded_x, commanded_z;  ///< What the stage was told (alpha modulo 360 degrees, within the travel).
   std::optional<Angle> encoder_x, encoder_z;  ///< Where it said it was; absent for an imported CSV.
-  std::optional<double> time_s;               ///< Middle of the dwell, from the start of the run.
-  double settle_time_s = 0.0;                 ///< From stopped to the first reading used.
-  std::int64_t count = 0;                     ///< Readings averaged; 0: not known (CSV).
-  std::int64_t lost = 0;                      ///< Readings known to be lost during the dwell.
+  /// Middle of the dwell, in true time from the beginning of the first session: pauses between sessions are
+  /// in it. (In run files of version 2 they are not.)
+  std::optional<double> time_s;
+  double settle_time_s = 0.0;  ///< From stopped to the first reading used.
+  std::int64_t count = 0;      ///< Readings averaged; 0: not known (CSV).
+  std::int64_t lost = 0;       ///< Readings known to be lost during the dwell.
   Eigen::Vector3d mean =
       Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());  ///< r_u, r_v, r_w (R).
   Eigen::Vector3d spread = Eigen::Vector3d::Zero();  ///< Standard deviation of single readings (R).

@@ -1,11 +1,29 @@
 #pragma once
 
 #include <filesystem>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
+struct evp_md_ctx_st;
+
 namespace abcal {
+
+/// SHA-256 of bytes that come piece by piece.
+class Sha256 {
+ public:
+  Sha256();
+  void add(std::string_view bytes);
+  /// Once, at the end.
+  std::string hexadecimal();
+
+ private:
+  struct FreeContext {
+    void operator()(evp_md_ctx_st* context) const;
+  };
+  std::unique_ptr<evp_md_ctx_st, FreeContext> context_;
+};
 
 /// SHA-256 of a file's bytes, in hexadecimal. @throws RunFileError if it cannot be read.
 std::string sha256_of_file(const std::filesystem::path& path);

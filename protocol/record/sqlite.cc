@@ -92,6 +92,19 @@ void SqliteStatement::reset() {
   sqlite3_clear_bindings(handle_.get());
 }
 
+int SqliteStatement::parameter_index(const std::string& parameter) const {
+  const int position = sqlite3_bind_parameter_index(handle_.get(), (":" + parameter).c_str());
+  if (position == 0) throw RunFileError(file_ + ": a statement without the parameter :" + parameter);
+  return position;
+}
+
+int SqliteStatement::column(std::string_view name) const {
+  for (int k = 0; k < columns(); ++k) {
+    if (name == sqlite3_column_name(handle_.get(), k)) return k;
+  }
+  throw RunFileError(file_ + ": a query without the column " + std::string(name));
+}
+
 std::optional<double> SqliteStatement::optional_real(int column) const {
   if (sqlite3_column_type(handle_.get(), column) == SQLITE_NULL) return std::nullopt;
   return real(column);
@@ -130,6 +143,10 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
   sqlite3_busy_timeout(database, 2000);
 }
 
+void SqliteDatabase::wait_at_most(std::chrono::milliseconds patience) {
+  sqlite3_busy_timeout(handle_.get(), static_cast<int>(patience.count()));
+}
+
 void SqliteDatabase::execute(const std::string& sql) {
   if (!execute_unless_busy(sql))
     throw RunFileError(explain_sqlite_error(file_, SQLITE_BUSY, sqlite3_errmsg(handle_.get())));
@@ -146,6 +163,34 @@ std::optional<std::string> SqliteDatabase::value(std::string_view sql) {
   SqliteStatement statement = prepare(sql);
   if (!statement.step()) return std::nullopt;
   return statement.text(0);
+}
+
+std::string insert_into(std::string_view table, std::span<const std::string_view> columns) {
+  std::string names, parameters;
+  for (const std::string_view column : columns) {
+    const char* comma = names.empty() ? "" : ",";
+    names.append(comma).append(column);
+    parameters.append(comma).append(":").append(column);
+  }
+  return "insert into " + std::string(table) + "(" + names + ") values(" + parameters + ")";
+}
+
+Transaction::Transaction(SqliteDatabase& database) : database_(database) {
+  database_.execute("begin immediate");
+}
+
+Transaction::~Transaction() {
+  if (committed_) return;
+  try {
+    database_.execute("rollback");
+  } catch (const RunFileError&) {
+    // SQLite has rolled back by itself already (a full disk does that); the first error is the one to report.
+  }
+}
+
+void Transaction::commit() {
+  database_.execute("commit");
+  committed_ = true;
 }
 
 }  // namespace abcal

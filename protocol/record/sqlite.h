@@ -2,10 +2,12 @@
 
 #include <sqlite3.h>
 
+#include <chrono>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -30,6 +32,11 @@ class SqliteStatement {
   SqliteStatement& bind(int position, const std::optional<double>& value);
   SqliteStatement& bind(int position, const std::optional<std::int64_t>& value);
   SqliteStatement& bind_blob(int position, std::string_view bytes);
+  /// Binds a named parameter: set("alpha_deg", 5.0) for ":alpha_deg".
+  template <class Value>
+  SqliteStatement& set(const std::string& parameter, const Value& value) {
+    return bind(parameter_index(parameter), value);
+  }
 
   /// True while there is a row.
   /// @throws RunFileError with SQLite's own words.
@@ -44,8 +51,23 @@ class SqliteStatement {
   std::optional<std::int64_t> optional_integer(int column) const;
   std::string text(int column) const;
   std::string blob(int column) const;
+  bool is_null(int column) const { return type(column) == SQLITE_NULL; }
+  /// SQLITE_INTEGER, SQLITE_FLOAT, SQLITE_TEXT, SQLITE_BLOB or SQLITE_NULL.
+  int type(int column) const { return sqlite3_column_type(handle_.get(), column); }
+  int columns() const { return sqlite3_column_count(handle_.get()); }
+
+  /// Position of the column of that name in the result. @throws RunFileError if there is none.
+  int column(std::string_view name) const;
+  std::int64_t integer(std::string_view name) const { return integer(column(name)); }
+  double real(std::string_view name) const { return real(column(name)); }
+  std::optional<double> optional_real(std::string_view name) const { return optional_real(column(name)); }
+  std::optional<std::int64_t> optional_integer(std::string_view name) const {
+    return optional_integer(column(name));
+  }
+  std::string text(std::string_view name) const { return text(column(name)); }
 
  private:
+  int parameter_index(const std::string& parameter) const;
   void check(int code) const;
 
   struct Finalise {
@@ -60,8 +82,10 @@ class SqliteStatement {
 class SqliteDatabase {
  public:
   enum class Mode { kReadOnly, kReadWrite, kCreate };
+  /// Waits up to 2 s for another connection that stands in the way, unless wait_at_most() says otherwise.
   SqliteDatabase(const std::filesystem::path& path, Mode mode);
 
+  void wait_at_most(std::chrono::milliseconds patience);
   void execute(const std::string& sql);
   /// As execute(), but tells by `false` that another connection stands in the way.
   bool execute_unless_busy(const std::string& sql);
@@ -76,6 +100,24 @@ class SqliteDatabase {
   };
   std::string file_;
   std::unique_ptr<sqlite3, Close> handle_;
+};
+
+/// "insert into TABLE(a, b) values(:a, :b)": columns by name, whatever their order in the table.
+std::string insert_into(std::string_view table, std::span<const std::string_view> columns);
+
+/// A transaction that may write from its beginning, rolled back unless it is committed. What it reads stays
+/// true until it is committed: no other connection writes meanwhile.
+class Transaction {
+ public:
+  explicit Transaction(SqliteDatabase& database);
+  Transaction(const Transaction&) = delete;
+  Transaction& operator=(const Transaction&) = delete;
+  ~Transaction();
+  void commit();
+
+ private:
+  SqliteDatabase& database_;
+  bool committed_ = false;
 };
 
 /// The words for a failed SQLite call on `file`, with what a person should do about it.

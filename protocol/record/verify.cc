@@ -2,7 +2,14 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "protocol/record/dwell_chain.h"
+#include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_schema.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/sqlite.h"
 
@@ -24,11 +31,166 @@ IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, co
     std::vector<std::string> fields;
     for (std::size_t k = 0; k < columns.size(); ++k) fields.push_back(rows.text(static_cast<int>(k)));
     link = next_link(link, fields);
-    if (link != rows.text(static_cast<int>(columns.size())))
+    if (link != rows.text("chain"))
       return {what, false,
               fmt::format("entry {} of the {} table, or one before it, was changed", count, table)};
   }
   return {what, true, fmt::format("{} entries, each linked to the one before", count)};
+}
+
+/// Follows the chain of the dwells and compares its end, and that of the event log, with what was sealed.
+IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
+  const std::string what = "dwells";
+  SqliteStatement rows = database.prepare("select id, chain from dwell order by id");
+  std::string link = head_link(database);
+  std::int64_t count = 0;
+  while (rows.step()) {
+    ++count;
+    link = dwell_link(database, rows.integer("id"), link);
+    if (link != rows.text("chain"))
+      return {
+          what, false,
+          fmt::format("dwell {} or its readings, one before it, or what stands before the first angle, was "
+                      "changed",
+                      count)};
+  }
+  if (!complete) return {what, true, fmt::format("{}, each linked to the one before", count)};
+  SqliteStatement seal = database.prepare("select * from seal order by id desc limit 1");
+  if (!seal.step()) return {what, false, "the seal of the complete run is missing"};
+  const std::string last_event =
+      database.value("select chain from event order by id desc limit 1").value_or("");
+  if (seal.integer("dwells") != count || (count > 0 && seal.text("dwell_chain") != link) ||
+      seal.text("event_chain") != last_event)
+    return {what, false, "the chains do not end as the seal of the complete run says"};
+  return {what, true, fmt::format("{}, each with its readings linked to the one before, sealed", count)};
+}
+
+/// A dwell as it is stored, to be compared with its readings.
+struct StatedDwell {
+  Eigen::Vector3d mean, spread, u_mean;
+  bool has_u = false;
+  std::int64_t count = 0;
+  std::int64_t lost = 0;
+  std::uint32_t flags = 0;
+};
+
+StatedDwell stated_dwell(const SqliteStatement& row) {
+  const auto vector = [&](const std::string& prefix) {
+    Eigen::Vector3d value;
+    constexpr std::array<const char*, 3> kOutputs{"u", "v", "w"};
+    for (int j = 0; j < 3; ++j) {
+      value[j] = row.optional_real(prefix + kOutputs.at(static_cast<std::size_t>(j)))
+                     .value_or(std::numeric_limits<double>::quiet_NaN());
+    }
+    return value;
+  };
+  return {vector("r_"),
+          vector("spread_"),
+          vector("u_"),
+          row.optional_real("u_u").has_value(),
+          row.integer("count"),
+          row.integer("lost"),
+          static_cast<std::uint32_t>(row.integer("flags"))};
+}
+
+bool agrees(double stated, double computed, double tolerance) {
+  return std::abs(stated - computed) <= tolerance;
+}
+
+/// What of a dwell does not follow from its readings; empty: all does.
+std::string contradiction(const StatedDwell& stated, const std::vector<StoredReading>& readings,
+                          const std::optional<RunItem>& item) {
+  // Differences of rounding only: the same sums may be taken in another order by another compiler.
+  constexpr double kRounding = 1e-12, kSpreadRounding = 1e-9, kUncertaintyRounding = 1e-6;
+  std::vector<Eigen::Vector3d> outputs;
+  std::int64_t gaps = 0;
+  bool beyond_full_scale = false;
+  for (std::size_t k = 0; k < readings.size(); ++k) {
+    const Eigen::Vector3d& output = readings[k].output;
+    if (output.allFinite()) outputs.push_back(output);
+    if (item && item->full_scale) beyond_full_scale |= output.cwiseAbs().maxCoeff() >= *item->full_scale;
+    if (k > 0 && readings[k].sequence > readings[k - 1].sequence)
+      gaps += static_cast<std::int64_t>(readings[k].sequence - readings[k - 1].sequence - 1);
+  }
+  if (stated.count != static_cast<std::int64_t>(outputs.size())) return "number of readings";
+  if (stated.lost < gaps) return "number of lost readings";
+  const bool not_finite = outputs.size() < readings.size();
+  if (not_finite != ((stated.flags & kFlagNotFinite) != 0U)) return "flag \"not finite\"";
+  if (gaps > 0 && (stated.flags & kFlagLostReadings) == 0U) return "flag \"lost readings\"";
+  if (beyond_full_scale && (stated.flags & kFlagClipped) == 0U) return "flag \"clipped\"";
+  if (outputs.empty()) return "";
+  const std::optional<double> resolution = item ? item->resolution : std::nullopt;
+  const ReadingStatistics computed = reading_statistics(outputs, resolution.value_or(0.0));
+  for (int j = 0; j < 3; ++j) {
+    const double scale = std::max(std::abs(computed.mean[j]), computed.spread[j]);
+    if (!agrees(stated.mean[j], computed.mean[j], kRounding * scale)) return "mean";
+    if (!agrees(stated.spread[j], computed.spread[j], kSpreadRounding * scale)) return "spread";
+    if (!stated.has_u) continue;
+    const double tolerance = kUncertaintyRounding * computed.u_mean[j];
+    // Where the resolution is not stored, it may have raised the uncertainty above what the readings show.
+    const bool raised = !resolution && stated.u_mean[j] > computed.u_mean[j];
+    if (!raised && !agrees(stated.u_mean[j], computed.u_mean[j], tolerance)) return "standard uncertainty";
+  }
+  return "";
+}
+
+/// Computes again what dwells state. Dwells without any reading, as tests write them, state nothing.
+IntegrityCheck check_statements(const std::filesystem::path& run, SqliteDatabase& database,
+                                const StoredRun& stored) {
+  const std::string what = "readings";
+  SqliteStatement rows = database.prepare("select * from dwell order by id");
+  std::size_t dwells = 0, readings = 0;
+  std::string wrong;
+  RunFile::read_dwells(run, [&](const StoredDwell& dwell) {
+    if (!rows.step() || !wrong.empty()) return;
+    ++dwells;
+    readings += dwell.readings.size();
+    if (dwell.readings.empty()) return;
+    std::optional<RunItem> item;
+    for (const RunItem& one : stored.header.items) {
+      if (one.k == dwell.item) item = one;
+    }
+    const std::string differs = contradiction(stated_dwell(rows), dwell.readings, item);
+    if (!differs.empty())
+      wrong = fmt::format("dwell {}: its {} does not follow from its readings", dwells, differs);
+  });
+  if (!wrong.empty()) return {what, false, wrong};
+  return {what, true,
+          fmt::format("means, spreads, standard uncertainties and flags of {} dwells follow from {} readings",
+                      dwells, readings)};
+}
+
+void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>& checks) {
+  const std::filesystem::path results = ResultsFile::path_beside(run);
+  std::error_code error;
+  if (!std::filesystem::exists(results, error)) {
+    checks.push_back({"SHA-256", false,
+                      results.string() +
+                          ", which names the hash of the run, is missing; `abcal analyse` makes it "
+                          "again, with a note that analyses of before are not known"});
+    return;
+  }
+  SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
+  const std::string named = database.value("select sha256 from run").value_or("none");
+  const std::string actual = sha256_of_file(run);
+  checks.push_back(
+      {"SHA-256", named == actual,
+       named == actual ? actual : fmt::format("the run has {}, its results name {}", actual, named)});
+  std::string sound = database.value("pragma integrity_check(1)").value_or("no answer");
+  const bool is_sound = sound == "ok";
+  if (database.value("select count(*) from pragma_table_info('run') where name = 'note'") == "1") {
+    const std::string note = database.value("select note from run").value_or("");
+    if (!note.empty()) sound += "; " + note;
+  }
+  checks.push_back({"results file", is_sound, sound});
+  checks.push_back(
+      check_chain(database, "analyses", "analysis", {"utc", "program_version", "estimator", "result_json"}));
+  // Results of before certificates were issued have no such table.
+  if (database.value("select 1 from sqlite_master where type='table' and name='certificate'")) {
+    checks.push_back(check_chain(database, "certificates", "certificate",
+                                 {"utc", "number", "measured_by", "approved_by", "date", "replaces", "reason",
+                                  "program_version", "laboratory_toml", "xml"}));
+  }
 }
 
 }  // namespace
@@ -44,32 +206,24 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
   {
     SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
     checks.push_back(check_chain(database, "event log", "event", {"utc", "who", "kind", "text"}));
+    if (run_file_version(database) >= 3) checks.push_back(check_dwell_chain(database, complete));
+    checks.push_back(check_statements(run, database, stored));
   }
-  if (!complete) return checks;
-
-  const std::filesystem::path results = ResultsFile::path_beside(run);
-  std::error_code error;
-  if (!std::filesystem::exists(results, error)) {
-    checks.push_back({"SHA-256", false, results.string() + ", which names the hash of the run, is missing"});
-    return checks;
-  }
-  SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
-  const std::string named = database.value("select sha256 from run").value_or("none");
-  const std::string actual = sha256_of_file(run);
-  checks.push_back(
-      {"SHA-256", named == actual,
-       named == actual ? actual : fmt::format("the run has {}, its results name {}", actual, named)});
-  const std::string sound = database.value("pragma integrity_check(1)").value_or("no answer");
-  checks.push_back({"results file", sound == "ok", sound});
-  checks.push_back(
-      check_chain(database, "analyses", "analysis", {"utc", "program_version", "estimator", "result_json"}));
-  // Results of before certificates were issued have no such table.
-  if (database.value("select 1 from sqlite_master where type='table' and name='certificate'")) {
-    checks.push_back(check_chain(database, "certificates", "certificate",
-                                 {"utc", "number", "measured_by", "approved_by", "date", "replaces", "reason",
-                                  "program_version", "laboratory_toml", "xml"}));
-  }
+  if (complete) check_results(run, checks);
   return checks;
+}
+
+std::string attested_by(const std::filesystem::path& run) {
+  SqliteDatabase database = open_run_file(run, SqliteDatabase::Mode::kReadOnly);
+  const char* chained =
+      run_file_version(database) >= 3
+          ? "dwells with their readings, events, analyses and certificates are chained"
+          : "events, analyses and certificates are chained, dwells are not (run file version 2)";
+  return fmt::format(
+      "self-consistent only: {}; anyone who can write the run and its results can rebuild all of it, since "
+      "there is "
+      "neither a signature nor a time stamp. Keep the SHA-256 elsewhere if that matters",
+      chained);
 }
 
 }  // namespace abcal

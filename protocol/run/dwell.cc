@@ -9,56 +9,22 @@
 namespace abcal {
 namespace {
 
-struct MeanAndSpread {
-  Eigen::Vector3d mean;
-  Eigen::Vector3d spread;
-};
-
-/// Two passes, the mean first and relative to the first reading, so that a large offset costs the spread no
-/// digits and readings that are all the same have a spread of exactly zero.
-MeanAndSpread mean_and_spread(std::span<const Reading> readings) {
-  const auto n = static_cast<double>(readings.size());
-  const Eigen::Vector3d origin = readings.front().output;
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const Reading& reading : readings) sum += reading.output - origin;
-  const Eigen::Vector3d mean = origin + sum / n;
-  Eigen::Vector3d squares = Eigen::Vector3d::Zero();
-  for (const Reading& reading : readings) squares += (reading.output - mean).cwiseAbs2();
-  const Eigen::Vector3d spread =
-      n > 1 ? (squares / (n - 1.0)).cwiseSqrt().eval() : Eigen::Vector3d::Zero().eval();
-  return {mean, spread};
+std::vector<Eigen::Vector3d> outputs_of(std::span<const Reading> readings) {
+  std::vector<Eigen::Vector3d> outputs;
+  outputs.reserve(readings.size());
+  for (const Reading& reading : readings) outputs.push_back(reading.output);
+  return outputs;
 }
 
 }  // namespace
 
-double effective_number_of_readings(std::span<const double> values) {
-  const std::size_t n = values.size();
-  const auto count = static_cast<double>(n);
-  if (n < 4) return count;
-  double mean = 0.0;
-  for (const double value : values) mean += value / count;
-  double variance = 0.0;
-  for (const double value : values) variance += (value - mean) * (value - mean);
-  if (!(variance > 0.0)) return count;
-  const double significant = 2.0 / std::sqrt(count);
-  double correlation_time = 1.0;
-  for (std::size_t lag = 1; lag < n / 4; ++lag) {
-    double covariance = 0.0;
-    for (std::size_t k = lag; k < n; ++k) covariance += (values[k] - mean) * (values[k - lag] - mean);
-    const double correlation = covariance / variance;
-    if (correlation < significant) break;
-    correlation_time += 2.0 * correlation;
-  }
-  return std::clamp(count / correlation_time, 1.0, count);
-}
-
 Eigen::Vector3d spread_of(std::span<const Reading> readings) {
-  return mean_and_spread(readings).spread;
+  return mean_and_spread(outputs_of(readings)).spread;
 }
 
 DwellStatistics dwell_statistics(std::span<const Reading> readings, const AccelerometerInfo& info) {
   DwellStatistics result;
-  std::vector<Reading> finite;
+  std::vector<Eigen::Vector3d> finite;
   finite.reserve(readings.size());
   double temperature = 0.0;
   std::int64_t temperatures = 0;
@@ -75,7 +41,7 @@ DwellStatistics dwell_statistics(std::span<const Reading> readings, const Accele
       ++temperatures;
     }
     if (reading.output.allFinite()) {
-      finite.push_back(reading);
+      finite.push_back(reading.output);
     } else {
       ++result.not_finite;
     }
@@ -86,17 +52,10 @@ DwellStatistics dwell_statistics(std::span<const Reading> readings, const Accele
   result.count = static_cast<std::int64_t>(finite.size());
   if (finite.empty()) return result;
 
-  const auto [mean, spread] = mean_and_spread(finite);
-  result.mean = mean;
-  result.spread = spread;
-  const double least = info.resolution.value_or(0.0) / std::sqrt(12.0);
-  std::vector<double> output(finite.size());
-  for (int j = 0; j < 3; ++j) {
-    std::transform(finite.begin(), finite.end(), output.begin(),
-                   [j](const Reading& r) { return r.output[j]; });
-    const double standard_error = spread[j] / std::sqrt(effective_number_of_readings(output));
-    result.u_mean[j] = std::max(standard_error, least);
-  }
+  const ReadingStatistics statistics = reading_statistics(finite, info.resolution.value_or(0.0));
+  result.mean = statistics.mean;
+  result.spread = statistics.spread;
+  result.u_mean = statistics.u_mean;
   return result;
 }
 
@@ -110,7 +69,9 @@ bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector
   // Student's t that a window without slope exceeds once in 1e5 windows, to a few percent for 8 and more
   // degrees of freedom.
   const double t_limit = 4.5 + 30.0 / (count - 2.0);
-  const auto [mean, spread] = mean_and_spread(window);
+  const ReadingStatistics statistics = mean_and_spread(outputs_of(window));
+  const Eigen::Vector3d& mean = statistics.mean;
+  const Eigen::Vector3d& spread = statistics.spread;
   for (int j = 0; j < 3; ++j) {
     double slope = 0.0;  // of the least-squares line, R a reading
     for (std::size_t k = 0; k < n; ++k) {

@@ -6,6 +6,7 @@
 #include <span>
 
 #include "drivers/instrument/accelerometer.h"
+#include "protocol/record/reading_statistics.h"
 
 namespace abcal {
 
@@ -26,10 +27,6 @@ struct DwellStatistics {
 
 /// The statistics of the readings taken at one angle.
 DwellStatistics dwell_statistics(std::span<const Reading> readings, const AccelerometerInfo& info);
-
-/// How many independent readings carry as much as these (autocorrelation time summed over the lags up to the
-/// first that does not stand out of the noise, 2/sqrt(n)). Between 1 and n.
-double effective_number_of_readings(std::span<const double> values);
 
 /// Standard deviation of single readings, at least one.
 Eigen::Vector3d spread_of(std::span<const Reading> readings);

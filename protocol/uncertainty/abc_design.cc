@@ -80,8 +80,8 @@ AbcDesign AbcDesign::of_angles(const std::array<std::vector<Angle>, 3>& alpha) {
 Eigen::Vector4d AbcDesign::share(int experiment, Eigen::Index n) const {
   const RotationFit& fit = experiments_.at(static_cast<std::size_t>(experiment - 1));
   const double a = fit.weights(n, 0), b = fit.weights(n, 1), c = fit.weights(n, 2);
-  // s_jx = -(A2 + A3)/2, s_jy = (A1 - B3)/2, s_jz = (B1 + B2)/2, O_j = (C1 + C2 + C3)/3 (physics.md section
-  // 3).
+  // s_jx = -(A2 + A3)/2, s_jy = (A1 - B3)/2, s_jz = (B1 + B2)/2, O_j = (C1 + C2 + C3)/3
+  // (docs/theory/abc_protocol.md).
   switch (experiment) {
     case 1:
       return {0.0, a / 2.0, b / 2.0, c / 3.0};

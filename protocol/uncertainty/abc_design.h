@@ -19,8 +19,8 @@ struct RotationFit {
   Eigen::Matrix<double, Eigen::Dynamic, 3> weights;
 };
 
-/// The angles of the three experiments and the linear map from readings to A, B, C (physics.md section 3).
-/// Serves any number of angles, unequal experiments and incomplete circles.
+/// The angles of the three experiments and the linear map from readings to A, B, C
+/// (docs/theory/abc_protocol.md). Serves any number of angles, unequal experiments and incomplete circles.
 class AbcDesign {
  public:
   /// N = steps angles alpha(n) = (n-1) step in each experiment. The paper's: 72 steps of 5 degrees.

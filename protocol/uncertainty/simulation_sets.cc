@@ -16,7 +16,8 @@ namespace {
 constexpr Angle kAccuracy = Angle::degrees(0.008);    // the paper's stage, section 1
 constexpr Angle kResolution = Angle::degrees(0.001);  // the same
 constexpr double kSpread = 0.1;                       // of the random accelerometers, section 3
-// Table 8 is met in every printed digit with this share of the misalignment in Xz (physics.md, slip 1).
+// Table 8 is met in every printed digit with this share of the misalignment in Xz
+// (docs/theory/abc_protocol.md, slip 1).
 constexpr double kTable8Xz = 0.91434;
 
 std::string degrees_text(Angle angle) {
@@ -308,7 +309,7 @@ StudyResult abc2(const SimulationOptions& options) {
   const AccelerometerUnderTest accelerometer = options.accelerometer.value_or(AccelerometerUnderTest{});
   const double q = sincos(misalignment(options)).sin;
   const Angle step = options.step.value_or(options.resolution ? kResolution : kAccuracy);
-  // "6 * sin(0.008 degrees)" is a number of degrees (physics.md, slip 2).
+  // "6 * sin(0.008 degrees)" is a number of degrees (docs/theory/abc_protocol.md, slip 2).
   const Angle amplitude = Angle::degrees(6.0 * sincos(step).sin);
   AcsErrors synchronous;
   for (std::size_t i = 0; i < 3; ++i) {

@@ -31,7 +31,7 @@ OutputVector to_vector(const StudyOutput& output);
 StudyOutput to_output(const OutputVector& vector);
 
 /// The outputs that belong to a sensitivity matrix and an offset: norms of the rows and the angles between
-/// them (by atan2; physics.md section 1).
+/// them (by atan2; docs/theory/model.md).
 StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::Vector3d& offset);
 
 /// Symbol of output k: "s_ux" ... "s_wz", "O_u", "s_u" (intrinsic), "phi_uv" ...

@@ -17,11 +17,11 @@ struct MeasuredAcs {
   static MeasuredAcs not_measured(const RunRecord& record);
 };
 
-/// Type A evaluation (paper, section 6; physics.md section 6): every trial draws the system's errors around
-/// their measured means and fits s and O of the measured readings to the forward model with these errors. The
-/// response is linear in s and O once the errors are given, so a trial is one 4 x 4 solve and no search.
-/// Outputs are the 18 values (not errors); their means and standard deviations are the result and its type A
-/// standard uncertainty due to the system.
+/// Type A evaluation (paper, section 6; docs/theory/uncertainty.md): every trial draws the system's errors
+/// around their measured means and fits s and O of the measured readings to the forward model with these
+/// errors. The response is linear in s and O once the errors are given, so a trial is one 4 x 4 solve and no
+/// search. Outputs are the 18 values (not errors); their means and standard deviations are the result and its
+/// type A standard uncertainty due to the system.
 /// @throws std::invalid_argument for standard errors that are negative or not finite; a record without enough
 /// readings
 MonteCarloResult run_type_a(const RunRecord& record, const MeasuredAcs& measured, std::uint64_t seed,

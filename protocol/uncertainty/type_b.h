@@ -13,7 +13,7 @@
 
 namespace abcal {
 
-/// An accelerometer under test: the platter's matrix before the tilt with Z (physics.md section 2).
+/// An accelerometer under test: the platter's matrix before the tilt with Z (docs/theory/model.md).
 struct AccelerometerUnderTest {
   Eigen::Matrix3d sensitivity_matrix = Eigen::Matrix3d::Identity();  ///< R/g_loc
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();                  ///< R
@@ -56,7 +56,7 @@ std::array<Eigen::MatrixX3d, 3> simulated_readings(const AbcDesign& design,
                                                    const AccelerometerUnderTest& accelerometer,
                                                    const AcsErrors& errors);
 
-/// The ABC analysis of such readings (physics.md section 3).
+/// The ABC analysis of such readings (docs/theory/abc_protocol.md).
 StudyOutput abc_analysis(const AbcDesign& design, const std::array<Eigen::MatrixX3d, 3>& readings);
 
 /// What the analysis should have found: the outputs of the tilted matrix at rest.

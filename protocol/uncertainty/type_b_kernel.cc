@@ -1,9 +1,9 @@
 // The inner loop of the type B study, compiled once for each vector instruction set; one trial a lane.
 //
-// physics.md section 2, "Speed": gravity seen from the accelerometer is p + q cos(alpha + F + f) + t
-// sin(alpha + F + f) with p, q, t constant in an experiment, and the fit is linear in the readings. So all
-// that the step errors do is to change six sums (A, B, C of the cosine and of the sine), and the
-// accelerometer comes in only after them.
+// docs/theory/model.md, "Turning gravity instead of the matrix": gravity seen from the accelerometer is p + q
+// cos(alpha + F + f) + t sin(alpha + F + f) with p, q, t constant in an experiment, and the fit is linear in
+// the readings. So all that the step errors do is to change six sums (A, B, C of the cosine and of the sine),
+// and the accelerometer comes in only after them.
 #include "protocol/uncertainty/type_b_kernel.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -204,7 +204,7 @@ HWY_INLINE void trials(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& ke
   const Vector3<D> p3 = scaled(z_axis, dot(z_axis, up3));
   const Coefficients<D> e3 = coefficients(p3, difference(up3, p3), cross(up3, z_axis), w3);
 
-  // The estimate is s G with the columns of G below; G - 1 is what goes wrong (physics.md section 3).
+  // The estimate is s G with the columns of G below; G - 1 is what goes wrong (docs/theory/abc_protocol.md).
   Vector3<D> gx = scaled(sum(e2.a, e3.a), hn::Set(d, -0.5));
   Vector3<D> gy = scaled(difference(e1.a, e3.b), half);
   Vector3<D> gz = scaled(sum(e1.b, e2.b), half);

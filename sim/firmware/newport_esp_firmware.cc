@@ -756,7 +756,7 @@ std::optional<std::string> NewportEspFirmware::Controller::units(const Command& 
   const std::size_t k = index_of(c);
   if (c.asks()) return std::to_string(axes_[k].unit);
   const int wanted = whole_number(c.parameter, 0, 11);
-  // A length is no unit for a rotation stage; what a real controller makes of it is not known.
+  // A length is no unit for a rotation stage; the reaction of a real controller is not known.
   if (degrees_per_unit(wanted, truth(k).encoder_resolution.deg()) == 0.0) throw Refusal{kOutOfRange};
   axes_[k].unit = wanted;
   return std::nullopt;

@@ -929,7 +929,7 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::scan_select(co
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::trigger_source(const Arguments& a) {
   if (a.empty()) throw Refusal{kMissingParameter};
   const std::string word = upper(a[0]);
-  // There is nobody to trigger it from outside.
+  // No external trigger is simulated.
   if (word != "IMM" && word != "IMMEDIATE") throw Refusal{kIllegalParameter};
   trigger_source_ = "IMM";
   return std::nullopt;

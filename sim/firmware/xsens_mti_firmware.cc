@@ -410,7 +410,7 @@ std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_vie
   }
 }
 
-/// No data: asks. Else sets, and tells what it has made of it.
+/// No data: a query. Otherwise sets the configuration and replies with the one that results.
 std::string XsensMtiFirmware::Device::output_configuration(std::string_view data) {
   if (data.size() % 4 != 0 || data.size() > 4 * kMostOutputs) throw Refusal{kInvalidParameter};
   std::vector<Output> wanted;

@@ -29,8 +29,8 @@ struct XsensMtiSettings {
 /// base rate, from the start of the world's time. Gyroscope, magnetometer and orientation are not simulated:
 /// they show rest.
 ///
-/// Switched on, it says WakeUp and begins to measure 500 ms later unless it is told otherwise, with the
-/// output configuration that it had last. The baud rate is kept and told, and bounds nothing: USB has none.
+/// Switched on, it says WakeUp and begins to measure 500 ms later unless a command says otherwise, with
+/// its last output configuration. The baud rate is kept and reported, and limits nothing: USB has none.
 class XsensMtiFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a device id, product code, baud rate or base rate that cannot be.

@@ -371,7 +371,7 @@ void ZaberAsciiFirmware::Chain::receive(std::string_view bytes, Clock::Instant n
   }
 }
 
-/// A command begins at the first '/'; what comes before is nobody's. A damaged one is not answered
+/// A command begins at the first '/'; what comes before is ignored. A damaged one is not answered
 /// [unverified against a device].
 void ZaberAsciiFirmware::Chain::take_line(std::string line) {
   const std::size_t begin = line.find('/');

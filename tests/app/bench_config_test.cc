@@ -67,7 +67,7 @@ TEST(BenchConfigTest, WritesEveryDefaultOutAndReadsItBackToTheSame) {
   EXPECT_EQ(again.protocol.settle_s, config.protocol.settle_s);
   ASSERT_EQ(again.simulation.x.harmonics.size(), 1U);
   EXPECT_EQ(again.simulation.x.harmonics[0].cos_coefficient, Angle::degrees(-1.0 / 3.0));
-  EXPECT_THAT(once, HasSubstr("alignment_deg = 0.008"));
+  EXPECT_THAT(once, HasSubstr("alignment_deg = { value = 0.008, source = 'default' }"));
 }
 
 TEST(BenchConfigTest, ReportsEveryProblemAtOnceWithItsLine) {

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
 #include <regex>
@@ -68,6 +69,41 @@ TEST_F(DocumentationTest, PythonReadsARunAsThePageShows) {
       EXPECT_NEAR(numbers[0][j][k], s["value"], 3.0 * s["type_a"].get<double>());
     }
   }
+}
+
+TEST_F(DocumentationTest, PythonAndCppReadARunFileAsItsPageShows) {
+  write_bench({});
+  ASSERT_EQ(abcal({"run", "bench.toml", "-o", "sn1234.run"}).exit_code, 0);
+  const std::vector<std::string> cpp = code_blocks("run_file.md", "cpp");
+  ASSERT_EQ(cpp.size(), 1U);
+  test::write_file(folder / "reader.cc", cpp[0]);
+  const auto shell = [&](const std::string& command) {
+    test::Program program("/bin/sh", {"-c", command}, folder.path());
+    const int code = program.wait();
+    return test::ProgramResult{code, program.out(), program.err()};
+  };
+  const test::ProgramResult built = shell("c++ -std=c++20 reader.cc -lsqlite3 -o reader");
+  ASSERT_EQ(built.exit_code, 0) << built.err;
+  const test::ProgramResult read = shell("./reader sn1234.run");
+  ASSERT_EQ(read.exit_code, 0) << read.err;
+  EXPECT_EQ(std::count(read.out.begin(), read.out.end(), '\n'), 10) << read.out;
+  // The queries for the shell of SQLite.
+  const std::string page = test::read_file(test::source_folder() / "docs/run_file.md");
+  const std::regex query(
+      R"re((sqlite3 (-header -csv )?sn1234.run "[^"\n]*(plan|state|order by k)[^"\n]*"))re");
+  int queries = 0;
+  for (std::sregex_iterator found(page.begin(), page.end(), query), end; found != end; ++found, ++queries) {
+    const test::ProgramResult rows = shell((*found)[1]);
+    EXPECT_EQ(rows.exit_code, 0) << rows.err;
+    EXPECT_THAT(rows.out, testing::AnyOf(HasSubstr("complete"), HasSubstr(","))) << (*found)[1];
+  }
+  EXPECT_EQ(queries, 3);
+  const std::vector<std::string> blocks = code_blocks("run_file.md", "python");
+  ASSERT_EQ(blocks.size(), 1U);
+  if (python("import sqlite3\n").exit_code != 0) GTEST_SKIP() << "no Python with sqlite3";
+  const test::ProgramResult listed = python(blocks[0]);
+  ASSERT_EQ(listed.exit_code, 0) << listed.err;
+  EXPECT_EQ(std::count(listed.out.begin(), listed.out.end(), '\n'), 39 + 10 - 3) << listed.out;
 }
 
 TEST_F(DocumentationTest, PythonReadsTheHdf5AsThePageShows) {

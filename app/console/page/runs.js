@@ -197,7 +197,7 @@ function facts(data) {
   fact('Angles used', `${used}`);
   fact('Flagged angles', flags.length ? flags.map((f) => `${f.flag}: ${f.dwells}`).join('; ') : 'none');
   fact('Moving, settling, reading, else', [timing.moving_s, timing.settling_s, timing.dwelling_s, timing.overhead_s].map(duration).join(', '));
-  for (const i of data.instruments) fact(i.role[0].toUpperCase() + i.role.slice(1), `${i.maker} ${i.model}, serial number ${i.serial_number || 'not told'}`);
+  for (const i of data.instruments) fact(i.role[0].toUpperCase() + i.role.slice(1), `${i.maker} ${i.model}, serial number ${i.serial_number || 'not stated'}`);
   fact('Program', data.program_version);
   return dl;
 }

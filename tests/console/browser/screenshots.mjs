@@ -1,4 +1,4 @@
-// Makes the pictures of docs/images anew, of the bench in docs/examples/simulated.toml:
+// Makes the pictures of docs/images again, of the bench in docs/examples/simulated.toml:
 //   cmake --build build/release --target console_screenshots
 // An argument names a folder into which all pictures go instead, every view at every size, light and dark, for looking at.
 import {mkdirSync, readFileSync} from 'node:fs';

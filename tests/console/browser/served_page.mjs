@@ -39,7 +39,7 @@ export class ServedPage {
     return this.page;
   }
 
-  // The console reads the bench file anew for each run.
+  // The console reads the bench file again for each run.
   describe(bench) { writeFileSync(path.join(this.folder, 'bench.toml'), bench); }
 
   serve(...words) {

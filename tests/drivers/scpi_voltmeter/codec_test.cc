@@ -14,7 +14,7 @@ using ::testing::Field;
 using wire::FrameCheck;
 using wire::FrameVerdict;
 
-// Replies as instruments.md B.4 quotes them.
+// Replies as docs/protocols/scpi_voltmeters.md quotes them.
 constexpr std::string_view kKeysightScan = "+1.22994148E-02,-4.56000771E-01,+4.90120051E+00";
 constexpr std::string_view kKeithleyReading = "+7.22491127E+00VDC,000";
 

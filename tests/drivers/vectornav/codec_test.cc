@@ -79,7 +79,7 @@ TEST(VectorNavCodecTest, DecodesTheRecordedLine) {
     ASSERT_TRUE(measurement);
     EXPECT_EQ(measurement->acceleration_mps2, Eigen::Vector3d(-5.961, -0.184, -7.853));
     EXPECT_NEAR(measurement->acceleration_mps2.norm(), 9.861,
-                5e-4);  // half of the last digit of instruments.md B.2
+                5e-4);  // half of the last digit of docs/protocols/vectornav.md
     EXPECT_FALSE(measurement->temperature_degc);
     EXPECT_FALSE(measurement->time_startup_ns);
   }
@@ -99,7 +99,7 @@ TEST(VectorNavCodecTest, DecodesTheBinaryExampleOfTheManual) {
     for (std::size_t i = 4; i-- > 0;) bits = bits * 256 + reference::byte_at(*ypr, at + i);
     return static_cast<double>(std::bit_cast<float>(bits));
   };
-  EXPECT_NEAR(value(0), 43.5787, 5e-5);  // half of the last digit printed in instruments.md B.2
+  EXPECT_NEAR(value(0), 43.5787, 5e-5);  // half of the last digit printed in docs/protocols/vectornav.md
   EXPECT_NEAR(value(4), 1.8847, 5e-5);
   EXPECT_NEAR(value(8), -0.0020, 5e-5);
   EXPECT_FALSE(field(binary, kCommon, kAcceleration));

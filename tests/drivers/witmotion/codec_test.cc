@@ -45,7 +45,8 @@ TEST(WitMotionCodecTest, DecodesTheRecordedFrames) {
     ASSERT_EQ(frames.size(), 3U);
     const auto acceleration = decode_acceleration(frames[0]);
     ASSERT_TRUE(acceleration);
-    EXPECT_NEAR(acceleration->output_g.x(), -0.0400, 5e-5);  // half of the last digit of instruments.md B.5
+    EXPECT_NEAR(acceleration->output_g.x(), -0.0400,
+                5e-5);  // half of the last digit of docs/protocols/witmotion.md
     EXPECT_NEAR(acceleration->output_g.y(), 0.0059, 5e-5);
     EXPECT_NEAR(acceleration->output_g.z(), 1.0088, 5e-5);
     EXPECT_EQ(acceleration->output_g, Eigen::Vector3d(-82, 12, 2066) * (16.0 / 32768.0));

@@ -6,8 +6,8 @@
 #include <string_view>
 #include <vector>
 
-/// WitMotion frames decoded the slow way, from instruments.md B.5 and without a line of the driver's codec:
-/// looks at every byte of a whole recording whether a frame begins there.
+/// WitMotion frames decoded the slow way, from docs/protocols/witmotion.md and without a line of the driver's
+/// codec: looks at every byte of a whole recording whether a frame begins there.
 namespace abcal::test::witmotion_reference {
 
 inline int byte_at(std::string_view bytes, std::size_t index) {

@@ -97,7 +97,8 @@ TEST(XbusCodecTest, DecodesTheFirstMessageOfTheCapture) {
     EXPECT_EQ(decode_u32((*items)[1].data), 51703123U);
     const auto acceleration = acceleration_of(found[0]);
     ASSERT_TRUE(acceleration);
-    EXPECT_NEAR(acceleration->x(), -0.017374, 5e-7);  // half of the last digit printed in instruments.md B.3
+    EXPECT_NEAR(acceleration->x(), -0.017374,
+                5e-7);  // half of the last digit printed in docs/protocols/xbus.md
     EXPECT_NEAR(acceleration->y(), -7.255745, 5e-7);
     EXPECT_NEAR(acceleration->z(), -1.209553, 5e-7);
   }

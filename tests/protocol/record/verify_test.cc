@@ -75,7 +75,8 @@ class VerifyTest : public testing::Test {
 
 TEST_F(VerifyTest, ARunAsItWasWrittenIsGood) {
   EXPECT_EQ(bad(), "");
-  EXPECT_EQ(verify_run(path).size(), 6U);  // State, events, hash, results file, analyses, certificates.
+  // State, events, dwells, readings, hash, results file, analyses, certificates.
+  EXPECT_EQ(verify_run(path).size(), 8U);
 }
 
 TEST_F(VerifyTest, AnyChangedByteOfTheRunIsFound) {

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <vector>
@@ -84,6 +85,37 @@ TEST(DwellStatisticsTest, CountsGapsAndFlagsClipping) {
   EXPECT_EQ(s.lost, 3);
   EXPECT_TRUE(s.flags & kFlagLostReadings);
   EXPECT_TRUE(s.flags & kFlagClipped);
+}
+
+/// As it is defined, lag by lag.
+double effective_number_by_direct_sum(const std::vector<double>& values) {
+  const auto n = static_cast<double>(values.size());
+  double mean = 0.0, variance = 0.0;
+  for (const double value : values) mean += value / n;
+  for (const double value : values) variance += (value - mean) * (value - mean);
+  double correlation_time = 1.0;
+  for (std::size_t lag = 1; lag < values.size() / 4; ++lag) {
+    double covariance = 0.0;
+    for (std::size_t k = lag; k < values.size(); ++k)
+      covariance += (values[k] - mean) * (values[k - lag] - mean);
+    if (covariance / variance < 2.0 / std::sqrt(n)) break;
+    correlation_time += 2.0 * covariance / variance;
+  }
+  return std::clamp(n / correlation_time, 1.0, n);
+}
+
+TEST(DwellStatisticsTest, TheFastAutocorrelationIsTheDirectSum) {
+  for (const std::size_t n : {4U, 5U, 100U, 257U, 1000U, 4099U, 20'000U}) {
+    for (const double correlation : {0.0, 0.9, 0.99, 0.999}) {
+      const std::vector<double> values = noise(n, 7, correlation);
+      const double expected = effective_number_by_direct_sum(values);
+      EXPECT_NEAR(effective_number_of_readings(values) / expected, 1.0, 1e-10) << n << ", " << correlation;
+    }
+  }
+  // A ramp correlates over all lags that are summed.
+  std::vector<double> ramp(5000);
+  for (std::size_t k = 0; k < ramp.size(); ++k) ramp[k] = static_cast<double>(k);
+  EXPECT_NEAR(effective_number_of_readings(ramp) / effective_number_by_direct_sum(ramp), 1.0, 1e-10);
 }
 
 TEST(QuietTest, SeesASlopeARingDownAndNothingInNoise) {

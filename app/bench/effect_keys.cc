@@ -1,0 +1,113 @@
+#include "app/bench/effect_keys.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <optional>
+#include <vector>
+
+namespace abcal {
+namespace {
+
+constexpr double kMostUrad = 10'000.0;  // 0.6 degrees: a stage that is worse is broken
+constexpr Range kTilt{-kMostUrad, kMostUrad};
+constexpr Range kRelative{-0.5, 0.5};
+constexpr Range kTime{0.0, 1e9, true};  // seconds
+
+/// [tolerances] of abcal.bench/1: the same quantities under their old section.
+void read_old_tolerances(KeyVisitor& keys, BenchConfig& config) {
+  keys.section("tolerances");
+  std::vector<std::string> moved;
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    if (!key.was_tolerance) continue;
+    const std::string name(key.key);
+    std::optional<double> value;
+    keys.number(name, value, {0.0, key.most});
+    if (!value) continue;
+    key.set(config.tolerances, *value);
+    config.tolerances.sources.insert_or_assign(name, "tolerances");
+    moved.push_back(fmt::format("[{}] {}", key.section, key.key));
+  }
+  if (moved.empty()) return;
+  config.warnings.push_back(fmt::format(
+      "[tolerances] is the section of abcal.bench/1; it is read, but what it states now stands in {} "
+      "(abcal.bench/2, docs/effects.md)",
+      fmt::join(moved, ", ")));
+}
+
+}  // namespace
+
+void visit_effect_sizes(KeyVisitor& keys, BenchConfig& config) {
+  if (!keys.writes()) read_old_tolerances(keys, config);
+  EffectSizes& sizes = config.tolerances;
+  for (const char* section : {"stage_uncertainty", "item_uncertainty"}) {
+    keys.section(section);
+    for (const EffectSizeKey& key : effect_size_keys()) {
+      if (key.section != section) continue;
+      const std::string name(key.key);
+      const auto source = sizes.sources.find(name);
+      StatedUncertainty stated{key.get(sizes), source == sizes.sources.end() ? "" : source->second};
+      keys.uncertainty(name, stated, key.most, std::string(key.unit));
+      key.set(sizes, stated.value);
+      if (stated.source.empty()) {
+        sizes.sources.erase(name);
+      } else {
+        sizes.sources.insert_or_assign(name, stated.source);
+      }
+    }
+  }
+}
+
+void visit_axis_effects(KeyVisitor& keys, sim::AxisTruth& axis) {
+  keys.angle("smooth_error_deg", axis.smooth_error_sd, {0.0, 10.0});
+  keys.number("wobble_urad", axis.wobble_sd_urad, {0.0, kMostUrad});
+}
+
+void visit_axis_wobble(KeyVisitor& keys, sim::AxisTruth& axis) {
+  keys.list("wobble", axis.wobble, sim::WobbleHarmonic{},
+            [](KeyVisitor& entry, sim::WobbleHarmonic& harmonic) {
+              entry.integer("order", harmonic.order, 1, 1000);
+              entry.number("cos_1_urad", harmonic.cos_1_urad, kTilt);
+              entry.number("sin_1_urad", harmonic.sin_1_urad, kTilt);
+              entry.number("cos_2_urad", harmonic.cos_2_urad, kTilt);
+              entry.number("sin_2_urad", harmonic.sin_2_urad, kTilt);
+            });
+}
+
+void visit_output_effects(KeyVisitor& keys, sim::OutputTruth& s) {
+  keys.vector("k4", s.k4);
+  keys.vector("k5", s.k5);
+  keys.vector_in("asymmetry", s.asymmetry, kRelative);
+  keys.vector_in("cross_ab", s.cross_ab, kRelative);
+  keys.vector_in("cross_ac", s.cross_ac, kRelative);
+  keys.vector_in("cross_bc", s.cross_bc, kRelative);
+  keys.vector_in("cross_bb", s.cross_bb, kRelative);
+  keys.vector_in("cross_cc", s.cross_cc, kRelative);
+  keys.vector("hysteresis", s.hysteresis);
+  keys.vector("drift_1", s.drift_1);
+  keys.vector("drift_2", s.drift_2);
+  keys.vector("drift_3", s.drift_3);
+  keys.vector("exponential_drift", s.exponential_drift);
+  keys.number("exponential_drift_s", s.exponential_drift_s, kTime);
+  keys.vector("sinusoidal_drift", s.sinusoidal_drift);
+  keys.number("sinusoidal_drift_period_s", s.sinusoidal_drift_period_s, kTime);
+  keys.angle("sinusoidal_drift_phase_deg", s.sinusoidal_drift_phase, {-360.0, 360.0});
+  keys.vector_in("sensitivity_drift", s.sensitivity_drift, kRelative);
+  keys.vector_in("gain_step", s.gain_step, kRelative);
+  keys.number("gain_step_at_s", s.gain_step_at_s, {0.0, 1e9});
+  keys.number("random_walk", s.random_walk, kNotNegative);
+  keys.number("flicker_noise", s.flicker_noise, kNotNegative);
+  keys.number("correlated_noise", s.correlated_noise, kNotNegative);
+  keys.number("correlated_noise_s", s.correlated_noise_s, kTime);
+  keys.vector_in("mount_creep_urad", s.mount_creep_urad, kTilt);
+  keys.number("mount_creep_s", s.mount_creep_s, kTime);
+}
+
+void visit_world_effects(KeyVisitor& keys, sim::BenchTruth& s) {
+  keys.number("span_s", s.span_s, {1.0, 1e9});
+  keys.number("floor_tilt_x_urad", s.floor_tilt_x_urad, kTilt);
+  keys.number("floor_tilt_y_urad", s.floor_tilt_y_urad, kTilt);
+  keys.vector_in("sag_urad", s.sag_urad, kTilt);
+}
+
+}  // namespace abcal

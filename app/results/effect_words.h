@@ -1,0 +1,12 @@
+#pragma once
+
+#include <string>
+
+#include "protocol/plan/effect_sizes.h"
+
+namespace abcal {
+
+/// A sentence that names the effects whose size is a default that nobody stated; empty if there are none.
+std::string default_effects_words(const EffectSizes& sizes);
+
+}  // namespace abcal

@@ -1,0 +1,100 @@
+#include "protocol/record/dwell_chain.h"
+
+#include <array>
+#include <bit>
+
+#include "protocol/record/sha256.h"
+
+namespace abcal {
+namespace {
+
+/// Order and choice of the columns are part of the format: docs/run_file.md.
+constexpr std::array kHeadQueries{
+    "select key, value from meta where key not like 'timing.%' and key not in ('state', 'wire.start_utc_ns')"
+    " order by key",
+    "select role, maker, model, serial_number, firmware, details from instrument order by role",
+    "select k, maker, model, serial_number, firmware, driver, port, mounting, response_unit, rate_hz, "
+    "full_scale,"
+    " resolution from item order by k",
+    "select item, name, value from item_register order by item, name",
+    "select position, experiment, n, closing, alpha_deg, x_deg, z_deg from plan order by position",
+};
+constexpr const char* kSessionOfDwell =
+    "select id, begun_utc, begun_utc_ns, origin_ns, monotonic_ns, boot_id, since_boot_ns, clock_offset_s,"
+    " clock_error_s, program_version from session where id = (select session from dwell where id = :dwell)";
+constexpr const char* kDwell =
+    "select id, position, item, role, session, experiment, n, closing, alpha_deg, commanded_x_deg, "
+    "commanded_z_deg,"
+    " encoder_x_deg, encoder_z_deg, time_ns, time_s, utc, settle_s, count, lost, r_u, r_v, r_w, spread_u, "
+    "spread_v,"
+    " spread_w, u_u, u_v, u_w, temperature_degc, flags, flag_words, first_sequence, first_reading_ns,"
+    " reading_interval_ns, first_temperature_degc, temperature_step_degc from dwell where id = :dwell";
+constexpr const char* kReadings =
+    "select k, u, v, w, skipped, late_ns, temperature_steps from reading where dwell = :dwell order by k";
+
+void add_eight_bytes(Sha256& hash, char kind, std::uint64_t bits) {
+  std::array<char, 9> bytes{kind};
+  for (std::size_t k = 1; k < bytes.size(); ++k, bits >>= 8U) bytes.at(k) = static_cast<char>(bits & 0xFFU);
+  hash.add({bytes.data(), bytes.size()});
+}
+
+void add_value(Sha256& hash, const SqliteStatement& row, int column) {
+  switch (row.type(column)) {
+    case SQLITE_NULL:
+      hash.add("n");
+      break;
+    case SQLITE_INTEGER:
+      add_eight_bytes(hash, 'i', static_cast<std::uint64_t>(row.integer(column)));
+      break;
+    case SQLITE_FLOAT:
+      add_eight_bytes(hash, 'r', std::bit_cast<std::uint64_t>(row.real(column)));
+      break;
+    default: {
+      const std::string bytes = row.blob(column);
+      add_eight_bytes(hash, row.type(column) == SQLITE_TEXT ? 't' : 'b', bytes.size());
+      hash.add(bytes);
+    }
+  }
+}
+
+void add_rows(Sha256& hash, SqliteStatement& rows) {
+  while (rows.step()) {
+    hash.add("\n");
+    for (int column = 0; column < rows.columns(); ++column) add_value(hash, rows, column);
+  }
+}
+
+}  // namespace
+
+std::string head_link(SqliteDatabase& database) {
+  Sha256 hash;
+  for (const char* query : kHeadQueries) {
+    SqliteStatement rows = database.prepare(query);
+    add_rows(hash, rows);
+  }
+  return hash.hexadecimal();
+}
+
+std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before) {
+  Sha256 hash;
+  hash.add(before);
+  for (const char* query : {kSessionOfDwell, kDwell, kReadings}) {
+    SqliteStatement rows = database.prepare(query);
+    rows.set("dwell", dwell);
+    add_rows(hash, rows);
+  }
+  return hash.hexadecimal();
+}
+
+void link_dwell(SqliteDatabase& database, std::int64_t dwell) {
+  SqliteStatement last =
+      database.prepare("select chain from dwell where id < :dwell order by id desc limit 1");
+  last.set("dwell", dwell);
+  const std::string before = last.step() ? last.text("chain") : head_link(database);
+  database.prepare("update dwell set chain = :chain where id = :dwell")
+      .set("chain", dwell_link(database, dwell, before))
+      .set("dwell", dwell)
+      .run();
+}
+
+}  // namespace abcal

@@ -1,0 +1,305 @@
+#include "protocol/record/dwell_rows.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <string>
+#include <string_view>
+
+#include "protocol/record/dwell_chain.h"
+#include "protocol/record/run_schema.h"
+
+namespace abcal {
+namespace {
+
+constexpr double kNanosecondsPerSecond = 1e9;
+constexpr int kDoubleDigits = std::numeric_limits<double>::digits;
+constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();
+
+constexpr std::array<std::string_view, 36> kDwellColumns{"id",
+                                                         "position",
+                                                         "item",
+                                                         "role",
+                                                         "session",
+                                                         "experiment",
+                                                         "n",
+                                                         "closing",
+                                                         "alpha_deg",
+                                                         "commanded_x_deg",
+                                                         "commanded_z_deg",
+                                                         "encoder_x_deg",
+                                                         "encoder_z_deg",
+                                                         "time_ns",
+                                                         "time_s",
+                                                         "utc",
+                                                         "settle_s",
+                                                         "count",
+                                                         "lost",
+                                                         "r_u",
+                                                         "r_v",
+                                                         "r_w",
+                                                         "spread_u",
+                                                         "spread_v",
+                                                         "spread_w",
+                                                         "u_u",
+                                                         "u_v",
+                                                         "u_w",
+                                                         "temperature_degc",
+                                                         "flags",
+                                                         "flag_words",
+                                                         "first_sequence",
+                                                         "first_reading_ns",
+                                                         "reading_interval_ns",
+                                                         "first_temperature_degc",
+                                                         "temperature_step_degc"};
+
+constexpr std::array<std::string_view, 8> kStoredReadingColumns{
+    "dwell", "k", "u", "v", "w", "skipped", "late_ns", "temperature_steps"};
+
+std::int64_t nanoseconds(double seconds) {
+  return static_cast<std::int64_t>(std::llround(seconds * kNanosecondsPerSecond));
+}
+
+/// What stands for all readings of a dwell.
+struct ReadingConstants {
+  std::optional<std::int64_t> first_sequence, first_ns, interval_ns;
+  std::optional<TemperatureScale> temperature;
+};
+
+ReadingConstants constants_of(std::span<const StoredReading> readings, std::int64_t origin_ns) {
+  ReadingConstants constants;
+  constants.temperature = temperature_scale(readings);
+  if (readings.empty()) return constants;
+  const std::int64_t first = nanoseconds(readings.front().time_s) - origin_ns;
+  const std::int64_t last = nanoseconds(readings.back().time_s) - origin_ns;
+  const auto intervals = static_cast<std::int64_t>(readings.size() - 1);
+  constants.first_sequence = static_cast<std::int64_t>(readings.front().sequence);
+  constants.first_ns = first;
+  constants.interval_ns = intervals > 0 ? (last - first) / intervals : 0;
+  return constants;
+}
+
+void bind_temperature(SqliteStatement& row, int position, const std::optional<double>& degc,
+                      const std::optional<TemperatureScale>& scale) {
+  if (!degc || !std::isfinite(*degc) || !scale) {
+    row.bind(position, std::optional<double>());
+  } else if (scale->whole) {
+    const double steps = (*degc - scale->first_degc) / scale->step_degc;
+    row.bind(position, static_cast<std::int64_t>(std::llround(steps)));
+  } else {
+    row.bind(position, *degc);
+  }
+}
+
+void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<const StoredReading> readings,
+                    const ReadingConstants& constants, std::int64_t origin_ns) {
+  // Bound by position, since there may be a million: parameter k stands for kStoredReadingColumns[k - 1].
+  SqliteStatement row = database.prepare(insert_into("reading", kStoredReadingColumns));
+  for (std::size_t index = 0; index < readings.size(); ++index) {
+    const StoredReading& reading = readings[index];
+    const auto k = static_cast<std::int64_t>(index);
+    const std::uint64_t expected = readings.front().sequence + index;
+    const std::int64_t even = *constants.first_ns + k * *constants.interval_ns;
+    row.bind(1, dwell)
+        .bind(2, k)
+        .bind(3, reading.output[0])
+        .bind(4, reading.output[1])
+        .bind(5, reading.output[2])
+        .bind(6, static_cast<std::int64_t>(reading.sequence - expected))
+        .bind(7, nanoseconds(reading.time_s) - origin_ns - even);
+    bind_temperature(row, 8, reading.temperature_degc, constants.temperature);
+    row.run();
+  }
+}
+
+std::optional<double> degrees(const std::optional<Angle>& angle) {
+  return angle ? std::optional(angle->deg()) : std::nullopt;
+}
+
+/// The role that a row gets: an angle that is there already is measured again for comparison only.
+DwellRole role_of(SqliteDatabase& database, std::int64_t position, const DwellRecord& dwell) {
+  if (dwell.role == DwellRole::kReturn) return dwell.role;
+  SqliteStatement before = database.prepare("select 1 from dwell where position = :position and item = 1");
+  before.set("position", position);
+  if (before.step()) return DwellRole::kCheck;
+  return dwell.closing ? DwellRole::kClosing : dwell.role;
+}
+
+/// Columns that version 2 and 3 have alike.
+DwellRecord dwell_from(const SqliteStatement& row) {
+  const auto angle = [&](std::string_view column) {
+    const auto value = row.optional_real(column);
+    return value ? std::optional(Angle::degrees(*value)) : std::nullopt;
+  };
+  const auto vector = [&](std::string_view u, std::string_view v, std::string_view w) {
+    return Eigen::Vector3d(row.optional_real(u).value_or(kNotANumber),
+                           row.optional_real(v).value_or(kNotANumber),
+                           row.optional_real(w).value_or(kNotANumber));
+  };
+  DwellRecord dwell;
+  dwell.experiment = static_cast<int>(row.integer("experiment"));
+  dwell.n = static_cast<int>(row.integer("n"));
+  dwell.closing = row.integer("closing") != 0;
+  dwell.role = dwell.closing ? DwellRole::kClosing : DwellRole::kPlan;
+  dwell.alpha = Angle::degrees(row.real("alpha_deg"));
+  dwell.commanded_x = Angle::degrees(row.real("commanded_x_deg"));
+  dwell.commanded_z = Angle::degrees(row.real("commanded_z_deg"));
+  dwell.encoder_x = angle("encoder_x_deg");
+  dwell.encoder_z = angle("encoder_z_deg");
+  dwell.time_s = row.optional_real("time_s");
+  dwell.settle_time_s = row.real("settle_s");
+  dwell.count = row.integer("count");
+  dwell.lost = row.integer("lost");
+  dwell.mean = vector("r_u", "r_v", "r_w");
+  dwell.spread = vector("spread_u", "spread_v", "spread_w");
+  if (row.optional_real("u_u")) dwell.u_mean = vector("u_u", "u_v", "u_w");
+  dwell.temperature_degc = row.optional_real("temperature_degc");
+  dwell.flags = static_cast<std::uint32_t>(row.integer("flags"));
+  return dwell;
+}
+
+std::vector<StoredReading> readings_from(SqliteStatement& rows) {
+  std::vector<StoredReading> readings;
+  const int sequence = rows.column("sequence"), time_s = rows.column("time_s");
+  const int u = rows.column("u"), temperature = rows.column("temperature_degc");
+  while (rows.step()) {
+    StoredReading& reading = readings.emplace_back();
+    reading.sequence = static_cast<std::uint64_t>(rows.integer(sequence));
+    reading.time_s = rows.real(time_s);
+    for (int j = 0; j < 3; ++j) reading.output[j] = rows.optional_real(u + j).value_or(kNotANumber);
+    reading.temperature_degc = rows.optional_real(temperature);
+  }
+  rows.reset();
+  return readings;
+}
+
+bool is_version_2(SqliteDatabase& database) {
+  return run_file_version(database) < 3;
+}
+
+}  // namespace
+
+std::optional<TemperatureScale> temperature_scale(std::span<const StoredReading> readings) {
+  std::optional<TemperatureScale> scale;
+  std::optional<int> lowest_bit;  // exponent of the lowest bit set in any of the values
+  for (const StoredReading& reading : readings) {
+    if (!reading.temperature_degc || !std::isfinite(*reading.temperature_degc)) continue;
+    const double value = *reading.temperature_degc;
+    if (!scale) scale = TemperatureScale{value, 1.0, true};
+    if (value == 0.0) continue;
+    int exponent = 0;
+    auto mantissa = static_cast<std::int64_t>(std::ldexp(std::frexp(value, &exponent), kDoubleDigits));
+    exponent -= kDoubleDigits;
+    for (; mantissa % 2 == 0; mantissa /= 2) ++exponent;
+    lowest_bit = std::min(lowest_bit.value_or(exponent), exponent);
+  }
+  if (!scale || !lowest_bit) return scale;
+  scale->step_degc = std::ldexp(1.0, *lowest_bit);
+  const double most = std::ldexp(1.0, kDoubleDigits);
+  for (const StoredReading& reading : readings) {
+    if (!reading.temperature_degc || !std::isfinite(*reading.temperature_degc)) continue;
+    const double steps = (*reading.temperature_degc - scale->first_degc) / scale->step_degc;
+    if (!(std::abs(steps) <= most)) return TemperatureScale{0.0, 1.0, false};
+  }
+  return scale;
+}
+
+void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
+                        std::span<const StoredReading> readings, std::optional<std::int64_t> id) {
+  const ReadingConstants constants = constants_of(readings, times_.origin_ns);
+  std::optional<std::int64_t> time_ns;
+  if (dwell.time_s && std::isfinite(*dwell.time_s)) time_ns = nanoseconds(*dwell.time_s) - times_.origin_ns;
+  SqliteStatement row = database_.prepare(insert_into("dwell", kDwellColumns));
+  row.set("id", id)
+      .set("position", position)
+      .set("item", std::int64_t{1})
+      .set("role", to_string(role_of(database_, position, dwell)))
+      .set("session", times_.session)
+      .set("experiment", std::int64_t{dwell.experiment})
+      .set("n", std::int64_t{dwell.n})
+      .set("closing", std::int64_t{dwell.closing})
+      .set("alpha_deg", dwell.alpha.deg())
+      .set("commanded_x_deg", dwell.commanded_x.deg())
+      .set("commanded_z_deg", dwell.commanded_z.deg())
+      .set("encoder_x_deg", degrees(dwell.encoder_x))
+      .set("encoder_z_deg", degrees(dwell.encoder_z))
+      .set("time_ns", time_ns)
+      .set("time_s", dwell.time_s)
+      .set("settle_s", dwell.settle_time_s)
+      .set("count", dwell.count)
+      .set("lost", dwell.lost)
+      .set("temperature_degc", dwell.temperature_degc)
+      .set("flags", std::int64_t{dwell.flags})
+      .set("flag_words", describe_flags(dwell.flags))
+      .set("first_sequence", constants.first_sequence)
+      .set("first_reading_ns", constants.first_ns)
+      .set("reading_interval_ns", constants.interval_ns);
+  if (times_.begun && time_ns) row.set("utc", format_utc(*times_.begun + Clock::Duration(*time_ns)));
+  const auto& scale = constants.temperature;
+  row.set("first_temperature_degc", scale ? std::optional(scale->first_degc) : std::nullopt)
+      .set("temperature_step_degc", scale ? std::optional(scale->step_degc) : std::nullopt);
+  constexpr std::array<const char*, 3> kOutputs{"u", "v", "w"};
+  for (int j = 0; j < 3; ++j) {
+    const std::string output = kOutputs.at(static_cast<std::size_t>(j));
+    row.set("r_" + output, dwell.mean[j]).set("spread_" + output, dwell.spread[j]);
+    row.set("u_" + output, dwell.u_mean ? std::optional((*dwell.u_mean)[j]) : std::nullopt);
+  }
+  row.run();
+  const std::int64_t written = database_.last_row_id();
+  write_readings(database_, written, readings, constants, times_.origin_ns);
+  link_dwell(database_, written);
+}
+
+void read_counting_dwells(SqliteDatabase& database,
+                          const std::function<void(std::size_t, DwellRecord)>& each) {
+  const bool version_2 = is_version_2(database);
+  SqliteStatement rows = database.prepare(
+      version_2 ? "select * from dwell where id in (select min(id) from dwell group by position) order by id"
+                : "select * from dwell where item = 1 and id in"
+                  " (select min(id) from dwell where item = 1 group by position) order by id");
+  while (rows.step()) {
+    DwellRecord dwell = dwell_from(rows);
+    if (!version_2) dwell.role = dwell_role_from(rows.text("role")).value_or(dwell.role);
+    each(static_cast<std::size_t>(rows.integer("position")), std::move(dwell));
+  }
+}
+
+void read_all_dwells(SqliteDatabase& database, const std::function<void(const StoredDwell&)>& each) {
+  const bool version_2 = is_version_2(database);
+  SqliteStatement dwells = database.prepare(
+      version_2 ? "select *, 1 as item, id not in (select min(id) from dwell group by position) as again"
+                  " from dwell order by id"
+                : "select *, id not in (select min(id) from dwell group by position, item) as again"
+                  " from dwell order by id");
+  SqliteStatement readings = database.prepare(
+      version_2
+          ? "select sequence, time_s, u, v, w, temperature_degc from reading where dwell = :dwell order by k"
+          : "select sequence, time_s, u, v, w, temperature_degc from timed_reading where dwell = :dwell"
+            " order by k");
+  while (dwells.step()) {
+    StoredDwell dwell;
+    dwell.plan_position = static_cast<std::size_t>(dwells.integer("position"));
+    dwell.experiment = static_cast<int>(dwells.integer("experiment"));
+    dwell.n = static_cast<int>(dwells.integer("n"));
+    dwell.closing = dwells.integer("closing") != 0;
+    dwell.item = static_cast<int>(dwells.integer("item"));
+    dwell.alpha = Angle::degrees(dwells.real("alpha_deg"));
+    dwell.repeat = dwells.integer("again") != 0;
+    readings.set("dwell", dwells.integer("id"));
+    dwell.readings = readings_from(readings);
+    each(dwell);
+  }
+}
+
+DwellWithReadings read_dwell_of_version_2(SqliteDatabase& database, std::int64_t id) {
+  SqliteStatement row = database.prepare("select * from dwell_2 where id = :id");
+  row.set("id", id);
+  row.step();
+  SqliteStatement readings = database.prepare(
+      "select sequence, time_s, u, v, w, temperature_degc from reading_2 where dwell = :dwell order by k");
+  readings.set("dwell", id);
+  return {dwell_from(row), readings_from(readings)};
+}
+
+}  // namespace abcal

@@ -1,0 +1,178 @@
+#include "protocol/record/results_file.h"
+
+#include <array>
+
+#include "protocol/record/sha256.h"
+
+namespace abcal {
+namespace {
+
+/// Analyses of parallel programs wait for one another; each holds the file for one commit.
+constexpr std::chrono::milliseconds kPatienceForOthers{30'000};
+
+constexpr const char* kResultsSchema = R"(
+create table if not exists run(sha256 text primary key, note text, signer text, signature blob, time_stamp blob)
+  without rowid;
+create table if not exists analysis(id integer primary key, utc text, program_version text, estimator text,
+                                    result_json text, chain text);
+create table if not exists certificate(id integer primary key, utc text, number text unique, measured_by text,
+                                       approved_by text, date text, replaces text, reason text,
+                                       program_version text, laboratory_toml text, xml text, chain text);
+)";
+
+bool lacks_column(SqliteDatabase& database, const std::string& table, const std::string& column) {
+  return database.value("select count(*) from pragma_table_info('" + table + "') where name = '" + column +
+                        "'") == "0";
+}
+
+/// Results that an earlier abcal began: they stay readable, and `verify` says what they lack.
+void add_missing_columns(SqliteDatabase& database) {
+  if (lacks_column(database, "analysis", "chain"))
+    database.execute("alter table analysis add column chain text");
+  if (!lacks_column(database, "run", "note")) return;
+  for (const char* column : {"note text", "signer text", "signature blob", "time_stamp blob"})
+    database.execute(std::string("alter table run add column ") + column);
+}
+
+std::string last_link(SqliteDatabase& database, const std::string& table) {
+  return database.value("select chain from " + table + " order by id desc limit 1").value_or("");
+}
+
+}  // namespace
+
+std::filesystem::path ResultsFile::path_beside(const std::filesystem::path& run_path) {
+  return run_path.string() + ".results";
+}
+
+void ResultsFile::require_none(const std::filesystem::path& run_path) {
+  const std::filesystem::path results = path_beside(run_path);
+  std::error_code ignored;
+  if (!std::filesystem::exists(results, ignored)) return;
+  throw RunFileError(
+      results.string() + ": belongs to another run, so that the results of " + run_path.string() +
+      " could not be kept; required: no such file before a run is closed. Move it to the run that "
+      "it belongs to, or choose another name with -o");
+}
+
+ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256, Making making)
+    : database_(path_beside(run_path), SqliteDatabase::Mode::kCreate) {
+  database_.wait_at_most(kPatienceForOthers);
+  database_.execute("pragma synchronous=full");
+  Transaction transaction(database_);
+  database_.execute(kResultsSchema);
+  add_missing_columns(database_);
+  if (const auto stored = database_.value("select sha256 from run"); stored && *stored != run_sha256) {
+    throw RunFileError(path_beside(run_path).string() + ": belongs to a run with SHA-256 " + *stored +
+                       ", but " + run_path.string() + " has " + run_sha256 + ": one of the two was changed");
+  } else if (!stored) {
+    made_again_ = making == Making::kAgain;
+    database_.prepare("insert into run(sha256, note) values(:sha256, :note)")
+        .set("sha256", std::string_view(run_sha256))
+        .set("note", std::string_view(made_again_ ? kMadeAgain : ""))
+        .run();
+  }
+  transaction.commit();
+}
+
+std::size_t ResultsFile::analyses() {
+  return static_cast<std::size_t>(
+      std::stoull(database_.value("select count(*) from analysis").value_or("0")));
+}
+
+void ResultsFile::add_analysis(const std::string& utc, std::string_view program_version,
+                               std::string_view estimator, std::string_view result_json) {
+  // From the look at the last link to the commit no other program adds an analysis.
+  Transaction transaction(database_);
+  {
+    SqliteStatement same = database_.prepare(
+        "select 1 from analysis where program_version=:version and estimator=:estimator and "
+        "result_json=:json");
+    same.set("version", program_version).set("estimator", estimator).set("json", result_json);
+    if (same.step()) return;
+  }
+  const std::string link =
+      next_link(last_link(database_, "analysis"),
+                {utc, std::string(program_version), std::string(estimator), std::string(result_json)});
+  static constexpr std::array<std::string_view, 5> kColumns{"utc", "program_version", "estimator",
+                                                            "result_json", "chain"};
+  database_.prepare(insert_into("analysis", kColumns))
+      .set("utc", std::string_view(utc))
+      .set("program_version", program_version)
+      .set("estimator", estimator)
+      .set("result_json", result_json)
+      .set("chain", std::string_view(link))
+      .run();
+  transaction.commit();
+}
+
+namespace {
+
+std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
+  std::vector<IssuedCertificate> certificates;
+  // Results of before certificates were issued have no such table.
+  if (!database.value("select 1 from sqlite_master where type='table' and name='certificate'"))
+    return certificates;
+  SqliteStatement rows = database.prepare("select * from certificate order by id");
+  while (rows.step()) {
+    certificates.push_back({rows.text("utc"), rows.text("number"), rows.text("measured_by"),
+                            rows.text("approved_by"), rows.text("date"), rows.text("replaces"),
+                            rows.text("reason"), rows.text("program_version"), rows.text("laboratory_toml"),
+                            rows.text("xml")});
+  }
+  return certificates;
+}
+
+/// @throws RunFileError if a certificate cannot be issued in addition to those that there are
+void require_issuable(const IssuedCertificate& certificate, const std::vector<IssuedCertificate>& issued,
+                      const std::string& results) {
+  bool replaces_one = false;
+  for (const IssuedCertificate& one : issued) {
+    if (one.number == certificate.number)
+      throw RunFileError(results + ": certificate " + one.number + " was issued on " + one.date +
+                         "; a number is given once");
+    if (!certificate.replaces.empty() && one.replaces == certificate.replaces)
+      throw RunFileError(results + ": certificate " + certificate.replaces + " is replaced by " + one.number +
+                         " already; replace that one");
+    replaces_one = replaces_one || one.number == certificate.replaces;
+  }
+  if (!issued.empty() && !replaces_one)
+    throw RunFileError(results + ": certificate " + issued.back().number +
+                       " was issued for this run already; amend it with --replaces " + issued.back().number +
+                       " --reason TEXT");
+}
+
+}  // namespace
+
+void ResultsFile::add_certificate(const IssuedCertificate& certificate) {
+  Transaction transaction(database_);
+  const std::string results = database_.value("select file from pragma_database_list").value_or("results");
+  require_issuable(certificate, read_certificates(database_), results);
+  const std::vector<std::string> fields{certificate.utc,
+                                        certificate.number,
+                                        certificate.measured_by,
+                                        certificate.approved_by,
+                                        certificate.date,
+                                        certificate.replaces,
+                                        certificate.reason,
+                                        certificate.program_version,
+                                        certificate.laboratory_toml,
+                                        certificate.xml};
+  const std::string before = last_link(database_, "certificate");
+  static constexpr std::array<std::string_view, 11> kColumns{
+      "utc",    "number",          "measured_by",     "approved_by", "date", "replaces",
+      "reason", "program_version", "laboratory_toml", "xml",         "chain"};
+  SqliteStatement row = database_.prepare(insert_into("certificate", kColumns));
+  for (std::size_t k = 0; k < fields.size(); ++k)
+    row.set(std::string(kColumns.at(k)), std::string_view(fields[k]));
+  row.set("chain", std::string_view(next_link(before, fields))).run();
+  transaction.commit();
+}
+
+std::vector<IssuedCertificate> ResultsFile::certificates(const std::filesystem::path& run_path) {
+  std::error_code error;
+  if (!std::filesystem::exists(path_beside(run_path), error)) return {};
+  SqliteDatabase database(path_beside(run_path), SqliteDatabase::Mode::kReadOnly);
+  return read_certificates(database);
+}
+
+}  // namespace abcal

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "protocol/record/sqlite.h"
+
+namespace abcal {
+
+/// A certificate as it was issued. Fields in the order in which they are chained.
+struct IssuedCertificate {
+  std::string utc;  ///< When it was issued.
+  std::string number;
+  std::string measured_by, approved_by;
+  std::string date;      ///< Of issue, as on the certificate: "2026-03-01".
+  std::string replaces;  ///< Number of the certificate it replaces; empty: none.
+  std::string reason;    ///< Why.
+  std::string program_version;
+  std::string laboratory_toml;  ///< The laboratory file as it was read.
+  std::string xml;              ///< Its bytes, signature included.
+};
+
+/// `RUN.results`, in the folder of the run: analyses and issued certificates. Rows are only ever added, each
+/// in one transaction: several programs may add at once.
+class ResultsFile {
+ public:
+  /// Whether the results of a run are made for the first time.
+  enum class Making {
+    kFirst,  ///< The run was closed just now.
+    kAgain,  ///< It may have had results that are lost: where there are none, the new ones say so.
+  };
+  /// The note in the table `run` of results that were made again.
+  static constexpr std::string_view kMadeAgain = "made again: analyses of before are not known";
+
+  /// Opens or makes the results of a run; they name the hash of the closed run they belong to.
+  /// @throws RunFileError also where they belong to another run
+  ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256,
+              Making making = Making::kAgain);
+
+  /// Whether this call made the file again, so that a person should be told: earlier analyses are unknown.
+  bool made_again() const { return made_again_; }
+
+  /// Stores an analysis unless the very same one is there already.
+  void add_analysis(const std::string& utc, std::string_view program_version, std::string_view estimator,
+                    std::string_view result_json);
+
+  /// How many are stored.
+  std::size_t analyses();
+
+  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that does not
+  /// replace the first, and the replacement of one that is replaced already.
+  void add_certificate(const IssuedCertificate& certificate);
+
+  static std::filesystem::path path_beside(const std::filesystem::path& run_path);
+
+  /// Refuses a run that is not closed and beside which there are results: they are those of another run.
+  /// @throws RunFileError
+  static void require_none(const std::filesystem::path& run_path);
+
+  /// The certificates issued for a run, oldest first; none where there are no results.
+  static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path);
+
+ private:
+  SqliteDatabase database_;
+  bool made_again_ = false;
+};
+
+}  // namespace abcal

@@ -1,0 +1,287 @@
+#include "protocol/record/run_header.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <map>
+#include <utility>
+
+#include "protocol/plan/effect_sizes.h"
+#include "protocol/record/dwell_chain.h"
+#include "protocol/record/limits_entries.h"
+#include "protocol/record/run_schema.h"
+
+namespace abcal {
+namespace {
+
+constexpr std::string_view kLabelPrefix = "label.";
+
+std::string shortest(double value) {
+  return fmt::format("{}", value);
+}
+
+using NamedAlignment = std::pair<const char*, std::optional<MeasuredValue> MeasuredAlignment::*>;
+constexpr std::array<NamedAlignment, 3> kAlignments{
+    {{"zx", &MeasuredAlignment::zx}, {"zy", &MeasuredAlignment::zy}, {"xz", &MeasuredAlignment::xz}}};
+
+std::map<std::string, std::string> facts_of(const RunHeader& header) {
+  std::map<std::string, std::string> meta{
+      {"schema", std::string(kRunSchemaName)},
+      {"state", std::string(to_string(RunState::kRunning))},
+      {"program_version", header.program_version},
+      {"created_utc", header.created_utc},
+      {"bench_toml", header.bench_toml},
+      {"response_unit", header.response_unit},
+      {"g_loc.value_mps2", shortest(header.g_loc.value_mps2)},
+      {"g_loc.expanded_uncertainty_mps2", shortest(header.g_loc.expanded_uncertainty_mps2)},
+      {"g_loc.coverage_factor", shortest(header.g_loc.coverage_factor)},
+      {"g_loc.source", header.g_loc.source},
+      {"protocol.step_deg", shortest(header.step.deg())},
+      {"protocol.steps", std::to_string(header.steps)},
+  };
+  for (const auto& [name, member] : kAlignments) {
+    const std::optional<MeasuredValue>& measured = header.measured_alignment.*member;
+    if (!measured) continue;
+    meta[std::string("alignment.") + name] = shortest(measured->value);
+    meta[std::string("alignment.u_") + name] = shortest(measured->standard_uncertainty);
+  }
+  for (const auto& [key, value] : effect_size_entries(header.tolerances)) meta[key] = value;
+  for (const auto& [key, value] : limits_entries(header.limits, header.expected)) meta[key] = value;
+  for (const auto& [key, value] : header.labels) meta[std::string(kLabelPrefix) + key] = value;
+  return meta;
+}
+
+void write_instruments(SqliteDatabase& database, const std::vector<InstrumentIdentity>& instruments) {
+  static constexpr std::array<std::string_view, 6> kColumns{"role",          "maker",    "model",
+                                                            "serial_number", "firmware", "details"};
+  SqliteStatement row = database.prepare(insert_into("instrument", kColumns));
+  for (const InstrumentIdentity& identity : instruments) {
+    row.set("role", identity.role)
+        .set("maker", identity.maker)
+        .set("model", identity.model)
+        .set("serial_number", identity.serial_number)
+        .set("firmware", identity.firmware)
+        .set("details", identity.details)
+        .run();
+  }
+}
+
+/// The item of a run for which nothing but labels is known.
+RunItem item_from_labels(const RunHeader& header) {
+  const auto label = [&](const std::string& key) {
+    const auto found = header.labels.find("item." + key);
+    return found == header.labels.end() ? std::string() : found->second;
+  };
+  RunItem item;
+  item.maker = label("maker");
+  item.model = label("model");
+  item.serial_number = label("serial_number");
+  item.firmware = label("firmware");
+  item.response_unit = header.response_unit;
+  return item;
+}
+
+void write_items(SqliteDatabase& database, const std::vector<RunItem>& items) {
+  static constexpr std::array<std::string_view, 12> kColumns{
+      "k",    "maker",    "model",         "serial_number", "firmware",   "driver",
+      "port", "mounting", "response_unit", "rate_hz",       "full_scale", "resolution"};
+  static constexpr std::array<std::string_view, 3> kRegisterColumns{"item", "name", "value"};
+  SqliteStatement row = database.prepare(insert_into("item", kColumns));
+  SqliteStatement one = database.prepare(insert_into("item_register", kRegisterColumns));
+  for (const RunItem& item : items) {
+    row.set("k", std::int64_t{item.k})
+        .set("maker", item.maker)
+        .set("model", item.model)
+        .set("serial_number", item.serial_number)
+        .set("firmware", item.firmware)
+        .set("driver", item.driver)
+        .set("port", item.port)
+        .set("mounting", item.mounting)
+        .set("response_unit", item.response_unit)
+        .set("rate_hz", item.rate_hz)
+        .set("full_scale", item.full_scale)
+        .set("resolution", item.resolution)
+        .run();
+    for (const auto& [name, value] : item.registers)
+      one.set("item", std::int64_t{item.k}).set("name", name).set("value", value).run();
+  }
+}
+
+void write_plan(SqliteDatabase& database, const std::vector<PlannedAngle>& angles) {
+  static constexpr std::array<std::string_view, 7> kColumns{"position",  "experiment", "n",    "closing",
+                                                            "alpha_deg", "x_deg",      "z_deg"};
+  SqliteStatement row = database.prepare(insert_into("plan", kColumns));
+  for (std::size_t position = 0; position < angles.size(); ++position) {
+    const PlannedAngle& angle = angles[position];
+    row.set("position", static_cast<std::int64_t>(position))
+        .set("experiment", std::int64_t{angle.experiment})
+        .set("n", std::int64_t{angle.n})
+        .set("closing", std::int64_t{angle.closing})
+        .set("alpha_deg", angle.alpha.deg())
+        .set("x_deg", angle.x.deg())
+        .set("z_deg", angle.z.deg())
+        .run();
+  }
+}
+
+/// The facts of a run file, by key.
+class Facts {
+ public:
+  Facts(SqliteDatabase& database, std::string source) : source_(std::move(source)) {
+    SqliteStatement rows = database.prepare("select key, value from meta");
+    while (rows.step()) all_[rows.text("key")] = rows.text("value");
+  }
+
+  const std::map<std::string, std::string>& all() const { return all_; }
+  bool contains(const std::string& key) const { return all_.contains(key); }
+  std::string text(const std::string& key) const {
+    const auto found = all_.find(key);
+    if (found == all_.end())
+      throw RunFileError(source_ + ": meta \"" + key + "\" is missing; the file is damaged");
+    return found->second;
+  }
+  double real(const std::string& key) const {
+    const std::string value = text(key);
+    try {
+      return std::stod(value);
+    } catch (const std::exception&) {
+      throw RunFileError(source_ + ": meta \"" + key + "\" is \"" + value + "\", not a number");
+    }
+  }
+
+ private:
+  std::string source_;
+  std::map<std::string, std::string> all_;
+};
+
+void read_facts(const Facts& facts, RunHeader& header) {
+  header.program_version = facts.text("program_version");
+  header.created_utc = facts.text("created_utc");
+  header.bench_toml = facts.text("bench_toml");
+  header.response_unit = facts.text("response_unit");
+  header.g_loc = {facts.real("g_loc.value_mps2"), facts.real("g_loc.expanded_uncertainty_mps2"),
+                  facts.real("g_loc.coverage_factor"), facts.text("g_loc.source")};
+  const auto optional_real = [&](const std::string& key) {
+    return facts.contains(key) ? std::optional(facts.real(key)) : std::nullopt;
+  };
+  const auto optional_text = [&](const std::string& key) {
+    return facts.contains(key) ? std::optional(facts.text(key)) : std::nullopt;
+  };
+  // Version 2 has the five tolerances only: further effects keep their defaults.
+  if (!facts.contains("stage_uncertainty.alignment_deg")) {
+    for (const char* key : {"alignment_deg", "step_deg", "initial_turn_deg", "zero_deg", "drift"})
+      static_cast<void>(facts.text(std::string("tolerances.") + key));
+  }
+  read_effect_sizes([&](const std::string& key, double) { return optional_real(key); }, optional_text,
+                    header.tolerances);
+  for (const auto& [name, member] : kAlignments) {
+    const std::string key = std::string("alignment.") + name;
+    if (!facts.contains(key)) continue;
+    header.measured_alignment.*member =
+        MeasuredValue{facts.real(key), facts.real(std::string("alignment.u_") + name)};
+  }
+  read_limits_entries(optional_real, optional_text, header.limits, header.expected);
+  header.step = Angle::degrees(facts.real("protocol.step_deg"));
+  header.steps = static_cast<int>(facts.real("protocol.steps"));
+  for (const auto& [key, value] : facts.all()) {
+    if (key.starts_with(kLabelPrefix)) header.labels[key.substr(kLabelPrefix.size())] = value;
+  }
+}
+
+void read_items(SqliteDatabase& database, RunHeader& header) {
+  SqliteStatement rows = database.prepare("select * from item order by k");
+  SqliteStatement registers = database.prepare("select name, value from item_register where item = :item");
+  while (rows.step()) {
+    RunItem& item = header.items.emplace_back();
+    item.k = static_cast<int>(rows.integer("k"));
+    item.maker = rows.text("maker");
+    item.model = rows.text("model");
+    item.serial_number = rows.text("serial_number");
+    item.firmware = rows.text("firmware");
+    item.driver = rows.text("driver");
+    item.port = rows.text("port");
+    item.mounting = rows.text("mounting");
+    item.response_unit = rows.text("response_unit");
+    item.rate_hz = rows.optional_real("rate_hz");
+    item.full_scale = rows.optional_real("full_scale");
+    item.resolution = rows.optional_real("resolution");
+    registers.set("item", std::int64_t{item.k});
+    while (registers.step()) item.registers[registers.text("name")] = registers.text("value");
+    registers.reset();
+  }
+}
+
+void read_sessions(SqliteDatabase& database, std::vector<StoredSession>& sessions) {
+  SqliteStatement rows = database.prepare("select * from session order by id");
+  while (rows.step()) {
+    StoredSession& session = sessions.emplace_back();
+    session.id = rows.integer("id");
+    if (const auto begun = rows.optional_integer("begun_utc_ns"))
+      session.begun = Clock::UtcTime(Clock::Duration(*begun));
+    session.origin_s = to_seconds(Clock::Duration(rows.integer("origin_ns")));
+    session.program_version = rows.text("program_version");
+    session.ended_utc = rows.text("ended_utc");
+    session.end_reason = rows.text("end_reason");
+  }
+}
+
+}  // namespace
+
+void set_meta(SqliteDatabase& database, std::string_view key, std::string_view value) {
+  database.prepare("insert or replace into meta(key, value) values(:key, :value)")
+      .set("key", key)
+      .set("value", value)
+      .run();
+}
+
+void set_timing(SqliteDatabase& database, const RunTiming& timing) {
+  set_meta(database, "timing.moving_s", shortest(timing.moving_s));
+  set_meta(database, "timing.settling_s", shortest(timing.settling_s));
+  set_meta(database, "timing.dwelling_s", shortest(timing.dwelling_s));
+  set_meta(database, "timing.overhead_s", shortest(timing.overhead_s));
+}
+
+void write_run_header(SqliteDatabase& database, const RunHeader& header) {
+  for (const auto& [key, value] : facts_of(header)) set_meta(database, key, value);
+  set_timing(database, {});
+  write_instruments(database, header.instruments);
+  write_items(database, header.items.empty() ? std::vector{item_from_labels(header)} : header.items);
+  write_plan(database, header.plan);
+}
+
+void read_run_header(SqliteDatabase& database, const std::string& source, StoredRun& run) {
+  const Facts facts(database, source);
+  run.state = run_state_from(facts.text("state"));
+  RunHeader& header = run.header;
+  read_facts(facts, header);
+  run.timing = {facts.real("timing.moving_s"), facts.real("timing.settling_s"),
+                facts.real("timing.dwelling_s"), facts.real("timing.overhead_s")};
+  SqliteStatement instruments = database.prepare("select * from instrument order by role");
+  while (instruments.step()) {
+    header.instruments.push_back({instruments.text("role"), instruments.text("maker"),
+                                  instruments.text("model"), instruments.text("serial_number"),
+                                  instruments.text("firmware"), instruments.text("details")});
+  }
+  SqliteStatement plan = database.prepare("select * from plan order by position");
+  while (plan.step()) {
+    header.plan.push_back({static_cast<int>(plan.integer("experiment")), static_cast<int>(plan.integer("n")),
+                           plan.integer("closing") != 0, Angle::degrees(plan.real("alpha_deg")),
+                           Angle::degrees(plan.real("x_deg")), Angle::degrees(plan.real("z_deg"))});
+  }
+  if (run_file_version(database) < 3) {
+    header.items = {item_from_labels(header)};
+    return;
+  }
+  read_items(database, header);
+  read_sessions(database, run.sessions);
+}
+
+RunState run_state_from(const std::string& word) {
+  for (const RunState state :
+       {RunState::kRunning, RunState::kInterrupted, RunState::kComplete, RunState::kAbandoned}) {
+    if (word == to_string(state)) return state;
+  }
+  throw RunFileError("a run in the state \"" + word + "\", which this program does not know");
+}
+
+}  // namespace abcal

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <string_view>
+
+#include "protocol/record/run_file.h"
+#include "protocol/record/sqlite.h"
+
+namespace abcal {
+
+/// Sets a fact of the table `meta`.
+void set_meta(SqliteDatabase& database, std::string_view key, std::string_view value);
+void set_timing(SqliteDatabase& database, const RunTiming& timing);
+
+/// Writes all that a run file holds before the first angle. Within a transaction, after the tables were made.
+void write_run_header(SqliteDatabase& database, const RunHeader& header);
+
+/// Reads it again, with state and timing, from a file of any version.
+/// @param source of the file, for messages
+void read_run_header(SqliteDatabase& database, const std::string& source, StoredRun& run);
+
+/// @throws RunFileError for a word that is none of them
+RunState run_state_from(const std::string& word);
+
+}  // namespace abcal

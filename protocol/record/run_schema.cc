@@ -1,0 +1,179 @@
+#include "protocol/record/run_schema.h"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <array>
+#include <fstream>
+#include <string_view>
+#include <system_error>
+#include <vector>
+
+#include "protocol/record/dwell_chain.h"
+#include "protocol/record/dwell_rows.h"
+
+namespace abcal {
+namespace {
+
+constexpr std::string_view kSqliteMagic{"SQLite format 3\0", 16};
+
+/// In every version since 2.
+constexpr const char* kTablesOfVersion2 = R"(
+create table meta(key text primary key, value text not null) without rowid;
+create table instrument(role text primary key, maker text, model text, serial_number text, firmware text,
+                        details text) without rowid;
+create table plan(position integer primary key, experiment integer, n integer, closing integer, alpha_deg real,
+                  x_deg real, z_deg real);
+create table environment(id integer primary key, utc text, moment text, temperature_degc real,
+                         humidity_percent real, pressure_hpa real);
+create table event(id integer primary key, utc text, who text, kind text, text text, chain text);
+)";
+
+/// New in version 3. A reading holds what differs from the constants of its dwell; the view timed_reading
+/// puts them together again.
+constexpr const char* kTablesOfVersion3 = R"(
+create table item(k integer primary key, maker text, model text, serial_number text, firmware text, driver text,
+                  port text, mounting text, response_unit text, rate_hz real, full_scale real, resolution real);
+create table item_register(item integer not null references item, name text not null, value text,
+                           primary key(item, name)) without rowid;
+create table session(id integer primary key, begun_utc text, begun_utc_ns integer, origin_ns integer not null,
+                     monotonic_ns integer, boot_id text, since_boot_ns integer, clock_offset_s real,
+                     clock_error_s real, program_version text, ended_utc text, end_reason text);
+create table dwell(id integer primary key, position integer not null references plan,
+                   item integer not null references item, role text not null,
+                   session integer not null references session, experiment integer, n integer, closing integer,
+                   alpha_deg real, commanded_x_deg real, commanded_z_deg real, encoder_x_deg real, encoder_z_deg real,
+                   time_ns integer, time_s real, utc text, settle_s real, count integer, lost integer,
+                   r_u real, r_v real, r_w real, spread_u real, spread_v real, spread_w real,
+                   u_u real, u_v real, u_w real, temperature_degc real, flags integer, flag_words text,
+                   first_sequence integer, first_reading_ns integer, reading_interval_ns integer,
+                   first_temperature_degc real, temperature_step_degc real, chain text);
+create table reading(dwell integer not null references dwell, k integer not null, u real, v real, w real,
+                     skipped integer, late_ns integer, temperature_steps, primary key(dwell, k)) without rowid;
+create table seal(id integer primary key, utc text, dwells integer, dwell_chain text, event_chain text, signer text,
+                  signature blob, time_stamp blob);
+create view timed_reading as
+  select r.dwell, r.k, d.first_sequence + r.k + r.skipped as sequence,
+         d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as time_ns,
+         s.begun_utc_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns as utc_ns,
+         (s.origin_ns + d.first_reading_ns + r.k * d.reading_interval_ns + r.late_ns) / 1e9 as time_s,
+         r.u, r.v, r.w, d.first_temperature_degc + r.temperature_steps * d.temperature_step_degc as temperature_degc
+  from reading r join dwell d on d.id = r.dwell join session s on s.id = d.session;
+)";
+
+/// A program that was killed may leave a change half made, which a read-only connection cannot take back.
+void recover(const std::filesystem::path& path) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path.string() + "-journal", ignored)) return;
+  SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).value("pragma schema_version");
+}
+
+void mark_version(SqliteDatabase& database) {
+  database.execute(fmt::format("pragma application_id={}; pragma user_version={};", kRunFileApplicationId,
+                               kRunFileVersion));
+}
+
+std::string meta_value(SqliteDatabase& database, const std::string& key) {
+  SqliteStatement row = database.prepare("select value from meta where key = :key");
+  row.set("key", std::string_view(key));
+  return row.step() ? row.text("value") : "";
+}
+
+}  // namespace
+
+void create_run_schema(SqliteDatabase& database) {
+  mark_version(database);
+  database.execute(kTablesOfVersion2);
+  database.execute(kTablesOfVersion3);
+}
+
+std::int64_t run_file_version(SqliteDatabase& database) {
+  return std::stoll(database.value("pragma user_version").value_or("0"));
+}
+
+bool begins_as_sqlite(const std::filesystem::path& path) {
+  std::array<char, kSqliteMagic.size()> head{};
+  std::ifstream file(path, std::ios::binary);
+  file.read(head.data(), static_cast<std::streamsize>(head.size()));
+  return std::string_view(head.data(), static_cast<std::size_t>(file.gcount())) == kSqliteMagic;
+}
+
+SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
+  std::error_code error;
+  if (!std::filesystem::exists(path, error)) throw RunFileError(path.string() + ": no such file");
+  if (!std::filesystem::is_regular_file(path, error)) throw RunFileError(path.string() + ": not a file");
+  if (::access(path.c_str(), R_OK) != 0) throw RunFileError(path.string() + ": cannot be read by this user");
+  if (std::filesystem::file_size(path, error) == 0)
+    throw RunFileError(path.string() + ": is empty, not a run file");
+  if (!begins_as_sqlite(path)) {
+    throw RunFileError(path.string() + ": is not a run file (it does not begin as an SQLite file does)");
+  }
+  recover(path);
+  SqliteDatabase database(path, mode);
+  const std::string application = database.value("pragma application_id").value_or("");
+  if (application != std::to_string(kRunFileApplicationId)) {
+    throw RunFileError(path.string() + ": is an SQLite file of another program (application id " +
+                       application + ", a run file has " + std::to_string(kRunFileApplicationId) + ")");
+  }
+  if (const std::int64_t version = run_file_version(database); version > kRunFileVersion) {
+    throw RunFileError(fmt::format(
+        "{}: was written by a newer abcal (run file version {}, this program reads up to {}); update abcal",
+        path.string(), version, kRunFileVersion));
+  }
+  if (const auto verdict = database.value("pragma quick_check(1)"); verdict != "ok") {
+    throw RunFileError(path.string() + ": is damaged or cut short (" + verdict.value_or("no answer") +
+                       "); restore it from a copy");
+  }
+  return database;
+}
+
+void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path) {
+  const std::int64_t version = run_file_version(database);
+  if (version == kRunFileVersion) return;
+  if (version != 2) {
+    throw RunFileError(
+        fmt::format("{}: was begun with run file version {}; this program goes on with versions 2 and {}: "
+                    "finish it with the "
+                    "abcal that began it",
+                    path.string(), version, kRunFileVersion));
+  }
+  Transaction transaction(database);
+  upgrade_run_schema_2_to_3(database);
+  transaction.commit();
+}
+
+void upgrade_run_schema_2_to_3(SqliteDatabase& database) {
+  database.execute("alter table dwell rename to dwell_2; alter table reading rename to reading_2;");
+  database.execute(kTablesOfVersion3);
+  mark_version(database);
+  database.prepare("insert or replace into meta(key, value) values('schema', :schema)")
+      .set("schema", kRunSchemaName)
+      .run();
+  database
+      .prepare(
+          "insert into item(k, maker, model, serial_number, response_unit) values(1, :maker, :model, "
+          ":serial_number, :response_unit)")
+      .set("maker", meta_value(database, "label.item.maker"))
+      .set("model", meta_value(database, "label.item.model"))
+      .set("serial_number", meta_value(database, "label.item.serial_number"))
+      .set("response_unit", meta_value(database, "response_unit"))
+      .run();
+  database
+      .prepare(
+          "insert into session(id, begun_utc, origin_ns, program_version, end_reason) values(1, :utc, 0, "
+          ":version, 'begun with run file version 2: pauses are not in its times')")
+      .set("utc", meta_value(database, "created_utc"))
+      .set("version", meta_value(database, "program_version"))
+      .run();
+  // The instants of version 2 count from the start of the run, as those of a first session do.
+  DwellWriter writer(database, SessionTimes{1, 0, std::nullopt});
+  SqliteStatement ids = database.prepare("select id, position from dwell_2 order by id");
+  while (ids.step()) {
+    const DwellWithReadings old = read_dwell_of_version_2(database, ids.integer("id"));
+    writer.write(ids.integer("position"), old.dwell, old.readings, ids.integer("id"));
+  }
+  ids.reset();
+  database.execute("drop table reading_2; drop table dwell_2;");
+}
+
+}  // namespace abcal

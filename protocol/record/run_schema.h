@@ -1,0 +1,38 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+
+#include "protocol/record/sqlite.h"
+
+namespace abcal {
+
+inline constexpr std::int64_t kRunFileApplicationId = 0x4142434C;  // "ABCL"
+/// 1: the first; 2: events are chained and say who; 3: sessions, items, roles, compact and chained readings.
+inline constexpr std::int64_t kRunFileVersion = 3;
+
+/// Makes the tables and views of the present version in an empty file, and marks it as a run file.
+void create_run_schema(SqliteDatabase& database);
+
+/// Version of the tables of an open run file.
+std::int64_t run_file_version(SqliteDatabase& database);
+
+/// Opens a run file of any version up to the present.
+/// @throws RunFileError for what is not one, is damaged, or is newer than this program
+SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode);
+
+/// Whether a file begins as an SQLite file does.
+bool begins_as_sqlite(const std::filesystem::path& path);
+
+/// Turns a file of an older version, which is open for writing, into one of the present: step by step, all in
+/// one transaction. Closed runs are never changed; they are read as they are.
+/// @throws RunFileError for a version that cannot be continued
+void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path);
+
+/// The step from version 2 to 3, within a transaction. The dwells become those of one session, with the times
+/// that version 2 gave them: pauses between its sessions are not in them.
+void upgrade_run_schema_2_to_3(SqliteDatabase& database);
+
+}  // namespace abcal

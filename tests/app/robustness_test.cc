@@ -1,0 +1,96 @@
+#include "app/robustness/robustness_study.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+#include <stdexcept>
+#include <string>
+
+#include "app/robustness/robustness_text.h"
+
+namespace abcal {
+namespace {
+
+RobustnessStudy study_of(std::vector<std::string> scenarios, int benches, int threads = 1) {
+  RobustnessOptions options;
+  options.benches = benches;
+  options.scenarios = std::move(scenarios);
+  options.threads = threads;
+  return run_robustness_study(options);
+}
+
+TEST(RobustnessTest, HasAtLeastFortyScenariosWithNamesOfTheirOwn) {
+  std::set<std::string> names;
+  for (const Scenario& scenario : robustness_scenarios()) {
+    EXPECT_TRUE(names.insert(scenario.name).second) << scenario.name << " twice";
+    EXPECT_FALSE(scenario.words.empty());
+  }
+  EXPECT_GE(names.size(), 40U);
+}
+
+TEST(RobustnessTest, IsTheSameForAnyNumberOfThreads) {
+  const std::vector<std::string> scenarios{"sound-24", "everything-24", "random-walk"};
+  const auto one = robustness_json(study_of(scenarios, 3, 1));
+  EXPECT_EQ(robustness_json(study_of(scenarios, 3, 3)), one);
+  // A scenario keeps its benches, whatever stands beside it.
+  const auto alone = robustness_json(study_of({"random-walk"}, 3, 1));
+  EXPECT_EQ(alone["outcomes"][0], one["outcomes"][4]);
+}
+
+TEST(RobustnessTest, ASoundBenchIsUsableAndItsIntervalsHold) {
+  for (const ScenarioOutcome& outcome : study_of({"sound"}, 40).outcomes) {
+    EXPECT_GE(outcome.usable, 39) << outcome.estimator;
+    for (std::size_t g = 0; g < kOutputGroups; ++g) {
+      // 120 intervals or more, but outputs of one run are correlated: 40 independent ones have 0.95 +- 0.034.
+      EXPECT_GE(outcome.groups[g].coverage, 0.85) << outcome.estimator << " " << output_group_names()[g];
+    }
+  }
+}
+
+TEST(RobustnessTest, TheTruthIsTheMeanLineOfTheRun) {
+  const auto& all = robustness_scenarios();
+  const auto named = [&](const char* name) {
+    return *std::find_if(all.begin(), all.end(), [&](const Scenario& s) { return s.name == name; });
+  };
+  // A quadratic drift as half a Legendre polynomial has no mean; an exponential one has.
+  ScenarioBench drift = draw_bench(named("drift-2"), 1, 0);
+  const SimulatedRun run = simulate_run(drift);
+  EXPECT_LT((run.truth.offset - drift.truth.offset).cwiseAbs().maxCoeff(),
+            2e-7);  // 219 points, not an integral
+  ScenarioBench exponential = draw_bench(named("drift-exponential"), 1, 0);
+  const SimulatedRun other = simulate_run(exponential);
+  EXPECT_NEAR(std::abs(other.truth.offset[0] - exponential.truth.offset[0]),
+              5e-5 * (1.0 - std::exp(-6.0)) / 6.0, 2e-7);
+}
+
+TEST(RobustnessTest, AnUnknownScenarioIsNamedWithThoseThatAreKnown) {
+  try {
+    study_of({"wobbel-20"}, 1);
+    ADD_FAILURE() << "accepted";
+  } catch (const std::invalid_argument& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("no scenario \"wobbel-20\"; there are: sound, wobble-5"));
+  }
+  EXPECT_THROW(study_of({"sound"}, 0), std::invalid_argument);
+  EXPECT_THROW(study_of({"sound"}, 1, 0), std::invalid_argument);
+}
+
+TEST(RobustnessTest, ShortfallsFollowTheKindOfTheScenario) {
+  ScenarioOutcome outcome;
+  outcome.runs = 100;
+  outcome.usable = 70;
+  outcome.groups.fill({0.95, 1.0, 1.0});
+  EXPECT_THAT(outcome.shortfalls(), testing::ElementsAre("usable 0.70, required 0.80"));
+  outcome.kind = ScenarioKind::kBeyond;
+  EXPECT_TRUE(outcome.shortfalls().empty());
+  outcome.groups[4].coverage = 0.91;
+  EXPECT_THAT(outcome.shortfalls(), testing::ElementsAre("phi 0.91"));
+  outcome.kind = ScenarioKind::kWrong;
+  outcome.usable = 5;
+  EXPECT_TRUE(outcome.shortfalls().empty()) << "five usable runs say nothing of their intervals";
+}
+
+}  // namespace
+}  // namespace abcal
