@@ -16,8 +16,8 @@ endif()
 
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
-# Where abcal looks for it (app/system/helper_program.cc).
-install(TARGETS abcal-hdf5 RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
+# Where abcal looks for them (app/system/helper_program.cc).
+install(TARGETS abcal-hdf5 abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
 if(TARGET abcal-mpi)
   install(TARGETS abcal-mpi RUNTIME COMPONENT abcal)
 endif()

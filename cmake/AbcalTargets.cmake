@@ -17,6 +17,12 @@ if(ABCAL_SANITIZE)
   endif()
 endif()
 
+# Release builds check what they copy and keep their tables read-only (tests/install/hardening.sh looks at the program).
+if(CMAKE_BUILD_TYPE STREQUAL "Release" AND NOT ABCAL_SANITIZE)
+  add_compile_options(-U_FORTIFY_SOURCE -D_FORTIFY_SOURCE=3 -fstack-protector-strong -fPIE)
+  add_link_options(-pie -Wl,-z,relro -Wl,-z,now)
+endif()
+
 # A whole build reads the sources of a target as few translation units: the headers that they share are parsed once, which
 # is half of a build from nothing. The preset dev leaves it off, so that a changed file is compiled alone.
 option(ABCAL_UNITY "Compile the sources of a target as few translation units" OFF)

@@ -5,7 +5,7 @@
 set(instrument "drivers/instrument/")
 set(wire "drivers/instrument/;drivers/wire/")
 set(record "drivers/instrument/angle.h;drivers/instrument/clock.h;protocol/plan/;protocol/record/")
-set(numbers "drivers/instrument/angle.h;protocol/plan/tolerances.h;protocol/plan/limits.h;protocol/record/run_record.h;protocol/model/")
+set(numbers "drivers/instrument/angle.h;protocol/plan/tolerances.h;protocol/plan/effect_sizes.h;protocol/plan/limits.h;protocol/record/run_record.h;protocol/model/")
 
 # folder | folders and headers of the project that it may include | third-party headers that it may include
 set(rules
@@ -13,7 +13,7 @@ set(rules
   "drivers/wire|${wire}|boost/;libserialport.h;spdlog/;fmt/;Eigen/"
   "drivers/manual_stage|${wire};drivers/manual_stage/|boost/;spdlog/;fmt/;Eigen/"
   "protocol/plan|drivers/instrument/angle.h;protocol/plan/|Eigen/;fmt/"
-  "protocol/model|drivers/instrument/angle.h;protocol/model/|Eigen/"
+  "protocol/model|drivers/instrument/angle.h;protocol/plan/effect_sizes.h;protocol/model/|Eigen/"
   "protocol/gravity|drivers/instrument/angle.h;protocol/gravity/|fmt/"
   "protocol/record|${record}|Eigen/;unsupported/Eigen/;fmt/;sqlite3.h;openssl/"
   "protocol/run|drivers/instrument/;protocol/plan/;protocol/record/;protocol/run/|Eigen/;fmt/;boost/math/"

@@ -13,11 +13,12 @@
 #include <vector>
 
 #include "app/bench/bench_config.h"
-#include "app/bench/make_bench.h"
 #include "app/commands/run.h"
+#include "app/commands/terminal_listener.h"
 #include "app/report/campaign_report.h"
 #include "app/results/analyses.h"
 #include "app/session/run_bench.h"
+#include "app/session/run_session.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -35,7 +36,7 @@ std::vector<std::filesystem::path> paths_of(const CampaignOptions& options) {
   return paths;
 }
 
-std::string command_to_go_on(const CampaignOptions& options, const std::filesystem::path& first) {
+std::string command_to_continue(const CampaignOptions& options, const std::filesystem::path& first) {
   std::string stem = first.string();
   stem.erase(stem.size() - std::string("-1.run").size());
   return fmt::format("abcal run {} --repeat {} -o {}{} --go-on", options.bench_file, options.repeat, stem,
@@ -44,13 +45,14 @@ std::string command_to_go_on(const CampaignOptions& options, const std::filesyst
 
 /// Whether a run of the campaign is measured already.
 /// @throws std::invalid_argument if something else stands there
-bool is_done(const std::filesystem::path& path, const CampaignOptions& options, const BenchConfig& config) {
+bool is_measured(const std::filesystem::path& path, const CampaignOptions& options,
+                 const BenchConfig& config) {
   if (!std::filesystem::exists(path)) return false;
-  if (!options.go_on) {
+  if (!options.keep_complete_runs) {
     throw std::invalid_argument(
         path.string() +
         ": exists already; a run is never overwritten: choose another name with -o, or "
-        "go on with a campaign that was ended early with --go-on");
+        "continue a campaign that ended early with --go-on");
   }
   const StoredRun stored = RunFile::load(path);
   if (stored.header.bench_toml != write_bench(config)) {
@@ -67,8 +69,8 @@ bool is_done(const std::filesystem::path& path, const CampaignOptions& options, 
 /// Waits for a person. @throws RunInterrupted
 void ask_to_remount(int run, int runs) {
   print_log(
-      "\nRun {} of {}: the stage stands at its zeros. Take the accelerometer off, mount it again, and "
-      "press Enter when nobody touches the stage any more (Ctrl-C ends the campaign): ",
+      "\nRun {} of {}: the stage is at its zeros. Take the accelerometer off, mount it again, and "
+      "press Enter when nobody touches the stage (Ctrl-C ends the campaign): ",
       run, runs);
   std::array<char, 256> line{};
   for (;;) {
@@ -77,13 +79,14 @@ void ask_to_remount(int run, int runs) {
     const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
     if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
     if (::read(STDIN_FILENO, line.data(), line.size()) > 0) return;
-    throw std::runtime_error("the terminal has gone, so nobody can say that the accelerometer is mounted");
+    throw std::runtime_error(
+        "the terminal has gone, so nobody can confirm that the accelerometer is mounted");
   }
 }
 
 /// What of a campaign is there when it ends early.
-void say_how_to_go_on(const CampaignOptions& options, const std::vector<std::filesystem::path>& paths,
-                      std::size_t failed) {
+void tell_how_to_continue(const CampaignOptions& options, const std::vector<std::filesystem::path>& paths,
+                          std::size_t failed) {
   std::vector<std::string> complete;
   for (const std::filesystem::path& path : paths) {
     std::error_code ignored;
@@ -91,10 +94,36 @@ void say_how_to_go_on(const CampaignOptions& options, const std::vector<std::fil
   }
   std::error_code ignored;
   const bool begun = std::filesystem::exists(paths[failed], ignored);
-  print_log("The campaign ended in run {} of {}. Complete and kept: {}. Go on with: {}{}\n", failed + 1,
+  print_log("The campaign ended in run {} of {}. Complete and kept: {}. Continue with: {}{}\n", failed + 1,
             paths.size(), complete.empty() ? "none" : fmt::format("{}", fmt::join(complete, ", ")),
             begun ? fmt::format("abcal resume {}, then ", paths[failed].string()) : "",
-            command_to_go_on(options, paths.front()));
+            command_to_continue(options, paths.front()));
+}
+
+/// Measures the runs that are missing, all with the instruments opened once.
+void measure_missing(const CampaignOptions& options, const BenchConfig& config,
+                     const std::vector<std::filesystem::path>& paths,
+                     const std::vector<std::size_t>& missing) {
+  std::optional<TerminalListener> terminal;
+  RunSession::Options session_options;
+  session_options.listener = [&](const SessionEvent& event) { terminal->on(event); };
+  session_options.stop = interrupt_token();
+  RunSession session(std::move(session_options));
+  for (const std::size_t k : missing) {
+    try {
+      if (options.remount && k > 0) ask_to_remount(static_cast<int>(k) + 1, options.repeat);
+      terminal.emplace(TerminalListener::Options{.title = fmt::format("Run {} of {}", k + 1, paths.size()),
+                                                 .introduce = k == missing.front()});
+      const RunOutcome outcome =
+          session.start({write_bench(config), options.bench_file, paths[k].string(), false});
+      const CalibrationResult& result = outcome.results.front();
+      print_log("Run {} of {}: {}: {} ({})\n", k + 1, paths.size(), paths[k].string(),
+                to_string(result.verdict), result.why);
+    } catch (...) {
+      tell_how_to_continue(options, paths, k);
+      throw;
+    }
+  }
 }
 
 }  // namespace
@@ -111,32 +140,10 @@ int run_campaign(const CampaignOptions& options) {
   const std::vector<std::filesystem::path> paths = paths_of(options);
   std::vector<std::size_t> missing;
   for (std::size_t k = 0; k < paths.size(); ++k) {
-    if (!is_done(paths[k], options, config)) missing.push_back(k);
+    if (!is_measured(paths[k], options, config)) missing.push_back(k);
   }
 
-  std::optional<Bench> bench;
-  std::optional<Identities> who;
-  std::vector<PlannedAngle> plan;
-  for (const std::size_t k : missing) {
-    try {
-      if (options.remount && k > 0) ask_to_remount(static_cast<int>(k) + 1, options.repeat);
-      if (!bench) {
-        bench = make_bench(config);
-        who = identify(*bench, config);
-        plan = plan_and_introduce(*bench, config, *who);
-      }
-      RunFile file = begin_run(*bench, config, *who, plan, paths[k], nullptr);
-      const RunTiming timing =
-          measure(*bench, config, file, plan, {}, fmt::format("Run {} of {}", k + 1, paths.size()), "");
-      const FinishedRun run = finish_run(*bench, config, std::move(file), timing);
-      const CalibrationResult& result = run.results.front();
-      print_log("Run {} of {}: {}: {} ({})\n", k + 1, paths.size(), paths[k].string(),
-                to_string(result.verdict), result.why);
-    } catch (...) {
-      say_how_to_go_on(options, paths, k);
-      throw;
-    }
-  }
+  measure_missing(options, config, paths, missing);
 
   CampaignReport report;
   for (const std::filesystem::path& path : paths) {

@@ -9,8 +9,8 @@ struct CampaignOptions {
   std::string bench_file;
   std::string output;  ///< "a" or "a.run" makes a-1.run, a-2.run, ...; empty: the bench file's name and time.
   int repeat = 0;
-  bool remount = false;  ///< A person remounts the accelerometer between the runs.
-  bool go_on = false;    ///< Runs that are complete are kept, only the others are measured.
+  bool remount = false;             ///< A person remounts the accelerometer between the runs.
+  bool keep_complete_runs = false;  ///< Runs that are complete are kept, only the others are measured.
   bool json = false;
 };
 

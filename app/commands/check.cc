@@ -3,8 +3,10 @@
 #include <nlohmann/json.hpp>
 
 #include "app/commands/commands.h"
+#include "app/commands/terminal_listener.h"
 #include "app/session/bench_check.h"
 #include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "app/system/terminal.h"
 
@@ -41,7 +43,11 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file);
     Bench bench = make_bench(config);
-    const std::vector<Finding> findings = check_bench(bench, config, options->no_motion);
+    TerminalListener terminal(
+        {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});
+    const std::vector<Finding> findings =
+        check_bench(bench, config, {options->no_motion, terminal.listener(), interrupt_token()});
+    terminal.finish();
     int problems = 0, warnings = 0;
     for (const Finding& finding : findings) {
       problems += finding.grade == Finding::Grade::kProblem ? 1 : 0;

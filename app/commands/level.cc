@@ -5,10 +5,13 @@
 #include "app/bench/bench_config.h"
 #include "app/bench/level_file.h"
 #include "app/commands/commands.h"
+#include "app/commands/terminal_listener.h"
 #include "app/results/analyses.h"
 #include "app/results/result_text.h"
 #include "app/session/run_bench.h"
+#include "app/session/session_observer.h"
 #include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "app/system/version.h"
 #include "protocol/analysis/level.h"
@@ -33,6 +36,25 @@ std::vector<PlannedAngle> level_plan(const ProtocolConfig& protocol,
     plan.push_back({0, ++n, false, Angle{}, Angle::degrees(x), Angle::degrees(z)});
   }
   return plan;
+}
+
+RunTiming measure_level_plan(const PlanMeasurement& measurement, TerminalListener& terminal) {
+  FinishedEvent ended_early;
+  ended_early.file = measurement.file.path().string();
+  ended_early.planned = measurement.plan.size();
+  terminal.begin(measurement.plan);
+  SessionObserver observer([&](const SessionEvent& event) {
+    if (std::holds_alternative<DwellDoneEvent>(event)) ++ended_early.measured;
+    terminal.on(event);
+  });
+  try {
+    const RunTiming timing = measure(measurement, observer, interrupt_token());
+    terminal.finish();
+    return timing;
+  } catch (...) {
+    terminal.on(ended_early);
+    throw;
+  }
 }
 
 }  // namespace
@@ -84,7 +106,8 @@ CLI::App* add_level(CLI::App& parent, int& exit_code) {
     RunFile file = RunFile::create(output_path(options->run_output, options->bench_file, ".level.run"),
                                    make_header(config, who, plan, *bench.clock));
     const std::filesystem::path run_path = file.path();
-    const RunTiming timing = measure(bench, config, file, plan, {}, "Levelling", "");
+    TerminalListener terminal({.title = "Levelling"});
+    const RunTiming timing = measure_level_plan({bench, config, file, plan, {}}, terminal);
     const std::string utc = format_utc(bench.clock->utc_now());
     file.close_complete(utc, timing);
 

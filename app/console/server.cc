@@ -559,7 +559,7 @@ Session::Refusal Server::Impl::carry_out(Page& page, const Command& command) {
     }
     Session::Refusal operator()(const StartRun&) const { return impl.session->start(); }
     Session::Refusal operator()(const HoldRun&) const { return impl.session->hold(); }
-    Session::Refusal operator()(const ContinueRun&) const { return impl.session->go_on(); }
+    Session::Refusal operator()(const ContinueRun&) const { return impl.session->continue_run(); }
     Session::Refusal operator()(const Stop&) const { return impl.session->stop(); }
     Session::Refusal operator()(const ResumeRun& resume) const {
       const auto path = impl.library.find(resume.run);

@@ -6,9 +6,9 @@
 #include <chrono>
 #include <utility>
 
+#include "app/bench/real_clock.h"
 #include "app/console/jog.h"
 #include "app/console/paced_clock.h"
-#include "app/results/result_text.h"
 #include "app/session/run_bench.h"
 #include "drivers/instrument/instrument_error.h"
 
@@ -20,77 +20,16 @@ constexpr std::chrono::seconds kKeepAfterJog{60};
 
 constexpr const char* kBusy = "something else is going on at the bench; stop it first, or wait for its end";
 
-std::string in_words(const StageInfo& info) {
-  return fmt::format("{} {}, serial number {}", info.maker, info.model,
-                     info.serial_number.empty() ? "not told" : info.serial_number);
+std::string in_words(const InstrumentSummary& instrument) {
+  return fmt::format("{} {}, serial number {}", instrument.maker, instrument.model,
+                     instrument.serial_number.empty() ? "not told" : instrument.serial_number);
 }
 
-std::string in_words(const AccelerometerInfo& info) {
-  return fmt::format("{} {}, serial number {}, {:g} readings/s in {}", info.maker, info.model,
-                     info.serial_number.empty() ? "not told" : info.serial_number, info.rate_hz,
-                     info.output_unit);
-}
-
-/// Of the default estimator.
-std::string verdict_of(const FinishedRun& run) {
-  return verdict_words(run.results.front().verdict);
-}
-
-RunBegan describe(const BenchConfig& config, const Identities& who, const std::vector<PlannedAngle>& plan,
-                  std::optional<double> pace) {
-  RunBegan began;
-  began.pace = pace;
-  began.bench = config.name;
-  began.item =
-      config.item.serial_number.empty() ? who.accelerometer.serial_number : config.item.serial_number;
-  began.operator_name = config.operator_name;
-  began.unit = who.accelerometer.output_unit;
-  began.plan = plan;
-  began.estimated_s =
-      estimate_duration(plan, config.protocol,
-                        {who.stage.axes[0].speed_deg_per_s, who.stage.axes[1].speed_deg_per_s},
-                        who.accelerometer.rate_hz)
-          .total_s() /
-      pace.value_or(1.0);
-  began.stage = in_words(who.stage);
-  began.accelerometer = in_words(who.accelerometer);
-  return began;
+std::string file_name(const std::string& path) {
+  return std::filesystem::path(path).filename().string();
 }
 
 }  // namespace
-
-/// Passes on what a run does; the operator's notes and the wish to hold come in the other way.
-class Session::Observer final : public RunObserver {
- public:
-  Observer(Session& session, RunFile* file, const Clock& clock)
-      : session_(session), file_(file), clock_(clock) {}
-
-  void phase(std::size_t position, RunPhase phase) override {
-    session_.tell_(PhaseSeen{position, phase});
-    store_notes();
-  }
-  void dwell(std::size_t position, const DwellRecord& dwell) override {
-    session_.tell_(DwellSeen{position, dwell, RealClock().utc_now()});
-    store_notes();
-  }
-  void notice(std::string_view text) override {
-    session_.tell_(LogLine{LogLine::Grade::kWarning, std::string(text)});
-  }
-  bool hold_wanted() override {
-    store_notes();
-    return session_.hold_;
-  }
-
- private:
-  // Here, in the thread that writes the run file: one row, where there is a note at all.
-  void store_notes() {
-    if (file_ != nullptr) session_.store_notes(*file_, clock_);
-  }
-
-  Session& session_;
-  RunFile* file_;
-  const Clock& clock_;
-};
 
 Session::Session(Options options, std::function<void(Event)> tell)
     : options_(std::move(options)), tell_(std::move(tell)) {
@@ -128,7 +67,7 @@ void Session::work(const std::stop_token& end) {
   }
 }
 
-void Session::say(std::string text) {
+void Session::log(std::string text) {
   tell_(LogLine{LogLine::Grade::kInfo, std::move(text)});
 }
 
@@ -141,13 +80,17 @@ void Session::carry_out(const std::function<void()>& job) {
     tell_(LogLine{LogLine::Grade::kWarning, error.what()});
   } catch (const std::exception& error) {
     problem(error.what());
-    jog_bench_.reset();  // After a fault the instruments are opened and asked anew.
+    jog_bench_.reset();  // After a fault the instruments are opened and asked again.
   }
+  std::shared_ptr<RunSession> ended;
+  {
+    const std::lock_guard lock(mutex_);
+    ended = std::move(run_);
+  }
+  ended.reset();  // Its ports are closed before others are told that the bench is free.
   {
     const std::lock_guard lock(mutex_);
     activity_ = Activity::kIdle;
-    notes_.clear();
-    hold_ = false;
   }
   tell_activity();
 }
@@ -156,7 +99,8 @@ void Session::tell_activity() {
   ActivitySeen seen;
   {
     const std::lock_guard lock(mutex_);
-    seen = {activity_, hold_, activity_ != Activity::kIdle && stop_.stop_requested()};
+    seen = {activity_, activity_ == Activity::kRunning && run_ && run_->is_hold_wanted(),
+            activity_ != Activity::kIdle && stop_.stop_requested()};
   }
   tell_(seen);
 }
@@ -168,7 +112,13 @@ Session::Refusal Session::begin(Activity activity, std::function<void()> job) {
     if (closing_) return "the console is being closed";
     activity_ = activity;
     stop_ = std::stop_source();
-    hold_ = false;
+    if (activity == Activity::kRunning) {
+      RunSession::Options options;
+      options.open_bench = [this](const BenchConfig& config, BenchStreams) { return open(config); };
+      options.listener = [this](const SessionEvent& event) { show(event); };
+      options.stop = stop_.get_token();
+      run_ = std::make_shared<RunSession>(std::move(options));
+    }
     job_ = std::move(job);
   }
   tell_activity();
@@ -197,21 +147,21 @@ Session::Refusal Session::jog(StageAxis axis, Angle by) {
 Session::Refusal Session::hold() {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ != Activity::kRunning) return "no run is on";
-    hold_ = true;
+    if (activity_ != Activity::kRunning || !run_) return "no run is on";
+    run_->hold();
   }
-  say("Hold: the stage will stand still after this angle.");
+  log("Hold: the stage will stand still after this angle.");
   tell_activity();
   return std::nullopt;
 }
 
-Session::Refusal Session::go_on() {
+Session::Refusal Session::continue_run() {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ != Activity::kRunning || !hold_) return "no run is held";
-    hold_ = false;
+    if (activity_ != Activity::kRunning || !run_ || !run_->is_hold_wanted()) return "no run is held";
+    run_->continue_run();
   }
-  say("Continue: the stage goes on.");
+  log("Continue: the stage moves on.");
   tell_activity();
   return std::nullopt;
 }
@@ -219,8 +169,8 @@ Session::Refusal Session::go_on() {
 Session::Refusal Session::stop() {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ == Activity::kIdle) return "nothing goes on that could be stopped";
-    if (activity_ == Activity::kAnalysing) return "the stage stands still already; the run is analysed";
+    if (activity_ == Activity::kIdle) return "nothing is in progress that could be stopped";
+    if (activity_ == Activity::kAnalysing) return "the stage is at rest; the run is being analysed";
     if (stop_.stop_requested()) return std::nullopt;
     // Requesting the stop sends the halt to the stage and waits for its answer: not in the caller's thread.
     stopper_ = std::jthread([source = stop_]() mutable { source.request_stop(); });
@@ -230,24 +180,11 @@ Session::Refusal Session::stop() {
 }
 
 Session::Refusal Session::note(std::string text, std::string by) {
-  constexpr std::size_t kMostPending = 20;
   const std::lock_guard lock(mutex_);
-  if (activity_ != Activity::kRunning) return "no run is on: a note goes into the event log of a run";
-  if (notes_.size() >= kMostPending) return "many notes wait to be stored already";
-  notes_.push_back({std::move(text), std::move(by)});
+  if (activity_ != Activity::kRunning || !run_)
+    return "no run is on: a note goes into the event log of a run";
+  if (!run_->add_note({std::move(text), std::move(by)})) return "many notes wait to be stored already";
   return std::nullopt;
-}
-
-std::vector<Session::PendingNote> Session::take_notes() {
-  const std::lock_guard lock(mutex_);
-  return std::exchange(notes_, {});
-}
-
-void Session::store_notes(RunFile& file, const Clock& clock) {
-  for (const PendingNote& note : take_notes()) {
-    file.append_event(format_utc(clock.utc_now()), "note", fmt::format("{} ({})", note.text, note.by));
-    say(fmt::format("Note, stored in the event log: {}", note.text));
-  }
 }
 
 Bench Session::open(const BenchConfig& config) {
@@ -260,24 +197,77 @@ Bench Session::open(const BenchConfig& config) {
   return bench;
 }
 
-std::optional<double> Session::pace_of(const Bench& bench) const {
-  return bench.simulated_time ? std::optional(options_.pace) : std::nullopt;
+RunBegan Session::describe(const RunBeganEvent& event) const {
+  RunBegan began;
+  if (event.simulated_time) began.pace = options_.pace;
+  began.file = file_name(event.file);
+  began.bench = event.bench;
+  began.item = event.item;
+  began.operator_name = event.operator_name;
+  began.unit = event.unit;
+  began.plan = event.plan;
+  for (const DwellDoneEvent& each : event.measured) began.measured.emplace_back(each.position, each.dwell);
+  began.estimated_s = event.estimated_s / began.pace.value_or(1.0);
+  began.stage = in_words(event.stage);
+  began.accelerometer =
+      fmt::format("{}, {:g} readings/s in {}", in_words(event.accelerometer), event.rate_hz, event.unit);
+  return began;
+}
+
+void Session::show(const SessionEvent& event) {
+  struct Visitor {
+    Session& session;
+    void operator()(const RunBeganEvent& began) const {
+      if (began.file.empty()) return;  // The small turn of a check.
+      session.tell_(session.describe(began));
+      session.log(began.resumed
+                      ? fmt::format("Run {} continues: {} of {} angles are measured.", file_name(began.file),
+                                    began.measured.size(), began.plan.size())
+                      : fmt::format("Run {} begins: {} angles.", file_name(began.file), began.plan.size()));
+    }
+    void operator()(const PhaseEvent& phase) const { session.tell_(PhaseSeen{phase.position, phase.phase}); }
+    void operator()(const DwellDoneEvent& done) const {
+      session.tell_(DwellSeen{done.position, done.dwell, RealClock().utc_now()});
+    }
+    void operator()(const FlagEvent& flag) const { warn(flag.text); }
+    void operator()(const PortLostEvent& lost) const { warn(lost.text); }
+    void operator()(const PortBackEvent& back) const { warn(back.text); }
+    void operator()(const NoticeEvent& notice) const { warn(notice.text); }
+    void operator()(const NoteStoredEvent& note) const {
+      session.log(fmt::format("Note, stored in the event log: {}", note.text));
+    }
+    void operator()(const AllMeasuredEvent&) const {
+      {
+        const std::lock_guard lock(session.mutex_);
+        session.activity_ = Activity::kAnalysing;
+      }
+      session.tell_activity();
+    }
+    void operator()(const FinishedEvent& end) const {
+      const std::string name = file_name(end.file);
+      if (end.complete) session.log(fmt::format("Run {} is complete: {}.", name, end.verdict));
+      session.tell_(RunEnded{name, end.complete,
+                             end.complete ? fmt::format("{}: {}", end.verdict, end.reason) : end.reason});
+    }
+    void operator()(const AngleBegunEvent&) const {}
+    void operator()(const HeldEvent&) const {}
+    void operator()(const ContinuedEvent&) const {}
+    void operator()(const ReplayComparedEvent&) const {}
+    void warn(const std::string& text) const { session.tell_(LogLine{LogLine::Grade::kWarning, text}); }
+  };
+  std::visit(Visitor{*this}, event);
 }
 
 void Session::do_check(bool with_motion) {
   const BenchConfig config = read_bench(options_.bench_file);
   Bench bench = open(config);
-  const auto turn = [this](Bench& the_bench, const BenchConfig& quick, RunFile& file,
-                           const std::vector<PlannedAngle>& plan) {
-    Observer observer(*this, nullptr, *the_bench.clock);
-    measure(the_bench, quick, file, plan, {}, observer, stop_.get_token());
-  };
-  std::vector<Finding> findings = check_bench(bench, config, !with_motion, turn);
+  std::vector<Finding> findings = check_bench(
+      bench, config, {!with_motion, [this](const SessionEvent& event) { show(event); }, stop_.get_token()});
   const auto of = [&](Finding::Grade grade) {
     return std::count_if(findings.begin(), findings.end(),
                          [&](const Finding& f) { return f.grade == grade; });
   };
-  say(fmt::format("The bench is checked: {} good, {} warnings, {} problems.", of(Finding::Grade::kGood),
+  log(fmt::format("The bench is checked: {} good, {} warnings, {} problems.", of(Finding::Grade::kGood),
                   of(Finding::Grade::kWarning), of(Finding::Grade::kProblem)));
   tell_(ChecksSeen{std::move(findings)});
 }
@@ -285,59 +275,14 @@ void Session::do_check(bool with_motion) {
 void Session::do_start(const std::string& name) {
   const BenchConfig config = read_bench(options_.bench_file);
   for (const std::string& warning : config.warnings) tell_(LogLine{LogLine::Grade::kWarning, warning});
-  Bench bench = open(config);
-  const Identities who = identify(bench, config);
-  const std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
-  RunBegan began = describe(config, who, plan, pace_of(bench));
-  began.file = name;
-  RunFile file = begin_run(bench, config, who, plan, options_.runs / name, nullptr);
-  tell_(began);
-  say(fmt::format("Run {} begins: {} angles.", name, plan.size()));
-  measure_and_finish(bench, config, std::move(file), plan, {});
+  run_->start({write_bench(config), options_.bench_file.string(), (options_.runs / name).string(), false});
 }
 
 void Session::do_resume(const std::filesystem::path& path) {
-  if (const auto finished = finish_killed_run(path)) {
-    say(fmt::format("All angles of run {} were measured already; it is closed and analysed now: {}.",
-                    path.filename().string(), verdict_of(*finished)));
-    return;
-  }
-  InterruptedRun run = open_interrupted_run(path);
-  Bench bench = open(run.config);
-  const std::vector<PlannedAngle>& plan = run.stored.header.plan;
-  RunBegan began = describe(run.config, identify(bench, run.config), plan, pace_of(bench));
-  began.file = path.filename().string();
-  for (std::size_t i = 0; i < run.stored.measured.size(); ++i)
-    began.measured.emplace_back(run.stored.measured[i], run.stored.record.dwells[i]);
-  tell_(began);
-  say(fmt::format("Run {} goes on: {} of {} angles are measured.", began.file, run.stored.measured.size(),
-                  plan.size()));
-  continue_run(run, bench);
-  measure_and_finish(bench, run.config, std::move(run.file), plan, run.so_far);
-}
-
-void Session::measure_and_finish(Bench& bench, const BenchConfig& config, RunFile file,
-                                 const std::vector<PlannedAngle>& plan, const RunProgress& so_far) {
-  const std::string name = file.path().filename().string();
-  try {
-    RunTiming timing;
-    {
-      Observer observer(*this, &file, *bench.clock);
-      timing = measure(bench, config, file, plan, so_far, observer, stop_.get_token());
-    }
-    store_notes(file, *bench.clock);
-    {
-      const std::lock_guard lock(mutex_);
-      activity_ = Activity::kAnalysing;
-      hold_ = false;
-    }
-    tell_activity();
-    const FinishedRun run = finish_run(bench, config, std::move(file), timing);
-    say(fmt::format("Run {} is complete: {}.", name, verdict_of(run)));
-    tell_(RunEnded{name, true, fmt::format("{}: {}", verdict_of(run), run.results.front().why)});
-  } catch (const std::exception& error) {
-    tell_(RunEnded{name, false, error.what()});
-    throw;
+  const RunOutcome outcome = run_->resume({path.string()});
+  if (outcome.measured_before) {
+    log(fmt::format("All angles of run {} were measured already; it is closed and analysed now.",
+                    path.filename().string()));
   }
 }
 
@@ -352,7 +297,7 @@ void Session::do_jog(StageAxis axis, Angle by) {
   if (!bench.simulated_time) halt_at_once.emplace(stop_.get_token(), [&] { bench.stage->halt(); });
   const Angle angle =
       console::jog(*bench.stage, *bench.clock, axis, by, jog_bench_->config.protocol, stop_.get_token());
-  say(fmt::format("Axis {} stands at {:.4f} degrees (encoder).", to_string(axis), angle.deg()));
+  log(fmt::format("Axis {} is at {:.4f} degrees (encoder).", to_string(axis), angle.deg()));
 }
 
 }  // namespace abcal::console

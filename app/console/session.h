@@ -1,9 +1,9 @@
 #pragma once
 
-#include <atomic>
 #include <condition_variable>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <stop_token>
@@ -12,8 +12,8 @@
 #include <vector>
 
 #include "app/bench/make_bench.h"
-#include "app/commands/run.h"
 #include "app/console/event.h"
+#include "app/session/run_session.h"
 
 namespace abcal::console {
 
@@ -23,7 +23,7 @@ namespace abcal::console {
 class Session {
  public:
   struct Options {
-    std::filesystem::path bench_file;  ///< Read anew for each check, run and jog.
+    std::filesystem::path bench_file;  ///< Read again for each check, run and jog.
     std::filesystem::path runs;        ///< Folder of the run files.
     double pace = 1.0;                 ///< Where nothing real takes part: simulated over real time.
   };
@@ -42,7 +42,7 @@ class Session {
   Refusal start();
   Refusal resume(const std::filesystem::path& run);
   Refusal hold();
-  Refusal go_on();
+  Refusal continue_run();
   Refusal jog(StageAxis axis, Angle by);
   /// Into the event log of the run that is on; `by` says who.
   Refusal note(std::string text, std::string by);
@@ -50,27 +50,20 @@ class Session {
   Refusal stop();
 
  private:
-  class Observer;
-  struct PendingNote {
-    std::string text, by;
-  };
-
   Refusal begin(Activity activity, std::function<void()> job);
   void work(const std::stop_token& end);
   void carry_out(const std::function<void()>& job);
   void tell_activity();
-  void say(std::string text);  // in the log of the pages
-  std::vector<PendingNote> take_notes();
-  void store_notes(RunFile& file, const Clock& clock);
+  void log(std::string text);  ///< For the pages.
+  /// What a run session tells, for the pages.
+  void show(const SessionEvent& event);
+  RunBegan describe(const RunBeganEvent& event) const;
 
   Bench open(const BenchConfig& config);
-  std::optional<double> pace_of(const Bench& bench) const;
   void do_check(bool with_motion);
   void do_start(const std::string& name);
   void do_resume(const std::filesystem::path& run);
   void do_jog(StageAxis axis, Angle by);
-  void measure_and_finish(Bench& bench, const BenchConfig& config, RunFile file,
-                          const std::vector<PlannedAngle>& plan, const RunProgress& so_far);
 
   Options options_;
   std::function<void(Event)> tell_;
@@ -80,9 +73,8 @@ class Session {
   std::function<void()> job_;  ///< To be begun.
   Activity activity_ = Activity::kIdle;
   bool closing_ = false;
-  std::stop_source stop_;  ///< Of what goes on.
-  std::vector<PendingNote> notes_;
-  std::atomic<bool> hold_ = false;
+  std::stop_source stop_;            ///< Of what goes on.
+  std::shared_ptr<RunSession> run_;  ///< Null: no run is on.
 
   /// Kept open between jogs; of the measuring thread alone.
   struct JogBench {

@@ -12,6 +12,7 @@
 #include <random>
 
 #include "app/session/run_bench.h"
+#include "app/session/session_observer.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/run/dwell.h"
@@ -96,8 +97,8 @@ std::optional<double> gravity_in(const std::string& unit, const LocalGravity& g_
 
 class Checker {
  public:
-  Checker(Bench& bench, const BenchConfig& config, bool no_motion, const MeasureTurn& measure_turn)
-      : bench_(bench), config_(config), no_motion_(no_motion), measure_turn_(measure_turn) {}
+  Checker(Bench& bench, const BenchConfig& config, const CheckOptions& options)
+      : bench_(bench), config_(config), options_(options) {}
 
   std::vector<Finding> run() {
     for (const std::string& warning : config_.warnings) add(Grade::kWarning, "bench file", warning);
@@ -105,7 +106,7 @@ class Checker {
     const bool accelerometer = attempt("accelerometer", [&] { look_at_accelerometer(); });
     if (accelerometer) attempt("readings at rest", [&] { look_at_rest(); });
     bench_.accelerometer->stop();
-    if (no_motion_) {
+    if (options_.no_motion) {
       add(Grade::kLeftOut, "signs and axes", "nothing was moved (--no-motion)");
     } else if (!stage || !accelerometer || failed_) {
       add(Grade::kLeftOut, "signs and axes", "nothing was moved, because of the problems above");
@@ -121,25 +122,25 @@ class Checker {
     findings_.push_back({grade, std::move(what), std::move(found), std::move(advice)});
   }
 
-  /// An instrument that fails is what a check is for.
+  /// A failing instrument is a finding here, not an error.
   template <class Look>
-  bool attempt(const std::string& what, Look look) {
+  bool attempt(const std::string& topic, Look look) {
     try {
       look();
       return true;
     } catch (const InstrumentError& error) {
-      add(Grade::kProblem, what, error.what());
+      add(Grade::kProblem, topic, error.what());
     } catch (const PlanError& error) {
-      add(Grade::kProblem, what, error.what());
+      add(Grade::kProblem, topic, error.what());
     } catch (const std::invalid_argument& error) {
-      add(Grade::kProblem, what, error.what());
+      add(Grade::kProblem, topic, error.what());
     }
     return false;
   }
 
   void look_at_stage() {
-    who_.stage = bench_.stage->identify();
-    const StageInfo& info = who_.stage;
+    identities_.stage = bench_.stage->identify();
+    const StageInfo& info = identities_.stage;
     require_serial_number("stage", info.model, info.serial_number, config_.stage.serial_number);
     add(Grade::kGood, "stage",
         fmt::format("{} {}, serial number {}, firmware {}", info.maker, info.model,
@@ -158,13 +159,13 @@ class Checker {
                         a.resolution.deg(), config_.protocol.position_window.deg()),
             "position_window_deg of at least the resolution");
     }
-    const auto plan = make_rotation_plan(config_.protocol, who_.travel());
+    const auto plan = make_rotation_plan(config_.protocol, identities_.travel());
     add(Grade::kGood, "travel", fmt::format("all {} angles of the plan lie inside", plan.size()));
   }
 
   void look_at_accelerometer() {
-    who_.accelerometer = bench_.accelerometer->identify();
-    const AccelerometerInfo& info = who_.accelerometer;
+    identities_.accelerometer = bench_.accelerometer->identify();
+    const AccelerometerInfo& info = identities_.accelerometer;
     require_serial_number("accelerometer", info.model, info.serial_number,
                           config_.accelerometer.serial_number);
     std::string words = fmt::format("{} {}, serial number {}, firmware {}, output in {}", info.maker,
@@ -193,12 +194,12 @@ class Checker {
       const auto reading = accelerometer.next(clock.now() + patience);
       if (!reading)
         throw InstrumentError(
-            "accelerometer " + who_.accelerometer.model, Fault::kNoReply,
+            "accelerometer " + identities_.accelerometer.model, Fault::kNoReply,
             fmt::format("no reading for {} s (reading_timeout_s)", config_.protocol.reading_timeout_s));
       readings.push_back(*reading);
     }
-    const DwellStatistics at_rest = dwell_statistics(readings, who_.accelerometer);
-    const std::string& unit = who_.accelerometer.output_unit;
+    const DwellStatistics at_rest = dwell_statistics(readings, identities_.accelerometer);
+    const std::string& unit = identities_.accelerometer.output_unit;
     const double rate = static_cast<double>(readings.size() - 1) /
                         to_seconds(readings.back().arrival - readings.front().arrival);
     const double asked = config_.accelerometer.rate_hz;
@@ -235,7 +236,7 @@ class Checker {
   }
 
   void turn() {
-    const auto travel = who_.travel();
+    const auto travel = identities_.travel();
     const auto turn_of = [](const AxisTravel& t) {
       return Angle::degrees(t.max.deg() >= kTurnDeg ? kTurnDeg : -kTurnDeg);
     };
@@ -247,8 +248,14 @@ class Checker {
     quick.protocol.warm_up_s = 0.0;
 
     const TemporaryFile path;
-    RunFile file = RunFile::create(path.path, make_header(quick, who_, plan, *bench_.clock));
-    measure_turn_(bench_, quick, file, plan);
+    RunFile file = RunFile::create(path.path, make_header(quick, identities_, plan, *bench_.clock));
+    if (options_.listener) {
+      RunBeganEvent began;  // Without a file: that of the turn is of no use afterwards.
+      began.plan = plan;
+      options_.listener(began);
+    }
+    SessionObserver observer(options_.listener);
+    measure({bench_, quick, file, plan, {}}, observer, options_.stop);
     std::vector<PoseReading> poses;
     for (const DwellRecord& dwell : RunFile::load(path.path).record.dwells) {
       poses.push_back({dwell.commanded_x, dwell.commanded_z, dwell.mean});
@@ -277,10 +284,9 @@ class Checker {
 
   Bench& bench_;
   const BenchConfig& config_;
-  bool no_motion_;
-  const MeasureTurn& measure_turn_;
+  const CheckOptions& options_;
   bool failed_ = false;
-  Identities who_;
+  Identities identities_;
   std::vector<Finding> findings_;
 };
 
@@ -320,17 +326,8 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
   return finding;
 }
 
-std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion) {
-  return check_bench(
-      bench, config, no_motion,
-      [](Bench& the_bench, const BenchConfig& quick, RunFile& file, const std::vector<PlannedAngle>& plan) {
-        measure(the_bench, quick, file, plan, {}, "Turning both axes by 30 degrees", std::nullopt);
-      });
-}
-
-std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion,
-                                 const MeasureTurn& measure_turn) {
-  return Checker(bench, config, no_motion, measure_turn).run();
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, const CheckOptions& options) {
+  return Checker(bench, config, options).run();
 }
 
 }  // namespace abcal

@@ -1,6 +1,6 @@
 #pragma once
 
-#include <functional>
+#include <stop_token>
 #include <string>
 #include <vector>
 
@@ -8,9 +8,8 @@
 
 #include "app/bench/bench_config.h"
 #include "app/bench/make_bench.h"
+#include "app/session/session_events.h"
 #include "drivers/instrument/angle.h"
-#include "protocol/plan/rotation_plan.h"
-#include "protocol/record/run_file.h"
 
 namespace abcal {
 
@@ -23,19 +22,18 @@ struct Finding {
   std::string advice;  ///< What to change; empty where nothing is to be done.
 };
 
+struct CheckOptions {
+  bool no_motion = false;
+  /// Told of the small turn, which is measured as a run is (RunBeganEvent without a file); empty: nobody.
+  SessionListener listener;
+  std::stop_token stop;  ///< Halts the stage and ends the check.
+};
+
 /// Talks to both instruments of a bench: identity, travel against the plan, speed, reference, readings at
 /// rest, rate, and (unless `no_motion`) a small turn of both axes, from which it sees whether signs and axes
 /// agree with gravity. The stage ends at zero, or halted.
 /// @throws RunInterrupted; an instrument that fails is a finding.
-std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion);
-
-/// How the small turn is measured: as measure() of run_bench.h does, shown wherever a person looks.
-using MeasureTurn =
-    std::function<void(Bench&, const BenchConfig&, RunFile&, const std::vector<PlannedAngle>& plan)>;
-
-/// The same where no terminal watches.
-std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, bool no_motion,
-                                 const MeasureTurn& measure_turn);
+std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, const CheckOptions& options);
 
 /// Readings (mean output, R) at one pose of the stage.
 struct PoseReading {

@@ -9,9 +9,6 @@
 #include <stop_token>
 
 #include "app/bench/level_file.h"
-#include "app/system/interrupt.h"
-#include "app/system/output.h"
-#include "app/system/terminal.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 
@@ -37,29 +34,6 @@ InstrumentIdentity identity(const AccelerometerInfo& info) {
 
 }  // namespace
 
-TerminalObserver::TerminalObserver(std::string title, const std::vector<PlannedAngle>& plan,
-                                   std::set<std::size_t> measured)
-    : plan_(plan), measured_(std::move(measured)), bar_(std::move(title), clock_) {}
-
-void TerminalObserver::phase(std::size_t position, RunPhase phase) {
-  std::string words(to_string(phase));
-  if (position < plan_.size() && phase != RunPhase::kHoming && phase != RunPhase::kWarmingUp) {
-    const PlannedAngle& angle = plan_[position];
-    words += angle.experiment > 0
-                 ? fmt::format(", experiment {}, alpha = {:g} deg", angle.experiment, angle.alpha.deg())
-                 : fmt::format(", X = {:g} deg, Z = {:g} deg", angle.x.deg(), angle.z.deg());
-  }
-  bar_.show(static_cast<double>(measured_.size()), static_cast<double>(plan_.size()), words);
-}
-
-void TerminalObserver::dwell(std::size_t position, const DwellRecord&) {
-  measured_.insert(position);
-}
-
-void TerminalObserver::notice(std::string_view text) {
-  bar_.line(emphasised(stderr, Emphasis::kWarning, fmt::format("flag: {}", text)));
-}
-
 std::array<AxisTravel, 2> Identities::travel() const {
   return {AxisTravel{stage.axes[0].travel_min, stage.axes[0].travel_max},
           AxisTravel{stage.axes[1].travel_min, stage.axes[1].travel_max}};
@@ -76,20 +50,22 @@ void require_serial_number(const std::string& role, const std::string& model, co
 }
 
 Identities identify(Bench& bench, const BenchConfig& config) {
-  Identities who{bench.stage->identify(), bench.accelerometer->identify()};
-  require_serial_number("stage", who.stage.model, who.stage.serial_number, config.stage.serial_number);
-  require_serial_number("accelerometer", who.accelerometer.model, who.accelerometer.serial_number,
-                        config.accelerometer.serial_number);
+  Identities identities{bench.stage->identify(), bench.accelerometer->identify()};
+  require_serial_number("stage", identities.stage.model, identities.stage.serial_number,
+                        config.stage.serial_number);
+  require_serial_number("accelerometer", identities.accelerometer.model,
+                        identities.accelerometer.serial_number, config.accelerometer.serial_number);
   const std::string& unit = config.accelerometer.response_unit;
-  if (!unit.empty() && config.accelerometer.driver != "simulated" && unit != who.accelerometer.output_unit) {
-    throw InstrumentError("accelerometer " + who.accelerometer.model, Fault::kWrongIdentity,
+  if (!unit.empty() && config.accelerometer.driver != "simulated" &&
+      unit != identities.accelerometer.output_unit) {
+    throw InstrumentError("accelerometer " + identities.accelerometer.model, Fault::kWrongIdentity,
                           fmt::format("its output is in {}; required: {} ([accelerometer] response_unit)",
-                                      who.accelerometer.output_unit, unit));
+                                      identities.accelerometer.output_unit, unit));
   }
-  return who;
+  return identities;
 }
 
-RunHeader make_header(const BenchConfig& config, const Identities& who, std::vector<PlannedAngle> plan,
+RunHeader make_header(const BenchConfig& config, const Identities& identities, std::vector<PlannedAngle> plan,
                       const Clock& clock) {
   RunHeader header;
   header.program_version = program_version();
@@ -108,15 +84,16 @@ RunHeader make_header(const BenchConfig& config, const Identities& who, std::vec
   label("item.firmware", config.item.firmware);
   label("item.supply", config.item.supply);
   label("protocol.estimator", config.protocol.estimator);
-  header.instruments = {identity(who.stage), identity(who.accelerometer)};
-  header.response_unit = who.accelerometer.output_unit;
+  header.instruments = {identity(identities.stage), identity(identities.accelerometer)};
+  header.response_unit = identities.accelerometer.output_unit;
   header.g_loc = config.g_loc;
   header.tolerances = config.tolerances;
   header.limits = config.limits;
   header.expected = config.expected;
   if (!config.stage.level_file.empty()) {
     const LevelFile level = read_level_file(config.stage.level_file);
-    require_serial_number("stage", who.stage.model, who.stage.serial_number, level.stage_serial_number);
+    require_serial_number("stage", identities.stage.model, identities.stage.serial_number,
+                          level.stage_serial_number);
     header.measured_alignment = level.alignment;
   }
   header.step = config.protocol.step;
@@ -134,8 +111,18 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
                      fmt::gmtime(now), extension);
 }
 
-void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, std::string_view moment) {
+PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const BenchConfig& config,
+                               const Identities& identities) {
+  return estimate_duration(
+      plan, config.protocol,
+      {identities.stage.axes[0].speed_deg_per_s, identities.stage.axes[1].speed_deg_per_s},
+      identities.accelerometer.rate_hz);
+}
+
+std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
+                                            std::string_view moment) {
   constexpr Clock::Duration kPatience = std::chrono::seconds(30);  // some sensors speak every ten seconds
+  std::optional<std::string> warning;
   EnvironmentReading now;
   if (bench.environment) {
     try {
@@ -143,7 +130,7 @@ void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, st
     } catch (const InstrumentError& error) {
       if (moment == "start") throw;
       file.append_event(format_utc(bench.clock->utc_now()), "environment not read", error.what());
-      print_log("warning: the environment could not be read: {}\n", error.what());
+      warning = fmt::format("the environment could not be read: {}", error.what());
     }
   }
   const auto either = [](const std::optional<double>& measured, const std::optional<double>& typed) {
@@ -153,38 +140,19 @@ void note_environment(Bench& bench, const BenchConfig& config, RunFile& file, st
                           either(now.temperature_degc, config.environment.temperature_degc),
                           either(now.humidity_percent, config.environment.humidity_percent),
                           either(now.pressure_hpa, config.environment.pressure_hpa));
+  return warning;
 }
 
-RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
-                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, RunObserver& observer,
-                  const std::stop_token& stop) {
+RunTiming measure(const PlanMeasurement& measurement, RunObserver& observer, const std::stop_token& stop) {
+  Bench& bench = measurement.bench;
+  const BenchConfig& config = measurement.config;
   // Simulated time has one thread only.
   std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
   if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
-  RunProgress progress = so_far;
-  progress.tolerances = config.tolerances;
-  progress.expected = config.expected;
-  progress.g_loc_mps2 = config.g_loc.value_mps2;
-  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()}, plan,
-                         progress, config.protocol, config.limits, file, observer, stop);
-}
-
-RunTiming measure(Bench& bench, const BenchConfig& config, RunFile& file,
-                  const std::vector<PlannedAngle>& plan, const RunProgress& so_far, const std::string& title,
-                  const std::optional<std::string>& on_failure) {
-  TerminalObserver observer(title, plan, so_far.measured);
-  try {
-    const RunTiming timing = measure(bench, config, file, plan, so_far, observer, interrupt_token());
-    observer.finish();
-    return timing;
-  } catch (...) {
-    observer.finish();
-    if (on_failure) {
-      print_log("{} of {} angles are measured and kept in {}{}\n", observer.measured(), plan.size(),
-                file.path().string(), *on_failure);
-    }
-    throw;
-  }
+  const RunSettings settings{config.protocol, config.limits, config.tolerances, config.expected,
+                             config.g_loc.value_mps2};
+  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()},
+                         {measurement.plan, settings, measurement.so_far}, measurement.file, observer, stop);
 }
 
 }  // namespace abcal

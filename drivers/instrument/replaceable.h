@@ -12,7 +12,7 @@
 
 namespace abcal {
 
-/// Holds an instrument's driver that can be made anew after its port vanished: what a driver knew of an
+/// Holds an instrument's driver that can be made again after its port vanished: what a driver knew of an
 /// instrument that was unplugged is worth nothing. While there is none, calls throw kLinkLost.
 /// @tparam Instrument RotationStage or Accelerometer.
 template <class Instrument>

@@ -37,7 +37,8 @@ constexpr std::uint8_t kFormat = 0x0F;
 constexpr std::uint8_t kStreamControl = 0x11;
 constexpr std::uint8_t kSharedSet = 0xFF;  // How newer devices list the fields that all data sets share.
 
-/// "5g, 300d/s" -> 5. [M]: seen as the options text of several models, not promised by a manual.
+/// "5g, 300d/s" -> 5. [unverified against a device]: seen as the options text of several models, not promised
+/// by a manual.
 std::optional<double> full_scale_in(std::string_view options) {
   double value = 0.0;
   const auto [end, error] = std::from_chars(options.data(), options.data() + options.size(), value);

@@ -10,8 +10,8 @@
 #include "drivers/wire/readable_bytes.h"
 
 /// The wire format of Newport's ESP301 family: bytes to commands and back, no port, no clock. Source:
-/// instruments.md A.1 (EPICS traces, InstrumentKit, Odemis). Replies carry neither a name nor a checksum:
-/// what a line means depends on what was asked.
+/// docs/protocols/newport_esp.md (EPICS traces, InstrumentKit, Odemis). Replies carry neither a name nor a
+/// checksum: what a line means depends on what was asked.
 namespace abcal::newport_esp {
 
 /// General error codes that the driver acts on.

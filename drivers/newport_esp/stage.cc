@@ -25,7 +25,8 @@ namespace {
 constexpr std::string_view kIdentityQuery = "VE?";
 constexpr std::string_view kErrorQuery = "TB?";
 
-/// The error buffer is a FIFO; ten entries are usual [M]. One that never empties is no error buffer.
+/// The error buffer is a FIFO; ten entries are usual [unverified against a device]. One that never empties is
+/// no error buffer.
 constexpr int kMostErrors = 32;
 
 /// Time that halt() leaves an exchange under way to end: its reply deadline, and some.
@@ -119,8 +120,9 @@ class NewportEspController final : public wire::LineController {
     const auto text = line_text(reply);
     const auto report = text ? parse_error_report(*text) : std::nullopt;
     if (!report) return std::nullopt;
-    // The time stamp counts from when the controller was switched on [M]; one that goes back says that it was
-    // switched on again, or ran over. Either way nobody knows the reference any more.
+    // The time stamp counts from when the controller was switched on [unverified against a device]; one that
+    // goes back says that it was switched on again, or ran over. Either way nobody knows the reference any
+    // more.
     const bool restarted = report->time_stamp < last_time_stamp_;
     last_time_stamp_ = report->time_stamp;
     if (restarted) {

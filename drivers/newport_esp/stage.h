@@ -11,7 +11,7 @@
 namespace abcal::newport_esp {
 
 /// How long a reply may take: the controller can be silent for 2 to 5 s after it has run into a travel limit
-/// (instruments.md A.1).
+/// (docs/protocols/newport_esp.md).
 inline constexpr Clock::Duration kReplyDeadline = std::chrono::seconds(6);
 
 /// Within this time after the call halt() has returned (a write that is stuck adds its own deadline of 2 s).

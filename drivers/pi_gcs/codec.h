@@ -11,7 +11,7 @@
 #include "drivers/wire/readable_bytes.h"
 
 /// The wire format of PI's General Command Set 2.0: bytes to commands and back, no port, no clock. Sources:
-/// the replies seen on the wire and the rules of PIPython (instruments.md A.2); the daisy-chain form of
+/// the replies seen on the wire and the rules of PIPython (docs/protocols/pi_gcs.md); the daisy-chain form of
 /// single-byte commands is general knowledge, not confirmed.
 namespace abcal::pi_gcs {
 

@@ -17,7 +17,8 @@ namespace {
 using std::chrono::seconds;
 using text_line::LineReader;
 
-// Many boards restart when their port is opened, and wait 2 s for a new program before they run theirs [M].
+// Many boards restart when their port is opened, and wait 2 s for a new program before they run theirs
+// [unverified against a device].
 constexpr seconds kFirstLineTime{5};
 constexpr unsigned kLikeLines = 2;
 

@@ -18,7 +18,8 @@ using vectornav::BinaryMessage;
 using vectornav::Message;
 using vectornav::TextMessage;
 
-// A device answers within milliseconds; its output buffer, full at 9600 baud, takes 1 s to empty [M].
+// A device answers within milliseconds; its output buffer, full at 9600 baud, takes 1 s to empty [unverified
+// against a device].
 constexpr seconds kAnswerTime{2};
 
 constexpr double kRateTolerance = 0.01;
@@ -26,7 +27,8 @@ constexpr unsigned kBitsPerByte = 10;  // On a UART, with start and stop bit.
 
 // Rates of the text output (register 7).
 constexpr std::array kTextRates{1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0};
-// [M] "$VNIMU" with 11 numbers and "$VNACC" with 3, in the widths that are seen, at 16 g, with a CRC.
+// [unverified against a device] "$VNIMU" with 11 numbers and "$VNACC" with 3, in the widths that are seen, at
+// 16 g, with a CRC.
 constexpr std::size_t kImuTextBytes = 115;
 constexpr std::size_t kAccelerationTextBytes = 40;
 
@@ -77,8 +79,8 @@ std::optional<std::string> values_if_answer(std::string_view text, std::string_v
   return std::string(second == std::string_view::npos ? std::string_view() : text.substr(second + 1));
 }
 
-/// [M] The manuals give the IMU rate of the VN-100 as 800 Hz and that of the VN-200 and VN-300 as 400 Hz. A
-/// device for which this is wrong is found out by its time stamps (check_period).
+/// [unverified against a device] The manuals give the IMU rate of the VN-100 as 800 Hz and that of the VN-200
+/// and VN-300 as 400 Hz. A device for which this is wrong is found out by its time stamps (check_period).
 unsigned imu_rate_of(std::string_view model) {
   return model.starts_with("VN-2") || model.starts_with("VN-3") ? 400U : 800U;
 }
@@ -268,9 +270,10 @@ wire::DecodedFrame VectorNavAccelerometer::decode(const Message& message) {
     measurement = vectornav::decode_binary_measurement(std::get<BinaryMessage>(message));
   }
   if (!measurement) return {.malformed = true};
-  return {.reading = Reading{.output = measurement->acceleration_mps2,
-                             .temperature_degc = measurement->temperature_degc},
-          .steps = steps_since_last_reading(measurement->time_startup_ns)};
+  Reading reading;
+  reading.output = measurement->acceleration_mps2;
+  reading.temperature_degc = measurement->temperature_degc;
+  return {.reading = reading, .steps = steps_since_last_reading(measurement->time_startup_ns)};
 }
 
 /// How many readings the device has made since the last one received, by its clock: 1 if none was lost.

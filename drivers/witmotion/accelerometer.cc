@@ -17,11 +17,12 @@ using std::chrono::seconds;
 using witmotion::Frame;
 using witmotion::FrameParser;
 
-// A device answers within milliseconds, between the frames that it streams [M].
+// A device answers within milliseconds, between the frames that it streams [unverified against a device].
 constexpr seconds kAnswerTime{1};
 // One that streams once in 5 s, the slowest that a device may be left at, is heard.
 constexpr seconds kFirstFrameTime{6};
-// [M] The maker's own library waits a millisecond between unlock and write; more than enough at 9600 baud.
+// [unverified against a device] The maker's own library waits a millisecond between unlock and write; more
+// than enough at 9600 baud.
 constexpr milliseconds kBetweenCommands{10};
 
 // Its clock is not said to be accurate; its rates, and what a line too slow for one carries, differ by more.

@@ -13,7 +13,8 @@ namespace {
 
 using std::chrono::seconds;
 
-// A device answers within milliseconds; its output buffer, full at 9600 baud, takes 1 s to empty [M].
+// A device answers within milliseconds; its output buffer, full at 9600 baud, takes 1 s to empty [unverified
+// against a device].
 constexpr seconds kAnswerTime{2};
 
 constexpr double kRateTolerance = 0.01;
@@ -102,7 +103,8 @@ void XsensMtiAccelerometer::make_quiet() {
 AccelerometerInfo XsensMtiAccelerometer::interrogate() {
   make_quiet();
   const std::string device_id = exchange({xbus::kReqDeviceId, {}, "device id"});
-  if (device_id.size() != 4 && device_id.size() != 8) {  // Eight of the MTi-600 series [M].
+  // Eight of the MTi-600 series [unverified against a device].
+  if (device_id.size() != 4 && device_id.size() != 8) {
     fail(Fault::kBadFrame,
          fmt::format("the answer to \"device id\" has {} bytes; required: 4 or 8", device_id.size()));
   }
@@ -260,7 +262,7 @@ wire::DecodedFrame XsensMtiAccelerometer::decode_data(const xbus::Message& messa
   return {.reading = std::move(reading), .steps = packet_counter ? std::optional(steps) : std::nullopt};
 }
 
-/// A packet counter that begins anew passes for a long gap; the sample time, in 0.1 ms, does not.
+/// A packet counter that starts again looks like a long gap; the sample time, in 0.1 ms, does not.
 void XsensMtiAccelerometer::check_sample_time(std::uint32_t sample_time) {
   const auto last = std::exchange(last_sample_time_, sample_time);
   if (!last) return;

@@ -15,7 +15,7 @@
 /// length follow. All numbers are big-endian.
 namespace abcal::xbus {
 
-inline constexpr std::size_t kMaxData = 2048;  ///< [M] Longest data of a message.
+inline constexpr std::size_t kMaxData = 2048;  ///< [unverified against a device] Longest data of a message.
 
 /// Message ids. The answer to a command has its id + 1.
 enum MessageId : std::uint8_t {
@@ -126,7 +126,7 @@ std::optional<std::uint32_t> decode_u32(std::string_view data);
 
 /// E020: an accelerometer has clipped. Bits 8, 9, 10 are those of accelerometer x, y, z; 11 to 16 of
 /// gyroscope and magnetometer; 19 says that something clipped, and counts here only if no other bit tells
-/// what [M].
+/// what [unverified against a device].
 constexpr bool accelerometer_clipped(std::uint32_t status_word) {
   constexpr std::uint32_t kAccelerometer = 0x0000'0700U;
   constexpr std::uint32_t kOthers = 0x0001'F800U;

@@ -10,7 +10,7 @@
 #include "drivers/wire/readable_bytes.h"
 
 /// The wire format of the Zaber ASCII protocol: bytes to commands and back, no port, no clock. Source:
-/// instruments.md A.3 (the vectors and parser cases of the zproto library).
+/// docs/protocols/zaber_ascii.md (the vectors and parser cases of the zproto library).
 namespace abcal::zaber_ascii {
 
 /// Sum of all bytes, negated, modulo 256: `content` is what stands between the first character and ':'.

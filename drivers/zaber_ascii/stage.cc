@@ -34,7 +34,7 @@ constexpr Clock::Duration kHaltRetryInterval = std::chrono::milliseconds(20);
 
 constexpr int kMessageIds = 100;
 
-/// Speeds are in microsteps per second times this (instruments.md A.3).
+/// Speeds are in microsteps per second times this (docs/protocols/zaber_ascii.md).
 constexpr double kSpeedFactor = 1.6384;
 
 /// Where an axis is on the line.
@@ -231,7 +231,7 @@ class ZaberAsciiController final : public wire::LineController {
         continue;
       }
       some_checksums_ = some_checksums_ || message->has_checksum;
-      // A device too old for the question has one axis [M].
+      // A device too old for the question has one axis [unverified against a device].
       const double count = message->accepted ? parse_number(message->data).value_or(0.0) : 1.0;
       if (!(count >= 1.0 && count <= 9.0)) {
         heard.add(*come);
@@ -243,8 +243,8 @@ class ZaberAsciiController final : public wire::LineController {
     return found;
   }
 
-  /// Whether replies to commands with a checksum have one [M] is seen here; from then on one without is
-  /// damaged. Asked twice: a damaged line must neither hide a device nor its checksum.
+  /// Whether replies to commands with a checksum have one [unverified against a device] is seen here; from
+  /// then on one without is damaged. Asked twice: a damaged line must neither hide a device nor its checksum.
   std::map<int, Device> who_is_there(int device) {
     checksums_ = some_checksums_ = false;
     Heard heard;

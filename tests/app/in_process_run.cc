@@ -5,29 +5,8 @@
 #include <utility>
 
 #include "drivers/instrument/clock.h"
-#include "protocol/plan/rotation_plan.h"
 
 namespace abcal::test {
-
-class InProcessRun::Observer final : public RunObserver {
- public:
-  Observer(InProcessRun& run, const Clock& clock) : run_(run), clock_(clock), last_(clock.now()) {}
-  void phase(std::size_t, RunPhase) override {}
-  void dwell(std::size_t position, const DwellRecord&) override {
-    run_.reported_.insert(position);
-    note_time();
-  }
-  void notice(std::string_view) override {}
-  void note_time() {
-    const Clock::Instant now = clock_.now();
-    run_.longest_angle_s_ = std::max(run_.longest_angle_s_, to_seconds(now - std::exchange(last_, now)));
-  }
-
- private:
-  InProcessRun& run_;
-  const Clock& clock_;
-  Clock::Instant last_;
-};
 
 class InProcessRun::WatchedStage final : public RotationStage {
  public:
@@ -106,43 +85,54 @@ void InProcessRun::go_on() {
   left_moving_ = false;
   longest_angle_s_ = 0.0;
   finished_.reset();
-  if (exists()) {
-    finished_ = finish_killed_run(path_);
-    if (finished_ || RunFile::load(path_).state == RunState::kComplete) return;
-    InterruptedRun run = open_interrupted_run(path_);
-    if (change_bench) change_bench(run.config);
-    Bench bench = make_bench(run.config);
-    watch(bench);
-    continue_run(run, bench);
-    measure_to_the_end(bench, run.config, std::move(run.file), run.stored.header.plan, run.so_far);
-  } else {
-    BenchConfig config = parse_bench(bench_toml_, "bench.toml");
-    if (change_bench) change_bench(config);
-    Bench bench = make_bench(config);
-    watch(bench);
-    const Identities who = identify(bench, config);
-    const std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, who.travel());
-    measure_to_the_end(bench, config, begin_run(bench, config, who, plan, path_, nullptr), plan, {});
+  if (exists() && RunFile::load(path_).state == RunState::kComplete) {
+    finished_ = finish_measured_run(path_);
+    return;
   }
-}
-
-void InProcessRun::measure_to_the_end(Bench& bench, const BenchConfig& config, RunFile file,
-                                      const std::vector<PlannedAngle>& plan, const RunProgress& so_far) {
-  Observer observer(*this, *bench.clock);
+  std::optional<Clock::Instant> last;  // When an angle was measured.
+  const Bench* bench = nullptr;
+  const auto note_time = [&] {
+    const Clock::Instant now = bench->clock->now();
+    if (last) longest_angle_s_ = std::max(longest_angle_s_, to_seconds(now - *last));
+    last = now;
+  };
+  RunSession::Options options;
+  options.open_bench = [this](const BenchConfig& config, BenchStreams streams) {
+    BenchConfig changed = config;
+    if (change_bench) change_bench(changed);
+    Bench made = make_bench(changed, std::move(streams));
+    watch(made);
+    return made;
+  };
+  std::optional<RunSession> session;
+  options.listener = [&](const SessionEvent& event) {
+    bench = session->bench();
+    if (std::holds_alternative<RunBeganEvent>(event)) last = bench->clock->now();
+    if (const auto* done = std::get_if<DwellDoneEvent>(&event)) {
+      reported_.insert(done->position);
+      note_time();
+    }
+  };
+  session.emplace(std::move(options));
   // Once the run is left, the bench goes on by itself: nothing may turn any more but for coming to rest.
   const auto look = [&] {
     constexpr Clock::Duration kToRest = std::chrono::milliseconds(500);
-    const Clock::Instant now = bench.clock->now();
-    observer.note_time();
-    simulated_s_ = to_seconds(now - bench.world->start());
+    if (bench == nullptr) return;  // It ended before there was a run.
+    const Clock::Instant now = bench->clock->now();
+    note_time();
+    simulated_s_ = to_seconds(now - bench->world->start());
     for (const StageAxis axis : kStageAxes) {
-      left_moving_ = left_moving_ || bench.world->motion_end(axis, now) > now + kToRest;
+      left_moving_ = left_moving_ || bench->world->motion_end(axis, now) > now + kToRest;
     }
   };
   try {
-    const RunTiming timing =
-        measure(bench, config, file, plan, so_far, observer, std::stop_source().get_token());
-    finished_ = finish_run(bench, config, std::move(file), timing);
+    if (exists()) {
+      finished_ = session->resume({path_.string()});
+    } else {
+      BenchConfig config = parse_bench(bench_toml_, "bench.toml");
+      if (change_bench) change_bench(config);
+      finished_ = session->start({write_bench(config), "bench.toml", path_.string(), false});
+    }
   } catch (...) {
     look();
     throw;

@@ -11,7 +11,7 @@
 
 #include "app/bench/bench_config.h"
 #include "app/bench/make_bench.h"
-#include "app/commands/run.h"
+#include "app/session/run_session.h"
 
 namespace abcal::test {
 
@@ -45,18 +45,15 @@ class InProcessRun {
   /// The longest simulated time from one angle that was said to be measured (or the begin) to the next (or
   /// the end), in seconds.
   double longest_angle_s() const { return longest_angle_s_; }
-  const std::optional<FinishedRun>& finished() const { return finished_; }
+  const std::optional<RunOutcome>& finished() const { return finished_; }
 
   /// The angles that the run has said to be measured, of all go_on() together: positions in the plan.
   const std::set<std::size_t>& reported() const { return reported_; }
 
  private:
-  class Observer;
   class WatchedStage;
   class WatchedAccelerometer;
   void watch(Bench& bench);
-  void measure_to_the_end(Bench& bench, const BenchConfig& config, RunFile file,
-                          const std::vector<PlannedAngle>& plan, const RunProgress& so_far);
   void before(std::string_view call);
 
   std::string bench_toml_;
@@ -64,7 +61,7 @@ class InProcessRun {
   std::size_t calls_ = 0, halts_ = 0;
   bool left_moving_ = false;
   double simulated_s_ = 0.0, longest_angle_s_ = 0.0;
-  std::optional<FinishedRun> finished_;
+  std::optional<RunOutcome> finished_;
   std::set<std::size_t> reported_;
 };
 

@@ -128,7 +128,7 @@ TEST_F(ProgramTest, AReplayThatLeavesItsRecordingSaysWhere) {
   EXPECT_EQ(replay.exit_code, 3);
   EXPECT_THAT(replay.err, AllOf(HasSubstr("the replay leaves the recording"), HasSubstr("MOV 1 90"),
                                 HasSubstr("MOV 1 91"), HasSubstr("did not end as the recorded run did"),
-                                Not(HasSubstr("go on with"))));
+                                Not(HasSubstr("continue with"))));
   EXPECT_EQ(RunFile::load(folder / "a-replay.run").state, RunState::kAbandoned);
   EXPECT_NE(abcal({"resume", "a-replay.run"}).exit_code, 0);  // It would turn the real stage.
 }

@@ -227,11 +227,11 @@ TEST_F(SteeringTest, JogsAnAxisWhenNoRunIsOn) {
     return page->wait_for([](const Json& m) { return m["type"] == "log"; }, "where it stands")["line"]["text"]
         .get<std::string>();
   };
-  EXPECT_THAT(jog("x", 10.0), HasSubstr("Axis X stands at 10.00"));
+  EXPECT_THAT(jog("x", 10.0), HasSubstr("Axis X is at 10.00"));
   page->wait_for_activity("idle");
-  EXPECT_THAT(jog("x", -2.5), HasSubstr("Axis X stands at 7.50"));
+  EXPECT_THAT(jog("x", -2.5), HasSubstr("Axis X is at 7.50"));
   page->wait_for_activity("idle");
-  EXPECT_THAT(jog("z", 350.0), HasSubstr("Axis Z stands at 350.00"));
+  EXPECT_THAT(jog("z", 350.0), HasSubstr("Axis Z is at 350.00"));
   page->wait_for_activity("idle");
   EXPECT_THAT(jog("z", 350.0), HasSubstr("travel"));  // It ends at 360 degrees.
   page->wait_for_activity("idle");

@@ -69,7 +69,7 @@ struct SimulatedRun {
     {
       RunFile file = RunFile::create(path, header);
       Observer observer(*this, *world, clock);
-      run_experiments({stage, accelerometer, clock}, plan, progress(), protocol, limits, file, observer,
+      run_experiments({stage, accelerometer, clock}, {plan, settings(), {}}, file, observer,
                       std::stop_source().get_token());
     }
     return RunFile::load(path);
@@ -113,13 +113,7 @@ struct SimulatedRun {
   }
 
  private:
-  RunProgress progress() const {
-    RunProgress start;
-    start.tolerances = tolerances;
-    start.expected = expected;
-    start.g_loc_mps2 = g_loc_mps2;
-    return start;
-  }
+  RunSettings settings() const { return {protocol, limits, tolerances, expected, g_loc_mps2}; }
 
   class Observer final : public RunObserver {
    public:
@@ -130,7 +124,7 @@ struct SimulatedRun {
       ++dwells_;
       if (run_.after_dwell) run_.after_dwell(world_, clock_.now(), dwells_);
     }
-    void notice(std::string_view text) override { run_.notices.emplace_back(text); }
+    void notice(std::string_view, std::string_view text) override { run_.notices.emplace_back(text); }
 
    private:
     SimulatedRun& run_;

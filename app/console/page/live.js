@@ -3,7 +3,7 @@ import {byId, degrees, duration, element, number, signed, small, table, DASH} fr
 import {drawGimbal} from '/gimbal.js';
 import {OUTPUTS, plot, series} from '/plots.js';
 
-const PHASES = {referencing: 'The axes are homed', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
+const PHASES = {homing: 'The axes are homed', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
   moving: 'The stage moves', settling: 'Waiting until the outputs are quiet', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 

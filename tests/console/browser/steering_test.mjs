@@ -81,7 +81,7 @@ step('stops the run, and jogs an axis', async (page) => {
   await page.locator('#jog-by').fill('-7.5');
   await page.locator('#do-jog').click();
   await confirmDialog();
-  await page.getByText(/Axis Z stands at -7\.50\d+ degrees/).waitFor();
+  await page.getByText(/Axis Z is at -7\.50\d+ degrees/).waitFor();
 });
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

@@ -75,7 +75,7 @@ std::string read_file(const std::filesystem::path& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// Frames of instruments.md B.1: third-party origin, and those sent by the maker's SDK.
+// Frames of docs/protocols/mip.md: third-party origin, and those sent by the maker's SDK.
 
 TEST(MipCodecTest, BuildsThePacketsThatTheMakersSdkSends) {
   EXPECT_EQ(make_packet(0x01, {make_field(0x01)}), from_hex("756501020201E0C6"));
@@ -149,7 +149,7 @@ TEST(MipCodecTest, DecodesTheDataPacketOfTheCheckFile) {
   EXPECT_EQ((*fields)[2].descriptor, kScaledAccelerometer);
   const auto acceleration = decode_scaled_accelerometer((*fields)[2].data);
   ASSERT_TRUE(acceleration);
-  // Half of the last digit printed in instruments.md B.1.
+  // Half of the last digit printed in docs/protocols/mip.md.
   EXPECT_NEAR(acceleration->x(), 0.077592, 5e-7);
   EXPECT_NEAR(acceleration->y(), 0.000061, 5e-7);
   EXPECT_NEAR(acceleration->z(), -0.979233, 5e-7);

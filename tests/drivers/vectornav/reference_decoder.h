@@ -9,8 +9,8 @@
 #include <string_view>
 #include <vector>
 
-/// VectorNav messages decoded the slow way, from instruments.md B.2 and without a line of the driver's codec:
-/// looks at every byte of a whole recording whether a message begins there.
+/// VectorNav messages decoded the slow way, from docs/protocols/vectornav.md and without a line of the
+/// driver's codec: looks at every byte of a whole recording whether a message begins there.
 namespace abcal::test::vectornav_reference {
 
 inline unsigned byte_at(std::string_view bytes, std::size_t index) {

@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-/// Xbus decoded the slow way, from instruments.md B.3 and without a line of the driver's codec: looks at
+/// Xbus decoded the slow way, from docs/protocols/xbus.md and without a line of the driver's codec: looks at
 /// every byte of a whole recording whether a message begins there.
 namespace abcal::test::xbus_reference {
 

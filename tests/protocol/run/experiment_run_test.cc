@@ -27,7 +27,7 @@ class SilentObserver : public RunObserver {
     dwells.push_back(dwell);
     if (after_dwell) after_dwell();
   }
-  void notice(std::string_view text) override { notices.emplace_back(text); }
+  void notice(std::string_view, std::string_view text) override { notices.emplace_back(text); }
   std::vector<DwellRecord> dwells;
   std::vector<std::string> notices;
   std::function<void()> after_dwell;
@@ -79,10 +79,17 @@ class ExperimentRunTest : public testing::Test {
     file.emplace(RunFile::create(folder / "a.run", header));
   }
 
+  RunSettings settings() const {
+    RunSettings all;
+    all.protocol = protocol;
+    all.limits = limits;
+    return all;
+  }
+
   RunTiming run(const std::set<std::size_t>& measured = {}) {
     RunProgress so_far;
     so_far.measured = measured;
-    return run_experiments({*stage, *accelerometer, clock}, plan, so_far, protocol, limits, *file, observer,
+    return run_experiments({*stage, *accelerometer, clock}, {plan, settings(), so_far}, *file, observer,
                            stop.get_token());
   }
 
@@ -189,14 +196,12 @@ class ResumedRunTest : public ExperimentRunTest {
     so_far.measured = {stored.measured.begin(), stored.measured.end()};
     so_far.spent = stored.timing;
     so_far.last = RunProgress::LastAngle{stored.measured.back(), stored.record.dwells.back()};
-    so_far.tolerances = tolerances;
     return so_far;
   }
   void resume(const RunProgress& so_far) {
-    run_experiments({*stage, *accelerometer, clock}, plan, so_far, protocol, limits, *file, observer,
+    run_experiments({*stage, *accelerometer, clock}, {plan, settings(), so_far}, *file, observer,
                     stop.get_token());
   }
-  Tolerances tolerances;
 };
 
 TEST_F(ResumedRunTest, MeasuresTheLastAngleAgainAndGoesOn) {

@@ -1,0 +1,17 @@
+#pragma once
+
+#include <string>
+
+#include "app/session/session_events.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// How a run ended: what its program said, or that it said nothing. A run that was resumed has several ends;
+/// a recording goes up to the first.
+std::string end_of_run(const StoredRun& run);
+
+/// Whether a replay did what the recorded run did.
+ReplayComparedEvent compare_replay(const StoredRun& recorded, const StoredRun& replayed);
+
+}  // namespace abcal

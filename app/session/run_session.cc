@@ -1,0 +1,433 @@
+#include "app/session/run_session.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <utility>
+
+#include "app/bench/real_clock.h"
+#include "app/results/analyses.h"
+#include "app/results/result_json.h"
+#include "app/results/result_text.h"
+#include "app/session/disk_space.h"
+#include "app/session/replay_comparison.h"
+#include "app/session/session_observer.h"
+#include "app/system/version.h"
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/wire/replay_stream.h"
+
+namespace abcal {
+namespace {
+
+/// Most notes that wait to be stored.
+constexpr std::size_t kMostNotes = 20;
+
+/// Analyses a run that is closed, and keeps the analyses in its results file.
+RunOutcome analyse_closed_run(const std::filesystem::path& path, const std::string& sha256,
+                              const std::string& utc) {
+  RunOutcome outcome;
+  outcome.path = path;
+  outcome.sha256 = sha256;
+  outcome.stored = RunFile::load(path);
+  outcome.results = analyse_all(outcome.stored.record);
+  ResultsFile results_file(path, sha256);
+  for (const CalibrationResult& each : outcome.results) {
+    results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
+  }
+  return outcome;
+}
+
+/// The name of the first free "a-replay.run", "a-replay-2.run" ... in the folder of "a.run".
+std::filesystem::path replay_path(const std::filesystem::path& run) {
+  for (int count = 1;; ++count) {
+    const std::string suffix = count == 1 ? "" : fmt::format("-{}", count);
+    std::filesystem::path path = run;
+    path.replace_filename(
+        fmt::format("{}-replay{}{}", run.stem().string(), suffix, run.extension().string()));
+    if (!std::filesystem::exists(path)) return path;
+  }
+}
+
+/// What an interrupted run holds already.
+RunProgress progress_of(const StoredRun& stored) {
+  RunProgress so_far;
+  so_far.measured = {stored.measured.begin(), stored.measured.end()};
+  so_far.spent = stored.timing;
+  const std::vector<DwellRecord>& dwells = stored.record.dwells;
+  if (dwells.empty()) return so_far;
+  const auto last = std::find_if(dwells.rbegin(), dwells.rend(), can_be_compared_with);
+  if (last != dwells.rend()) {
+    so_far.last = {stored.measured[static_cast<std::size_t>(dwells.rend() - last) - 1], *last};
+  }
+  so_far.first_temperature_degc = dwells.front().temperature_degc;
+  return so_far;
+}
+
+FinishedEvent finished_event(const RunOutcome& outcome) {
+  FinishedEvent event;
+  event.file = outcome.path.string();
+  event.complete = true;
+  event.verdict = verdict_words(outcome.results.front().verdict);
+  event.reason = outcome.results.front().why;
+  event.measured = outcome.stored.measured.size();
+  event.planned = outcome.stored.header.plan.size();
+  return event;
+}
+
+}  // namespace
+
+std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path) {
+  std::error_code ignored;
+  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete) {
+    return std::nullopt;
+  }
+  const std::string sha256 = RunFile::finish_closing(path);
+  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
+  RunOutcome outcome = analyse_closed_run(path, sha256, format_utc(RealClock().utc_now()));
+  outcome.measured_before = true;
+  return outcome;
+}
+
+/// The instruments of a bench file, with what they said and what is planned.
+struct RunSession::OpenedBench {
+  BenchConfig config;
+  Bench bench;
+  Identities identities;
+  std::vector<PlannedAngle> plan;
+  bool identified = false;
+};
+
+RunSession::RunSession(Options options) : options_(std::move(options)) {
+  if (!options_.open_bench) {
+    options_.open_bench = [](const BenchConfig& config, BenchStreams streams) {
+      return make_bench(config, std::move(streams));
+    };
+  }
+  if (!options_.free_disk_space) options_.free_disk_space = abcal::free_disk_space;
+  stop_link_.emplace(options_.stop, [this] { stop_.request_stop(); });
+}
+
+RunSession::~RunSession() = default;
+
+Bench* RunSession::bench() {
+  return opened_ ? &opened_->bench : nullptr;
+}
+
+void RunSession::tell(SessionEvent event) const {
+  if (options_.listener) options_.listener(event);
+}
+
+void RunSession::warn(const std::string& kind, const std::string& text) const {
+  tell(NoticeEvent{kind, text});
+}
+
+void RunSession::hold() {
+  const std::lock_guard lock(mutex_);
+  hold_wanted_ = true;
+}
+
+void RunSession::continue_run() {
+  const std::lock_guard lock(mutex_);
+  hold_wanted_ = false;
+}
+
+bool RunSession::is_hold_wanted() const {
+  const std::lock_guard lock(mutex_);
+  return hold_wanted_;
+}
+
+bool RunSession::add_note(NoteRequest note) {
+  const std::lock_guard lock(mutex_);
+  if (notes_.size() >= kMostNotes) return false;
+  notes_.push_back(std::move(note));
+  return true;
+}
+
+void RunSession::request_stop() {
+  stop_.request_stop();
+}
+
+void RunSession::store_notes(RunFile& file, const Clock& clock) {
+  std::vector<NoteRequest> notes;
+  {
+    const std::lock_guard lock(mutex_);
+    notes.swap(notes_);
+  }
+  for (const NoteRequest& note : notes) {
+    file.append_event(format_utc(clock.utc_now()), "note", fmt::format("{} ({})", note.text, note.by));
+    tell(NoteStoredEvent{note.text, note.by});
+  }
+}
+
+std::optional<RunOutcome> RunSession::carry_out(const SessionRequest& request) {
+  struct Visitor {
+    RunSession& session;
+    std::optional<RunOutcome> operator()(const StartRequest& start) const { return session.start(start); }
+    std::optional<RunOutcome> operator()(const ResumeRequest& resume) const { return session.resume(resume); }
+    std::optional<RunOutcome> operator()(const ReplayRequest& replay) const { return session.replay(replay); }
+    std::optional<RunOutcome> operator()(const HoldRequest&) const {
+      session.hold();
+      return std::nullopt;
+    }
+    std::optional<RunOutcome> operator()(const ContinueRequest&) const {
+      session.continue_run();
+      return std::nullopt;
+    }
+    std::optional<RunOutcome> operator()(const StopRequest&) const {
+      session.request_stop();
+      return std::nullopt;
+    }
+    std::optional<RunOutcome> operator()(const NoteRequest& note) const {
+      (void)session.add_note(note);
+      return std::nullopt;
+    }
+  };
+  return std::visit(Visitor{*this}, request);
+}
+
+// ---- Begin
+
+RunSession::OpenedBench& RunSession::open(const BenchConfig& config, BenchStreams streams) {
+  opened_.reset();  // Or its ports would be in the way.
+  auto opened = std::make_unique<OpenedBench>();
+  opened->config = config;
+  opened->bench = options_.open_bench(config, std::move(streams));
+  opened_ = std::move(opened);
+  return *opened_;
+}
+
+RunOutcome RunSession::start(const StartRequest& request) {
+  const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
+  const bool is_open = opened_ && opened_->identified && !request.record &&
+                       write_bench(opened_->config) == write_bench(config);
+  if (!is_open) {
+    opened_.reset();
+    transcript_ = request.record ? std::make_unique<Transcript>(stop_.get_token()) : nullptr;
+    OpenedBench& opened = open(config, transcript_ ? transcript_->streams() : BenchStreams{});
+    if (transcript_ && !transcript_->has_streams()) {
+      throw std::invalid_argument(
+          "--record: nothing on this bench has bytes to record, its drivers are simulated without a wire; "
+          "required: at least one other driver (its port may be \"simulated\")");
+    }
+    opened.identities = identify_or_keep_recording(request, opened);
+    opened.plan = make_rotation_plan(config.protocol, opened.identities.travel());
+    opened.identified = true;
+  }
+  RunFile file = create_file(*opened_, request);
+  tell_begun(*opened_, request.run_file, nullptr);
+  return measure_and_finish(std::move(file), {});
+}
+
+Identities RunSession::identify_or_keep_recording(const StartRequest& request, const OpenedBench& opened) {
+  Bench& bench = opened_->bench;
+  try {
+    return identify(bench, opened.config);
+  } catch (const InstrumentError& error) {
+    if (!transcript_) throw;
+    // There is no run; but what the instruments said is worth keeping.
+    try {
+      BenchConfig config = opened.config;
+      config.stage.level_file.clear();  // Only an identified stage can be compared with it.
+      RunHeader header = make_header(config, {}, {}, *bench.clock);
+      header.instruments.clear();
+      RunFile file = RunFile::create(request.run_file, header);
+      transcript_->keep_in(file);
+      file.set_state(RunState::kAbandoned, format_utc(bench.clock->utc_now()), error.what());
+      warn("recording", fmt::format("Nothing was measured; the recording is kept in {}", request.run_file));
+    } catch (const RunFileError& lost) {
+      warn("recording", fmt::format("The recording is lost: {}", lost.what()));
+    }
+    throw;
+  }
+}
+
+void RunSession::require_disk_space(const OpenedBench& opened, const StartRequest& request) {
+  DiskNeed need;
+  need.angles = opened.plan.size();
+  need.rate_hz = opened.identities.accelerometer.rate_hz;
+  need.readings_per_angle = readings_per_dwell(opened.config.protocol, need.rate_hz);
+  need.duration_s = estimate_duration(opened.plan, opened.config, opened.identities).total_s();
+  need.with_recording = request.record;
+  const auto warning = check_disk_space(request.run_file, need, options_.free_disk_space(request.run_file));
+  if (warning) warn("disk space", *warning);
+}
+
+RunFile RunSession::create_file(const OpenedBench& opened, const StartRequest& request) {
+  Bench& bench = opened_->bench;
+  require_disk_space(opened, request);
+  RunFile file = RunFile::create(request.run_file,
+                                 make_header(opened.config, opened.identities, opened.plan, *bench.clock));
+  if (transcript_) transcript_->keep_in(file);
+  file.append_event(format_utc(bench.clock->utc_now()), "started", "run started");
+  (void)note_environment(bench, opened.config, file, "start");
+  return file;
+}
+
+void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::path& path,
+                            const StoredRun* resumed) {
+  const auto summary = [](const auto& info) {
+    return InstrumentSummary{info.maker, info.model, info.serial_number};
+  };
+  const BenchConfig& config = opened.config;
+  const Identities& identities = opened.identities;
+  RunBeganEvent began;
+  began.file = path.string();
+  began.resumed = resumed != nullptr;
+  began.bench = config.name;
+  began.item =
+      config.item.serial_number.empty() ? identities.accelerometer.serial_number : config.item.serial_number;
+  began.operator_name = config.operator_name;
+  began.unit = identities.accelerometer.output_unit;
+  began.stage = summary(identities.stage);
+  began.accelerometer = summary(identities.accelerometer);
+  began.rate_hz = identities.accelerometer.rate_hz;
+  began.plan = opened.plan;
+  for (std::size_t i = 0; resumed != nullptr && i < resumed->measured.size(); ++i) {
+    began.measured.push_back({resumed->measured[i], resumed->record.dwells[i]});
+  }
+  began.estimated_s = estimate_duration(opened.plan, config, identities).total_s();
+  began.simulated_time = opened.bench.simulated_time;
+  tell(std::move(began));
+}
+
+// ---- Resume
+
+RunOutcome RunSession::resume(const ResumeRequest& request) {
+  const std::filesystem::path path = request.run_file;
+  if (std::optional<RunOutcome> outcome = finish_measured_run(path)) {
+    tell(finished_event(*outcome));
+    return *std::move(outcome);
+  }
+  RunFile file = RunFile::open_for_append(path);
+  const StoredRun stored = RunFile::load(path);
+  transcript_.reset();
+  OpenedBench& opened = open(parse_bench(stored.header.bench_toml, path.string()), {});
+  opened.identities = identify(opened.bench, opened.config);
+  require_same_instruments(opened.identities, stored);
+  opened.plan = stored.header.plan;
+  file.set_state(RunState::kRunning, format_utc(opened.bench.clock->utc_now()),
+                 fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
+                             stored.header.plan.size()));
+  tell_begun(opened, path, &stored);
+  return measure_and_finish(std::move(file), progress_of(stored));
+}
+
+void RunSession::require_same_instruments(const Identities& now, const StoredRun& stored) const {
+  for (const InstrumentIdentity& before : stored.header.instruments) {
+    if (before.role == "stage") {
+      require_serial_number(before.role, before.model, now.stage.serial_number, before.serial_number);
+    } else if (before.role == "accelerometer") {
+      require_serial_number(before.role, before.model, now.accelerometer.serial_number, before.serial_number);
+    }
+  }
+}
+
+// ---- Measure, close, analyse
+
+RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far) {
+  OpenedBench& opened = *opened_;
+  Bench& bench = opened.bench;
+  const std::filesystem::path path = file.path();
+  FinishedEvent ended_early;
+  ended_early.file = path.string();
+  ended_early.measured = so_far.measured.size();
+  ended_early.planned = opened.plan.size();
+  const auto listener = [&](const SessionEvent& event) {
+    if (std::holds_alternative<DwellDoneEvent>(event)) ++ended_early.measured;
+    tell(event);
+    store_notes(file, *bench.clock);  // Here, in the thread that writes the run file.
+  };
+  const auto hold_wanted = [&] {
+    store_notes(file, *bench.clock);
+    return is_hold_wanted();
+  };
+  try {
+    SessionObserver observer(listener, hold_wanted);
+    const RunTiming timing =
+        measure({bench, opened.config, file, opened.plan, so_far}, observer, stop_.get_token());
+    store_notes(file, *bench.clock);
+    tell(AllMeasuredEvent{path.string()});
+    const std::string utc = format_utc(bench.clock->utc_now());
+    if (const auto warning = note_environment(bench, opened.config, file, "end")) {
+      warn("environment not read", *warning);
+    }
+    RunOutcome outcome = analyse_closed_run(path, file.close_complete(utc, timing), utc);
+    tell(finished_event(outcome));
+    return outcome;
+  } catch (const std::exception& error) {
+    opened.identified = false;  // The next run opens the instruments again.
+    ended_early.reason = error.what();
+    tell(ended_early);
+    throw;
+  }
+}
+
+// ---- Replay
+
+RunOutcome RunSession::replay(const ReplayRequest& request) {
+  const std::filesystem::path recorded_path = request.recorded_file;
+  const StoredRun recorded = RunFile::load(recorded_path);
+  opened_.reset();
+  transcript_.reset();
+  recorded_wire_ = std::make_unique<RecordedWire>(recorded_path);
+  OpenedBench& opened =
+      open(parse_bench(recorded.header.bench_toml, recorded_path.string()), recorded_wire_->streams());
+  opened.identities = identify(opened.bench, opened.config);
+  if (recorded.header.plan.empty()) {
+    throw std::runtime_error(
+        fmt::format("the recorded run ended before its first angle ({}), but in the replay both instruments "
+                    "were identified: this program takes their answers otherwise than the one that recorded",
+                    end_of_run(recorded)));
+  }
+  opened.plan = recorded.header.plan;
+  ReplayRequest complete = request;
+  if (complete.run_file.empty()) complete.run_file = replay_path(recorded_path).string();
+  try {
+    return replay_to_the_end(recorded, complete);
+  } catch (const InstrumentError& error) {
+    close_ended_replay(recorded, complete.run_file);
+    if (recorded_wire_->stopped_by_operator() &&
+        error.detail().find(wire::ReplayStream::kEndsHere) != std::string::npos) {
+      throw RunInterrupted("the recorded run was stopped by its operator here");
+    }
+    throw;
+  } catch (const RunInterrupted&) {
+    close_ended_replay(recorded, complete.run_file);
+    throw;
+  }
+}
+
+RunOutcome RunSession::replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request) {
+  const OpenedBench& opened = *opened_;
+  const std::string name = std::filesystem::path(request.recorded_file).filename().string();
+  RunHeader header = recorded.header;
+  header.program_version = program_version();
+  header.created_utc = format_utc(opened.bench.clock->utc_now());
+  header.labels["replay.of"] = name;
+  RunFile file = RunFile::create(request.run_file, header);
+  file.append_event(header.created_utc, "started", "replay of " + name);
+  (void)note_environment(opened_->bench, opened.config, file, "start");
+  tell_begun(opened, request.run_file, nullptr);
+  RunOutcome outcome = measure_and_finish(std::move(file), {});
+  tell_comparison(recorded, request.run_file);
+  return outcome;
+}
+
+void RunSession::tell_comparison(const StoredRun& recorded, const std::filesystem::path& replayed) {
+  tell(compare_replay(recorded, RunFile::load(replayed)));
+}
+
+/// A replayed run must not be resumed: its bench file names real ports.
+void RunSession::close_ended_replay(const StoredRun& recorded, const std::filesystem::path& path) {
+  try {
+    tell_comparison(recorded, path);
+    RunFile::open_for_append(path).set_state(
+        RunState::kAbandoned, format_utc(opened_->bench.clock->utc_now()), "a replay ends where it ends");
+  } catch (const RunFileError& error) {
+    warn("replay", error.what());
+  }
+}
+
+}  // namespace abcal

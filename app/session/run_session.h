@@ -1,0 +1,116 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include "app/bench/make_bench.h"
+#include "app/bench/transcript.h"
+#include "app/session/run_bench.h"
+#include "app/session/session_events.h"
+#include "protocol/analysis/calibration_result.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// A run that is complete, and what its analyses say.
+struct RunOutcome {
+  std::filesystem::path path;
+  std::string sha256;  ///< Of the closed file; empty: readers keep the file open, it is closed later.
+  StoredRun stored;
+  std::vector<CalibrationResult> results;  ///< One an estimator, in the order of kEstimators.
+  bool measured_before = false;            ///< Nothing was measured now: only closed and analysed.
+};
+
+/// Owns the life of a run: opens the bench, identifies, plans, begins or resumes, measures, closes, analyses.
+/// Tells a listener what happens and prints nothing. Every way to run (`run`, `resume`, `replay`, a campaign,
+/// the console) is a listener of the same events.
+///
+/// One thread carries out start(), resume() and replay(); hold(), continue_run(), add_note() and
+/// request_stop() may be called from any thread. The instruments stay open as long as the session lives:
+/// start() with the same bench file uses them again.
+class RunSession {
+ public:
+  struct Options {
+    /// Opens the instruments of a bench file; empty: make_bench().
+    std::function<Bench(const BenchConfig& config, BenchStreams streams)> open_bench;
+    SessionListener listener;  ///< Empty: nobody listens.
+    std::stop_token stop;      ///< As request_stop().
+    /// Free space for a file, in bytes; nothing: not known. Empty: as the file system says.
+    std::function<std::optional<std::uintmax_t>(const std::filesystem::path&)> free_disk_space;
+  };
+
+  explicit RunSession(Options options);
+  ~RunSession();
+  RunSession(const RunSession&) = delete;
+  RunSession& operator=(const RunSession&) = delete;
+
+  /// Measures a new run to its end. Everything that can be known to fail is refused before the first move: a
+  /// file or results that lie there already, too little disk space, an instrument of another serial number.
+  /// @throws BenchError, PlanError, InstrumentError, RunFileError, RunInterrupted, std::invalid_argument,
+  /// std::runtime_error (disk space). Once there is a run file, FinishedEvent has the reason too.
+  RunOutcome start(const StartRequest& request);
+
+  /// Goes on with an interrupted run to its end. One whose angles are all measured is closed and analysed.
+  /// @throws as start()
+  RunOutcome resume(const ResumeRequest& request);
+
+  /// Drives a recorded run again from its own bytes, and compares (ReplayComparedEvent).
+  /// @throws as start()
+  RunOutcome replay(const ReplayRequest& request);
+
+  /// The same for requests as data. @return nothing for a request that is no run.
+  std::optional<RunOutcome> carry_out(const SessionRequest& request);
+
+  /// The stage shall stand still after the angle under way.
+  void hold();
+  void continue_run();
+  bool is_hold_wanted() const;
+  /// A note for the event log of the run; stored by the measuring thread soon.
+  /// @return false: too many wait to be stored.
+  bool add_note(NoteRequest note);
+  /// Halts the stage at once and ends the run. Waits for the answer to the halt.
+  void request_stop();
+
+  /// The instruments that are open, or null.
+  Bench* bench();
+
+ private:
+  struct OpenedBench;
+  OpenedBench& open(const BenchConfig& config, BenchStreams streams);
+  Identities identify_or_keep_recording(const StartRequest& request, const OpenedBench& opened);
+  RunFile create_file(const OpenedBench& opened, const StartRequest& request);
+  void require_disk_space(const OpenedBench& opened, const StartRequest& request);
+  void require_same_instruments(const Identities& now, const StoredRun& stored) const;
+  void tell_begun(const OpenedBench& opened, const std::filesystem::path& path, const StoredRun* resumed);
+  RunOutcome measure_and_finish(RunFile file, const RunProgress& so_far);
+  RunOutcome replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request);
+  void tell_comparison(const StoredRun& recorded, const std::filesystem::path& replayed);
+  void close_ended_replay(const StoredRun& recorded, const std::filesystem::path& path);
+  void tell(SessionEvent event) const;
+  void warn(const std::string& kind, const std::string& text) const;
+  void store_notes(RunFile& file, const Clock& clock);
+
+  Options options_;
+  std::stop_source stop_;
+  mutable std::mutex mutex_;
+  bool hold_wanted_ = false;
+  std::vector<NoteRequest> notes_;  ///< To be stored.
+  // Destroyed from the last to the first: what is behind the byte streams of a bench outlives it.
+  std::unique_ptr<Transcript> transcript_;
+  std::unique_ptr<RecordedWire> recorded_wire_;
+  std::unique_ptr<OpenedBench> opened_;
+  std::optional<std::stop_callback<std::function<void()>>> stop_link_;
+};
+
+/// Where every angle is measured, but the program ended before it had closed the run and analysed it: does
+/// so. @return nothing if nothing of this is left to do.
+std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path);
+
+}  // namespace abcal

@@ -1,0 +1,196 @@
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <nlohmann/json_fwd.hpp>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_record.h"
+#include "protocol/run/run_observer.h"
+
+// What a session tells (events) and what it is asked to do (requests): plain data that can be sent to another
+// process as JSON. Nothing is shared between the session and those who read it.
+
+namespace abcal {
+
+// ---- Events
+
+/// One angle that is measured and on the disk.
+struct DwellDoneEvent {
+  static constexpr const char* kName = "dwell_done";
+  std::size_t position = 0;  ///< In the plan.
+  DwellRecord dwell;
+};
+
+/// Who an instrument said it was. An empty text: the instrument does not say.
+struct InstrumentSummary {
+  std::string maker, model, serial_number;
+};
+
+/// A run has a file and a plan; nothing has moved yet.
+struct RunBeganEvent {
+  static constexpr const char* kName = "run_began";
+  std::string file;      ///< Path of the run file.
+  bool resumed = false;  ///< An interrupted run goes on.
+  std::string bench, item, operator_name;
+  std::string unit;  ///< R
+  InstrumentSummary stage, accelerometer;
+  double rate_hz = 0.0;
+  std::vector<PlannedAngle> plan;
+  std::vector<DwellDoneEvent> measured;  ///< Before an interruption.
+  double estimated_s = 0.0;              ///< For the whole plan, in the time of the bench.
+  bool simulated_time = false;           ///< Nothing real takes part.
+};
+
+/// What the run is doing now.
+struct PhaseEvent {
+  static constexpr const char* kName = "phase";
+  std::size_t position = 0;  ///< In the plan.
+  RunPhase phase = RunPhase::kHoming;
+};
+
+/// The stage starts to move to an angle, for the first time or to measure it again.
+struct AngleBegunEvent {
+  static constexpr const char* kName = "angle_begun";
+  std::size_t position = 0;  ///< In the plan.
+};
+
+/// An angle was measured with a flag.
+struct FlagEvent {
+  static constexpr const char* kName = "flag";
+  std::string text;
+};
+
+/// A port vanished; the run waits for it.
+struct PortLostEvent {
+  static constexpr const char* kName = "port_lost";
+  std::string text;
+};
+
+/// The port is back, with the same instrument; the run goes on.
+struct PortBackEvent {
+  static constexpr const char* kName = "port_back";
+  std::string text;
+};
+
+/// The stage stands still before an angle because a person wants it.
+struct HeldEvent {
+  static constexpr const char* kName = "held";
+  std::size_t position = 0;  ///< In the plan.
+};
+
+/// The stage goes on after it was held.
+struct ContinuedEvent {
+  static constexpr const char* kName = "continued";
+  std::size_t position = 0;  ///< In the plan.
+};
+
+/// Something else that a person should know.
+struct NoticeEvent {
+  static constexpr const char* kName = "notice";
+  std::string
+      kind;  ///< As in the run file's events: "repeated", "temperature", "watchdog", "disk space", ...
+  std::string text;
+};
+
+/// A person's note is in the run file.
+struct NoteStoredEvent {
+  static constexpr const char* kName = "note_stored";
+  std::string text, by;
+};
+
+/// All angles are measured; the run is being closed and analysed.
+struct AllMeasuredEvent {
+  static constexpr const char* kName = "all_measured";
+  std::string file;
+};
+
+/// A replay is over: whether it did what the recorded run did.
+struct ReplayComparedEvent {
+  static constexpr const char* kName = "replay_compared";
+  std::size_t same = 0;      ///< Angles that are exactly as recorded,
+  std::size_t replayed = 0;  ///< of this many.
+  bool ended_alike = false;
+  std::string recorded_end;  ///< How the recorded run ended, in words.
+};
+
+/// The run is complete, or ended early.
+struct FinishedEvent {
+  static constexpr const char* kName = "finished";
+  std::string file;
+  bool complete = false;
+  std::string verdict;                    ///< Of the first result, in words; empty where the run ended early.
+  std::string reason;                     ///< Why that verdict, or what ended the run.
+  std::size_t measured = 0, planned = 0;  ///< Angles.
+};
+
+using SessionEvent = std::variant<RunBeganEvent, PhaseEvent, AngleBegunEvent, DwellDoneEvent, FlagEvent,
+                                  PortLostEvent, PortBackEvent, HeldEvent, ContinuedEvent, NoticeEvent,
+                                  NoteStoredEvent, AllMeasuredEvent, ReplayComparedEvent, FinishedEvent>;
+
+/// Called from the measuring thread; must return at once and must not throw.
+using SessionListener = std::function<void(const SessionEvent&)>;
+
+// ---- Requests
+
+/// Begins a new run.
+struct StartRequest {
+  static constexpr const char* kName = "start";
+  std::string bench_toml;  ///< The bench file's text.
+  std::string bench_file;  ///< Its name, for messages.
+  std::string run_file;    ///< Path of the file to create.
+  bool record = false;     ///< Keep every byte to and from the instruments.
+};
+
+/// Goes on with an interrupted run; closes and analyses one whose angles are all measured.
+struct ResumeRequest {
+  static constexpr const char* kName = "resume";
+  std::string run_file;
+};
+
+/// Drives a recorded run again from its own bytes.
+struct ReplayRequest {
+  static constexpr const char* kName = "replay";
+  std::string recorded_file;
+  std::string run_file;  ///< Path of the file to create; empty: RUN-replay.run in the same folder.
+};
+
+/// The stage shall stand still after the angle under way.
+struct HoldRequest {
+  static constexpr const char* kName = "hold";
+};
+
+/// The stage shall go on after a hold.
+struct ContinueRequest {
+  static constexpr const char* kName = "continue";
+};
+
+/// Halts the stage at once and ends the run, which can be resumed.
+struct StopRequest {
+  static constexpr const char* kName = "stop";
+};
+
+/// A person's note, for the events of the run.
+struct NoteRequest {
+  static constexpr const char* kName = "note";
+  std::string text, by;
+};
+
+using SessionRequest = std::variant<StartRequest, ResumeRequest, ReplayRequest, HoldRequest, ContinueRequest,
+                                    StopRequest, NoteRequest>;
+
+// ---- As JSON: one object each, whose member "event" or "request" names it. Numbers that are not finite are
+// the texts "nan", "inf" and "-inf". Text that is not UTF-8 must be replaced when the JSON is written.
+
+nlohmann::json to_json_object(const SessionEvent& event);
+nlohmann::json to_json_object(const SessionRequest& request);
+
+/// @throws std::invalid_argument for JSON that is none of these: what was found and what is required.
+SessionEvent event_from_json(const nlohmann::json& json);
+SessionRequest request_from_json(const nlohmann::json& json);
+
+}  // namespace abcal

@@ -1,0 +1,32 @@
+#include "app/session/session_observer.h"
+
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+void SessionObserver::phase(std::size_t position, RunPhase phase) {
+  const bool holding = phase == RunPhase::kHolding;
+  if (held_ && !holding) tell(ContinuedEvent{position});
+  held_ = holding;
+  tell(PhaseEvent{position, phase});
+  if (phase == RunPhase::kMoving) tell(AngleBegunEvent{position});
+  if (holding) tell(HeldEvent{position});
+}
+
+void SessionObserver::dwell(std::size_t position, const DwellRecord& dwell) {
+  tell(DwellDoneEvent{position, dwell});
+}
+
+void SessionObserver::notice(std::string_view kind, std::string_view text) {
+  if (kind == kFlagEvent) {
+    tell(FlagEvent{std::string(text)});
+  } else if (kind == kPortLostEvent) {
+    tell(PortLostEvent{std::string(text)});
+  } else if (kind == kReconnectedEvent) {
+    tell(PortBackEvent{std::string(text)});
+  } else {
+    tell(NoticeEvent{std::string(kind), std::string(text)});
+  }
+}
+
+}  // namespace abcal

@@ -1,0 +1,19 @@
+#pragma once
+
+#include <string>
+
+#include "drivers/instrument/rotation_stage.h"
+
+namespace abcal {
+
+/// What came of a halt.
+struct HaltOutcome {
+  bool acknowledged = false;  ///< By every axis.
+  /// "the stage is halted"; or which axis may still be moving, and what to do.
+  std::string words;
+};
+
+/// Halts all axes, those also whose neighbour cannot be reached.
+HaltOutcome halt_stage(RotationStage& stage);
+
+}  // namespace abcal

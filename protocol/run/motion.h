@@ -1,0 +1,57 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+
+#include "drivers/instrument/rotation_stage.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/run/run_context.h"
+
+namespace abcal {
+
+/// Moves the axes of the stage to the angles of the plan and waits until they stand there: every angle is
+/// approached from below, and the encoder must stay inside the position window.
+class Motion {
+ public:
+  /// Both must outlive this.
+  Motion(RunContext& context, RotationStage& stage) : context_(context), stage_(stage) {}
+
+  /// Searches the reference of an axis and waits until it is found.
+  /// @throws InstrumentError kStalled after homing_timeout_s, kNotReady: not found. RunInterrupted.
+  void home(StageAxis axis);
+
+  /// Turns an axis to an angle, from below (a worm drive has backlash), and waits until it stands inside the
+  /// window.
+  /// @return when it was first found there; nothing if it had stood there already.
+  /// @throws InstrumentError kStalled: it did not arrive, or stopped outside the window. RunInterrupted.
+  std::optional<Clock::Instant> move_to(StageAxis axis, Angle target);
+
+  /// Where the axes stand is not known any more: the next move_to() moves even to the same angle.
+  void forget_positions() { known_.fill(std::nullopt); }
+
+  /// Whether both encoder angles are inside the position window around the commanded angles.
+  bool is_inside_window(const PlannedAngle& angle, Angle encoder_x, Angle encoder_z) const;
+  /// As the encoders say now.
+  bool is_inside_window(const PlannedAngle& angle);
+
+  Angle encoder_angle(StageAxis axis) { return stage_.encoder_angle(axis); }
+
+ private:
+  struct Move {
+    StageAxis axis;
+    Angle target;
+    Angle window;
+    int polls = 1;  ///< This many in a row must find the axis stopped inside the window.
+  };
+  Clock::Instant carry_out(const Move& move);
+  Clock::Instant wait_for_arrival(const Move& move, double expected_s);
+  [[noreturn]] void fail_outside_window(const Move& move, Angle encoder) const;
+  [[noreturn]] void fail_still_moving(const Move& move, double elapsed_s, double expected_s);
+
+  RunContext& context_;
+  RotationStage& stage_;
+  std::array<std::optional<Angle>, 2> known_;  ///< Where each axis was turned to last.
+};
+
+}  // namespace abcal

@@ -1,0 +1,102 @@
+#include "protocol/run/recovery.h"
+
+#include <fmt/format.h>
+
+#include "protocol/run/halting.h"
+
+namespace abcal {
+namespace {
+
+/// Between two attempts to open a port that vanished.
+constexpr Clock::Duration kReconnectInterval = std::chrono::milliseconds(500);
+
+/// Whether what failed may be back at the next attempt. No reply: its firmware may still be starting.
+bool may_come_back(Fault fault) {
+  return fault == Fault::kCannotOpen || fault == Fault::kLinkLost || fault == Fault::kNoReply;
+}
+
+void require_same(const std::string& name, const std::string& before, const std::string& now) {
+  if (before == now) return;
+  throw InstrumentError(
+      name, Fault::kWrongIdentity,
+      fmt::format("\"{}\" came back; required: the one that was unplugged, \"{}\"", now, before));
+}
+
+}  // namespace
+
+bool Recovery::is_possible(const InstrumentError& error) const {
+  return error.fault() == Fault::kLinkLost && instruments_.reconnector != nullptr &&
+         !context_.clock.stop_requested();
+}
+
+std::string Recovery::lost_name(bool stage_lost) const {
+  return stage_lost ? context_.stage_name() : context_.accelerometer_name();
+}
+
+bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position) {
+  const LimitsConfig& limits = context_.settings.limits;
+  RunJournal& journal = context_.journal;
+  if (++times_lost_ > limits.max_replugs) {
+    throw InstrumentError(
+        lost.instrument(), Fault::kLinkLost,
+        fmt::format("{}; ports have vanished {} times in this run; required: at most {} ([limits] "
+                    "max_replugs). Mend the cable, the plug or the hub before going on",
+                    lost.detail(), times_lost_, limits.max_replugs));
+  }
+  bool stage_lost = instruments_.reconnector->stage_lost();
+  const std::string name = lost_name(stage_lost);
+  // At once: the accelerometer may have been lost while the stage moved, or one of two stage controllers
+  // while the other one moved.
+  const HaltOutcome halt = halt_stage(instruments_.stage);
+  for (const StageEvent& event : instruments_.stage.take_events()) journal.notify(event.kind, event.text);
+  journal.notify(kPortLostEvent,
+                 fmt::format("the port of {} is gone: {} ({}); {}; waiting up to {} s for it to come back",
+                             name, lost.detail(), journal.activity(), halt.words,
+                             context_.settings.protocol.replug_timeout_s));
+  journal.phase(position, RunPhase::kReconnecting);
+  reopen(lost, stage_lost);
+  if (!halt_stage(instruments_.stage).acknowledged) {
+    throw InstrumentError(context_.stage_name(), Fault::kNoReply,
+                          "it is back, but does not acknowledge the halt: stop it by its own switch");
+  }
+  journal.notify(kReconnectedEvent, fmt::format("{} is back; the run continues{}", name,
+                                                stage_lost ? " after homing both axes again" : ""));
+  return stage_lost;
+}
+
+void Recovery::reopen(const InstrumentError& lost, bool& stage_lost) {
+  const std::string name = lost_name(stage_lost);
+  const double timeout_s = context_.settings.protocol.replug_timeout_s;
+  const Clock::Instant deadline = context_.clock.now() + from_seconds(timeout_s);
+  while (true) {
+    context_.clock.wait_until(context_.clock.now() + kReconnectInterval);
+    // On a hub that both are on, the stage may be found to be lost only now.
+    stage_lost = stage_lost || instruments_.reconnector->stage_lost();
+    try {
+      instruments_.reconnector->reconnect();
+      require_same_instruments();
+      return;
+    } catch (const InstrumentError& error) {
+      if (!may_come_back(error.fault()) || context_.clock.stop_requested()) throw;
+      if (context_.clock.now() < deadline) continue;
+      context_.journal.notify(kPortLostEvent,
+                              fmt::format("the last attempt to open it again: {}", error.what()));
+      throw InstrumentError(
+          name, Fault::kLinkLost,
+          fmt::format("{}; it did not come back within {} s (replug_timeout_s)", lost.detail(), timeout_s));
+    }
+  }
+}
+
+void Recovery::require_same_instruments() {
+  const StageInfo stage = instruments_.stage.identify();
+  require_same(context_.stage_name(), context_.stage_info.model + " SN " + context_.stage_info.serial_number,
+               stage.model + " SN " + stage.serial_number);
+  const AccelerometerInfo accelerometer = instruments_.accelerometer.identify();
+  require_same(context_.accelerometer_name(),
+               context_.accelerometer_info.model + " SN " + context_.accelerometer_info.serial_number,
+               accelerometer.model + " SN " + accelerometer.serial_number);
+  context_.stage_info = stage;
+}
+
+}  // namespace abcal

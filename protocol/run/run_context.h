@@ -1,0 +1,118 @@
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "drivers/instrument/accelerometer.h"
+#include "drivers/instrument/rotation_stage.h"
+#include "protocol/plan/limits.h"
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/plan/run_config.h"
+#include "protocol/plan/tolerances.h"
+#include "protocol/record/run_file.h"
+#include "protocol/run/run_observer.h"
+#include "protocol/run/stoppable_clock.h"
+
+namespace abcal {
+
+/// How a run is measured and judged: sections of the bench file.
+struct RunSettings {
+  ProtocolConfig protocol;
+  LimitsConfig limits;
+  Tolerances tolerances;
+  ExpectedItem expected;
+  double g_loc_mps2 = kStandardGravity;
+};
+
+/// Tells the run file and the observer what happens, and keeps what the run is doing, for messages.
+class RunJournal {
+ public:
+  /// Both must outlive this.
+  RunJournal(RunFile& file, RunObserver& observer, const StoppableClock& clock)
+      : file_(file), observer_(observer), clock_(clock) {}
+
+  /// "homing axis X", "experiment 1, alpha = 5 deg": where an error happened.
+  void set_activity(std::string activity) { activity_ = std::move(activity); }
+  const std::string& activity() const { return activity_; }
+
+  void phase(std::size_t position, RunPhase phase) { observer_.phase(position, phase); }
+  void dwell(std::size_t position, const DwellRecord& dwell) { observer_.dwell(position, dwell); }
+  bool hold_wanted() { return observer_.hold_wanted(); }
+
+  /// Into the run file only.
+  void record(std::string_view kind, std::string_view text) {
+    file_.append_event(format_utc(clock_.utc_now()), kind, text);
+  }
+  /// Into the run file and to the observer.
+  void notify(std::string_view kind, std::string_view text) {
+    record(kind, text);
+    observer_.notice(kind, text);
+  }
+
+ private:
+  RunFile& file_;
+  RunObserver& observer_;
+  const StoppableClock& clock_;
+  std::string activity_ = "starting";
+};
+
+/// Where the time of a run goes, that before an interruption included.
+class RunStopwatch {
+ public:
+  RunStopwatch(const StoppableClock& clock, const RunTiming& spent_before)
+      : clock_(clock), spent_before_(spent_before), timing_(spent_before), begin_(clock.now()) {}
+
+  void add_moving(Clock::Duration time) { timing_.moving_s += to_seconds(time); }
+  void add_settling(Clock::Duration time) { timing_.settling_s += to_seconds(time); }
+  void add_dwelling(Clock::Duration time) { timing_.dwelling_s += to_seconds(time); }
+
+  /// Seconds from the start of the run; the time between two parts of an interrupted run does not count.
+  double run_time_s(Clock::Instant instant) const {
+    return spent_before_.total_s() + to_seconds(instant - begin_);
+  }
+
+  /// So far. Overhead is what no motion, settling or dwell accounts for.
+  RunTiming timing() const {
+    RunTiming timing = timing_;
+    const double accounted = timing.moving_s + timing.settling_s + timing.dwelling_s;
+    timing.overhead_s = std::max(0.0, run_time_s(clock_.now()) - accounted);
+    return timing;
+  }
+
+ private:
+  const StoppableClock& clock_;
+  RunTiming spent_before_;
+  RunTiming timing_;
+  Clock::Instant begin_;
+};
+
+/// What all parts of one run share.
+struct RunContext {
+  StoppableClock clock;
+  RunSettings settings;
+  RunJournal journal;
+  RunStopwatch stopwatch;
+  StageInfo stage_info;
+  AccelerometerInfo accelerometer_info;
+
+  RunContext(const StoppableClock& run_clock, RunSettings run_settings, const RunTiming& spent_before,
+             RunFile& file, RunObserver& observer)
+      : clock(run_clock),
+        settings(std::move(run_settings)),
+        journal(file, observer, clock),
+        stopwatch(clock, spent_before) {}
+  RunContext(const RunContext&) = delete;
+  RunContext& operator=(const RunContext&) = delete;
+
+  /// For messages.
+  std::string stage_name() const { return "stage " + stage_info.model; }
+  std::string accelerometer_name() const { return "accelerometer " + accelerometer_info.model; }
+};
+
+/// "experiment 1, alpha = 5 deg".
+std::string describe(const PlannedAngle& angle);
+
+}  // namespace abcal

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <cstddef>
+#include <stdexcept>
+#include <string_view>
+
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// The run was stopped by a person; the stage was halted and the run file can be resumed.
+class RunInterrupted : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// What a run is doing.
+enum class RunPhase {
+  kHoming,
+  kWarmingUp,
+  kHolding,
+  kMoving,
+  kSettling,
+  kDwelling,
+  kTemperature,
+  kReconnecting,
+  kParking
+};
+/// "homing", "reading", ...
+std::string_view to_string(RunPhase phase);
+
+/// Kinds of events in the run file that observers tell apart. Others are "repeated", "temperature", "stable",
+/// "full scale", "park failed" and so on: text for a person.
+inline constexpr std::string_view kFlagEvent = "flag";      ///< An angle was measured with a flag.
+inline constexpr std::string_view kPortLostEvent = "lost";  ///< A port vanished; the run waits for it.
+/// The watchdog halted the stage; the text says why.
+inline constexpr std::string_view kWatchdogEvent = "watchdog";
+
+/// Told what a run does, while it does it. Must return at once: the hardware never waits for a screen.
+class RunObserver {
+ public:
+  virtual ~RunObserver() = default;
+  /// `position` is the index in the plan of the angle that is being worked on.
+  virtual void phase(std::size_t position, RunPhase phase) = 0;
+  /// An angle is measured and on the disk.
+  virtual void dwell(std::size_t position, const DwellRecord& dwell) = 0;
+  /// Something a person should know; it is in the run file too, as an event of this kind.
+  virtual void notice(std::string_view kind, std::string_view text) = 0;
+  /// Asked between two angles, and repeatedly while the answer is yes: the stage stays where it is.
+  virtual bool hold_wanted() { return false; }
+};
+
+}  // namespace abcal

@@ -1,0 +1,143 @@
+#include "protocol/run/settling.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "drivers/instrument/instrument_error.h"
+#include "protocol/run/dwell.h"
+#include "protocol/run/plausibility.h"
+
+namespace abcal {
+namespace {
+
+/// Parts of the time for which outputs and temperature must be stable.
+constexpr double kStabilityWindows = 10.0;
+constexpr std::size_t kStoredSpreads = 15;
+/// A short window sees less than a whole swing of a slow ring-down: the dwell that it lets begin must stay
+/// within spread_factor. Noise of the usual spread, and of twice that, still passes.
+constexpr double kQuietPart = 0.75;
+/// Windows whose spreads are added before they are compared with those of as many windows before.
+constexpr std::size_t kNoiseWindows = 5;
+/// The spread falls no longer where it is more than this part of the spread before.
+constexpr double kNoLongerFalling = 0.8;
+
+/// Sum of the spreads of kNoiseWindows windows, ending `skip` windows before the last.
+Eigen::Vector3d sum_of_spreads(const std::vector<Eigen::Vector3d>& spreads, std::size_t skip) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (std::size_t k = 0; k < kNoiseWindows; ++k) sum += spreads[spreads.size() - 1 - skip - k];
+  return sum;
+}
+
+}  // namespace
+
+std::size_t quiet_window_size(const ProtocolConfig& protocol, double rate_hz) {
+  return static_cast<std::size_t>(std::clamp(readings_per_dwell(protocol, rate_hz) / 4, 10, 50));
+}
+
+void SpreadHistory::add(const Eigen::Vector3d& spread) {
+  if (spreads_.size() == kStoredSpreads) spreads_.erase(spreads_.begin());
+  spreads_.push_back(spread);
+}
+
+std::optional<Eigen::Vector3d> SpreadHistory::median() const {
+  if (spreads_.empty()) return std::nullopt;
+  Eigen::Vector3d median;
+  std::vector<double> values(spreads_.size());
+  for (int j = 0; j < 3; ++j) {
+    std::transform(spreads_.begin(), spreads_.end(), values.begin(),
+                   [j](const Eigen::Vector3d& spread) { return spread[j]; });
+    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+    std::nth_element(values.begin(), middle, values.end());
+    median[j] = *middle;
+  }
+  return median;
+}
+
+std::size_t Settling::window_size() const {
+  return quiet_window_size(context_.settings.protocol, context_.accelerometer_info.rate_hz);
+}
+
+void Settling::warm_up() {
+  const double warm_up_s = context_.settings.protocol.warm_up_s;
+  if (!(warm_up_s > 0.0)) return;
+  context_.journal.set_activity("warming up");
+  context_.journal.phase(0, RunPhase::kWarmingUp);
+  const Clock::Instant begin = context_.clock.now();
+  context_.clock.wait_until(begin + from_seconds(warm_up_s));
+  context_.stopwatch.add_settling(context_.clock.now() - begin);
+}
+
+void Settling::wait_until_stable() {
+  const ProtocolConfig& protocol = context_.settings.protocol;
+  const LimitsConfig& limits = context_.settings.limits;
+  const Tolerances& tolerances = context_.settings.tolerances;
+  if (!(protocol.stability_s > 0.0)) return;
+  context_.journal.set_activity("waiting for outputs and temperature to be stable");
+  context_.journal.phase(0, RunPhase::kWarmingUp);
+  const Clock::Instant begin = context_.clock.now();
+  const auto elapsed_s = [&] { return to_seconds(context_.clock.now() - begin); };
+  const double wanted = context_.accelerometer_info.rate_hz * protocol.stability_s / kStabilityWindows;
+  const auto readings_per_window = static_cast<std::size_t>(std::ceil(std::max(wanted, 10.0)));
+  std::vector<StabilityWindow> windows;
+  readings_.discard_pending();
+  do {
+    if (elapsed_s() > protocol.stability_s + protocol.stability_timeout_s) {
+      throw InstrumentError(
+          context_.accelerometer_name(), Fault::kImplausible,
+          fmt::format("not stable for {} s within {} s (stability_s, stability_timeout_s); required: outputs "
+                      "within {:.2g} of their norm, temperature within {:.2g} degC ([limits] stability, "
+                      "stability_degc). Let it warm up, keep draughts away",
+                      protocol.stability_s, protocol.stability_timeout_s, stability_limit(limits, tolerances),
+                      stability_limit_degc(limits, tolerances)));
+    }
+    const std::vector<Reading> readings = readings_.read(readings_per_window);
+    const DwellStatistics window = dwell_statistics(readings, context_.accelerometer_info);
+    windows.push_back({elapsed_s(), window.mean, window.u_mean, window.temperature_degc});
+  } while (!is_stable(windows, protocol.stability_s, limits, tolerances));
+  context_.journal.notify("stable",
+                          fmt::format("outputs and temperature are stable after {:.0f} s", elapsed_s()));
+  context_.stopwatch.add_settling(context_.clock.now() - begin);
+}
+
+void Settling::learn_noise() {
+  const ProtocolConfig& protocol = context_.settings.protocol;
+  context_.journal.set_activity("waiting for the accelerometer to be quiet before the first angle");
+  const Clock::Instant begin = context_.clock.now();
+  readings_.discard_pending();
+  const Clock::Instant last = begin + from_seconds(protocol.settle_s + protocol.quiet_timeout_s);
+  std::vector<Eigen::Vector3d> spreads;
+  while (true) {
+    spreads.push_back(spread_of(readings_.read(window_size())));
+    if (spreads.size() < 2 * kNoiseWindows) continue;
+    const Eigen::Vector3d later = sum_of_spreads(spreads, 0);
+    const Eigen::Vector3d earlier = sum_of_spreads(spreads, kNoiseWindows);
+    if ((later.array() >= kNoLongerFalling * earlier.array()).all() || context_.clock.now() >= last) {
+      spreads_.add(later / static_cast<double>(kNoiseWindows));
+      break;
+    }
+  }
+  context_.stopwatch.add_settling(context_.clock.now() - begin);
+}
+
+bool Settling::settle(Clock::Instant stopped) {
+  const ProtocolConfig& protocol = context_.settings.protocol;
+  const double rate_hz = context_.accelerometer_info.rate_hz;
+  const double window_s = rate_hz > 0.0 ? static_cast<double>(window_size()) / rate_hz : 0.0;
+  const Clock::Instant settled = stopped + from_seconds(protocol.settle_s);
+  context_.clock.wait_until(settled - from_seconds(window_s));
+  readings_.discard_pending();
+  const Clock::Instant last = settled + from_seconds(protocol.quiet_timeout_s);
+  while (true) {
+    const std::vector<Reading> window = readings_.read(window_size());
+    context_.clock.wait_until(settled);
+    if (is_quiet(window, spreads_.median(), kQuietPart * context_.settings.limits.spread_factor,
+                 context_.accelerometer_info.resolution.value_or(0.0))) {
+      return true;
+    }
+    if (context_.clock.now() >= last) return false;
+  }
+}
+
+}  // namespace abcal

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include "protocol/run/reading_source.h"
+#include "protocol/run/run_context.h"
+
+namespace abcal {
+
+/// Readings in one window that is looked at for a slope or for spread.
+std::size_t quiet_window_size(const ProtocolConfig& protocol, double rate_hz);
+
+/// The spreads (R, of one reading) of the latest dwells, and their median: what noise usually does.
+class SpreadHistory {
+ public:
+  void add(const Eigen::Vector3d& spread);
+  /// Nothing before the first.
+  std::optional<Eigen::Vector3d> median() const;
+
+ private:
+  std::vector<Eigen::Vector3d> spreads_;
+};
+
+/// Waits until the accelerometer is ready: warm and stable before the first angle, quiet after each move.
+class Settling {
+ public:
+  /// Both must outlive this.
+  Settling(RunContext& context, ReadingSource& readings) : context_(context), readings_(readings) {}
+
+  /// Waits warm_up_s. @throws RunInterrupted
+  void warm_up();
+
+  /// Waits until outputs and temperature have been stable for stability_s.
+  /// @throws InstrumentError kImplausible after stability_timeout_s more. RunInterrupted.
+  void wait_until_stable();
+
+  /// Measures the spread of readings while the stage stands still: what later angles must come down to.
+  /// Waits for a ring-down of the last motion to end: until the spread of five windows is no longer below
+  /// that of the five before.
+  void learn_noise();
+
+  /// Waits settle_s and then for the accelerometer to be quiet.
+  /// @return false if it was not quiet after quiet_timeout_s.
+  bool settle(Clock::Instant stopped);
+
+  SpreadHistory& spreads() { return spreads_; }
+  std::size_t window_size() const;
+
+ private:
+  RunContext& context_;
+  ReadingSource& readings_;
+  SpreadHistory spreads_;
+};
+
+}  // namespace abcal

@@ -1,0 +1,247 @@
+#include "app/session/run_session.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "drivers/instrument/instrument_error.h"
+#include "tests/app/repeatable_run.h"
+#include "tests/support/temporary_folder.h"
+
+namespace abcal {
+namespace {
+
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+/// 5 angles in each of three experiments and closing angles.
+constexpr std::size_t kPlanned = 18;
+
+class RunSessionTest : public testing::Test {
+ protected:
+  static std::string bench(const std::string& more = "") {
+    BenchText text = repeatable_bench();
+    text.stage_driver = text.accelerometer_driver = "simulated";
+    text.protocol =
+        "steps = 5\nstep_deg = 72.0\nsettle_s = 0.05\ndwell_readings = 10\npoll_interval_s = 0.05\n" +
+        text.protocol.substr(text.protocol.find("approach_deg"));
+    return text.text() + more;
+  }
+
+  std::unique_ptr<RunSession> session() {
+    RunSession::Options options;
+    options.open_bench = [this](const BenchConfig& config, BenchStreams streams) {
+      ++opened;
+      return make_bench(config, std::move(streams));
+    };
+    options.listener = [this](const SessionEvent& event) {
+      kinds.emplace_back(std::visit([](const auto& each) { return each.kName; }, event));
+      last = event;
+      if (on_event) on_event(event);
+    };
+    options.stop = stop.get_token();
+    options.free_disk_space = [this](const std::filesystem::path&) { return free_bytes; };
+    return std::make_unique<RunSession>(std::move(options));
+  }
+
+  StartRequest start(const std::string& name = "a.run") const {
+    return {bench_toml, "bench.toml", (folder / name).string(), false};
+  }
+
+  std::size_t count(const std::string& kind) const {
+    return static_cast<std::size_t>(std::count(kinds.begin(), kinds.end(), kind));
+  }
+
+  std::vector<std::string> event_texts(const std::string& kind) const {
+    std::vector<std::string> texts;
+    for (const RunEvent& event : RunFile::load(folder / "a.run").events) {
+      if (event.kind == kind) texts.push_back(event.text);
+    }
+    return texts;
+  }
+
+  test::TemporaryFolder folder;
+  std::string bench_toml = bench();
+  std::optional<std::uintmax_t> free_bytes;
+  std::stop_source stop;
+  std::function<void(const SessionEvent&)> on_event;
+  std::vector<std::string> kinds;  ///< Of all events, in order.
+  std::optional<SessionEvent> last;
+  int opened = 0;
+};
+
+TEST_F(RunSessionTest, ARunIsToldFromItsBeginningToItsEnd) {
+  const RunOutcome outcome = session()->start(start());
+  EXPECT_EQ(outcome.stored.state, RunState::kComplete);
+  EXPECT_EQ(outcome.stored.measured.size(), kPlanned);
+  EXPECT_EQ(outcome.sha256.size(), 64U);
+  EXPECT_FALSE(outcome.measured_before);
+  ASSERT_FALSE(outcome.results.empty());
+  EXPECT_EQ(kinds.front(), "run_began");
+  EXPECT_EQ(count("run_began"), 1U);
+  EXPECT_EQ(count("angle_begun"), kPlanned);
+  EXPECT_EQ(count("dwell_done"), kPlanned);
+  EXPECT_THAT(std::vector<std::string>(kinds.end() - 2, kinds.end()),
+              ElementsAre("all_measured", "finished"));
+  const auto& finished = std::get<FinishedEvent>(last.value());
+  EXPECT_TRUE(finished.complete);
+  EXPECT_EQ(finished.measured, kPlanned);
+  EXPECT_EQ(finished.planned, kPlanned);
+  EXPECT_EQ(finished.reason, outcome.results.front().why);
+}
+
+TEST_F(RunSessionTest, ARequestThatWasJsonBeginsARunToo) {
+  const SessionRequest request = request_from_json(nlohmann::json::parse(to_json_object(start()).dump()));
+  const std::optional<RunOutcome> outcome = session()->carry_out(request);
+  ASSERT_TRUE(outcome);
+  EXPECT_EQ(outcome->stored.measured.size(), kPlanned);
+}
+
+TEST_F(RunSessionTest, AStopLeavesARunThatIsResumedToTheSameBits) {
+  session()->start(start("whole.run"));
+  kinds.clear();
+  std::unique_ptr<RunSession> first = session();
+  on_event = [&](const SessionEvent&) {
+    if (count("dwell_done") == 4) first->request_stop();
+  };
+  EXPECT_THROW(first->start(start()), RunInterrupted);
+  const auto& ended = std::get<FinishedEvent>(last.value());
+  EXPECT_FALSE(ended.complete);
+  EXPECT_EQ(ended.measured, 4U);
+  EXPECT_THAT(ended.reason, AllOf(HasSubstr("stopped by the operator"), HasSubstr("the stage is halted")));
+  on_event = {};
+  first.reset();
+  kinds.clear();
+  std::size_t known = 0;
+  on_event = [&](const SessionEvent& event) {
+    if (const auto* began = std::get_if<RunBeganEvent>(&event)) {
+      EXPECT_TRUE(began->resumed);
+      known = began->measured.size();
+    }
+  };
+  const RunOutcome outcome = session()->resume({(folder / "a.run").string()});
+  EXPECT_EQ(known, 4U);
+  EXPECT_EQ(count("dwell_done"), kPlanned - 4);
+  EXPECT_EQ(outcome.stored.record.continuations, 1);
+  EXPECT_EQ(measured_bits(folder / "a.run"), measured_bits(folder / "whole.run"));
+}
+
+TEST_F(RunSessionTest, AnExternalStopEndsItAsWell) {
+  on_event = [&](const SessionEvent&) {
+    if (count("dwell_done") == 2) stop.request_stop();
+  };
+  EXPECT_THROW(session()->start(start()), RunInterrupted);
+  EXPECT_EQ(RunFile::load(folder / "a.run").state, RunState::kInterrupted);
+}
+
+TEST_F(RunSessionTest, HoldsBetweenTwoAnglesStoresNotesAndGoesOn) {
+  std::unique_ptr<RunSession> run = session();
+  on_event = [&](const SessionEvent& event) {
+    if (std::holds_alternative<DwellDoneEvent>(event) && count("dwell_done") == 3) {
+      run->carry_out(HoldRequest{});
+      run->carry_out(NoteRequest{"door opened", "me"});
+    }
+    if (std::holds_alternative<HeldEvent>(event)) run->carry_out(ContinueRequest{});
+  };
+  run->start(start());
+  EXPECT_EQ(count("held"), 1U);
+  EXPECT_EQ(count("continued"), 1U);
+  EXPECT_EQ(count("note_stored"), 1U);
+  EXPECT_THAT(event_texts("held"), ElementsAre(HasSubstr("held before experiment 1")));
+  EXPECT_THAT(event_texts("note"), ElementsAre("door opened (me)"));
+}
+
+TEST_F(RunSessionTest, MoreNotesThanCanWaitAreRefused) {
+  const std::unique_ptr<RunSession> run = session();
+  int stored = 0;
+  while (stored < 1000 && run->add_note({"a note", "me"})) ++stored;
+  EXPECT_EQ(stored, 20);
+}
+
+TEST_F(RunSessionTest, TooLittleDiskSpaceIsRefusedBeforeThereIsAFile) {
+  free_bytes = 1000;
+  try {
+    session()->start(start());
+    FAIL() << "a run does not fit into 1000 bytes";
+  } catch (const std::runtime_error& error) {
+    EXPECT_THAT(error.what(), AllOf(HasSubstr("are free on this disk"), HasSubstr("required")));
+  }
+  EXPECT_FALSE(std::filesystem::exists(folder / "a.run"));
+  EXPECT_THAT(kinds, testing::IsEmpty());
+}
+
+TEST_F(RunSessionTest, LittleDiskSpaceIsToldAndTheRunGoesOn) {
+  free_bytes = 12'000'000;
+  on_event = [&](const SessionEvent& event) {
+    if (const auto* notice = std::get_if<NoticeEvent>(&event)) EXPECT_EQ(notice->kind, "disk space");
+  };
+  session()->start(start());
+  EXPECT_EQ(count("notice"), 1U);
+  EXPECT_EQ(kinds.front(), "notice");
+}
+
+TEST_F(RunSessionTest, AFileInTheWayIsRefusedBeforeTheFirstMove) {
+  session()->start(start());
+  kinds.clear();
+  EXPECT_THROW(session()->start(start()), RunFileError);
+  EXPECT_THAT(kinds, testing::IsEmpty());
+}
+
+TEST_F(RunSessionTest, TheNextRunUsesTheInstrumentsThatAreOpen) {
+  const std::unique_ptr<RunSession> run = session();
+  run->start(start("a.run"));
+  run->start(start("b.run"));
+  EXPECT_EQ(opened, 1);
+  bench_toml = bench();
+  bench_toml.replace(bench_toml.find("dwell_readings = 10"), 19, "dwell_readings = 11");
+  run->start(start("c.run"));
+  EXPECT_EQ(opened, 2);
+}
+
+TEST_F(RunSessionTest, AfterAFailureTheInstrumentsAreOpenedAgain) {
+  bench_toml = bench("[[fault]]\nkind = \"no-output\"\nat_s = 2.0\n");
+  const std::unique_ptr<RunSession> run = session();
+  EXPECT_THROW(run->start(start("a.run")), InstrumentError);
+  EXPECT_FALSE(std::get<FinishedEvent>(last.value()).complete);
+  EXPECT_THROW(run->start(start("b.run")), InstrumentError);
+  EXPECT_EQ(opened, 2);
+}
+
+TEST_F(RunSessionTest, APortThatVanishesAndComesBackIsTold) {
+  BenchText text = repeatable_bench();
+  text.protocol = "replug_timeout_s = 20.0\n" + text.protocol;
+  bench_toml =
+      text.text() + "[[fault]]\nkind = \"unplug\"\ninstrument = \"accelerometer\"\nat_s = 4.0\nfor_s = 1.0\n";
+  std::string lost;
+  on_event = [&](const SessionEvent& event) {
+    if (const auto* port = std::get_if<PortLostEvent>(&event)) lost = port->text;
+  };
+  const RunOutcome outcome = session()->start(start());
+  EXPECT_EQ(count("port_lost"), 1U);
+  EXPECT_EQ(count("port_back"), 1U);
+  EXPECT_THAT(lost, AllOf(HasSubstr("the port of accelerometer"), HasSubstr("the stage is halted")));
+  EXPECT_EQ(outcome.stored.record.reconnections, 1);
+}
+
+TEST_F(RunSessionTest, ARunThatIsCompleteButNotAnalysedIsOnlyFinished) {
+  session()->start(start());
+  std::filesystem::remove(ResultsFile::path_beside(folder / "a.run"));
+  kinds.clear();
+  const RunOutcome outcome = session()->resume({(folder / "a.run").string()});
+  EXPECT_TRUE(outcome.measured_before);
+  EXPECT_EQ(opened, 1);
+  EXPECT_THAT(kinds, ElementsAre("finished"));
+}
+
+}  // namespace
+}  // namespace abcal

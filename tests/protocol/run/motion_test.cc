@@ -1,0 +1,110 @@
+#include "protocol/run/motion.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <limits>
+
+#include "tests/protocol/run/run_parts_fixture.h"
+
+namespace abcal {
+namespace {
+
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::Pair;
+
+class MotionTest : public test::RunPartsTest {
+ protected:
+  Motion motion() { return Motion(context(), stage); }
+  test::ScriptedStage::Axis& x() { return stage.axes[0]; }
+};
+
+TEST_F(MotionTest, ComesFromBelowWhereTheTargetIsLower) {
+  x().encoder = Angle::degrees(50);
+  Motion axes = motion();
+  axes.move_to(StageAxis::kX, Angle::degrees(20));
+  axes.move_to(StageAxis::kX, Angle::degrees(30));
+  EXPECT_THAT(stage.moves,
+              ElementsAre(Pair(StageAxis::kX, Angle::degrees(19)), Pair(StageAxis::kX, Angle::degrees(20)),
+                          Pair(StageAxis::kX, Angle::degrees(30))));
+}
+
+TEST_F(MotionTest, LeavesAnAxisWhereItStandsUntilItsPositionIsForgotten) {
+  Motion axes = motion();
+  EXPECT_TRUE(axes.move_to(StageAxis::kX, Angle::degrees(20)));
+  EXPECT_FALSE(axes.move_to(StageAxis::kX, Angle::degrees(20)));
+  const std::size_t moves = stage.moves.size();
+  axes.forget_positions();
+  EXPECT_TRUE(axes.move_to(StageAxis::kX, Angle::degrees(20)));
+  EXPECT_GT(stage.moves.size(), moves);
+}
+
+TEST_F(MotionTest, TheArrivalIsWhenItWasFirstFoundInside) {
+  settings.protocol.window_polls = 4;
+  settings.protocol.poll_interval_s = 0.1;
+  x().polls_until_stop = 3;
+  const Clock::Instant begin = clock.now();
+  const auto stopped = motion().move_to(StageAxis::kX, Angle::degrees(20));
+  ASSERT_TRUE(stopped);
+  EXPECT_NEAR(to_seconds(*stopped - begin), 0.3, 1e-9);
+  EXPECT_NEAR(to_seconds(clock.now() - begin), 0.6, 1e-9) << "four polls in a row";
+}
+
+TEST_F(MotionTest, AnAxisOutsideTheWindowEndsItWithFoundAndRequired) {
+  x().error = Angle::degrees(0.05);
+  const auto [fault, words] = failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); });
+  EXPECT_EQ(fault, Fault::kStalled);
+  EXPECT_THAT(words, AllOf(HasSubstr("axis X stopped at 20.05"), HasSubstr("commanded 20.0"),
+                           HasSubstr("required: within 0.01 deg")));
+}
+
+TEST_F(MotionTest, AnEncoderThatIsNoNumberIsOutside) {
+  x().error = Angle::degrees(std::numeric_limits<double>::quiet_NaN());
+  EXPECT_EQ(failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); }).first, Fault::kStalled);
+}
+
+TEST_F(MotionTest, AnAxisThatNeverStopsEndsItAfterItsTime) {
+  x().polls_until_stop = 1'000'000;
+  settings.protocol.motion_timeout_s = 5.0;
+  const Clock::Instant begin = clock.now();
+  const auto [fault, words] = failure_of([&] { motion().move_to(StageAxis::kX, Angle::degrees(20)); });
+  EXPECT_EQ(fault, Fault::kStalled);
+  EXPECT_THAT(words, HasSubstr("still moving"));
+  // 20 deg at 10 deg/s, and 5 s.
+  EXPECT_NEAR(to_seconds(clock.now() - begin), 7.0, 0.05);
+}
+
+TEST_F(MotionTest, HomingEndsWhenTheReferenceIsFoundOrSaysThatItIsNot) {
+  motion().home(StageAxis::kX);
+  EXPECT_TRUE(context().stage_info.axes[0].referenced);
+  stage.axes[1].finds_reference = false;
+  const auto [fault, words] = failure_of([&] { motion().home(StageAxis::kZ); });
+  EXPECT_EQ(fault, Fault::kNotReady);
+  EXPECT_THAT(words, HasSubstr("axis Z stopped without finding its reference"));
+  x().polls_until_stop = 1'000'000;
+  settings.protocol.homing_timeout_s = 1.0;
+  context().settings.protocol.homing_timeout_s = 1.0;
+  EXPECT_EQ(failure_of([&] { motion().home(StageAxis::kX); }).first, Fault::kStalled);
+}
+
+TEST_F(MotionTest, AStopEndsTheWait) {
+  x().polls_until_stop = 1'000'000;
+  context();
+  stop.request_stop();
+  EXPECT_THROW(motion().move_to(StageAxis::kX, Angle::degrees(20)), RunInterrupted);
+}
+
+TEST_F(MotionTest, TheWindowHoldsForBothAxes) {
+  PlannedAngle angle;
+  angle.x = Angle::degrees(10);
+  angle.z = Angle::degrees(20);
+  Motion axes = motion();
+  EXPECT_TRUE(axes.is_inside_window(angle, Angle::degrees(10.009), Angle::degrees(19.991)));
+  EXPECT_FALSE(axes.is_inside_window(angle, Angle::degrees(10.011), Angle::degrees(20)));
+  EXPECT_FALSE(axes.is_inside_window(angle, Angle::degrees(10), Angle::degrees(19.98)));
+}
+
+}  // namespace
+}  // namespace abcal

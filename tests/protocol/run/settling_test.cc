@@ -1,0 +1,120 @@
+#include "protocol/run/settling.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "tests/protocol/run/run_parts_fixture.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+class SettlingTest : public test::RunPartsTest {
+ protected:
+  SettlingTest() {
+    settings.protocol.settle_s = 0.5;
+    settings.protocol.quiet_timeout_s = 2.0;
+    settings.protocol.dwell_readings = 100;
+    accelerometer.output = noisy;
+  }
+  ReadingSource& readings() {
+    if (!readings_) readings_.emplace(context(), accelerometer);
+    return *readings_;
+  }
+  Settling settling() { return Settling(context(), readings()); }
+
+ private:
+  std::optional<ReadingSource> readings_;
+};
+
+TEST_F(SettlingTest, WaitsTheSettleTimeWhereAllIsQuiet) {
+  const Clock::Instant stopped = clock.now();
+  EXPECT_TRUE(settling().settle(stopped));
+  EXPECT_NEAR(to_seconds(clock.now() - stopped), 0.5, 0.02);
+}
+
+TEST_F(SettlingTest, SaysWhatIsNotQuietAtTheLongestWait) {
+  accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
+    return noisy(k) + 1e-3 * static_cast<double>(k) * Eigen::Vector3d::UnitX();  // It creeps.
+  };
+  const Clock::Instant stopped = clock.now();
+  EXPECT_FALSE(settling().settle(stopped));
+  EXPECT_NEAR(to_seconds(clock.now() - stopped), 2.5, 0.3);
+}
+
+TEST_F(SettlingTest, LearnsTheNoiseAfterTheRingDown) {
+  accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
+    const double t = 0.01 * static_cast<double>(k);
+    return noisy(k) + 0.1 * std::exp(-3.0 * t) * std::sin(40.0 * t) * Eigen::Vector3d::UnitZ();
+  };
+  settings.protocol.quiet_timeout_s = 30.0;
+  Settling part = settling();
+  EXPECT_FALSE(part.spreads().median());
+  part.learn_noise();
+  ASSERT_TRUE(part.spreads().median());
+  // A uniform distribution of +-1e-4 has a standard deviation of 0.58e-4.
+  for (int j = 0; j < 3; ++j) EXPECT_NEAR((*part.spreads().median())[j], 0.58e-4, 0.4e-4) << j;
+}
+
+TEST_F(SettlingTest, UnstableTemperatureEndsTheWaitWithWhatIsRequired) {
+  settings.protocol.stability_s = 1.0;
+  settings.protocol.stability_timeout_s = 2.0;
+  accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
+    return noisy(k) + 1e-3 * static_cast<double>(k) * Eigen::Vector3d::UnitX();
+  };
+  const auto [fault, words] = failure_of([&] { settling().wait_until_stable(); });
+  EXPECT_EQ(fault, Fault::kImplausible);
+  EXPECT_THAT(words, HasSubstr("not stable for 1 s within 2 s"));
+}
+
+TEST_F(SettlingTest, StableOutputsBeginTheRunWithANotice) {
+  settings.protocol.stability_s = 1.0;
+  settling().wait_until_stable();
+  ASSERT_EQ(observer.notices.size(), 1U);
+  EXPECT_EQ(observer.notices[0].first, "stable");
+}
+
+TEST(SpreadHistoryTest, TheMedianForgetsOldDwellsAndIgnoresOneThatWasShaken) {
+  SpreadHistory history;
+  for (int k = 0; k < 15; ++k) history.add(Eigen::Vector3d::Constant(1.0));
+  history.add(Eigen::Vector3d::Constant(100.0));
+  EXPECT_EQ(*history.median(), Eigen::Vector3d::Constant(1.0));
+  for (int k = 0; k < 15; ++k) history.add(Eigen::Vector3d::Constant(2.0));
+  EXPECT_EQ(*history.median(), Eigen::Vector3d::Constant(2.0));
+}
+
+TEST(QuietWindowTest, IsAQuarterOfADwellWithinBounds) {
+  ProtocolConfig protocol;
+  protocol.dwell_readings = 100;
+  EXPECT_EQ(quiet_window_size(protocol, 100.0), 25U);
+  protocol.dwell_readings = 10;
+  EXPECT_EQ(quiet_window_size(protocol, 100.0), 10U);
+  protocol.dwell_readings = 100000;
+  EXPECT_EQ(quiet_window_size(protocol, 100.0), 50U);
+}
+
+class ReadingSourceTest : public SettlingTest {};
+
+TEST_F(ReadingSourceTest, ASilentAccelerometerIsAnErrorAfterItsTime) {
+  accelerometer.output = nullptr;
+  const Clock::Instant begin = clock.now();
+  const auto [fault, words] = failure_of([&] { readings().read(1); });
+  EXPECT_EQ(fault, Fault::kNoReply);
+  EXPECT_THAT(words, HasSubstr("no reading for 2 s"));
+  EXPECT_NEAR(to_seconds(clock.now() - begin), 2.0, 0.03);
+}
+
+TEST_F(ReadingSourceTest, AStopEndsTheWaitForReadings) {
+  accelerometer.output = [this](std::uint64_t k) {
+    if (k == 20) stop.request_stop();
+    return noisy(k);
+  };
+  EXPECT_THROW(readings().read(1000), RunInterrupted);
+  EXPECT_LT(accelerometer.count, 25U);
+}
+
+}  // namespace
+}  // namespace abcal
