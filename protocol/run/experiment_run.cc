@@ -130,6 +130,7 @@ class ExperimentRun {
         context_.journal.notify("full scale", *excess);
       }
     }
+    context_.journal.check_system_clock();
     file_.append_dwell(position, dwell, measured.readings, context_.stopwatch.timing());
     if (dwell.flags != kFlagNone) {
       context_.journal.notify(
@@ -189,7 +190,8 @@ struct RunFailure {
   std::string consequences = fmt::format(" ({}); {}", activity, halt.words);
   const std::string& reason = failure.reason;
   try {
-    file.set_state(RunState::kInterrupted, format_utc(instruments.clock.utc_now()), reason + consequences);
+    file.set_state(RunState::kInterrupted, format_utc(file.utc_now(instruments.clock)),
+                   reason + consequences);
   } catch (const RunFileError& error) {
     consequences += fmt::format("; the reason could not be stored ({})", error.what());
   }
