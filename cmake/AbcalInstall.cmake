@@ -16,8 +16,8 @@ endif()
 
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
-# Where abcal looks for it (app/system/helper_program.cc).
-install(TARGETS abcal-hdf5 RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
+# Where abcal looks for them (app/system/helper_program.cc).
+install(TARGETS abcal-hdf5 abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
 if(TARGET abcal-mpi)
   install(TARGETS abcal-mpi RUNTIME COMPONENT abcal)
 endif()
@@ -59,7 +59,7 @@ foreach(target IN LISTS library_targets)
 endforeach()
 install(TARGETS ${library_targets} EXPORT abcal-targets ARCHIVE COMPONENT dev
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
-foreach(folder drivers/instrument protocol/plan protocol/model protocol/record protocol/analysis)
+foreach(folder drivers/instrument tests/contract protocol/plan protocol/model protocol/record protocol/analysis)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/${folder}
     COMPONENT dev FILES_MATCHING PATTERN "*.h")
 endforeach()

@@ -17,6 +17,12 @@ if(ABCAL_SANITIZE)
   endif()
 endif()
 
+# Release builds check what they copy and keep their tables read-only (tests/install/hardening.sh looks at the program).
+if(CMAKE_BUILD_TYPE STREQUAL "Release" AND NOT ABCAL_SANITIZE)
+  add_compile_options(-U_FORTIFY_SOURCE -D_FORTIFY_SOURCE=3 -fstack-protector-strong -fPIE)
+  add_link_options(-pie -Wl,-z,relro -Wl,-z,now)
+endif()
+
 # A whole build reads the sources of a target as few translation units: the headers that they share are parsed once, which
 # is half of a build from nothing. The preset dev leaves it off, so that a changed file is compiled alone.
 option(ABCAL_UNITY "Compile the sources of a target as few translation units" OFF)
@@ -55,6 +61,18 @@ function(abcal_add_library name)
     target_link_libraries(abcal_${name} INTERFACE ${ARG_PUBLIC})
   endif()
   add_library(abcal::${name} ALIAS abcal_${name})
+endfunction()
+
+# abcal_add_driver(name SOURCES driver.cc codec.cc ... PRIVATE ...) makes the library of the driver in the folder name.
+# CODEC_NAME: what its codec is called in tests/fuzz, where that is not the name of the folder.
+function(abcal_add_driver name)
+  cmake_parse_arguments(ARG "" "CODEC_NAME" "SOURCES;PRIVATE" ${ARGN})
+  abcal_add_library(${name} SOURCES ${ARG_SOURCES} PUBLIC abcal::wire PRIVATE ${ARG_PRIVATE})
+  if(NOT ARG_CODEC_NAME)
+    set(ARG_CODEC_NAME ${name})
+  endif()
+  set_property(GLOBAL APPEND PROPERTY ABCAL_DRIVERS ${name})
+  set_property(GLOBAL PROPERTY ABCAL_CODEC_OF_${name} ${ARG_CODEC_NAME})
 endfunction()
 
 # abcal_add_test(name SOURCES ... LINK ...) makes test program name and of it two tests of ctest: all its quick

@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "drivers/instrument/accelerometer.h"
@@ -18,6 +19,8 @@ struct SerialDefaults {
   bool rts_cts = false;
 };
 
+/// A driver of stages. An instrument on an unknown port is recognised by identify(): that of another one
+/// throws kWrongIdentity, kNoReply or kBadFrame.
 struct StageDriver {
   std::string name;         ///< As in a bench file, e.g. "pi_gcs".
   std::string description;  ///< For lists and error messages.
@@ -27,6 +30,7 @@ struct StageDriver {
       make;
 };
 
+/// A driver of accelerometers, recognised in the same way.
 struct AccelerometerDriver {
   std::string name;
   std::string description;
@@ -36,10 +40,37 @@ struct AccelerometerDriver {
                                                const AccelerometerSettings&)>
       make;
   std::size_t ports = 1;
+  std::string output_unit{};  ///< "g", "m/s2"; empty: that of the bench file.
+  /// It takes whatever looks like its instrument, as nothing says what it is: tried after all others.
+  bool generic = false;
+  /// Lines of [accelerometer], beside driver and port, with which its simulated instrument is used in tests.
+  std::string example = "rate_hz = 100.0\n";
 };
 
-/// The one list of drivers. A new instrument is a folder and a line here.
+/// What the drivers' own registrations fill in.
+struct DriverList {
+  std::vector<StageDriver> stages;
+  std::vector<AccelerometerDriver> accelerometers;
+};
+
+/// The drivers of all folders that have a driver.cc, in the order of the folders' names, generic ones
+/// last. Such a folder
+/// registers itself with `void register_<folder>(DriverList&)`; its CMakeLists.txt calls abcal_add_driver().
 const std::vector<StageDriver>& stage_drivers();
 const std::vector<AccelerometerDriver>& accelerometer_drivers();
+
+// For registrations: a driver that is made of one stream, the clock and its settings.
+
+template <class Driver>
+std::unique_ptr<RotationStage> make_stage_of(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
+                                             const StageSettings& settings) {
+  return std::make_unique<Driver>(std::move(stream), clock, settings);
+}
+
+template <class Driver>
+std::unique_ptr<Accelerometer> make_accelerometer_of(std::vector<std::unique_ptr<wire::ByteStream>> streams,
+                                                     Clock& clock, const AccelerometerSettings& settings) {
+  return std::make_unique<Driver>(std::move(streams.at(0)), clock, settings);
+}
 
 }  // namespace abcal

@@ -5,24 +5,15 @@
 set(instrument "drivers/instrument/")
 set(wire "drivers/instrument/;drivers/wire/")
 set(record "drivers/instrument/angle.h;drivers/instrument/clock.h;protocol/plan/;protocol/record/")
-set(numbers "drivers/instrument/angle.h;protocol/plan/tolerances.h;protocol/plan/limits.h;protocol/record/run_record.h;protocol/model/")
+set(numbers "drivers/instrument/angle.h;protocol/plan/tolerances.h;protocol/plan/effect_sizes.h;protocol/plan/limits.h;protocol/record/run_record.h;protocol/model/")
 
 # folder | folders and headers of the project that it may include | third-party headers that it may include
 set(rules
   "drivers/instrument|${instrument}|Eigen/"
   "drivers/wire|${wire}|boost/;libserialport.h;spdlog/;fmt/;Eigen/"
-  "drivers/pi_gcs|${wire};drivers/pi_gcs/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/newport_esp|${wire};drivers/newport_esp/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/zaber_ascii|${wire};drivers/zaber_ascii/|boost/;spdlog/;fmt/;Eigen/"
   "drivers/manual_stage|${wire};drivers/manual_stage/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/microstrain_mip|${wire};drivers/microstrain_mip/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/vectornav|${wire};drivers/vectornav/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/xsens_mti|${wire};drivers/xsens_mti/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/witmotion|${wire};drivers/witmotion/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/text_line|${wire};drivers/text_line/|boost/;spdlog/;fmt/;Eigen/"
-  "drivers/scpi_voltmeter|${wire};drivers/scpi_voltmeter/|boost/;spdlog/;fmt/;Eigen/"
   "protocol/plan|drivers/instrument/angle.h;protocol/plan/|Eigen/;fmt/"
-  "protocol/model|drivers/instrument/angle.h;protocol/model/|Eigen/"
+  "protocol/model|drivers/instrument/angle.h;protocol/plan/effect_sizes.h;protocol/model/|Eigen/"
   "protocol/gravity|drivers/instrument/angle.h;protocol/gravity/|fmt/"
   "protocol/record|${record}|Eigen/;unsupported/Eigen/;fmt/;sqlite3.h;openssl/"
   "protocol/run|drivers/instrument/;protocol/plan/;protocol/record/;protocol/run/|Eigen/;fmt/;boost/math/"
@@ -30,6 +21,13 @@ set(rules
   "protocol/uncertainty|${numbers};protocol/analysis/;protocol/uncertainty/|Eigen/;fmt/;boost/math/;Random123/;hwy/"
   "sim|${wire};sim/|Eigen/;boost/;fmt/;spdlog/;Random123/"
 )
+
+# Every folder with a driver.cc is a driver; all have the same rule.
+file(GLOB registrations RELATIVE ${SOURCE_DIR} ${SOURCE_DIR}/drivers/*/driver.cc)
+foreach(registration IN LISTS registrations)
+  get_filename_component(driver ${registration} DIRECTORY)
+  list(APPEND rules "${driver}|${wire};drivers/registry.h;${driver}/|boost/;spdlog/;fmt/;Eigen/")
+endforeach()
 
 set(violations "")
 function(check_file folder file)

@@ -2,18 +2,21 @@
 
 #include <algorithm>
 #include <map>
+#include <mutex>
 #include <stdexcept>
 #include <utility>
 
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
 #include "app/bench/stage_watchdog.h"
+#include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/mounted_stage.h"
 #include "drivers/instrument/replaceable.h"
 #include "drivers/instrument/split_stage.h"
 #include "drivers/manual_stage/manual_stage.h"
 #include "drivers/registry.h"
 #include "drivers/text_line/environment.h"
+#include "drivers/wire/halt_recipe.h"
 #include "drivers/wire/open_stream.h"
 #include "drivers/wire/reopenable_stream.h"
 #include "sim/faults.h"
@@ -29,6 +32,8 @@ namespace {
 constexpr const char* kSimulated = "simulated";
 constexpr const char* kManual = "manual_stage";
 constexpr SerialDefaults kEnvironmentSerial{9600, false};
+/// Of a halt without a driver, beyond two replies.
+constexpr std::chrono::seconds kHaltMargin{1};
 
 AxisMounting mounting(const StageAxisConfig& axis) {
   const auto angle = [](const std::optional<double>& degrees) {
@@ -125,11 +130,41 @@ class Opener {
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
       const StageDriver& driver = find_driver(stage_drivers(), port.driver);
       parts.push_back(driver.make(open(port, driver.serial), clock_, stage_settings(config_, port)));
+      const std::lock_guard lock(halt_mutex_);
+      halt_ports_[port.name] = {opened_.at(port.name).stream, parts.back()->halt_recipes()};
     }
     std::unique_ptr<RotationStage> stage =
         parts.size() == 1 ? std::move(parts[0])
                           : std::make_unique<SplitStage>(std::move(parts[0]), std::move(parts[1]));
     return std::make_unique<MountedStage>(std::move(stage), mountings);
+  }
+
+  /// Halts what is on the ports of the stage without a driver, from any thread.
+  HaltReport halt_ports() {
+    std::map<std::string, HaltPort, std::less<>> ports;
+    {
+      const std::lock_guard lock(halt_mutex_);
+      ports = halt_ports_;
+    }
+    // All are told to stop before any is asked: one that is gone must not keep the other moving.
+    for (const auto& [name, port] : ports) {
+      for (const HaltRecipe& recipe : port.recipes) {
+        try {
+          port.stream->write(recipe.end_partial + recipe.stop);
+        } catch (const InstrumentError&) {  // Gone: carry_out() finds it so, too.
+        }
+      }
+    }
+    HaltReport report;
+    for (const auto& [name, port] : ports) {
+      for (const HaltRecipe& recipe : port.recipes) {
+        const Clock::Instant deadline = clock_.now() + 2 * recipe.reply_time + kHaltMargin;
+        if (!wire::carry_out(recipe, *port.stream, clock_, deadline)) continue;
+        for (const StageAxis axis : kStageAxes)
+          if (recipe.axes[index(axis)]) report.axes[index(axis)] = AxisHalt::kHalted;
+      }
+    }
+    return report;
   }
 
   std::unique_ptr<Accelerometer> accelerometer() {
@@ -204,6 +239,13 @@ class Opener {
   std::shared_ptr<sim::SimBench> world_;
   Clock& clock_;
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
+
+  struct HaltPort {
+    std::shared_ptr<wire::ByteStream> stream;
+    std::vector<HaltRecipe> recipes;
+  };
+  std::mutex halt_mutex_;
+  std::map<std::string, HaltPort, std::less<>> halt_ports_;  ///< By InstrumentPort::name.
 };
 
 /// The instruments of a bench whose drivers can be made again.
@@ -283,7 +325,8 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
         auto made = opener->stage();
         if (followed) made = std::make_unique<sim::FollowedStage>(std::move(made), world, clock);
         return made;
-      });
+      },
+      [opener] { return opener->halt_ports(); });
   auto accelerometer =
       std::make_unique<ReplaceableAccelerometer>([opener] { return opener->accelerometer(); });
   bench.environment = opener->environment();

@@ -10,6 +10,15 @@
 
 namespace abcal {
 
+namespace {
+/// Never shorter than a reply may take; of a stage that names no such time nothing is known.
+Clock::Duration long_enough(Clock::Duration patience, Clock::Duration reply_deadline) {
+  constexpr Clock::Duration kBeyondReply = std::chrono::seconds(1);
+  return reply_deadline > Clock::Duration::zero() ? std::max(patience, reply_deadline + kBeyondReply)
+                                                  : patience;
+}
+}  // namespace
+
 void MotionWatch::told_to_move(StageAxis axis, Clock::Instant now) {
   moving_[index(axis)] = true;
   heard_ = now;
@@ -23,8 +32,8 @@ StageWatchdog::StageWatchdog(std::unique_ptr<RotationStage> stage, const Clock& 
                              Clock::Duration patience)
     : stage_(std::move(stage)),
       clock_(clock),
-      patience_(patience),
-      motion_(patience),
+      patience_(long_enough(patience, stage_->reply_deadline())),
+      motion_(patience_),
       thread_([this](const std::stop_token& stop) { watch(stop); }) {}
 
 StageWatchdog::~StageWatchdog() = default;
@@ -38,10 +47,19 @@ void StageWatchdog::watch(const std::stop_token& stop) {
         "the watchdog halted it: it may have been moving, and its controller had not answered for {:g} s, or "
         "this program had not asked",
         to_seconds(patience_));
-    lock.unlock();  // A halt may be asked for by others meanwhile.
-    const bool acknowledged = stage_->halt();
+    const auto note = [this](const std::string& text) {
+      events_.push_back({clock_.now(), "watchdog halt", text});
+    };
+    note(halted_because_);  // At once: the owner may end the run before the halt is acknowledged.
+    lock.unlock();          // A halt may be asked for by others meanwhile.
+    const HaltReport report = stage_->halt_axes();
     lock.lock();
-    if (!acknowledged) halted_because_ += "; the halt was not acknowledged: stop it by its own switch";
+    if (!report.all_halted()) {
+      const std::string not_halted =
+          fmt::format("the halt was not acknowledged ({}): stop it by its own switch", in_words(report));
+      note(not_halted);
+      halted_because_ += "; " + not_halted;
+    }
     print_error("stage: " + halted_because_);
   }
 }
@@ -58,13 +76,18 @@ auto StageWatchdog::heard(const Call& call) {
     const std::lock_guard lock(mutex_);
     motion_.heard(clock_.now());
   };
-  if constexpr (std::is_void_v<decltype(call())>) {
-    call();
-    answered();
-  } else {
-    auto answer = call();
-    answered();
-    return answer;
+  try {
+    if constexpr (std::is_void_v<decltype(call())>) {
+      call();
+      answered();
+    } else {
+      auto answer = call();
+      answered();
+      return answer;
+    }
+  } catch (const InstrumentError&) {
+    throw_if_halted();  // The call failed because of the halt: that is not the first cause.
+    throw;
   }
 }
 
@@ -108,11 +131,19 @@ Angle StageWatchdog::encoder_angle(StageAxis axis) {
   return heard([&] { return stage_->encoder_angle(axis); });
 }
 
-bool StageWatchdog::halt() noexcept {
-  if (!stage_->halt()) return false;
+HaltReport StageWatchdog::halt_axes() noexcept {
+  const HaltReport report = stage_->halt_axes();
+  if (!report.all_halted()) return report;
   const std::lock_guard lock(mutex_);
   motion_.forget();
-  return true;
+  return report;
+}
+
+std::vector<StageEvent> StageWatchdog::take_events() {
+  std::vector<StageEvent> events = stage_->take_events();
+  const std::lock_guard lock(mutex_);
+  for (StageEvent& event : std::exchange(events_, {})) events.push_back(std::move(event));
+  return events;
 }
 
 }  // namespace abcal

@@ -36,7 +36,9 @@ class MotionWatch {
 
 /// A stage under a watchdog: where it may be moving and the controller has not answered for `patience` (it is
 /// silent, or this program hangs: a blocked terminal, a disk that does not answer), a thread of its own halts
-/// it. After that every call throws kStalled until the stage is identified again.
+/// it. The patience is never shorter than a reply of the stage's controller may take. After that every call,
+/// the one under way included, throws kStalled with this first cause until the stage is identified again.
+/// Each halt is an event (take_events()).
 class StageWatchdog final : public RotationStage {
  public:
   static constexpr Clock::Duration kPatience = std::chrono::seconds(5);
@@ -51,7 +53,13 @@ class StageWatchdog final : public RotationStage {
   void move_to(StageAxis axis, Angle target) override;
   MotionState motion_state(StageAxis axis) override;
   Angle encoder_angle(StageAxis axis) override;
-  bool halt() noexcept override;
+  bool halt() noexcept override { return halt_axes().all_halted(); }
+  HaltReport halt_axes() noexcept override;
+  std::vector<HaltRecipe> halt_recipes() override { return stage_->halt_recipes(); }
+  Clock::Duration reply_deadline() const override { return stage_->reply_deadline(); }
+  std::vector<StageEvent> take_events() override;
+
+  Clock::Duration patience() const { return patience_; }
 
  private:
   void watch(const std::stop_token& stop);
@@ -66,7 +74,8 @@ class StageWatchdog final : public RotationStage {
   std::condition_variable_any wake_;
   MotionWatch motion_;
   std::string halted_because_;  ///< Empty: it has not halted the stage.
-  std::jthread thread_;         ///< Last: it ends before what it uses.
+  std::vector<StageEvent> events_;
+  std::jthread thread_;  ///< Last: it ends before what it uses.
 };
 
 }  // namespace abcal

@@ -14,6 +14,8 @@ struct SigningKey {
 /// Adds an enveloped XML signature (XML-DSig: exclusive canonicalisation, SHA-256) with the X.509 certificate
 /// as the last element, and verifies it with the certificate's public key. The bytes before it stay as they
 /// are.
+/// Done by the helper program abcal-sign.
+/// @throws ProgramMissing, RunInterrupted, std::runtime_error
 /// @throws std::invalid_argument  if key or certificate cannot be read, or do not belong together
 std::string sign_xml(const std::string& xml, const SigningKey& with);
 

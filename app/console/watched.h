@@ -43,6 +43,10 @@ class WatchedStage final : public RotationStage {
   MotionState motion_state(StageAxis axis) override { return stage_->motion_state(axis); }
   Angle encoder_angle(StageAxis axis) override;
   bool halt() noexcept override { return stage_->halt(); }
+  HaltReport halt_axes() noexcept override { return stage_->halt_axes(); }
+  std::vector<HaltRecipe> halt_recipes() override { return stage_->halt_recipes(); }
+  Clock::Duration reply_deadline() const override { return stage_->reply_deadline(); }
+  std::vector<StageEvent> take_events() override { return stage_->take_events(); }
 
  private:
   std::unique_ptr<RotationStage> stage_;

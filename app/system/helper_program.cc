@@ -1,6 +1,12 @@
 #include "app/system/helper_program.h"
 
+#include <fmt/format.h>
+
+#include <stdexcept>
+#include <string_view>
 #include <utility>
+
+#include "app/system/exit_code.h"
 
 namespace abcal {
 namespace {
@@ -21,6 +27,18 @@ Tool helper_program(const std::string& name, const std::string& needed_by) {
   std::error_code ignored;
   const std::filesystem::path& found = std::filesystem::exists(installed, ignored) ? installed : beside;
   return {found.string(), needed_by, "abcal"};
+}
+
+void run_helper(const std::string& name, const std::string& needed_by,
+                const std::vector<std::string>& arguments) {
+  const ToolResult result = run_tool_for_words(helper_program(name, needed_by), arguments);
+  if (result.exit_code == kExitDone) return;
+  constexpr std::string_view kPrefix = "abcal: ";  // Whoever shows the message says it again.
+  std::string why = result.words;
+  if (why.starts_with(kPrefix)) why.erase(0, kPrefix.size());
+  if (why.empty()) why = fmt::format("{} ended with {} and without a word", name, result.exit_code);
+  if (result.exit_code == kExitUsage) throw std::invalid_argument(why);
+  throw std::runtime_error(why);
 }
 
 void set_helper_folder(std::filesystem::path folder) {

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "app/system/child_process.h"
 
@@ -10,6 +11,12 @@ namespace abcal {
 /// A program that belongs to abcal: in the folder of the running program, or installed in ../libexec/abcal
 /// from there; never looked for in PATH.
 Tool helper_program(const std::string& name, const std::string& needed_by);
+
+/// Runs it to its end. What it says is the message of its failure.
+/// @throws std::invalid_argument if it ends with kExitUsage, ProgramMissing, RunInterrupted,
+/// std::runtime_error
+void run_helper(const std::string& name, const std::string& needed_by,
+                const std::vector<std::string>& arguments);
 
 /// Where tests, whose programs lie elsewhere, have the helper programs.
 void set_helper_folder(std::filesystem::path folder);

@@ -4,11 +4,14 @@
 #include <fmt/format.h>
 #include <limits.h>
 #include <poll.h>
+#include <spdlog/logger.h>
+#include <spdlog/sinks/base_sink.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <memory>
 #include <mutex>
 #include <utility>
 
@@ -33,7 +36,7 @@ struct Streams {
 };
 
 Streams& streams() {
-  static Streams instance;
+  static Streams& instance = *new Streams;  // For ever: threads may speak until the very end.
   return instance;
 }
 
@@ -160,6 +163,31 @@ std::string text_for_stream(std::string_view text, std::FILE* stream) {
   return made;
 }
 
+/// Where the log ends: standard error, by way of what cannot end a run.
+class StandardErrorSink final : public spdlog::sinks::base_sink<spdlog::details::null_mutex> {
+ private:
+  void sink_it_(const spdlog::details::log_msg& message) override {
+    spdlog::memory_buf_t line;
+    formatter_->format(message, line);
+    const std::string_view text(line.data(), line.size());
+    std::string kept = text_for_stream(shortened_text(text, kLongestMessage), stderr);
+    if (kept.back() != '\n') kept += '\n';
+    write_log(kept);
+  }
+  void flush_() override {}
+};
+
+/// spdlog catches what its sinks throw; what it would say of that on standard error is left out.
+spdlog::logger& logger() {
+  static spdlog::logger instance = [] {
+    spdlog::logger made("abcal", std::make_shared<StandardErrorSink>());
+    made.set_pattern("%v");  // The first word of a line says its level.
+    made.set_error_handler([](const std::string&) {});
+    return made;
+  }();
+  return instance;
+}
+
 constexpr std::string_view kNoWords = "abcal: a message could not be put into words (out of memory?)\n";
 
 }  // namespace
@@ -198,7 +226,7 @@ void send_log_to(std::function<void(std::string_view)> listener) {
 
 void print_warning(std::string_view text) noexcept {
   try {
-    print_log("{} {}\n", emphasised(stderr, Emphasis::kWarning, "warning:"), text);
+    logger().warn("{} {}", emphasised(stderr, Emphasis::kWarning, "warning:"), text);
   } catch (...) {
     write_log(kNoWords);
   }
@@ -206,7 +234,7 @@ void print_warning(std::string_view text) noexcept {
 
 void print_error(std::string_view text) noexcept {
   try {
-    print_log("{} {}\n", emphasised(stderr, Emphasis::kBad, "abcal:"), text);
+    logger().error("{} {}", emphasised(stderr, Emphasis::kBad, "abcal:"), text);
   } catch (...) {
     write_log(kNoWords);
   }

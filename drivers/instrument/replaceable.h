@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/instrument_error.h"
@@ -29,8 +30,18 @@ class Replaceable {
   /// Makes a new driver in place of the old one. @throws InstrumentError kCannotOpen, kLinkLost: not yet.
   void replace() {
     set(nullptr);  // Its last words go to the port that is gone, not to the one that comes.
-    set(make_());
+    std::unique_ptr<Instrument> made = make_();
+    const std::lock_guard lock(between_drivers_);
+    set(std::move(made));
     lost_ = false;
+  }
+
+  /// Makes `call` while there is no driver, and none is put in place; nothing if there is one.
+  template <class Call>
+  auto without_driver(const Call& call) -> std::optional<decltype(call())> {
+    const std::lock_guard lock(between_drivers_);
+    if (get()) return std::nullopt;
+    return call();
   }
 
   template <class Call>
@@ -63,14 +74,22 @@ class Replaceable {
   std::string name_;
   Make make_;
   mutable std::mutex mutex_;
+  std::mutex between_drivers_;  ///< Taken before mutex_ where both are.
   std::shared_ptr<Instrument> instrument_;
   std::atomic<bool> lost_ = false;
 };
 
 /// A stage whose driver can be replaced. halt() from any thread, also meanwhile.
+///
+/// The ports outlive the driver: while there is none, `halt_ports` halts by the drivers' recipes what is on
+/// the ports that are left.
 class ReplaceableStage final : public RotationStage {
  public:
-  explicit ReplaceableStage(Replaceable<RotationStage>::Make make) : stage_("stage", std::move(make)) {}
+  using HaltPorts = std::function<HaltReport()>;
+
+  /// `halt_ports` must not throw; absent: without a driver nothing can be halted.
+  explicit ReplaceableStage(Replaceable<RotationStage>::Make make, HaltPorts halt_ports = {})
+      : stage_("stage", std::move(make)), halt_ports_(std::move(halt_ports)) {}
 
   bool lost() const { return stage_.lost(); }
   void replace() { stage_.replace(); }
@@ -90,13 +109,33 @@ class ReplaceableStage final : public RotationStage {
   Angle encoder_angle(StageAxis axis) override {
     return stage_.guarded([&](RotationStage& stage) { return stage.encoder_angle(axis); });
   }
-  bool halt() noexcept override {
+  bool halt() noexcept override { return halt_axes().all_halted(); }
+  HaltReport halt_axes() noexcept override {
+    try {
+      for (;;) {
+        if (const std::shared_ptr<RotationStage> stage = stage_.get()) return stage->halt_axes();
+        if (!halt_ports_) return {};
+        if (const auto report = stage_.without_driver(halt_ports_)) return *report;
+      }
+    } catch (...) {  // Of a mutex, or memory: not acknowledged.
+      return {};
+    }
+  }
+  std::vector<HaltRecipe> halt_recipes() override {
+    return stage_.guarded([](RotationStage& stage) { return stage.halt_recipes(); });
+  }
+  Clock::Duration reply_deadline() const override {
     const std::shared_ptr<RotationStage> stage = stage_.get();
-    return stage && stage->halt();
+    return stage ? stage->reply_deadline() : Clock::Duration{};
+  }
+  std::vector<StageEvent> take_events() override {
+    const std::shared_ptr<RotationStage> stage = stage_.get();
+    return stage ? stage->take_events() : std::vector<StageEvent>{};
   }
 
  private:
   Replaceable<RotationStage> stage_;
+  HaltPorts halt_ports_;
 };
 
 /// An accelerometer whose driver can be replaced.

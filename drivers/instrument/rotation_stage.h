@@ -4,8 +4,11 @@
 #include <cstddef>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "drivers/instrument/angle.h"
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/halt.h"
 
 namespace abcal {
 
@@ -41,6 +44,13 @@ struct StageInfo {
   std::array<StageAxisInfo, 2> axes;  ///< By index(StageAxis).
 };
 
+/// What happened to a stage without its owner's asking, e.g. that a watchdog halted it.
+struct StageEvent {
+  Clock::Instant at;
+  std::string kind;  ///< "watchdog halt"
+  std::string text;
+};
+
 /// A two-axis rotation stage. One owner at a time, except halt().
 ///
 /// Every call either does what it says or throws InstrumentError within the driver's own reply deadline; a
@@ -71,6 +81,19 @@ class RotationStage {
   /// Stops all axes. From any thread, also while another one waits for a reply; never throws.
   /// @return false: the controller did not acknowledge; say so to the person.
   virtual bool halt() noexcept = 0;
+
+  /// As halt(), and says what became of each axis: two controllers need not share their fate.
+  virtual HaltReport halt_axes() noexcept { return HaltReport::of_both(halt()); }
+
+  /// How another process halts the axes on each port of the stage; none for a stage without ports. Called by
+  /// the owner, best after identify(). Sends nothing.
+  virtual std::vector<HaltRecipe> halt_recipes() { return {}; }
+
+  /// How long a reply of its controller may take; nothing that watches over the stage may give up before.
+  virtual Clock::Duration reply_deadline() const { return {}; }
+
+  /// What has happened since the last call, oldest first. The owner puts it into its record.
+  virtual std::vector<StageEvent> take_events() { return {}; }
 };
 
 }  // namespace abcal

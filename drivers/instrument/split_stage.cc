@@ -1,5 +1,6 @@
 #include "drivers/instrument/split_stage.h"
 
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 #include <system_error>
@@ -34,17 +35,33 @@ StageInfo SplitStage::identify() {
   return info;
 }
 
-bool SplitStage::halt() noexcept {
-  bool x_stopped = false;
+HaltReport SplitStage::halt_axes() noexcept {
+  HaltReport x;
   std::thread beside;
   try {
-    beside = std::thread([this, &x_stopped] { x_stopped = x_->halt(); });
+    beside = std::thread([this, &x] { x = x_->halt_axes(); });
   } catch (const std::system_error&) {  // No thread to be had: one after the other.
-    x_stopped = x_->halt();
+    x = x_->halt_axes();
   }
-  const bool z_stopped = z_->halt();
+  const HaltReport z = z_->halt_axes();
   if (beside.joinable()) beside.join();
-  return x_stopped && z_stopped;
+  return {{x.axes[index(StageAxis::kX)], z.axes[index(StageAxis::kZ)]}};
+}
+
+std::vector<HaltRecipe> SplitStage::halt_recipes() {
+  std::vector<HaltRecipe> recipes = x_->halt_recipes();
+  for (HaltRecipe& recipe : z_->halt_recipes()) recipes.push_back(std::move(recipe));
+  return recipes;
+}
+
+Clock::Duration SplitStage::reply_deadline() const {
+  return std::max(x_->reply_deadline(), z_->reply_deadline());
+}
+
+std::vector<StageEvent> SplitStage::take_events() {
+  std::vector<StageEvent> events = x_->take_events();
+  for (StageEvent& event : z_->take_events()) events.push_back(std::move(event));
+  return events;
 }
 
 }  // namespace abcal

@@ -22,7 +22,13 @@ class SplitStage final : public RotationStage {
 
   /// Stops both at the same time: one that does not acknowledge must not keep the other moving.
   /// @return false if either did not acknowledge.
-  bool halt() noexcept override;
+  bool halt() noexcept override { return halt_axes().all_halted(); }
+
+  /// As halt(); where one controller is gone, the other halts its own axis all the same.
+  HaltReport halt_axes() noexcept override;
+  std::vector<HaltRecipe> halt_recipes() override;
+  Clock::Duration reply_deadline() const override;
+  std::vector<StageEvent> take_events() override;
 
  private:
   RotationStage& part(StageAxis axis) { return axis == StageAxis::kX ? *x_ : *z_; }

@@ -5,13 +5,13 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <stdexcept>
 #include <utility>
+
+#include "drivers/wire/readable_bytes.h"
 
 namespace abcal {
 namespace {
 
-using std::chrono::milliseconds;
 using std::chrono::seconds;
 
 // The timeout rule of MicroStrain's mip_sdk: one packet of the largest size at the baud rate, times 1.5, and
@@ -20,12 +20,6 @@ constexpr double kPacketTimeFactor = 1.5;
 constexpr seconds kAnswerTime{2};
 constexpr double kDefaultBytesPerSecond =
     11520.0;  // 115200 baud, the setting a device leaves the factory with.
-
-// After this long without a byte, an answer behind a false sync is looked for.
-constexpr milliseconds kSilence{50};
-
-// Readings kept for a caller that does not fetch them: 8 s at 1 kHz.
-constexpr std::size_t kQueueCapacity = 8192;
 
 constexpr seconds kTemperatureHold{10};
 constexpr double kRateTolerance = 0.01;
@@ -42,14 +36,6 @@ constexpr std::uint8_t kBaseRate = 0x0E;
 constexpr std::uint8_t kFormat = 0x0F;
 constexpr std::uint8_t kStreamControl = 0x11;
 constexpr std::uint8_t kSharedSet = 0xFF;  // How newer devices list the fields that all data sets share.
-
-std::string in_hex(std::string_view bytes) {
-  std::string text;
-  for (const char byte : bytes) {
-    text += fmt::format("{}{:02X}", text.empty() ? "" : " ", static_cast<unsigned char>(byte));
-  }
-  return text;
-}
 
 /// "5g, 300d/s" -> 5. [M]: seen as the options text of several models, not promised by a manual.
 std::optional<double> full_scale_in(std::string_view options) {
@@ -84,224 +70,24 @@ std::size_t data_bytes(std::uint8_t field) {
   }
 }
 
-}  // namespace
+using Exchange = wire::PacketExchange<mip::PacketParser>;
 
-MipAccelerometer::MipAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
-                                   const AccelerometerSettings& settings)
-    : stream_(std::move(stream)), clock_(clock), settings_(settings) {
-  if (stream_ == nullptr) throw std::invalid_argument("MipAccelerometer: no stream");
-  if (!(settings_.rate_hz > 0.0) || !std::isfinite(settings_.rate_hz)) {
-    throw std::invalid_argument(
-        fmt::format("MipAccelerometer: rate_hz is {}; required: a positive number", settings_.rate_hz));
-  }
-  who_ = fmt::format("accelerometer microstrain_mip on {}", stream_->name());
-}
+/// The acknowledgement names the command by its descriptor; behind it comes the reply field, if it has one.
+struct Request {
+  std::uint8_t set = 0;
+  std::uint8_t descriptor = 0;
+  std::string data;
+  std::string_view name;  ///< For messages: "device info".
+  std::optional<std::uint8_t> reply_field;
 
-AccelerometerInfo MipAccelerometer::identify() {
-  return interrogate();
-}
+  std::string shown() const { return fmt::format("\"{}\" ({:02X},{:02X})", name, set, descriptor); }
+};
 
-void MipAccelerometer::start() {
-  interrogate();
-  const std::vector<mip::FormatEntry> format = wanted_format();
-  check_rate_and_link(format);
-  if (abilities_.modern) {
-    exchange({mip::k3dmSet, kFormat, mip::message_format(mip::kSensorSet, format), "message format", {}});
-  } else {
-    exchange(
-        {mip::k3dmSet, kLegacyFormat, mip::legacy_message_format(format), "message format (legacy)", {}});
-  }
-  if (abilities_.stream_control) select_streams();
+/// An answer without the reply field that it must have.
+constexpr unsigned kWithoutReplyField = 0x100;
 
-  // Every answer is in: what is left over is no part of the stream that begins now.
-  parser_ = mip::PacketParser();
-  exchange({mip::kBaseSet, kResume, {}, "resume", {}});
-
-  health_ = StreamHealth();
-  dropped_at_start_ = dropped_at_discard_ = stream_->dropped_bytes();
-  malformed_bytes_ = 0;
-  last_sequence_.reset();
-  last_reference_time_ns_.reset();
-  last_gps_timestamp_.reset();
-  discard_next_reading_ = forgive_next_gap_ = false;
-  temperature_degc_.reset();
-  unframed_at_last_reading_ = 0;
-  started_ = true;
-}
-
-std::optional<Reading> MipAccelerometer::next(Clock::Instant deadline) {
-  if (!started_) fail(Fault::kNotReady, "asked for a reading before it was started");
-  receive({{}, last_arrival_}, true);  // What came in together with the answer to "resume".
-  while (queue_.empty()) {
-    const wire::ReceivedBytes received = stream_->read_until(deadline);
-    if (received.bytes.empty()) {
-      while (const auto packet = parser_.next_behind_partial()) take_packet(*packet, true);
-      break;
-    }
-    receive(received, true);
-  }
-  if (queue_.empty()) return std::nullopt;
-  const Reading reading = queue_.front();
-  queue_.pop_front();
-  return reading;
-}
-
-void MipAccelerometer::discard_pending() {
-  if (!started_) return;
-  // What is thrown away is decoded all the same, as its time stamps say what was lost before and after it.
-  const std::uint64_t lost_before = health_.lost_readings;
-  const Clock::Instant now = clock_.now();
-  receive({{}, last_arrival_}, false);
-  for (;;) {
-    const wire::ReceivedBytes received = stream_->read_until(now);
-    if (received.bytes.empty()) break;
-    receive(received, false);
-  }
-  queue_.clear();
-  discard_next_reading_ = parser_.has_partial();  // It was made before now.
-  if (stream_->dropped_bytes() != dropped_at_discard_) {
-    // The input queue ran over since the last discard: that gap is of what is thrown away here.
-    dropped_at_discard_ = stream_->dropped_bytes();
-    health_.lost_readings = lost_before;
-    forgive_next_gap_ = true;
-  }
-}
-
-StreamHealth MipAccelerometer::health() const {
-  StreamHealth health = health_;
-  if (started_) {
-    health.bad_frames += parser_.bad_checksums();
-    health.skipped_bytes += parser_.skipped_bytes() + (stream_->dropped_bytes() - dropped_at_start_);
-  }
-  return health;
-}
-
-void MipAccelerometer::stop() noexcept {
-  try {
-    set_idle();
-  } catch (...) {
-    // On the way out: the interface says that failure is not reported.
-  }
-  end_stream();
-}
-
-// Commands.
-
-Clock::Duration MipAccelerometer::reply_deadline() const {
-  const double bytes_per_s = settings_.link_bytes_per_s.value_or(kDefaultBytesPerSecond);
-  return kAnswerTime + from_seconds(kPacketTimeFactor * static_cast<double>(mip::kMaxPacket) / bytes_per_s);
-}
-
-void MipAccelerometer::fail(Fault fault, std::string_view detail) const {
-  throw InstrumentError(who_, fault, detail);
-}
-
-void MipAccelerometer::fail_without_answer(const Command& command, const Evidence& evidence,
-                                           Clock::Duration waited) const {
-  const std::string asked = fmt::format("no answer to \"{}\" ({:02X},{:02X}) within {:.1f} s", command.name,
-                                        command.set, command.descriptor, to_seconds(waited));
-  if (evidence.bytes == 0) {
-    fail(Fault::kNoReply,
-         asked + ", not one byte came: is it switched on, and is the baud rate the one of the device?");
-  }
-  if (evidence.packets > 0) {
-    fail(Fault::kNoReply, fmt::format("{}, though {} other MIP packets came in ({} with a wrong checksum)",
-                                      asked, evidence.packets, evidence.bad_checksums));
-  }
-  if (evidence.bad_checksums > 0) {
-    fail(Fault::kBadFrame,
-         fmt::format("{}; {} bytes came with {} MIP packets, every one with a wrong checksum", asked,
-                     evidence.bytes, evidence.bad_checksums));
-  }
-  fail(Fault::kWrongIdentity,
-       fmt::format(
-           "{}; {} bytes came that are no MIP packet, beginning {}: another instrument is on this port, "
-           "or the baud rate is wrong",
-           asked, evidence.bytes, in_hex(evidence.first_bytes)));
-}
-
-void MipAccelerometer::set_idle() {
-  end_stream();
-  parser_ = mip::PacketParser();
-  stream_->discard_input();
-  exchange({mip::kBaseSet, kSetIdle, {}, "set idle", {}});
-}
-
-/// Sends a command, once more if no answer comes, and returns the data of its reply field (empty if it has
-/// none).
-std::string MipAccelerometer::exchange(const Command& command) {
-  // A device that streams may need more than a second try: the line is full, and an answer may get damaged.
-  constexpr int kTries = 2;
-  constexpr int kTriesWhileStreaming = 4;
-  const Clock::Instant begin = clock_.now();
-  Evidence evidence;
-  auto reply = ask(command, evidence);
-  for (int tries = 1; !reply; ++tries) {
-    if (tries >= (evidence.packets > 0 ? kTriesWhileStreaming : kTries)) {
-      fail_without_answer(command, evidence, clock_.now() - begin);
-    }
-    evidence = Evidence();
-    reply = ask(command, evidence);
-  }
-  if (answers_outstanding_) {
-    // An earlier try may be answered late, and its answer would pass for that of a like command. A device
-    // answers in order: behind the answer to a ping, sent once, there is none.
-    const Command ping{mip::kBaseSet, kPing, {}, "ping", {}};
-    const Clock::Instant ping_begin = clock_.now();
-    evidence = Evidence();
-    if (!ask(ping, evidence)) fail_without_answer(ping, evidence, clock_.now() - ping_begin);
-    answers_outstanding_ = false;
-  }
-  return *reply;
-}
-
-/// Sends a command once and waits for its answer; nothing at the deadline.
-std::optional<std::string> MipAccelerometer::ask(const Command& command, Evidence& evidence) {
-  stream_->write(mip::make_packet(command.set, {mip::make_field(command.descriptor, command.data)}));
-  auto reply = await_reply(command, clock_.now() + reply_deadline(), evidence);
-  if (!reply) answers_outstanding_ = true;
-  return reply;
-}
-
-/// Waits for the answer; nothing at the deadline.
-std::optional<std::string> MipAccelerometer::await_reply(const Command& command, Clock::Instant deadline,
-                                                         Evidence& evidence) {
-  constexpr std::size_t kShownBytes = 24;
-  const std::uint64_t bad_before = parser_.bad_checksums();
-  std::optional<std::string> reply;
-  const auto look_at = [&](const std::optional<mip::Packet>& packet) {
-    if (!packet) return false;
-    ++evidence.packets;
-    reply = match_reply(*packet, command);
-    return true;
-  };
-  for (;;) {
-    while (!reply && look_at(parser_.next())) continue;
-    if (reply) break;
-    const wire::ReceivedBytes received = stream_->read_until(std::min(deadline, clock_.now() + kSilence));
-    if (received.bytes.empty()) {
-      while (!reply && look_at(parser_.next_behind_partial())) continue;
-      if (reply || clock_.now() >= deadline) break;
-      continue;
-    }
-    last_arrival_ = received.arrival;
-    evidence.bytes += received.bytes.size();
-    evidence.first_bytes +=
-        received.bytes.substr(0, kShownBytes - std::min(kShownBytes, evidence.first_bytes.size()));
-    parser_.feed(received.bytes);
-    if (clock_.now() >= deadline) {  // Data may never cease to come: look at these, then no further.
-      while (!reply && look_at(parser_.next())) continue;
-      break;
-    }
-  }
-  evidence.bad_checksums += parser_.bad_checksums() - bad_before;
-  return reply;
-}
-
-/// The data of the reply field if the packet answers this command. @throws InstrumentError kRefused.
-std::optional<std::string> MipAccelerometer::match_reply(const mip::Packet& packet,
-                                                         const Command& command) const {
-  if (packet.descriptor_set != command.set) return std::nullopt;
+std::optional<wire::PacketAnswer> match_answer(const mip::Packet& packet, const Request& request) {
+  if (packet.descriptor_set != request.set) return std::nullopt;
   const auto fields = mip::split_fields(packet.payload);
   if (!fields) return std::nullopt;
   bool acknowledged = false;
@@ -309,45 +95,101 @@ std::optional<std::string> MipAccelerometer::match_reply(const mip::Packet& pack
   for (const mip::Field& field : *fields) {
     if (field.descriptor == mip::kAckField) {
       const auto ack = mip::decode_acknowledgement(field.data);
-      if (!ack || ack->command != command.descriptor) continue;
+      if (!ack || ack->command != request.descriptor) continue;
       acknowledged = true;
-      if (ack->code != 0) {
-        fail(Fault::kRefused,
-             fmt::format("code {} ({}) to \"{}\" ({:02X},{:02X})", ack->code,
-                         mip::ack_code_in_words(ack->code), command.name, command.set, command.descriptor));
-      }
-    } else if (acknowledged && command.reply_field == field.descriptor) {
+      if (ack->code != 0) return wire::PacketAnswer{{}, ack->code};
+    } else if (acknowledged && request.reply_field == field.descriptor) {
       reply = std::string(field.data);
     }
   }
   if (!acknowledged) return std::nullopt;
-  if (!command.reply_field) return std::string();
-  if (!reply) {
-    fail(Fault::kBadFrame, fmt::format("\"{}\" was acknowledged without the reply field {:02X}", command.name,
-                                       *command.reply_field));
+  if (!request.reply_field) return wire::PacketAnswer{};
+  if (!reply) return wire::PacketAnswer{{}, kWithoutReplyField};
+  return wire::PacketAnswer{*std::move(reply), std::nullopt};
+}
+
+Exchange::Command command_of(const Request& request) {
+  return {mip::make_packet(request.set, {mip::make_field(request.descriptor, request.data)}), request.shown(),
+          [request](const mip::Packet& packet) { return match_answer(packet, request); }};
+}
+
+Exchange::Manner manner(const AccelerometerSettings& settings) {
+  const double bytes_per_s = settings.link_bytes_per_s.value_or(kDefaultBytesPerSecond);
+  return {.packet = "MIP packet",
+          .damaged = "with a wrong checksum",
+          .show = wire::bytes_in_hex,
+          .answer_time = kAnswerTime +
+                         from_seconds(kPacketTimeFactor * static_cast<double>(mip::kMaxPacket) / bytes_per_s),
+          .barrier = command_of({mip::kBaseSet, kPing, {}, "ping", {}})};
+}
+
+/// Sends a command and returns the data of its reply field (empty if it has none).
+/// @throws InstrumentError kRefused, kBadFrame.
+std::string ask(Exchange& device, const Request& request) {
+  wire::PacketAnswer answer = device.ask(command_of(request));
+  if (!answer.error) return std::move(answer.data);
+  if (*answer.error == kWithoutReplyField) {
+    device.fail(Fault::kBadFrame, fmt::format("\"{}\" was acknowledged without the reply field {:02X}",
+                                              request.name, *request.reply_field));
   }
-  return reply;
+  device.fail(Fault::kRefused,
+              fmt::format("code {} ({}) to {}", *answer.error,
+                          mip::ack_code_in_words(static_cast<std::uint8_t>(*answer.error)), request.shown()));
+}
+
+}  // namespace
+
+MipAccelerometer::MipAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
+                                   const AccelerometerSettings& settings)
+    : PacketAccelerometer("microstrain_mip", std::move(stream), clock, settings, manner(settings)) {}
+
+void MipAccelerometer::start() {
+  interrogate();
+  const std::vector<mip::FormatEntry> format = wanted_format();
+  check_rate_and_link(format);
+  if (abilities_.modern) {
+    ask(exchange_,
+        {mip::k3dmSet, kFormat, mip::message_format(mip::kSensorSet, format), "message format", {}});
+  } else {
+    ask(exchange_,
+        {mip::k3dmSet, kLegacyFormat, mip::legacy_message_format(format), "message format (legacy)", {}});
+  }
+  if (abilities_.stream_control) select_streams();
+
+  // Every answer is in: what is left over is no part of the stream that begins now.
+  readings_.listen(mip::PacketParser());
+  last_reference_time_ns_.reset();
+  last_gps_timestamp_.reset();
+  temperature_degc_.reset();
+  ask(exchange_, {mip::kBaseSet, kResume, {}, "resume", {}});
+  readings_.start();
+}
+
+// Commands.
+
+void MipAccelerometer::make_quiet() {
+  exchange_.restart(mip::PacketParser());
+  ask(exchange_, {mip::kBaseSet, kSetIdle, {}, "set idle", {}});
 }
 
 AccelerometerInfo MipAccelerometer::interrogate() {
-  set_idle();
+  make_quiet();
 
-  const auto info =
-      mip::decode_device_info(exchange({mip::kBaseSet, kDeviceInfo, {}, "device info", std::uint8_t{0x81}}));
+  const auto info = mip::decode_device_info(
+      ask(exchange_, {mip::kBaseSet, kDeviceInfo, {}, "device info", std::uint8_t{0x81}}));
   if (!info) fail(Fault::kBadFrame, "the answer to \"device info\" has not 82 bytes");
-  who_ =
-      fmt::format("accelerometer {} (SN {}) on {}", info->model_name, info->serial_number, stream_->name());
+  name_it(info->model_name, info->serial_number);
 
-  auto offered =
-      mip::decode_descriptors(exchange({mip::kBaseSet, kDescriptors, {}, "descriptors", std::uint8_t{0x82}}));
+  auto offered = mip::decode_descriptors(
+      ask(exchange_, {mip::kBaseSet, kDescriptors, {}, "descriptors", std::uint8_t{0x82}}));
   if (!offered) fail(Fault::kBadFrame, "the answer to \"descriptors\" has an odd number of bytes");
   const auto offers = [&](std::uint8_t set, std::uint8_t field) {
     return std::find(offered->begin(), offered->end(), static_cast<std::uint16_t>(set << 8U | field)) !=
            offered->end();
   };
   if (offers(mip::kBaseSet, kExtendedDescriptors)) {  // A packet holds 125: newer devices have more to offer.
-    const auto more = mip::decode_descriptors(
-        exchange({mip::kBaseSet, kExtendedDescriptors, {}, "extended descriptors", std::uint8_t{0x86}}));
+    const auto more = mip::decode_descriptors(ask(
+        exchange_, {mip::kBaseSet, kExtendedDescriptors, {}, "extended descriptors", std::uint8_t{0x86}}));
     if (!more) fail(Fault::kBadFrame, "the answer to \"extended descriptors\" has an odd number of bytes");
     offered->insert(offered->end(), more->begin(), more->end());
   }
@@ -377,12 +219,12 @@ AccelerometerInfo MipAccelerometer::interrogate() {
   std::optional<std::uint16_t> base_rate_hz;
   if (abilities.modern) {
     const std::string reply =
-        exchange({mip::k3dmSet, kBaseRate, mip::u8(mip::kSensorSet), "base rate", std::uint8_t{0x8E}});
+        ask(exchange_, {mip::k3dmSet, kBaseRate, mip::u8(mip::kSensorSet), "base rate", std::uint8_t{0x8E}});
     if (reply.starts_with(mip::u8(mip::kSensorSet)))
       base_rate_hz = mip::decode_u16(std::string_view(reply).substr(1));
   } else {
     base_rate_hz = mip::decode_u16(
-        exchange({mip::k3dmSet, kLegacyBaseRate, {}, "base rate (legacy)", std::uint8_t{0x83}}));
+        ask(exchange_, {mip::k3dmSet, kLegacyBaseRate, {}, "base rate (legacy)", std::uint8_t{0x83}}));
   }
   if (base_rate_hz.value_or(0) == 0) fail(Fault::kBadFrame, "the answer to \"base rate\" holds no rate");
   abilities.base_rate_hz = *base_rate_hz;
@@ -432,21 +274,14 @@ void MipAccelerometer::check_rate_and_link(const std::vector<mip::FormatEntry>& 
              "rate_hz is {}; it makes {} readings a second divided by a whole number, the nearest is {:.6g}",
              settings_.rate_hz, abilities_.base_rate_hz, rate));
   }
-  if (!settings_.link_bytes_per_s) return;
   double needed = rate * static_cast<double>(mip::kPacketOverhead);
   for (const mip::FormatEntry& entry : format) {
     const double entry_rate =
         static_cast<double>(abilities_.base_rate_hz) / static_cast<double>(entry.decimation);
     needed += entry_rate * static_cast<double>(data_bytes(entry.descriptor) + 2);
   }
-  if (needed > *settings_.link_bytes_per_s) {
-    fail(Fault::kRefused,
-         fmt::format(
-             "{:.6g} readings a second need {:.0f} bytes/s, the link carries {:.0f}: lower rate_hz to {:.0f} "
-             "or less, or raise the baud rate of the device",
-             rate, needed, *settings_.link_bytes_per_s,
-             std::floor(rate * *settings_.link_bytes_per_s / needed)));
-  }
+  check_link(rate, needed, settings_.link_bytes_per_s,
+             rate * settings_.link_bytes_per_s.value_or(0.0) / needed);
 }
 
 void MipAccelerometer::select_streams() {
@@ -460,37 +295,24 @@ void MipAccelerometer::select_streams() {
     const auto stream = selector(set);
     if (!stream) continue;
     try {
-      exchange({mip::k3dmSet, kStreamControl, mip::u8(1) + mip::u8(*stream) + mip::u8(0), "stream off", {}});
+      ask(exchange_,
+          {mip::k3dmSet, kStreamControl, mip::u8(1) + mip::u8(*stream) + mip::u8(0), "stream off", {}});
     } catch (const InstrumentError& error) {
       // Not every set that is listed can be streamed. One that goes on costs room on the line, no reading.
       if (error.fault() != Fault::kRefused) throw;
     }
   }
-  exchange({mip::k3dmSet,
-            kStreamControl,
-            mip::u8(1) + mip::u8(*selector(mip::kSensorSet)) + mip::u8(1),
-            "stream on",
-            {}});
+  ask(exchange_, {mip::k3dmSet,
+                  kStreamControl,
+                  mip::u8(1) + mip::u8(*selector(mip::kSensorSet)) + mip::u8(1),
+                  "stream on",
+                  {}});
 }
 
 // Data.
 
-/// Ends the counting of a stream; its figures remain.
-void MipAccelerometer::end_stream() noexcept {
-  if (!started_) return;
-  health_ = health();
-  started_ = false;
-  queue_.clear();
-}
-
-void MipAccelerometer::receive(const wire::ReceivedBytes& received, bool keep) {
-  last_arrival_ = received.arrival;
-  parser_.feed(received.bytes);
-  while (const auto packet = parser_.next()) take_packet(*packet, keep);
-}
-
-void MipAccelerometer::take_packet(const mip::Packet& packet, bool keep) {
-  if (packet.descriptor_set != mip::kSensorSet) return;
+wire::DecodedFrame MipAccelerometer::decode(const mip::Packet& packet) {
+  if (packet.descriptor_set != mip::kSensorSet) return {};
 
   Reading reading;
   bool has_output = false;
@@ -527,61 +349,39 @@ void MipAccelerometer::take_packet(const mip::Packet& packet, bool keep) {
         sound = sound && temperature;
         if (!temperature) break;
         temperature_degc_ = temperature->mean_degc;
-        temperature_arrival_ = last_arrival_;
+        temperature_arrival_ = readings_.last_arrival();
         break;
       }
       default:
         break;
     }
   }
-  if (!fields || !sound) {
-    ++health_.bad_frames;
-    malformed_bytes_ += packet.payload.size() + mip::kPacketOverhead;
-    return;
-  }
-  if (!has_output) return;
-
-  const std::uint64_t steps = steps_since_last_reading(reference_time_ns, gps_timestamp);
-  last_reading_packet_bytes_ = packet.payload.size() + mip::kPacketOverhead;
-  if (last_sequence_ && !forgive_next_gap_) health_.lost_readings += steps - 1;
-  forgive_next_gap_ = false;
-
-  reading.sequence = last_sequence_ ? *last_sequence_ + steps : 0;
-  reading.arrival = last_arrival_;
-  if (last_arrival_ - temperature_arrival_ <= kTemperatureHold) reading.temperature_degc = temperature_degc_;
-  last_sequence_ = reading.sequence;
-
-  if (std::exchange(discard_next_reading_, false) || !keep) return;
-  if (queue_.size() >= kQueueCapacity) {
-    ++health_.lost_readings;
-    return;
-  }
-  ++health_.readings;
-  queue_.push_back(reading);
+  if (!fields || !sound) return {.malformed = true};
+  if (!has_output) return {};
+  if (readings_.last_arrival() - temperature_arrival_ <= kTemperatureHold)
+    reading.temperature_degc = temperature_degc_;
+  return {.reading = std::move(reading), .steps = steps_since_last_reading(reference_time_ns, gps_timestamp)};
 }
 
-/// How many readings the device has made since the last one received: 1 if none was lost.
-std::uint64_t MipAccelerometer::steps_since_last_reading(
+/// How many readings the device has made since the last one received, by its clock: 1 if none was lost.
+std::optional<std::uint64_t> MipAccelerometer::steps_since_last_reading(
     std::optional<std::uint64_t> reference_time_ns, const std::optional<mip::GpsTimestamp>& gps_timestamp) {
   constexpr double kSecondsPerWeek = 604800.0;
   constexpr std::uint16_t kTimeRefresh = 0x0002;  // Toggles when the time is set: it may step.
 
   const auto last_reference_time_ns = std::exchange(last_reference_time_ns_, reference_time_ns);
   const auto last_gps_timestamp = std::exchange(last_gps_timestamp_, gps_timestamp);
-  const std::uint64_t unframed = unframed_bytes();
-  const std::uint64_t unframed_since = unframed - std::exchange(unframed_at_last_reading_, unframed);
-  if (!last_sequence_) return 1;
 
   const auto periods_in = [&](double duration_s) {
     return static_cast<std::uint64_t>(std::max(1.0, std::round(duration_s * rate_hz())));
   };
   if (reference_time_ns && last_reference_time_ns) {
     if (*reference_time_ns < *last_reference_time_ns) {
-      end_stream();
-      fail(Fault::kNotReady,
-           fmt::format(
-               "its reference time went back from {} ns to {} ns: it was restarted and has lost its settings",
-               *last_reference_time_ns, *reference_time_ns));
+      end_and_fail(
+          Fault::kNotReady,
+          fmt::format(
+              "its reference time went back from {} ns to {} ns: it was restarted and has lost its settings",
+              *last_reference_time_ns, *reference_time_ns));
     }
     return periods_in(1e-9 * static_cast<double>(*reference_time_ns - *last_reference_time_ns));
   }
@@ -592,14 +392,7 @@ std::uint64_t MipAccelerometer::steps_since_last_reading(
     constexpr double kLongest = 1e6;  // Beyond it the clock was set, or is not finite.
     if (elapsed_s > 0.0 && elapsed_s < kLongest) return periods_in(elapsed_s);
   }
-  // No clock: every stretch of lost or damaged bytes as long as a packet was a reading.
-  return 1 + static_cast<std::uint64_t>(std::round(static_cast<double>(unframed_since) /
-                                                   static_cast<double>(last_reading_packet_bytes_)));
-}
-
-/// Bytes since start() that came to no use. Those the parser still holds back are not among them.
-std::uint64_t MipAccelerometer::unframed_bytes() const {
-  return parser_.skipped_bytes() + malformed_bytes_ + (stream_->dropped_bytes() - dropped_at_start_);
+  return std::nullopt;
 }
 
 }  // namespace abcal

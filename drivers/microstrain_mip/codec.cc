@@ -174,7 +174,7 @@ std::optional<Packet> PacketParser::next() {
       case Found::kNeedsMore:
         return std::nullopt;
       case Found::kBadChecksum:
-        ++bad_checksums_;
+        ++bad_frames_;
         break;
       case Found::kNothingHere:
         break;

@@ -86,6 +86,10 @@ struct Packet {
   std::uint8_t descriptor_set = 0;
   std::string_view payload;
 };
+/// Bytes of a packet on the wire.
+inline std::size_t wire_size(const Packet& packet) {
+  return packet.payload.size() + kPacketOverhead;
+}
 
 /// Finds packets in a stream of bytes that may begin anywhere, be split anywhere, and be damaged.
 ///
@@ -108,7 +112,7 @@ class PacketParser {
   bool has_partial() const { return begin_ < buffer_.size(); }
 
   /// Something that looked like a packet and had a wrong checksum.
-  std::uint64_t bad_checksums() const { return bad_checksums_; }
+  std::uint64_t bad_frames() const { return bad_frames_; }
   /// Bytes that belong to no packet, those of packets with a wrong checksum included.
   std::uint64_t skipped_bytes() const { return skipped_bytes_; }
 
@@ -119,7 +123,7 @@ class PacketParser {
 
   std::string buffer_;
   std::size_t begin_ = 0;  ///< What lies before is used up.
-  std::uint64_t bad_checksums_ = 0;
+  std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
 

@@ -214,22 +214,4 @@ std::optional<StageIdentity> parse_stage_identity(std::string_view text) {
   return identity;
 }
 
-std::string printable(std::string_view bytes) {
-  constexpr std::size_t kLongest = 80;
-  std::string text;
-  for (const char byte : bytes.substr(0, kLongest)) {
-    if (byte == '\n') {
-      text += "\\n";
-    } else if (byte == '\r') {
-      text += "\\r";
-    } else if (byte >= 0x20 && byte < 0x7F) {
-      text += byte;
-    } else {
-      text += fmt::format("\\x{:02x}", static_cast<unsigned char>(byte));
-    }
-  }
-  if (bytes.size() > kLongest) text += "...";
-  return text;
-}
-
 }  // namespace abcal::newport_esp

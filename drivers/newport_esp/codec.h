@@ -7,6 +7,7 @@
 
 #include "drivers/instrument/angle.h"
 #include "drivers/wire/frame.h"
+#include "drivers/wire/readable_bytes.h"
 
 /// The wire format of Newport's ESP301 family: bytes to commands and back, no port, no clock. Source:
 /// instruments.md A.1 (EPICS traces, InstrumentKit, Odemis). Replies carry neither a name nor a checksum:
@@ -81,6 +82,6 @@ struct StageIdentity {
 std::optional<StageIdentity> parse_stage_identity(std::string_view text);
 
 /// Bytes as text for a message.
-std::string printable(std::string_view bytes);
+using wire::printable;
 
 }  // namespace abcal::newport_esp

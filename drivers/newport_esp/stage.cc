@@ -17,7 +17,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/newport_esp/codec.h"
-#include "drivers/wire/haltable_line.h"
+#include "drivers/wire/line_exchange.h"
 
 namespace abcal::newport_esp {
 namespace {
@@ -32,25 +32,12 @@ constexpr int kMostErrors = 32;
 constexpr Clock::Duration kHaltWaitsForExchange = kReplyDeadline + std::chrono::milliseconds(500);
 constexpr Clock::Duration kHaltRetryInterval = std::chrono::milliseconds(50);
 
-void check_settings(const StageSettings& settings) {
-  const auto& names = settings.axis_names;
-  if (names[0].empty() && names[1].empty()) {
-    throw std::invalid_argument("Newport stage: no axis is named; required is the number of X, Z or both");
-  }
-  if (names[0] == names[1]) {
-    throw std::invalid_argument(
-        fmt::format("Newport stage: X and Z are both axis {}; two different axes are required", names[0]));
-  }
-  for (const std::string& name : names) {
+void check_settings(const wire::ByteStream* stream, const StageSettings& settings) {
+  wire::check_stage_settings("Newport", "the number", stream, settings);
+  for (const std::string& name : settings.axis_names) {
     if (!name.empty() && (name.size() != 1 || name[0] < '1' || name[0] > '6')) {
       throw std::invalid_argument(fmt::format(
           "Newport stage: axis name \"{}\"; required is an axis number from 1 to 6", printable(name)));
-    }
-  }
-  for (const auto& speed : settings.speed_deg_per_s) {
-    if (speed && !(std::isfinite(*speed) && *speed > 0.0)) {
-      throw std::invalid_argument(
-          fmt::format("Newport stage: speed {} deg/s; required is a positive number", *speed));
     }
   }
   if (!settings.address.empty()) {
@@ -59,28 +46,40 @@ void check_settings(const StageSettings& settings) {
   }
 }
 
-}  // namespace
+/// The axis of a command; 0: it has none.
+int axis_in(std::string_view command) {
+  const bool has_axis = !command.empty() && command.front() >= '1' && command.front() <= '9';
+  return has_axis ? command.front() - '0' : 0;
+}
 
-// How a late reply is kept from being taken for the answer to the next query: replies come in the order of
-// the queries. So once a reply is missing or garbled, nothing else is asked before "VE?" (whose answer is
-// known to the letter, and looks like no other) has been answered; whatever came before that answer belongs
-// to the past.
-struct NewportEspStage::Impl {
-  Impl(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
-      : settings_(settings),
-        line_("Newport ESP stage", std::move(stream), clock, check_reply,
-              {command_line("ST"), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}) {}
+/// Empty and unsolicited lines are passed over.
+std::string normal_line(std::string_view line) {
+  const auto text = line_text(line);
+  if (!text) return std::string(line);
+  return is_unsolicited(*text) ? std::string() : *text;
+}
 
-  /// What became of a query. No value and no error: it stayed silent.
-  template <class T>
-  struct Answer {
-    std::optional<T> value;
-    int error = 0;
-  };
+wire::LineExchange::Manner manner() {
+  return {.identity_request = command_line(kIdentityQuery),
+          .identity_name = kIdentityQuery,
+          .error_request = command_line(kErrorQuery),
+          .error_name = kErrorQuery,
+          .patience = kReplyDeadline,
+          .normal = normal_line,
+          .show = printable};
+}
+
+class NewportEspController final : public wire::LineController {
+ public:
+  NewportEspController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
+      : LineController("Newport ESP stage", std::move(stream), clock, check_reply,
+                       {command_line("ST"), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}),
+        settings_(settings),
+        replies_(line(), manner(),
+                 {[this](std::string_view after) { return errors_of(after, axis_in(after)); },
+                  [this](const std::string& reply) { return code_in(reply); }}) {}
 
   // ---- Errors
-
-  InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
 
   InstrumentError refusal(int code, std::string_view command) const {
     const int axis_code = error_axis(code) == 0 ? -1 : code % 100;
@@ -91,126 +90,35 @@ struct NewportEspStage::Impl {
     return failure(fault, fmt::format("error {} ({}) to \"{}\"", code, error_text(code), command));
   }
 
-  // ---- Bytes
+  // ---- Replies
 
-  /// The next line that is neither empty nor unsolicited, as it came; nothing if there is no whole one by the
-  /// deadline.
-  std::optional<std::string> take_line(Clock::Instant deadline) {
-    for (;;) {
-      std::optional<std::string> line = line_.take_frame(deadline);
-      const auto text = line ? line_text(*line) : std::nullopt;
-      if (!text || !(text->empty() || is_unsolicited(*text))) return line;
-    }
+  template <class Parse>
+  auto of_text(Parse parse) {
+    using Value = std::invoke_result_t<Parse, std::string_view>;
+    return [parse](const std::string& reply) {
+      const auto text = line_text(reply);
+      return text ? parse(*text) : Value();
+    };
   }
 
-  /// Throws away stale input, sends, and waits for one line.
-  std::optional<std::string> exchange(std::string_view request) {
-    line_.discard_input();
-    line_.send(request);
-    const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
-    for (;;) {
-      std::optional<std::string> line = take_line(deadline);
-      // Of an earlier resynchronise() that gave up too soon.
-      if (line && !identity_reply_.empty() && line_text(*line) == identity_reply_) continue;
-      return line;
-    }
-  }
-
-  // ---- Replies in step with queries
-
-  /// Returns once the controller has answered "VE?". What it sent before that, if it is one whole line, is
-  /// the late answer to the query that had none.
-  std::optional<std::string> resynchronise(std::string_view unanswered) {
-    line_.send(command_line(kIdentityQuery));
-    const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
-    std::vector<std::string> before;
-    while (const std::optional<std::string> line = take_line(deadline)) {
-      const std::string text = line_text(*line).value_or(*line);
-      if (text.ends_with(identity_reply_)) {
-        in_step_ = true;
-        // Else half a reply came before it.
-        if (text.size() == identity_reply_.size() && before.size() == 1) return before.front();
-        return std::nullopt;
-      }
-      before.push_back(*line);
-    }
-    std::string heard;
-    for (const std::string& line : before) heard += line;
-    heard += line_.received();
-    throw failure(Fault::kNoReply,
-                  fmt::format("no answer to \"{}\" within {} s, nor then to \"{}\"; {}", unanswered,
-                              to_seconds(kReplyDeadline), kIdentityQuery,
-                              heard.empty() ? std::string("nothing arrived")
-                                            : fmt::format("what arrived was \"{}\"", printable(heard))));
-  }
-
-  void ensure_in_step(std::string_view next) {
-    if (!in_step_) resynchronise(next);
-  }
-
-  /// Asks at most twice. Throws kNoReply if the controller is silent altogether, kBadFrame if both replies
-  /// were garbled.
   template <class Parse>
   auto ask(const std::string& query, Parse parse) {
-    using T = typename std::invoke_result_t<Parse, std::string_view>::value_type;
-    for (int attempt = 1;; ++attempt) {
-      ensure_in_step(query);
-      std::optional<std::string> line = exchange(command_line(query));
-      if (!line) {
-        in_step_ = false;
-        line = resynchronise(query);
-      }
-      if (line) {
-        if (const auto text = line_text(*line)) {
-          if (auto value = parse(*text)) return Answer<T>{std::move(value), 0};
-        }
-        in_step_ = false;
-        if (attempt == 2)
-          throw failure(Fault::kBadFrame,
-                        fmt::format("\"{}\" is no answer to \"{}\"", printable(*line), query));
-        continue;
-      }
-      // It is there, but said nothing to this query: then it has put the reason into its error buffer, unless
-      // that was there before (an unacknowledged halt leaves one).
-      const bool was_there = error_may_wait_;
-      if (const int code = read_errors(query); code != 0 && !was_there) return Answer<T>{std::nullopt, code};
-      if (attempt == 2) return Answer<T>{};
-    }
+    return replies_.ask(command_line(query), query, of_text(parse), kReplyDeadline);
   }
 
   /// Asks for what the controller must know.
   template <class Parse>
   auto require(const std::string& query, Parse parse) {
-    auto answer = ask(query, parse);
-    if (answer.value) return *std::move(answer.value);
-    if (answer.error != 0) throw refusal(answer.error, query);
-    throw failure(Fault::kNoReply,
-                  fmt::format("no answer to \"{}\" within {} s, asked twice, though \"{}\" is answered",
-                              query, to_seconds(kReplyDeadline), kIdentityQuery));
+    return replies_.require(command_line(query), query, of_text(parse),
+                            [this](int code, std::string_view asked) { return refusal(code, asked); });
   }
 
   // ---- The error buffer
 
-  /// Reads one entry. Never asked twice: the entry would be gone.
-  int take_error(std::optional<std::string> line, std::string_view after) {
-    if (!line) {
-      in_step_ = false;
-      line = resynchronise(fmt::format("{} after {}", kErrorQuery, after));
-      if (!line) {
-        throw failure(
-            Fault::kNoReply,
-            fmt::format(
-                "no answer to \"{}\" after \"{}\" within {} s: whether that was accepted is not known",
-                kErrorQuery, after, to_seconds(kReplyDeadline)));
-      }
-    }
-    const auto text = line_text(*line);
+  std::optional<int> code_in(const std::string& reply) {
+    const auto text = line_text(reply);
     const auto report = text ? parse_error_report(*text) : std::nullopt;
-    if (!report) {
-      in_step_ = false;
-      throw failure(Fault::kBadFrame, fmt::format("\"{}\" is no answer to \"{}\" after \"{}\"",
-                                                  printable(*line), kErrorQuery, after));
-    }
+    if (!report) return std::nullopt;
     // The time stamp counts from when the controller was switched on [M]; one that goes back says that it was
     // switched on again, or ran over. Either way nobody knows the reference any more.
     const bool restarted = report->time_stamp < last_time_stamp_;
@@ -224,39 +132,56 @@ struct NewportEspStage::Impl {
     return report->code;
   }
 
-  /// Empties the buffer and returns the oldest entry: the first cause.
-  int read_errors(std::string_view after) {
+  /// Whether an entry of the buffer is of the other axis of this stage: then it answers nothing that was
+  /// asked of `axis`, and is kept, as it has ended the motion of its own.
+  bool is_of_another_axis(int code, int axis) {
+    const int other = error_axis(code);
+    if (other == 0 || other == axis) return false;
+    for (const StageAxis mine : kStageAxes) {
+      if (settings_.axis_names[index(mine)] != std::to_string(other)) continue;
+      int& first = motion_error_[index(mine)];
+      if (first == 0) first = code;
+      return true;
+    }
+    return false;
+  }
+
+  /// Empties the buffer and returns the oldest entry that is of this axis or of the controller (`axis` 0: the
+  /// oldest of all): the first cause. Others are kept for the motion of their own axis.
+  int errors_of(std::string_view after, int axis) {
     int first = 0;
+    int code = 0;
     for (int n = 0; n < kMostErrors; ++n) {
-      ensure_in_step(kErrorQuery);
-      const int code = take_error(exchange(command_line(kErrorQuery)), after);
+      code = replies_.ask_error(after);
       if (code == 0) {
-        error_may_wait_ = false;
+        replies_.error_may_wait(false);
         return first;
       }
+      if (axis != 0 && is_of_another_axis(code, axis)) continue;
       if (first == 0) first = code;
     }
     throw failure(Fault::kBadFrame, fmt::format("{} errors one after the other, the first {} ({})",
                                                 kMostErrors, first, error_text(first)));
   }
 
-  /// Sends a set command, once, and returns what the controller says to it.
-  int execute(std::string_view command) {
-    ensure_in_step(command);
-    // Else an old error would be laid at this one's door.
-    if (error_may_wait_) read_errors("an earlier command");
-    error_may_wait_ = true;
-    const int code = take_error(exchange(command_line(command) + command_line(kErrorQuery)), command);
+  /// Sends a set command of an axis, once, and returns what the controller says to it. An error of the other
+  /// axis, whose motion has just ended, is not the answer to it.
+  int execute(StageAxis axis, std::string_view words) {
+    const std::string command = name_of(axis) + std::string(words);
+    const int number = axis_in(command);
+    int code = replies_.execute(command_line(command), command);
     if (code == 0) {
-      error_may_wait_ = false;
-    } else {
-      read_errors(command);  // What else it left behind.
+      replies_.error_may_wait(false);
+      return code;
     }
+    if (is_of_another_axis(code, number)) return errors_of(command, number);
+    errors_of(command, number);  // What else it left behind.
     return code;
   }
 
-  void execute_or_throw(std::string_view command) {
-    if (const int code = execute(command); code != 0) throw refusal(code, command);
+  void execute_or_throw(StageAxis axis, std::string_view words) {
+    if (const int code = execute(axis, words); code != 0)
+      throw refusal(code, name_of(axis) + std::string(words));
   }
 
   // ---- The controller
@@ -268,54 +193,35 @@ struct NewportEspStage::Impl {
     homing_ = {};
     motor_on_ = {};
     speed_set_ = {};
-    error_may_wait_ = true;
+    motion_error_ = {};
+    replies_.error_may_wait(true);
   }
 
   void identify_controller() {
-    const std::string known_reply = std::exchange(identity_reply_, {});
+    const std::string known_reply = replies_.identity();
     known_ = false;
-    in_step_ = true;
-    std::string heard;
-    for (int attempt = 1; attempt <= 2; ++attempt) {
-      std::optional<std::string> line = exchange(command_line(kIdentityQuery));
-      const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
-      while (line) {
-        const auto text = line_text(*line);
-        if (const auto identity = text ? parse_identity(*text) : std::nullopt) {
-          identity_ = *identity;
-          identity_reply_ = *text;
-          if (identity_reply_ != known_reply) {
-            forget();
-            last_time_stamp_ = 0;
-          }
-          line_.rename("stage " + identity_.model);
-          return;
-        }
-        heard += *line;
-        if (heard.size() > 4 * kLongestReply) break;
-        line = take_line(deadline);
-      }
-      heard += line_.received();
+    const auto accept = [this](const std::string& reply) {
+      const auto text = line_text(reply);
+      const auto identity = text ? parse_identity(*text) : std::nullopt;
+      if (identity) identity_ = *identity;
+      return identity.has_value();
+    };
+    replies_.identify(accept,
+                      "is the controller on, its RS-232 (not its USB) connected, the baud rate 19200 and "
+                      "RTS/CTS wired?",
+                      "an ESP controller", 4 * kLongestReply);
+    if (replies_.identity() != known_reply) {
+      forget();
+      last_time_stamp_ = 0;
     }
-    if (heard.empty()) {
-      throw failure(
-          Fault::kNoReply,
-          fmt::format(
-              "no answer to \"{}\" within {} s, asked twice; is the controller on, its RS-232 (not its "
-              "USB) connected, the baud rate 19200 and RTS/CTS wired?",
-              kIdentityQuery, to_seconds(kReplyDeadline)));
-    }
-    throw failure(Fault::kWrongIdentity,
-                  fmt::format("\"{}\" is no answer of an ESP controller to \"{}\"; another instrument, or "
-                              "another baud rate?",
-                              printable(heard), kIdentityQuery));
+    line().rename("stage " + identity_.model);
   }
 
   /// Once, before anything else is asked: an ESP controller, which has our axes, in degrees.
   void ensure_known() {
     if (known_) return;
     identify_controller();
-    read_errors("an earlier program");
+    errors_of("an earlier program", 0);
     for (const StageAxis axis : kStageAxes) {
       const std::string& name = settings_.axis_names[index(axis)];
       if (name.empty()) continue;
@@ -368,7 +274,7 @@ struct NewportEspStage::Impl {
     return info;
   }
 
-  StageInfo identify() {
+  StageInfo identify() override {
     known_ = false;  // A controller that was swapped or switched off and on since is noticed.
     motor_on_ = {};
     speed_set_ = {};
@@ -376,7 +282,7 @@ struct NewportEspStage::Impl {
       ensure_known();
     } catch (const InstrumentError& error) {
       // Switched off and on: now noticed, and forgotten; what it says is said of the new state.
-      if (error.fault() != Fault::kNotReady || line_.halting()) throw;
+      if (error.fault() != Fault::kNotReady || line().halting()) throw;
       ensure_known();
     }
     StageInfo info;
@@ -400,29 +306,30 @@ struct NewportEspStage::Impl {
   void switch_on(StageAxis axis) {
     if (motor_on_[index(axis)]) return;
     const std::string& name = name_of(axis);
-    if (!require(name + "MO?", parse_flag)) execute_or_throw(name + "MO");
+    if (!require(name + "MO?", parse_flag)) execute_or_throw(axis, "MO");
     motor_on_[index(axis)] = true;
   }
 
   void apply_speed(StageAxis axis) {
     const auto& speed = settings_.speed_deg_per_s[index(axis)];
     if (!speed || speed_set_[index(axis)]) return;
-    execute_or_throw(fmt::format("{}VA{:.6f}", name_of(axis), *speed));
+    execute_or_throw(axis, fmt::format("VA{:.6f}", *speed));
     speed_set_[index(axis)] = true;
   }
 
-  void home(StageAxis axis) {
-    const std::string& name = name_of(axis);
+  void home(StageAxis axis) override {
+    name_of(axis);
     ensure_known();
     referenced_[index(axis)] = false;
+    motion_error_[index(axis)] = 0;
     motor_on_[index(axis)] = false;  // Ask again: a fault switches it off.
     switch_on(axis);
     apply_speed(axis);
-    execute_or_throw(name + "OR");
+    execute_or_throw(axis, "OR");
     homing_[index(axis)] = true;
   }
 
-  void move_to(StageAxis axis, Angle target) {
+  void move_to(StageAxis axis, Angle target) override {
     const std::string& name = name_of(axis);
     if (!std::isfinite(target.deg())) {
       throw failure(Fault::kOutOfTravel,
@@ -437,8 +344,9 @@ struct NewportEspStage::Impl {
     }
     switch_on(axis);
     apply_speed(axis);
+    motion_error_[index(axis)] = 0;
     const std::string command = move_command(name, target);
-    if (const int code = execute(command); code != 0) {
+    if (const int code = execute(axis, std::string_view(command).substr(name.size())); code != 0) {
       motor_on_[index(axis)] = false;  // Ask again before the next move.
       throw refusal(code, command);
     }
@@ -449,7 +357,8 @@ struct NewportEspStage::Impl {
   bool moving(StageAxis axis) {
     if (!done(axis)) return true;
     // An axis that a fault has stopped reads as done as well.
-    const int code = read_errors("the motion");
+    int code = errors_of("the motion", 0);
+    if (code == 0) code = std::exchange(motion_error_[index(axis)], 0);  // Seen between other questions.
     if (code != 0) {
       homing_[index(axis)] = false;
       motor_on_[index(axis)] = false;
@@ -461,7 +370,13 @@ struct NewportEspStage::Impl {
     return false;
   }
 
-  Angle encoder_angle(StageAxis axis) {
+  MotionState motion_state(StageAxis axis) override {
+    name_of(axis);
+    ensure_known();
+    return moving(axis) ? MotionState::kMoving : MotionState::kStopped;
+  }
+
+  Angle encoder_angle(StageAxis axis) override {
     const std::string& name = name_of(axis);
     ensure_known();
     return Angle::degrees(require(name + "TP?", parse_number));
@@ -469,76 +384,58 @@ struct NewportEspStage::Impl {
 
   // ---- Halt
 
-  bool has_stopped() {
-    if (identity_reply_.empty()) identify_controller();
+  void forget_motion() override {
+    homing_ = {};
+    motor_on_ = {};
+    motion_error_ = {};
+    replies_.error_may_wait(true);
+  }
+
+  Clock::Duration reply_deadline() const override { return kReplyDeadline; }
+
+  bool has_stopped() override {
+    if (replies_.identity().empty()) identify_controller();
     return std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
       return settings_.axis_names[index(axis)].empty() || done(axis);
     });
   }
 
-  bool halt() noexcept {
-    return line_.halt(
-        [this] {
-          homing_ = {};
-          motor_on_ = {};
-          error_may_wait_ = true;
-        },
-        [this] { return has_stopped(); });
+  /// A half-written command ends in words that no command has, which the controller refuses.
+  HaltRecipe halt_recipe() const override {
+    HaltRecipe recipe{
+        .driver = "newport_esp",
+        .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
+        .end_partial = "!\r",
+        .stop = command_line("ST"),
+        .questions = {{.bytes = command_line(kIdentityQuery), .reply = "ESP30.*", .standing = {}}},
+        .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
+    for (const std::string& name : settings_.axis_names) {
+      if (name.empty()) continue;
+      recipe.questions.push_back(
+          {.bytes = command_line(name + "MD?"), .reply = " *[01] *", .standing = " *1 *"});
+    }
+    return recipe;
   }
 
+ private:
   const StageSettings settings_;
-  wire::HaltableLine line_;  ///< Its lock guards all below.
+  wire::LineExchange replies_;
   Identity identity_;
-  std::string identity_reply_;  ///< To the letter; empty before the controller is identified.
   bool known_ = false;
-  bool in_step_ = true;         ///< False: a reply may still come to a query that is given up.
-  bool error_may_wait_ = true;  ///< The controller may hold an error that belongs to the past.
   std::uint64_t last_time_stamp_ = 0;
   std::array<std::string, 2> stage_seen_;
   std::array<bool, 2> referenced_{};
   std::array<bool, 2> homing_{};
   std::array<bool, 2> motor_on_{};
   std::array<bool, 2> speed_set_{};
+  std::array<int, 2> motion_error_{};  ///< That came up between other questions; 0: none.
 };
 
+}  // namespace
+
 NewportEspStage::NewportEspStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
-                                 const StageSettings& settings) {
-  if (stream == nullptr) throw std::invalid_argument("Newport stage: no stream");
-  check_settings(settings);
-  impl_ = std::make_unique<Impl>(std::move(stream), clock, settings);
-}
-
-NewportEspStage::~NewportEspStage() = default;
-
-StageInfo NewportEspStage::identify() {
-  const std::lock_guard lock(impl_->line_);
-  return impl_->identify();
-}
-
-void NewportEspStage::home(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->home(axis);
-}
-
-void NewportEspStage::move_to(StageAxis axis, Angle target) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->move_to(axis, target);
-}
-
-MotionState NewportEspStage::motion_state(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->name_of(axis);
-  impl_->ensure_known();
-  return impl_->moving(axis) ? MotionState::kMoving : MotionState::kStopped;
-}
-
-Angle NewportEspStage::encoder_angle(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  return impl_->encoder_angle(axis);
-}
-
-bool NewportEspStage::halt() noexcept {
-  return impl_->halt();
-}
+                                 const StageSettings& settings)
+    : LineStage((check_settings(stream.get(), settings),
+                 std::make_unique<NewportEspController>(std::move(stream), clock, settings))) {}
 
 }  // namespace abcal::newport_esp

@@ -5,8 +5,8 @@
 
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/instrument_settings.h"
-#include "drivers/instrument/rotation_stage.h"
 #include "drivers/wire/byte_stream.h"
+#include "drivers/wire/line_exchange.h"
 
 namespace abcal::newport_esp {
 
@@ -25,41 +25,21 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(15);
 /// back). StageSettings::axis_names are axis numbers; one of them may be empty: that axis is then not on this
 /// controller, and calls for it throw kNotReady.
 ///
+/// identify() reads and thereby clears the controller's error buffer; the serial numbers are those of the two
+/// stages (ID?), as the controller tells none of its own; it throws kWrongIdentity for what is no ESP
+/// controller, an axis that it does not have, a unit other than degrees. home() switches the motor on and
+/// starts the home search that the controller is set up for (OR without a number). move_to() throws kNotReady
+/// (not homed; motor off), kOutOfTravel (software limit), kRefused for any other error code, with its text.
+/// motion_state() is MD?; once that says done, the error buffer must be empty too: kRefused if the motion
+/// ended with an error (following error, limit, ...). halt() sends ST (all axes), then asks MD?.
+///
 /// One owner thread; halt() from any.
-class NewportEspStage final : public RotationStage {
+class NewportEspStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.
   /// @throws std::invalid_argument for settings that cannot be meant: no axis, one axis twice, an axis that
   ///   is no number from 1 to 6, a speed that is not a positive number, any address.
   NewportEspStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
-  ~NewportEspStage() override;
-
-  /// Reads and thereby clears the controller's error buffer. The serial numbers are those of the two stages
-  /// (ID?), as the controller tells none of its own.
-  /// @throws InstrumentError kWrongIdentity: no ESP controller, an axis that it does not have, a unit other
-  ///   than degrees.
-  StageInfo identify() override;
-
-  /// Motor on and the home search that the controller is set up for (OR without a number).
-  void home(StageAxis axis) override;
-
-  /// @throws InstrumentError kNotReady (not homed; motor off), kOutOfTravel (software limit), kRefused for
-  ///   any other error code, with its text.
-  void move_to(StageAxis axis, Angle target) override;
-
-  /// MD?; once that says done, the error buffer must be empty too.
-  /// @throws InstrumentError kRefused if the motion ended with an error (following error, limit, ...).
-  MotionState motion_state(StageAxis axis) override;
-
-  Angle encoder_angle(StageAxis axis) override;
-
-  /// Sends ST (all axes) at once, without waiting for an exchange that is under way; then asks MD? until all
-  /// axes of this stage stand still.
-  bool halt() noexcept override;
-
- private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace abcal::newport_esp

@@ -8,6 +8,7 @@
 
 #include "drivers/instrument/angle.h"
 #include "drivers/wire/frame.h"
+#include "drivers/wire/readable_bytes.h"
 
 /// The wire format of PI's General Command Set 2.0: bytes to commands and back, no port, no clock. Sources:
 /// the replies seen on the wire and the rules of PIPython (instruments.md A.2); the daisy-chain form of
@@ -104,7 +105,7 @@ bool is_degrees(std::string_view unit);
 /// What an error code means, in words; "unknown error" if we do not know either.
 std::string_view error_text(int code);
 
-/// Bytes for a message: printable ones as they are, others as \n, \r or \x1b.
-std::string printable(std::string_view bytes);
+/// Bytes as text for a message.
+using wire::printable;
 
 }  // namespace abcal::pi_gcs

@@ -18,7 +18,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/pi_gcs/codec.h"
-#include "drivers/wire/haltable_line.h"
+#include "drivers/wire/line_exchange.h"
 
 namespace abcal::pi_gcs {
 namespace {
@@ -36,26 +36,12 @@ constexpr unsigned kCountsNumerator = 14;
 constexpr unsigned kCountsDenominator = 15;
 constexpr int kErrorUnknownParameter = 54;
 
-void check_settings(const StageSettings& settings) {
-  const auto& names = settings.axis_names;
-  if (names[0].empty() && names[1].empty()) {
-    throw std::invalid_argument(
-        "PI stage: no axis is named; required is the controller's name of X, Z or both");
-  }
-  if (names[0] == names[1]) {
-    throw std::invalid_argument(
-        fmt::format("PI stage: X and Z are both axis \"{}\"; two different axes are required", names[0]));
-  }
-  for (const std::string& name : names) {
+void check_settings(const wire::ByteStream* stream, const StageSettings& settings) {
+  wire::check_stage_settings("PI", "the controller's name", stream, settings);
+  for (const std::string& name : settings.axis_names) {
     if (name.find_first_of(" \t\r\n=") != std::string::npos) {
       throw std::invalid_argument(
           fmt::format("PI stage: axis name \"{}\" has a blank or '=' in it", printable(name)));
-    }
-  }
-  for (const auto& speed : settings.speed_deg_per_s) {
-    if (speed && !(std::isfinite(*speed) && *speed > 0.0)) {
-      throw std::invalid_argument(
-          fmt::format("PI stage: speed {} deg/s; required is a positive number", *speed));
     }
   }
   if (settings.address.find_first_not_of("0123456789") != std::string::npos) {
@@ -72,134 +58,67 @@ std::string stop_command(const StageSettings& settings) {
   return stop;
 }
 
-}  // namespace
+wire::LineExchange::Manner manner(const StageSettings& settings) {
+  return {.identity_request = command_line(kIdentityQuery, settings.address),
+          .identity_name = kIdentityQuery,
+          .error_request = command_line("ERR?", settings.address),
+          .error_name = "ERR?",
+          .patience = kReplyDeadline,
+          .normal = [](std::string_view reply) { return std::string(reply); },
+          .show = printable};
+}
 
-// How a late reply is kept from being taken for the answer to the next query: line commands are answered in
-// order. So once a reply is missing or garbled, nothing else is asked before "*IDN?" (whose answer is known
-// to the letter, and looks like no other) has been answered; whatever came before that answer belongs to the
-// past.
-struct PiGcsStage::Impl {
-  Impl(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
-      : settings_(settings),
-        line_("PI stage", std::move(stream), clock, check_reply,
-              {stop_command(settings), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}) {}
-
-  /// What became of a query that the controller need not know. No value and no error: it stayed silent.
-  template <class T>
-  struct Answer {
-    std::optional<T> value;
-    int error = 0;
-  };
+class PiGcsController final : public wire::LineController {
+ public:
+  PiGcsController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
+      : LineController("PI stage", std::move(stream), clock, check_reply,
+                       {stop_command(settings), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}),
+        settings_(settings),
+        replies_(line(), manner(settings),
+                 {[this](std::string_view after) { return read_error(after); },
+                  [this](const std::string& reply) {
+                    const auto lines = reply_lines(reply, settings_.address);
+                    return lines ? parse_error_code(*lines) : std::nullopt;
+                  }}) {}
 
   enum class MotionQuery { kMask, kStatus, kOnTarget };
 
   // ---- Errors
-
-  InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
 
   InstrumentError refusal(int code, std::string_view command) const {
     const Fault fault = code == kErrorPositionOutOfLimits ? Fault::kOutOfTravel : Fault::kRefused;
     return failure(fault, fmt::format("error {} ({}) to \"{}\"", code, error_text(code), command));
   }
 
-  // ---- Bytes
+  // ---- Replies
 
-  /// Throws away stale input, sends, and waits for one reply.
-  std::optional<std::string> exchange(std::string_view request, Clock::Duration patience) {
-    line_.discard_input();
-    line_.send(request);
-    const Clock::Instant deadline = line_.deadline_after(patience);
-    for (;;) {
-      std::optional<std::string> reply = line_.take_frame(deadline);
-      // Of an earlier resynchronise() that gave up too soon.
-      if (reply && *reply == identity_reply_) continue;
-      return reply;
-    }
-  }
-
-  // ---- Replies in step with queries
-
-  /// Returns once the controller has answered "*IDN?". What it sent before that, if it is one whole reply, is
-  /// the late answer to the query that had none.
-  std::optional<std::string> resynchronise(std::string_view unanswered) {
-    line_.send(command_line(kIdentityQuery, settings_.address));
-    const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
-    std::vector<std::string> before;
-    while (const std::optional<std::string> reply = line_.take_frame(deadline)) {
-      if (reply->ends_with(identity_reply_)) {
-        in_step_ = true;
-        const bool alone = reply->size() == identity_reply_.size();  // Else half a reply came before it.
-        if (alone && before.size() == 1) return before.front();
-        return std::nullopt;
-      }
-      before.push_back(*reply);
-    }
-    std::string heard;
-    for (const std::string& reply : before) heard += reply;
-    heard += line_.received();
-    throw failure(Fault::kNoReply,
-                  fmt::format("no answer to \"{}\" within {} s, nor then to \"{}\"; {}", unanswered,
-                              to_seconds(kReplyDeadline), kIdentityQuery,
-                              heard.empty() ? std::string("nothing arrived")
-                                            : fmt::format("what arrived was \"{}\"", printable(heard))));
-  }
-
-  void ensure_in_step(std::string_view next) {
-    if (!in_step_) resynchronise(next);
-  }
-
-  /// Asks at most twice. Throws kNoReply if the controller is silent altogether, kBadFrame if both replies
-  /// were garbled.
+  /// A parser of the lines of a reply, for the reply itself.
   template <class Parse>
-  auto ask(const std::string& request, std::string_view shown, Parse parse,
-           Clock::Duration patience = kReplyDeadline) {
-    using T = typename std::invoke_result_t<Parse, const Lines&>::value_type;
-    for (int attempt = 1;; ++attempt) {
-      ensure_in_step(shown);
-      std::optional<std::string> reply = exchange(request, patience);
-      if (!reply) {
-        in_step_ = false;
-        reply = resynchronise(shown);
-      }
-      if (reply) {
-        if (const auto lines = reply_lines(*reply, settings_.address)) {
-          if (auto value = parse(*lines)) return Answer<T>{std::move(value), 0};
-        }
-        in_step_ = false;
-        if (attempt == 2) {
-          throw failure(Fault::kBadFrame,
-                        fmt::format("\"{}\" is no answer to \"{}\"", printable(*reply), shown));
-        }
-        continue;
-      }
-      // It is there, but said nothing to this query: then it has put the reason into its error code, unless
-      // that was there before (an unacknowledged halt leaves one).
-      const bool was_there = error_may_wait_;
-      if (const int code = read_error(shown); code != 0 && !was_there) return Answer<T>{std::nullopt, code};
-      if (attempt == 2) return Answer<T>{};
-    }
+  auto of_lines(Parse parse) {
+    using Value = std::invoke_result_t<Parse, const Lines&>;
+    return [this, parse](const std::string& reply) {
+      const auto lines = reply_lines(reply, settings_.address);
+      return lines ? parse(*lines) : Value();
+    };
   }
 
   template <class Parse>
-  auto ask_line(std::string_view text, Parse parse, Clock::Duration patience = kReplyDeadline) {
-    return ask(command_line(text, settings_.address), text, parse, patience);
+  auto ask(const std::string& request, std::string_view shown, Parse parse) {
+    return replies_.ask(request, shown, of_lines(parse), kReplyDeadline);
   }
 
   /// Asks for what the controller must know.
   template <class Parse>
   auto require(std::string_view text, Parse parse) {
-    auto answer = ask_line(text, parse);
-    if (answer.value) return *std::move(answer.value);
-    if (answer.error != 0) throw refusal(answer.error, text);
-    throw failure(Fault::kNoReply,
-                  fmt::format("no answer to \"{}\" within {} s, asked twice, though \"{}\" is answered", text,
-                              to_seconds(kReplyDeadline), kIdentityQuery));
+    return replies_.require(command_line(text, settings_.address), text, of_lines(parse),
+                            [this](int code, std::string_view query) { return refusal(code, query); });
   }
 
   /// Asks for what it need not know: nothing if it does not.
   template <class Parse>
   auto ask_optional(std::string_view text, Parse parse) {
-    auto answer = ask_line(text, parse, kOptionalReplyDeadline);
+    auto answer =
+        replies_.ask(command_line(text, settings_.address), text, of_lines(parse), kOptionalReplyDeadline);
     if (!answer.value && answer.error != 0 && answer.error != kErrorUnknownCommand &&
         answer.error != kErrorUnknownParameter) {
       throw refusal(answer.error, text);
@@ -207,46 +126,26 @@ struct PiGcsStage::Impl {
     return std::move(answer.value);
   }
 
-  /// Reads and thereby clears the error code. Never asked twice: the code would be gone.
-  int read_error(std::string_view after) {
-    ensure_in_step("ERR?");
-    return error_code(exchange(command_line("ERR?", settings_.address), kReplyDeadline), after);
-  }
+  // ---- The error code
 
-  int error_code(std::optional<std::string> reply, std::string_view after) {
-    if (!reply) {
-      in_step_ = false;
-      reply = resynchronise(fmt::format("ERR? after {}", after));
-      if (!reply) {
-        throw failure(
-            Fault::kNoReply,
-            fmt::format(
-                "no answer to \"ERR?\" after \"{}\" within {} s: whether that was accepted is not known",
-                after, to_seconds(kReplyDeadline)));
-      }
-    }
-    const auto lines = reply_lines(*reply, settings_.address);
-    const auto code = lines ? parse_error_code(*lines) : std::nullopt;
-    if (!code) {
-      in_step_ = false;
-      throw failure(Fault::kBadFrame,
-                    fmt::format("\"{}\" is no answer to \"ERR?\" after \"{}\"", printable(*reply), after));
-    }
-    error_may_wait_ = false;
-    return *code;
+  /// Reads and thereby clears the error code. That a halt has stopped the axes is not the answer to anything
+  /// that is asked here.
+  int read_error(std::string_view after) {
+    const int code = replies_.ask_error(after);
+    replies_.error_may_wait(false);
+    return code == kErrorStoppedByCommand ? 0 : code;
   }
 
   /// Sends a set command, once, and returns what the controller says to it.
   int execute(std::string_view command) {
-    ensure_in_step(command);
-    if (error_may_wait_)
-      read_error("an earlier command");  // Else an old error would be laid at this one's door.
-    error_may_wait_ = true;
-    // In one piece with its ERR?, as PIPython can do it: one round trip.
-    return error_code(
-        exchange(command_line(command, settings_.address) + command_line("ERR?", settings_.address),
-                 kReplyDeadline),
-        command);
+    const std::uint64_t halts = line().halts();
+    int code = replies_.execute(command_line(command, settings_.address), command);
+    replies_.error_may_wait(false);
+    // Only a stop causes error 10. Of one that came before the command, its line being slow, it says nothing
+    // of the command: that would have set a code of its own in place of it.
+    if (code == kErrorStoppedByCommand && line().halts() == halts && !line().halting())
+      code = read_error(command);
+    return code;
   }
 
   void execute_or_throw(std::string_view command) {
@@ -257,49 +156,27 @@ struct PiGcsStage::Impl {
 
   void identify_controller() {
     known_ = false;
-    identity_reply_.clear();
-    in_step_ = true;
-    std::string heard;
-    for (int attempt = 1; attempt <= 2; ++attempt) {
-      std::optional<std::string> reply =
-          exchange(command_line(kIdentityQuery, settings_.address), kReplyDeadline);
-      const Clock::Instant deadline = line_.deadline_after(kReplyDeadline);
-      while (reply) {
-        const auto lines = reply_lines(*reply, settings_.address);
-        if (const auto identity = lines ? parse_identity(*lines) : std::nullopt) {
-          identity_ = *identity;
-          identity_reply_ = *reply;
-          std::string who = "stage " + identity_.model;
-          if (!identity_.serial_number.empty()) who += " (SN " + identity_.serial_number + ")";
-          if (!settings_.address.empty()) who += " at address " + settings_.address;
-          line_.rename(who);
-          return;
-        }
-        heard += *reply;
-        if (heard.size() > kLongestReply) break;
-        reply = line_.take_frame(deadline);
-      }
-      heard += line_.received();
-    }
-    if (heard.empty()) {
-      throw failure(
-          Fault::kNoReply,
-          fmt::format("no answer to \"{}\" within {} s, asked twice; is the controller on, the cable in the "
-                      "right port, and its baud rate (or address) as in the bench file?",
-                      kIdentityQuery, to_seconds(kReplyDeadline)));
-    }
-    throw failure(
-        Fault::kWrongIdentity,
-        fmt::format(
-            "\"{}\" is no answer of a PI controller to \"{}\"; another instrument, or another baud rate?",
-            printable(heard), kIdentityQuery));
+    const auto accept = [this](const std::string& reply) {
+      const auto lines = reply_lines(reply, settings_.address);
+      const auto identity = lines ? parse_identity(*lines) : std::nullopt;
+      if (identity) identity_ = *identity;
+      return identity.has_value();
+    };
+    replies_.identify(accept,
+                      "is the controller on, the cable in the right port, and its baud rate (or address) as "
+                      "in the bench file?",
+                      "a PI controller", kLongestReply);
+    std::string who = "stage " + identity_.model;
+    if (!identity_.serial_number.empty()) who += " (SN " + identity_.serial_number + ")";
+    if (!settings_.address.empty()) who += " at address " + settings_.address;
+    line().rename(who);
   }
 
   /// Once, before anything else is asked: a PI controller, which has our axes, in degrees.
   void ensure_known() {
     if (known_) return;
     identify_controller();
-    error_may_wait_ = true;
+    replies_.error_may_wait(true);
     read_error("an earlier program");
     axes_ = require("SAI?", [](const Lines& lines) -> std::optional<Lines> {
       const bool plausible =
@@ -366,7 +243,7 @@ struct PiGcsStage::Impl {
     return info;
   }
 
-  StageInfo identify() {
+  StageInfo identify() override {
     known_ = false;  // A controller that was swapped or switched off and on since is noticed.
     servo_on_ = {false, false};
     speed_set_ = {false, false};
@@ -390,7 +267,7 @@ struct PiGcsStage::Impl {
     speed_set_[index(axis)] = true;
   }
 
-  void home(StageAxis axis) {
+  void home(StageAxis axis) override {
     const std::string& name = name_of(axis);
     ensure_known();
     const std::string enable = fmt::format("EAX {} 1", name);
@@ -413,7 +290,7 @@ struct PiGcsStage::Impl {
     }
   }
 
-  void move_to(StageAxis axis, Angle target) {
+  void move_to(StageAxis axis, Angle target) override {
     const std::string& name = name_of(axis);
     if (!std::isfinite(target.deg())) {
       throw failure(Fault::kOutOfTravel,
@@ -472,7 +349,13 @@ struct PiGcsStage::Impl {
     return !require(fmt::format("ONT? {}", name), flag_of(name));
   }
 
-  Angle encoder_angle(StageAxis axis) {
+  MotionState motion_state(StageAxis axis) override {
+    name_of(axis);
+    ensure_known();
+    return moving(axis) ? MotionState::kMoving : MotionState::kStopped;
+  }
+
+  Angle encoder_angle(StageAxis axis) override {
     const std::string& name = name_of(axis);
     ensure_known();
     return Angle::degrees(require(fmt::format("POS? {}", name), number_of(name)));
@@ -480,10 +363,18 @@ struct PiGcsStage::Impl {
 
   // ---- Halt
 
-  /// Whether the controller says that all stands still.
-  bool has_stopped() {
-    if (identity_reply_.empty()) identify_controller();
-    if (read_error("#24") == kErrorStoppedByCommand) return true;
+  void forget_motion() override {
+    servo_on_ = {false, false};
+    replies_.error_may_wait(true);
+  }
+
+  Clock::Duration reply_deadline() const override { return kReplyDeadline; }
+
+  bool has_stopped() override {
+    if (replies_.identity().empty()) identify_controller();
+    const int code = replies_.ask_error("#24");
+    replies_.error_may_wait(false);
+    if (code == kErrorStoppedByCommand) return true;
     if (motion_query_ == MotionQuery::kMask) {
       const auto mask = ask(single_byte(kAskMotion, settings_.address), "#5", parse_motion_mask);
       return mask.value == std::uint64_t{0};
@@ -493,66 +384,39 @@ struct PiGcsStage::Impl {
     });
   }
 
-  bool halt() noexcept {
-    return line_.halt(
-        [this] {
-          servo_on_ = {false, false};
-          error_may_wait_ = true;
-        },
-        [this] { return has_stopped(); });
+  /// A half-written command becomes one with a word too many, which the controller refuses. The identity
+  /// comes in between, so that an older reply does not pass for the mask.
+  HaltRecipe halt_recipe() const override {
+    const std::string chained = settings_.address.empty() ? "" : "0 " + settings_.address + " ";
+    return {.driver = "pi_gcs",
+            .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
+            .end_partial = " x\n",
+            .stop = stop_command(settings_),
+            .questions = {{.bytes = command_line(kIdentityQuery, settings_.address),
+                           .reply = ".*Physik Instrumente.*",
+                           .standing = {}},
+                          {.bytes = single_byte(kAskMotion, settings_.address),
+                           .reply = chained + "[0-9A-Fa-f]+",
+                           .standing = chained + "0+"}},
+            .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
   }
 
+ private:
   const StageSettings settings_;
-  wire::HaltableLine line_;  ///< Its lock guards all below.
+  wire::LineExchange replies_;
   Identity identity_;
-  std::string identity_reply_;  ///< To the letter; empty before the controller is identified.
   bool known_ = false;
-  bool in_step_ = true;         ///< False: a reply may still come to a query that is given up.
-  bool error_may_wait_ = true;  ///< The controller may hold an error code that belongs to the past.
-  Lines axes_;                  ///< SAI?
+  Lines axes_;                             ///< SAI?
   std::array<std::size_t, 2> position_{};  ///< Of our axes in it.
   std::array<bool, 2> servo_on_{};
   std::array<bool, 2> speed_set_{};
   MotionQuery motion_query_ = MotionQuery::kMask;
 };
 
-PiGcsStage::PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
-                       const StageSettings& settings) {
-  check_settings(settings);
-  impl_ = std::make_unique<Impl>(std::move(stream), clock, settings);
-}
+}  // namespace
 
-PiGcsStage::~PiGcsStage() = default;
-
-StageInfo PiGcsStage::identify() {
-  const std::lock_guard lock(impl_->line_);
-  return impl_->identify();
-}
-
-void PiGcsStage::home(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->home(axis);
-}
-
-void PiGcsStage::move_to(StageAxis axis, Angle target) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->move_to(axis, target);
-}
-
-MotionState PiGcsStage::motion_state(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->name_of(axis);
-  impl_->ensure_known();
-  return impl_->moving(axis) ? MotionState::kMoving : MotionState::kStopped;
-}
-
-Angle PiGcsStage::encoder_angle(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  return impl_->encoder_angle(axis);
-}
-
-bool PiGcsStage::halt() noexcept {
-  return impl_->halt();
-}
+PiGcsStage::PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
+    : LineStage((check_settings(stream.get(), settings),
+                 std::make_unique<PiGcsController>(std::move(stream), clock, settings))) {}
 
 }  // namespace abcal::pi_gcs

@@ -5,8 +5,8 @@
 
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/instrument_settings.h"
-#include "drivers/instrument/rotation_stage.h"
 #include "drivers/wire/byte_stream.h"
+#include "drivers/wire/line_exchange.h"
 
 namespace abcal::pi_gcs {
 
@@ -28,41 +28,21 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(5);
 /// empty: that axis is then not on this controller, and calls for it throw kNotReady.
 ///
 /// One owner thread; halt() from any.
-class PiGcsStage final : public RotationStage {
+///
+/// identify() throws kWrongIdentity for what is no PI controller, for an axis that it does not have (lists
+/// those it has), and for a unit other than degrees. home() goes by the reference switch (FRF), or where
+/// there is none by the negative limit switch (FNL). move_to() throws kNotReady if the axis has lost its
+/// reference or its servo (errors 5 and 31), kOutOfTravel (error 7), kRefused for any other error code, with
+/// its text. motion_state() is what the controller says now (#5, or #4, or ONT? where these are not known):
+/// stopped is not yet "on target". halt() sends #24, then asks until the controller says that it was stopped
+/// (error 10) or that nothing moves.
+class PiGcsStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.
   /// @throws std::invalid_argument for settings that cannot be meant: no axis, one axis twice, a speed that
   /// is
   ///   not a positive number, an address that is not a number.
   PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
-  ~PiGcsStage() override;
-
-  /// @throws InstrumentError kWrongIdentity: no PI controller, an axis that it does not have (lists those it
-  /// has),
-  ///   a unit other than degrees.
-  StageInfo identify() override;
-
-  /// By the reference switch (FRF), or where there is none by the negative limit switch (FNL).
-  void home(StageAxis axis) override;
-
-  /// @throws InstrumentError kNotReady if the axis has lost its reference or its servo (errors 5 and 31),
-  ///   kOutOfTravel (error 7), kRefused for any other error code, with its text.
-  void move_to(StageAxis axis, Angle target) override;
-
-  /// As the controller says now (#5, or #4, or ONT? where these are not known). Stopped is not yet "on
-  /// target": an axis that has stopped outside the window is stopped, and the encoder angle says where.
-  MotionState motion_state(StageAxis axis) override;
-
-  Angle encoder_angle(StageAxis axis) override;
-
-  /// Sends #24 at once, without waiting for an exchange that is under way; then asks until the controller
-  /// says that it was stopped (error 10) or that nothing moves. The exchange under way ends with its reply or
-  /// InstrumentError.
-  bool halt() noexcept override;
-
- private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace abcal::pi_gcs

@@ -53,8 +53,9 @@ TextLineAccelerometer::TextLineAccelerometer(std::unique_ptr<wire::ByteStream> s
       format_{.columns = {settings.columns.begin(), settings.columns.end()},
               .separator = settings.separator,
               .comment = settings.comment},
-      readings_(*stream_, LineReader(format_),
-                [this](const text_line::NumberLine& line) { return take(line); }) {}
+      readings_(*stream_, LineReader(format_), [this](const text_line::NumberLine& line) {
+        return wire::DecodedFrame{.reading = take(line)};
+      }) {}
 
 AccelerometerInfo TextLineAccelerometer::identify() {
   return interrogate();

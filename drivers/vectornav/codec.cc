@@ -149,6 +149,15 @@ std::optional<std::size_t> binary_size(const std::array<std::uint16_t, kGroups>&
   return size;
 }
 
+std::size_t wire_size(const Message& message) {
+  if (const auto* text = std::get_if<TextMessage>(&message)) {
+    constexpr std::size_t kFrame = 4;  // '$', '*', CR, LF.
+    return text->text.size() + kFrame + (text->checksum == Checksum::kXor8 ? 2 : 4);
+  }
+  const auto& binary = std::get<BinaryMessage>(message);
+  return binary_header(binary.fields).size() + binary.payload.size() + kCrcBytes;
+}
+
 void MessageParser::feed(std::string_view bytes) {
   buffer_.erase(0, begin_);
   begin_ = 0;
@@ -234,7 +243,7 @@ std::optional<Message> MessageParser::next() {
       case Found::kNeedsMore:
         return std::nullopt;
       case Found::kBadChecksum:
-        ++bad_checksums_;
+        ++bad_frames_;
         break;
       case Found::kNothingHere:
         break;

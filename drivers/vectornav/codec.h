@@ -57,6 +57,9 @@ std::string binary_header(const std::array<std::uint16_t, kGroups>& fields);
 /// Bytes of such a message with header and CRC; nothing if a mask has a field whose length is not known.
 std::optional<std::size_t> binary_size(const std::array<std::uint16_t, kGroups>& fields);
 
+/// Bytes of a message on the wire.
+std::size_t wire_size(const Message& message);
+
 /// Finds messages in a stream of bytes that may begin anywhere, be split anywhere, and be damaged.
 ///
 /// From each byte on: if a whole message with a right checksum begins here it is given and the search goes on
@@ -80,7 +83,7 @@ class MessageParser {
   bool has_partial() const { return begin_ < buffer_.size(); }
 
   /// Something that was framed like a message and had a wrong checksum.
-  std::uint64_t bad_checksums() const { return bad_checksums_; }
+  std::uint64_t bad_frames() const { return bad_frames_; }
   /// Bytes that belong to no message, those of messages with a wrong checksum included.
   std::uint64_t skipped_bytes() const { return skipped_bytes_; }
 
@@ -98,7 +101,7 @@ class MessageParser {
   std::string only_header_;
   std::string buffer_;
   std::size_t begin_ = 0;  ///< What lies before is used up.
-  std::uint64_t bad_checksums_ = 0;
+  std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
 

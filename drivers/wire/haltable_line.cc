@@ -60,6 +60,11 @@ bool HaltableLine::halting() const {
   return halts_under_way_ > 0;
 }
 
+std::uint64_t HaltableLine::halts() const {
+  const std::lock_guard lock(send_mutex_);
+  return halts_;
+}
+
 bool HaltableLine::halt(const std::function<void()>& forget_motion,
                         const std::function<bool()>& has_stopped) noexcept {
   try {
@@ -67,6 +72,7 @@ bool HaltableLine::halt(const std::function<void()>& forget_motion,
     {
       const std::lock_guard lock(send_mutex_);  // Held by others during one write only.
       ++halts_under_way_;                       // From here on the owner sends nothing.
+      ++halts_;
     }
     const AtEnd under_way([this] {
       const std::lock_guard lock(send_mutex_);

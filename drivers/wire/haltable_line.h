@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -55,6 +56,9 @@ class HaltableLine {
   /// Whether a halt is under way.
   bool halting() const;
 
+  /// How many halts there have been, one under way included: a difference says that one began meanwhile.
+  std::uint64_t halts() const;
+
   // All that follows: only with the line locked.
 
   void rename(std::string who) { who_ = std::move(who); }
@@ -91,7 +95,8 @@ class HaltableLine {
   std::optional<Clock::Instant> halt_deadline_;
 
   mutable std::mutex send_mutex_;  ///< Held for one write; taken after the exchange lock where both are.
-  int halts_under_way_ = 0;        ///< Guarded by send_mutex_.
+  int halts_under_way_ = 0;        ///< Guarded by send_mutex_, as is:
+  std::uint64_t halts_ = 0;
 };
 
 }  // namespace abcal::wire

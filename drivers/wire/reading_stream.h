@@ -16,23 +16,32 @@
 
 namespace abcal::wire {
 
-/// From the bytes of an accelerometer that streams unasked, and neither counts nor times its readings, to
-/// next(). One thread.
+/// What a frame of a stream holds.
+struct DecodedFrame {
+  std::optional<Reading> reading{};  ///< Without arrival and number. Nothing: a frame of something else.
+  /// Readings made since the one before, this one included, by the instrument's own counter or clock.
+  /// Nothing: it has none, and the bytes that came to no use say what was lost.
+  std::optional<std::uint64_t> steps{};
+  bool malformed = false;  ///< Framed and complete, but it cannot be true: counted as a bad frame.
+};
+
+/// From the bytes of an accelerometer that streams to next(). One thread.
 ///
-/// A reading is known to be lost if bytes came in its place: every stretch of bytes that came to no use, as
-/// long as a reading is, was one, and a bad frame was at least one. What is lost without leaving a byte
-/// behind is not known, and nothing is concluded from times of arrival: a late one would pass for a loss.
+/// Where the instrument neither counts nor times its readings, one is known to be lost if bytes came in its
+/// place: every stretch of bytes that came to no use, as long as a reading is, was one, and a bad frame was
+/// at least one. What is lost without leaving a byte behind is not known, and nothing is concluded from times
+/// of arrival: a late one would pass for a loss.
 ///
-/// `Parser` finds frames in bytes that are split anyhow: feed(bytes); next(), the next frame, with its `size`
-/// in bytes, or nothing; lose_track(), bytes are missing here; has_partial(); bad_frames() and
-/// skipped_bytes(), which only grow.
+/// `Parser` finds frames in bytes that are split anyhow: feed(bytes); next(), the next frame or nothing;
+/// has_partial(); bad_frames() and skipped_bytes(), which only grow. Optional: lose_track(), bytes are
+/// missing here; next_behind_partial(), a frame behind a beginning whose end does not come. The size of a
+/// frame on the wire is its member `size`, or wire_size(frame).
 template <class Parser>
 class ReadingStream {
  public:
   using Frame = typename decltype(std::declval<Parser&>().next())::value_type;
-  /// The reading in a frame, without arrival and number; nothing if it is a frame of something else. May
-  /// throw.
-  using Decode = std::function<std::optional<Reading>(const Frame&)>;
+  /// What a frame holds. May throw.
+  using Decode = std::function<DecodedFrame(const Frame&)>;
 
   /// `stream` must outlive this.
   ReadingStream(ByteStream& stream, Parser parser, Decode decode)
@@ -40,7 +49,7 @@ class ReadingStream {
 
   /// Listens with a new parser to what comes from now on: whether it is what it should be, at which rate.
   void listen(Parser parser) {
-    running_ = false;
+    end();
     parser_ = std::move(parser);
     received_bytes_ = 0;
     first_bytes_.clear();
@@ -56,35 +65,46 @@ class ReadingStream {
 
   /// The stream ends; its figures remain.
   void end() noexcept {
+    if (running_) at_end_ = health();
     running_ = false;
     readings_.close();
   }
   bool running() const { return running_; }
 
-  /// Reads once and decodes what came. False: nothing has come by the deadline.
-  bool receive(Clock::Instant deadline) {
+  /// Reads once and gives what came to the parser, without decoding it.
+  ReceivedBytes fetch(Clock::Instant deadline) {
     constexpr std::size_t kShownBytes = 32;
-    const ReceivedBytes received = stream_.read_until(deadline);
+    ReceivedBytes received = stream_.read_until(deadline);
     const std::size_t dropped = stream_.dropped_bytes();
     const bool ran_over = std::exchange(dropped_, dropped) != dropped;
-    if (ran_over) parser_.lose_track();  // The gap lies before these bytes or behind them.
+    if (ran_over) lose_track();  // The gap lies before these bytes or behind them.
     received_bytes_ += received.bytes.size();
     first_bytes_ += received.bytes.substr(0, kShownBytes - std::min(kShownBytes, first_bytes_.size()));
+    if (!received.bytes.empty()) last_arrival_ = received.arrival;
     parser_.feed(received.bytes);
-    while (const auto frame = parser_.next()) take(*frame, received.arrival);
-    if (ran_over) parser_.lose_track();
+    if (ran_over) gap_behind_ = true;
+    return received;
+  }
+
+  /// Reads once and decodes what came. False: nothing has come by the deadline.
+  bool receive(Clock::Instant deadline) {
+    const ReceivedBytes received = fetch(deadline);
+    take_waiting();
     return !received.bytes.empty();
   }
 
   /// As Accelerometer::next().
   std::optional<Reading> next(Clock::Instant deadline) {
+    take_waiting();  // What came together with the last answer.
     while (readings_.empty() && receive(deadline)) continue;
+    if (readings_.empty()) take_behind_partial();
     return readings_.pop();
   }
 
   /// As Accelerometer::discard_pending().
   void discard_pending(Clock::Instant now) {
     readings_.begin_discard();
+    take_waiting();
     while (receive(now)) continue;
     readings_.end_discard(parser_.has_partial(), std::exchange(dropped_at_discard_, dropped_) != dropped_);
   }
@@ -105,13 +125,17 @@ class ReadingStream {
     return later / to_seconds(last - *first);
   }
 
+  /// Of the stream that runs, or of the last one.
   StreamHealth health() const {
+    if (!running_) return at_end_;
     const Figures now = figures();
     return {.readings = readings_.readings(),
             .lost_readings = readings_.lost(),
             .bad_frames = now.bad_frames - at_start_.bad_frames,
-            .skipped_bytes = now.unused_bytes - at_start_.unused_bytes};
+            .skipped_bytes = parser_.skipped_bytes() + dropped_ - at_start_.skipped_bytes};
   }
+
+  Clock::Instant last_arrival() const { return last_arrival_; }
 
   // For messages: what has come since listen().
   std::uint64_t received_bytes() const { return received_bytes_; }
@@ -122,23 +146,56 @@ class ReadingStream {
  private:
   struct Figures {
     std::uint64_t bad_frames = 0;
-    std::uint64_t unused_bytes = 0;  ///< Skipped by the parser, or dropped by a full input queue.
+    std::uint64_t skipped_bytes = 0;  ///< By the parser, or dropped by a full input queue.
+    std::uint64_t unused_bytes = 0;   ///< These, and those of malformed frames.
   };
-  Figures figures() const { return {parser_.bad_frames(), parser_.skipped_bytes() + dropped_}; }
+  Figures figures() const {
+    const std::uint64_t skipped = parser_.skipped_bytes() + dropped_;
+    return {parser_.bad_frames() + malformed_, skipped, skipped + malformed_bytes_};
+  }
 
   void restart_figures() {
     readings_.restart();
+    malformed_ = malformed_bytes_ = 0;
     at_start_ = at_last_reading_ = figures();
     framed_since_ = 0;
     dropped_at_discard_ = dropped_;
   }
 
-  void take(const Frame& frame, Clock::Instant arrival) {
-    framed_since_ += frame.size;
-    std::optional<Reading> reading = decode_(frame);
-    if (!reading) return;
-    reading->arrival = arrival;
-    readings_.push(std::move(*reading), 1 + lost_before());
+  void lose_track() {
+    if constexpr (requires { parser_.lose_track(); }) parser_.lose_track();
+  }
+
+  void take_waiting() {
+    while (const auto frame = parser_.next()) take(*frame);
+    if (std::exchange(gap_behind_, false)) lose_track();
+  }
+
+  void take_behind_partial() {
+    if constexpr (requires { parser_.next_behind_partial(); })
+      while (const auto frame = parser_.next_behind_partial()) take(*frame);
+  }
+
+  static std::size_t size_of(const Frame& frame) {
+    if constexpr (requires { frame.size; })
+      return frame.size;
+    else
+      return wire_size(frame);
+  }
+
+  void take(const Frame& frame) {
+    const std::size_t size = size_of(frame);  // Before it is decoded: that may end the stream.
+    DecodedFrame decoded = decode_(frame);
+    if (decoded.malformed) {
+      ++malformed_;
+      malformed_bytes_ += size;
+      return;
+    }
+    framed_since_ += size;
+    if (!decoded.reading) return;
+    decoded.reading->arrival = last_arrival_;
+    const std::uint64_t lost = lost_before();
+    readings_.push(*std::move(decoded.reading), decoded.steps.value_or(1 + lost));
   }
 
   /// How many readings are known to have been lost since the last one that was not.
@@ -155,12 +212,17 @@ class ReadingStream {
   Parser parser_;
   Decode decode_;
   bool running_ = false;
+  bool gap_behind_ = false;  ///< Bytes were dropped: behind those that the parser holds, or before them.
   ReadingQueue readings_;
+  StreamHealth at_end_;
   Figures at_start_;
   Figures at_last_reading_;
+  std::uint64_t malformed_ = 0;
+  std::uint64_t malformed_bytes_ = 0;
   std::uint64_t framed_since_ = 0;  ///< Bytes of frames since the last reading.
   std::uint64_t received_bytes_ = 0;
   std::string first_bytes_;
+  Clock::Instant last_arrival_;
   std::size_t dropped_ = 0;
   std::size_t dropped_at_discard_ = 0;
 };

@@ -29,7 +29,7 @@ constexpr std::uint32_t kExchangeTimeoutMs = 1000;
 constexpr int kMessageAvailable = 0x10;
 constexpr int kMostDiscarded = 100;  // An instrument has one reply waiting, not endlessly many.
 
-std::string what_there_is() {
+std::string usbtmc_files_there_are() {
   std::vector<std::string> names;
   std::error_code error;
   for (fs::directory_iterator file("/dev", error), end; !error && file != end; file.increment(error)) {
@@ -47,7 +47,7 @@ std::string what_there_is() {
 class DeviceFile final : public UsbtmcDevice {
  public:
   explicit DeviceFile(const std::string& path)
-      : file_(open_device(path, 0, {"a USBTMC instrument", what_there_is})) {
+      : file_(open_device(path, 0, {"a USBTMC instrument", usbtmc_files_there_are})) {
     // Kernels before 4.20 know no other timeout than their own 5 s.
     std::uint32_t timeout_ms = kExchangeTimeoutMs;
     ::ioctl(file_.get(), USBTMC_IOCTL_SET_TIMEOUT, &timeout_ms);

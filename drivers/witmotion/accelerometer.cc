@@ -38,7 +38,8 @@ WitMotionAccelerometer::WitMotionAccelerometer(std::unique_ptr<wire::ByteStream>
       clock_(clock),
       settings_(settings),
       who_(fmt::format("accelerometer witmotion on {}", stream_->name())),
-      readings_(*stream_, FrameParser(), [this](const Frame& frame) { return take(frame); }) {
+      readings_(*stream_, FrameParser(),
+                [this](const Frame& frame) { return wire::DecodedFrame{.reading = take(frame)}; }) {
   if (!(settings_.rate_hz > 0.0) || !std::isfinite(settings_.rate_hz)) {
     throw std::invalid_argument(
         fmt::format("WitMotionAccelerometer: rate_hz is {}; required: a positive number", settings_.rate_hz));

@@ -125,7 +125,7 @@ std::optional<Message> MessageParser::next() {
       case Found::kNeedsMore:
         return std::nullopt;
       case Found::kBad:
-        ++bad_messages_;
+        ++bad_frames_;
         break;
       case Found::kNothingHere:
         break;

@@ -54,6 +54,11 @@ struct Message {
   std::uint8_t id = 0;
   std::string_view data;
 };
+inline constexpr std::size_t kFrameBytes = 5;  ///< FA FF, id, length, checksum.
+/// Bytes of a message on the wire.
+inline std::size_t wire_size(const Message& message) {
+  return message.data.size() + kFrameBytes;
+}
 
 /// One item of an MTData2 message; `data` points into the message.
 struct Item {
@@ -84,7 +89,7 @@ class MessageParser {
   bool has_partial() const { return begin_ < buffer_.size(); }
 
   /// Something that was framed like a message and had a wrong checksum or impossible items.
-  std::uint64_t bad_messages() const { return bad_messages_; }
+  std::uint64_t bad_frames() const { return bad_frames_; }
   /// Bytes that belong to no message, those of bad ones included.
   std::uint64_t skipped_bytes() const { return skipped_bytes_; }
 
@@ -99,7 +104,7 @@ class MessageParser {
 
   std::string buffer_;
   std::size_t begin_ = 0;  ///< What lies before is used up.
-  std::uint64_t bad_messages_ = 0;
+  std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
 

@@ -220,22 +220,4 @@ std::string_view rejection_text(std::string_view reason) {
   return find_text(kRejections, reason);
 }
 
-std::string printable(std::string_view bytes) {
-  constexpr std::size_t kLongest = 80;
-  std::string text;
-  for (const char byte : bytes.substr(0, kLongest)) {
-    if (byte == '\n') {
-      text += "\\n";
-    } else if (byte == '\r') {
-      text += "\\r";
-    } else if (byte >= 0x20 && byte < 0x7F) {
-      text += byte;
-    } else {
-      text += fmt::format("\\x{:02x}", static_cast<unsigned char>(byte));
-    }
-  }
-  if (bytes.size() > kLongest) text += "...";
-  return text;
-}
-
 }  // namespace abcal::zaber_ascii

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "drivers/wire/frame.h"
+#include "drivers/wire/readable_bytes.h"
 
 /// The wire format of the Zaber ASCII protocol: bytes to commands and back, no port, no clock. Source:
 /// instruments.md A.3 (the vectors and parser cases of the zproto library).
@@ -67,6 +68,6 @@ std::string_view warning_text(std::string_view flag);
 std::string_view rejection_text(std::string_view reason);
 
 /// Bytes as text for a message.
-std::string printable(std::string_view bytes);
+using wire::printable;
 
 }  // namespace abcal::zaber_ascii

@@ -19,7 +19,7 @@
 #include <vector>
 
 #include "drivers/instrument/instrument_error.h"
-#include "drivers/wire/haltable_line.h"
+#include "drivers/wire/line_exchange.h"
 #include "drivers/zaber_ascii/codec.h"
 
 namespace abcal::zaber_ascii {
@@ -70,26 +70,14 @@ std::optional<AxisName> parse_axis_name(std::string_view name) {
   return AxisName{device, *axis};
 }
 
-void check_settings(const StageSettings& settings) {
+void check_settings(const wire::ByteStream* stream, const StageSettings& settings) {
+  wire::check_stage_settings("Zaber", "the name", stream, settings);
   const auto& names = settings.axis_names;
-  if (names[0].empty() && names[1].empty()) {
-    throw std::invalid_argument("Zaber stage: no axis is named; required is the name of X, Z or both");
-  }
-  if (names[0] == names[1]) {
-    throw std::invalid_argument(
-        fmt::format("Zaber stage: X and Z are both axis \"{}\"; two different axes are required", names[0]));
-  }
   for (const std::string& name : names) {
     if (!name.empty() && !parse_axis_name(name)) {
       throw std::invalid_argument(
           fmt::format("Zaber stage: axis name \"{}\"; required is \"DEVICE AXIS\" (\"1 2\"), or one number",
                       printable(name)));
-    }
-  }
-  for (const auto& speed : settings.speed_deg_per_s) {
-    if (speed && !(std::isfinite(*speed) && *speed > 0.0)) {
-      throw std::invalid_argument(
-          fmt::format("Zaber stage: speed {} deg/s; required is a positive number", *speed));
     }
   }
   if (settings.address.empty()) return;
@@ -118,19 +106,16 @@ std::optional<std::string> any_text(std::string_view data) {
   return std::string(data);
 }
 
-}  // namespace
-
 // A reply is known by its device, its axis and its message id, which runs through 0 to 99: a late one bears
 // an id that nobody waits for any more, and is skipped.
-struct ZaberAsciiStage::Impl {
-  Impl(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
-      : settings_(settings),
-        line_("Zaber stage", std::move(stream), clock, check_line,
-              {command_line("0 0 stop"), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}) {}
+class ZaberAsciiController final : public wire::LineController {
+ public:
+  ZaberAsciiController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
+      : LineController("Zaber stage", std::move(stream), clock, check_line,
+                       {command_line("0 0 stop"), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}),
+        settings_(settings) {}
 
   // ---- Errors
-
-  InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
 
   InstrumentError rejection(const Message& reply, std::string_view command) const {
     const std::string reason = reply.data.substr(0, reply.data.find(' '));
@@ -161,20 +146,20 @@ struct ZaberAsciiStage::Impl {
   /// The reply to message `id` from this place; nothing at the deadline. Alerts, info and replies to other
   /// messages are skipped.
   std::optional<Message> take_reply(Place place, int id, Clock::Instant deadline, Heard& heard) {
-    while (const auto line = line_.take_frame(deadline)) {
-      auto message = find_message(*line, checksums_);
+    while (const auto come = line().take_frame(deadline)) {
+      auto message = find_message(*come, checksums_);
       if (message && message->kind == MessageKind::kReply && message->id == id &&
           message->device == place.device && message->axis == place.axis && !message->continues) {
         return message;
       }
       if (message) heard.messages = true;
-      heard.add(*line);
+      heard.add(*come);
     }
     return std::nullopt;
   }
 
   std::string what_was_heard(const Heard& heard) const {
-    const std::string all = heard.bytes + line_.received();
+    const std::string all = heard.bytes + line().received();
     return all.empty() ? "nothing arrived" : fmt::format("what arrived was \"{}\"", printable(all));
   }
 
@@ -183,13 +168,13 @@ struct ZaberAsciiStage::Impl {
     Heard heard;
     for (int attempt = 1; attempt <= (is_query ? 2 : 1); ++attempt) {
       const int id = next_id();
-      line_.send(command(place.device, place.axis, id, data));
-      if (auto reply = take_reply(place, id, line_.deadline_after(kReplyDeadline), heard))
+      line().send(command(place.device, place.axis, id, data));
+      if (auto reply = take_reply(place, id, line().deadline_after(kReplyDeadline), heard))
         return *std::move(reply);
     }
-    const Fault fault = heard.bytes.empty() && line_.received().empty() ? Fault::kNoReply
-                        : heard.messages                                ? Fault::kNoReply
-                                                                        : Fault::kBadFrame;
+    const Fault fault = heard.bytes.empty() && line().received().empty() ? Fault::kNoReply
+                        : heard.messages                                 ? Fault::kNoReply
+                                                                         : Fault::kBadFrame;
     throw failure(fault, fmt::format("no answer to \"{}\" of device {} axis {} within {} s{}; {}",
                                      data.empty() ? "status" : data, place.device, place.axis,
                                      to_seconds(kReplyDeadline),
@@ -234,26 +219,26 @@ struct ZaberAsciiStage::Impl {
   std::map<int, Device> ask_who_is_there(int device, Heard& heard) {
     std::map<int, Device> found;
     const int id = next_id();
-    line_.discard_input();
-    line_.send(command(device, 0, id, "get system.axiscount"));
-    const Clock::Instant last = line_.deadline_after(kReplyDeadline);
+    line().discard_input();
+    line().send(command(device, 0, id, "get system.axiscount"));
+    const Clock::Instant last = line().deadline_after(kReplyDeadline);
     Clock::Instant deadline = last;
-    while (const auto line = line_.take_frame(deadline)) {
-      const auto message = find_message(*line, checksums_);
+    while (const auto come = line().take_frame(deadline)) {
+      const auto message = find_message(*come, checksums_);
       if (!message || message->kind != MessageKind::kReply || message->id != id) {
         if (message) heard.messages = true;
-        heard.add(*line);
+        heard.add(*come);
         continue;
       }
       some_checksums_ = some_checksums_ || message->has_checksum;
       // A device too old for the question has one axis [M].
       const double count = message->accepted ? parse_number(message->data).value_or(0.0) : 1.0;
       if (!(count >= 1.0 && count <= 9.0)) {
-        heard.add(*line);
+        heard.add(*come);
         continue;
       }
       found[message->device].axes = static_cast<int>(count);
-      deadline = std::min(last, line_.deadline_after(kQuiet));
+      deadline = std::min(last, line().deadline_after(kQuiet));
     }
     return found;
   }
@@ -268,7 +253,7 @@ struct ZaberAsciiStage::Impl {
     for (const auto& [number, more] : ask_who_is_there(device, heard)) found[number] = more;
     checksums_ = some_checksums_;
     if (!found.empty()) return found;
-    if (heard.bytes.empty() && line_.received().empty()) {
+    if (heard.bytes.empty() && line().received().empty()) {
       throw failure(
           Fault::kNoReply,
           fmt::format("no answer to \"get system.axiscount\" within {} s, asked twice; is the device "
@@ -401,7 +386,7 @@ struct ZaberAsciiStage::Impl {
     return info;
   }
 
-  StageInfo identify() {
+  StageInfo identify() override {
     known_ = false;  // Devices that were swapped or switched off and on since are noticed.
     enabled_ = {};
     speed_set_ = {};
@@ -428,7 +413,7 @@ struct ZaberAsciiStage::Impl {
     }
     std::string who = "stage Zaber " + info.model;
     if (!info.serial_number.empty()) who += " (SN " + info.serial_number + ")";
-    line_.rename(who);
+    line().rename(who);
     return info;
   }
 
@@ -442,7 +427,7 @@ struct ZaberAsciiStage::Impl {
     speed_set_[index(axis)] = true;
   }
 
-  void home(StageAxis axis) {
+  void home(StageAxis axis) override {
     const Place place = place_of(axis);
     halted_[index(axis)] = false;
     enabled_[index(axis)] = false;
@@ -452,7 +437,7 @@ struct ZaberAsciiStage::Impl {
     execute(place, "home");
   }
 
-  void move_to(StageAxis axis, Angle target) {
+  void move_to(StageAxis axis, Angle target) override {
     require_on_this_line(axis);
     if (!std::isfinite(target.deg())) {
       throw failure(Fault::kOutOfTravel, fmt::format("target {} of axis \"{}\" is not a number", target.deg(),
@@ -484,7 +469,7 @@ struct ZaberAsciiStage::Impl {
     if (is_fault(reply.warning)) throw flagged(Fault::kRefused, reply.warning, place, "");
   }
 
-  MotionState motion_state(StageAxis axis) {
+  MotionState motion_state(StageAxis axis) override {
     const Place place = place_of(axis);
     const Message status = exchange(place, "", true);
     if (!status.accepted) throw rejection(status, "status");
@@ -502,7 +487,7 @@ struct ZaberAsciiStage::Impl {
     return MotionState::kStopped;
   }
 
-  Angle encoder_angle(StageAxis axis) {
+  Angle encoder_angle(StageAxis axis) override {
     const Place place = place_of(axis);
     const Message reply = exchange(place, "get pos", true);
     if (!reply.accepted) throw rejection(reply, "get pos");
@@ -516,7 +501,11 @@ struct ZaberAsciiStage::Impl {
 
   // ---- Halt
 
-  bool has_stopped() {
+  void forget_motion() override { halted_ = {true, true}; }
+
+  Clock::Duration reply_deadline() const override { return kReplyDeadline; }
+
+  bool has_stopped() override {
     ensure_known();
     return std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
       if (settings_.axis_names[index(axis)].empty()) return true;
@@ -525,12 +514,38 @@ struct ZaberAsciiStage::Impl {
     });
   }
 
-  bool halt() noexcept {
-    return line_.halt([this] { halted_ = {true, true}; }, [this] { return has_stopped(); });
+  /// A half-written command ends in a checksum that is wrong, so that no device takes it. Before it is known
+  /// where the axes are, all devices are asked.
+  HaltRecipe halt_recipe() const override {
+    HaltRecipe recipe{.driver = "zaber_ascii",
+                      .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
+                      .end_partial = ":??\n",
+                      .stop = command_line("0 0 stop"),
+                      .questions = {},
+                      .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
+    const auto ask = [&recipe](int device, int axis, int id, Clock::Duration listen) {
+      const std::string who = device == 0 ? "[0-9]{2} 0" : fmt::format("{:02} {}", device, axis);
+      const std::string reply = fmt::format("@{} {:02} OK ", who, id);
+      recipe.questions.push_back({.bytes = command(device, axis, id, ""),
+                                  .reply = reply + "(IDLE|BUSY) .*",
+                                  .standing = reply + "IDLE .*",
+                                  .listen = std::chrono::duration_cast<std::chrono::milliseconds>(listen)});
+    };
+    // Two message ids: late replies to a driver have at most one of them.
+    constexpr std::array<int, 2> kIds{41, 83};
+    if (!known_) {
+      for (const int id : kIds) ask(0, 0, id, kQuiet);
+      return recipe;
+    }
+    for (const StageAxis axis : kStageAxes) {
+      if (settings_.axis_names[index(axis)].empty()) continue;
+      for (const int id : kIds) ask(places_[index(axis)].device, places_[index(axis)].axis, id, {});
+    }
+    return recipe;
   }
 
+ private:
   const StageSettings settings_;
-  wire::HaltableLine line_;  ///< Its lock guards all below.
   int id_ = 0;
   bool checksums_ = false;  ///< Replies have one; those without are damaged.
   bool some_checksums_ = false;
@@ -542,42 +557,11 @@ struct ZaberAsciiStage::Impl {
   std::array<bool, 2> halted_{};  ///< By us: that its motion was interrupted is then no surprise.
 };
 
+}  // namespace
+
 ZaberAsciiStage::ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
-                                 const StageSettings& settings) {
-  if (stream == nullptr) throw std::invalid_argument("Zaber stage: no stream");
-  check_settings(settings);
-  impl_ = std::make_unique<Impl>(std::move(stream), clock, settings);
-}
-
-ZaberAsciiStage::~ZaberAsciiStage() = default;
-
-StageInfo ZaberAsciiStage::identify() {
-  const std::lock_guard lock(impl_->line_);
-  return impl_->identify();
-}
-
-void ZaberAsciiStage::home(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->home(axis);
-}
-
-void ZaberAsciiStage::move_to(StageAxis axis, Angle target) {
-  const std::lock_guard lock(impl_->line_);
-  impl_->move_to(axis, target);
-}
-
-MotionState ZaberAsciiStage::motion_state(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  return impl_->motion_state(axis);
-}
-
-Angle ZaberAsciiStage::encoder_angle(StageAxis axis) {
-  const std::lock_guard lock(impl_->line_);
-  return impl_->encoder_angle(axis);
-}
-
-bool ZaberAsciiStage::halt() noexcept {
-  return impl_->halt();
-}
+                                 const StageSettings& settings)
+    : LineStage((check_settings(stream.get(), settings),
+                 std::make_unique<ZaberAsciiController>(std::move(stream), clock, settings))) {}
 
 }  // namespace abcal::zaber_ascii

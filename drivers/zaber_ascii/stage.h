@@ -5,8 +5,8 @@
 
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/instrument_settings.h"
-#include "drivers/instrument/rotation_stage.h"
 #include "drivers/wire/byte_stream.h"
+#include "drivers/wire/line_exchange.h"
 
 namespace abcal::zaber_ascii {
 
@@ -28,38 +28,19 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(8);
 /// late or damaged reply is never taken for another one. Warning flags are told in words: a fault (F*) makes
 /// any call throw.
 ///
+/// identify() throws kWrongIdentity for what does not speak Zaber ASCII, a device or axis that is not there
+/// (lists those that are), an axis that does not rotate. home() clears the warnings, enables the driver if it
+/// is off, and homes. move_to() throws kNotReady (no reference: WR, WH), kOutOfTravel, kRefused with the flag
+/// or the reason of the rejection in words. motion_state() throws kRefused for a fault flag (F*), and for a
+/// motion that something else ended: interrupted (NI), manual control (NC), unexpected limit (WL), displaced
+/// (WM). halt() sends "stop" to all devices, then asks until the axes of this stage are idle.
+///
 /// One owner thread; halt() from any.
-class ZaberAsciiStage final : public RotationStage {
+class ZaberAsciiStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.
   /// @throws std::invalid_argument for settings that cannot be meant.
   ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
-  ~ZaberAsciiStage() override;
-
-  /// @throws InstrumentError kWrongIdentity: nothing that speaks Zaber ASCII, a device or axis that is not
-  ///   there (lists those that are), an axis that does not rotate.
-  StageInfo identify() override;
-
-  /// Clears the warnings, enables the driver if it is off, and homes.
-  void home(StageAxis axis) override;
-
-  /// @throws InstrumentError kNotReady (no reference: WR, WH), kOutOfTravel, kRefused with the flag or the
-  ///   reason of the rejection in words.
-  void move_to(StageAxis axis, Angle target) override;
-
-  /// @throws InstrumentError kRefused for a fault flag (F*), and for a motion that something else ended:
-  ///   interrupted (NI), manual control (NC), unexpected limit (WL), displaced (WM).
-  MotionState motion_state(StageAxis axis) override;
-
-  Angle encoder_angle(StageAxis axis) override;
-
-  /// Sends "stop" to all devices at once, without waiting for an exchange that is under way; then asks until
-  /// the axes of this stage are idle.
-  bool halt() noexcept override;
-
- private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace abcal::zaber_ascii

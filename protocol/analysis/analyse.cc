@@ -8,12 +8,14 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <iterator>
 #include <set>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "protocol/analysis/curvature_fit.h"
 #include "protocol/analysis/diagnostics.h"
 #include "protocol/analysis/first_order.h"
 #include "protocol/analysis/harmonic_fit.h"
@@ -122,8 +124,14 @@ struct Estimate {
       reading_variance;  // from the residuals; absent where weighted or no redundancy
   std::optional<Covariance27> covariance_a;
   Covariance27 covariance_b;
-  std::vector<InputEffect> effects;
-  AbcOutputs outputs;
+  std::vector<InputEffect> effects;            ///< All but k2 and k3.
+  std::vector<InputEffect> curvature_effects;  ///< k2 and k3: what the correction leaves of them.
+  std::optional<CurvatureFit> curvature;
+  SeriesTable cleaned;    ///< The series without what k2 and k3 explain.
+  FitTable cleaned_fits;  ///< Of one harmonic.
+  AbcOutputs outputs;     ///< Corrected: the line response.
+  std::optional<Covariance12> output_covariance_a;
+  Covariance12 output_covariance_b = Covariance12::Zero();
 };
 
 std::string not_determined(const ReadingSeries& series, const char* reason) {
@@ -180,6 +188,50 @@ AbcCoefficients effect_on_coefficients(const InputEffect& effect, const SeriesTa
   return change;
 }
 
+// What a unit of the input does to the outputs, less what it does to the measurand.
+Eigen::Matrix<double, 12, 1> effect_on_outputs(const InputEffect& effect, const Estimate& estimate) {
+  return abc_equations() * effect_on_coefficients(effect, estimate.series, estimate.fits) -
+         estimate.curvature->correction() *
+             estimate.curvature->change_of_k(effect.first_reading, effect.effect) -
+         effect.line;
+}
+
+void fill_output_covariances(Estimate& estimate, double resolution) {
+  const Eigen::Matrix<double, 12, 27>& equations = abc_equations();
+  const CurvatureFit& curvature = *estimate.curvature;
+  if (estimate.covariance_a) {
+    Eigen::Matrix<double, 6, 6> of_k = curvature.cofactor();
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      if (!estimate.fits[static_cast<std::size_t>(j)].weighted)
+        of_k.block<2, 2>(2 * j, 2 * j) *=
+            estimate.reading_variance[static_cast<std::size_t>(j)].value_or(0.0);
+    }
+    estimate.output_covariance_a = equations * *estimate.covariance_a * equations.transpose() +
+                                   curvature.correction() * of_k * curvature.correction().transpose();
+  }
+  Covariance12& covariance = estimate.output_covariance_b;
+  covariance.setZero();
+  for (const auto* list : {&estimate.effects, &estimate.curvature_effects}) {
+    for (const InputEffect& effect : *list) {
+      const Eigen::Matrix<double, 12, 1> change =
+          effect.standard_uncertainty * effect_on_outputs(effect, estimate);
+      covariance.noalias() += change * change.transpose();
+    }
+  }
+  if (!(resolution > 0.0)) return;
+  // A rounding error of its own in every reading.
+  InputEffect rounding;
+  for (std::size_t n = 0; n < estimate.series.front().place_of.size(); ++n) {
+    for (int j = 0; j < 3; ++j) {
+      rounding.first_reading = n;
+      rounding.effect.assign(1, Eigen::Vector3d::Unit(j));
+      const Eigen::Matrix<double, 12, 1> change =
+          resolution / std::sqrt(12.0) * effect_on_outputs(rounding, estimate);
+      covariance.noalias() += change * change.transpose();
+    }
+  }
+}
+
 Covariance27 type_b_of_coefficients(const Estimate& estimate, double resolution) {
   Covariance27 covariance = Covariance27::Zero();
   for (const InputEffect& effect : estimate.effects) {
@@ -203,11 +255,8 @@ Covariance27 type_b_of_coefficients(const Estimate& estimate, double resolution)
 }
 
 void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
-  const Eigen::Matrix<double, 12, 27>& equations = abc_equations();
-  if (estimate.covariance_a) {
-    result.covariance_type_a = equations * *estimate.covariance_a * equations.transpose();
-  }
-  result.covariance_type_b = equations * estimate.covariance_b * equations.transpose();
+  result.covariance_type_a = estimate.output_covariance_a;
+  result.covariance_type_b = estimate.output_covariance_b;
   result.covariance = *result.covariance_type_b;
   if (result.covariance_type_a) *result.covariance += *result.covariance_type_a;
 
@@ -319,11 +368,17 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
         // The allowed drift over the time between the two, and a stage that comes back within its step
         // tolerance.
         double b = 0.0;
-        const std::string drift = fmt::format("drift {}", kAccelerometerNames[j]);
+        const double size = sensitivity_matrix_of(estimate.outputs).row(row).norm();
+        const Eigen::Vector3d y =
+            Eigen::Vector3d::Constant((first.mean(row) - estimate.outputs(9 + row)) / size);
+        const ItemPoint before{selection.time_fractions[i], y, Eigen::Vector3d::Zero()};
+        const ItemPoint after{closing_time, y, Eigen::Vector3d::Ones()};
         for (const InputEffect& effect : estimate.effects) {
           double change = 0.0;
-          if (effect.name == drift) {
-            change = closing_time - selection.time_fractions[i];
+          if (effect.output == static_cast<int>(j)) {
+            const ItemEffect& item = *effect.item;
+            change = item.share(after, effect.output, effect.item_unknown).value -
+                     item.share(before, effect.output, effect.item_unknown).value;
           } else if (effect.effect.size() == 1 && effect.first_reading == i) {
             change = effect.effect[0](row);
           }
@@ -436,12 +491,14 @@ void fill_fits(const Estimate& estimate, double resolution, CalibrationResult& r
     diagnostics.rank = std::min(diagnostics.rank, fit.rank);
     diagnostics.reciprocal_condition = std::min(diagnostics.reciprocal_condition, fit.reciprocal_condition);
 
-    const ResidualTest test = test_residuals(series, fit, estimate.effects, resolution);
+    const HarmonicFit& cleaned = estimate.cleaned_fits[i];
+    const ResidualTest test = test_residuals(estimate.cleaned[i], cleaned, estimate.effects, resolution);
     if (test.deviate > kContradictionLevel) {
       objections.add(
           fmt::format("experiment {}: the residuals of {} are {:.3g} {} rms where {:.3g} is explained by "
                       "noise and tolerances",
-                      series.experiment, kAccelerometerNames[j], diagnostic.residual_rms,
+                      series.experiment, kAccelerometerNames[j],
+                      std::sqrt(cleaned.residuals.squaredNorm() / static_cast<double>(diagnostic.angles)),
                       result.response_unit, test.expected_rms));
     }
     try {
@@ -449,7 +506,11 @@ void fill_fits(const Estimate& estimate, double resolution, CalibrationResult& r
       diagnostic.harmonics = harmonics_of(second, series, estimate, resolution, result.response_unit);
       diagnostic.harmonics_residual_rms =
           std::sqrt(second.residuals.squaredNorm() / static_cast<double>(diagnostic.angles));
-      judge_harmonics(diagnostic, estimate, result, objections);
+      FitDiagnostic without_curvature = diagnostic;
+      without_curvature.harmonics = harmonics_of(
+          fit_harmonics(series.alpha, estimate.cleaned[i].readings, series.u, kDiagnosticHarmonics), series,
+          estimate, resolution, result.response_unit);
+      judge_harmonics(without_curvature, estimate, result, objections);
     } catch (const UndeterminedFit& error) {
       no_harmonics.insert(
           fmt::format("experiment {}: harmonics 2 to 5 not examined: {}", series.experiment, error.what()));
@@ -534,12 +595,10 @@ std::string refusal(const RunRecord& record, const Selection& selection) {
                          reason);
     }
   }
-  const Tolerances& t = record.tolerances;
-  for (const double tolerance :
-       {t.alignment.deg(), t.step.deg(), t.initial_turn.deg(), t.zero.deg(), t.drift}) {
-    if (!(tolerance >= 0.0 && std::isfinite(tolerance))) {
-      return fmt::format("a tolerance is {}; finite numbers >= 0 are required", tolerance);
-    }
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    const double size = key.get(record.tolerances);
+    if (!(size >= 0.0 && std::isfinite(size)))
+      return fmt::format("a tolerance ({}) is {}; finite numbers >= 0 are required", key.key, size);
   }
   return {};
 }
@@ -575,6 +634,19 @@ std::string dead_output(const Estimate& estimate) {
   return {};
 }
 
+// An output without any response has no directions that a curvature could follow.
+std::string dead_or_flat(const AbcOutputs& outputs) {
+  for (int j = 0; j < 3; ++j) {
+    const double response = sensitivity_matrix_of(outputs).row(j).norm();
+    if (!(response > 1e-12 * std::abs(outputs(offset_index(j))))) {
+      return fmt::format(
+          "output {} does not follow gravity: its sensitivity is {:.3g}, not above its scatter",
+          kAccelerometerNames[static_cast<std::size_t>(j)], response);
+    }
+  }
+  return {};
+}
+
 // Fits, outputs and what the tolerances do to them, before any judgement. Gives the reason why not, or
 // nothing.
 std::string estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
@@ -590,7 +662,17 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
     estimate.coefficients.segment<3>(static_cast<Eigen::Index>(3 * i)) << c(1), c(2), c(0);
   }
   estimate.outputs = abc_outputs(estimate.coefficients);
-  if (!selection.with_uncertainty) estimate.reading_variance = pooled_variances(estimate.fits);
+  const std::string dead = dead_or_flat(estimate.outputs);
+  if (!dead.empty()) return dead;
+  estimate.curvature.emplace(selection.dwells, estimate.series, estimate.fits, estimate.outputs,
+                             record.tolerances.k2 > 0.0, record.tolerances.k3 > 0.0);
+  estimate.outputs -= estimate.curvature->correction() * estimate.curvature->k();
+  estimate.cleaned = estimate.curvature->cleaned(estimate.series);
+  for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
+    const ReadingSeries& series = estimate.cleaned[i];
+    estimate.cleaned_fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
+  }
+  if (!selection.with_uncertainty) estimate.reading_variance = pooled_variances(estimate.cleaned_fits);
   estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
   std::string reason = dead_output(estimate);
   if (!reason.empty()) return reason;
@@ -600,8 +682,12 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
   accelerometer.offset = offset_of(estimate.outputs);
   estimate.effects = first_order_effects(selection.dwells, selection.time_fractions, accelerometer,
                                          record.tolerances, record.response_unit);
-  std::erase_if(estimate.effects,
-                [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
+  const auto curved = std::stable_partition(
+      estimate.effects.begin(), estimate.effects.end(),
+      [](const InputEffect& effect) { return effect.group != "k2" && effect.group != "k3"; });
+  estimate.curvature_effects.assign(std::make_move_iterator(curved),
+                                    std::make_move_iterator(estimate.effects.end()));
+  estimate.effects.erase(curved, estimate.effects.end());
   return {};
 }
 
@@ -636,6 +722,8 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   result.why = estimate_from(record, selection, estimate);
   if (!result.why.empty()) return result;
   estimate.covariance_b = type_b_of_coefficients(estimate, resolution);
+  fill_output_covariances(estimate, resolution);
+  result.unstated_effects = unstated_effects(record.tolerances);
 
   Objections objections;
   fill_outputs(estimate, result);
@@ -670,10 +758,14 @@ std::vector<OutputEffect> type_b_effects(const RunRecord& record) {
   if (!reason.empty()) throw std::invalid_argument(reason);
   std::vector<OutputEffect> effects;
   effects.reserve(estimate.effects.size());
-  for (const InputEffect& effect : estimate.effects) {
-    effects.push_back({effect.name, effect.standard_uncertainty *
-                                        (abc_equations() *
-                                         effect_on_coefficients(effect, estimate.series, estimate.fits))});
+  for (const auto* list : {&estimate.effects, &estimate.curvature_effects}) {
+    for (const InputEffect& effect : *list) {
+      effects.push_back(
+          {effect.name, effect.group, effect.unit, effect.item != nullptr, effect.standard_uncertainty,
+           effect.standard_uncertainty * effect_on_outputs(effect, estimate),
+           effect.standard_uncertainty *
+               (abc_equations() * effect_on_coefficients(effect, estimate.series, estimate.fits))});
+    }
   }
   return effects;
 }

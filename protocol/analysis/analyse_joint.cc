@@ -5,61 +5,29 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <map>
 #include <numbers>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "protocol/analysis/chi2_tail.h"
+#include "protocol/analysis/effect_fit.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/joint_data.h"
 #include "protocol/analysis/joint_fit.h"
-#include "protocol/plan/limits.h"
+#include "protocol/analysis/joint_verdict.h"
 
 namespace abcal {
 namespace {
 
 constexpr double kDegreesPerRadian = 180.0 / std::numbers::pi;
-
-/// Below this probability chi2 contradicts the model.
-constexpr double kChi2Level = kFalseAlarm;
-/// The six k's are left out only where they lower chi2 by no more than their number, which is what six
-/// useless unknowns do on the average: a run in which they mean anything keeps them (docs/joint_estimator.md
-/// gives the coverage with weak non-linearity).
-constexpr double kNonlinearityGain = 6.0;
-/// An estimate this many prior standard deviations from its prior's mean contradicts the tolerance. The prior
-/// is a statement about the bench; chi2 with its hundreds of degrees of freedom does not notice one wrong
-/// statement.
-constexpr double kPriorLevel = kFalseAlarmDeviate;
-/// Autocorrelation of successive residuals, in standard deviations, that a model without error does not
-/// reach.
-constexpr double kAutocorrelationLevel = kFalseAlarmDeviate;
-
-/// Correlation of successive residuals within an experiment, in standard deviations. A smooth error of the
-/// model shows here even when the size of the noise is not known beforehand.
-double residual_autocorrelation(const std::vector<JointReading>& readings, const JointFit& fit) {
-  double products = 0.0;
-  double squares = 0.0;
-  double square_products = 0.0;
-  std::array<const Eigen::Vector3d*, 3> previous{};  // of each experiment: maps may interleave them
-  std::vector<Eigen::Vector3d> scaled(readings.size());
-  for (std::size_t i = 0; i < readings.size(); ++i) {
-    scaled[i] = fit.residuals[i].cwiseQuotient(readings[i].u);
-    const Eigen::Vector3d*& before = previous[static_cast<std::size_t>(readings[i].experiment - 1)];
-    if (before != nullptr) {
-      // The three residuals of an angle are dependent (they share f): their sum of products is one draw.
-      const double product = before->dot(scaled[i]);
-      products += product;
-      square_products += product * product;
-    }
-    squares += scaled[i].squaredNorm();
-    before = &scaled[i];
-  }
-  // Noise-free readings leave rounding errors, which may well follow the angle.
-  if (!(square_products > 0.0) || squares < 1e-3 * static_cast<double>(readings.size())) return 0.0;
-  return products / std::sqrt(square_products);
-}
+/// 15 readings for 12 unknowns without a prior, and something to test them by.
+constexpr std::size_t kFewestAngles = 5;
+/// A process less probable than this is not told.
+constexpr double kProcessTold = 0.5;
 
 Quantity quantity(double value, double variance, double variance_b, std::string unit) {
   Quantity out;
@@ -71,51 +39,47 @@ Quantity quantity(double value, double variance, double variance_b, std::string 
   return out;
 }
 
-/// Sensitivity and offset among the 28 unknowns, in the order of Covariance12.
-Eigen::Index unknown_of_output(Eigen::Index output) {
-  return output < 9 ? kOwnUnknowns * (output / 3) + output % 3 : kOwnUnknowns * (output - 9) + kOffsetIndex;
-}
-
-/// Gives `fit` the uncertainties of `wider`, except those of the unknowns that it leaves out.
-void widen_outputs(const JointFit& wider, JointFit& fit) {
-  fit.covariance = wider.covariance;
-  fit.covariance_type_b = wider.covariance_type_b;
-  fit.u_step_error = wider.u_step_error;
-}
-
-void fill_outputs(const JointFit& fit, CalibrationResult& result) {
+void fill_line_response(const EffectFit& fit, CalibrationResult& result) {
   const std::string unit = result.response_unit;
   const std::string per_g = unit + "/g_loc";
-  Covariance12 covariance;
-  Covariance12 type_b;
-  for (Eigen::Index a = 0; a < 12; ++a) {
-    for (Eigen::Index b = 0; b < 12; ++b) {
-      covariance(a, b) = fit.covariance(unknown_of_output(a), unknown_of_output(b));
-      type_b(a, b) = fit.covariance_type_b(unknown_of_output(a), unknown_of_output(b));
-    }
-  }
+  const Covariance12& covariance = fit.covariance_line;
+  const Covariance12& type_b = fit.covariance_line_type_b;
+  const auto output = [&](Eigen::Index i, const std::string& of_unit) {
+    Quantity out = quantity(fit.line(i), covariance(i, i), type_b(i, i), of_unit);
+    out.degrees_of_freedom = fit.degrees_of_freedom(i);
+    return out;
+  };
   Eigen::Matrix3d s;
   result.sensitivity_matrix.emplace();
   for (Eigen::Index j = 0; j < 3; ++j) {
     for (Eigen::Index k = 0; k < 3; ++k) {
-      const Eigen::Index i = 3 * j + k;
-      s(j, k) = fit.value(unknown_of_output(i));
+      s(j, k) = fit.line(3 * j + k);
       (*result.sensitivity_matrix)[static_cast<std::size_t>(j)][static_cast<std::size_t>(k)] =
-          quantity(s(j, k), covariance(i, i), type_b(i, i), per_g);
+          output(3 * j + k, per_g);
     }
-    result.offset[static_cast<std::size_t>(j)] =
-        quantity(fit.value(unknown_of_output(9 + j)), covariance(9 + j, 9 + j), type_b(9 + j, 9 + j), unit);
+    result.offset[static_cast<std::size_t>(j)] = output(9 + j, unit);
   }
   const IntrinsicProperties intrinsic = intrinsic_properties(s);
   const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(s);
   const Covariance9 covariance9 = jacobian * covariance * jacobian.transpose();
   const Covariance9 type_b9 = jacobian * type_b * jacobian.transpose();
+  // An intrinsic property has the degrees of freedom of the least known element that it is made of.
+  const auto degrees = [&](Eigen::Index row) {
+    double least = std::numeric_limits<double>::infinity();
+    for (Eigen::Index i = 0; i < 12; ++i) {
+      const double share = jacobian(row, i) * jacobian(row, i) * covariance(i, i);
+      if (share > 0.05 * covariance9(row, row)) least = std::min(least, fit.degrees_of_freedom(i));
+    }
+    return least;
+  };
   for (Eigen::Index j = 0; j < 3; ++j) {
     const auto at = static_cast<std::size_t>(j);
-    result.intrinsic_sensitivity[at] =
+    Quantity& norm = result.intrinsic_sensitivity[at] =
         quantity(intrinsic.sensitivity(j), covariance9(j, j), type_b9(j, j), per_g);
-    result.intrinsic_angle[at] =
+    norm.degrees_of_freedom = degrees(j);
+    Quantity& angle = result.intrinsic_angle[at] =
         quantity(intrinsic.angle_deg(j), covariance9(3 + j, 3 + j), type_b9(3 + j, 3 + j), "degree");
+    angle.degrees_of_freedom = degrees(3 + j);
   }
   result.covariance = covariance;
   result.covariance_type_b = type_b;
@@ -125,27 +89,62 @@ void fill_outputs(const JointFit& fit, CalibrationResult& result) {
   result.covariance_intrinsic_type_a = covariance9 - type_b9;
 }
 
-JointResult joint_outputs(const JointFit& fit, const JointData& data, const JointModel& model,
-                          const RunRecord& record) {
-  JointResult out;
-  const auto of = [&](int i, double factor, const std::string& unit) {
-    return quantity(fit.value(i) * factor, fit.covariance(i, i) * factor * factor,
-                    fit.covariance_type_b(i, i) * factor * factor, unit);
-  };
-  out.alignment = {of(kZx, 1.0, "1"), of(kZy, 1.0, "1"), of(kXz, 1.0, "1")};
-  out.initial_turn_error = {of(kD2, kDegreesPerRadian, "degree"), of(kD3, kDegreesPerRadian, "degree")};
-  if (model.mean_step) {
-    out.mean_step_error = {of(kFX, kDegreesPerRadian, "degree"), of(kFZ, kDegreesPerRadian, "degree")};
+/// Unknown "effect" of an output (-1: the stage), the i-th of it; -1 where it is not in the fit.
+Eigen::Index place_of(const EffectFit& fit, std::string_view effect, int output, int i = 0) {
+  for (std::size_t at = 0; at < fit.unknowns.size(); ++at) {
+    if (fit.unknowns[at].effect == effect && fit.unknowns[at].output == output && i-- == 0)
+      return static_cast<Eigen::Index>(at);
   }
-  const std::string& unit = record.response_unit;
+  return -1;
+}
+
+Quantity unknown_quantity(const EffectFit& fit, Eigen::Index at, double factor, std::string unit) {
+  if (at < 0) return {};
+  Quantity out;
+  out.value = fit.value(at) * factor;
+  out.standard_uncertainty = std::sqrt(fit.covariance(at, at)) * std::abs(factor);
+  out.unit = std::move(unit);
+  return out;
+}
+
+/// K0 to K3 along the output's own axis, from s, O, k2, k3 at zero.
+ModelEquation model_equation_of(const EffectFit& fit, const std::string& unit) {
+  ModelEquation out;
+  const auto count = static_cast<Eigen::Index>(fit.unknowns.size());
+  static constexpr std::array<const char*, 4> kPer{"", "/g_loc", "/g_loc^2", "/g_loc^3"};
   for (int j = 0; j < 3; ++j) {
     const auto at = static_cast<std::size_t>(j);
-    if (model.drift) out.drift[at] = of(kOwnUnknowns * j + kDriftIndex, 1.0, unit);
-    if (model.nonlinearity) {
-      out.k2[at] = of(kOwnUnknowns * j + kK2Index, 1.0, "1/" + unit);
-      out.k3[at] = of(kOwnUnknowns * j + kK3Index, 1.0, "1/" + unit + "^2");
+    const Eigen::Index s = place_of(fit, "s", j);
+    const Eigen::Vector3d row = fit.value.segment<3>(s);
+    const double norm = row.norm();
+    Eigen::Matrix<double, 4, Eigen::Dynamic> by = Eigen::Matrix<double, 4, Eigen::Dynamic>::Zero(4, count);
+    Eigen::Vector4d value = Eigen::Vector4d::Zero();
+    const Eigen::Index offset = place_of(fit, "O", j);
+    value(0) = fit.value(offset);
+    by(0, offset) = 1.0;
+    value(1) = norm;
+    for (Eigen::Index k = 0; k < 3; ++k) by(1, s + k) = row(k) / norm;
+    for (int order = 2; order <= 3; ++order) {
+      const Eigen::Index k = place_of(fit, order == 2 ? "k2" : "k3", j);
+      if (k < 0) continue;
+      value(order) = fit.value(k) * std::pow(norm, order);
+      by(order, k) = std::pow(norm, order);
+    }
+    const double size = fit.unit(j);
+    out.covariance[at] = size * size * (by * fit.covariance * by.transpose());
+    for (int order = 0; order <= 3; ++order) {
+      Quantity& k = out.k[at][static_cast<std::size_t>(order)];
+      if (order >= 2 && place_of(fit, order == 2 ? "k2" : "k3", j) < 0) continue;
+      k.value = size * value(order);
+      k.standard_uncertainty = std::sqrt(out.covariance[at](order, order));
+      k.unit = unit + kPer[static_cast<std::size_t>(order)];
     }
   }
+  return out;
+}
+
+void fill_step_errors(const EffectFit& fit, const JointData& data, const RunRecord& record,
+                      JointResult& out) {
   int largest_n = record.steps;
   for (const DwellRecord* dwell : data.dwells) {
     if (!dwell->closing) largest_n = std::max(largest_n, dwell->n);
@@ -154,44 +153,74 @@ JointResult joint_outputs(const JointFit& fit, const JointData& data, const Join
   for (std::size_t i = 0; i < data.readings.size(); ++i) {
     const DwellRecord& dwell = *data.dwells[i];
     if (dwell.closing || dwell.n < 1) continue;
-    const auto step = static_cast<std::size_t>(data.readings[i].step_error);
     Quantity& f =
         out.step_error[static_cast<std::size_t>(dwell.experiment - 1)][static_cast<std::size_t>(dwell.n - 1)];
-    f.value = fit.step_error[step] * kDegreesPerRadian;
-    f.standard_uncertainty = fit.u_step_error[step] * kDegreesPerRadian;
+    f.value = fit.step_error[i] * kDegreesPerRadian;
+    f.standard_uncertainty = fit.u_step_error[i] * kDegreesPerRadian;
     f.unit = "degree";
   }
-  out.nonlinearity_fitted = model.nonlinearity;
+}
+
+JointResult joint_outputs(const EffectFit& fit, const std::string& unit) {
+  JointResult out;
+  static constexpr std::array<const char*, 3> kAlignment{"Zx", "Zy", "Xz"};
+  for (std::size_t i = 0; i < 3; ++i)
+    out.alignment[i] = unknown_quantity(fit, place_of(fit, kAlignment[i], -1), 1.0, "1");
+  const auto angle = [&](const char* name) {
+    return unknown_quantity(fit, place_of(fit, name, -1), kDegreesPerRadian, "degree");
+  };
+  out.initial_turn_error = {angle("d2"), angle("d3")};
+  out.mean_step_error = {angle("F_X"), angle("F_Z")};
+  for (int j = 0; j < 3; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    const double size = fit.unit(j);
+    out.drift[at] = unknown_quantity(fit, place_of(fit, "drift", j), size, unit);
+    out.k2[at] = unknown_quantity(fit, place_of(fit, "k2", j), 1.0 / size, "1/" + unit);
+    out.k3[at] = unknown_quantity(fit, place_of(fit, "k3", j), 1.0 / (size * size), "1/" + unit + "^2");
+    // Each half Legendre polynomial is 1/2 at the end of the run.
+    const Eigen::Index first = place_of(fit, "drift", j);
+    if (first < 0) continue;
+    Quantity& end = out.drift_at_end[at];
+    end.value = 0.5 * size * fit.value.segment<3>(first).sum();
+    end.standard_uncertainty = 0.5 * size * std::sqrt(fit.covariance.block<3, 3>(first, first).sum());
+    end.unit = unit;
+  }
+  out.nonlinearity_fitted = place_of(fit, "k2", 0) >= 0 || place_of(fit, "k3", 0) >= 0;
   out.iterations = fit.iterations;
+  out.process_probability = fit.noise.process_probability;
+  out.process_tau = fit.noise.tau;
+  out.process_rho = fit.noise.rho;
   return out;
 }
 
-/// Names of the unknowns that stand farther from their priors than the tolerances allow.
-std::vector<std::string> contradicted_priors(const JointFit& fit, const JointPriors& priors,
-                                             const JointModel& model, const Eigen::Vector3d& unit) {
-  std::vector<std::string> out;
-  const auto test = [&](const std::string& name, double deviation) {
-    if (!(std::abs(deviation) <= kPriorLevel)) {
-      out.push_back(fmt::format("{} is {:.1f} standard deviations from what the bench's tolerances say", name,
-                                deviation));
+std::vector<EffectReading> effect_readings(const JointData& data, bool one_map_per_axis) {
+  std::vector<EffectReading> out;
+  std::map<std::pair<int, long long>, int> maps;
+  for (std::size_t i = 0; i < data.readings.size(); ++i) {
+    const JointReading& from = data.readings[i];
+    EffectReading to{from.experiment, from.sin_alpha, from.cos_alpha, from.t, from.value, from.u, -1};
+    if (one_map_per_axis) {
+      // Modulo 360 degrees, to the microdegree, so that equal angles compare equal.
+      const double alpha = data.dwells[i]->alpha.deg();
+      const double turn = alpha - 360.0 * std::floor(alpha / 360.0);
+      const std::pair key(from.experiment == 3 ? 1 : 0, std::llround(turn * 1e6) % 360'000'000LL);
+      to.map = maps.try_emplace(key, static_cast<int>(maps.size())).first->second;
     }
-  };
-  static constexpr const char* kNames[kGeometryUnknowns] = {"Zx", "Zy", "Xz", "d2", "d3", "F_X", "F_Z"};
-  for (int i = 0; i < kGeometryUnknowns; ++i) {
-    if (!model.mean_step && kZx + i >= kFX) continue;
-    test(kNames[i], (fit.value(kZx + i) - priors.mean(i)) / priors.sd(i));
-  }
-  for (int j = 0; j < 3; ++j) {
-    const int own = kOwnUnknowns * j;
-    const char name = "uvw"[j];
-    if (model.drift)
-      test(fmt::format("drift of {}", name), fit.value(own + kDriftIndex) / (priors.drift * unit(j)));
-    if (model.nonlinearity) {
-      test(fmt::format("k2 of {}", name), fit.value(own + kK2Index) * unit(j) / priors.k2);
-      test(fmt::format("k3 of {}", name), fit.value(own + kK3Index) * unit(j) * unit(j) / priors.k3);
-    }
+    out.push_back(to);
   }
   return out;
+}
+
+/// A first guess of noise that nobody stated: the fit replaces it.
+void guess_noise(std::vector<EffectReading>& readings) {
+  Eigen::Vector3d low = readings.front().value;
+  Eigen::Vector3d high = low;
+  for (const EffectReading& at : readings) {
+    low = low.cwiseMin(at.value);
+    high = high.cwiseMax(at.value);
+  }
+  const Eigen::Vector3d size = (0.5e-5 * (high - low)).cwiseMax(1e-300);
+  for (EffectReading& at : readings) at.u = size;
 }
 
 void add_flags(const RunRecord& record, Diagnostics& diagnostics) {
@@ -206,120 +235,56 @@ void add_flags(const RunRecord& record, Diagnostics& diagnostics) {
                                      [](const DwellRecord& dwell) { return dwell.flags != kFlagNone; }));
 }
 
-}  // namespace
-
-CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
-  CalibrationResult result;
-  result.estimator = "joint";
-  result.source = record.source;
-  result.response_unit = record.response_unit;
-  if (record.g_loc_known) {
-    result.g_loc.value = record.g_loc.value_mps2;
-    result.g_loc.standard_uncertainty = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
-    result.g_loc.type_b = result.g_loc.standard_uncertainty;
-    result.g_loc_source = record.g_loc.source;
-  }
+void fill_gravity_of(const RunRecord& record, CalibrationResult& result) {
   result.g_loc.unit = "m/s2";
+  if (!record.g_loc_known) return;
+  result.g_loc.value = record.g_loc.value_mps2;
+  result.g_loc.standard_uncertainty = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
+  result.g_loc.type_b = result.g_loc.standard_uncertainty;
+  result.g_loc_source = record.g_loc.source;
+}
 
-  const JointPriors priors = JointPriors::from(record.tolerances, options.measured_alignment);
-  JointData data = collect_joint_data(record, options.one_map_per_axis);
+std::string words_about_noise(const EffectFit& fit, const RunRecord& record) {
+  if (!(fit.noise.process_probability > kProcessTold) || fit.noise.tau == 0.0) return {};
+  return fmt::format(
+      "the readings of {} wander from angle to angle: {:.2g} times their uncertainty, correlated over some "
+      "{:.0f} angles (probability {:.3f}); it is in the uncertainties",
+      record.source.empty() ? "this run" : record.source, fit.noise.tau, fit.noise.rho,
+      fit.noise.process_probability);
+}
+
+/// The verdict, its reasons and the notes.
+void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const RunRecord& record,
+                 CalibrationResult& result) {
   Diagnostics& diagnostics = result.diagnostics;
-  diagnostics.angles_used = static_cast<int>(data.readings.size());
-  add_flags(record, diagnostics);
-  if (data.clipped > 0) diagnostics.notes.push_back(fmt::format("{} clipped angles left out", data.clipped));
-  if (data.not_finite > 0) {
-    diagnostics.notes.push_back(fmt::format("{} angles without finite readings left out", data.not_finite));
-  }
-  if (data.readings.size() <
-      5) {  // 15 readings for 12 unknowns without a prior, and something to test them by
-    result.why = fmt::format("{} usable angles; the joint estimator needs 5 or more", data.readings.size());
-    return result;
-  }
-
-  JointModel model{.nonlinearity = options.nonlinearity != Nonlinearity::kLeftOut,
-                   .drift = options.drift,
-                   .mean_step = options.mean_step};
-  JointModel linear_model = model;
-  linear_model.nonlinearity = false;
-  JointFit fit;
-  std::string about_nonlinearity;
-  try {
-    fit = data.u_known ? joint_fit(data.readings, priors, model)
-                       : fit_with_unknown_noise(data.readings, priors, model);
-    if (options.nonlinearity == Nonlinearity::kDecide && fit.converged) {
-      const JointFit linear = joint_fit(data.readings, priors, linear_model);
-      const double gain = linear.converged ? linear.chi2 - fit.chi2 : std::numeric_limits<double>::infinity();
-      if (gain <= kNonlinearityGain) {
-        // Not seen is not absent: k2 and k3 of their own uncertainty would still shift the result, so the
-        // uncertainties stay those of the fit with them (only then does the coverage hold).
-        const JointFit with_them = fit;
-        model = linear_model;
-        fit = data.u_known ? linear : fit_with_unknown_noise(data.readings, priors, model);
-        if (fit.converged) widen_outputs(with_them, fit);
-        about_nonlinearity = fmt::format(
-            "non-linearity left out: k2 and k3 would lower chi2 by {:.3g} only; what they might be is in the "
-            "uncertainties",
-            gain);
-      } else {
-        about_nonlinearity =
-            fmt::format("non-linearity fitted: without k2 and k3 chi2 is {:.4g} higher", gain);
-      }
-    } else {
-      about_nonlinearity =
-          model.nonlinearity ? "non-linearity fitted, as asked" : "non-linearity left out, as asked";
-    }
-  } catch (const std::runtime_error& error) {
-    result.why = error.what();
-    return result;
-  }
-  if (!fit.converged) {
-    result.why = fmt::format(
-        "the joint fit did not converge ({} iterations): the readings are not those of the three "
-        "experiments, or their angles are wrong",
-        fit.iterations);
-    return result;
-  }
-
-  fill_outputs(fit, result);
-  result.joint = joint_outputs(fit, data, model, record);
-  diagnostics.degrees_of_freedom = fit.degrees_of_freedom;
-  diagnostics.reciprocal_condition = fit.reciprocal_condition;
-  diagnostics.rank =
-      kJointUnknowns - (model.mean_step ? 0 : 2) - (model.drift ? 0 : 3) - (model.nonlinearity ? 0 : 6);
-
+  const JointTests tests = test_joint_fit(fit, options, options.white_known);
+  result.joint->effects = tests.effects;
   std::vector<std::string> contradictions;
   std::string about_chi2;
-  if (data.u_known) {
-    const double probability = chi2_tail(fit.chi2, fit.degrees_of_freedom);
+  if (options.white_known) {
     diagnostics.chi2 = fit.chi2;
-    diagnostics.chi2_probability = probability;
+    diagnostics.chi2_probability = tests.chi2_probability;
     about_chi2 = fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})", fit.chi2,
-                             fit.degrees_of_freedom, probability);
-    if (!(probability >= kChi2Level)) {
+                             fit.chi2_degrees_of_freedom, tests.chi2_probability);
+    if (!(tests.chi2_probability >= tests.level)) {
       contradictions.push_back(about_chi2 +
                                ": the model does not explain the readings within their uncertainties");
     }
   } else {
-    Eigen::Vector3d u = data.readings.front().u;
+    const Eigen::Vector3d u = fit.noise.white;
     about_chi2 = fmt::format(
         "the readings carry no uncertainty: noise {:.2g}, {:.2g}, {:.2g} {} estimated from the "
         "residuals, so chi2 cannot test the model",
         u(0), u(1), u(2), record.response_unit);
     diagnostics.notes.push_back(about_chi2);
-    const double correlation = residual_autocorrelation(data.readings, fit);
-    if (std::abs(correlation) > kAutocorrelationLevel) {
-      contradictions.push_back(
-          fmt::format("successive residuals are correlated ({:.1f} standard deviations): the model does not "
-                      "explain the readings",
-                      correlation));
-    }
   }
+  for (std::string& words : contradictions_of(tests)) contradictions.push_back(std::move(words));
+  const std::string about_nonlinearity =
+      result.joint->nonlinearity_fitted ? "non-linearity fitted" : "non-linearity left out, as asked";
   diagnostics.notes.push_back(about_nonlinearity);
-  for (std::string& text : contradicted_priors(
-           fit, priors, model, intrinsic_properties(result.sensitivity_values()).sensitivity)) {
-    contradictions.push_back(std::move(text));
-  }
-  if (!options.mean_step) {
+  if (std::string words = words_about_noise(fit, record); !words.empty())
+    diagnostics.notes.push_back(std::move(words));
+  if (place_of(fit, "F_X", -1) < 0) {
     contradictions.push_back(
         "the mean step errors were left out, so the orientation about X is not what it seems");
   }
@@ -330,6 +295,70 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
     result.verdict = Verdict::kDoubtful;
     result.why = fmt::format("{}; {}", fmt::join(contradictions, "; "), about_nonlinearity);
   }
+}
+
+/// The fit, or why there is none.
+std::optional<EffectFit> fit_or_reason(std::vector<EffectReading> readings, const EffectFitOptions& options,
+                                       std::string& why) {
+  try {
+    EffectFit fit = effect_fit(readings, options);
+    if (fit.converged) {
+      if (!options.white_known) fit.noise.white = fit.noise.white.cwiseProduct(readings.front().u);
+      return fit;
+    }
+    why = fmt::format(
+        "the joint fit did not converge ({} iterations): the readings are not those of the three "
+        "experiments, or their angles are wrong",
+        fit.iterations);
+  } catch (const std::runtime_error& error) {
+    why = error.what();
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
+  CalibrationResult result;
+  result.estimator = "joint";
+  result.source = record.source;
+  result.response_unit = record.response_unit;
+  fill_gravity_of(record, result);
+
+  const JointData data = collect_joint_data(record, false);
+  Diagnostics& diagnostics = result.diagnostics;
+  diagnostics.angles_used = static_cast<int>(data.readings.size());
+  add_flags(record, diagnostics);
+  if (data.clipped > 0) diagnostics.notes.push_back(fmt::format("{} clipped angles left out", data.clipped));
+  if (data.not_finite > 0) {
+    diagnostics.notes.push_back(fmt::format("{} angles without finite readings left out", data.not_finite));
+  }
+  EffectFitOptions fit_options{.sizes = record.tolerances,
+                               .measured_alignment = options.measured_alignment,
+                               .nonlinearity = options.nonlinearity == Nonlinearity::kFitted,
+                               .drift = options.drift,
+                               .mean_step = options.mean_step,
+                               .noise_process = options.noise_process,
+                               .white_known = data.u_known};
+  if (data.readings.size() < kFewestAngles) {
+    result.why = fmt::format("{} usable angles; the joint estimator needs {} or more", data.readings.size(),
+                             kFewestAngles);
+    return result;
+  }
+  std::vector<EffectReading> readings = effect_readings(data, options.one_map_per_axis);
+  if (!data.u_known) guess_noise(readings);
+  std::optional<EffectFit> fit = fit_or_reason(std::move(readings), fit_options, result.why);
+  if (!fit) return result;
+
+  fill_line_response(*fit, result);
+  result.unstated_effects = unstated_effects(record.tolerances);
+  result.model_equation = model_equation_of(*fit, record.response_unit);
+  result.joint = joint_outputs(*fit, record.response_unit);
+  fill_step_errors(*fit, data, record, *result.joint);
+  diagnostics.degrees_of_freedom = fit->chi2_degrees_of_freedom;
+  diagnostics.reciprocal_condition = fit->reciprocal_condition;
+  diagnostics.rank = static_cast<int>(fit->unknowns.size());
+  judge_joint(*fit, fit_options, record, result);
   return result;
 }
 

@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 namespace abcal {
@@ -19,7 +20,13 @@ struct Quantity {
   std::optional<double> type_a;  ///< From the scatter of the readings.
   std::optional<double> type_b;  ///< From what is known of the stage and the instrument, to first order.
   std::string unit;
+  /// Effective degrees of freedom of standard_uncertainty; infinite where it rests on what is stated.
+  double degrees_of_freedom = std::numeric_limits<double>::infinity();
 };
+
+/// k of a coverage probability of 95.45 %: Student's t for the quantity's degrees of freedom, 2 where they
+/// are infinite. NaN below one degree of freedom.
+double coverage_factor(const Quantity& quantity);
 
 /// Whether the numbers may be used. Starts pessimistic.
 enum class Verdict {
@@ -104,7 +111,25 @@ struct Diagnostics {
   std::vector<std::string> notes;  ///< Sentences that a reader should see beside the verdict.
 };
 
-/// What only the joint estimator gives (physics.md section 5).
+/// The model equation at zero (IEEE 1293): output j at a specific force a (g_loc) along its own axis is
+/// K0 + K1 a + K2 a^2 + K3 a^3. It is not the measurand of the result, which is the line response.
+struct ModelEquation {
+  std::array<std::array<Quantity, 4>, 3> k;   ///< [output][order]: R, R/g_loc, R/g_loc^2, R/g_loc^3
+  std::array<Eigen::Matrix4d, 3> covariance;  ///< Of K0 to K3 of each output.
+};
+
+/// An effect that was estimated, and whether its size agrees with what is stated.
+struct EffectTest {
+  std::string name;            ///< "wobble of X", "hysteresis of u"
+  std::string key;             ///< Of its size in the bench file.
+  double times_stated = 0.0;   ///< Root mean square of its unknowns over their stated standard uncertainty.
+  double chi2 = 0.0;           ///< Against what the statement predicts for the estimate.
+  int degrees_of_freedom = 0;  ///< 0: the run says nothing of this effect.
+  double probability = 1.0;
+  bool passed = true;
+};
+
+/// What only the joint estimator gives (docs/joint_estimator.md).
 struct JointResult {
   std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
   std::array<Quantity, 2> initial_turn_error;  ///< d2, d3 (degree)
@@ -116,12 +141,21 @@ struct JointResult {
   std::array<Quantity, 3> k3;        ///< 1/R^2
   bool nonlinearity_fitted = false;  ///< k2 and k3 were unknowns of the fit.
   int iterations = 0;
+  std::vector<EffectTest> effects;  ///< Every effect that was an unknown.
+  /// Noise from angle to angle: probability of a process beside the white part (1/2 beforehand), its standard
+  /// deviation in units of the readings' u, its correlation length in angles.
+  double process_probability = 0.0;
+  double process_tau = 0.0;
+  double process_rho = 0.0;
+  std::array<Quantity, 3> drift_at_end;  ///< Offset at the end of the run minus its mean over the run (R).
 };
 
 /// What only the norm estimator gives.
 struct NormResult {
   int poses = 0;  ///< Poses used.
   int poses_left_out = 0;
+  /// The poses left out: their place among the poses given (from 1), and |a|/g_loc - 1.
+  std::vector<std::pair<int, double>> left_out;
   double norm_rms = std::numeric_limits<double>::quiet_NaN();  ///< rms of |a|/g_loc - 1.
   double sphere_coverage = 0.0;                                ///< 0..1: how well the poses cover the sphere.
   std::string coverage_words;  ///< What is badly covered, in words; empty if nothing.
@@ -151,7 +185,10 @@ struct CalibrationResult {
   std::optional<Covariance9> covariance_intrinsic_type_a;
   std::optional<Covariance9> covariance_intrinsic_type_b;
 
+  /// Effects in the uncertainties whose size is a default that nobody stated ("not yours").
+  std::vector<std::string> unstated_effects;
   Diagnostics diagnostics;
+  std::optional<ModelEquation> model_equation;
   std::optional<JointResult> joint;
   std::optional<NormResult> norm;
 

@@ -105,7 +105,8 @@ Covariance12 shared_type_b(const RunRecord& first, const RunRecord& second) {
   Covariance12 covariance = Covariance12::Zero();
   for (const OutputEffect& effect : type_b_effects(first)) {
     const bool of_one_angle = effect.name.starts_with("f_");
-    if (effect.name.starts_with("drift") || (of_one_angle && !same_angles)) continue;
+    // What the item does differs from run to run, or with how it is mounted.
+    if (effect.of_item || (of_one_angle && !same_angles)) continue;
     const auto common = in_second.find(effect.name);
     if (common == in_second.end()) continue;
     covariance += effect.change * common->second.transpose();

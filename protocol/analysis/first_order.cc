@@ -3,25 +3,100 @@
 #include <fmt/format.h>
 
 #include <array>
+#include <cmath>
+#include <cstddef>
+#include <numbers>
 #include <stdexcept>
+#include <utility>
 
 namespace abcal {
 
 namespace {
 
-// Central differences: the error of the slope is h^2/6 (second derivatives of sines and cosines are of order
-// 1), the round-off 1e-16/h. Both are below 1e-9 of the slope here.
-constexpr double kAxisStep = 1e-5;
-constexpr Angle kAngleStep = Angle::degrees(1e-3);
+constexpr double kRadianPerDegree = std::numbers::pi / 180.0;
+/// Two responses closer than this (relative) are the same: no direction to come from.
+constexpr double kSameResponse = 1e-6;
 
-std::array<GravityCircle, 3> circles_of(const AcsErrors& errors) {
-  return {gravity_circle(1, errors), gravity_circle(2, errors), gravity_circle(3, errors)};
+/// The record's readings as the effects see them.
+struct EffectPlaces {
+  std::vector<StagePose> poses;
+  std::vector<GravityAt> gravity;
+  std::vector<ItemPoint> points;
+};
+
+EffectPlaces places_of(std::span<const DwellRecord* const> dwells, std::span<const double> time_fractions,
+                       const Eigen::Matrix3d& s) {
+  EffectPlaces out;
+  const Eigen::Matrix3d rows = s.rowwise().normalized();
+  for (std::size_t i = 0; i < dwells.size(); ++i) {
+    const SinCos alpha = sincos(dwells[i]->alpha);
+    out.poses.push_back(StagePose::of(dwells[i]->experiment, alpha.sin, alpha.cos));
+    out.gravity.push_back(gravity_at(out.poses.back(), StageInputs::Zero()));
+    ItemPoint point{time_fractions[i], rows * out.gravity.back().g, Eigen::Vector3d::Zero()};
+    for (int j = 0; i > 0 && j < 3; ++j) {
+      const double change = point.y(j) - out.points.back().y(j);
+      if (std::abs(change) > kSameResponse) point.came_from(j) = std::copysign(1.0, change);
+    }
+    out.points.push_back(point);
+  }
+  return out;
 }
 
-Eigen::Vector3d at_dwell(const std::array<GravityCircle, 3>& circles, const DwellRecord& dwell,
-                         const AcsErrors& errors, Angle extra) {
-  return circles[static_cast<std::size_t>(dwell.experiment - 1)].at(
-      dwell.alpha + errors.rotation_error(dwell.experiment, dwell.n) + extra);
+/// What a budget shows an unknown in, and how large that is in the table's unit.
+std::pair<std::string, double> shown_unit(const StageEffect& effect) {
+  if (effect.unit == "1") return {"1", 1.0};
+  if (effect.key == "wobble_urad") return {"urad", 1e-6};
+  return {"degree", kRadianPerDegree};
+}
+
+void add_stage_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, const EffectSizes& sizes,
+                       std::vector<InputEffect>& effects) {
+  for (const StageEffect& entry : stage_effects()) {
+    const auto [unit, size] = shown_unit(entry);
+    for (int i = 0; i < entry.count; ++i) {
+      const std::string which = entry.unknown_name(i);
+      InputEffect effect;
+      effect.name = fmt::format("{}{}{}", entry.name, which.empty() ? "" : ", ", which);
+      effect.group = entry.name;
+      effect.unit = unit;
+      effect.standard_uncertainty = entry.prior(sizes) / size;
+      effect.effect.reserve(places.poses.size());
+      for (std::size_t n = 0; n < places.poses.size(); ++n) {
+        const StageShare share = entry.share(places.poses[n], i);
+        const auto& by = places.gravity[n].by_input;
+        effect.effect.push_back(
+            size * s * (by.col(share.input) * share.value + by.col(share.second_input) * share.second_value));
+      }
+      effects.push_back(std::move(effect));
+    }
+  }
+}
+
+void add_item_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, const EffectSizes& sizes,
+                      const std::string& response_unit, std::vector<InputEffect>& effects) {
+  const Eigen::Matrix3d rows = s.rowwise().normalized();
+  for (const ItemEffect& entry : item_effects()) {
+    for (int i = 0; i < entry.count; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        const std::string which = entry.unknown_name(i);
+        InputEffect effect;
+        effect.name = fmt::format("{} {}{}{}", entry.name, "uvw"[j], which.empty() ? "" : ", ", which);
+        effect.group = entry.name;
+        effect.unit = response_unit;
+        effect.standard_uncertainty = entry.prior(sizes) * s.row(j).norm();
+        effect.item = &entry;
+        effect.item_unknown = i;
+        effect.output = j;
+        effect.effect.reserve(places.points.size());
+        for (const ItemPoint& point : places.points)
+          effect.effect.push_back(entry.share(point, j, i).value * Eigen::Vector3d::Unit(j));
+        const LineShare line = entry.line(rows, j, i);
+        effect.line.segment<3>(3 * j) = line.scale * rows.row(j).transpose();
+        effect.line(9 + j) = line.offset;
+        effects.push_back(std::move(effect));
+      }
+    }
+  }
 }
 
 }  // namespace
@@ -29,68 +104,30 @@ Eigen::Vector3d at_dwell(const std::array<GravityCircle, 3>& circles, const Dwel
 std::vector<InputEffect> first_order_effects(std::span<const DwellRecord* const> dwells,
                                              std::span<const double> time_fractions,
                                              const AccelerometerModel& accelerometer,
-                                             const Tolerances& tolerances, const std::string& response_unit) {
+                                             const EffectSizes& sizes, const std::string& response_unit) {
   if (dwells.size() != time_fractions.size()) {
     throw std::invalid_argument(
         fmt::format("first-order effects: {} dwells, {} times; one of each is required", dwells.size(),
                     time_fractions.size()));
   }
   const Eigen::Matrix3d& s = accelerometer.sensitivity_matrix;
+  const EffectPlaces places = places_of(dwells, time_fractions, s);
   std::vector<InputEffect> effects;
-  effects.reserve(10 + dwells.size());
-
-  const auto add_whole_run = [&](const char* name, const char* unit, double standard_uncertainty, double step,
-                                 auto set_input) {
-    AcsErrors above;
-    AcsErrors below;
-    set_input(above, step);
-    set_input(below, -step);
-    const std::array<GravityCircle, 3> circles_above = circles_of(above);
-    const std::array<GravityCircle, 3> circles_below = circles_of(below);
-    InputEffect effect{name, unit, standard_uncertainty, 0, {}};
-    effect.effect.reserve(dwells.size());
-    for (const DwellRecord* dwell : dwells) {
-      effect.effect.push_back(s * ((at_dwell(circles_above, *dwell, above, Angle()) -
-                                    at_dwell(circles_below, *dwell, below, Angle())) /
-                                   (2.0 * step)));
-    }
+  effects.reserve(150 + dwells.size());
+  add_stage_effects(places, s, sizes, effects);
+  add_item_effects(places, s, sizes, response_unit, effects);
+  std::erase_if(effects, [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
+  const double step = step_prior(sizes) / kRadianPerDegree;
+  for (std::size_t k = 0; step > 0.0 && k < dwells.size(); ++k) {
+    InputEffect effect;
+    effect.name = fmt::format("f_{}({})", dwells[k]->experiment, dwells[k]->n);
+    effect.group = fmt::format("f_{}", dwells[k]->experiment);
+    effect.unit = "degree";
+    effect.standard_uncertainty = step;
+    effect.first_reading = k;
+    effect.effect.push_back(kRadianPerDegree * s *
+                            places.gravity[k].by_input.col(moving_angle_input(dwells[k]->experiment)));
     effects.push_back(std::move(effect));
-  };
-
-  const double alignment = sincos(tolerances.alignment).sin;
-  add_whole_run("Zx", "1", alignment, kAxisStep, [](AcsErrors& e, double v) { e.alignment.zx = v; });
-  add_whole_run("Zy", "1", alignment, kAxisStep, [](AcsErrors& e, double v) { e.alignment.zy = v; });
-  add_whole_run("Xz", "1", alignment, kAxisStep, [](AcsErrors& e, double v) { e.alignment.xz = v; });
-  const double step = kAngleStep.deg();
-  const double turn = tolerances.initial_turn.deg();
-  add_whole_run("d2", "degree", turn, step, [](AcsErrors& e, double v) { e.d2 = Angle::degrees(v); });
-  add_whole_run("d3", "degree", turn, step, [](AcsErrors& e, double v) { e.d3 = Angle::degrees(v); });
-  const double zero = tolerances.zero.deg();
-  add_whole_run("F_X", "degree", zero, step,
-                [](AcsErrors& e, double v) { e.mean_step_x = Angle::degrees(v); });
-  add_whole_run("F_Z", "degree", zero, step,
-                [](AcsErrors& e, double v) { e.mean_step_z = Angle::degrees(v); });
-
-  for (Eigen::Index j = 0; j < 3; ++j) {
-    constexpr std::array<const char*, 3> kNames{"drift u", "drift v", "drift w"};
-    InputEffect effect{
-        kNames[static_cast<std::size_t>(j)], response_unit, tolerances.drift * s.row(j).norm(), 0, {}};
-    effect.effect.reserve(dwells.size());
-    for (const double t : time_fractions) effect.effect.push_back(t * Eigen::Vector3d::Unit(j));
-    effects.push_back(std::move(effect));
-  }
-
-  const AcsErrors perfect;
-  const std::array<GravityCircle, 3> circles = circles_of(perfect);
-  for (std::size_t k = 0; k < dwells.size(); ++k) {
-    const Eigen::Vector3d slope = (at_dwell(circles, *dwells[k], perfect, kAngleStep) -
-                                   at_dwell(circles, *dwells[k], perfect, -kAngleStep)) /
-                                  (2.0 * step);
-    effects.push_back({fmt::format("f_{}({})", dwells[k]->experiment, dwells[k]->n),
-                       "degree",
-                       tolerances.step.deg(),
-                       k,
-                       {Eigen::Vector3d(s * slope)}});
   }
   return effects;
 }

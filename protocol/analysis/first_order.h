@@ -6,31 +6,38 @@
 #include <string>
 #include <vector>
 
+#include "protocol/model/effects.h"
 #include "protocol/model/forward_model.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {
 
-/// An input quantity that is known only by its tolerance, and what it does to the readings, to first order.
+/// An input quantity that is known only by the size of its effect, and what it does to the readings, to first
+/// order.
 struct InputEffect {
-  std::string name;                   ///< "Zx", "d2", "F_X", "f_1(3)", "drift u"
-  std::string unit;                   ///< "1", "degree", "R" (the record's response unit)
+  std::string name;   ///< "Zx", "d2", "F_X", "f_1(3)", "drift u", "wobble of X, cos 1/rev ..."
+  std::string group;  ///< One line of a budget: "wobble of X", "f_1", "drift".
+  std::string unit;   ///< "1", "degree", "urad", "R" (the record's response unit)
   double standard_uncertainty = 0.0;  ///< In that unit.
   std::size_t first_reading = 0;  ///< The effect below begins at this reading; it is zero before and after.
   std::vector<Eigen::Vector3d>
       effect;  ///< Change of r_u, r_v, r_w (R) for a change of the input by one unit.
+  /// Change of the measurand (line response; order of Covariance12) for a change of the input by one unit.
+  Eigen::Matrix<double, 12, 1> line = Eigen::Matrix<double, 12, 1>::Zero();
+  const ItemEffect* item = nullptr;  ///< The entry of the table; null: of the stage.
+  int item_unknown = 0;
+  int output = -1;  ///< 0, 1, 2; -1: of the stage.
 };
 
-/// One effect for each input of `tolerances`: Zx, Zy, Xz, d2, d3, F_X, F_Z, drift u, v, w, and f_i(n) of
-/// every reading (two readings at the same angle have each their own: the stage came back). By central
-/// differences of the forward model around a perfect stage with the accelerometer as estimated
-/// (metrology.md 1.1).
+/// One effect for each unknown of protocol/model/effects.h that `sizes` give a width, and f_i(n) of every
+/// reading (two readings at the same angle have each their own: the stage came back), at a perfect stage with
+/// the accelerometer as estimated.
 /// @param dwells          readings in use, in the order of the record; no closing angles
 /// @param time_fractions  their times, -1/2 .. 1/2 over the run
 /// @param accelerometer   estimated sensitivity matrix; its offset plays no part
 std::vector<InputEffect> first_order_effects(std::span<const DwellRecord* const> dwells,
                                              std::span<const double> time_fractions,
                                              const AccelerometerModel& accelerometer,
-                                             const Tolerances& tolerances, const std::string& response_unit);
+                                             const EffectSizes& sizes, const std::string& response_unit);
 
 }  // namespace abcal

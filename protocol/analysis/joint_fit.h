@@ -14,32 +14,31 @@ namespace abcal {
 
 /// Whether k2 and k3 are unknowns of the fit.
 enum class Nonlinearity {
-  kDecide,  ///< Fitted both ways; left out only where chi2 finds no use for them.
   kFitted,
-  kLeftOut,
+  kLeftOut,  ///< Zero exactly; for studies.
 };
 
 struct JointOptions {
-  Nonlinearity nonlinearity = Nonlinearity::kDecide;
-  bool drift = true;              ///< false: b_j = 0 exactly.
+  Nonlinearity nonlinearity = Nonlinearity::kFitted;
+  bool drift = true;              ///< false: no drift, of offset and of sensitivity.
   bool mean_step = true;          ///< false: F_X = F_Z = 0 exactly; for studies, not for measurements.
   bool one_map_per_axis = false;  ///< f depends on axis and angle alone: experiments 1 and 2 share it.
+  bool noise_process = true;      ///< false: the noise is white; for studies.
   MeasuredAlignment measured_alignment;
 };
 
-/// The joint estimator (physics.md section 5): sensitivity matrix, offset, alignment, turn errors, mean step
-/// errors, every step error, drift and non-linearity of one run in one fit, with priors from the record's
-/// tolerances. The sensitivity matrix of the result is, as everywhere, the one at rest in the LGCS at the
-/// default orientation (already tilted with Z). `type_a` of a result is the part of its posterior variance
-/// that comes from the readings' noise, `type_b` the part that comes from the priors.
+/// The joint estimator (docs/joint_estimator.md): the line response of the item, with every effect of
+/// protocol/model/effects.h that the record's sizes give a width as an unknown of one fit. The sensitivity
+/// matrix of the result is, as everywhere, the one at rest in the LGCS at the default orientation (already
+/// tilted with Z). `type_a` of a result is the part of its posterior variance that comes from the readings'
+/// noise, `type_b` the part that comes from the priors.
 ///
 /// Weights are 1/u_mean^2; where a dwell has none, or zero, the noise of each accelerometer is estimated from
 /// the residuals of the fit, and chi2 is absent. Dwells with kFlagClipped or kFlagNotFinite and a mean that
 /// is not finite are left out and counted in the notes.
-/// @throws std::invalid_argument a tolerance or measured uncertainty that is not greater than zero and
-/// finite;
+/// @throws std::invalid_argument a size or measured uncertainty that is not finite or below zero, or zero for
+/// alignment, initial turn, zero or step;
 ///         a reading that is not finite without its flag; an experiment number that is not 1, 2 or 3
-/// @throws std::runtime_error the readings do not determine the sensitivity matrix
 CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options = {});
 
 // ---- The fit itself, for studies: arrays in, numbers out. -----------------------------------------------

@@ -151,7 +151,7 @@ Truth draw_truth(const JointStudyOptions& options, TrialNormals& normal) {
 RunRecord simulated_run(const JointStudyOptions& options, const Truth& truth, TrialNormals& normal) {
   RunRecord record;
   record.source = "joint study";
-  record.tolerances = options.tolerances;
+  record.tolerances = without_further_effects(options.tolerances);
   record.steps = options.steps;
   record.step = Angle::degrees(360.0 / options.steps);
   const double noise = options.noise * options.scale;
@@ -185,6 +185,21 @@ AbcOutputs plain_abc(const RunRecord& record) {
   return abc_outputs(coefficients);
 }
 
+/// The measurand: the least-squares line over all directions of gravity, of an item with k2 and k3.
+struct LineResponse {
+  Eigen::Matrix3d sensitivity_matrix;
+  Eigen::Vector3d offset;
+};
+LineResponse line_response(const AccelerometerModel& aut) {
+  const Eigen::Vector3d squares = aut.sensitivity_matrix.rowwise().squaredNorm();
+  LineResponse out{aut.sensitivity_matrix, aut.offset};
+  for (int j = 0; j < 3; ++j) {
+    out.sensitivity_matrix.row(j) *= 1.0 + 0.6 * aut.k3(j) * squares(j);
+    out.offset(j) += aut.k2(j) * squares(j) / 3.0;
+  }
+  return out;
+}
+
 TrialOutput compare(const Quantity& found, double truth, double abc = kNan) {
   const double error = found.value - truth;
   const double u = found.standard_uncertainty;
@@ -196,7 +211,9 @@ Trial run_trial(const JointStudyOptions& options, std::uint64_t index) {
   TrialNormals normal(options.seed, index);
   const Truth truth = draw_truth(options, normal);
   const RunRecord record = simulated_run(options, truth, normal);
-  const CalibrationResult result = analyse_joint(record, options.joint);
+  JointOptions joint_options = options.joint;
+  joint_options.noise_process = false;  // its noise is white
+  const CalibrationResult result = analyse_joint(record, joint_options);
   Trial trial;
   if (!result.joint || !result.sensitivity_matrix) return trial;
   trial.solved = true;
@@ -208,14 +225,15 @@ Trial run_trial(const JointStudyOptions& options, std::uint64_t index) {
   const AbcOutputs abc = plain_abc(record);
   const IntrinsicProperties abc_intrinsic = intrinsic_properties(sensitivity_matrix_of(abc));
   const AccelerometerModel& aut = truth.accelerometer;
-  const IntrinsicProperties true_intrinsic = intrinsic_properties(aut.sensitivity_matrix);
+  const LineResponse line = line_response(aut);
+  const IntrinsicProperties true_intrinsic = intrinsic_properties(line.sensitivity_matrix);
   const JointResult& joint = *result.joint;
   auto& out = trial.outputs;
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t k = 0; k < 3; ++k) {
       const int row = static_cast<int>(j);
       const int col = static_cast<int>(k);
-      out.push_back(compare((*result.sensitivity_matrix)[j][k], aut.sensitivity_matrix(row, col),
+      out.push_back(compare((*result.sensitivity_matrix)[j][k], line.sensitivity_matrix(row, col),
                             abc(s_index(row, col))));
     }
   }
@@ -227,7 +245,7 @@ Trial run_trial(const JointStudyOptions& options, std::uint64_t index) {
     }
   };
   const Eigen::Vector3d none = Eigen::Vector3d::Constant(kNan);
-  triple(result.offset, aut.offset, offset_of(abc));
+  triple(result.offset, line.offset, offset_of(abc));
   triple(result.intrinsic_sensitivity, true_intrinsic.sensitivity, abc_intrinsic.sensitivity);
   triple(result.intrinsic_angle, true_intrinsic.angle_deg, abc_intrinsic.angle_deg);
   triple(joint.k2, aut.k2, none);

@@ -66,6 +66,12 @@ std::string full_name(const EffectSizeKey& key) {
 
 }  // namespace
 
+EffectSizes without_further_effects(EffectSizes sizes) {
+  sizes.step_smooth = Angle::degrees(0.0);
+  sizes.wobble_urad = sizes.sensitivity_drift = sizes.nonlinearity = sizes.hysteresis = 0.0;
+  return sizes;
+}
+
 std::span<const EffectSizeKey> effect_size_keys() {
   return kKeys;
 }

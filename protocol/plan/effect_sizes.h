@@ -44,6 +44,10 @@ struct EffectSizes {
   std::map<std::string, std::string, std::less<>> sources = {};
 };
 
+/// `sizes` with every effect that the published protocol and section 5 of the theory do not know left out
+/// (zero): smooth steps, wobble, sensitivity drift, higher non-linearity, hysteresis. For studies.
+EffectSizes without_further_effects(EffectSizes sizes);
+
 /// One size as data: what a bench file, a CSV file and a run file call it.
 struct EffectSizeKey {
   std::string_view section;    ///< "stage_uncertainty", "item_uncertainty"

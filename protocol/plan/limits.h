@@ -20,8 +20,8 @@ struct LimitsConfig {
   int max_replugs = 3;                            ///< A port that vanishes once more than this stops the run.
   std::optional<double> temperature_change_degc;  ///< Largest distance from the first angle's temperature.
   double temperature_wait_s = 3600.0;  ///< Longest wait for the temperature to be back; 0: only flagged.
-  double spread_factor = 3.0;          ///< More spread than so many times the usual is vibration.
-  int repeats = 3;  ///< An angle that is shaken, or that the axis leaves, is measured again so often.
+  double spread_factor = 3.0;          ///< Spread above this multiple of the median spread is vibration.
+  int repeats = 3;             ///< How often a shaken angle, or one that the axis leaves, is measured again.
   double norm_fraction = 0.2;  ///< Of the norm of one angle's readings, offsets included, from local gravity.
   std::optional<double> stability;       ///< Before the first angle: of the outputs, over their norm.
   std::optional<double> stability_degc;  ///< Before the first angle: of the temperature.
@@ -40,9 +40,9 @@ struct ExpectedItem {
   std::string mounting = "x y z";        ///< Along which axes u, v, w point at the default orientation.
 };
 
-/// A check of a sound bench fails so often, where its limit follows from tolerances and noise.
+/// Rate at which a check of a sound bench fails, where its limit follows from tolerances and noise.
 inline constexpr double kFalseAlarm = 1e-6;
-/// So many standard uncertainties: a normal variable is farther from its mean, on either side, once in 1e6.
+/// In standard uncertainties: a normal variable is farther from its mean, on either side, once in 1e6.
 inline constexpr double kFalseAlarmDeviate = 4.891638;
 
 /// m/s2, exact by definition (CGPM 1901): the unit g, in which instruments report.

@@ -51,7 +51,7 @@ struct DwellRecord {
   bool closing = false;  ///< The extra angle alpha = 360 degrees that shows drift; not part of the fits.
   DwellRole role = DwellRole::kPlan;  ///< kPlan with `closing` set means kClosing: RunFile stores it so.
   Angle alpha;                        ///< Desired rotation angle.
-  Angle commanded_x, commanded_z;  ///< What the stage was told (alpha modulo 360 degrees, within the travel).
+  Angle commanded_x, commanded_z;     ///< As in the plan: alpha or the initial turn, by whole turns.
   std::optional<Angle> encoder_x, encoder_z;  ///< Where it said it was; absent for an imported CSV.
   /// Middle of the dwell, in true time from the beginning of the first session: pauses between sessions are
   /// in it. (In run files of version 2 they are not.)

@@ -190,8 +190,11 @@ struct RunFailure {
   std::string consequences = fmt::format(" ({}); {}", activity, halt.words);
   const std::string& reason = failure.reason;
   try {
-    file.set_state(RunState::kInterrupted, format_utc(file.utc_now(instruments.clock)),
-                   reason + consequences);
+    const std::string utc = format_utc(file.utc_now(instruments.clock));
+    for (const StageEvent& event : instruments.stage.take_events()) {
+      file.append_event(utc, event.kind, event.text);
+    }
+    file.set_state(RunState::kInterrupted, utc, reason + consequences);
   } catch (const RunFileError& error) {
     consequences += fmt::format("; the reason could not be stored ({})", error.what());
   }

@@ -48,6 +48,7 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
   // At once: the accelerometer may have been lost while the stage moved, or one of two stage controllers
   // while the other one moved.
   const HaltOutcome halt = halt_stage(instruments_.stage);
+  for (const StageEvent& event : instruments_.stage.take_events()) journal.notify(event.kind, event.text);
   journal.notify(kPortLostEvent,
                  fmt::format("the port of {} is gone: {} ({}); {}; waiting up to {} s for it to come back",
                              name, lost.detail(), journal.activity(), halt.words,

@@ -1,15 +1,16 @@
 #include "protocol/uncertainty/budget.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <map>
 #include <span>
 #include <stdexcept>
+#include <string_view>
 
-#include "protocol/analysis/first_order.h"
+#include "protocol/analysis/analyse.h"
 #include "protocol/analysis/intrinsic_properties.h"
-#include "protocol/analysis/run_time.h"
 
 namespace abcal {
 
@@ -39,92 +40,83 @@ class BudgetMaker {
         result_(result),
         design_(AbcDesign::of_record(record)),
         jacobian_(jacobian_of(result.sensitivity_values())) {
-    const std::vector<double> all_times = run_time_fractions(record);
     std::array<Eigen::Index, 3> next{};
-    for (std::size_t i = 0; i < record.dwells.size(); ++i) {
-      const DwellRecord& dwell = record.dwells[i];
+    for (const DwellRecord& dwell : record.dwells) {
       if (dwell.closing) continue;
       dwells_.push_back(&dwell);
-      times_.push_back(all_times[i]);
       shares_.push_back(
           design_.share(dwell.experiment, next[static_cast<std::size_t>(dwell.experiment - 1)]++));
     }
   }
 
   Budget make(std::optional<double> resolution) {
-    add_stage();
+    add_effects();
     add_readings();
     if (resolution) add_resolution(*resolution);
-    add_nonlinearity();
     add_gravity();
+    // The correction adds; where it takes away (by less than a tenth), nothing is taken from the draws.
+    const Eigen::SelfAdjointEigenSolver<Covariance12> eigen(by_correction_);
+    budget_.added_covariance = budget_.other_covariance + eigen.eigenvectors() *
+                                                              eigen.eigenvalues().cwiseMax(0.0).asDiagonal() *
+                                                              eigen.eigenvectors().transpose();
     budget_.covariance =
         budget_.type_b_covariance + jacobian_ * budget_.other_covariance * jacobian_.transpose();
     OutputVector variance = OutputVector::Zero();
     for (const BudgetLine& line : budget_.lines) variance += line.contribution.cwiseAbs2();
     budget_.combined = variance.cwiseSqrt();
-    budget_.not_covered = {"nutation of the stage's axes", "stress-induced distortion of the stage",
-                           "temperature, hysteresis and remounting of the accelerometer"};
+    budget_.not_covered = {"nutation of the stage's axes beyond its stated wobble",
+                           "stress-induced distortion of the stage",
+                           "temperature and remounting of the accelerometer"};
     if (!resolution) budget_.not_covered.emplace_back("resolution of the accelerometer's output (not given)");
     return budget_;
   }
 
  private:
-  // Errors of the 12 outputs for a unit of an input.
-  Eigen::Matrix<double, 12, 1> through_the_fit(const InputEffect& input) const {
-    Eigen::Matrix<double, 12, 1> errors = Eigen::Matrix<double, 12, 1>::Zero();
-    for (std::size_t i = 0; i < input.effect.size(); ++i) {
-      const Eigen::Vector4d& share = shares_[input.first_reading + i];
-      for (Eigen::Index j = 0; j < 3; ++j) {
-        for (Eigen::Index c = 0; c < 4; ++c) errors(position(j, c)) += share(c) * input.effect[i](j);
-      }
-    }
-    return errors;
-  }
-
-  void add_stage() {
-    AccelerometerModel accelerometer;
-    accelerometer.sensitivity_matrix = result_.sensitivity_values();
-    accelerometer.offset = result_.offset_values();
-    // Step errors and drift are many inputs of one kind: one line for each experiment, one for the drift.
+  // One line for each kind of effect: what the ABC result sees of it minus what is meant, as in the result.
+  void add_effects() {
     std::map<std::string, BudgetLine> groups;
     std::map<std::string, int> members;
     std::vector<std::string> order;
-    for (const InputEffect& input :
-         first_order_effects(dwells_, times_, accelerometer, record_.tolerances, record_.response_unit)) {
-      const bool step = input.name.starts_with("f_");
-      const bool drift = input.name.starts_with("drift");
-      const std::string group = step ? input.name.substr(0, 3) : drift ? "drift" : input.name;
-      if (!groups.contains(group)) order.push_back(group);
-      BudgetLine& line = groups[group];
-      ++members[group];
-      const Eigen::Matrix<double, 12, 1> errors = through_the_fit(input);
-      const OutputVector sensitivity = jacobian_ * errors;
+    for (const OutputEffect& input : type_b_effects(record_)) {
+      if (!groups.contains(input.group)) order.push_back(input.group);
+      BudgetLine& line = groups[input.group];
+      ++members[input.group];
+      const OutputVector contribution = jacobian_ * input.change;
+      const OutputVector sensitivity = contribution / input.standard_uncertainty;
       line.unit = input.unit;
+      line.input = input.group;
       line.standard_uncertainty = std::max(line.standard_uncertainty, input.standard_uncertainty);
       line.sensitivity += sensitivity.cwiseAbs2();
-      const OutputVector contribution = sensitivity * input.standard_uncertainty;
       line.contribution += contribution.cwiseAbs2();
-      if (drift) {
-        const Eigen::Matrix<double, 12, 1> scaled = errors * input.standard_uncertainty;
-        budget_.other_covariance += scaled * scaled.transpose();
-      } else {
+      if (drawn_by_monte_carlo(input)) {
         budget_.type_b_covariance += contribution * contribution.transpose();
+        const OutputVector published = jacobian_ * input.published_change;
+        budget_.published_type_b_covariance += published * published.transpose();
+        by_correction_ += input.change * input.change.transpose() -
+                          input.published_change * input.published_change.transpose();
+      } else {
+        budget_.other_covariance += input.change * input.change.transpose();
       }
-      if (members[group] == 1) line.input = input.name;
-      // One input alone keeps the sign of its sensitivity.
-      if (!step && !drift) signed_[group] = sensitivity;
+      signed_[input.group] = sensitivity;
     }
     for (const std::string& group : order) {
       BudgetLine& line = groups[group];
       line.value = "0";
       line.distribution = "normal";
-      line.sensitivity =
-          signed_.contains(group) ? signed_[group] : OutputVector(line.sensitivity.cwiseSqrt());
+      // One input alone keeps the sign of its sensitivity.
+      line.sensitivity = members[group] == 1 ? signed_[group] : OutputVector(line.sensitivity.cwiseSqrt());
       line.contribution = line.contribution.cwiseSqrt();
       if (group.starts_with("f_")) line.input = group + "(n), " + std::to_string(members[group]) + " angles";
       if (group == "drift") line.input = "drift over the run, u v w";
       budget_.lines.push_back(line);
     }
+  }
+
+  // The inputs of the published protocol are drawn trial by trial; all others are added as normal.
+  static bool drawn_by_monte_carlo(const OutputEffect& input) {
+    static constexpr std::array<std::string_view, 7> kDrawn{"Zx", "Zy", "Xz", "d2", "d3", "F_X", "F_Z"};
+    return input.group.starts_with("f_") ||
+           std::find(kDrawn.begin(), kDrawn.end(), input.group) != kDrawn.end();
   }
 
   void add_readings() {
@@ -186,57 +178,6 @@ class BudgetMaker {
     budget_.lines.push_back(line);
   }
 
-  // What harmonics 2 and 3 show beyond their own uncertainty. A term K2 a^2 makes a second harmonic of K2/2
-  // and an offset error of K2/3; a term K3 a^3 a third harmonic of K3/4 and a sensitivity error of 3 K3/4
-  // (metrology.md 1.2).
-  void add_nonlinearity() {
-    std::array<double, 3> second{}, third{};
-    std::array<int, 3> fits{};
-    for (const FitDiagnostic& fit : result_.diagnostics.fits) {
-      if (fit.harmonics.empty()) continue;
-      const auto j = static_cast<std::size_t>(fit.accelerometer);
-      ++fits[j];
-      for (const Harmonic& harmonic : fit.harmonics) {
-        if (harmonic.order != 2 && harmonic.order != 3) continue;
-        double excess = 0.0;
-        for (const Quantity* q : {&harmonic.sin_amplitude, &harmonic.cos_amplitude}) {
-          const double u = std::isfinite(q->standard_uncertainty) ? q->standard_uncertainty : 0.0;
-          excess += q->value * q->value - u * u;
-        }
-        (harmonic.order == 2 ? second : third)[j] += std::max(0.0, excess);
-      }
-    }
-    if (*std::min_element(fits.begin(), fits.end()) == 0) {
-      budget_.not_covered.emplace_back(
-          "non-linearity of the accelerometer (too few angles for five harmonics)");
-      return;
-    }
-    BudgetLine line;
-    line.input = "non-linearity (harmonics 2, 3)";
-    line.value = "0";
-    line.unit = record_.response_unit;
-    line.distribution = "rectangular";
-    const Eigen::Matrix3d s = result_.sensitivity_values();
-    for (Eigen::Index j = 0; j < 3; ++j) {
-      const auto index = static_cast<std::size_t>(j);
-      const double h2 = std::sqrt(second[index] / fits[index]), h3 = std::sqrt(third[index] / fits[index]);
-      line.standard_uncertainty =
-          std::max({line.standard_uncertainty, h2 / std::sqrt(3.0), h3 / std::sqrt(3.0)});
-      Eigen::Matrix<double, 12, 1> errors = Eigen::Matrix<double, 12, 1>::Zero();
-      // Along the axis of maximum sensitivity, where the accelerometer sees the whole of gravity.
-      errors.segment<3>(3 * j) = s.row(j).transpose().normalized() * (3.0 * h3 / std::sqrt(3.0));
-      Eigen::Matrix<double, 12, 1> offset = Eigen::Matrix<double, 12, 1>::Zero();
-      offset(9 + j) = 2.0 / 3.0 * h2 / std::sqrt(3.0);
-      line.contribution += (jacobian_ * errors).cwiseAbs2() + (jacobian_ * offset).cwiseAbs2();
-      budget_.other_covariance += errors * errors.transpose() + offset * offset.transpose();
-    }
-    line.contribution = line.contribution.cwiseSqrt();
-    line.sensitivity = line.standard_uncertainty > 0.0
-                           ? OutputVector(line.contribution / line.standard_uncertainty)
-                           : OutputVector(OutputVector::Zero());
-    budget_.lines.push_back(line);
-  }
-
   void add_gravity() {
     BudgetLine line;
     line.input = "g_loc";
@@ -261,9 +202,9 @@ class BudgetMaker {
   AbcDesign design_;
   OutputJacobian jacobian_;
   std::vector<const DwellRecord*> dwells_;
-  std::vector<double> times_;
   std::vector<Eigen::Vector4d> shares_;
   std::map<std::string, OutputVector> signed_;
+  Covariance12 by_correction_ = Covariance12::Zero();
   Budget budget_;
 };
 

@@ -29,11 +29,16 @@ struct BudgetLine {
 struct Budget {
   std::vector<BudgetLine> lines;
   OutputVector combined = OutputVector::Zero();  ///< Root of the sum of squares of the contributions.
-  OutputCovariance type_b_covariance = OutputCovariance::Zero();  ///< Of the stage's inputs, to first order.
+  OutputCovariance type_b_covariance = OutputCovariance::Zero();  ///< Of the inputs that Monte Carlo draws.
   OutputCovariance covariance = OutputCovariance::Zero();         ///< Of all lines.
-  /// Covariance of s row by row and O due to everything but the stage's inputs (readings, resolution, drift,
-  /// non-linearity): what a Monte Carlo of the whole budget adds to the stage's.
+  /// Of the same inputs, by the ABC equations alone: what a Monte Carlo of the published protocol finds.
+  OutputCovariance published_type_b_covariance = OutputCovariance::Zero();
+  /// Covariance of s row by row and O due to everything but the inputs that Monte Carlo draws (alignment,
+  /// turns, zeros, steps): readings, resolution, all other effects.
   Covariance12 other_covariance = Covariance12::Zero();
+  /// What a Monte Carlo of the whole budget adds to the published protocol's: other_covariance, and what the
+  /// correction for k2 and k3 makes of the inputs that are drawn.
+  Covariance12 added_covariance = Covariance12::Zero();
   std::vector<std::string> not_covered;  ///< What no line stands for; part of every budget.
   std::vector<std::string> notes;
 

@@ -91,7 +91,7 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
   study.type_b = run_monte_carlo(kStudyOutputs, type_b_block, engine());
   study.budget = make_budget(record, study.result, options.resolution);
   study.combined = run_monte_carlo(
-      kStudyOutputs, whole_budget(sampler, study.budget.other_covariance, options.seed), engine());
+      kStudyOutputs, whole_budget(sampler, study.budget.added_covariance, options.seed), engine());
   study.acs_measured = options.measured.has_value();
   study.type_a = run_type_a(record, options.measured.value_or(MeasuredAcs::not_measured(record)),
                             options.seed, engine());

@@ -112,7 +112,8 @@ AccelerometerUnderTest table_2_accelerometer() {
 }
 
 Tolerances paper_tolerances() {
-  Tolerances tolerances;
+  Tolerances tolerances = without_further_effects({});
+  tolerances.k2 = tolerances.k3 = 0.0;
   tolerances.alignment = tolerances.step = Angle::degrees(0.008);
   tolerances.initial_turn = tolerances.zero = Angle::degrees(0.0);
   tolerances.drift = 0.0;

@@ -19,7 +19,6 @@
 #include "app/bench/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/microstrain_mip/codec.h"
-#include "drivers/newport_esp/stage.h"
 #include "drivers/pi_gcs/stage.h"
 #include "drivers/registry.h"
 #include "drivers/vectornav/codec.h"
@@ -51,9 +50,10 @@ struct Trouble {
   FaultKind kind;
   bool once = false;  ///< Ends with the next command (or after a second); else it lasts.
   enum class Outcome { kRight, kFault, kEither } outcome = Outcome::kEither;
-  std::set<Fault> faults{};  ///< Those that are right.
-  bool damages = false;      ///< What comes may pass for a sound reply where there are no checksums.
-  Clock::Duration delay{};   ///< Of kLateReply.
+  std::set<Fault> faults{};   ///< Those that are right.
+  bool damages = false;       ///< What comes may pass for a sound reply where there are no checksums.
+  Clock::Duration delay{};    ///< Of kLateReply.
+  bool late_refusal = false;  ///< A refusal comes, and late: it is the answer to its own command only.
 };
 
 const std::vector<Trouble>& troubles() {
@@ -77,6 +77,9 @@ const std::vector<Trouble>& troubles() {
       {"LateReplyOnceBy7s", FaultKind::kLateReply, true, kEither, {Fault::kNoReply}, false, 7s},
       {"LateReplies", FaultKind::kLateReply, false, kFault, {Fault::kNoReply}, false, 20s},
       {"RefusalOnce", FaultKind::kReplacedReply, true, kEither, refusal, true},
+      {"LateRefusalOnceBy1s", FaultKind::kReplacedReply, true, kEither, refusal, true, 1100ms, true},
+      {"LateRefusalOnceBy2s", FaultKind::kReplacedReply, true, kEither, refusal, true, 2100ms, true},
+      {"LateRefusalOnceBy7s", FaultKind::kReplacedReply, true, kEither, refusal, true, 7s, true},
       {"Unplugged", FaultKind::kUnplug, false, kFault, {Fault::kLinkLost}},
   };
   return all;
@@ -110,7 +113,7 @@ Nature nature_of(const std::string& driver, Clock::Instant now = {}) {
     return {.measures_rate = true, .deadline = kVoltmeterDeadline, .refusal = "-222,\"Data out of range\"\n"};
   if (driver == "witmotion") return {.checksums = true, .talks_by_itself = true, .measures_rate = true};
   if (driver == "text_line") return {.talks_by_itself = true, .measures_rate = true};
-  throw std::invalid_argument("nature_of: what is known of driver \"" + driver + "\"?");
+  return {};  // Nothing is known of its protocol: it has no checksums, and refuses nothing.
 }
 
 // ---- A driver and its instrument
@@ -408,6 +411,10 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
       if (trouble().once) fault.until = *fault.at + 1s;
     }
     faulty.add(fault);
+    if (trouble().late_refusal) {
+      fault.kind = FaultKind::kLateReply;
+      faulty.add(fault);
+    }
 
     const Clock::Instant begin = rig->clock().now();
     try {
@@ -467,8 +474,8 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
         } catch (const InstrumentError& thrown) {
           error = thrown.what();
           // Nothing was asked that the instrument refuses: such an error is a late answer to something else.
-          EXPECT_TRUE(thrown.fault() != Fault::kRefused || nature_.measures_rate || trouble().damages)
-              << error;
+          const bool may_refuse = nature_.measures_rate || (trouble().damages && !trouble().late_refusal);
+          EXPECT_TRUE(thrown.fault() != Fault::kRefused || may_refuse) << error;
         }
         EXPECT_LE(rig.clock().now() - begin, nature_.deadline);
       }
@@ -496,7 +503,8 @@ TEST_P(DriverFaults, EveryCallEndsInTimeWithTheRightAnswerOrTheRightFault) {
       }
     }
   }
-  EXPECT_TRUE(refused_ > 0 || trouble().kind != FaultKind::kReplacedReply || nature_.refusal.empty());
+  EXPECT_TRUE(refused_ > 0 || trouble().kind != FaultKind::kReplacedReply || trouble().late_refusal ||
+              nature_.refusal.empty());
   RecordProperty("cases", static_cast<int>(cases));
   RecordProperty("longest_ms", static_cast<int>(1e3 * to_seconds(longest_)));
 }
@@ -574,9 +582,8 @@ class StageHalts : public testing::TestWithParam<std::string> {
  protected:
   static Clock::Duration deadline() {
     if (GetParam() == "pi_gcs") return pi_gcs::kHaltDeadline;
-    if (GetParam() == "newport_esp") return newport_esp::kHaltDeadline;
     if (GetParam() == "zaber_ascii") return zaber_ascii::kHaltDeadline;
-    throw std::invalid_argument("deadline: how long may a halt of driver \"" + GetParam() + "\" last?");
+    return kDeadline;
   }
 };
 

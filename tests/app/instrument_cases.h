@@ -4,6 +4,8 @@
 #include <string>
 #include <vector>
 
+#include "drivers/registry.h"
+
 namespace abcal {
 
 struct StageCase {
@@ -26,29 +28,33 @@ inline void PrintTo(const AccelerometerCase& accelerometer, std::ostream* out) {
   *out << accelerometer.name;
 }
 
+/// Every stage driver of the registry, and the two kinds of controller side by side.
 inline const std::vector<StageCase>& stages() {
-  static const std::vector<StageCase> all{
-      {"pi_gcs", "[stage]\ndriver = \"pi_gcs\"\nport = \"PORT\"\n"},
-      {"newport_esp", "[stage]\ndriver = \"newport_esp\"\nport = \"PORT\"\n"},
-      {"zaber_ascii", "[stage]\ndriver = \"zaber_ascii\"\nport = \"PORT\"\n"},
-      {"two_controllers",
-       "[stage.x]\ndriver = \"newport_esp\"\nport = \"PORTX\"\naxis = \"1\"\n"
-       "[stage.z]\ndriver = \"pi_gcs\"\nport = \"PORTZ\"\naxis = \"1\"\n"},
-  };
+  static const std::vector<StageCase> all = [] {
+    std::vector<StageCase> cases;
+    for (const StageDriver& driver : stage_drivers())
+      cases.push_back({driver.name, "[stage]\ndriver = \"" + driver.name + "\"\nport = \"PORT\"\n"});
+    cases.push_back({"two_controllers",
+                     "[stage.x]\ndriver = \"newport_esp\"\nport = \"PORTX\"\naxis = \"1\"\n"
+                     "[stage.z]\ndriver = \"pi_gcs\"\nport = \"PORTZ\"\naxis = \"1\"\n"});
+    return cases;
+  }();
   return all;
 }
 
+/// Every accelerometer driver of the registry.
 inline const std::vector<AccelerometerCase>& accelerometers() {
-  static const std::vector<AccelerometerCase> all{
-      {"microstrain_mip", "driver = \"microstrain_mip\"\nrate_hz = 200.0\n"},
-      {"vectornav", "driver = \"vectornav\"\nrate_hz = 200.0\n", 9.81},
-      {"xsens_mti", "driver = \"xsens_mti\"\nrate_hz = 100.0\n", 9.81},
-      {"scpi_voltmeter", "driver = \"scpi_voltmeter\"\nrate_hz = 20.0\nintegration_plc = 0.02\n"},
-      {"scpi_single", "driver = \"scpi_single\"\nrate_hz = 20.0\nintegration_plc = 0.02\n"},
+  static const std::vector<AccelerometerCase> all = [] {
+    std::vector<AccelerometerCase> cases;
+    for (const AccelerometerDriver& driver : accelerometer_drivers()) {
+      AccelerometerCase one{driver.name, "driver = \"" + driver.name + "\"\n" + driver.example};
+      if (driver.output_unit == "m/s2") one.scale = 9.81;
       // 16 g over 32768 counts: the noise must be a few counts, or averaging does not resolve them.
-      {"witmotion", "driver = \"witmotion\"\nrate_hz = 100.0\nbaud = 115200\n", 1.0, 2e-3},
-      {"text_line", "driver = \"text_line\"\nrate_hz = 100.0\n"},
-  };
+      if (driver.name == "witmotion") one.noise = 2e-3;
+      cases.push_back(one);
+    }
+    return cases;
+  }();
   return all;
 }
 

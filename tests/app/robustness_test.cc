@@ -8,6 +8,7 @@
 #include <set>
 #include <stdexcept>
 #include <string>
+#include <thread>
 
 #include "app/robustness/robustness_text.h"
 
@@ -90,6 +91,23 @@ TEST(RobustnessTest, ShortfallsFollowTheKindOfTheScenario) {
   outcome.kind = ScenarioKind::kWrong;
   outcome.usable = 5;
   EXPECT_TRUE(outcome.shortfalls().empty()) << "five usable runs say nothing of their intervals";
+}
+
+/// The table of docs/effects.md, "before": a bound, not a goal. The same seed gives the same benches, so a
+/// larger count is a step back; lower the numbers when an estimator has learnt more.
+TEST(LongRobustness, NoMoreFallsShortThanBefore) {
+  constexpr int kShortGroups = 135;
+  constexpr int kWrongVerdicts = 24;
+  RobustnessOptions options;
+  options.benches = 24;
+  options.threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  int groups = 0;
+  int verdicts = 0;
+  for (const ScenarioOutcome& outcome : run_robustness_study(options).outcomes) {
+    for (const std::string& one : outcome.shortfalls()) ++(one.starts_with("usable") ? verdicts : groups);
+  }
+  EXPECT_LE(groups, kShortGroups);
+  EXPECT_LE(verdicts, kWrongVerdicts);
 }
 
 }  // namespace

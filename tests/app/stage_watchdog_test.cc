@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <condition_variable>
+#include <future>
 
 #include "app/bench/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
@@ -48,6 +49,7 @@ class HaltedStage final : public RotationStage {
     changed.notify_all();
     return acknowledges;
   }
+  Clock::Duration reply_deadline() const override { return reply; }
   bool wait_for_halt() {
     std::unique_lock lock(mutex);
     return changed.wait_for(lock, 30s, [&] { return halts > 0; });
@@ -56,6 +58,7 @@ class HaltedStage final : public RotationStage {
   std::condition_variable changed;
   int halts = 0;
   bool acknowledges = true;
+  Clock::Duration reply{};
 };
 
 class StageWatchdogTest : public testing::Test {
@@ -89,6 +92,60 @@ TEST_F(StageWatchdogTest, HaltsAStageThatNobodyHearsOfAndTheRunIsTold) {
   dog->identify();  // A new beginning.
   EXPECT_NO_THROW(dog->encoder_angle(StageAxis::kX));
   EXPECT_EQ(stage->halts, 1);
+}
+
+TEST_F(StageWatchdogTest, EachHaltIsAnEvent) {
+  EXPECT_TRUE(dog->take_events().empty());
+  dog->move_to(StageAxis::kX, Angle::degrees(30));
+  ASSERT_TRUE(stage->wait_for_halt());
+  next_error();
+  const std::vector<StageEvent> events = dog->take_events();
+  ASSERT_EQ(events.size(), 1U);
+  EXPECT_EQ(events[0].kind, "watchdog halt");
+  EXPECT_THAT(events[0].text, HasSubstr("had not answered for 0.05 s"));
+  EXPECT_TRUE(dog->take_events().empty());
+}
+
+TEST(StageWatchdog, IsNeverLessPatientThanAReplyMayTake) {
+  RealClock clock;
+  for (const auto& [reply, patience] : {std::pair(0s, 5s), std::pair(2s, 5s), std::pair(6s, 7s)}) {
+    auto stage = std::make_unique<HaltedStage>();
+    stage->reply = reply;
+    EXPECT_EQ(StageWatchdog(std::move(stage), clock).patience(), patience);
+  }
+}
+
+/// Its exchange under way fails because of the halt, as a driver's does.
+class InterruptedStage final : public RotationStage {
+ public:
+  StageInfo identify() override { return {}; }
+  void home(StageAxis) override {}
+  void move_to(StageAxis, Angle) override {}
+  MotionState motion_state(StageAxis) override {
+    halted_.get_future().wait();
+    throw InstrumentError("stage", Fault::kNotReady, "the stage is being halted");
+  }
+  Angle encoder_angle(StageAxis) override { return {}; }
+  bool halt() noexcept override {
+    halted_.set_value();
+    return true;
+  }
+
+ private:
+  std::promise<void> halted_;
+};
+
+TEST(StageWatchdog, TheFirstCauseIsToldNotThatTheStageIsBeingHalted) {
+  RealClock clock;
+  StageWatchdog dog(std::make_unique<InterruptedStage>(), clock, 50ms);
+  dog.move_to(StageAxis::kX, Angle::degrees(30));
+  try {
+    dog.motion_state(StageAxis::kX);
+    FAIL() << "nothing was thrown";
+  } catch (const InstrumentError& error) {
+    EXPECT_EQ(error.fault(), Fault::kStalled);
+    EXPECT_THAT(error.what(), HasSubstr("the watchdog halted it"));
+  }
 }
 
 TEST_F(StageWatchdogTest, SaysIfTheHaltWasNotAcknowledged) {

@@ -71,7 +71,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     }
   }
   require(found == expected.packets.size(), "a packet missing");
-  require(parser.bad_checksums() == expected.bad_checksums, "bad checksums");
+  require(parser.bad_frames() == expected.bad_frames, "bad checksums");
   require(parser.skipped_bytes() == expected.skipped_bytes, "skipped bytes");
   require(parser.has_partial() == (expected.undecided_from < bytes.size()), "bytes held back");
 

@@ -78,7 +78,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     }
   }
   require(found == expected.messages.size(), "a message missing");
-  require(parser.bad_messages() == expected.bad_messages, "bad messages");
+  require(parser.bad_frames() == expected.bad_frames, "bad messages");
   require(parser.skipped_bytes() == expected.skipped_bytes, "skipped bytes");
   require(parser.has_partial() == (expected.undecided_from < bytes.size()), "bytes held back");
 

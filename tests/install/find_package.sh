@@ -35,5 +35,9 @@ if [ "$found" != "$expected" ]; then
   printf 'expected:\n%s\nfound:\n%s\n' "$expected" "$found" >&2
   exit 1
 fi
+# A driver outside of the sources, under the installed contract.
+"$work/consumer/outside_driver_test" >"$work/contract.log" || { cat "$work/contract.log"; exit 1; }
+# The installed program finds its helper programs.
+(cd "$work" && prefix/bin/abcal report readings.csv --hdf5 readings.h5 >report.log 2>&1) || { cat "$work/report.log"; exit 1; }
 # The installed program and the library say the same.
 "$work/prefix/bin/abcal" analyse "$work/readings.csv" --json | grep -q '"estimator": "abc"'

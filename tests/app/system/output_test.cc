@@ -8,10 +8,13 @@
 #include <array>
 #include <chrono>
 #include <csignal>
+#include <filesystem>
 #include <stdexcept>
 #include <string>
 
 #include "app/system/terminal.h"
+#include "tests/support/program.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 namespace {
@@ -169,6 +172,22 @@ TEST(OutputTest, EmphasisIsForATerminalOnly) {
         "forged\xf8\n");
   }
   EXPECT_EQ(pipe.drain(), "bad\n\\xfbforged\\xf8\n");
+}
+
+// fmt::print throws where nobody reads, and a stream says nothing.
+TEST(OutputTest, NothingElseOfAppPrints) {
+  std::size_t looked_at = 0;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(test::source_folder() / "app")) {
+    const std::filesystem::path& file = entry.path();
+    if (file.extension() != ".cc" && file.extension() != ".h") continue;
+    ++looked_at;
+    const std::string text = test::read_file(file);
+    for (const char* word :
+         {"fmt::print(", "std::cout", "std::cerr", "spdlog", "printf(", "std::puts(", "fputs("})
+      EXPECT_EQ(text.find(word), std::string::npos)
+          << file << " has " << word << "; required: app/system/output.h";
+  }
+  EXPECT_GT(looked_at, 100U);
 }
 
 // Last of all, as a lost result is remembered.

@@ -686,6 +686,20 @@ TEST(MipAccelerometerTest, NeverTakesALateAnswerForThatOfTheNextCommand) {
   EXPECT_THAT(error_of([&] { bench.accelerometer->start(); }, Fault::kRefused), HasSubstr("stream on"));
 }
 
+TEST(MipAccelerometerTest, CountsNoRefusalWhileAnEarlierTryIsOutstanding) {
+  // "message format" is refused, too late: the refusal arrives before the answer to the second try.
+  FakeMipDevice::Script script;
+  script.on_command = [](FakeMipDevice& device, unsigned set, unsigned descriptor) {
+    if (set != 0x0C || descriptor != 0x0F || device.count_sent(set, descriptor) > 1) return false;
+    device.send(FakeMipDevice::answer(set, descriptor, 3),
+                from_seconds(kTwoTries / 2.0) + std::chrono::microseconds(500));
+    return true;
+  };
+  Bench bench(script);
+  EXPECT_NO_THROW(bench.accelerometer->start());
+  EXPECT_EQ(bench.device->count_sent(0x0C, 0x0F), 2);
+}
+
 TEST(MipAccelerometerTest, NeverTakesALateAnswerAfterAFailure) {
   FakeMipDevice::Script script;
   script.on_command = [](FakeMipDevice&, unsigned set, unsigned descriptor) {

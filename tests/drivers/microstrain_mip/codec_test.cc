@@ -36,7 +36,7 @@ std::string from_hex(std::string_view hex) {
 /// over.
 struct Parsed {
   std::vector<reference::FoundPacket> packets;
-  std::uint64_t bad_checksums = 0;
+  std::uint64_t bad_frames = 0;
   std::uint64_t skipped_bytes = 0;
 };
 
@@ -54,7 +54,7 @@ Parsed parse(std::string_view bytes, const std::vector<std::size_t>& pieces) {
       used += packet->payload.size() + kPacketOverhead;
     }
   }
-  parsed.bad_checksums = parser.bad_checksums();
+  parsed.bad_frames = parser.bad_frames();
   parsed.skipped_bytes = parser.skipped_bytes();
   return parsed;
 }
@@ -66,7 +66,7 @@ void expect_same_as_reference(std::string_view bytes, const std::vector<std::siz
   for (std::size_t i = 0; i < expected.packets.size(); ++i) {
     ASSERT_EQ(parsed.packets[i], expected.packets[i]) << "packet " << i;
   }
-  EXPECT_EQ(parsed.bad_checksums, expected.bad_checksums);
+  EXPECT_EQ(parsed.bad_frames, expected.bad_frames);
   EXPECT_EQ(parsed.skipped_bytes, expected.skipped_bytes);
 }
 
@@ -244,7 +244,7 @@ TEST(MipPacketParserTest, FindsThePacketBehindAFalseSyncThatClaimsIt) {
   ASSERT_TRUE(packet);
   EXPECT_EQ(packet->descriptor_set, 0x01);
   EXPECT_EQ(parser.skipped_bytes(), 4U);
-  EXPECT_EQ(parser.bad_checksums(), 1U);
+  EXPECT_EQ(parser.bad_frames(), 1U);
 }
 
 TEST(MipPacketParserTest, FindsAnAnswerBehindAFalseSyncOnceTheLineIsSilent) {
@@ -294,7 +294,7 @@ TEST(MipPacketParserTest, DecodesTheRecordedStreamWhateverTheSplit) {
     // From the README of the shared data.
     EXPECT_EQ(parsed.packets.size(), 8384U);
     EXPECT_EQ(by_set, (std::map<unsigned, int>{{0x01, 1}, {0x80, 7157}, {0x82, 714}, {0xA0, 512}}));
-    EXPECT_EQ(parsed.bad_checksums, 0U);
+    EXPECT_EQ(parsed.bad_frames, 0U);
     EXPECT_EQ(parsed.skipped_bytes, 0U);
     ASSERT_EQ(accelerations.size(), 4473U);
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();

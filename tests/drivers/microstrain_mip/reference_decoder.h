@@ -38,7 +38,7 @@ struct FoundPacket {
 
 struct Decoded {
   std::vector<FoundPacket> packets;
-  std::size_t bad_checksums = 0;
+  std::size_t bad_frames = 0;
   std::size_t skipped_bytes = 0;
   std::size_t undecided_from = 0;  ///< From here on a packet may begin that is not complete.
 };
@@ -57,7 +57,7 @@ inline Decoded decode(std::string_view bytes) {
         offset += total;
         continue;
       }
-      ++decoded.bad_checksums;
+      ++decoded.bad_frames;
     }
     ++offset;
     ++decoded.skipped_bytes;

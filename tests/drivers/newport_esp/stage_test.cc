@@ -240,6 +240,21 @@ TEST_F(NewportEspStageTest, AMotionThatAFaultHasEndedIsNotDone) {
   EXPECT_THAT(error.what(), HasSubstr("following error"));
 }
 
+TEST_F(NewportEspStageTest, AnErrorOfOneAxisIsNotTheAnswerToACommandToTheOther) {
+  connect_and_home();
+  stage_->move_to(StageAxis::kX, Angle::degrees(90.0));
+  buffer_ = {103};
+  EXPECT_NO_THROW(stage_->move_to(StageAxis::kZ, Angle::degrees(10.0)));
+  EXPECT_EQ(stage_->motion_state(StageAxis::kZ), MotionState::kStopped);
+  EXPECT_THAT(error_of([&] { stage_->motion_state(StageAxis::kX); }).what(), HasSubstr("following error"));
+  // Nor is it why a query was not answered.
+  stage_->move_to(StageAxis::kX, Angle::degrees(80.0));
+  line_.mishaps["2TP?"] = {{.instead = ""}};
+  buffer_ = {103};
+  EXPECT_EQ(stage_->encoder_angle(StageAxis::kZ).deg(), 14.5);
+  EXPECT_THAT(error_of([&] { stage_->motion_state(StageAxis::kX); }).what(), HasSubstr("following error"));
+}
+
 TEST_F(NewportEspStageTest, AHomingThatFailsLeavesNoReference) {
   connect();
   stage_->identify();

@@ -454,6 +454,22 @@ TEST_F(PiGcsStageTest, HaltIsAcknowledgedByStandstill) {
   EXPECT_TRUE(stage_->halt());
 }
 
+TEST_F(PiGcsStageTest, TheErrorOfAHaltIsNotTheAnswerToTheNextCommand) {
+  connect();
+  stage_->identify();
+  stage_->move_to(StageAxis::kX, Angle::degrees(1.0));
+  EXPECT_TRUE(stage_->halt());
+  stage_->move_to(StageAxis::kX, Angle::degrees(1.0));
+  // A stop that was repeated on a slow line takes effect, and leaves its error, only now.
+  controller_.mishaps["ERR?"] = {{.instead = "10\n", .late = {}}};
+  EXPECT_NO_THROW(stage_->move_to(StageAxis::kX, Angle::degrees(2.0)));
+  EXPECT_EQ(controller_.count("MOV 1 2.000000"), 1U);
+  // Nor is it why a query was not answered.
+  controller_.mishaps["POS? 1"] = {{.instead = "", .late = {}}};
+  controller_.mishaps["ERR?"] = {{.instead = "10\n", .late = {}}};
+  EXPECT_EQ(stage_->encoder_angle(StageAxis::kX).deg(), 14.5);
+}
+
 TEST_F(PiGcsStageTest, HaltThatChangesNothingIsNotAcknowledged) {
   controller_.stop_acknowledged_by = "nothing";
   connect();

@@ -368,6 +368,33 @@ TEST(VectorNavAccelerometerTest, NeverTakesALateErrorForTheAnswerToTheNextComman
   EXPECT_THAT(bench.commands(), Contains("VNRRG,02")) << "asks until nothing is outstanding";
 }
 
+TEST(VectorNavAccelerometerTest, CountsNoErrorWhileAnEarlierTryIsOutstanding) {
+  // The refusal of the first try arrives before the answer to the second.
+  Script script;
+  int asked = 0;
+  script.on_command = [&asked](ScriptedPort& port, const std::string& command) {
+    if (command != "VNRRG,03" || ++asked > 1) return false;
+    port.say(reference::text_message("VNERR,04", true), milliseconds(2'000) + std::chrono::microseconds(500));
+    return true;
+  };
+  Bench bench(script);
+  EXPECT_EQ(bench.accelerometer->identify().serial_number, "0100012345");
+  EXPECT_EQ(asked, 2);
+}
+
+TEST(VectorNavAccelerometerTest, CountsNoErrorOfAnEarlierProgram) {
+  Bench bench;
+  bench.port->say(reference::text_message("VNERR,08"), std::chrono::microseconds(500));
+  EXPECT_EQ(bench.accelerometer->identify().serial_number, "0100012345");
+}
+
+TEST(VectorNavAccelerometerTest, TakesNoErrorOfACommandForAFaultOfTheStream) {
+  Bench bench;
+  bench.accelerometer->start();
+  bench.port->say(reference::text_message("VNERR,05") + reference::data_message(kPeriodNs, 0, 0, 1));
+  EXPECT_EQ(bench.read_all().size(), 1U);
+}
+
 TEST(VectorNavAccelerometerTest, NeverTakesALateAnswerAfterAFailure) {
   Script script;
   bool dead = true;

@@ -76,7 +76,7 @@ struct FoundMessage {
 
 struct Decoded {
   std::vector<FoundMessage> messages;
-  std::size_t bad_checksums = 0;
+  std::size_t bad_frames = 0;
   std::size_t skipped_bytes = 0;
   std::size_t undecided_from = 0;  ///< From here on a message may begin that is not complete.
 };
@@ -155,7 +155,7 @@ inline Decoded decode(std::string_view bytes) {
       offset += frame.size;
       continue;
     }
-    if (frame.kind == Kind::kWhole) ++decoded.bad_checksums;
+    if (frame.kind == Kind::kWhole) ++decoded.bad_frames;
     ++offset;
     ++decoded.skipped_bytes;
   }

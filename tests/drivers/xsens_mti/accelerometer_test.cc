@@ -408,6 +408,48 @@ TEST(XsensMtiAccelerometerTest, NeverTakesALateErrorForTheAnswerToTheNextCommand
   EXPECT_THAT(bench.commands(), ElementsAre(0x30, 0x00, 0x00, 0x1E, 0x1C, 0x12));
 }
 
+TEST(XsensMtiAccelerometerTest, CountsNoErrorWhileAnEarlierTryIsOutstanding) {
+  // The refusal of the first try arrives before the answer to the second.
+  Script script;
+  int asked = 0;
+  script.on_command = [&asked](ScriptedPort& port, unsigned id, const std::string&) {
+    if (id != 0x00 || ++asked > 1) return false;
+    port.say(reference::message(0x42, "\x04"), milliseconds(2'000) + std::chrono::microseconds(500));
+    return true;
+  };
+  Bench bench(script);
+  EXPECT_EQ(bench.accelerometer->identify().serial_number, "037003F8");
+  EXPECT_THAT(bench.commands(), ElementsAre(0x30, 0x00, 0x00, 0x1E, 0x1C, 0x12));
+}
+
+TEST(XsensMtiAccelerometerTest, AsksAgainToSeeWhoseAnErrorIs) {
+  // The first try is lost, the second refused: only a third, with nothing else outstanding, tells.
+  Script script;
+  int asked = 0;
+  script.on_command = [&asked](ScriptedPort& port, unsigned id, const std::string&) {
+    if (id != 0x00) return false;
+    if (++asked > 1) port.say(reference::message(0x42, "\x04"), milliseconds(1));
+    return true;
+  };
+  Bench bench(script);
+  EXPECT_THAT(error_of([&] { bench.accelerometer->identify(); }, Fault::kRefused), HasSubstr("device id"));
+  EXPECT_THAT(bench.commands(), ElementsAre(0x30, 0x00, 0x00, 0x1E, 0x00));
+}
+
+TEST(XsensMtiAccelerometerTest, CountsNoErrorOfAnEarlierProgram) {
+  Bench bench;
+  bench.port->say(reference::message(0x42, "\x04"), std::chrono::microseconds(500));
+  EXPECT_EQ(bench.accelerometer->identify().serial_number, "037003F8");
+  EXPECT_THAT(bench.commands(), ElementsAre(0x30, 0x00, 0x1C, 0x12));
+}
+
+TEST(XsensMtiAccelerometerTest, TakesNoErrorOfACommandForAFaultOfTheStream) {
+  Bench bench;
+  bench.accelerometer->start();
+  bench.port->say(reference::message(0x42, "\x04") + reference::data_message(1, 0, 0, 1));
+  EXPECT_EQ(bench.read_all().size(), 1U);
+}
+
 TEST(XsensMtiAccelerometerTest, NeverTakesALateAnswerAfterAFailure) {
   Script script;
   bool dead = true;

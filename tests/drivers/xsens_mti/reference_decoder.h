@@ -43,7 +43,7 @@ struct FoundMessage {
 
 struct Decoded {
   std::vector<FoundMessage> messages;
-  std::size_t bad_messages = 0;
+  std::size_t bad_frames = 0;
   std::size_t skipped_bytes = 0;
   std::size_t undecided_from = 0;  ///< From here on a message may begin that is not complete.
 };
@@ -79,7 +79,7 @@ inline Decoded decode(std::string_view bytes) {
           offset += total;
           continue;
         }
-        ++decoded.bad_messages;
+        ++decoded.bad_frames;
       }
     }
     ++offset;

@@ -175,7 +175,7 @@ TEST(SharedTypeBTest, EffectsMakeTheTypeBCovariance) {
   Covariance12 sum = Covariance12::Zero();
   for (const OutputEffect& effect : type_b_effects(record)) sum += effect.change * effect.change.transpose();
   EXPECT_LT((sum - *result.covariance_type_b).norm(), 1e-12 * sum.norm());
-  // With itself a run shares all but drift.
+  // With itself a run shares all that the stage does.
   record.tolerances.drift = 0.0;
   const Covariance12 shared = shared_type_b(record, record);
   EXPECT_LT((shared - *analyse_abc(record).covariance_type_b).norm(), 1e-12 * shared.norm());
@@ -185,7 +185,7 @@ TEST(SharedTypeBTest, StepErrorsOfOtherAnglesAreNotShared) {
   RunRecord coarse = test::made_record({kMatrix, Eigen::Vector3d::Zero()}, {}, 12, Angle::degrees(30.0));
   RunRecord fine = test::made_record({kMatrix, Eigen::Vector3d::Zero()}, {}, 24, Angle::degrees(15.0));
   for (RunRecord* record : {&coarse, &fine}) {
-    record->tolerances = Tolerances{};
+    record->tolerances = without_further_effects({});
     record->tolerances.alignment = record->tolerances.initial_turn = record->tolerances.zero = Angle();
   }
   EXPECT_EQ(shared_type_b(coarse, fine).norm(), 0.0);
@@ -217,7 +217,7 @@ TEST(SharedTypeBTest, ZetaHasUnitVarianceOnOneStage) {
   double chi2 = 0.0;
   for (int pair = 0; pair < kPairs; ++pair) {
     const Tolerances tolerances = [] {
-      Tolerances t;
+      Tolerances t = without_further_effects({});
       t.drift = 0.0;
       return t;
     }();

@@ -18,6 +18,8 @@ inline RunRecord made_record(const AccelerometerModel& accelerometer, const AcsE
   record.source = "forward model";
   record.steps = steps;
   record.step = step;
+  // The forward model has no further effects, and the record says so.
+  record.tolerances = without_further_effects({});
   for (int experiment = 1; experiment <= 3; ++experiment) {
     for (int n = 1; n <= steps; ++n) {
       DwellRecord dwell;

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <cstddef>
+#include <string>
+#include <vector>
+
+namespace abcal {
+
+/// What is known of one axis after a halt. There is no "probably": what did not acknowledge may be moving.
+enum class AxisHalt {
+  kHalted,       ///< Its controller has said that it stands still.
+  kUnreachable,  ///< Its controller did not say so: it may be moving.
+};
+
+/// What became of each axis of a stage when it was told to halt.
+struct HaltReport {
+  std::array<AxisHalt, 2> axes{AxisHalt::kUnreachable, AxisHalt::kUnreachable};  ///< By index(StageAxis).
+
+  static HaltReport of_both(bool halted) {
+    const AxisHalt both = halted ? AxisHalt::kHalted : AxisHalt::kUnreachable;
+    return {{both, both}};
+  }
+  bool all_halted() const { return axes[0] == AxisHalt::kHalted && axes[1] == AxisHalt::kHalted; }
+  bool operator==(const HaltReport&) const = default;
+};
+
+/// For messages and records: "axis X: halted; axis Z: unreachable, may be moving".
+std::string in_words(const HaltReport& report);
+
+/// How to halt the axes on one port without the driver, e.g. from another process on an inherited descriptor
+/// after this one has died in the middle of a command: plain data. wire::carry_out() does it.
+struct HaltRecipe {
+  /// A question whose reply says whether the axes stand still, or, without `standing`, that all replies
+  /// before it belong to the past. Patterns are ECMAScript regular expressions for one whole line.
+  struct Question {
+    std::string bytes;
+    std::string reply;     ///< A line that answers this question; other lines are passed over.
+    std::string standing;  ///< What it says where all that it tells of stands still; empty: does not matter.
+    /// Several devices may answer: all that come within this time after the first must say so.
+    std::chrono::milliseconds listen{0};
+  };
+
+  std::string driver;                          ///< For messages: "pi_gcs".
+  std::array<bool, 2> axes{};                  ///< Which axes are on this port, by index(StageAxis).
+  std::string end_partial;                     ///< Ends a half-written command so that it is not carried out.
+  std::string stop;                            ///< Stops all axes; no reply to it is waited for.
+  std::vector<Question> questions;             ///< In this order, after each stop.
+  std::chrono::milliseconds reply_time{1000};  ///< For a reply; a stop is repeated after it.
+};
+
+}  // namespace abcal

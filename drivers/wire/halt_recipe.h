@@ -1,0 +1,38 @@
+#pragma once
+
+#include <string>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/halt.h"
+#include "drivers/wire/byte_stream.h"
+
+namespace abcal::wire {
+
+/// Halts the axes on a port without their driver: ends what it may have written by half, sends the stop, asks
+/// whether the axes stand still, and begins again until they do. Nobody else reads from `port` meanwhile.
+/// Never throws.
+/// @return false: not acknowledged by `deadline`; the axes may be moving.
+bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept;
+
+/// An open descriptor (a serial port or a socket) as a stream, e.g. one that was inherited from a process
+/// that died. Has no thread; does not close the descriptor, and leaves its flags as they are. Real time only.
+class DescriptorStream final : public ByteStream {
+ public:
+  /// `clock` must run in real time.
+  DescriptorStream(int descriptor, std::string name, Clock& clock)
+      : descriptor_(descriptor), name_(std::move(name)), clock_(clock) {}
+
+  void write(std::string_view bytes) override;
+  ReceivedBytes read_until(Clock::Instant deadline) override;
+  void discard_input() override;
+  std::string name() const override { return name_; }
+
+ private:
+  bool wait_for(short events, Clock::Instant deadline) const;
+
+  const int descriptor_;
+  const std::string name_;
+  Clock& clock_;
+};
+
+}  // namespace abcal::wire

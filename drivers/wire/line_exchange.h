@@ -1,0 +1,224 @@
+#pragma once
+
+#include <fmt/format.h>
+
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/instrument/instrument_settings.h"
+#include "drivers/instrument/rotation_stage.h"
+#include "drivers/wire/haltable_line.h"
+
+namespace abcal::wire {
+
+/// What became of a query that the controller need not answer. No value and no error: it stayed silent.
+template <class T>
+struct LineAnswer {
+  std::optional<T> value;
+  int error = 0;
+};
+
+/// Questions to a controller whose replies say neither what they answer nor, always, whether a command was
+/// accepted: replies come in the order of the queries, and the controller keeps its errors until it is asked.
+///
+/// How a late reply is kept from being taken for the answer to the next query: once a reply is missing or
+/// garbled, nothing else is asked before the identity query has been answered, whose answer is known to the
+/// letter and looks like no other. Whatever came before that answer belongs to the past.
+///
+/// How a late error is kept from being taken for the answer to the next command: what the controller may
+/// still hold of the past is read before a command is sent, and an error that no command of the owner can
+/// have caused (the driver says which) is not counted.
+///
+/// All calls: only with the line locked.
+class LineExchange {
+ public:
+  struct Manner {
+    std::string identity_request;    ///< As sent.
+    std::string_view identity_name;  ///< For messages: "*IDN?".
+    std::string error_request;       ///< As sent.
+    std::string_view error_name;
+    Clock::Duration patience;  ///< For a reply.
+    /// A frame as it is compared with the identity; what it makes empty is passed over.
+    std::string (*normal)(std::string_view frame);
+    std::string (*show)(std::string_view bytes);  ///< Foreign bytes in a message.
+  };
+
+  /// `read_errors` asks for the errors that the controller holds, clears them, and returns the first (0:
+  /// there was none), by way of ask_error(). `code_of`: the error code in a reply to the error query.
+  struct Errors {
+    std::function<int(std::string_view after)> read;
+    std::function<std::optional<int>(const std::string& frame)> code_of;
+  };
+
+  LineExchange(HaltableLine& line, Manner manner, Errors errors)
+      : line_(line), manner_(std::move(manner)), errors_(std::move(errors)) {}
+
+  /// The answer to the identity query, as it came. Empty: not known.
+  const std::string& identity() const { return identity_; }
+
+  /// Asks for the identity, twice if need be, until `accept` says that a reply is one; tells what was heard
+  /// if there was none. @throws InstrumentError kNoReply with `if_silent`, kWrongIdentity with `if_foreign`.
+  void identify(const std::function<bool(const std::string& frame)>& accept, std::string_view if_silent,
+                std::string_view if_foreign, std::size_t most_bytes);
+
+  /// Throws away what has come, sends, and waits for one reply; nothing at the deadline.
+  std::optional<std::string> exchange(std::string_view request, Clock::Duration patience);
+
+  /// Asks at most twice. `parse` makes a value of a reply, or nothing of what is no answer.
+  /// @throws InstrumentError kNoReply: the controller is silent altogether; kBadFrame: both were garbled.
+  template <class Parse>
+  auto ask(const std::string& request, std::string_view shown, Parse parse, Clock::Duration patience) {
+    using T = typename std::invoke_result_t<Parse, const std::string&>::value_type;
+    for (int attempt = 1;; ++attempt) {
+      ensure_in_step(shown);
+      std::optional<std::string> reply = exchange(request, patience);
+      if (!reply) {
+        in_step_ = false;
+        reply = resynchronise(shown);
+      }
+      if (reply) {
+        if (auto value = parse(*reply)) return LineAnswer<T>{std::move(value), 0};
+        in_step_ = false;
+        if (attempt == 2) throw no_answer(*reply, shown);
+        continue;
+      }
+      // It is there, but said nothing to this query: then it has put the reason among its errors, unless that
+      // was there before (an unacknowledged halt leaves one).
+      const bool was_there = error_may_wait_;
+      if (const int code = errors_.read(shown); code != 0 && !was_there)
+        return LineAnswer<T>{std::nullopt, code};
+      if (attempt == 2) return LineAnswer<T>{};
+    }
+  }
+
+  /// Asks for what the controller must know. `refusal` makes the error of a code and the query.
+  template <class Parse, class Refusal>
+  auto require(const std::string& request, std::string_view shown, Parse parse, Refusal refusal) {
+    auto answer = ask(request, shown, parse, manner_.patience);
+    if (answer.value) return *std::move(answer.value);
+    if (answer.error != 0) throw refusal(answer.error, shown);
+    throw line_.failure(Fault::kNoReply,
+                        fmt::format("no answer to \"{}\" within {} s, asked twice, though \"{}\" is answered",
+                                    shown, to_seconds(manner_.patience), manner_.identity_name));
+  }
+
+  /// Sends a set command and the error query in one piece, once, and returns the code. What the controller
+  /// held before is read first.
+  int execute(std::string_view command, std::string_view shown);
+
+  /// Asks the error query once. Never twice: the code would be gone.
+  int ask_error(std::string_view after);
+
+  /// The controller may hold an error that belongs to the past (after a halt, say), or holds none.
+  void error_may_wait(bool may) { error_may_wait_ = may; }
+
+ private:
+  InstrumentError no_answer(const std::string& reply, std::string_view shown) const;
+  std::optional<std::string> take(Clock::Instant deadline);
+  std::optional<std::string> resynchronise(std::string_view unanswered);
+  void ensure_in_step(std::string_view next) {
+    if (!in_step_) resynchronise(next);
+  }
+  int error_in(std::optional<std::string> reply, std::string_view after);
+
+  HaltableLine& line_;
+  const Manner manner_;
+  const Errors errors_;
+  std::string identity_;  ///< Normal.
+  bool in_step_ = true;   ///< False: a reply may still come to a query that is given up.
+  bool error_may_wait_ = true;
+};
+
+/// What a driver of a stage on a line has to write: the calls of RotationStage, each made with the line
+/// locked, and what a halt asks.
+class LineController {
+ public:
+  LineController(std::string_view what, std::unique_ptr<ByteStream> stream, Clock& clock,
+                 HaltableLine::CheckFrame check_frame, HaltableLine::Halting halting)
+      : line_(what, std::move(stream), clock, check_frame, std::move(halting)) {}
+  virtual ~LineController() = default;
+  LineController(const LineController&) = delete;
+  LineController& operator=(const LineController&) = delete;
+
+  virtual StageInfo identify() = 0;
+  virtual void home(StageAxis axis) = 0;
+  virtual void move_to(StageAxis axis, Angle target) = 0;
+  virtual MotionState motion_state(StageAxis axis) = 0;
+  virtual Angle encoder_angle(StageAxis axis) = 0;
+
+  /// A halt begins: what was known of the motion is known no more.
+  virtual void forget_motion() = 0;
+  /// Whether the controller says that all axes stand still.
+  virtual bool has_stopped() = 0;
+  virtual Clock::Duration reply_deadline() const = 0;
+  /// How another process halts it, with what is known so far.
+  virtual HaltRecipe halt_recipe() const = 0;
+
+  HaltableLine& line() { return line_; }
+  const HaltableLine& line() const { return line_; }
+
+ protected:
+  InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
+
+ private:
+  HaltableLine line_;  ///< Its lock guards all that the driver keeps.
+};
+
+/// A stage made of its controller. One owner thread; halt() from any.
+class LineStage : public RotationStage {
+ private:
+  template <class Call>
+  auto locked(const Call& call) {
+    const std::lock_guard lock(controller_->line());
+    return call(*controller_);
+  }
+
+ public:
+  StageInfo identify() final {
+    return locked([](LineController& c) { return c.identify(); });
+  }
+  void home(StageAxis axis) final {
+    locked([&](LineController& c) { c.home(axis); });
+  }
+  void move_to(StageAxis axis, Angle target) final {
+    locked([&](LineController& c) { c.move_to(axis, target); });
+  }
+  MotionState motion_state(StageAxis axis) final {
+    return locked([&](LineController& c) { return c.motion_state(axis); });
+  }
+  Angle encoder_angle(StageAxis axis) final {
+    return locked([&](LineController& c) { return c.encoder_angle(axis); });
+  }
+  /// Sends the stop at once, without waiting for an exchange that is under way; then asks until all axes
+  /// stand still.
+  bool halt() noexcept final {
+    return controller_->line().halt([this] { controller_->forget_motion(); },
+                                    [this] { return controller_->has_stopped(); });
+  }
+  Clock::Duration reply_deadline() const final { return controller_->reply_deadline(); }
+  std::vector<HaltRecipe> halt_recipes() final {
+    return locked([](LineController& c) { return std::vector{c.halt_recipe()}; });
+  }
+
+ protected:
+  explicit LineStage(std::unique_ptr<LineController> controller) : controller_(std::move(controller)) {}
+
+ private:
+  std::unique_ptr<LineController> controller_;
+};
+
+/// What every stage driver checks of its settings. `maker`: "Newport". `axis_words`: "the number".
+/// @throws std::invalid_argument no stream, no axis, one axis twice, a speed that is not a positive number.
+void check_stage_settings(std::string_view maker, std::string_view axis_words, const ByteStream* stream,
+                          const StageSettings& settings);
+
+}  // namespace abcal::wire

@@ -1,0 +1,152 @@
+#include "protocol/analysis/joint_verdict.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Eigenvalues>
+#include <boost/math/special_functions/erf.hpp>
+#include <cmath>
+#include <cstddef>
+#include <numbers>
+
+#include "protocol/analysis/chi2_tail.h"
+
+namespace abcal {
+namespace {
+
+/// A direction of an effect of which the run tells less than this share of the prior's variance is not
+/// tested.
+constexpr double kInformative = 0.02;
+/// Fewer whitened residuals that are free tell nothing of their correlation.
+constexpr double kFewestFree = 20.0;
+
+bool same_effect(const EffectUnknown& a, const EffectUnknown& b) {
+  return a.effect == b.effect && a.output == b.output;
+}
+
+EffectTest test_effect(const EffectFit& fit, Eigen::Index first, Eigen::Index count) {
+  const EffectUnknown& unknown = fit.unknowns[static_cast<std::size_t>(first)];
+  EffectTest test;
+  test.name =
+      unknown.output >= 0 ? fmt::format("{} of {}", unknown.effect, "uvw"[unknown.output]) : unknown.effect;
+  test.key = unknown.key;
+  Eigen::VectorXd relative(count);
+  Eigen::MatrixXd predicted = Eigen::MatrixXd::Identity(count, count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const EffectUnknown& of_i = fit.unknowns[static_cast<std::size_t>(first + i)];
+    relative(i) = (fit.value(first + i) - of_i.prior_mean) / of_i.prior_sd;
+    for (Eigen::Index k = 0; k < count; ++k) {
+      predicted(i, k) -= fit.covariance(first + i, first + k) /
+                         (of_i.prior_sd * fit.unknowns[static_cast<std::size_t>(first + k)].prior_sd);
+    }
+  }
+  test.times_stated = relative.norm() / std::sqrt(static_cast<double>(count));
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(predicted);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const double share = eigen.eigenvalues()(i);
+    if (share < kInformative) continue;
+    const double along = eigen.eigenvectors().col(i).dot(relative);
+    test.chi2 += along * along / share;
+    ++test.degrees_of_freedom;
+  }
+  if (test.degrees_of_freedom > 0) test.probability = chi2_tail(test.chi2, test.degrees_of_freedom);
+  return test;
+}
+
+/// The step errors without memory, as the estimates that they are.
+EffectTest test_steps(const EffectFit& fit, double step_sd) {
+  EffectTest test;
+  test.name = "step errors";
+  test.key = "step_deg";
+  double squares = 0.0;
+  double expected = 0.0;
+  for (std::size_t n = 0; n < fit.step_error.size(); ++n) {
+    const double f = fit.step_error[n] / step_sd;
+    const double u = fit.u_step_error[n] / step_sd;
+    squares += f * f;
+    expected += std::max(0.0, 1.0 - u * u);
+  }
+  test.degrees_of_freedom = static_cast<int>(std::floor(expected));
+  if (test.degrees_of_freedom < 1) return test;
+  test.chi2 = squares;
+  test.times_stated = std::sqrt(squares / expected);
+  test.probability = chi2_tail(squares, test.degrees_of_freedom);
+  return test;
+}
+
+/// Sum of products of successive whitened residuals of one output, in standard deviations. The fit itself
+/// correlates them: their covariance is I - H, of which a band is enough.
+double lag_one(const EffectFit& fit, int output) {
+  constexpr Eigen::Index kBand = 6;
+  const auto count = static_cast<Eigen::Index>(fit.whitened.size());
+  const auto h = [&](Eigen::Index a, Eigen::Index b) {
+    if (a < 0 || b < 0 || a >= count || b >= count) return 0.0;
+    return (a == b ? 1.0 : 0.0) -
+           fit.whitened_design.row(3 * a + output).dot(fit.whitened_design.row(3 * b + output));
+  };
+  Eigen::MatrixXd band(count, 2 * kBand + 1);
+  for (Eigen::Index n = 0; n < count; ++n) {
+    for (Eigen::Index k = -kBand; k <= kBand; ++k) band(n, k + kBand) = h(n, n + k);
+  }
+  const auto at = [&](Eigen::Index a, Eigen::Index b) {
+    if (a < 0 || b < 0 || a >= count || b >= count || std::abs(b - a) > kBand) return 0.0;
+    return band(a, b - a + kBand);
+  };
+  double products = 0.0;
+  double expected = 0.0;
+  double variance = 0.0;
+  double free = 0.0;
+  for (Eigen::Index n = 0; n < count; ++n) {
+    free += at(n, n);
+    if (n + 1 == count) break;
+    products += fit.whitened[static_cast<std::size_t>(n)](output) *
+                fit.whitened[static_cast<std::size_t>(n + 1)](output);
+    expected += at(n, n + 1);
+    for (Eigen::Index m = std::max<Eigen::Index>(0, n - kBand); m <= std::min(count - 2, n + kBand); ++m)
+      variance += at(n, m) * at(n + 1, m + 1) + at(n, m + 1) * at(n + 1, m);
+  }
+  if (free < kFewestFree || !(variance > 0.0)) return 0.0;
+  return (products - expected) / std::sqrt(variance);
+}
+
+}  // namespace
+
+JointTests test_joint_fit(const EffectFit& fit, const EffectFitOptions& options, bool chi2_known,
+                          int further_tests) {
+  JointTests out;
+  const auto count = static_cast<Eigen::Index>(fit.unknowns.size());
+  for (Eigen::Index first = 0; first < count;) {
+    Eigen::Index last = first + 1;
+    const EffectUnknown& unknown = fit.unknowns[static_cast<std::size_t>(first)];
+    while (last < count && same_effect(unknown, fit.unknowns[static_cast<std::size_t>(last)])) ++last;
+    if (std::isfinite(unknown.prior_sd)) out.effects.push_back(test_effect(fit, first, last - first));
+    first = last;
+  }
+  if (!fit.step_error.empty() && options.sizes.step.rad() > 0.0 && fit.u_step_error.front() > 0.0)
+    out.effects.push_back(test_steps(fit, options.sizes.step.rad()));
+  const auto tests = static_cast<double>(static_cast<int>(out.effects.size()) + 4 + further_tests);
+  out.level = kFamilyWiseFalseAlarm / tests;
+  for (EffectTest& test : out.effects) test.passed = test.probability >= out.level;
+  if (chi2_known) out.chi2_probability = chi2_tail(fit.chi2, fit.chi2_degrees_of_freedom);
+  for (int j = 0; j < 3; ++j) out.autocorrelation[static_cast<std::size_t>(j)] = lag_one(fit, j);
+  return out;
+}
+
+std::vector<std::string> contradictions_of(const JointTests& tests) {
+  std::vector<std::string> out;
+  for (const EffectTest& test : tests.effects) {
+    if (test.passed) continue;
+    out.push_back(fmt::format("{} is {:.1f} times the stated size ({}; probability {:.1g})", test.name,
+                              test.times_stated, test.key, test.probability));
+  }
+  const double deviate = std::numbers::sqrt2 * boost::math::erfc_inv(tests.level);
+  for (std::size_t j = 0; j < 3; ++j) {
+    if (std::abs(tests.autocorrelation[j]) <= deviate) continue;
+    out.push_back(fmt::format(
+        "successive residuals of {} are correlated ({:.1f} standard deviations): the model does not explain "
+        "the readings",
+        "uvw"[j], tests.autocorrelation[j]));
+  }
+  return out;
+}
+
+}  // namespace abcal

@@ -1,0 +1,213 @@
+#include "protocol/model/effects.h"
+
+#include <cmath>
+
+namespace abcal {
+namespace {
+
+constexpr int kWobbleHarmonics = 3;
+constexpr int kSmoothHarmonics = kHarmonics;
+
+std::string one_name(const char* name) {
+  return name;
+}
+
+/// An unknown that is one input at every pose at which `acts`.
+template <int input, bool (*acts)(const StagePose&)>
+StageShare whole_input(const StagePose& pose, int /*i*/) {
+  return {input, acts(pose) ? 1.0 : 0.0, 0, 0.0};
+}
+bool always(const StagePose& /*pose*/) {
+  return true;
+}
+bool in_experiment_2(const StagePose& pose) {
+  return pose.experiment == 2;
+}
+bool in_experiment_3(const StagePose& pose) {
+  return pose.experiment == 3;
+}
+bool x_moves(const StagePose& pose) {
+  return pose.about_x();
+}
+
+double alignment_prior(const EffectSizes& sizes) {
+  return sincos(sizes.alignment).sin;
+}
+double turn_prior(const EffectSizes& sizes) {
+  return sizes.initial_turn.rad();
+}
+double zero_prior(const EffectSizes& sizes) {
+  return sizes.zero.rad();
+}
+double smooth_prior(const EffectSizes& sizes) {
+  return sizes.step_smooth.rad();
+}
+double wobble_prior(const EffectSizes& sizes) {
+  return sizes.wobble_urad * 1e-6;
+}
+
+/// D_m sin(m a), E_m (cos(m a) - 1), m = 1 .. 6, of the axis that moves.
+template <bool of_x>
+StageShare smooth_share(const StagePose& pose, int i) {
+  const auto m = static_cast<std::size_t>(i / 2 + 1);
+  if (pose.about_x() != of_x) return {};
+  const AngleHarmonics& a = pose.moving();
+  return {of_x ? kInputAngleX : kInputAngleZ, i % 2 == 0 ? a.sin[m] : a.cos[m] - 1.0, 0, 0.0};
+}
+std::string smooth_name(int i) {
+  return std::string(i % 2 == 0 ? "sin " : "cos ") + std::to_string(i / 2 + 1) + "/rev";
+}
+
+/// c cos(m a) + d sin(m a), m = 1 .. 3, along the two directions across the axis; it acts also where the axis
+/// stands, and at the pose (0, 0), where s is defined.
+template <bool of_x>
+StageShare wobble_share(const StagePose& pose, int i) {
+  const auto m = static_cast<std::size_t>(i / 4 + 1);
+  const int direction = (i / 2) % 2;
+  const AngleHarmonics& a = of_x ? pose.x : pose.z;
+  const int input = (of_x ? kInputTiltXy : kInputTiltZx) + direction;
+  const int zero = (of_x ? kInputTiltXyAtZero : kInputTiltZxAtZero) + direction;
+  if (i % 2 == 0) return {input, a.cos[m], zero, 1.0};
+  return {input, a.sin[m], zero, 0.0};
+}
+std::string wobble_name(int i) {
+  return std::string(i % 2 == 0 ? "cos " : "sin ") + std::to_string(i / 4 + 1) + "/rev, direction " +
+         std::to_string((i / 2) % 2 + 1);
+}
+
+constexpr std::array kStageEffects{
+    StageEffect{"Zx", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZx, always>,
+                [](int) { return one_name(""); }},
+    StageEffect{"Zy", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZy, always>,
+                [](int) { return one_name(""); }},
+    StageEffect{"Xz", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputXz, always>,
+                [](int) { return one_name(""); }},
+    StageEffect{"d2", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleZ, in_experiment_2>,
+                [](int) { return one_name(""); }},
+    StageEffect{"d3", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleX, in_experiment_3>,
+                [](int) { return one_name(""); }},
+    StageEffect{"F_X", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleX, x_moves>,
+                [](int) { return one_name(""); }},
+    StageEffect{"F_Z", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleZ, in_experiment_3>,
+                [](int) { return one_name(""); }},
+    StageEffect{"smooth step errors of X", "step_smooth_deg", 2 * kSmoothHarmonics, "radian", smooth_prior,
+                smooth_share<true>, smooth_name},
+    StageEffect{"smooth step errors of Z", "step_smooth_deg", 2 * kSmoothHarmonics, "radian", smooth_prior,
+                smooth_share<false>, smooth_name},
+    StageEffect{"wobble of X", "wobble_urad", 4 * kWobbleHarmonics, "radian", wobble_prior,
+                wobble_share<true>, wobble_name},
+    StageEffect{"wobble of Z", "wobble_urad", 4 * kWobbleHarmonics, "radian", wobble_prior,
+                wobble_share<false>, wobble_name},
+};
+
+double nonlinearity_prior(const EffectSizes& sizes) {
+  return sizes.nonlinearity;
+}
+
+/// Half the Legendre polynomials of 2 t, orders 1, 2, 3.
+ItemShare drift_share(const ItemPoint& at, int /*output*/, int i) {
+  const double x = 2.0 * at.t;
+  if (i == 0) return {0.5 * x, 0.0};
+  if (i == 1) return {(3.0 * x * x - 1.0) / 4.0, 0.0};
+  return {(5.0 * x * x - 3.0) * x / 4.0, 0.0};
+}
+std::string drift_name(int i) {
+  return "of order " + std::to_string(i + 1);
+}
+
+ItemShare sensitivity_drift_share(const ItemPoint& at, int output, int /*i*/) {
+  return {at.t * at.y(output), at.t};
+}
+
+template <int order>
+ItemShare power_share(const ItemPoint& at, int output, int /*i*/) {
+  const double y = at.y(output);
+  double lower = 1.0;
+  for (int k = 1; k < order; ++k) lower *= y;
+  return {lower * y, order * lower};
+}
+ItemShare absolute_share(const ItemPoint& at, int output, int /*i*/) {
+  const double y = at.y(output);
+  return {std::abs(y), std::copysign(1.0, y)};
+}
+
+/// a b, a d, b d, b^2, d^2 with a the output's own y, b and d those of the next two in the order u, v, w, u.
+ItemShare cross_share(const ItemPoint& at, int output, int i) {
+  const double a = at.y(output);
+  const double b = at.y((output + 1) % 3);
+  const double d = at.y((output + 2) % 3);
+  const std::array<ItemShare, 5> shares{ItemShare{a * b, b}, ItemShare{a * d, d}, ItemShare{b * d, 0.0},
+                                        ItemShare{b * b, 0.0}, ItemShare{d * d, 0.0}};
+  return shares[static_cast<std::size_t>(i)];
+}
+std::string cross_name(int i) {
+  static constexpr std::array<const char*, 5> kNames{"own and next", "own and last", "next and last",
+                                                     "next squared", "last squared"};
+  return kNames[static_cast<std::size_t>(i)];
+}
+/// The mean over all directions of a product of two linear responses is a third of their rows' product.
+LineShare cross_line(const Eigen::Matrix3d& rows, int output, int i) {
+  const Eigen::Vector3d a = rows.row(output);
+  const Eigen::Vector3d b = rows.row((output + 1) % 3);
+  const Eigen::Vector3d d = rows.row((output + 2) % 3);
+  const std::array<double, 5> means{a.dot(b) / 3.0, a.dot(d) / 3.0, b.dot(d) / 3.0, 1.0 / 3.0, 1.0 / 3.0};
+  return {0.0, means[static_cast<std::size_t>(i)]};
+}
+
+ItemShare hysteresis_share(const ItemPoint& at, int output, int /*i*/) {
+  return {at.came_from(output), 0.0};
+}
+
+LineShare no_line(const Eigen::Matrix3d& /*rows*/, int /*output*/, int /*i*/) {
+  return {};
+}
+/// Mean of y^n over the sphere is 1/(n + 1) for even n; the slope of y^n is 3/(n + 2) for odd n.
+template <int order>
+LineShare power_line(const Eigen::Matrix3d& /*rows*/, int /*output*/, int /*i*/) {
+  if constexpr (order % 2 == 0) return {0.0, 1.0 / (order + 1)};
+  return {3.0 / (order + 2), 0.0};
+}
+LineShare absolute_line(const Eigen::Matrix3d& /*rows*/, int /*output*/, int /*i*/) {
+  return {0.0, 0.5};
+}
+
+constexpr std::array kItemEffects{
+    ItemEffect{"drift", "drift", 3, [](const EffectSizes& s) { return s.drift; }, drift_share, no_line,
+               drift_name},
+    ItemEffect{"sensitivity drift", "sensitivity_drift", 1,
+               [](const EffectSizes& s) { return s.sensitivity_drift; }, sensitivity_drift_share, no_line,
+               [](int) { return one_name(""); }},
+    ItemEffect{"k2", "k2", 1, [](const EffectSizes& s) { return s.k2; }, power_share<2>, power_line<2>,
+               [](int) { return one_name(""); }},
+    ItemEffect{"k3", "k3", 1, [](const EffectSizes& s) { return s.k3; }, power_share<3>, power_line<3>,
+               [](int) { return one_name(""); }},
+    ItemEffect{"k4", "nonlinearity", 1, nonlinearity_prior, power_share<4>, power_line<4>,
+               [](int) { return one_name(""); }},
+    ItemEffect{"k5", "nonlinearity", 1, nonlinearity_prior, power_share<5>, power_line<5>,
+               [](int) { return one_name(""); }},
+    ItemEffect{"|a|", "nonlinearity", 1, nonlinearity_prior, absolute_share, absolute_line,
+               [](int) { return one_name(""); }},
+    ItemEffect{"cross terms", "nonlinearity", 5, nonlinearity_prior, cross_share, cross_line, cross_name},
+    ItemEffect{"hysteresis", "hysteresis", 1, [](const EffectSizes& s) { return s.hysteresis; },
+               hysteresis_share, no_line, [](int) { return one_name(""); }},
+};
+
+}  // namespace
+
+std::span<const StageEffect> stage_effects() {
+  return kStageEffects;
+}
+
+std::span<const ItemEffect> item_effects() {
+  return kItemEffects;
+}
+
+double step_prior(const EffectSizes& sizes) {
+  return sizes.step.rad();
+}
+
+int moving_angle_input(int experiment) {
+  return experiment == 3 ? kInputAngleZ : kInputAngleX;
+}
+
+}  // namespace abcal

@@ -1,0 +1,218 @@
+// Halting without the driver: by its recipe, on the port that it left in the middle of a command.
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <array>
+#include <memory>
+
+#include "app/bench/make_firmware.h"
+#include "app/bench/real_clock.h"
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/instrument/split_stage.h"
+#include "drivers/registry.h"
+#include "drivers/wire/halt_recipe.h"
+#include "sim/faults.h"
+#include "sim/firmware/firmware_stream.h"
+#include "sim/sim_clock.h"
+
+namespace abcal {
+namespace {
+
+using namespace std::chrono_literals;
+
+std::vector<std::string> names_of_stages() {
+  std::vector<std::string> names;
+  for (const StageDriver& driver : stage_drivers()) names.push_back(driver.name);
+  return names;
+}
+
+const StageDriver& stage_driver(const std::string& name) {
+  for (const StageDriver& driver : stage_drivers())
+    if (driver.name == name) return driver;
+  throw std::invalid_argument("no stage driver is called \"" + name + "\"");
+}
+
+/// What the driver uses; the test holds the other end and knows what was written.
+class NotedStream final : public wire::ByteStream {
+ public:
+  NotedStream(std::shared_ptr<wire::ByteStream> inner, std::vector<std::string>& written)
+      : inner_(std::move(inner)), written_(written) {}
+  void write(std::string_view bytes) override {
+    written_.emplace_back(bytes);
+    inner_->write(bytes);
+  }
+  wire::ReceivedBytes read_until(Clock::Instant deadline) override { return inner_->read_until(deadline); }
+  void discard_input() override { inner_->discard_input(); }
+  std::string name() const override { return inner_->name(); }
+
+ private:
+  std::shared_ptr<wire::ByteStream> inner_;
+  std::vector<std::string>& written_;
+};
+
+template <class AnyClock>
+struct Rig {
+  explicit Rig(const std::string& name) {
+    BenchConfig config;
+    config.stage.driver = name;
+    port = std::make_shared<sim::FirmwareStream>(
+        make_firmware(config, stage_ports(config.stage).at(0), world), clock);
+    driver = stage_driver(name).make(std::make_unique<NotedStream>(port, written), clock, StageSettings());
+  }
+
+  void home() {
+    driver->identify();
+    for (const StageAxis axis : kStageAxes) driver->home(axis);
+    for (const StageAxis axis : kStageAxes)
+      while (driver->motion_state(axis) == MotionState::kMoving) clock.sleep_until(clock.now() + 50ms);
+  }
+
+  bool anything_moves() const {
+    return world->moving(StageAxis::kX, clock.now()) || world->moving(StageAxis::kZ, clock.now());
+  }
+
+  AnyClock clock;
+  std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock.now());
+  std::shared_ptr<wire::ByteStream> port;
+  std::vector<std::string> written;
+  std::unique_ptr<RotationStage> driver;
+};
+
+class HaltRecipes : public testing::TestWithParam<std::string> {};
+
+TEST_P(HaltRecipes, StopBothAxesInTheMiddleOfAnyCommand) {
+  // The commands of a move, one write each.
+  Rig<sim::SimClock> model(GetParam());
+  model.home();
+  model.driver->move_to(StageAxis::kX, Angle::degrees(150.0));
+  model.written.clear();
+  model.driver->move_to(StageAxis::kZ, Angle::degrees(-120.0));
+  std::string commands;
+  for (const std::string& write : model.written) commands += write;
+  ASSERT_FALSE(commands.empty());
+
+  for (std::size_t length = 0; length <= commands.size(); ++length) {
+    SCOPED_TRACE(fmt::format("after {} of {} bytes", length, commands.size()));
+    Rig<sim::SimClock> rig(GetParam());
+    rig.home();
+    rig.driver->move_to(StageAxis::kX, Angle::degrees(150.0));
+    const std::vector<HaltRecipe> recipes = rig.driver->halt_recipes();
+    ASSERT_EQ(recipes.size(), 1U);
+    EXPECT_EQ(recipes[0].driver, GetParam());
+    EXPECT_EQ(recipes[0].axes, (std::array{true, true}));
+    rig.clock.sleep_until(rig.clock.now() + 500ms);
+    rig.port->write(std::string_view(commands).substr(0, length));
+    const bool z_was_told = rig.world->moving(StageAxis::kZ, rig.clock.now());
+    ASSERT_TRUE(rig.anything_moves());
+    // The process dies here. Another one:
+    const Clock::Instant begin = rig.clock.now();
+    ASSERT_TRUE(wire::carry_out(recipes[0], *rig.port, rig.clock, begin + 20s));
+    EXPECT_FALSE(rig.anything_moves());
+    EXPECT_LE(rig.clock.now() - begin, 5s);
+    if (!z_was_told) {
+      // Half a command is not carried out.
+      EXPECT_NEAR(rig.world->commanded_angle(StageAxis::kZ, rig.clock.now()).deg(), 0.0, 1e-3);
+    }
+  }
+}
+
+TEST_P(HaltRecipes, WorkBeforeAnythingWasAskedAndAreNotAcknowledgedBySilence) {
+  Rig<sim::SimClock> rig(GetParam());
+  const HaltRecipe recipe = rig.driver->halt_recipes().at(0);  // Of a driver that has asked nothing yet.
+  rig.home();
+  rig.driver->move_to(StageAxis::kX, Angle::degrees(150.0));
+  rig.port->write("\x7F half a li");
+  ASSERT_TRUE(wire::carry_out(recipe, *rig.port, rig.clock, rig.clock.now() + 20s));
+  EXPECT_FALSE(rig.anything_moves());
+
+  rig.driver->move_to(StageAxis::kX, Angle::degrees(-150.0));
+  sim::FaultyStream deaf(std::make_unique<NotedStream>(rig.port, rig.written), rig.clock,
+                         {{.kind = sim::FaultKind::kSilence}});
+  const Clock::Instant begin = rig.clock.now();
+  EXPECT_FALSE(wire::carry_out(recipe, deaf, rig.clock, begin + 20s));
+  EXPECT_LE(rig.clock.now() - begin, 21s);
+  sim::FaultyStream gone(std::make_unique<NotedStream>(rig.port, rig.written), rig.clock,
+                         {{.kind = sim::FaultKind::kUnplug}});
+  EXPECT_FALSE(wire::carry_out(recipe, gone, rig.clock, rig.clock.now() + 20s));
+}
+
+TEST_P(HaltRecipes, AreUsedByAnotherProcessOnAnInheritedDescriptor) {
+  Rig<RealClock> rig(GetParam());
+  const HaltRecipe recipe = rig.driver->halt_recipes().at(0);
+  std::array<int, 2> ends{};
+  ASSERT_EQ(::socketpair(AF_UNIX, SOCK_STREAM, 0, ends.data()), 0);
+  const std::string half = "\x7F half a li";
+  ASSERT_EQ(::write(ends[0], half.data(), half.size()), static_cast<ssize_t>(half.size()));
+  const pid_t child = ::fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    RealClock clock;
+    wire::DescriptorStream port(ends[0], "inherited", clock);
+    ::_exit(wire::carry_out(recipe, port, clock, clock.now() + 20s) ? 0 : 1);
+  }
+  ::close(ends[0]);
+  // The controller, until the child has ended.
+  wire::DescriptorStream far_end(ends[1], "controller's end", rig.clock);
+  int status = -1;
+  try {
+    while (::waitpid(child, &status, WNOHANG) == 0) {
+      rig.port->write(far_end.read_until(rig.clock.now() + 5ms).bytes);
+      far_end.write(rig.port->read_until(rig.clock.now()).bytes);
+    }
+  } catch (const InstrumentError&) {  // The child has closed its end.
+    ::waitpid(child, &status, 0);
+  }
+  ::close(ends[1]);
+  EXPECT_EQ(status, 0) << "not acknowledged";
+}
+
+INSTANTIATE_TEST_SUITE_P(EachStage, HaltRecipes, testing::ValuesIn(names_of_stages()),
+                         [](const auto& name) { return name.param; });
+
+TEST(SplitStageHalts, TheAxisThatIsLeftWhereTheOtherOnesPortIsGone) {
+  for (const StageAxis lost : kStageAxes) {
+    for (const StageDriver& driver : stage_drivers()) {
+      SCOPED_TRACE(fmt::format("{} lost, {}", to_string(lost), driver.name));
+      sim::SimClock clock;
+      const auto world = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock.now());
+      BenchConfig config;
+      config.stage.driver = driver.name;
+      std::array<sim::FaultyStream*, 2> links{};
+      std::array<std::unique_ptr<RotationStage>, 2> parts;
+      for (const StageAxis axis : kStageAxes) {
+        auto link = std::make_unique<sim::FaultyStream>(
+            std::make_unique<sim::FirmwareStream>(
+                make_firmware(config, stage_ports(config.stage).at(0), world), clock),
+            clock, std::vector<sim::WireFault>{});
+        links[index(axis)] = link.get();
+        StageSettings settings;
+        settings.axis_names[1 - index(axis)].clear();
+        parts[index(axis)] = driver.make(std::move(link), clock, settings);
+      }
+      SplitStage stage(std::move(parts[0]), std::move(parts[1]));
+      stage.identify();
+      for (const StageAxis axis : kStageAxes) stage.home(axis);
+      for (const StageAxis axis : kStageAxes)
+        while (stage.motion_state(axis) == MotionState::kMoving) clock.sleep_until(clock.now() + 50ms);
+      const StageAxis left = lost == StageAxis::kX ? StageAxis::kZ : StageAxis::kX;
+      stage.move_to(left, Angle::degrees(150.0));
+      links[index(lost)]->add({.kind = sim::FaultKind::kUnplug});
+      const HaltReport report = stage.halt_axes();
+      EXPECT_EQ(report.axes[index(left)], AxisHalt::kHalted);
+      EXPECT_EQ(report.axes[index(lost)], AxisHalt::kUnreachable);
+      EXPECT_FALSE(stage.halt());
+      EXPECT_FALSE(world->moving(left, clock.now()));
+      EXPECT_EQ(in_words(report), lost == StageAxis::kX
+                                      ? "axis X: unreachable, may be moving; axis Z: halted"
+                                      : "axis X: halted; axis Z: unreachable, may be moving");
+    }
+  }
+}
+
+}  // namespace
+}  // namespace abcal
