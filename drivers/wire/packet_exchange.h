@@ -68,6 +68,7 @@ class PacketExchange {
   void restart(Parser parser) {
     packets_.listen(std::move(parser));
     stream_.discard_input();
+    fresh_ = true;
   }
 
   /// Sends a command, again if no answer comes, and returns its answer or refusal.
@@ -197,7 +198,7 @@ class PacketExchange {
   std::string who_;
   Manner manner_;
   bool outstanding_ = false;  ///< A command went unanswered: its answer may still come.
-  bool fresh_ = true;         ///< Nothing was answered yet: an error may be of an earlier program's command.
+  bool fresh_ = true;  ///< Nothing was answered since restart(): an error may be of an earlier command.
 };
 
 }  // namespace abcal::wire
