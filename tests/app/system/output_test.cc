@@ -181,6 +181,7 @@ TEST(OutputTest, NothingElseOfAppPrints) {
     const std::filesystem::path& file = entry.path();
     if (file.extension() != ".cc" && file.extension() != ".h") continue;
     ++looked_at;
+    if (file.filename() == "output.cc") continue;  // the one place that does
     const std::string text = test::read_file(file);
     for (const char* word :
          {"fmt::print(", "std::cout", "std::cerr", "spdlog", "printf(", "std::puts(", "fputs("})
