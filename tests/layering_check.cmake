@@ -1,52 +1,38 @@
 # Layers point one way: each folder may include only what stands here (docs/architecture.md, "Who may include whom").
-# Run by ctest:  cmake -DSOURCE_DIR=... -P layering_check.cmake   (ABCAL_EXTRA_FILE: a file to check as well, for the
-# test of the test, as FOLDER=PATH).
-
-set(instrument "drivers/instrument/")
-set(wire "drivers/instrument/;drivers/wire/")
-set(record "drivers/instrument/angle.h;drivers/instrument/clock.h;protocol/plan/;protocol/record/")
-set(numbers "drivers/instrument/angle.h;protocol/plan/tolerances.h;protocol/plan/effect_sizes.h;protocol/plan/limits.h;protocol/record/run_record.h;protocol/model/")
-
-# folder | folders and headers of the project that it may include | third-party headers that it may include
-set(rules
-  "drivers/instrument|${instrument}|Eigen/"
-  "drivers/wire|${wire}|boost/;libserialport.h;spdlog/;fmt/;Eigen/"
-  "drivers/manual_stage|${wire};drivers/manual_stage/|boost/;spdlog/;fmt/;Eigen/"
-  "protocol/plan|drivers/instrument/angle.h;protocol/plan/|Eigen/;fmt/"
-  "protocol/model|drivers/instrument/angle.h;protocol/plan/effect_sizes.h;protocol/model/|Eigen/"
-  "protocol/gravity|drivers/instrument/angle.h;protocol/gravity/|fmt/"
-  "protocol/record|${record}|Eigen/;unsupported/Eigen/;fmt/;sqlite3.h;openssl/"
-  "protocol/run|drivers/instrument/;protocol/plan/;protocol/record/;protocol/run/|Eigen/;fmt/;boost/math/"
-  "protocol/analysis|${numbers};protocol/analysis/|Eigen/;fmt/;boost/math/;Random123/"
-  "protocol/uncertainty|${numbers};protocol/analysis/;protocol/uncertainty/|Eigen/;fmt/;boost/math/;Random123/;hwy/"
-  "sim|${wire};sim/|Eigen/;boost/;fmt/;spdlog/;Random123/"
-)
-
-# Every folder with a driver.cc is a driver; all have the same rule.
-file(GLOB registrations RELATIVE ${SOURCE_DIR} ${SOURCE_DIR}/drivers/*/driver.cc)
-foreach(registration IN LISTS registrations)
-  get_filename_component(driver ${registration} DIRECTORY)
-  list(APPEND rules "${driver}|${wire};drivers/registry.h;${driver}/|boost/;spdlog/;fmt/;Eigen/")
-endforeach()
+# Every folder of app, drivers, protocol and sim that has sources is listed; one that is not fails.
+# Run by ctest:  cmake -DSOURCE_DIR=... -P layering_check.cmake
+# For the test of the test:  ABCAL_EXTRA_FILE=FOLDER=PATH is a file to check as well, as one of FOLDER;
+# ABCAL_EXTRA_FOLDER=FOLDER is a folder that is said to have sources.
 
 set(violations "")
-function(check_file folder file)
+set(checked 0)
+set(listed "")
+
+# Standard library and POSIX: no slash and no extension, or one of these.
+set(system_headers "^(sys|netinet|arpa|linux)/"
+  "^(fcntl|unistd|poll|pty|termios|signal|spawn|grp|pwd|netdb|stdlib|dirent|errno|limits|time)\\.h$")
+
+function(check_file file may foreign)
   file(STRINGS "${file}" includes REGEX "^[ \t]*#[ \t]*include")
   foreach(line IN LISTS includes)
     if(line MATCHES "#[ \t]*include[ \t]*\"([^\"]+)\"")
       set(header "${CMAKE_MATCH_1}")
-      set(permitted "${own_headers}")
+      set(permitted "${may}")
     elseif(line MATCHES "#[ \t]*include[ \t]*<([^>]+)>")
       set(header "${CMAKE_MATCH_1}")
-      # The standard library and POSIX: no slash, or sys/, netinet/, arpa/, linux/.
       if(NOT header MATCHES "/" AND NOT header MATCHES "\\.(h|hpp)$")
         continue()
       endif()
-      if(header MATCHES "^(sys|netinet|arpa|linux)/" OR header MATCHES
-         "^(fcntl|unistd|poll|pty|termios|signal|grp|pwd|netdb|stdlib|dirent|errno)\\.h$")
+      set(is_system FALSE)
+      foreach(pattern IN LISTS system_headers)
+        if(header MATCHES "${pattern}")
+          set(is_system TRUE)
+        endif()
+      endforeach()
+      if(is_system)
         continue()
       endif()
-      set(permitted "${foreign_headers}")
+      set(permitted "${foreign}")
     else()
       continue()
     endif()
@@ -64,30 +50,113 @@ function(check_file folder file)
   set(violations "${violations}" PARENT_SCOPE)
 endfunction()
 
-set(checked 0)
-# The rules hold lists of their own, so they are walked as text: a rule begins with its folder and a bar.
-string(REGEX REPLACE ";((drivers/|protocol/|si)[a-z_/]*[a-z_][|])" "\n\\1" text "${rules}")
-string(REPLACE ";" "," text "${text}")
-string(REPLACE "\n" ";" lines "${text}")
-foreach(line IN LISTS lines)
-  string(REPLACE "|" ";" parts "${line}")
-  list(GET parts 0 folder)
-  list(GET parts 1 own)
-  list(GET parts 2 foreign)
-  string(REPLACE "," ";" own_headers "${own}")
-  string(REPLACE "," ";" foreign_headers "${foreign}")
-  file(GLOB_RECURSE files "${SOURCE_DIR}/${folder}/*.h" "${SOURCE_DIR}/${folder}/*.cc")
+# layer(FOLDER MAY folders and headers of the project... FOREIGN third-party headers...): every folder may include itself
+# and drivers/text/. TOP: only the files directly in the folder.
+function(layer folder)
+  cmake_parse_arguments(ARG "TOP" "" "MAY;FOREIGN" ${ARGN})
+  set(may "${folder}/" drivers/text/ ${ARG_MAY})
+  if(ARG_TOP)
+    file(GLOB files "${SOURCE_DIR}/${folder}/*.h" "${SOURCE_DIR}/${folder}/*.cc")
+  else()
+    file(GLOB_RECURSE files "${SOURCE_DIR}/${folder}/*.h" "${SOURCE_DIR}/${folder}/*.cc")
+    set(listed "${listed};${folder}" PARENT_SCOPE)
+  endif()
   if(ABCAL_EXTRA_FILE MATCHES "^${folder}=(.+)$")
     list(APPEND files "${CMAKE_MATCH_1}")
   endif()
   foreach(file IN LISTS files)
-    check_file("${folder}" "${file}")
+    check_file("${file}" "${may}" "${ARG_FOREIGN}")
     math(EXPR checked "${checked} + 1")
   endforeach()
+  set(violations "${violations}" PARENT_SCOPE)
+  set(checked "${checked}" PARENT_SCOPE)
+endfunction()
+
+# --- drivers -------------------------------------------------------------------------------------------------------------
+layer(drivers/text)
+layer(drivers/instrument FOREIGN Eigen/)
+layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h spdlog/ fmt/ Eigen/)
+layer(drivers/manual_stage MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ spdlog/ fmt/ Eigen/)
+# Every folder with a driver.cc is a driver; all have the same rule.
+file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")
+foreach(registration IN LISTS registrations)
+  get_filename_component(driver ${registration} DIRECTORY)
+  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ spdlog/ fmt/ Eigen/)
 endforeach()
+layer(drivers TOP MAY drivers/ FOREIGN fmt/)
+
+# --- protocol ------------------------------------------------------------------------------------------------------------
+set(angle drivers/instrument/angle.h)
+# Analysis and uncertainty cannot even name an instrument.
+set(numbers ${angle} protocol/plan/effect_sizes.h protocol/plan/limits.h protocol/plan/tolerances.h protocol/record/run_record.h protocol/model/)
+layer(protocol/plan MAY ${angle} FOREIGN Eigen/ fmt/)
+layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h FOREIGN Eigen/)
+layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
+layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
+layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ FOREIGN Eigen/ fmt/ boost/math/)
+layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ boost/math/ Random123/)
+layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/ Random123/ hwy/)
+
+# --- sim -----------------------------------------------------------------------------------------------------------------
+# Written apart from what it checks: neither protocol nor a driver's codec.
+layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ spdlog/ Random123/)
+
+# --- app -----------------------------------------------------------------------------------------------------------------
+# commands, console -> session -> bench, results; report, compare, certificate -> results.
+layer(app/xml FOREIGN libxml/ fmt/)
+layer(app/units MAY app/xml/ protocol/plan/ FOREIGN fmt/)
+layer(app/toml MAY app/system/ ${angle} protocol/plan/ FOREIGN toml++/ Eigen/ fmt/)
+layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ spdlog/)
+layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
+  FOREIGN toml++/ Eigen/ nlohmann/ fmt/ spdlog/ boost/)
+layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
+layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
+layer(app/certificate MAY app/results/ app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
+  Eigen/ unsupported/Eigen/ boost/math/ libxml/ xmlsec/ fmt/)
+layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
+layer(app/session MAY app/bench/ app/results/ app/system/ drivers/instrument/ drivers/wire/ protocol/ sim/
+  FOREIGN Eigen/ nlohmann/ fmt/ spdlog/)
+layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/ spdlog/)
+set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/report/ app/results/ app/robustness/
+  app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
+layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/ spdlog/)
+layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/ spdlog/)
+layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ spdlog/)
+
+# --- Nothing is left out ---------------------------------------------------------------------------------------------------
+set(unlisted "")
+foreach(top app drivers protocol sim)
+  file(GLOB_RECURSE files RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/${top}/*.h" "${SOURCE_DIR}/${top}/*.cc")
+  if(ABCAL_EXTRA_FOLDER MATCHES "^${top}/")
+    list(APPEND files "${ABCAL_EXTRA_FOLDER}/any.cc")
+  endif()
+  foreach(file IN LISTS files)
+    get_filename_component(folder "${file}" DIRECTORY)
+    if(folder STREQUAL top)
+      continue()
+    endif()
+    set(found FALSE)
+    foreach(known IN LISTS listed)
+      string(FIND "${folder}/" "${known}/" at)
+      if(at EQUAL 0)
+        set(found TRUE)
+      endif()
+    endforeach()
+    if(NOT found)
+      list(APPEND unlisted "${folder}")
+    endif()
+  endforeach()
+endforeach()
+list(REMOVE_DUPLICATES unlisted)
 
 if(checked LESS 20)
   message(FATAL_ERROR "only ${checked} files found below ${SOURCE_DIR}: the check looks in the wrong place")
+endif()
+if(unlisted)
+  list(JOIN unlisted ", " names)
+  message(FATAL_ERROR "no rule for ${names}: add a line to tests/layering_check.cmake with what it may include")
 endif()
 if(violations)
   message(FATAL_ERROR "includes that point the wrong way:\n${violations}")

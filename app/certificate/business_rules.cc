@@ -1,79 +1,19 @@
 #include "app/certificate/business_rules.h"
 
 #include <fmt/format.h>
-#include <libxml/xpath.h>
-#include <libxml/xpathInternals.h>
 
 #include <algorithm>
 #include <cctype>
 #include <functional>
-#include <memory>
 #include <regex>
 #include <set>
-#include <stdexcept>
 
 #include "app/certificate/iso_codes.h"
 #include "app/certificate/laboratory_file.h"
+#include "app/xml/xml_query.h"
 
 namespace abcal {
 namespace {
-
-const xmlChar* as_xml(const char* text) {
-  return reinterpret_cast<const xmlChar*>(text);
-}
-
-/// Owns what libxml2 gives away.
-std::string take(xmlChar* text) {
-  if (text == nullptr) return {};
-  std::string copy(reinterpret_cast<const char*>(text));
-  xmlFree(text);
-  return copy;
-}
-
-std::string text_of(xmlNode* node) {
-  return take(xmlNodeGetContent(node));
-}
-
-std::vector<std::string> words_of(const std::string& list) {
-  std::vector<std::string> words;
-  std::string word;
-  for (const char c : list + " ") {
-    if (c != ' ' && c != '\t' && c != '\n' && c != '\r') {
-      word += c;
-    } else if (!word.empty()) {
-      words.push_back(std::move(word));
-      word.clear();
-    }
-  }
-  return words;
-}
-
-/// Selects nodes of a document with XPath; the prefixes dcc and si are known.
-class Selector {
- public:
-  explicit Selector(xmlDoc* document) : context_(xmlXPathNewContext(document)) {
-    xmlXPathRegisterNs(context_.get(), as_xml("dcc"), as_xml("https://ptb.de/dcc"));
-    xmlXPathRegisterNs(context_.get(), as_xml("si"), as_xml("https://ptb.de/si"));
-  }
-
-  std::vector<xmlNode*> all(const char* path, xmlNode* from = nullptr) const {
-    context_->node = from != nullptr ? from : xmlDocGetRootElement(context_->doc);
-    const std::unique_ptr<xmlXPathObject, decltype(&xmlXPathFreeObject)> found(
-        xmlXPathEvalExpression(as_xml(path), context_.get()), xmlXPathFreeObject);
-    if (!found) throw std::logic_error(std::string("not an XPath: ") + path);
-    std::vector<xmlNode*> nodes;
-    for (int i = 0; found->nodesetval != nullptr && i < found->nodesetval->nodeNr; ++i)
-      nodes.push_back(found->nodesetval->nodeTab[i]);
-    return nodes;
-  }
-  bool any(const char* path, xmlNode* from = nullptr) const { return !all(path, from).empty(); }
-
- private:
-  struct Free {
-    void operator()(xmlXPathContext* context) const { xmlXPathFreeContext(context); }
-  };
-  std::unique_ptr<xmlXPathContext, Free> context_;
-};
 
 class Rules {
  public:
@@ -97,13 +37,13 @@ class Rules {
 
  private:
   void add(xmlNode* node, std::string what) {
-    problems_.push_back({take(xmlGetNodePath(node)), std::move(what)});
+    problems_.push_back({owned_text(xmlGetNodePath(node)), std::move(what)});
   }
 
   /// Each node of `path` must be good.
   void each(const char* path, const std::function<bool(xmlNode*)>& good,
             const std::function<std::string(xmlNode*)>& what) {
-    for (xmlNode* node : select_.all(path))
+    for (xmlNode* node : select_.nodes(path))
       if (!good(node)) add(node, what(node));
   }
 
@@ -125,7 +65,7 @@ class Rules {
           "//dcc:result/dcc:data/dcc:quantity[not({0}) and not(ancestor::dcc:measurementResult/{0})]",
           element);
       for (const std::string& path : {lists, quantities})
-        for (xmlNode* node : select_.all(path.c_str()))
+        for (xmlNode* node : select_.nodes(path))
           add(node, element + " are missing: neither here nor for the whole measurement");
     }
   }
@@ -134,33 +74,34 @@ class Rules {
   void check_nothing_empty() {
     for (const char* path : {"//dcc:*[not(*)][not(self::dcc:metaData)]", "//si:*[not(*)]"}) {
       each(
-          path, [](xmlNode* node) { return !words_of(text_of(node)).empty(); },
+          path, [](xmlNode* node) { return !xml_words(xml_content(node)).empty(); },
           [](xmlNode*) { return std::string("nothing in it, or blanks alone"); });
     }
   }
 
   void check_ids() {
     std::set<std::string> ids, referred;
-    for (xmlNode* id : select_.all("//@id")) ids.insert(text_of(id));
-    for (xmlNode* reference : select_.all("//@refId")) {
-      for (const std::string& word : words_of(text_of(reference))) {
+    for (xmlNode* id : select_.nodes("//@id")) ids.insert(xml_content(id));
+    for (xmlNode* reference : select_.nodes("//@refId")) {
+      for (const std::string& word : xml_words(xml_content(reference))) {
         referred.insert(word);
         if (!ids.contains(word)) add(reference, "refId \"" + word + "\" is no id of this certificate");
       }
     }
-    for (xmlNode* id : select_.all("//@id"))
-      if (!referred.contains(text_of(id))) add(id, "id \"" + text_of(id) + "\" is referred to by no refId");
+    for (xmlNode* id : select_.nodes("//@id"))
+      if (!referred.contains(xml_content(id)))
+        add(id, "id \"" + xml_content(id) + "\" is referred to by no refId");
   }
 
   void check_languages() {
     std::set<std::string> used;
-    for (xmlNode* node : select_.all("//dcc:usedLangCodeISO639_1"))
-      if (!used.insert(text_of(node)).second)
-        add(node, "language \"" + text_of(node) + "\" is declared twice");
-    for (xmlNode* parent : select_.all("//*[dcc:content[@lang]]")) {
+    for (xmlNode* node : select_.nodes("//dcc:usedLangCodeISO639_1"))
+      if (!used.insert(xml_content(node)).second)
+        add(node, "language \"" + xml_content(node) + "\" is declared twice");
+    for (xmlNode* parent : select_.nodes("//*[dcc:content[@lang]]")) {
       std::set<std::string> here;
-      for (xmlNode* lang : select_.all("dcc:content/@lang", parent)) {
-        const std::string code = text_of(lang);
+      for (xmlNode* lang : select_.nodes("dcc:content/@lang", parent)) {
+        const std::string code = xml_content(lang);
         if (!used.contains(code)) add(lang, "language \"" + code + "\" is not declared");
         if (!here.insert(code).second) add(lang, "language \"" + code + "\" stands twice");
       }
@@ -172,22 +113,22 @@ class Rules {
   void check_codes() {
     for (const char* path : {"//dcc:usedLangCodeISO639_1", "//dcc:mandatoryLangCodeISO639_1"}) {
       each(
-          path, [](xmlNode* node) { return is_language_code(text_of(node)); },
-          [](xmlNode* node) { return "\"" + text_of(node) + "\" is no language code of ISO 639-1"; });
+          path, [](xmlNode* node) { return is_language_code(xml_content(node)); },
+          [](xmlNode* node) { return "\"" + xml_content(node) + "\" is no language code of ISO 639-1"; });
     }
     for (const char* path : {"//dcc:countryCodeISO3166_1", "//dcc:countryCode"}) {
       each(
-          path, [](xmlNode* node) { return is_country_code(text_of(node)); },
-          [](xmlNode* node) { return "\"" + text_of(node) + "\" is no country code of ISO 3166-1"; });
+          path, [](xmlNode* node) { return is_country_code(xml_content(node)); },
+          [](xmlNode* node) { return "\"" + xml_content(node) + "\" is no country code of ISO 3166-1"; });
     }
   }
 
   void check_dates() {
-    for (xmlNode* end : select_.all("//dcc:coreData/dcc:endPerformanceDate")) {
-      for (xmlNode* begin : select_.all("../dcc:beginPerformanceDate", end)) {
-        const auto from = parse_date(text_of(begin)), to = parse_date(text_of(end));
+    for (xmlNode* end : select_.nodes("//dcc:coreData/dcc:endPerformanceDate")) {
+      for (xmlNode* begin : select_.nodes("../dcc:beginPerformanceDate", end)) {
+        const auto from = parse_date(xml_content(begin)), to = parse_date(xml_content(end));
         if (!from || !to || *to < *from)
-          add(end, fmt::format("ends {}, before it begins, {}", text_of(end), text_of(begin)));
+          add(end, fmt::format("ends {}, before it begins, {}", xml_content(end), xml_content(begin)));
       }
     }
   }
@@ -195,21 +136,21 @@ class Rules {
   void check_releases() {
     static const std::regex kRelease("^[a-zA-Z] ?([0-9]{1,3}\\.){0,3}[0-9]{1,3}$");
     each(
-        "//dcc:release", [](xmlNode* node) { return std::regex_match(text_of(node), kRelease); },
+        "//dcc:release", [](xmlNode* node) { return std::regex_match(xml_content(node), kRelease); },
         [](xmlNode* node) {
-          return "release \"" + text_of(node) + "\"; required: a letter and numbers, \"v1.2.3\"";
+          return "release \"" + xml_content(node) + "\"; required: a letter and numbers, \"v1.2.3\"";
         });
   }
 
   void check_units() {
     each(
-        "//si:unit", [](xmlNode* node) { return text_of(node).find(' ') == std::string::npos; },
-        [](xmlNode* node) { return "blanks in the unit \"" + text_of(node) + "\""; });
-    for (xmlNode* units : select_.all("//si:unitXMLList")) {
-      const std::vector<std::string> words = words_of(text_of(units));
+        "//si:unit", [](xmlNode* node) { return xml_content(node).find(' ') == std::string::npos; },
+        [](xmlNode* node) { return "blanks in the unit \"" + xml_content(node) + "\""; });
+    for (xmlNode* units : select_.nodes("//si:unitXMLList")) {
+      const std::vector<std::string> words = xml_words(xml_content(units));
       if (words.size() < 2) continue;
-      for (xmlNode* values : select_.all("preceding-sibling::si:valueXMLList", units)) {
-        const std::size_t count = words_of(text_of(values)).size();
+      for (xmlNode* values : select_.nodes("preceding-sibling::si:valueXMLList", units)) {
+        const std::size_t count = xml_words(xml_content(values)).size();
         if (count != words.size()) add(units, fmt::format("{} units for {} values", words.size(), count));
       }
       if (std::count(words.begin(), words.end(), words.front()) == static_cast<std::ptrdiff_t>(words.size()))
@@ -220,7 +161,7 @@ class Rules {
   /// One blank between entries and none at the ends; as many entries as values, or one.
   void check_lists() {
     const auto well_spaced = [](xmlNode* node) {
-      const std::string text = text_of(node);
+      const std::string text = xml_content(node);
       return !text.empty() && std::string(" \t\r\n").find(text.front()) == std::string::npos &&
              std::string(" \t\r\n").find(text.back()) == std::string::npos &&
              std::adjacent_find(text.begin(), text.end(), [](char a, char b) {
@@ -234,17 +175,18 @@ class Rules {
     each("//si:*[substring(local-name(), string-length(local-name()) - 6) = 'XMLList'][not(*)]", well_spaced,
          what);
     each("//@refType | //@refId", well_spaced, what);
-    for (xmlNode* list : select_.all("//si:realListXMLList")) {
-      const std::vector<xmlNode*> values = select_.all("si:valueXMLList", list);
+    for (xmlNode* list : select_.nodes("//si:realListXMLList")) {
+      const std::vector<xmlNode*> values = select_.nodes("si:valueXMLList", list);
       if (values.empty()) continue;
-      const std::size_t count = words_of(text_of(values.front())).size();
-      for (xmlNode* beside : select_.all("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* | "
-                                         ".//si:covarianceXMLList/si:valueXMLList",
-                                         list)) {
-        const std::size_t found = words_of(text_of(beside)).size();
+      const std::size_t count = xml_words(xml_content(values.front())).size();
+      for (xmlNode* beside :
+           select_.nodes("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* | "
+                         ".//si:covarianceXMLList/si:valueXMLList",
+                         list)) {
+        const std::size_t found = xml_words(xml_content(beside)).size();
         if (found != count && found != 1) add(beside, fmt::format("{} entries for {} values", found, count));
       }
-      const std::size_t columns = select_.all(".//si:columnXMLList", list).size();
+      const std::size_t columns = select_.nodes(".//si:columnXMLList", list).size();
       if (columns != 0 && columns != count)
         add(list, fmt::format("{} columns of covariance for {} values", columns, count));
     }
@@ -252,14 +194,14 @@ class Rules {
 
   void check_non_si() {
     std::set<std::string> declared;
-    for (xmlNode* unit : select_.all("//dcc:statement/dcc:nonSIUnit")) declared.insert(text_of(unit));
+    for (xmlNode* unit : select_.nodes("//dcc:statement/dcc:nonSIUnit")) declared.insert(xml_content(unit));
     each(
         "//si:hybrid/si:real/si:unit",
         [&](xmlNode* node) {
-          const std::string unit = text_of(node);
+          const std::string unit = xml_content(node);
           return unit.size() < 2 || unit.front() != '|' || declared.contains(unit);
         },
-        [](xmlNode* node) { return "unit \"" + text_of(node) + "\" is declared by no statement"; });
+        [](xmlNode* node) { return "unit \"" + xml_content(node) + "\" is declared by no statement"; });
     for (const char* path : {"//*[dcc:nonSIUnit and not(dcc:nonSIDefinition)]",
                              "//*[dcc:nonSIDefinition and not(dcc:nonSIUnit)]"}) {
       each(
@@ -273,14 +215,14 @@ class Rules {
     each(
         "//si:*[not(*)]",
         [](xmlNode* node) {
-          const std::vector<std::string> words = words_of(text_of(node));
+          const std::vector<std::string> words = xml_words(xml_content(node));
           return std::find(words.begin(), words.end(), "NaN") == words.end() ||
                  std::string(reinterpret_cast<const char*>(node->name)).starts_with("label");
         },
         [](xmlNode*) { return std::string("NaN where a number must stand"); });
   }
 
-  Selector select_;
+  XmlQuery select_;
   std::vector<DccProblem> problems_;
 };
 

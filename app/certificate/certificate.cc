@@ -221,6 +221,13 @@ std::vector<Shift> shifts_between(const CalibrationResult& found, const Calibrat
   return shifts;
 }
 
+/// Not even a draft can be made of a result without a matrix.
+void require_certifiable(const ReportData& data) {
+  if (find_estimator(data.estimator).certifiable) return;
+  throw CertificateRefused(data.path.string(),
+                           {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});
+}
+
 }  // namespace
 
 std::string Certificate::measured_by() const {
@@ -238,6 +245,8 @@ std::string draft_number(const ReportData& run) {
 }
 
 Certificate make_certificate(CertificateRequest request) {
+  require_certifiable(request.run);
+  if (request.as_found) require_certifiable(*request.as_found);
   ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
   certificate.laboratory = std::move(read.file);

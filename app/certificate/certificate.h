@@ -8,7 +8,7 @@
 #include "app/certificate/decision.h"
 #include "app/certificate/derived.h"
 #include "app/certificate/laboratory_file.h"
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 
 namespace abcal {
 
@@ -81,7 +81,7 @@ class CertificateRefused : public std::runtime_error {
 /// together, before anything is written. For a draft what is wrong with the run or the equipment's dates is
 /// kept as a reservation; what is wrong with the laboratory file never is.
 /// @throws LaboratoryFileError  with any problem of the laboratory file (problems of the run follow it)
-/// @throws CertificateRefused   if only the run stands in the way
+/// @throws CertificateRefused   if only the run stands in the way, or its estimator gives no matrix
 Certificate make_certificate(CertificateRequest request);
 
 /// Name of the certificate until it is issued.

@@ -4,7 +4,7 @@
 #include <string>
 
 #include "app/certificate/certificate.h"
-#include "app/report/document.h"
+#include "app/document/document.h"
 #include "protocol/record/run_file.h"
 
 namespace abcal {

@@ -6,10 +6,6 @@
 namespace abcal {
 namespace {
 
-const xmlChar* as_xml(const char* text) {
-  return reinterpret_cast<const xmlChar*>(text);
-}
-
 XmlElement root_of(xmlDoc* document) {
   xmlNode* node = xmlNewDocNode(document, nullptr, as_xml("digitalCalibrationCertificate"), nullptr);
   xmlDocSetRootElement(document, node);

@@ -7,7 +7,7 @@
 #include <limits>
 #include <stdexcept>
 
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 
 namespace abcal {
 namespace {

@@ -10,7 +10,8 @@
 #include <stdexcept>
 #include <unsupported/Eigen/AutoDiff>
 
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
+#include "protocol/plan/response_unit.h"
 
 namespace abcal {
 namespace {
@@ -137,17 +138,6 @@ std::string per(const std::string& unit, const std::string& of) {
   return (unit.find('/') == std::string::npos ? unit : "(" + unit + ")") + "/" + of;
 }
 
-/// The power of ten of an output unit and what is left of it: "mV" -> 1e-3, "V".
-std::pair<double, std::string> split_prefix(const std::string& unit) {
-  static const std::map<std::string, double> kPrefixes{{"n", 1e-9},      {"u", 1e-6}, {"\u00b5", 1e-6},
-                                                       {"\u03bc", 1e-6}, {"m", 1e-3}, {"k", 1e3}};
-  for (const std::string base : {"V", "A", "g"}) {
-    for (const auto& [prefix, factor] : kPrefixes)
-      if (unit == prefix + base) return {factor, base};
-  }
-  return {1.0, unit == "count" || unit == "counts" || unit == "digit" || unit == "digits" ? "LSB" : unit};
-}
-
 std::vector<std::pair<std::string, const Quantity*>> of_result(const CalibrationResult& result) {
   std::vector<std::pair<std::string, const Quantity*>> all;
   for (std::size_t j = 0; j < 3; ++j) {
@@ -182,10 +172,9 @@ SensitivityUnit sensitivity_unit(const std::string& name, const std::string& res
   if (slash == std::string::npos || slash == 0) refuse("required: OUTPUT/g or OUTPUT/(m/s2)");
   const std::string denominator = name.substr(slash + 1);
   if (denominator != "g" && denominator != "(m/s2)") refuse("required: per g or per (m/s2)");
-  const auto [wanted, base] = split_prefix(name.substr(0, slash));
-  const auto [found, found_base] = split_prefix(response_unit);
-  if (base != found_base) refuse("the output is in " + response_unit + ", which cannot be given in it");
-  return {name, found / wanted, denominator == "g"};
+  const auto ratio = unit_ratio(response_unit, name.substr(0, slash));
+  if (!ratio) refuse("the output is in " + response_unit + ", which cannot be given in it");
+  return {name, *ratio, denominator == "g"};
 }
 
 std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vector<SensitivityUnit>& units) {

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <functional>
 
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 #include "app/units/dsi_unit.h"
 
 namespace abcal {

@@ -5,7 +5,6 @@
 #include <algorithm>
 
 #include "app/certificate/issue.h"
-#include "app/system/output.h"
 
 namespace abcal {
 namespace {
@@ -60,52 +59,42 @@ Certificate restored(const IssuedCertificate& issued, const ReportData& data,
 
 }  // namespace
 
-void add_certificate_options(CLI::App& command, CertificateOptions& options) {
-  command.add_option(
-      "--laboratory", options.laboratory,
-      "laboratory file (docs/examples/laboratory.toml): who, for whom, with what, which limits");
-  command.add_option("--as-found", options.as_found, "run of the same item before it was adjusted");
-  command.add_option("--schemas", options.schemas,
-                     "folder with the schemas of the certificate (v3.3.0/dcc.xsd): validate it");
+std::optional<DccSchema> schema_of(const CertificateFiles& files) {
+  if (files.schemas.empty()) return std::nullopt;
+  return DccSchema(files.schemas);
 }
 
-std::optional<DccSchema> schema_for(const CertificateOptions& options) {
-  if (!options.schemas.empty()) return DccSchema(options.schemas);
-  print_log("note: the certificate follows the business rules; --schemas DIR validates it as well\n");
-  return std::nullopt;
-}
-
-ReportedCertificate certificate_for_report(const ReportData& data, const CertificateOptions& options,
-                                           bool draft, Clock::UtcTime now) {
+ReportedCertificate certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,
+                                           Clock::UtcTime now) {
   std::optional<ReportData> as_found;
-  if (!options.as_found.empty()) as_found = gather_report(options.as_found, now);
+  if (!files.as_found.empty()) as_found = gather_report(files.as_found, now);
   if (data.run && !draft) {
     if (const auto issued = current_certificate(data.path)) {
       require_unchanged(data);
       if (as_found) require_issued_with(*issued, *as_found);
-      ReportedCertificate reported{restored(*issued, data, std::move(as_found)), issued->xml};
-      if (!options.schemas.empty()) {
+      ReportedCertificate reported{restored(*issued, data, std::move(as_found)), issued->xml, {}};
+      if (!files.schemas.empty()) {
         std::vector<Problem> problems;
         for (const DccProblem& problem :
-             DccSchema(options.schemas).check(parse_xml(issued->xml, issued->number)))
+             DccSchema(files.schemas).check(parse_xml(issued->xml, issued->number)))
           problems.push_back({problem.where, problem.what, "the schema of DCC 3.3.0"});
         if (!problems.empty()) throw CertificateRefused(data.path.string(), std::move(problems));
       }
       return reported;
     }
   }
-  if (options.laboratory.empty())
+  if (files.laboratory.empty())
     throw std::invalid_argument(
         "a certificate needs --laboratory LAB.toml (docs/examples/laboratory.toml is one)");
-  const std::optional<DccSchema> schema = schema_for(options);
+  const std::optional<DccSchema> schema = schema_of(files);
   CertificateRequest request;
-  request.laboratory = read_laboratory_file(options.laboratory);
+  request.laboratory = read_laboratory_file(files.laboratory);
   request.run = data;
   request.as_found = std::move(as_found);
   request.draft = draft;
   Certificate certificate = make_certificate(std::move(request));
   std::string xml = checked_xml(certificate, schema ? &*schema : nullptr);
-  return {std::move(certificate), std::move(xml)};
+  return {std::move(certificate), std::move(xml), schema ? "" : kNotValidated};
 }
 
 }  // namespace abcal

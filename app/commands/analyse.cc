@@ -64,18 +64,19 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
       ->required();
   command
       ->add_option("--estimator", options->estimator,
-                   "abc, joint or norm (default: abc; the text shows all three)")
-      ->check(CLI::IsMember(kEstimators));
+                   fmt::format("{} (default: {}; the text shows all)", estimator_choice(), kDefaultEstimator))
+      ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.result/1");
   command->add_option(
       "--truth", options->truth,
       "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");
   command->callback([options, &exit_code] {
     const std::filesystem::path path = options->file;
-    const std::string estimator = options->estimator.empty() ? "abc" : options->estimator;
+    const std::string estimator = options->estimator.empty() ? kDefaultEstimator : options->estimator;
     LoadedRecord loaded;
     std::error_code error;
-    if (estimator == "norm" && std::filesystem::is_regular_file(path, error) && has_no_angles(path)) {
+    if (!find_estimator(estimator).needs_angles && std::filesystem::is_regular_file(path, error) &&
+        has_no_angles(path)) {
       loaded.record = import_poses(path).record;
     } else {
       loaded = load_record(path);

@@ -1,9 +1,9 @@
 #include <fmt/format.h>
 
 #include "app/commands/commands.h"
+#include "app/compare/compare_json.h"
 #include "app/compare/compare_results.h"
-#include "app/report/compare_json.h"
-#include "app/report/compare_text.h"
+#include "app/compare/compare_text.h"
 #include "app/results/analyses.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
@@ -13,7 +13,7 @@ namespace abcal {
 CLI::App* add_compare(CLI::App& parent, int& exit_code) {
   struct Options {
     std::vector<std::string> files;
-    std::string estimator = "abc";
+    std::string estimator = kDefaultEstimator;
     CompareOptions compare;
     bool json = false;
   };
@@ -26,8 +26,9 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
       ->required()
       ->expected(2, 10'000);
   command
-      ->add_option("--estimator", options->estimator, "of runs and CSVs: abc, joint or norm (default: abc)")
-      ->check(CLI::IsMember(kEstimators));
+      ->add_option("--estimator", options->estimator,
+                   fmt::format("of runs and CSVs: {} (default: {})", estimator_choice(), kDefaultEstimator))
+      ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--shared", options->compare.shared_stage,
                     "all were measured on one stage: subtract its common type B from the differences");
   command->add_flag("--any-item", options->compare.any_item, "compare results of different items");

@@ -116,17 +116,80 @@ class StageFollower {
   std::jthread thread_;
 };
 
+struct EmulateCommand {
+  std::string bench_file;
+  std::string link_dir = ".";
+  double speed = 1.0;
+  std::optional<std::uint16_t> control;
+  bool follow_stage = false;
+};
+
+/// The ports of a bench that have bytes to serve.
+/// @throws std::invalid_argument  if there are none
+std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_stage) {
+  std::vector<InstrumentPort> ports;
+  const auto add = [&](const std::vector<InstrumentPort>& more) {
+    ports.insert(ports.end(), more.begin(), more.end());
+  };
+  if (with_stage) add(stage_ports(config.stage));
+  add(accelerometer_ports(config.accelerometer));
+  add(environment_ports(config.environment));
+  if (ports.empty())
+    throw std::invalid_argument(
+        "nothing on this bench has bytes to serve: choose drivers of real instruments");
+  return ports;
+}
+
+/// Serves until interrupted.
+void serve_instruments(const EmulateCommand& command) {
+  const BenchConfig config = read_bench(command.bench_file);
+  if (!std::isfinite(command.speed)) throw CLI::ValidationError("--speed", "must be a finite number");
+  ScaledClock clock(command.speed);
+  const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
+  schedule(config.faults, config.changes, *world);
+  std::error_code error;
+  std::filesystem::create_directories(command.link_dir, error);
+  if (error) throw std::runtime_error(command.link_dir + ": cannot be created: " + error.message());
+
+  std::stop_source end;
+  const std::stop_callback on_interrupt(interrupt_token(), [&end] { end.request_stop(); });
+  std::optional<StageFollower> follower;
+  if (command.follow_stage) follower.emplace(config, world, end);
+  std::vector<Served> all;
+  for (const InstrumentPort& port : ports_to_serve(config, !command.follow_stage)) {
+    all.push_back({port.name, port.driver, port.port,
+                   std::make_shared<sim::FaultyPort>(make_firmware(config, port, world), clock,
+                                                     wire_faults(config.faults, port.name, world->start()),
+                                                     config.simulation.seed, config.link)});
+  }
+  std::vector<sim::Endpoint> endpoints;
+  std::map<std::string, sim::FaultyStream*> links;
+  for (const Served& served : all) {
+    endpoints.push_back(endpoint(served, command.link_dir));
+    links[served.name] = &served.firmware->link();
+  }
+  sim::Emulator emulator(std::move(endpoints), clock, command.speed);
+  EmulatorControl control(*world, clock, std::move(links));
+  std::optional<ControlServer> control_server;
+  if (command.control) control_server.emplace(control, *command.control);
+  const std::vector<std::string> addresses = emulator.addresses();
+  for (std::size_t i = 0; i < all.size(); ++i)
+    print_result("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
+  if (follower) print_result("The accelerometer follows the stage's read-back.\n");
+  if (control_server) print_result("control: tcp:127.0.0.1:{}\n", control_server->port());
+  print_result("Serving until interrupted (Ctrl-C).\n");
+  emulator.run(end.get_token());
+  if (follower) follower->finish();
+  if (emulator.dropped_bytes() > 0) {
+    print_log("{} bytes of output were dropped because no program read them in time\n",
+              emulator.dropped_bytes());
+  }
+}
+
 }  // namespace
 
 CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
-  struct Options {
-    std::string bench_file;
-    std::string link_dir = ".";
-    double speed = 1.0;
-    std::optional<std::uint16_t> control;
-    bool follow_stage = false;
-  };
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<EmulateCommand>();
   CLI::App* command = parent.add_subcommand(
       "emulate", "Serve the bench's instruments, simulated, on pseudo-terminals or TCP until interrupted");
   command->add_option("BENCH", options->bench_file, "bench file (TOML); [simulation] is the truth")
@@ -141,62 +204,7 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
                  "the bench's stage is real: serve the accelerometer only, and let it follow the stage")
       ->excludes(speed);
   command->callback([options, &exit_code] {
-    const BenchConfig config = read_bench(options->bench_file);
-    if (!std::isfinite(options->speed)) throw CLI::ValidationError("--speed", "must be a finite number");
-    ScaledClock clock(options->speed);
-    const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
-    schedule(config.faults, config.changes, *world);
-    std::error_code error;
-    std::filesystem::create_directories(options->link_dir, error);
-    if (error) throw std::runtime_error(options->link_dir + ": cannot be created: " + error.message());
-
-    std::vector<InstrumentPort> ports;
-    const auto serve = [&](const std::vector<InstrumentPort>& more) {
-      ports.insert(ports.end(), more.begin(), more.end());
-    };
-    std::stop_source end;
-    const std::stop_callback on_interrupt(interrupt_token(), [&end] { end.request_stop(); });
-    std::optional<StageFollower> follower;
-    if (options->follow_stage) {
-      follower.emplace(config, world, end);
-    } else {
-      serve(stage_ports(config.stage));
-    }
-    serve(accelerometer_ports(config.accelerometer));
-    serve(environment_ports(config.environment));
-    if (ports.empty())
-      throw std::invalid_argument(
-          "nothing on this bench has bytes to serve: choose drivers of real instruments");
-    std::vector<Served> all;
-    for (const InstrumentPort& port : ports) {
-      all.push_back({port.name, port.driver, port.port,
-                     std::make_shared<sim::FaultyPort>(make_firmware(config, port, world), clock,
-                                                       wire_faults(config.faults, port.name, world->start()),
-                                                       config.simulation.seed, config.link)});
-    }
-
-    std::vector<sim::Endpoint> endpoints;
-    std::map<std::string, sim::FaultyStream*> links;
-    for (const Served& served : all) {
-      endpoints.push_back(endpoint(served, options->link_dir));
-      links[served.name] = &served.firmware->link();
-    }
-    sim::Emulator emulator(std::move(endpoints), clock, options->speed);
-    EmulatorControl control(*world, clock, std::move(links));
-    std::optional<ControlServer> control_server;
-    if (options->control) control_server.emplace(control, *options->control);
-    const std::vector<std::string> addresses = emulator.addresses();
-    for (std::size_t i = 0; i < all.size(); ++i)
-      print_result("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
-    if (follower) print_result("The accelerometer follows the stage's read-back.\n");
-    if (control_server) print_result("control: tcp:127.0.0.1:{}\n", control_server->port());
-    print_result("Serving until interrupted (Ctrl-C).\n");
-    emulator.run(end.get_token());
-    if (follower) follower->finish();
-    if (emulator.dropped_bytes() > 0) {
-      print_log("{} bytes of output were dropped because no program read them in time\n",
-                emulator.dropped_bytes());
-    }
+    serve_instruments(*options);
     exit_code = kExitDone;
   });
   return command;

@@ -68,6 +68,76 @@ std::vector<Probed> probe(const std::vector<std::string>& ports) {
   return all;
 }
 
+/// As a bench file names a port of USB; empty for any other.
+std::string usb_name(const wire::PortInfo& port) {
+  if (!port.usb_vendor || !port.usb_product) return {};
+  return fmt::format("usb:{:04X}:{:04X}{}{}", *port.usb_vendor, *port.usb_product,
+                     port.serial_number.empty() ? "" : ":", port.serial_number);
+}
+
+/// @param probed  absent: nothing was asked
+void print_as_json(const std::vector<wire::PortInfo>& ports,
+                   const std::optional<std::vector<Probed>>& probed) {
+  nlohmann::ordered_json output{{"schema", "abcal.instruments/1"}};
+  output["ports"] = nlohmann::ordered_json::array();
+  for (const wire::PortInfo& port : ports) {
+    output["ports"].push_back({{"path", port.path},
+                               {"by_id", port.by_id},
+                               {"usb", usb_name(port)},
+                               {"description", port.description},
+                               {"owner_group", port.owner_group},
+                               {"permitted", port.permitted},
+                               {"holder", port.holder}});
+  }
+  if (probed) {
+    output["probed"] = nlohmann::ordered_json::array();
+    for (const Probed& one : *probed) output["probed"].push_back(one.json());
+  }
+  for (const auto& driver : stage_drivers())
+    output["stage_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
+  for (const auto& driver : accelerometer_drivers())
+    output["accelerometer_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
+  print_result("{}\n", output.dump(2));
+}
+
+void print_port(const wire::PortInfo& port) {
+  print_result("  {}  {}\n", port.path, port.description);
+  if (const std::string id = usb_name(port); !id.empty()) print_result("    port = \"{}\"\n", id);
+  if (!port.by_id.empty()) print_result("    {}\n", port.by_id);
+  if (!port.permitted) {
+    print_result("    not permitted for this user: sudo usermod -aG {} $USER, then log in again\n",
+                 port.owner_group.empty() ? "dialout" : port.owner_group);
+  }
+  if (!port.holder.empty()) print_result("    in use by {}\n", port.holder);
+  if (port.latency_timer_ms && *port.latency_timer_ms > 2) {
+    print_result(
+        "    its adapter waits {} ms before it passes a short reply on; setserial {} low_latency makes "
+        "it 1 ms\n",
+        *port.latency_timer_ms, port.path);
+  }
+}
+
+/// @param probed  absent: nothing was asked
+void print_as_text(const std::vector<wire::PortInfo>& ports,
+                   const std::optional<std::vector<Probed>>& probed) {
+  print_result("Serial ports:\n");
+  if (ports.empty()) print_result("  none\n");
+  for (const wire::PortInfo& port : ports) print_port(port);
+  if (probed) {
+    print_result("Asked:\n");
+    if (probed->empty()) print_result("  no port that is free and permitted\n");
+    for (const Probed& one : *probed) print_result("  {}: {}\n", one.port, one.words());
+  }
+  print_result("Stage drivers:\n");
+  for (const auto& driver : stage_drivers()) print_result("  {:<18} {}\n", driver.name, driver.description);
+  print_result("Accelerometer drivers:\n");
+  for (const auto& driver : accelerometer_drivers())
+    print_result("  {:<18} {}\n", driver.name, driver.description);
+  print_result(
+      "Both: \"simulated\" as driver (no bytes), or as the port of a driver above (its bytes, in this "
+      "program).\n");
+}
+
 }  // namespace
 
 CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
@@ -86,7 +156,7 @@ CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
       ->needs(probe_flag);
   command->callback([options, &exit_code] {
     const std::vector<wire::PortInfo> ports = wire::list_ports();
-    std::vector<Probed> probed;
+    std::optional<std::vector<Probed>> probed;
     if (options->probe) {
       std::vector<std::string> asked = options->ports;
       if (asked.empty()) {
@@ -95,67 +165,10 @@ CLI::App* add_instruments(CLI::App& parent, int& exit_code) {
       }
       probed = probe(asked);
     }
-    const auto usb = [](const wire::PortInfo& port) {
-      return port.usb_vendor && port.usb_product
-                 ? fmt::format("usb:{:04X}:{:04X}{}{}", *port.usb_vendor, *port.usb_product,
-                               port.serial_number.empty() ? "" : ":", port.serial_number)
-                 : std::string();
-    };
     if (options->json) {
-      nlohmann::ordered_json output{{"schema", "abcal.instruments/1"}};
-      output["ports"] = nlohmann::ordered_json::array();
-      for (const wire::PortInfo& port : ports) {
-        output["ports"].push_back({{"path", port.path},
-                                   {"by_id", port.by_id},
-                                   {"usb", usb(port)},
-                                   {"description", port.description},
-                                   {"owner_group", port.owner_group},
-                                   {"permitted", port.permitted},
-                                   {"holder", port.holder}});
-      }
-      if (options->probe) {
-        output["probed"] = nlohmann::ordered_json::array();
-        for (const Probed& one : probed) output["probed"].push_back(one.json());
-      }
-      for (const auto& driver : stage_drivers())
-        output["stage_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
-      for (const auto& driver : accelerometer_drivers())
-        output["accelerometer_drivers"].push_back(
-            {{"name", driver.name}, {"description", driver.description}});
-      print_result("{}\n", output.dump(2));
+      print_as_json(ports, probed);
     } else {
-      print_result("Serial ports:\n");
-      if (ports.empty()) print_result("  none\n");
-      for (const wire::PortInfo& port : ports) {
-        print_result("  {}  {}\n", port.path, port.description);
-        if (const std::string id = usb(port); !id.empty()) print_result("    port = \"{}\"\n", id);
-        if (!port.by_id.empty()) print_result("    {}\n", port.by_id);
-        if (!port.permitted) {
-          print_result("    not permitted for this user: sudo usermod -aG {} $USER, then log in again\n",
-                       port.owner_group.empty() ? "dialout" : port.owner_group);
-        }
-        if (!port.holder.empty()) print_result("    in use by {}\n", port.holder);
-        if (port.latency_timer_ms && *port.latency_timer_ms > 2) {
-          print_result(
-              "    its adapter waits {} ms before it passes a short reply on; setserial {} low_latency makes "
-              "it 1 ms\n",
-              *port.latency_timer_ms, port.path);
-        }
-      }
-      if (options->probe) {
-        print_result("Asked:\n");
-        if (probed.empty()) print_result("  no port that is free and permitted\n");
-        for (const Probed& one : probed) print_result("  {}: {}\n", one.port, one.words());
-      }
-      print_result("Stage drivers:\n");
-      for (const auto& driver : stage_drivers())
-        print_result("  {:<18} {}\n", driver.name, driver.description);
-      print_result("Accelerometer drivers:\n");
-      for (const auto& driver : accelerometer_drivers())
-        print_result("  {:<18} {}\n", driver.name, driver.description);
-      print_result(
-          "Both: \"simulated\" as driver (no bytes), or as the port of a driver above (its bytes, in this "
-          "program).\n");
+      print_as_text(ports, probed);
     }
     exit_code = kExitDone;
   });

@@ -3,8 +3,8 @@
 #include <memory>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/report_certificate.h"
 #include "app/certificate/issue.h"
+#include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
@@ -14,13 +14,13 @@
 namespace abcal {
 namespace {
 
-struct Options {
+struct IssueOptions {
   std::string run, number, measured_by, approved_by, date, replaces, reason, dcc, key, key_certificate;
   bool force = false;
-  CertificateOptions certificate;
+  CertificateFiles certificate;
 };
 
-IssueFacts facts_of(const Options& options, const std::string& now_utc) {
+IssueFacts facts_of(const IssueOptions& options, const std::string& now_utc) {
   IssueFacts facts;
   facts.number = options.number;
   facts.measured_by = options.measured_by;
@@ -38,7 +38,7 @@ IssueFacts facts_of(const Options& options, const std::string& now_utc) {
   return facts;
 }
 
-void issue(const Options& options) {
+void issue(const IssueOptions& options) {
   const Clock::UtcTime now = RealClock().utc_now();
   if (options.key.empty() != options.key_certificate.empty())
     throw std::invalid_argument("--sign KEY.pem and --certificate CERT.pem go together");
@@ -52,7 +52,8 @@ void issue(const Options& options) {
   request.issue = facts_of(options, format_utc(now));
   const Certificate certificate = make_certificate(std::move(request));
 
-  const std::optional<DccSchema> schema = schema_for(options.certificate);
+  const std::optional<DccSchema> schema = schema_of(options.certificate);
+  if (!schema) print_note(kNotValidated);
   std::optional<SigningKey> key;
   if (!options.key.empty()) key = SigningKey{options.key, options.key_certificate};
   const IssuedCertificate issued =
@@ -68,7 +69,7 @@ void issue(const Options& options) {
 }  // namespace
 
 CLI::App* add_issue(CLI::App& parent, int& exit_code) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<IssueOptions>();
   CLI::App* command = parent.add_subcommand(
       "issue",
       "Issue the calibration certificate of a complete run: approved, numbered, kept in RUN.results");

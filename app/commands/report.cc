@@ -8,18 +8,18 @@
 #include <vector>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/report_certificate.h"
 #include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
+#include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
+#include "app/document/weasyprint.h"
 #include "app/report/calibration_document.h"
-#include "app/report/document_html.h"
-#include "app/report/document_text.h"
 #include "app/report/hdf5_export.h"
 #include "app/report/record_csv.h"
-#include "app/report/report_data.h"
 #include "app/report/report_json.h"
-#include "app/report/weasyprint.h"
+#include "app/results/report_data.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -30,11 +30,11 @@
 namespace abcal {
 namespace {
 
-struct Options {
+struct ReportOptions {
   std::string file;
   std::string html, pdf, csv, csv_raw, hdf5;
   std::string attachment, dcc;
-  CertificateOptions certificate;
+  CertificateFiles certificate;
   bool draft = false, json = false, force = false;
 };
 
@@ -67,7 +67,7 @@ void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attach
 
 /// Whether the report is one of a certificate: where one is asked for, and where one was issued for the run
 /// as it still is.
-bool of_certificate(const Options& options, const ReportData& data) {
+bool of_certificate(const ReportOptions& options, const ReportData& data) {
   if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
   const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
                                                  [](const IntegrityCheck& check) { return check.good; });
@@ -75,7 +75,7 @@ bool of_certificate(const Options& options, const ReportData& data) {
 }
 
 /// The outputs asked for. `page` makes the HTML page, once for all who need it.
-std::vector<Output> outputs_of(const Options& options, const ReportData& data,
+std::vector<Output> outputs_of(const ReportOptions& options, const ReportData& data,
                                const ReportedCertificate* certificate,
                                const std::function<const HtmlPage&()>& page) {
   std::vector<Output> outputs;
@@ -100,7 +100,7 @@ std::vector<Output> outputs_of(const Options& options, const ReportData& data,
 }
 
 /// Everything that can be known to fail before the first file is written.
-void check(const Options& options, const ReportData& data, const std::vector<Output>& outputs) {
+void check(const ReportOptions& options, const ReportData& data, const std::vector<Output>& outputs) {
   std::vector<RequestedOutput> requested;
   for (const Output& output : outputs) requested.push_back(output.requested);
   std::vector<std::filesystem::path> inputs{data.path};
@@ -121,7 +121,7 @@ void check(const Options& options, const ReportData& data, const std::vector<Out
 }  // namespace
 
 CLI::App* add_report(CLI::App& parent, int& exit_code) {
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<ReportOptions>();
   CLI::App* command = parent.add_subcommand("report", "The report of a run or CSV, for people and programs");
   command->add_option("RUN", options->file, "run file, or CSV of averaged readings")->required();
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
@@ -146,6 +146,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
     std::optional<ReportedCertificate> certificate;
     if (of_certificate(*options, data)) {
       certificate = certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
+      print_note(certificate->note);
       add_certificate_sections(document, certificate->certificate);
     }
     std::optional<HtmlPage> made;

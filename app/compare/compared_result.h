@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
-#include "app/units/response_unit.h"
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/analysis/comparison.h"
+#include "protocol/plan/response_unit.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {

@@ -2,17 +2,15 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <libxml/xpath.h>
-#include <libxml/xpathInternals.h>
 
 #include <charconv>
 #include <cmath>
 #include <fstream>
-#include <memory>
 #include <sstream>
 #include <stdexcept>
 
-#include "app/xml/xml_tree.h"
+#include "app/units/dsi_unit.h"
+#include "app/xml/xml_query.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/sensitivity_matrix.h"
 
@@ -21,81 +19,13 @@ namespace {
 
 constexpr double kRadToDeg = 180.0 / 3.14159265358979323846;
 
-// libxml2 names its strings unsigned char.
-const xmlChar* as_xml(const char* text) {
-  return reinterpret_cast<const xmlChar*>(text);
-}
-
-struct FreeContext {
-  void operator()(xmlXPathContext* context) const { xmlXPathFreeContext(context); }
-};
-struct FreeObject {
-  void operator()(xmlXPathObject* object) const { xmlXPathFreeObject(object); }
-};
-struct FreeText {
-  void operator()(xmlChar* text) const { xmlFree(text); }
-};
-
-std::string text_of(const std::filesystem::path& path) {
+std::string bytes_of_certificate(const std::filesystem::path& path) {
   std::ifstream file(path, std::ios::binary);
   std::ostringstream text;
   text << file.rdbuf();
   if (!file) throw std::runtime_error(path.string() + ": cannot be read");
   return text.str();
 }
-
-/// A certificate as XPath sees it.
-class Certificate {
- public:
-  explicit Certificate(const std::filesystem::path& path)
-      : document_(parse_xml(text_of(path), path.string())) {
-    context_.reset(xmlXPathNewContext(document_.get()));
-    if (!context_) throw std::bad_alloc();
-    xmlXPathRegisterNs(context_.get(), as_xml("dcc"), as_xml("https://ptb.de/dcc"));
-    xmlXPathRegisterNs(context_.get(), as_xml("si"), as_xml("https://ptb.de/si"));
-  }
-
-  std::vector<xmlNode*> nodes(const char* path, xmlNode* from = nullptr) const {
-    const std::unique_ptr<xmlXPathObject, FreeObject> object = evaluate(path, from);
-    std::vector<xmlNode*> found;
-    if (object->nodesetval == nullptr) return found;
-    for (int i = 0; i < object->nodesetval->nodeNr; ++i) found.push_back(object->nodesetval->nodeTab[i]);
-    return found;
-  }
-
-  /// Text of the first node that is found, blanks at its ends removed; empty if there is none.
-  std::string text(const char* path, xmlNode* from = nullptr) const {
-    const std::vector<xmlNode*> found = nodes(path, from);
-    if (found.empty()) return {};
-    const std::unique_ptr<xmlChar, FreeText> content(xmlNodeGetContent(found.front()));
-    std::string value = content ? reinterpret_cast<const char*>(content.get()) : "";
-    value.erase(0, value.find_first_not_of(" \t\r\n"));
-    return trimmed_end(value);
-  }
-
-  std::vector<std::string> words(const char* path, xmlNode* from) const {
-    std::istringstream stream(text(path, from));
-    std::vector<std::string> list;
-    for (std::string word; stream >> word;) list.push_back(word);
-    return list;
-  }
-
- private:
-  static std::string trimmed_end(std::string text) {
-    text.erase(text.find_last_not_of(" \t\r\n") + 1);
-    return text;
-  }
-
-  std::unique_ptr<xmlXPathObject, FreeObject> evaluate(const char* path, xmlNode* from) const {
-    context_->node = from != nullptr ? from : xmlDocGetRootElement(document_.get());
-    std::unique_ptr<xmlXPathObject, FreeObject> object(xmlXPathEvalExpression(as_xml(path), context_.get()));
-    if (!object) throw std::logic_error(std::string("XPath ") + path);
-    return object;
-  }
-
-  XmlDocument document_;
-  std::unique_ptr<xmlXPathContext, FreeContext> context_;
-};
 
 /// A number of the certificate with its standard uncertainty, in base units.
 struct Number {
@@ -126,7 +56,7 @@ bool is_of_accelerometer(const std::string& label) {
 /// Reads lists of numbers and keeps every problem.
 class ListReader {
  public:
-  ListReader(const Certificate& certificate, std::vector<std::string>& problems)
+  ListReader(const XmlQuery& certificate, std::vector<std::string>& problems)
       : certificate_(certificate), problems_(problems) {}
 
   void read(xmlNode* list, Numbers& numbers) {
@@ -236,7 +166,7 @@ class ListReader {
     numbers.covariances.push_back(std::move(covariance));
   }
 
-  const Certificate& certificate_;
+  const XmlQuery& certificate_;
   std::vector<std::string>& problems_;
   std::string where_;
 };
@@ -293,7 +223,7 @@ double value_of(const Numbers& numbers, const std::string& label) {
 }
 
 /// The response unit that sensitivities (R/(m/s2)) and offsets (R) agree on.
-void find_unit(const Numbers& numbers, ComparedResult& result, std::vector<std::string>& problems) {
+void find_response_unit(const Numbers& numbers, ComparedResult& result, std::vector<std::string>& problems) {
   std::optional<UnitMeaning> response;
   for (const auto& [label, number] : numbers.by_label) {
     if (label.starts_with("phi_")) {
@@ -366,7 +296,7 @@ void fill_values(const Numbers& numbers, ComparedResult& result) {
   result.with_correlations = full.has_value();
 }
 
-void fill_identity(const Certificate& certificate, ComparedResult& result) {
+void fill_identity(const XmlQuery& certificate, ComparedResult& result) {
   constexpr const char* kItem = "dcc:administrativeData/dcc:items/dcc:item";
   const std::vector<xmlNode*> items = certificate.nodes(kItem);
   if (!items.empty()) {
@@ -379,11 +309,11 @@ void fill_identity(const Certificate& certificate, ComparedResult& result) {
     }
   }
   const std::string core = "dcc:administrativeData/dcc:coreData/";
-  result.date = certificate.text((core + "dcc:endPerformanceDate").c_str());
-  result.what = certificate.text((core + "dcc:uniqueIdentifier").c_str());
+  result.date = certificate.text(core + "dcc:endPerformanceDate");
+  result.what = certificate.text(core + "dcc:uniqueIdentifier");
 }
 
-void fill_gravity(const Certificate& certificate, xmlNode* measurement, ComparedResult& result) {
+void fill_gravity(const XmlQuery& certificate, xmlNode* measurement, ComparedResult& result) {
   constexpr const char* kGravity =
       "(dcc:influenceConditions | ../dcc:influenceConditions)"
       "/dcc:influenceCondition[contains(concat(' ', @refType, ' '), ' abc_localGravity ')]//si:real";
@@ -412,7 +342,8 @@ bool looks_like_xml(const std::filesystem::path& path) {
 }
 
 ComparedResult read_certificate(const std::filesystem::path& path) {
-  const Certificate certificate(path);
+  const XmlDocument document = parse_xml(bytes_of_certificate(path), path.string());
+  const XmlQuery certificate(document.get());
   ComparedResult result;
   result.file = path.string();
   result.kind = "certificate";
@@ -444,7 +375,7 @@ ComparedResult read_certificate(const std::filesystem::path& path) {
         "phi_uv, "
         "O_u)");
   }
-  find_unit(numbers, result, problems);
+  find_response_unit(numbers, result, problems);
   if (!problems.empty()) {
     throw std::runtime_error(
         fmt::format("{}: cannot be read as a certificate of a triaxial accelerometer:\n  {}", path.string(),

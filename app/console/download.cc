@@ -5,15 +5,15 @@
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/report_certificate.h"
 #include "app/certificate/certificate_sections.h"
 #include "app/certificate/issue.h"
+#include "app/certificate/report_certificate.h"
+#include "app/document/document_html.h"
+#include "app/document/weasyprint.h"
 #include "app/report/calibration_document.h"
-#include "app/report/document_html.h"
 #include "app/report/hdf5_export.h"
 #include "app/report/record_csv.h"
-#include "app/report/report_data.h"
-#include "app/report/weasyprint.h"
+#include "app/results/report_data.h"
 #include "app/system/child_process.h"
 #include "app/system/temporary_folder.h"
 

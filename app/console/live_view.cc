@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "app/results/result_json.h"
 #include "protocol/analysis/harmonic_fit.h"
 #include "protocol/record/run_file.h"
 
@@ -16,14 +17,11 @@ constexpr std::size_t kKeptStrip = 400;  // groups of readings: 20 s
 constexpr std::size_t kKeptLog = 200;    // lines
 constexpr std::size_t kIntervals = 15;   // their median gives the remaining time
 
-Json finite_or_null(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
-}
 Json degrees(const std::optional<Angle>& angle) {
-  return angle ? finite_or_null(angle->deg()) : Json(nullptr);
+  return angle ? json_number(angle->deg()) : Json(nullptr);
 }
 Json vector(const Eigen::Vector3d& v) {
-  return Json::array({finite_or_null(v[0]), finite_or_null(v[1]), finite_or_null(v[2])});
+  return Json::array({json_number(v[0]), json_number(v[1]), json_number(v[2])});
 }
 
 std::string_view name(Activity activity) {
@@ -74,19 +72,18 @@ Json planned_json(const PlannedAngle& angle) {
 }
 
 Json dwell_json(std::size_t position, const DwellRecord& dwell) {
-  return {
-      {"position", position},
-      {"experiment", dwell.experiment},
-      {"n", dwell.n},
-      {"closing", dwell.closing},
-      {"alpha_deg", dwell.alpha.deg()},
-      {"mean", vector(dwell.mean)},
-      {"spread", vector(dwell.spread)},
-      {"u_mean", dwell.u_mean ? vector(*dwell.u_mean) : Json(nullptr)},
-      {"count", dwell.count},
-      {"settle_s", finite_or_null(dwell.settle_time_s)},
-      {"temperature_degc", dwell.temperature_degc ? finite_or_null(*dwell.temperature_degc) : Json(nullptr)},
-      {"flags", describe_flags(dwell.flags)}};
+  return {{"position", position},
+          {"experiment", dwell.experiment},
+          {"n", dwell.n},
+          {"closing", dwell.closing},
+          {"alpha_deg", dwell.alpha.deg()},
+          {"mean", vector(dwell.mean)},
+          {"spread", vector(dwell.spread)},
+          {"u_mean", dwell.u_mean ? vector(*dwell.u_mean) : Json(nullptr)},
+          {"count", dwell.count},
+          {"settle_s", json_number(dwell.settle_time_s)},
+          {"temperature_degc", dwell.temperature_degc ? json_number(*dwell.temperature_degc) : Json(nullptr)},
+          {"flags", describe_flags(dwell.flags)}};
 }
 
 Json stage_json(const StageSeen& seen) {
@@ -191,11 +188,11 @@ Json LiveView::fit_of(int experiment) const {
   for (const std::vector<double>& output : readings) {
     try {
       const HarmonicFit fit = fit_harmonics(alpha, output, {}, 1);
-      outputs.push_back({{"constant", finite_or_null(fit.coefficients[0])},
-                         {"sine", finite_or_null(fit.coefficients[1])},
-                         {"cosine", finite_or_null(fit.coefficients[2])},
-                         {"residual_rms", finite_or_null(std::sqrt(fit.residual_sum_squares /
-                                                                   static_cast<double>(alpha.size())))}});
+      outputs.push_back({{"constant", json_number(fit.coefficients[0])},
+                         {"sine", json_number(fit.coefficients[1])},
+                         {"cosine", json_number(fit.coefficients[2])},
+                         {"residual_rms", json_number(std::sqrt(fit.residual_sum_squares /
+                                                                static_cast<double>(alpha.size())))}});
     } catch (const UndeterminedFit&) {
       outputs.push_back(nullptr);  // Too few angles so far.
     }
@@ -216,7 +213,7 @@ Json LiveView::progress() const {
       std::nth_element(intervals.begin(), middle, intervals.end());
       each = *middle;
     }
-    left = finite_or_null(missing * each);
+    left = json_number(missing * each);
   }
   return {{"measured", measured}, {"total", total}, {"left_s", left}};
 }
@@ -233,13 +230,13 @@ Json LiveView::on(const StageSeen& seen) {
 
 Json LiveView::on(const StripSeen& seen) {
   const Json group = {
-      {"time_s", finite_or_null(seen.time_s)},
+      {"time_s", json_number(seen.time_s)},
       {"mean", vector(seen.mean)},
       {"lowest", vector(seen.lowest)},
       {"highest", vector(seen.highest)},
       {"readings", seen.readings},
       {"unit", seen.unit},
-      {"temperature_degc", seen.temperature_degc ? finite_or_null(*seen.temperature_degc) : Json(nullptr)}};
+      {"temperature_degc", seen.temperature_degc ? json_number(*seen.temperature_degc) : Json(nullptr)}};
   strip_.push_back(group);
   if (strip_.size() > kKeptStrip) strip_.pop_front();
   return {{"type", "strip"}, {"group", group}};

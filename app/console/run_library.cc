@@ -6,9 +6,9 @@
 #include <cmath>
 #include <utility>
 
+#include "app/compare/compare_json.h"
 #include "app/compare/compare_results.h"
 #include "app/console/download.h"
-#include "app/report/compare_json.h"
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
 #include "protocol/analysis/meaning.h"
@@ -18,10 +18,6 @@ namespace abcal::console {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-Json number(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
-}
 
 std::string label(const RunHeader& header, const std::string& key) {
   const auto found = header.labels.find(key);
@@ -58,8 +54,8 @@ Json quantities_of(const CalibrationResult& result) {
   Json list = Json::array();
   const auto add = [&](const std::string& name, const Quantity& q) {
     list.push_back({{"name", name},
-                    {"value", number(q.value)},
-                    {"standard_uncertainty", number(q.standard_uncertainty)},
+                    {"value", json_number(q.value)},
+                    {"standard_uncertainty", json_number(q.standard_uncertainty)},
                     {"unit", q.unit}});
   };
   constexpr const char* kOutputs[] = {"u", "v", "w"};
@@ -194,7 +190,7 @@ Json RunLibrary::compare(const std::filesystem::path& first, const std::filesyst
                          bool shared_stage) {
   std::vector<ComparedResult> results;
   for (const std::filesystem::path& run : {first, second}) {
-    results.push_back(load_compared(run, kEstimators.front()));
+    results.push_back(load_compared(run, kDefaultEstimator));
     results.back().file = run.filename().string();  // A page knows runs by name.
   }
   CompareOptions options;
@@ -213,7 +209,7 @@ Json RunLibrary::history(const std::string& serial_number) {
       Entry& known = entry(name);
       if (known.summary["item"] != serial_number || known.summary["state"] != "complete") continue;
       if (!known.intrinsic) {
-        const CalibrationResult result = analyse(RunFile::load(folder_ / name).record, kEstimators.front());
+        const CalibrationResult result = analyse(RunFile::load(folder_ / name).record, kDefaultEstimator);
         known.intrinsic = Json{{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
       }
       Json point = {{"name", name}, {"created_utc", known.summary["created_utc"]}};

@@ -298,10 +298,11 @@ Section estimators_section(const ReportData& data) {
         {fmt::format("{} ({})", result.estimator, verdict_words(result.verdict)), CellKind::kNumber});
     columns.push_back(outputs(result));
   }
-  for (std::size_t c = 1; c < data.results.size(); ++c) {
-    table.columns.push_back(
-        {fmt::format("{} - {}, in u", data.results[c].estimator, data.results[0].estimator),
-         CellKind::kNumber});
+  const auto reported = static_cast<std::size_t>(&data.result() - data.results.data());
+  for (std::size_t c = 0; c < data.results.size(); ++c) {
+    if (c == reported) continue;
+    table.columns.push_back({fmt::format("{} - {}, in u", data.results[c].estimator, data.result().estimator),
+                             CellKind::kNumber});
   }
   for (std::size_t row = 0; row < columns.front().size(); ++row) {
     std::vector<std::string> cells{columns.front()[row].name};
@@ -312,21 +313,23 @@ Section estimators_section(const ReportData& data) {
     for (std::size_t c = 0; c < columns.size(); ++c) {
       const Quantity& q = columns[c][row].quantity;
       cells.push_back(known(c) ? with_sign(value_with_uncertainty(q)) : kNone);
-      if (c == 0) continue;
-      const Quantity& first = columns[0][row].quantity;
-      const double u = std::hypot(q.standard_uncertainty, first.standard_uncertainty);
-      differences.push_back(known(0) && known(c) ? number((q.value - first.value) / u, "{:+.2f}") : kNone);
+      if (c == reported) continue;
+      const Quantity& to = columns[reported][row].quantity;
+      const double u = std::hypot(q.standard_uncertainty, to.standard_uncertainty);
+      differences.push_back(known(reported) && known(c) ? number((q.value - to.value) / u, "{:+.2f}")
+                                                        : kNone);
     }
     cells.insert(cells.end(), differences.begin(), differences.end());
     table.rows.push_back(std::move(cells));
   }
+  std::string ways;
+  for (const CalibrationResult& result : data.results)
+    ways += (ways.empty() ? "" : "; ") + result.estimator + find_estimator(result.estimator).words;
   Section section{
-      "Three estimators side by side",
-      {Paragraph{
-           "Three ways to the same quantities, as a check of each other: abc as published; joint, one "
-           "least-squares fit of all readings with the stage's errors as unknowns; norm, which uses the "
-           "magnitude of gravity alone and no angles, and so gives no matrix. Values with standard "
-           "uncertainty; differences in combined standard uncertainties."},
+      "Estimators side by side",
+      {Paragraph{fmt::format("Several ways to the same quantities, as a check of each other: {}. Values with "
+                             "standard uncertainty; differences in combined standard uncertainties.",
+                             ways)},
        std::move(table)}};
   BulletList reasons;
   for (const CalibrationResult& result : data.results)

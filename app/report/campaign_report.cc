@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "app/results/estimators.h"
 #include "app/results/result_text.h"
 #include "app/system/terminal.h"
 
@@ -27,7 +28,7 @@ std::string digits(double value) {
 
 bool CampaignReport::usable() const {
   return std::all_of(runs.begin(), runs.end(),
-                     [](const Run& run) { return run.results.front().verdict != Verdict::kNotUsable; });
+                     [](const Run& run) { return result_of(run.results).verdict != Verdict::kNotUsable; });
 }
 
 std::vector<CampaignSummary> CampaignReport::summaries() const {
@@ -46,7 +47,7 @@ std::string campaign_text(const CampaignReport& report, std::FILE* stream) {
       emphasised(stream, Emphasis::kHeading, fmt::format("Campaign of {} runs", report.runs.size())) + "\n";
   for (std::size_t k = 0; k < report.runs.size(); ++k) {
     const CampaignReport::Run& run = report.runs[k];
-    const CalibrationResult& result = run.results.front();
+    const CalibrationResult& result = result_of(run.results);
     text += fmt::format("  {:>3}  {}: {} ({})\n", k + 1, run.path.string(), to_string(result.verdict),
                         result.why);
   }
@@ -79,7 +80,7 @@ std::string campaign_text(const CampaignReport& report, std::FILE* stream) {
 Json campaign_json(const CampaignReport& report) {
   Json runs = Json::array();
   for (const CampaignReport::Run& run : report.runs) {
-    const CalibrationResult& result = run.results.front();
+    const CalibrationResult& result = result_of(run.results);
     runs.push_back(
         {{"file", run.path.string()}, {"verdict", to_string(result.verdict)}, {"why", result.why}});
   }

@@ -19,7 +19,7 @@ struct CampaignReport {
   };
   std::vector<Run> runs;
 
-  /// Whether the first estimator's result of every run may be used at all.
+  /// Whether the reported result of every run may be used at all.
   bool usable() const;
   /// One summary for each estimator.
   std::vector<CampaignSummary> summaries() const;

@@ -3,7 +3,7 @@
 #include <filesystem>
 #include <string>
 
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 
 namespace abcal {
 

@@ -9,14 +9,14 @@
 #include <optional>
 #include <stdexcept>
 
-#include "app/report/valid_text.h"
+#include "app/document/valid_text.h"
 #include "protocol/record/limits_entries.h"
 
 namespace abcal {
 namespace {
 
 /// The shortest text that reads back to the same number; empty for none.
-std::string number(const std::optional<double>& value) {
+std::string csv_number(const std::optional<double>& value) {
   return value && std::isfinite(*value) ? fmt::format("{}", *value) : "";
 }
 
@@ -43,9 +43,9 @@ std::string comments(const ReportData& data, const std::string& what) {
   }
   text += comment("response_unit", record.response_unit);
   if (record.g_loc_known) {
-    text += comment("g_loc.value_mps2", number(record.g_loc.value_mps2)) +
-            comment("g_loc.expanded_uncertainty_mps2", number(record.g_loc.expanded_uncertainty_mps2)) +
-            comment("g_loc.coverage_factor", number(record.g_loc.coverage_factor)) +
+    text += comment("g_loc.value_mps2", csv_number(record.g_loc.value_mps2)) +
+            comment("g_loc.expanded_uncertainty_mps2", csv_number(record.g_loc.expanded_uncertainty_mps2)) +
+            comment("g_loc.coverage_factor", csv_number(record.g_loc.coverage_factor)) +
             comment("g_loc.source", record.g_loc.source);
   }
   for (const auto& [name, value] : effect_size_entries(record.tolerances)) text += comment(name, value);
@@ -54,10 +54,10 @@ std::string comments(const ReportData& data, const std::string& what) {
   const MeasuredAlignment& a = record.measured_alignment;
   for (const auto& [name, measured] : {std::pair{"zx", &a.zx}, {"zy", &a.zy}, {"xz", &a.xz}}) {
     if (!*measured) continue;
-    text += comment(fmt::format("alignment.{}", name), number((*measured)->value)) +
-            comment(fmt::format("alignment.u_{}", name), number((*measured)->standard_uncertainty));
+    text += comment(fmt::format("alignment.{}", name), csv_number((*measured)->value)) +
+            comment(fmt::format("alignment.u_{}", name), csv_number((*measured)->standard_uncertainty));
   }
-  return text + comment("protocol.step_deg", number(record.step.deg())) +
+  return text + comment("protocol.step_deg", csv_number(record.step.deg())) +
          comment("protocol.steps", std::to_string(record.steps)) +
          comment("continuations", std::to_string(record.continuations));
 }
@@ -73,15 +73,15 @@ std::string averaged_csv(const ReportData& data) {
       continue;
     }
     rows += fmt::format("{},{},{},{},{},{},{}", dwell.experiment, dwell.n, dwell.closing ? 1 : 0,
-                        number(dwell.alpha.deg()), number(dwell.mean[0]), number(dwell.mean[1]),
-                        number(dwell.mean[2]));
-    for (int j = 0; j < 3; ++j) rows += "," + (dwell.u_mean ? number((*dwell.u_mean)[j]) : "");
+                        csv_number(dwell.alpha.deg()), csv_number(dwell.mean[0]), csv_number(dwell.mean[1]),
+                        csv_number(dwell.mean[2]));
+    for (int j = 0; j < 3; ++j) rows += "," + (dwell.u_mean ? csv_number((*dwell.u_mean)[j]) : "");
     const auto degrees = [](const std::optional<Angle>& angle) {
-      return angle ? number(angle->deg()) : std::string();
+      return angle ? csv_number(angle->deg()) : std::string();
     };
-    rows += fmt::format(",{},{},{},{},{},{}\n", number(dwell.time_s),
-                        dwell.count > 0 ? std::to_string(dwell.count) : "", number(dwell.temperature_degc),
-                        dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z));
+    rows += fmt::format(
+        ",{},{},{},{},{},{}\n", csv_number(dwell.time_s), dwell.count > 0 ? std::to_string(dwell.count) : "",
+        csv_number(dwell.temperature_degc), dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z));
   }
   std::string flags;
   for (std::uint32_t bit = 1; bit <= kAllFlags; bit *= 2)
@@ -108,9 +108,9 @@ void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
   RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
     for (const StoredReading& r : dwell.readings) {
       file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
-                          dwell.closing ? 1 : 0, number(dwell.alpha.deg()), dwell.repeat ? 1 : 0, r.sequence,
-                          number(r.time_s), number(r.output[0]), number(r.output[1]), number(r.output[2]),
-                          number(r.temperature_degc));
+                          dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()), dwell.repeat ? 1 : 0,
+                          r.sequence, csv_number(r.time_s), csv_number(r.output[0]), csv_number(r.output[1]),
+                          csv_number(r.output[2]), csv_number(r.temperature_degc));
     }
   });
   file.close();

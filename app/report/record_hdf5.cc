@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "app/report/valid_text.h"
+#include "app/document/valid_text.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
 

@@ -1,8 +1,6 @@
 #include "app/report/report_json.h"
 
-#include <cmath>
-
-#include "app/report/valid_text.h"
+#include "app/document/valid_text.h"
 #include "app/results/result_json.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -10,10 +8,6 @@ namespace abcal {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-Json number(const std::optional<double>& value) {
-  return value && std::isfinite(*value) ? Json(*value) : Json(nullptr);
-}
 
 Json text(const std::string& value) {
   return value.empty() ? Json(nullptr) : Json(valid_text(value));
@@ -24,7 +18,7 @@ Json budget_json(const ReportData& data) {
   const Budget& budget = *data.budget;
   const auto of_outputs = [](const OutputVector& values) {
     Json json;
-    for (int k = 0; k < kStudyOutputs; ++k) json[std::string(output_symbol(k))] = number(values(k));
+    for (int k = 0; k < kStudyOutputs; ++k) json[std::string(output_symbol(k))] = json_number(values(k));
     return json;
   };
   Json units;
@@ -37,7 +31,7 @@ Json budget_json(const ReportData& data) {
                      {"unit", line.unit},
                      {"distribution", line.distribution},
                      {"type", line.type_a ? "A" : "B"},
-                     {"standard_uncertainty", number(line.standard_uncertainty)},
+                     {"standard_uncertainty", json_number(line.standard_uncertainty)},
                      {"sensitivity", of_outputs(line.sensitivity)},
                      {"contribution", of_outputs(line.contribution)}});
   }
@@ -64,9 +58,9 @@ Json run_json(const ReportData& data) {
   for (const StoredEnvironment& e : run.environment) {
     environment.push_back({{"moment", e.moment},
                            {"utc", e.utc},
-                           {"temperature_degc", number(e.temperature_degc)},
-                           {"humidity_percent", number(e.humidity_percent)},
-                           {"pressure_hpa", number(e.pressure_hpa)}});
+                           {"temperature_degc", json_number(e.temperature_degc)},
+                           {"humidity_percent", json_number(e.humidity_percent)},
+                           {"pressure_hpa", json_number(e.pressure_hpa)}});
   }
   Json events = Json::array();
   for (const RunEvent& event : run.events)

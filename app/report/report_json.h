@@ -2,7 +2,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 
 namespace abcal {
 

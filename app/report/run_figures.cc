@@ -8,7 +8,7 @@
 #include <limits>
 #include <vector>
 
-#include "app/report/gnuplot.h"
+#include "app/document/gnuplot.h"
 
 namespace abcal {
 namespace {

@@ -1,7 +1,7 @@
 #pragma once
 
-#include "app/report/document.h"
-#include "app/report/report_data.h"
+#include "app/document/document.h"
+#include "app/results/report_data.h"
 
 namespace abcal {
 

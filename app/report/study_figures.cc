@@ -5,7 +5,7 @@
 #include <fstream>
 #include <stdexcept>
 
-#include "app/report/gnuplot.h"
+#include "app/document/gnuplot.h"
 
 namespace abcal {
 

@@ -1,15 +1,11 @@
 #include "app/report/study_json.h"
 
-#include <cmath>
+#include "app/results/result_json.h"
 
 namespace abcal {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-Json number(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
-}
 
 // The four groups, each element made by `element(k)`.
 template <class Element>
@@ -28,7 +24,7 @@ Json groups(const Element& element) {
 }
 
 Json groups(const OutputVector& values) {
-  return groups([&](int k) { return number(values(k)); });
+  return groups([&](int k) { return json_number(values(k)); });
 }
 
 Json groups(const StudyOutput& output) {
@@ -40,7 +36,7 @@ Json matrix(const Matrix& m) {
   Json rows = Json::array();
   for (Eigen::Index i = 0; i < m.rows(); ++i) {
     Json row = Json::array();
-    for (Eigen::Index j = 0; j < m.cols(); ++j) row.push_back(number(m(i, j)));
+    for (Eigen::Index j = 0; j < m.cols(); ++j) row.push_back(json_number(m(i, j)));
     rows.push_back(std::move(row));
   }
   return rows;
@@ -72,7 +68,7 @@ void add_monte_carlo(Json& json, const MonteCarloResult& result) {
     json["shortest_coverage_interval"] = nullptr;
   } else {
     const auto pair = [](const CoverageInterval& interval) {
-      return Json::array({number(interval.low), number(interval.high)});
+      return Json::array({json_number(interval.low), json_number(interval.high)});
     };
     json["coverage_interval"] =
         groups([&](int k) { return pair(result.coverage[static_cast<std::size_t>(k)].symmetric); });
@@ -122,7 +118,8 @@ nlohmann::ordered_json study_json(const StudyResult& study) {
                                   {"intrinsic_properties", (*one.means_not_zero)[1]}};
       }
     }
-    if (one.largest_higher_harmonic) item["largest_higher_harmonic"] = number(*one.largest_higher_harmonic);
+    if (one.largest_higher_harmonic)
+      item["largest_higher_harmonic"] = json_number(*one.largest_higher_harmonic);
     if (!one.table.empty()) item["table"] = one.table;
     if (one.published_truth) {
       item["paper"] = {{"truth", groups(*one.published_truth)}};
@@ -181,10 +178,10 @@ nlohmann::ordered_json study_json(const RunUncertainty& study) {
                      {"unit", line.unit},
                      {"distribution", line.distribution},
                      {"type", line.type_a ? "A" : "B"},
-                     {"standard_uncertainty", number(line.standard_uncertainty)},
+                     {"standard_uncertainty", json_number(line.standard_uncertainty)},
                      {"sensitivity", groups(line.sensitivity)},
                      {"contribution", groups(line.contribution)},
-                     {"share", groups([&](int k) { return number(study.budget.share(line, k)); })}});
+                     {"share", groups([&](int k) { return json_number(study.budget.share(line, k)); })}});
   }
   json["budget"] = {{"lines", std::move(lines)},
                     {"combined", groups(study.budget.combined)},

@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::size_t kNoteWidth = 106;
 
-std::string number(double value) {
+std::string study_number(double value) {
   return std::isfinite(value) ? fmt::format("{:+.3e}", value) : "";
 }
 
@@ -34,11 +34,11 @@ std::string wrapped(const std::string& text, const std::string& indent) {
 
 std::string row(const char* matrix, std::string_view vector, const Eigen::Vector3d& ours,
                 const std::optional<Eigen::Vector3d>& printed, const char* unit) {
-  std::string text = fmt::format("  {:<7}{:<7}{:>11} {:>11} {:>11}", matrix, vector, number(ours(0)),
-                                 number(ours(1)), number(ours(2)));
+  std::string text = fmt::format("  {:<7}{:<7}{:>11} {:>11} {:>11}", matrix, vector, study_number(ours(0)),
+                                 study_number(ours(1)), study_number(ours(2)));
   if (printed) {
-    text += fmt::format("  | {:>10} {:>10} {:>10}", number((*printed)(0)), number((*printed)(1)),
-                        number((*printed)(2)));
+    text += fmt::format("  | {:>10} {:>10} {:>10}", study_number((*printed)(0)), study_number((*printed)(1)),
+                        study_number((*printed)(2)));
   }
   return text + fmt::format("  {}\n", unit);
 }
@@ -112,16 +112,16 @@ std::string means_and_deviations(const StudyCase& one) {
   // The paper's order: s, O, phi.
   for (const int first : {kFirstIntrinsicSensitivity, kFirstOffset, kFirstIntrinsicAngle}) {
     for (int k = first; k < first + 3; ++k) {
-      text += fmt::format("  {:<14}{:>11} {:>11}", output_symbol(k), number(result.mean(k)),
-                          number(result.standard_deviation(k)));
+      text += fmt::format("  {:<14}{:>11} {:>11}", output_symbol(k), study_number(result.mean(k)),
+                          study_number(result.standard_deviation(k)));
       if (one.published) {
-        text += fmt::format("  | {:>10} {:>10}", number(to_vector(*one.published)(k)),
-                            number(to_vector(*one.published_standard_deviation)(k)));
+        text += fmt::format("  | {:>10} {:>10}", study_number(to_vector(*one.published)(k)),
+                            study_number(to_vector(*one.published_standard_deviation)(k)));
       }
       text += fmt::format("  {:<9}", output_unit(k, "R"));
       if (!result.coverage.empty()) {
         const CoverageInterval& interval = result.coverage[static_cast<std::size_t>(k)].symmetric;
-        text += fmt::format("{} {}", number(interval.low), number(interval.high));
+        text += fmt::format("{} {}", study_number(interval.low), study_number(interval.high));
       }
       text += "\n";
     }
@@ -209,7 +209,7 @@ std::string study_text(const RunUncertainty& study) {
     std::string interval;
     if (!study.combined.coverage.empty()) {
       const CoverageInterval& symmetric = study.combined.coverage[static_cast<std::size_t>(k)].symmetric;
-      interval = fmt::format("{} {}", number(symmetric.low), number(symmetric.high));
+      interval = fmt::format("{} {}", study_number(symmetric.low), study_number(symmetric.high));
     }
     text += fmt::format("  {:<8}{:>+16.8g} {:>10.2e} {:>10.2e} {:>10.2e}  {:<24}{}\n", output_symbol(k),
                         to_vector(study.value)(k), b.standard_deviation(k), std::sqrt(readings(k)),
@@ -243,7 +243,7 @@ std::string study_text(const RunUncertainty& study) {
           "  {:<32}{:>11} {:<7}{:<12}{:>9} {:>11} {:>10.2e} {:>5.1f}%\n", line.input, line.value, line.unit,
           line.distribution,
           std::isfinite(line.standard_uncertainty) ? fmt::format("{:.2e}", line.standard_uncertainty) : "",
-          number(line.sensitivity(k)), line.contribution(k), 100.0 * study.budget.share(line, k));
+          study_number(line.sensitivity(k)), line.contribution(k), 100.0 * study.budget.share(line, k));
     }
     text +=
         fmt::format("  {:<32}{:>52} {:>10.2e}\n", "combined, to first order", "", study.budget.combined(k));

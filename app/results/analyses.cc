@@ -5,12 +5,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
+#include <system_error>
 
 #include "app/results/effect_words.h"
-#include "protocol/analysis/analyse.h"
 #include "protocol/analysis/intrinsic_properties.h"
-#include "protocol/analysis/joint_fit.h"
-#include "protocol/analysis/norm_fit.h"
 #include "protocol/analysis/plausibility.h"
 #include "sim/sim_bench.h"
 
@@ -18,23 +17,27 @@ namespace abcal {
 
 namespace {
 
-CalibrationResult estimate(const RunRecord& record, const std::string& estimator) {
+CalibrationResult refused(const RunRecord& record, const std::string& estimator, const char* why) {
+  CalibrationResult result;
+  result.estimator = estimator;
+  result.source = record.source;
+  result.response_unit = record.response_unit;
+  result.verdict = Verdict::kNotUsable;
+  result.why = why;
+  return result;
+}
+
+/// The analysis refuses a record with std::invalid_argument (what the record holds) or std::runtime_error
+/// (what it does not determine). A std::system_error and the other std::logic_errors are no refusals.
+CalibrationResult estimate(const RunRecord& record, const Estimator& estimator) {
   try {
-    if (estimator == "joint") {
-      JointOptions options;
-      options.measured_alignment = record.measured_alignment;
-      return analyse_joint(record, options);
-    }
-    if (estimator == "norm") return analyse_norm(record);
-    return analyse_abc(record);
-  } catch (const std::exception& error) {
-    CalibrationResult result;
-    result.estimator = estimator;
-    result.source = record.source;
-    result.response_unit = record.response_unit;
-    result.verdict = Verdict::kNotUsable;
-    result.why = error.what();
-    return result;
+    return estimator.fit(record);
+  } catch (const std::system_error&) {
+    throw;
+  } catch (const std::invalid_argument& error) {
+    return refused(record, estimator.name, error.what());
+  } catch (const std::runtime_error& error) {
+    return refused(record, estimator.name, error.what());
   }
 }
 
@@ -56,7 +59,7 @@ sim::TrueLineResponse mean_line_response(sim::BenchTruth truth) {
 }
 
 /// What is true of the run goes with every estimator's result.
-CalibrationResult checked(const RunRecord& record, const std::string& estimator,
+CalibrationResult checked(const RunRecord& record, const Estimator& estimator,
                           const std::vector<Check>& of_the_record) {
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
   CalibrationResult result = estimate(record, estimator);
@@ -81,13 +84,17 @@ CalibrationResult checked(const RunRecord& record, const std::string& estimator,
 }  // namespace
 
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator) {
+  return analyse(record, find_estimator(estimator));
+}
+
+CalibrationResult analyse(const RunRecord& record, const Estimator& estimator) {
   return checked(record, estimator, check_record(record));
 }
 
 std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
   std::vector<CalibrationResult> results;
   const std::vector<Check> of_the_record = check_record(record);
-  for (const std::string& estimator : kEstimators) {
+  for (const Estimator& estimator : estimators()) {
     results.push_back(checked(record, estimator, of_the_record));
   }
   return results;
@@ -101,7 +108,7 @@ TruthComparison compare_with_truth(const CalibrationResult& result, const BenchC
   comparison.text = fmt::format("  {:<8} {:>14} {:>14} {:>12} {:>12}\n", "quantity", "truth", "result",
                                 "difference", "/ std. unc.");
   const auto add = [&](const std::string& name, double truth, const Quantity& q) {
-    if (std::isnan(q.value) && result.estimator == "norm") return;
+    if (std::isnan(q.value) && !find_estimator(result.estimator).certifiable) return;
     const double ratio = (q.value - truth) / q.standard_uncertainty;
     // A result that is not a number agrees with nothing.
     comparison.largest = std::max(

@@ -5,20 +5,22 @@
 #include <vector>
 
 #include "app/bench/bench_config.h"
+#include "app/results/estimators.h"
 #include "app/results/load_record.h"
 #include "protocol/analysis/calibration_result.h"
 
 namespace abcal {
 
-/// Names of the estimators, as on the command line.
-inline const std::vector<std::string> kEstimators{"abc", "joint", "norm"};
-
-/// One estimator on one record. A record that an estimator cannot solve gives Verdict::kNotUsable with the
-/// reason.
+/// One estimator on one record. A record that the estimator refuses gives Verdict::kNotUsable with the
+/// reason; any other exception is a fault of the program and is not caught.
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator);
+CalibrationResult analyse(const RunRecord& record, const Estimator& estimator);
 
-/// All three: the independent check of every run.
+/// Every estimator of the list: the independent check of every run.
 std::vector<CalibrationResult> analyse_all(const RunRecord& record);
+
+/// The names of all estimators.
+inline const std::vector<std::string>& kEstimators = estimator_names();
 
 /// Every output beside the truth of a simulated bench, with the difference in standard uncertainties.
 struct TruthComparison {

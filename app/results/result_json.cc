@@ -7,18 +7,11 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-Json number(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
-}
-Json number(const std::optional<double>& value) {
-  return value ? number(*value) : Json(nullptr);
-}
-
 Json quantity(const Quantity& q) {
-  return {{"value", number(q.value)},
-          {"standard_uncertainty", number(q.standard_uncertainty)},
-          {"type_a", number(q.type_a)},
-          {"type_b", number(q.type_b)},
+  return {{"value", json_number(q.value)},
+          {"standard_uncertainty", json_number(q.standard_uncertainty)},
+          {"type_a", json_number(q.type_a)},
+          {"type_b", json_number(q.type_b)},
           {"unit", q.unit}};
 }
 
@@ -35,13 +28,13 @@ Json matrix(const std::optional<Matrix>& m) {
   Json rows = Json::array();
   for (Eigen::Index i = 0; i < m->rows(); ++i) {
     Json row = Json::array();
-    for (Eigen::Index j = 0; j < m->cols(); ++j) row.push_back(number((*m)(i, j)));
+    for (Eigen::Index j = 0; j < m->cols(); ++j) row.push_back(json_number((*m)(i, j)));
     rows.push_back(std::move(row));
   }
   return rows;
 }
 
-constexpr const char* kAccelerometers[] = {"u", "v", "w"};
+constexpr const char* kOutputLetters[] = {"u", "v", "w"};
 
 Json diagnostics(const Diagnostics& d) {
   Json fits = Json::array();
@@ -53,27 +46,27 @@ Json diagnostics(const Diagnostics& d) {
                            {"cos", quantity(harmonic.cos_amplitude)}});
     }
     fits.push_back({{"experiment", fit.experiment},
-                    {"accelerometer", kAccelerometers[fit.accelerometer]},
+                    {"accelerometer", kOutputLetters[fit.accelerometer]},
                     {"sine", quantity(fit.sine)},
                     {"cosine", quantity(fit.cosine)},
                     {"constant", quantity(fit.constant)},
                     {"angles", fit.angles},
                     {"degrees_of_freedom", fit.degrees_of_freedom},
-                    {"residual_rms", number(fit.residual_rms)},
-                    {"chi2", number(fit.chi2)},
+                    {"residual_rms", json_number(fit.residual_rms)},
+                    {"chi2", json_number(fit.chi2)},
                     {"harmonics", std::move(harmonics)},
-                    {"harmonics_residual_rms", number(fit.harmonics_residual_rms)}});
+                    {"harmonics_residual_rms", json_number(fit.harmonics_residual_rms)}});
   }
   Json closures = Json::array();
   for (const Closure& closure : d.closures) {
     closures.push_back({{"name", closure.name},
-                        {"accelerometer", kAccelerometers[closure.accelerometer]},
+                        {"accelerometer", kOutputLetters[closure.accelerometer]},
                         {"value", quantity(closure.value)}});
   }
   Json closing = Json::array();
   for (const ClosingDifference& difference : d.closing_differences) {
     closing.push_back({{"experiment", difference.experiment},
-                       {"accelerometer", kAccelerometers[difference.accelerometer]},
+                       {"accelerometer", kOutputLetters[difference.accelerometer]},
                        {"value", quantity(difference.value)}});
   }
   Json flags = Json::array();
@@ -81,8 +74,8 @@ Json diagnostics(const Diagnostics& d) {
   for (const Check& check : d.checks) {
     checks.push_back({{"check", check.name},
                       {"passed", check.passed},
-                      {"found", number(check.found)},
-                      {"limit", number(check.limit)},
+                      {"found", json_number(check.found)},
+                      {"limit", json_number(check.limit)},
                       {"unit", check.unit},
                       {"words", check.words}});
   }
@@ -90,10 +83,10 @@ Json diagnostics(const Diagnostics& d) {
   return {{"fits", std::move(fits)},
           {"closures", std::move(closures)},
           {"closing_differences", std::move(closing)},
-          {"chi2", number(d.chi2)},
+          {"chi2", json_number(d.chi2)},
           {"degrees_of_freedom", d.degrees_of_freedom},
-          {"chi2_probability", number(d.chi2_probability)},
-          {"reciprocal_condition", number(d.reciprocal_condition)},
+          {"chi2_probability", json_number(d.chi2_probability)},
+          {"reciprocal_condition", json_number(d.reciprocal_condition)},
           {"rank", d.rank},
           {"angles_used", d.angles_used},
           {"angles_flagged", d.angles_flagged},
@@ -103,6 +96,10 @@ Json diagnostics(const Diagnostics& d) {
 }
 
 }  // namespace
+
+nlohmann::ordered_json json_number(const std::optional<double>& value) {
+  return value && std::isfinite(*value) ? Json(*value) : Json(nullptr);
+}
 
 Json result_json(const CalibrationResult& result) {
   Json json;
@@ -143,8 +140,8 @@ Json result_json(const CalibrationResult& result) {
     const NormResult& norm = *result.norm;
     json["poses"] = norm.poses;
     json["poses_left_out"] = norm.poses_left_out;
-    json["norm_rms"] = number(norm.norm_rms);
-    json["sphere_coverage"] = number(norm.sphere_coverage);
+    json["norm_rms"] = json_number(norm.norm_rms);
+    json["sphere_coverage"] = json_number(norm.sphere_coverage);
     json["coverage_words"] = norm.coverage_words;
   }
   return json;

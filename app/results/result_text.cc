@@ -7,6 +7,7 @@
 #include <cmath>
 #include <vector>
 
+#include "app/results/estimators.h"
 #include "app/system/terminal.h"
 
 namespace abcal {
@@ -109,6 +110,87 @@ std::string value_with_uncertainty(const Quantity& q) {
   return fmt::format("{:+.{}f} +- {}", q.value, decimals, uncertainty_text(q.standard_uncertainty, decimals));
 }
 
+namespace {
+
+const char* heading_of(const std::string& output) {
+  if (output.starts_with("phi")) return "Intrinsic angle";
+  if (output.starts_with("O")) return "Zero-acceleration offset";
+  return output.size() == 4 ? "Sensitivity matrix (default orientation, LGCS)" : "Intrinsic sensitivity";
+}
+
+void add_outputs(std::string& text, const CalibrationResult& result, std::FILE* stream) {
+  text += fmt::format("\n  {:<8} {:>16} {:>14} {:>14} {:>14}  {}\n", "quantity", "value", "std. unc.",
+                      "type A", "type B", "unit");
+  std::string_view last;
+  for (const auto& [name, quantity] : outputs(result)) {
+    if (!result.sensitivity_matrix && name.size() == 4 && name.starts_with("s_")) continue;
+    if (const std::string_view heading = heading_of(name); heading != last) {
+      text += emphasised(stream, Emphasis::kHeading, std::string(heading)) + "\n";
+      last = heading;
+    }
+    row(text, name, quantity);
+  }
+}
+
+void add_poses(std::string& text, const NormResult& norm) {
+  text +=
+      fmt::format("\n{} poses used, {} left out; rms of |a|/g_loc - 1: {:.2e}; sphere coverage {:.2f}{}{}\n",
+                  norm.poses, norm.poses_left_out, norm.norm_rms, norm.sphere_coverage,
+                  norm.coverage_words.empty() ? "" : ": ", norm.coverage_words);
+}
+
+void add_fits(std::string& text, const Diagnostics& d, const std::string& unit) {
+  double worst_residual = 0.0;
+  double worst_harmonic = 0.0;
+  for (const FitDiagnostic& fit : d.fits) {
+    worst_residual = std::max(worst_residual, fit.residual_rms);
+    for (const Harmonic& h : fit.harmonics) {
+      if (h.order < 2) continue;
+      worst_harmonic = std::max(worst_harmonic, std::hypot(h.sin_amplitude.value, h.cos_amplitude.value));
+    }
+  }
+  text += fmt::format(
+      "\nFits: residual rms at most {:.2e} {}, harmonics 2-5 at most {:.2e} {}, reciprocal condition "
+      "{:.2f}\n",
+      worst_residual, unit, worst_harmonic, unit, d.reciprocal_condition);
+}
+
+void add_closures(std::string& text, const Diagnostics& d) {
+  const auto in_units = [](const Closure& c) {
+    return std::abs(c.value.value) / c.value.standard_uncertainty;
+  };
+  const auto worst =
+      std::max_element(d.closures.begin(), d.closures.end(),
+                       [&](const Closure& a, const Closure& b) { return in_units(a) < in_units(b); });
+  text += fmt::format("Closures: largest {} of {} = {} {} ({:.1f} standard uncertainties)\n", worst->name,
+                      kAccelerometers[static_cast<std::size_t>(worst->accelerometer)],
+                      value_with_uncertainty(worst->value), worst->value.unit, in_units(*worst));
+}
+
+/// A fit that knows nothing of step errors: its chi2 against the readings' noise is large on any real stage.
+void add_chi2(std::string& text, const Diagnostics& d, bool fits_stage_errors) {
+  text +=
+      fits_stage_errors
+          ? fmt::format("chi2 = {:.1f} for {} degrees of freedom{}\n", *d.chi2, d.degrees_of_freedom,
+                        d.chi2_probability ? fmt::format(", probability {:.3g}", *d.chi2_probability) : "")
+          : fmt::format(
+                "Residuals are {:.1f} times what the readings' noise alone would leave (the stage's "
+                "step errors are in them)\n",
+                std::sqrt(*d.chi2 / d.degrees_of_freedom));
+}
+
+void add_checks(std::string& text, const Diagnostics& d, std::FILE* stream) {
+  if (!d.checks.empty()) text += "Checks (found, limit)\n";
+  for (const Check& check : d.checks) {
+    if (!std::isfinite(check.found)) continue;  // not made: a note says why
+    text +=
+        fmt::format("  {:<26} {:>10.2e} {:>10.2e}  {}  {}\n", check.name, check.found, check.limit,
+                    check.passed ? "passed" : emphasised(stream, Emphasis::kWarning, "FAILED"), check.unit);
+  }
+}
+
+}  // namespace
+
 std::string result_text(const CalibrationResult& result, std::FILE* stream) {
   const Emphasis emphasis = result.verdict == Verdict::kUsable     ? Emphasis::kGood
                             : result.verdict == Verdict::kDoubtful ? Emphasis::kWarning
@@ -124,84 +206,20 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
     text += fmt::format("g_loc = {} m/s2 (k = 1; {})\n", value_with_uncertainty(result.g_loc),
                         result.g_loc_source.empty() ? "source not stated" : result.g_loc_source);
   }
-  text += fmt::format("\n  {:<8} {:>16} {:>14} {:>14} {:>14}  {}\n", "quantity", "value", "std. unc.",
-                      "type A", "type B", "unit");
-  std::string group;
-  for (const auto& [name, quantity] : outputs(result)) {
-    if (!result.sensitivity_matrix && name.size() == 4 && name.starts_with("s_")) continue;
-    const std::string this_group = name.starts_with("phi") ? "phi"
-                                   : name.starts_with("O") ? "O"
-                                   : name.size() == 4      ? "s_jk"
-                                                           : "s_j";
-    if (this_group != group) {
-      const char* heading = this_group == "s_jk"  ? "Sensitivity matrix (default orientation, LGCS)"
-                            : this_group == "s_j" ? "Intrinsic sensitivity"
-                            : this_group == "phi" ? "Intrinsic angle"
-                                                  : "Zero-acceleration offset";
-      text += emphasised(stream, Emphasis::kHeading, heading) + "\n";
-      group = this_group;
-    }
-    row(text, name, quantity);
-  }
+  add_outputs(text, result, stream);
   if (result.joint) stage_errors(text, *result.joint);
-  if (result.norm) {
-    text += fmt::format(
-        "\n{} poses used, {} left out; rms of |a|/g_loc - 1: {:.2e}; sphere coverage {:.2f}{}{}\n",
-        result.norm->poses, result.norm->poses_left_out, result.norm->norm_rms, result.norm->sphere_coverage,
-        result.norm->coverage_words.empty() ? "" : ": ", result.norm->coverage_words);
-  }
-
-  if (!d.fits.empty()) {
-    double worst_residual = 0.0;
-    double worst_harmonic = 0.0;
-    for (const FitDiagnostic& fit : d.fits) {
-      worst_residual = std::max(worst_residual, fit.residual_rms);
-      for (const Harmonic& h : fit.harmonics) {
-        if (h.order < 2) continue;
-        worst_harmonic = std::max(worst_harmonic, std::hypot(h.sin_amplitude.value, h.cos_amplitude.value));
-      }
-    }
-    text += fmt::format(
-        "\nFits: residual rms at most {:.2e} {}, harmonics 2-5 at most {:.2e} {}, reciprocal condition "
-        "{:.2f}\n",
-        worst_residual, result.response_unit, worst_harmonic, result.response_unit, d.reciprocal_condition);
-  }
-  if (!d.closures.empty()) {
-    const auto in_units = [](const Closure& c) {
-      return std::abs(c.value.value) / c.value.standard_uncertainty;
-    };
-    const auto worst =
-        std::max_element(d.closures.begin(), d.closures.end(),
-                         [&](const Closure& a, const Closure& b) { return in_units(a) < in_units(b); });
-    text += fmt::format("Closures: largest {} of {} = {} {} ({:.1f} standard uncertainties)\n", worst->name,
-                        kAccelerometers[static_cast<std::size_t>(worst->accelerometer)],
-                        value_with_uncertainty(worst->value), worst->value.unit, in_units(*worst));
-  }
-  if (d.chi2 && d.degrees_of_freedom > 0) {
-    // The plain ABC fit knows nothing of step errors: its chi2 against the readings' noise is large on any
-    // real stage.
-    text +=
-        result.estimator == "abc"
-            ? fmt::format(
-                  "Residuals are {:.1f} times what the readings' noise alone would leave (the stage's step "
-                  "errors are in them)\n",
-                  std::sqrt(*d.chi2 / d.degrees_of_freedom))
-            : fmt::format("chi2 = {:.1f} for {} degrees of freedom{}\n", *d.chi2, d.degrees_of_freedom,
-                          d.chi2_probability ? fmt::format(", probability {:.3g}", *d.chi2_probability) : "");
-  }
-  if (!d.checks.empty()) text += "Checks (found, limit)\n";
-  for (const Check& check : d.checks) {
-    if (!std::isfinite(check.found)) continue;  // not made: a note says why
-    text +=
-        fmt::format("  {:<26} {:>10.2e} {:>10.2e}  {}  {}\n", check.name, check.found, check.limit,
-                    check.passed ? "passed" : emphasised(stream, Emphasis::kWarning, "FAILED"), check.unit);
-  }
+  if (result.norm) add_poses(text, *result.norm);
+  if (!d.fits.empty()) add_fits(text, d, result.response_unit);
+  if (!d.closures.empty()) add_closures(text, d);
+  if (d.chi2 && d.degrees_of_freedom > 0)
+    add_chi2(text, d, find_estimator(result.estimator).fits_stage_errors);
+  add_checks(text, d, stream);
   text += fmt::format("{} angles used, {} flagged", d.angles_used, d.angles_flagged);
   for (const FlagCount& flag : d.flags) text += fmt::format("; {}: {}", flag.flag, flag.dwells);
   return text + "\n";
 }
 
-std::string comparison_text(const std::vector<CalibrationResult>& results) {
+std::string comparison_text(const std::vector<CalibrationResult>& results, std::string_view estimator) {
   std::string text = fmt::format("  {:<8}", "quantity");
   for (const CalibrationResult& result : results) {
     text += fmt::format(" {:>30}", fmt::format("{} ({})", result.estimator, to_string(result.verdict)));
@@ -209,6 +227,7 @@ std::string comparison_text(const std::vector<CalibrationResult>& results) {
   text += "   difference / std. unc.\n";
   std::vector<std::vector<NamedQuantity>> columns;
   for (const CalibrationResult& result : results) columns.push_back(outputs(result));
+  const auto reported = static_cast<std::size_t>(&result_of(results, estimator) - results.data());
   for (std::size_t row_index = 0; row_index < columns.front().size(); ++row_index) {
     text += fmt::format("  {:<8}", columns.front()[row_index].name);
     for (std::size_t c = 0; c < columns.size(); ++c) {
@@ -217,8 +236,9 @@ std::string comparison_text(const std::vector<CalibrationResult>& results) {
       text += fmt::format(" {:>30}", shown ? value_with_uncertainty(q) : "-");
     }
     text += "  ";
-    for (std::size_t c = 1; c < columns.size(); ++c) {
-      const Quantity& a = columns[0][row_index].quantity;
+    for (std::size_t c = 0; c < columns.size(); ++c) {
+      if (c == reported) continue;
+      const Quantity& a = columns[reported][row_index].quantity;
       const Quantity& b = columns[c][row_index].quantity;
       const double u = std::hypot(a.standard_uncertainty, b.standard_uncertainty);
       const double difference = (b.value - a.value) / u;

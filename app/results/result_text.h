@@ -2,8 +2,10 @@
 
 #include <cstdio>
 #include <string>
+#include <string_view>
 #include <vector>
 
+#include "app/results/estimators.h"
 #include "protocol/analysis/calibration_result.h"
 
 namespace abcal {
@@ -33,8 +35,9 @@ std::string value_with_uncertainty(const Quantity& quantity);
 /// diagnostics say. Colours as `stream` allows.
 std::string result_text(const CalibrationResult& result, std::FILE* stream);
 
-/// Several estimators of one run side by side, with their differences from the first in units of the combined
-/// standard uncertainty.
-std::string comparison_text(const std::vector<CalibrationResult>& results);
+/// Several estimators of one run side by side, with their differences from the one that is reported in units
+/// of the combined standard uncertainty.
+std::string comparison_text(const std::vector<CalibrationResult>& results,
+                            std::string_view estimator = kDefaultEstimator);
 
 }  // namespace abcal

@@ -14,6 +14,7 @@
 #include "app/session/run_bench.h"
 #include "app/session/session_observer.h"
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/plan/limits.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/run/dwell.h"
 
@@ -85,14 +86,6 @@ double disagreement(const std::vector<PoseReading>& poses, const Hypothesis& h) 
 
 std::string in_words(const Eigen::Vector3d& v, const std::string& unit) {
   return fmt::format("({:+.5g}, {:+.5g}, {:+.5g}) {}", v[0], v[1], v[2], unit);
-}
-
-/// Local gravity in the output's unit, where that is known.
-std::optional<double> gravity_in(const std::string& unit, const LocalGravity& g_loc) {
-  if (unit == "g") return g_loc.value_mps2 / 9.80665;
-  if (unit == "mg") return g_loc.value_mps2 / 9.80665e-3;
-  if (unit == "m/s2") return g_loc.value_mps2;
-  return std::nullopt;
 }
 
 class Checker {
@@ -224,7 +217,7 @@ class Checker {
                     in_words(at_rest.u_mean, unit)),
         silent ? "an output that does not change at all may be stuck; look at it while the bench is touched"
                : "");
-    if (const auto gravity = gravity_in(unit, config_.g_loc)) {
+    if (const auto gravity = nominal_response({}, unit, config_.g_loc.value_mps2)) {
       const double norm = at_rest.mean.norm();
       const bool plausible = std::abs(norm / *gravity - 1.0) <= kNormTolerance;
       add(plausible ? Grade::kGood : Grade::kProblem, "norm",

@@ -3,10 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <map>
+#include <charconv>
+#include <cstdlib>
+#include <stdexcept>
 
-#include "app/certificate/derived.h"
 #include "app/xml/xml_tree.h"
+#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
@@ -20,32 +22,6 @@ DsiUnit per_acceleration() {
   return DsiUnit("\\second").to_the(2) * DsiUnit("\\metre").to_the(-1);
 }
 
-/// Units that D-SI has a name for.
-const std::map<std::string, DsiUnit>& known_units() {
-  static const std::map<std::string, DsiUnit> kUnits{
-      {"V", DsiUnit("\\volt")},
-      {"mV", DsiUnit("\\milli\\volt")},
-      {"uV", DsiUnit("\\micro\\volt")},
-      {"\u00b5V", DsiUnit("\\micro\\volt")},
-      {"\u03bcV", DsiUnit("\\micro\\volt")},
-      {"V/V", DsiUnit()},
-      {"mV/V", DsiUnit("\\milli\\volt") * DsiUnit("\\volt").to_the(-1)},
-      {"A", DsiUnit("\\ampere")},
-      {"mA", DsiUnit("\\milli\\ampere")},
-      {"m/s2", acceleration()},
-      {"m/s^2", acceleration()},
-      {"m/s\u00b2", acceleration()},
-      {"1", DsiUnit()},
-      {"degree", DsiUnit("\\degree")},
-      {"mrad", DsiUnit("\\milli\\radian")},
-      {"%", DsiUnit("\\percent")},
-  };
-  return kUnits;
-}
-
-/// Multiples of standard gravity, as a unit.
-const std::map<std::string, double> kOfGravity{{"g", 1.0}, {"mg", 1e-3}, {"ug", 1e-6}, {"\u00b5g", 1e-6}};
-
 /// The name of a unit that is not of the SI, as one word behind the bar that D-SI wants.
 std::string non_si(const std::string& name) {
   std::string word = one_line(name);
@@ -58,6 +34,33 @@ bool take_suffix(std::string& text, const std::string& suffix) {
   text.resize(text.size() - suffix.size());
   if (text.size() > 2 && text.front() == '(' && text.back() == ')') text = text.substr(1, text.size() - 2);
   return true;
+}
+
+UnitMeaning meaning_to_the(UnitMeaning unit, int power) {
+  UnitMeaning result;
+  for (int i = 0; i < std::abs(power); ++i)
+    result.factor = power > 0 ? result.factor * unit.factor : result.factor / unit.factor;
+  for (auto& [base, exponent] : unit.powers) {
+    if (exponent * power != 0) result.powers[base] = exponent * power;
+  }
+  return result;
+}
+
+/// A unit of the table, with what is known of it in D-SI.
+UnitInDsi from_table(const PrefixedUnit& found, const std::string& name) {
+  UnitInDsi in;
+  const NamedUnit& unit = *found.unit;
+  if (!unit.d_si.empty()) {
+    const std::string prefix = found.prefix == nullptr ? "" : fmt::format("\\{}", found.prefix->d_si);
+    in.unit = unit.d_si == "one" ? DsiUnit() : DsiUnit(fmt::format("{}\\{}", prefix, unit.d_si));
+  } else {
+    in.unit = acceleration();
+    in.factor = found.prefix_factor() * unit.factor;
+    if (in.factor == 1.0) return in;
+    in.own = DsiUnit(non_si(name));
+    in.definition = fmt::format("1 {} = {} m/s2 (standard gravity 9.80665 m/s2, exact)", name, in.factor);
+  }
+  return in;
 }
 
 }  // namespace
@@ -92,18 +95,14 @@ std::string DsiUnit::text() const {
 
 UnitInDsi unit_in_dsi(const std::string& unit) {
   UnitInDsi in;
-  if (const auto known = known_units().find(unit); known != known_units().end()) {
-    in.unit = known->second;
-    return in;
-  }
-  if (const auto multiple = kOfGravity.find(unit); multiple != kOfGravity.end()) {
-    in.unit = acceleration();
-    in.factor = multiple->second * kStandardGravity;
-    in.own = DsiUnit(non_si(unit));
-    in.definition = fmt::format("1 {} = {} m/s2 (standard gravity 9.80665 m/s2, exact)", unit, in.factor);
-    return in;
-  }
+  const auto found = find_unit(unit);
+  if (found && (!found->unit->d_si.empty() || acceleration_unit_mps2(unit))) return from_table(*found, unit);
   std::string output = unit;
+  if (take_suffix(output, "/V")) {
+    in = unit_in_dsi(output);
+    in.unit = in.unit * DsiUnit("\\volt").to_the(-1);
+    return in;
+  }
   if (take_suffix(output, "/g_loc")) return unit_in_dsi(output);
   if (take_suffix(output, "/(m/s2)")) {
     in = unit_in_dsi(output);
@@ -127,6 +126,52 @@ UnitInDsi unit_in_dsi(const std::string& unit) {
   }
   in.note = fmt::format("1 stands for one {} of the output.", unit.empty() ? "digit" : one_line(unit));
   return in;
+}
+
+UnitMeaning meaning_of_d_si(std::string_view text) {
+  const auto refuse = [&](const std::string& why) {
+    throw std::invalid_argument(fmt::format("D-SI unit \"{}\": {}", text, why));
+  };
+  UnitMeaning product;
+  double prefix = 1.0;
+  UnitMeaning last;  // Not yet multiplied in: a power may follow.
+  bool power_may_follow = false;
+  const auto take_last = [&] {
+    product = product * last;
+    last = {};
+    power_may_follow = false;
+  };
+  std::string_view rest = text;
+  if (rest.empty()) refuse("empty");
+  while (!rest.empty()) {
+    if (rest.front() != '\\') refuse("every word begins with \\");
+    const std::size_t end = std::min(rest.find('\\', 1), rest.size());
+    const std::string_view word = rest.substr(1, end - 1);
+    rest.remove_prefix(end);
+    if (word.starts_with("tothe{") && word.ends_with("}")) {
+      const std::string_view digits = word.substr(6, word.size() - 7);
+      int power = 0;
+      const auto [stop, error] = std::from_chars(digits.data(), digits.data() + digits.size(), power);
+      if (error != std::errc() || stop != digits.data() + digits.size() || std::abs(power) > 12)
+        refuse(fmt::format("power \"{}\"; required: a whole number", digits));
+      if (!power_may_follow) refuse("a power without a unit before it");
+      last = meaning_to_the(last, power);
+    } else if (const UnitPrefix* known = find_d_si_prefix(word)) {
+      take_last();
+      prefix *= known->factor;
+    } else if (const NamedUnit* unit = find_d_si_unit(word)) {
+      take_last();
+      last = unit->meaning();
+      last.factor *= prefix;
+      prefix = 1.0;
+      power_may_follow = true;
+    } else {
+      refuse(fmt::format("\\{} is not a unit that outputs of accelerometers have", word));
+    }
+  }
+  if (prefix != 1.0) refuse("a prefix without a unit after it");
+  take_last();
+  return product;
 }
 
 }  // namespace abcal

@@ -2,8 +2,11 @@
 
 #include <optional>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
+
+#include "protocol/plan/response_unit.h"
 
 namespace abcal {
 
@@ -35,5 +38,9 @@ struct UnitInDsi {
 /// since the quantity is the change of the output for one g_loc; "V/(m/s2)", "mV/g" (standard gravity). What
 /// nobody knows is a count: \one, with a note.
 UnitInDsi unit_in_dsi(const std::string& unit);
+
+/// A unit of D-SI: \volt\second\tothe{2}\metre\tothe{-1} (prefixes before the unit, \tothe{n} after it).
+/// @throws std::invalid_argument a unit or a power that is not known, with the text
+UnitMeaning meaning_of_d_si(std::string_view text);
 
 }  // namespace abcal

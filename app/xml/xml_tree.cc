@@ -9,10 +9,6 @@
 namespace abcal {
 namespace {
 
-const xmlChar* as_xml(const char* text) {
-  return reinterpret_cast<const xmlChar*>(text);
-}
-
 bool allowed_in_xml(int code) {
   return code == 0x9 || code == 0xA || code == 0xD || (code >= 0x20 && code <= 0xD7FF) ||
          (code >= 0xE000 && code <= 0xFFFD) || (code >= 0x10000 && code <= 0x10FFFF);
@@ -95,8 +91,14 @@ std::string xml_text(const XmlDocument& document) {
 }
 
 XmlDocument parse_xml(std::string_view text, const std::string& source) {
+  if (text.size() > kLargestXml) {
+    throw std::runtime_error(
+        fmt::format("{}: {} bytes; required: at most {}", source, text.size(), kLargestXml));
+  }
   XmlDocument document(xmlReadMemory(text.data(), static_cast<int>(text.size()), source.c_str(), nullptr,
                                      XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOWARNING));
+  if (document && xmlGetIntSubset(document.get()) != nullptr)
+    throw std::runtime_error(source + ": has a document type declaration (DOCTYPE); required: none");
   if (document) return document;
   const xmlError* error = xmlGetLastError();
   const std::string why =

@@ -14,6 +14,11 @@ struct FreeXml {
 /// A document of libxml2.
 using XmlDocument = std::unique_ptr<xmlDoc, FreeXml>;
 
+/// libxml2 names its strings unsigned char.
+inline const xmlChar* as_xml(const char* text) {
+  return reinterpret_cast<const xmlChar*>(text);
+}
+
 /// Text that any XML 1.0 document may hold: what is no valid UTF-8, and control characters, become U+FFFD.
 std::string xml_safe(std::string_view text);
 
@@ -40,7 +45,11 @@ class XmlElement {
 /// The document as UTF-8 text, indented.
 std::string xml_text(const XmlDocument& document);
 
-/// Parses a text. Nothing is loaded from the network or from other files, entities are not expanded.
+/// The largest text that parse_xml() takes: a certificate has some 100 kB.
+inline constexpr std::size_t kLargestXml = 64u << 20;
+
+/// Parses a text. Nothing is loaded from the network or from other files; a text with a document type
+/// declaration is refused, so that there are no entities to expand.
 /// @throws std::runtime_error with the line
 XmlDocument parse_xml(std::string_view text, const std::string& source);
 

@@ -252,7 +252,8 @@ void check_temperature(const RunRecord& record, std::vector<Check>& checks) {
 std::string usual_factor(double factor, const std::string& unit, double tolerance) {
   const auto is = [&](double candidate) { return std::abs(factor / candidate - 1.0) <= tolerance; };
   if (unit == "g" && is(kStandardGravity)) return "the readings are in m/s2, not in g";
-  if (unit != "g" && is(1.0 / kStandardGravity)) return "the readings are in g, not in " + unit;
+  if (nominal_response({}, unit, 1.0) == 1.0 && is(1.0 / kStandardGravity))
+    return "the readings are in g, not in " + unit;
   if (is(1e3)) return "the readings are in thousandths of " + unit;
   if (is(1e-3)) return "the readings are in thousands of " + unit;
   for (int k = 1; k <= 8; ++k) {

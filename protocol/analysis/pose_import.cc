@@ -15,6 +15,8 @@
 #include <string_view>
 #include <utility>
 
+#include "drivers/text/text.h"
+
 namespace abcal {
 namespace {
 
@@ -26,32 +28,21 @@ struct Table {
   std::vector<int> lines;  ///< Line of each row, from 1.
 };
 
-std::string_view trimmed(std::string_view text) {
-  constexpr std::string_view kBlank = " \t\r\n\"";
-  const auto first = text.find_first_not_of(kBlank);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
+/// Without white space and quotes at its ends.
+std::string_view bare(std::string_view text) {
+  return pieces::trimmed(text, " \t\r\n\"");
 }
 
-std::vector<std::string_view> split(std::string_view line) {
+/// The cells of a line: between commas or semicolons if there are any, else between blanks.
+std::vector<std::string_view> cells_of(std::string_view line) {
   std::vector<std::string_view> cells;
   for (const char separator : {',', ';'}) {
     if (line.find(separator) == std::string_view::npos) continue;
-    std::size_t from = 0;
-    for (std::size_t to = line.find(separator); to != std::string_view::npos;
-         to = line.find(separator, from)) {
-      cells.push_back(trimmed(line.substr(from, to - from)));
-      from = to + 1;
-    }
-    cells.push_back(trimmed(line.substr(from)));
-    return cells;
+    cells = pieces::split(line, separator);
+    break;
   }
-  std::size_t at = 0;
-  while ((at = line.find_first_not_of(" \t", at)) != std::string_view::npos) {
-    const std::size_t end = std::min(line.find_first_of(" \t", at), line.size());
-    cells.push_back(trimmed(line.substr(at, end - at)));
-    at = end;
-  }
+  if (cells.empty()) cells = pieces::words(line, " \t");
+  for (std::string_view& cell : cells) cell = bare(cell);
   return cells;
 }
 
@@ -68,9 +59,9 @@ Table read_table(std::istream& in, const std::string& source) {
   std::string line;
   std::size_t columns = 0;
   for (int number_of_line = 1; std::getline(in, line); ++number_of_line) {
-    const std::string_view text = trimmed(line);
+    const std::string_view text = bare(line);
     if (text.empty() || text.front() == '#') continue;
-    const std::vector<std::string_view> cells = split(text);
+    const std::vector<std::string_view> cells = cells_of(text);
     const auto where = [&] { return fmt::format("{}, line {}", source, number_of_line); };
     if (columns == 0) {
       columns = cells.size();

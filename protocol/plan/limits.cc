@@ -5,6 +5,8 @@
 #include <sstream>
 #include <string>
 
+#include "protocol/plan/response_unit.h"
+
 namespace abcal {
 namespace {
 
@@ -42,9 +44,8 @@ double stability_limit_degc(const LimitsConfig& limits, const Tolerances& tolera
 std::optional<double> nominal_response(const ExpectedItem& item, std::string_view response_unit,
                                        double g_loc_mps2) {
   if (item.nominal_sensitivity) return *item.nominal_sensitivity * g_loc_mps2 / kStandardGravity;
-  if (response_unit == "g") return g_loc_mps2 / kStandardGravity;
-  if (response_unit == "m/s2" || response_unit == "m/s^2" || response_unit == "m/s²") return g_loc_mps2;
-  return std::nullopt;
+  const auto unit_mps2 = acceleration_unit_mps2(response_unit);
+  return unit_mps2 ? std::optional(g_loc_mps2 / *unit_mps2) : std::nullopt;
 }
 
 std::optional<Eigen::Matrix3d> mounting_matrix(std::string_view mounting) {

@@ -21,6 +21,7 @@
 #include <tuple>
 #include <utility>
 
+#include "drivers/text/text.h"
 #include "protocol/record/limits_entries.h"
 
 namespace abcal {
@@ -41,12 +42,7 @@ struct Row {
   std::vector<std::string> fields;
 };
 
-std::string_view trimmed(std::string_view text) {
-  constexpr std::string_view kBlank = " \t\r\n";
-  const std::size_t first = text.find_first_not_of(kBlank);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
-}
+using pieces::trimmed;
 
 // What a message may quote of a file that can hold anything.
 std::string as_quoted(std::string_view text) {

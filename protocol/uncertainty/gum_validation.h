@@ -25,7 +25,7 @@ struct GumValidation {
 GumValidation validate_gum(double y, double u, const CoverageInterval& monte_carlo, double trials, double p,
                            int digits);
 
-/// The quantile of the standard normal distribution (Newton steps on erfc; good to 1e-15).
+/// The quantile of the standard normal distribution.
 /// @throws std::invalid_argument if p is not within (0, 1)
 double normal_quantile(double p);
 

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 
 namespace abcal::sim {
@@ -127,12 +128,6 @@ bool is_letter(char c) {
 char upper(char c) {
   return c >= 'a' && c <= 'z' ? static_cast<char>(c - 'a' + 'A') : c;
 }
-std::string_view trimmed(std::string_view text) {
-  while (!text.empty() && (text.front() == ' ' || text.front() == '\t')) text.remove_prefix(1);
-  while (!text.empty() && (text.back() == ' ' || text.back() == '\t')) text.remove_suffix(1);
-  return text;
-}
-
 /// Thrown by a command that is refused; ends up in the memory of errors.
 struct Refusal {
   int code;
@@ -390,7 +385,7 @@ void NewportEspFirmware::Controller::receive(std::string_view bytes, Clock::Inst
 void NewportEspFirmware::Controller::run_line(std::string_view line) {
   while (!line.empty()) {
     const std::size_t end = std::min(line.find(';'), line.size());
-    run_command(trimmed(line.substr(0, end)));
+    run_command(pieces::trimmed(line.substr(0, end)));
     line.remove_prefix(std::min(end + 1, line.size()));
     if (waits_until_ && !line.empty()) {
       waiting_lines_.push_front(std::string(line));
@@ -410,7 +405,7 @@ void NewportEspFirmware::Controller::run_command(std::string_view text) {
   if (at + 2 > text.size() || !is_letter(text[at]) || !is_letter(text[at + 1]))
     return remember(kNoSuchCommand);
   const std::string name{upper(text[at]), upper(text[at + 1])};
-  command.parameter = trimmed(text.substr(at + 2));
+  command.parameter = pieces::trimmed(text.substr(at + 2));
   const auto found = commands().find(name);
   if (found == commands().end()) return remember(kNoSuchCommand);
   if (axis_given && (command.axis < 1 || command.axis > settings_.axes)) return remember(kAxisOutOfRange);

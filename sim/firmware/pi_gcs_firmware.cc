@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 
 namespace abcal::sim {
@@ -48,14 +49,8 @@ constexpr unsigned kWindowEnter = 0x406;
 constexpr unsigned kWindowLeave = 0x407;
 
 std::vector<std::string> split(std::string_view line) {
-  std::vector<std::string> words;
-  std::size_t at = 0;
-  while ((at = line.find_first_not_of(" \t", at)) != std::string_view::npos) {
-    const std::size_t end = std::min(line.find_first_of(" \t", at), line.size());
-    words.emplace_back(line.substr(at, end - at));
-    at = end;
-  }
-  return words;
+  const std::vector<std::string_view> words = pieces::words(line, " \t");
+  return {words.begin(), words.end()};
 }
 
 std::string upper(std::string text) {

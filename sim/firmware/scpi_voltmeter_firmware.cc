@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 
 namespace abcal::sim {
@@ -83,12 +84,6 @@ std::string upper(std::string_view text) {
   for (char& c : result) c = upper(c);
   return result;
 }
-std::string_view trimmed(std::string_view text) {
-  while (!text.empty() && (text.front() == ' ' || text.front() == '\t')) text.remove_prefix(1);
-  while (!text.empty() && (text.back() == ' ' || text.back() == '\t')) text.remove_suffix(1);
-  return text;
-}
-
 /// Splits at `separator` outside of quotes and parentheses.
 std::vector<std::string> split(std::string_view text, char separator) {
   std::vector<std::string> parts;
@@ -100,13 +95,13 @@ std::vector<std::string> split(std::string_view text, char separator) {
     if (!quoted && c == '(') ++depth;
     if (!quoted && c == ')') --depth;
     if (c == separator && !quoted && depth == 0) {
-      parts.emplace_back(trimmed(part));
+      parts.emplace_back(pieces::trimmed(part));
       part.clear();
     } else {
       part.push_back(c);
     }
   }
-  parts.emplace_back(trimmed(part));
+  parts.emplace_back(pieces::trimmed(part));
   return parts;
 }
 
@@ -445,7 +440,7 @@ void ScpiVoltmeterFirmware::Meter::receive(std::string_view bytes, Clock::Instan
       measured_until_ = std::min(measured_until_, now_);
     } else if (c == '\n' || c == '\r') {
       std::string message = std::exchange(input_, {});
-      if (trimmed(message).empty()) continue;
+      if (pieces::trimmed(message).empty()) continue;
       if (busy_until_) {
         waiting_.push_back(std::move(message));
       } else {
@@ -491,7 +486,7 @@ void ScpiVoltmeterFirmware::Meter::run_message(const std::string& message) {
     const std::size_t space = unit.find_first_of(" \t");
     const std::string header = upper(std::string_view(unit).substr(0, space));
     const std::string_view rest =
-        space == std::string::npos ? "" : trimmed(std::string_view(unit).substr(space));
+        space == std::string::npos ? "" : pieces::trimmed(std::string_view(unit).substr(space));
     try {
       if (const Reply reply = run_command(header, rest, path)) {
         if (!answer.empty()) answer += ';';
@@ -547,7 +542,7 @@ bool ScpiVoltmeterFirmware::Meter::is_channel(int channel) const {
 std::vector<int> ScpiVoltmeterFirmware::Meter::channel_list(std::string_view text) const {
   if (!text.starts_with("(@") || !text.ends_with(')')) throw Refusal{kIllegalParameter};
   std::vector<int> channels;
-  const std::string_view inside = trimmed(text.substr(2, text.size() - 3));
+  const std::string_view inside = pieces::trimmed(text.substr(2, text.size() - 3));
   if (inside.empty()) return channels;
   for (const std::string& part : split(inside, ',')) {
     const std::vector<std::string> ends = split(part, ':');

@@ -15,6 +15,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 #include "sim/firmware/sample_grid.h"
 
@@ -78,13 +79,8 @@ std::string sentence(std::string_view text, Check check) {
 }
 
 std::vector<std::string> split(std::string_view text) {
-  std::vector<std::string> words;
-  for (;;) {
-    const std::size_t comma = text.find(',');
-    words.emplace_back(text.substr(0, comma));
-    if (comma == std::string_view::npos) return words;
-    text.remove_prefix(comma + 1);
-  }
+  const std::vector<std::string_view> parts = pieces::split(text, ',');
+  return {parts.begin(), parts.end()};
 }
 
 std::optional<unsigned> whole_number(std::string_view text, int base = 10) {

@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 
 namespace abcal::sim {
@@ -34,14 +35,8 @@ struct Rejection {
 };
 
 Words split(std::string_view text) {
-  Words words;
-  std::size_t at = 0;
-  while ((at = text.find_first_not_of(' ', at)) != std::string_view::npos) {
-    const std::size_t end = std::min(text.find(' ', at), text.size());
-    words.emplace_back(text.substr(at, end - at));
-    at = end;
-  }
-  return words;
+  const std::vector<std::string_view> words = pieces::words(text, " ");
+  return {words.begin(), words.end()};
 }
 
 std::optional<int> whole_number(std::string_view text) {

@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-#include "app/report/weasyprint.h"
+#include "app/document/weasyprint.h"
 #include "app/system/child_process.h"
 #include "protocol/analysis/meaning.h"
 #include "tests/console/console_fixture.h"

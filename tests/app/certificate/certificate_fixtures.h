@@ -7,7 +7,7 @@
 #include <string>
 
 #include "app/certificate/certificate.h"
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"

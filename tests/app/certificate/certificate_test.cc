@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "app/certificate/dcc_xml.h"
 #include "app/certificate/issue.h"
 #include "tests/app/certificate/certificate_fixtures.h"
@@ -50,7 +52,7 @@ TEST_F(MakeCertificateTest, EveryClauseOfReportingHasItsPlace) {
   asked.issue = facts();
   asked.issue->replaces = Replacement{"EX-0", "wrong address", std::string(64, 'a')};
   const Certificate certificate = make_certificate(std::move(asked));
-  const XmlQuery xml(xml_text(dcc_document(certificate)));
+  const CertificateXml xml(xml_text(dcc_document(certificate)));
   const std::vector<std::pair<const char*, const char*>> clauses{
       {"7.8.2.1 a", "/dcc:digitalCalibrationCertificate"},
       {"7.8.2.1 b", "//dcc:calibrationLaboratory/dcc:contact[dcc:name and dcc:location/dcc:street]"},
@@ -155,10 +157,26 @@ TEST_F(MakeCertificateTest, AFailedVerdictGivesNoCertificateAndADraftWithoutNumb
     EXPECT_THAT(refusal(asked), AllOf(HasSubstr("verdict"), HasSubstr("the closure is large")));
     asked.draft = true;
     const Certificate draft = make_certificate(std::move(asked));
-    const XmlQuery xml(checked_xml(draft, nullptr));
+    const CertificateXml xml(checked_xml(draft, nullptr));
     EXPECT_EQ(xml.text("//dcc:result[@refType='abc_noResult']").empty(), verdict == Verdict::kDoubtful);
     EXPECT_EQ(xml.text("//dcc:results//si:valueXMLList").empty(), verdict == Verdict::kNotUsable);
   }
+}
+
+TEST_F(MakeCertificateTest, TheReportedEstimatorIsFoundByName) {
+  CertificateRequest asked = request();
+  const CalibrationResult abc = result_of(asked.run.results, "abc");
+  std::reverse(asked.run.results.begin(), asked.run.results.end());
+  const Certificate certificate = make_certificate(asked);
+  EXPECT_EQ(certificate.run.data.result().estimator, "abc");
+  EXPECT_EQ(certificate.run.data.result().offset[0].value, abc.offset[0].value);
+}
+
+TEST_F(MakeCertificateTest, AnEstimatorWithoutAMatrixGivesNotEvenADraft) {
+  CertificateRequest asked = request();
+  asked.run.estimator = "norm";
+  asked.draft = true;
+  EXPECT_THAT(refusal(std::move(asked)), AllOf(HasSubstr("estimator"), HasSubstr("norm")));
 }
 
 TEST_F(MakeCertificateTest, ACsvGetsNoCertificate) {
@@ -204,7 +222,7 @@ TEST_F(MakeCertificateTest, DecisionsAreThoseOfTheLimits) {
   const Certificate tight =
       make_certificate(request(replaced(example_laboratory(), "upper = 1.02", "upper = 1.0021")));
   EXPECT_EQ(tight.run.decisions[0].conformity, Conformity::kFail);
-  const XmlQuery xml(xml_text(dcc_document(tight)));
+  const CertificateXml xml(xml_text(dcc_document(tight)));
   EXPECT_EQ(xml.text("//dcc:metaData[@refType='basic_conformity']/dcc:conformity"), "fail");
   const auto probability =
       xml.numbers("//dcc:quantity[@refType='abc_conformanceProbability']/si:real/si:value");

@@ -45,7 +45,7 @@ TEST_F(DccTest, NumbersAreThoseOfTheAnalysis) {
   const auto analysed = test::run_program({"analyse", shared_run().string(), "--json"}, folder.path());
   ASSERT_EQ(analysed.exit_code, 0) << analysed.err;
   const auto json = nlohmann::json::parse(analysed.out);
-  const XmlQuery xml(xml_text(dcc_document(certificate())));
+  const CertificateXml xml(xml_text(dcc_document(certificate())));
 
   // The output is in g, which the SI does not know: the second list of each hybrid is in g, as the JSON is.
   const auto expect_list = [&](const std::string& result, int quantity, const nlohmann::json& of) {
@@ -117,7 +117,7 @@ TEST_F(DccTest, MarkupAndOtherScriptsStayText) {
   const XmlDocument document = parse_xml(text, "draft");
   EXPECT_EQ(to_string(DccSchema(path).check(document)), "");
   EXPECT_EQ(to_string(check_business_rules(document)), "");
-  const XmlQuery xml(text);
+  const CertificateXml xml(text);
   EXPECT_EQ(xml.text("//dcc:customer/dcc:name/dcc:content"),
             "<b>M\u00fcller & S\u00f6hne</b> ]]> \u8a08\u91cf \ufffd");
   EXPECT_EQ(xml.text("//dcc:item/dcc:model"), "</dcc:model><!-- & \"quoted\" 'single' \ufffd\ufffd");
@@ -340,7 +340,7 @@ TEST_F(DccTest, TwoHundredCertificatesOfAnythingValidate) {
     ASSERT_EQ(to_string(check_business_rules(read)), "") << "seed " << seed;
     ASSERT_EQ(to_string(schema.check(read)), "") << "seed " << seed;
     // Nothing is lost on the way: the first row of the matrix, in the unit of the output.
-    const auto row = XmlQuery(text).numbers(
+    const auto row = CertificateXml(text).numbers(
         "//dcc:result[@refType='abc_sensitivityMatrixPerGravity']//dcc:quantity[1]/"
         "descendant::si:realListXMLList[last()]/"
         "si:valueXMLList");
@@ -398,7 +398,7 @@ TEST_F(DccTest, TheSchematronOfThePtbFindsNoError) {
                   "' -xsl:'" + path.string() + "' -o:'" + (folder / "out.xml").string() + "'",
               folder);
     EXPECT_EQ(code, 0) << said;
-    return XmlQuery(test::read_file(folder / "out.xml")).texts("//*[@role='error']");
+    return CertificateXml(test::read_file(folder / "out.xml")).texts("//*[@role='error']");
   };
   const std::string good = xml_text(dcc_document(certificate()));
   EXPECT_THAT(errors_of(good), testing::IsEmpty());

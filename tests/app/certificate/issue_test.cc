@@ -41,7 +41,7 @@ TEST_F(IssueTest, AnIssuedCertificateIsKeptAndVerified) {
                                     "Approver N. N."));
   const std::string xml = test::read_file(folder / "a.xml");
   EXPECT_THAT(xml, Not(HasSubstr("DRAFT")));
-  const XmlQuery query(xml);
+  const CertificateXml query(xml);
   EXPECT_EQ(query.text("//dcc:uniqueIdentifier"), "EX-1");
   EXPECT_EQ(query.text("//dcc:issueDate"), "2999-01-02");
   EXPECT_EQ(query.text("//dcc:respPerson[dcc:mainSigner='true']//dcc:name/dcc:content"), "Approver N. N.");
@@ -72,7 +72,7 @@ TEST_F(IssueTest, AnAmendmentNamesWhatItReplacesAndWhy) {
   const auto amended =
       abcal(issue("EX-2", {"--replaces", "EX-1", "--reason", "customer's address", "--dcc", "b.xml"}));
   ASSERT_EQ(amended.exit_code, 0) << amended.err;
-  const XmlQuery query(test::read_file(folder / "b.xml"));
+  const CertificateXml query(test::read_file(folder / "b.xml"));
   EXPECT_EQ(query.text("//dcc:reportAmendedSubstituted/dcc:typeOfChange"), "amended");
   EXPECT_EQ(query.text("//dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"), "EX-1");
   EXPECT_EQ(query.text("//dcc:previousReport/dcc:value"), sha256_of_file(folder / "a.xml"));

@@ -107,7 +107,7 @@ TEST_F(ReportCertificateTest, AsFoundAndAsLeftAreTwoResultsOfOneCertificate) {
     words.insert(words.end(), {"--schemas", schemas->string()});
   const auto result = abcal(words);
   ASSERT_EQ(result.exit_code, 0) << result.err;
-  const XmlQuery xml(test::read_file(folder / "pair.xml"));
+  const CertificateXml xml(test::read_file(folder / "pair.xml"));
   EXPECT_EQ(xml.texts("//dcc:measurementResult").size(), 2U);
   EXPECT_EQ(xml.text("//dcc:measurementResult[1]//dcc:status"), "beforeAdjustment");
   const auto shift = xml.numbers(

@@ -13,8 +13,8 @@
 #include <string>
 #include <vector>
 
-#include "app/report/gnuplot.h"
-#include "app/report/weasyprint.h"
+#include "app/document/gnuplot.h"
+#include "app/document/weasyprint.h"
 #include "protocol/record/run_record.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"

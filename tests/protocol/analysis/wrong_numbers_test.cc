@@ -428,6 +428,7 @@ TEST_F(WrongNumbersTest, AnotherUnitIsNamed) {
   } cases[] = {{kStandardGravity, "g", "the readings are in m/s2, not in g"},
                {1.0, "m/s2", "the readings are in g, not in m/s2"},
                {1000.0, "g", "thousandths of g"},
+               {1.0, "mg", "thousands of mg"},
                {0.5, "g", "wrong by a factor of 1/2"},
                {4.0, "g", "wrong by a factor of 4"}};
   for (const auto& [factor, unit, words] : cases) {

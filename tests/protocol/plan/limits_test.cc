@@ -41,6 +41,8 @@ TEST(LimitsTest, ABenchFileMaySayOtherwise) {
 TEST(LimitsTest, TheNominalResponseComesFromTheUnitOrTheItem) {
   EXPECT_DOUBLE_EQ(*nominal_response({}, "g", 9.80665), 1.0);
   EXPECT_DOUBLE_EQ(*nominal_response({}, "m/s2", 9.81), 9.81);
+  EXPECT_DOUBLE_EQ(*nominal_response({}, "m/s^2", 9.81), 9.81);
+  EXPECT_DOUBLE_EQ(*nominal_response({}, "mg", 9.80665), 1000.0);
   EXPECT_FALSE(nominal_response({}, "V", 9.81));
   ExpectedItem item;
   item.nominal_sensitivity = 0.66;  // V for one g

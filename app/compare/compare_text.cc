@@ -1,4 +1,4 @@
-#include "app/report/compare_text.h"
+#include "app/compare/compare_text.h"
 
 #include <fmt/format.h>
 

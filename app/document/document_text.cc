@@ -1,4 +1,4 @@
-#include "app/report/document_text.h"
+#include "app/document/document_text.h"
 
 #include <fmt/format.h>
 
@@ -7,7 +7,7 @@
 #include <string_view>
 #include <vector>
 
-#include "app/report/valid_text.h"
+#include "app/document/valid_text.h"
 #include "app/system/terminal.h"
 
 namespace abcal {

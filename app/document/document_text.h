@@ -3,7 +3,7 @@
 #include <cstdio>
 #include <string>
 
-#include "app/report/document.h"
+#include "app/document/document.h"
 
 namespace abcal {
 

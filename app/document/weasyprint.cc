@@ -1,4 +1,4 @@
-#include "app/report/weasyprint.h"
+#include "app/document/weasyprint.h"
 
 #include <stdexcept>
 #include <string>

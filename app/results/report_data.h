@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/bench/bench_config.h"
+#include "app/results/estimators.h"
 #include "drivers/instrument/clock.h"
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/record/run_file.h"
@@ -22,13 +23,14 @@ inline constexpr double kCoverageProbability = 0.95;
 
 /// All that is known of one record, gathered once: what the report, the certificate and the console show.
 struct ReportData {
-  std::filesystem::path path;              ///< The run file or CSV.
-  RunRecord record;                        ///< What was analysed.
-  std::optional<StoredRun> run;            ///< Absent for a CSV.
-  std::optional<BenchConfig> bench;        ///< As it was at the run. Absent for a CSV, and if unreadable.
-  std::string bench_unreadable;            ///< Why the bench file of a run cannot be read; empty: it can.
-  std::vector<CalibrationResult> results;  ///< abc, joint, norm; a refusal is a result too.
-  std::optional<Budget> budget;            ///< Of the ABC result; absent where that is not usable.
+  std::filesystem::path path;                 ///< The run file or CSV.
+  RunRecord record;                           ///< What was analysed.
+  std::optional<StoredRun> run;               ///< Absent for a CSV.
+  std::optional<BenchConfig> bench;           ///< As it was at the run. Absent for a CSV, and if unreadable.
+  std::string bench_unreadable;               ///< Why the bench file of a run cannot be read; empty: it can.
+  std::vector<CalibrationResult> results;     ///< One an estimator; a refusal is a result too.
+  std::string estimator = kDefaultEstimator;  ///< Whose result is reported; the others are its check.
+  std::optional<Budget> budget;               ///< Of the ABC result; absent where that is not usable.
   /// SHA-256 of the raw data: of the closed run file, or of the CSV. Absent while a run is not closed, since
   /// its file still changes.
   std::optional<std::string> sha256;
@@ -37,8 +39,8 @@ struct ReportData {
   std::string program_version;            ///< Of the program that makes the report.
   std::string created_utc;                ///< When the report was made.
 
-  /// The ABC result: what is reported; the others are its independent check.
-  const CalibrationResult& result() const { return results.front(); }
+  /// What is reported; the others are its independent check.
+  const CalibrationResult& result() const { return result_of(results, estimator); }
   bool complete() const { return !run || run->state == RunState::kComplete; }
   /// A label of the run ("item.serial_number", "operator.name"); empty where it was not stated.
   std::string label(const std::string& key) const;

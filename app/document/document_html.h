@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "app/report/document.h"
+#include "app/document/document.h"
 
 namespace abcal {
 

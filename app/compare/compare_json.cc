@@ -1,4 +1,4 @@
-#include "app/report/compare_json.h"
+#include "app/compare/compare_json.h"
 
 #include <cmath>
 

@@ -1,4 +1,4 @@
-#include "app/report/document_html.h"
+#include "app/document/document_html.h"
 
 #include <fmt/format.h>
 #include <libxml/HTMLtree.h>
@@ -13,25 +13,17 @@
 #include <stdexcept>
 #include <string_view>
 
-#include "app/report/gnuplot.h"
-#include "app/report/valid_text.h"
+#include "app/document/gnuplot.h"
+#include "app/document/valid_text.h"
 #include "app/system/child_process.h"
+#include "app/xml/xml_tree.h"
 
 namespace abcal {
 namespace {
 
-const xmlChar* xml(const char* text) {
-  return reinterpret_cast<const xmlChar*>(text);
-}
-
 std::string_view text_of(const xmlChar* text) {
   return text != nullptr ? reinterpret_cast<const char*>(text) : "";
 }
-
-struct FreeDocument {
-  void operator()(xmlDoc* document) const { xmlFreeDoc(document); }
-};
-using XmlDocument = std::unique_ptr<xmlDoc, FreeDocument>;
 
 // --- Style -------------------------------------------------------------------------------------------------
 
@@ -113,7 +105,7 @@ std::string page_style(const Document& document) {
 // --- Pictures ----------------------------------------------------------------------------------------------
 
 std::string value_of(const xmlNode* node, const char* attribute) {
-  const std::unique_ptr<xmlChar, decltype(xmlFree)> value(xmlGetProp(node, xml(attribute)), xmlFree);
+  const std::unique_ptr<xmlChar, decltype(xmlFree)> value(xmlGetProp(node, as_xml(attribute)), xmlFree);
   return std::string(text_of(value.get()));
 }
 
@@ -138,7 +130,7 @@ void prefix_ids(xmlNode* node, const std::string& prefix) {
     } else {
       continue;
     }
-    xmlSetNsProp(node, attribute->ns, attribute->name, xml(value.c_str()));
+    xmlSetNsProp(node, attribute->ns, attribute->name, as_xml(value.c_str()));
   }
 }
 
@@ -149,16 +141,16 @@ class MarkColours {
  public:
   void set(xmlNode* node) {
     if (is(node->parent, "defs")) {
-      if (value_of(node, "stroke") == kColour) xmlUnsetProp(node, xml("stroke"));
+      if (value_of(node, "stroke") == kColour) xmlUnsetProp(node, as_xml("stroke"));
       if (value_of(node, "fill") != kColour) return;
-      xmlUnsetProp(node, xml("fill"));
+      xmlUnsetProp(node, as_xml("fill"));
       filled_.insert("#" + value_of(node, "id"));
       return;
     }
     const std::string colour = value_of(node, "color");
     if (!is(node, "use") || colour.empty()) return;
-    xmlSetProp(node, xml("stroke"), xml(colour.c_str()));
-    if (filled_.contains(value_of(node, "href"))) xmlSetProp(node, xml("fill"), xml(colour.c_str()));
+    xmlSetProp(node, as_xml("stroke"), as_xml(colour.c_str()));
+    if (filled_.contains(value_of(node, "href"))) xmlSetProp(node, as_xml("fill"), as_xml(colour.c_str()));
   }
 
  private:
@@ -204,14 +196,14 @@ bool has_long_word(const std::string& text) {
 
 class PageBuilder {
  public:
-  explicit PageBuilder(const Document& content) : content_(content), document_(xmlNewDoc(xml("1.0"))) {
+  explicit PageBuilder(const Document& content) : content_(content), document_(xmlNewDoc(as_xml("1.0"))) {
     if (!document_) throw std::bad_alloc();
     document_->type = XML_HTML_DOCUMENT_NODE;
-    xmlCreateIntSubset(document_.get(), xml("html"), nullptr, nullptr);
+    xmlCreateIntSubset(document_.get(), as_xml("html"), nullptr, nullptr);
   }
 
   HtmlPage build() {
-    xmlNode* html = xmlNewDocNode(document_.get(), nullptr, xml("html"), nullptr);
+    xmlNode* html = xmlNewDocNode(document_.get(), nullptr, as_xml("html"), nullptr);
     xmlDocSetRootElement(document_.get(), html);
     attribute(html, "lang", "en");
     head(html);
@@ -232,17 +224,17 @@ class PageBuilder {
 
  private:
   xmlNode* add(xmlNode* parent, const char* name, const char* css = nullptr, const std::string& text = {}) {
-    xmlNode* node = xmlNewChild(parent, nullptr, xml(name), nullptr);
+    xmlNode* node = xmlNewChild(parent, nullptr, as_xml(name), nullptr);
     if (node == nullptr) throw std::bad_alloc();
     if (css != nullptr) attribute(node, "class", css);
     if (!text.empty()) add_text(node, text);
     return node;
   }
   void add_text(xmlNode* node, const std::string& text) {
-    xmlAddChild(node, xmlNewDocText(document_.get(), xml(valid_text(text).c_str())));
+    xmlAddChild(node, xmlNewDocText(document_.get(), as_xml(valid_text(text).c_str())));
   }
   void attribute(xmlNode* node, const char* name, const std::string& value) {
-    xmlNewProp(node, xml(name), xml(valid_text(value).c_str()));
+    xmlNewProp(node, as_xml(name), as_xml(valid_text(value).c_str()));
   }
 
   void head(xmlNode* html) {
@@ -320,8 +312,8 @@ class PageBuilder {
     if (root == nullptr) throw std::runtime_error("gnuplot drew no picture: \"" + figure.caption + "\"");
     MarkColours marks;
     prepare_picture(root, fmt::format("f{}_", figures_ + 1), marks);
-    xmlSetProp(root, xml("role"), xml("img"));
-    xmlSetProp(root, xml("aria-label"), xml(valid_text(figure.caption).c_str()));
+    xmlSetProp(root, as_xml("role"), as_xml("img"));
+    xmlSetProp(root, as_xml("aria-label"), as_xml(valid_text(figure.caption).c_str()));
     xmlNode* copy = xmlDocCopyNode(root, document_.get(), 1);
     if (copy == nullptr) throw std::bad_alloc();
     xmlAddChild(node, copy);

@@ -1,4 +1,4 @@
-#include "app/report/valid_text.h"
+#include "app/document/valid_text.h"
 
 #include <nlohmann/json.hpp>
 

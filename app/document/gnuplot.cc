@@ -1,4 +1,4 @@
-#include "app/report/gnuplot.h"
+#include "app/document/gnuplot.h"
 
 #include <fmt/format.h>
 

@@ -6,6 +6,7 @@
 #include <Eigen/LU>
 #include <cmath>
 
+#include "app/xml/xml_tree.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"
@@ -155,7 +156,11 @@ TEST_F(ReadCertificateTest, ExpandsNoEntities) {
   test::write_file(folder / "secret", "1 2 3");
   std::string text = certificate_with(list_of("s_u s_v s_w", "&secret;", "\\one", "2"));
   text.insert(text.find("<dcc:"), "<!DOCTYPE x [<!ENTITY secret SYSTEM \"secret\">]>");
-  EXPECT_THAT(refusal(text), Not(HasSubstr("without a word")));
+  EXPECT_THAT(refusal(text), HasSubstr("document type declaration"));
+}
+
+TEST_F(ReadCertificateTest, RefusesMoreThanACertificateCanBe) {
+  EXPECT_THAT(refusal("<a>" + std::string(kLargestXml, ' ') + "</a>"), HasSubstr("required: at most"));
 }
 
 }  // namespace

@@ -10,10 +10,10 @@
 #include <string>
 #include <vector>
 
-#include "app/report/document_html.h"
-#include "app/report/document_text.h"
-#include "app/report/gnuplot.h"
-#include "app/report/valid_text.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
+#include "app/document/gnuplot.h"
+#include "app/document/valid_text.h"
 
 namespace abcal {
 namespace {

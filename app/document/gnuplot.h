@@ -3,7 +3,7 @@
 #include <filesystem>
 #include <string>
 
-#include "app/report/document.h"
+#include "app/document/document.h"
 #include "app/system/child_process.h"
 
 namespace abcal {

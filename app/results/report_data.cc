@@ -1,4 +1,4 @@
-#include "app/report/report_data.h"
+#include "app/results/report_data.h"
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -81,7 +81,8 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
   }
   if (data.complete()) data.sha256 = sha256_of_file(path);
   data.results = analyse_all(data.record);
-  if (data.result().verdict != Verdict::kNotUsable) data.budget = make_budget(data.record, data.result());
+  if (const CalibrationResult& abc = result_of(data.results, "abc"); abc.verdict != Verdict::kNotUsable)
+    data.budget = make_budget(data.record, abc);
   return data;
 }
 

@@ -1,4 +1,4 @@
-#include "app/units/response_unit.h"
+#include "app/units/dsi_unit.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -16,7 +16,7 @@ void expect_same(const UnitMeaning& a, const UnitMeaning& b) {
   EXPECT_NEAR(a.factor, b.factor, 1e-15 * b.factor);
 }
 
-TEST(ResponseUnitTest, NamesOfInstrumentsAndStringsOfCertificatesMeanTheSame) {
+TEST(DsiUnitTest, NamesOfInstrumentsAndStringsOfCertificatesMeanTheSame) {
   expect_same(meaning_of_response_unit("V"), meaning_of_d_si("\\volt"));
   expect_same(meaning_of_response_unit("mV"), meaning_of_d_si("\\milli\\volt"));
   expect_same(meaning_of_response_unit("\u03bcV"), meaning_of_d_si("\\micro\\volt"));
@@ -27,7 +27,7 @@ TEST(ResponseUnitTest, NamesOfInstrumentsAndStringsOfCertificatesMeanTheSame) {
   EXPECT_NEAR(meaning_of_response_unit("mg").factor, 9.80665e-3, 1e-18);
 }
 
-TEST(ResponseUnitTest, ASensitivityTimesAnAccelerationIsTheResponse) {
+TEST(DsiUnitTest, ASensitivityTimesAnAccelerationIsTheResponse) {
   expect_same(meaning_of_d_si("\\volt\\second\\tothe{2}\\metre\\tothe{-1}") * metre_per_second_squared(),
               meaning_of_d_si("\\volt"));
   expect_same(
@@ -36,18 +36,18 @@ TEST(ResponseUnitTest, ASensitivityTimesAnAccelerationIsTheResponse) {
   expect_same(meaning_of_d_si("\\one") * metre_per_second_squared(), metre_per_second_squared());
 }
 
-TEST(ResponseUnitTest, PowersTakeTheirPrefixAlong) {
+TEST(DsiUnitTest, PowersTakeTheirPrefixAlong) {
   EXPECT_NEAR(meaning_of_d_si("\\milli\\metre\\tothe{2}").factor, 1e-6, 1e-21);
   EXPECT_NEAR(meaning_of_d_si("\\degree").factor, std::acos(-1.0) / 180.0, 1e-18);
 }
 
-TEST(ResponseUnitTest, CountsAreAKindOfTheirOwn) {
+TEST(DsiUnitTest, CountsAreAKindOfTheirOwn) {
   EXPECT_TRUE(meaning_of_response_unit("counts").same_kind(meaning_of_response_unit("LSB")));
   EXPECT_FALSE(meaning_of_response_unit("LSB").same_kind(meaning_of_response_unit("V")));
   EXPECT_FALSE(meaning_of_response_unit("R").same_kind(meaning_of_response_unit("LSB")));
 }
 
-TEST(ResponseUnitTest, RefusesWhatIsNotAUnit) {
+TEST(DsiUnitTest, RefusesWhatIsNotAUnit) {
   for (const char* wrong :
        {"", "V", "\\furlong", "\\volt\\tothe{x}", "\\tothe{2}", "\\milli", "\\volt\\tothe{1e3}"}) {
     EXPECT_THROW(meaning_of_d_si(wrong), std::invalid_argument) << wrong;

@@ -1,0 +1,44 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "protocol/analysis/calibration_result.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// An estimator of the program. A further one is one more entry of estimators().
+struct Estimator {
+  std::string name;   ///< As on the command line and in CalibrationResult::estimator.
+  std::string words;  ///< What it is, for the report: goes on after the name.
+  /// Gives the sensitivity matrix with its covariance, without which there is no certificate.
+  bool certifiable = false;
+  bool needs_angles = true;  ///< False: takes poses whose angles are not known.
+  /// Stage errors are unknowns of the fit, so that chi2 is near the degrees of freedom on a real stage.
+  bool fits_stage_errors = false;
+  /// The result of a record. @throws what the analysis throws for a record that it refuses
+  CalibrationResult (*fit)(const RunRecord& record) = nullptr;
+};
+
+/// All estimators, in the order of the reports.
+const std::vector<Estimator>& estimators();
+
+/// Their names, for the command line.
+const std::vector<std::string>& estimator_names();
+
+/// "abc, joint or norm".
+std::string estimator_choice();
+
+/// @throws std::invalid_argument for a name that is not in the list
+const Estimator& find_estimator(std::string_view name);
+
+/// The estimator that is reported where none is asked for.
+inline constexpr const char* kDefaultEstimator = "abc";
+
+/// The result of one estimator among those of a record. @throws std::logic_error if there is none
+const CalibrationResult& result_of(const std::vector<CalibrationResult>& results,
+                                   std::string_view estimator = kDefaultEstimator);
+
+}  // namespace abcal

@@ -1,0 +1,48 @@
+#include "app/results/estimators.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <stdexcept>
+
+#include "app/results/analyses.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+TEST(EstimatorsTest, EachEntryIsFoundByItsName) {
+  EXPECT_EQ(estimator_choice(), "abc, joint or norm");
+  for (const Estimator& estimator : estimators()) EXPECT_EQ(&find_estimator(estimator.name), &estimator);
+  EXPECT_THROW(find_estimator("best"), std::invalid_argument);
+  EXPECT_TRUE(find_estimator(kDefaultEstimator).certifiable);
+  EXPECT_FALSE(find_estimator("norm").certifiable);
+}
+
+TEST(EstimatorsTest, AResultIsFoundByNameWhereverItStands) {
+  std::vector<CalibrationResult> results(2);
+  results[0].estimator = "joint";
+  results[1].estimator = "abc";
+  EXPECT_EQ(&result_of(results), &results[1]);
+  EXPECT_EQ(&result_of(results, "joint"), &results[0]);
+  EXPECT_THROW(result_of(results, "norm"), std::logic_error);
+}
+
+// A record that an estimator refuses is not usable; a fault of the program is no verdict on a record.
+TEST(EstimatorsTest, ARefusalIsAVerdictAndAnyOtherExceptionIsNot) {
+  const Estimator refuses{.name = "refuses", .words = "", .fit = [](const RunRecord&) -> CalibrationResult {
+                            throw std::runtime_error("two angles determine nothing");
+                          }};
+  const CalibrationResult result = analyse(RunRecord{}, refuses);
+  EXPECT_EQ(result.verdict, Verdict::kNotUsable);
+  EXPECT_EQ(result.estimator, "refuses");
+  EXPECT_THAT(result.why, HasSubstr("two angles"));
+  const Estimator broken{.name = "broken", .words = "", .fit = [](const RunRecord&) -> CalibrationResult {
+                           return std::vector<CalibrationResult>().at(0);
+                         }};
+  EXPECT_THROW(analyse(RunRecord{}, broken), std::out_of_range);
+}
+
+}  // namespace
+}  // namespace abcal
