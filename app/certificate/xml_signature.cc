@@ -16,10 +16,6 @@
 namespace abcal {
 namespace {
 
-const xmlChar* as_xml(const char* text) {
-  return reinterpret_cast<const xmlChar*>(text);
-}
-
 /// XML Security is set up once for the program.
 void start_xmlsec() {
   static const bool kStarted = [] {
