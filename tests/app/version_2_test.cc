@@ -70,7 +70,7 @@ TEST_P(Version2RunTest, IsVerifiedAndReported) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Files, Version2RunTest, testing::Values("complete", "resumed", "recorded"),
-                         [](const auto& info) { return std::string(info.param); });
+                         [](const auto& tested) { return std::string(tested.param); });
 
 }  // namespace
 }  // namespace abcal
