@@ -77,6 +77,7 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
   event.reason = outcome.results.front().why;
   event.measured = outcome.stored.measured.size();
   event.planned = outcome.stored.header.plan.size();
+  event.measured_before = outcome.measured_before;
   return event;
 }
 

@@ -361,14 +361,13 @@ NoiseProcess EffectProblem::process_of(double tau, double rho) const {
 /// Rows of the line response by the unknowns, relative units.
 Rows12 EffectProblem::line_rows() const {
   Rows12 out = Rows12::Zero(12, layout_.count());
-  Eigen::Matrix3d unit_rows;
-  for (int j = 0; j < 3; ++j)
-    unit_rows.row(j) = value_.segment<3>(layout_.own_count() * j).normalized().transpose();
+  Eigen::Matrix3d rows;
+  for (int j = 0; j < 3; ++j) rows.row(j) = value_.segment<3>(layout_.own_count() * j).transpose();
   for (int j = 0; j < 3; ++j) {
     const int first = layout_.own_count() * j;
     double scale = 1.0;
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-      const LineShare share = layout_.own[i].effect->line(unit_rows, j, layout_.own[i].index);
+      const LineShare share = layout_.own[i].effect->line(rows, j, layout_.own[i].index);
       const int column = first + kOwnFixed + static_cast<int>(i);
       scale += share.scale * value_(column);
       for (int k = 0; k < 3; ++k) out(3 * j + k, column) = share.scale * value_(first + k);
@@ -382,15 +381,14 @@ Rows12 EffectProblem::line_rows() const {
 
 Vector12 EffectProblem::line_values(const Eigen::VectorXd& value) const {
   Vector12 out;
-  Eigen::Matrix3d unit_rows;
-  for (int j = 0; j < 3; ++j)
-    unit_rows.row(j) = value.segment<3>(layout_.own_count() * j).normalized().transpose();
+  Eigen::Matrix3d rows;
+  for (int j = 0; j < 3; ++j) rows.row(j) = value.segment<3>(layout_.own_count() * j).transpose();
   for (int j = 0; j < 3; ++j) {
     const int first = layout_.own_count() * j;
     double scale = 1.0;
     double offset = value(first + 3);
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-      const LineShare share = layout_.own[i].effect->line(unit_rows, j, layout_.own[i].index);
+      const LineShare share = layout_.own[i].effect->line(rows, j, layout_.own[i].index);
       const double p = value(first + kOwnFixed + static_cast<int>(i));
       scale += share.scale * p;
       offset += share.offset * p;
