@@ -26,6 +26,8 @@ constexpr std::array<double, 5> kTauGrid{0.3, 0.8, 2.0, 5.0, 12.0};
 constexpr std::array<double, 4> kRhoGrid{2.0, 10.0, 50.0, 400.0};
 /// A process whose whole neighbourhood is less probable than this is not worth a fit.
 constexpr double kNegligibleWeight = 1e-6;
+/// Estimated noise is at least this times S_j, or a noise-free record would leave nothing but round-off.
+constexpr double kSmallestRelativeNoise = 1e-9;
 
 using Vector12 = Eigen::Matrix<double, 12, 1>;
 using Rows12 = Eigen::Matrix<double, 12, Eigen::Dynamic>;
@@ -511,6 +513,7 @@ EffectProblem::Point EffectProblem::at_noise(double tau, double rho, const Eigen
 /// White noise of each output, in units of u: repeated until the weighted squares of the residuals equal
 /// their expectation (restricted likelihood).
 Eigen::Vector3d EffectProblem::estimate_white(const Eigen::Vector3d& from) const {
+  const Eigen::Vector3d floor = kSmallestRelativeNoise * unit_.cwiseQuotient(readings_.front().u);
   Eigen::Vector3d white = from;
   for (int pass = 0; pass < 60; ++pass) {
     const Point point = at_noise(0.0, 1.0, white);
@@ -542,9 +545,9 @@ Eigen::Vector3d EffectProblem::estimate_white(const Eigen::Vector3d& from) const
                       "of the readings are required",
                       readings_.size()));
     }
-    const Eigen::Vector3d factor = squares.cwiseQuotient(redundancy).cwiseSqrt();
-    white = white.cwiseProduct(factor).cwiseMax(1e-9 * Eigen::Vector3d::Ones());
-    if ((factor.array() - 1.0).abs().maxCoeff() < 1e-3) break;
+    const Eigen::Vector3d before = white;
+    white = white.cwiseProduct(squares.cwiseQuotient(redundancy).cwiseSqrt()).cwiseMax(floor);
+    if ((white.cwiseQuotient(before).array() - 1.0).abs().maxCoeff() < 1e-3) break;
   }
   return white;
 }
