@@ -329,7 +329,17 @@ TEST(AnalyseTest, TypeBMatchesASimulationOfTheWholeStage) {
     for (Eigen::Index j = 0; j < 3; ++j) {
       drifting.drift(j) = t.drift * aut.sensitivity_matrix.row(j).norm() * normal(engine);
     }
-    const RunRecord run = made_record(drifting, errors);
+    RunRecord run = made_record(drifting, errors);
+    // Drift of the second and third order (docs/theory/effects.md: half Legendre polynomials of 2 t).
+    const Eigen::Vector3d size = t.drift * aut.sensitivity_matrix.rowwise().norm();
+    const Eigen::Vector3d second =
+        size.cwiseProduct(Eigen::Vector3d(normal(engine), normal(engine), normal(engine)));
+    const Eigen::Vector3d third =
+        size.cwiseProduct(Eigen::Vector3d(normal(engine), normal(engine), normal(engine)));
+    for (std::size_t i = 0; i < run.dwells.size(); ++i) {
+      const double x = 2.0 * static_cast<double>(i) / static_cast<double>(run.dwells.size() - 1) - 1.0;
+      run.dwells[i].mean += (3.0 * x * x - 1.0) / 4.0 * second + (5.0 * x * x - 3.0) * x / 4.0 * third;
+    }
     const Eigen::Matrix<double, 12, 1> outputs = line_of(run);
     sum += outputs;
     sum_squares += outputs.cwiseAbs2();

@@ -355,7 +355,11 @@ TEST(JointFitTest, ChiSquareRefusesAnAccelerometerThatTheModelDoesNotKnow) {
     const double l = dwell.mean(0) - 0.05;
     dwell.mean(0) += 3e-4 * l * l * l * l * l;  // a fifth-order term
   }
-  const CalibrationResult result = analyse_joint(record);
+  // With the noise process in the fit a term that is stated as zero reads as slow noise: chi2 then says
+  // nothing.
+  JointOptions options;
+  options.noise_process = false;
+  const CalibrationResult result = analyse_joint(record, options);
   EXPECT_EQ(result.verdict, Verdict::kDoubtful);
   EXPECT_THAT(result.why, HasSubstr("chi2"));
   EXPECT_LT(*result.diagnostics.chi2_probability, 1e-3);
@@ -394,7 +398,7 @@ TEST(JointFitTest, NonlinearityLeftOutIsSoakedUpElsewhereAndChiSquareSays) {
     chi2_k3 += *result.diagnostics.chi2 / result.diagnostics.degrees_of_freedom / kRuns;
     diagonal += ((*result.sensitivity_matrix)[0][0].value - 1.0) / kRuns;
   }
-  EXPECT_NEAR(chi2_k2, 3.3, 0.33);
+  EXPECT_NEAR(chi2_k2, 2.9, 0.29);  // 3.3 with drift of the first order alone
   EXPECT_NEAR(chi2_k3, 2.2, 0.22);
   EXPECT_NEAR(offset, 7e-5, 1.4e-5);
   EXPECT_NEAR(diagonal, 8e-5, 1.6e-5);
