@@ -247,8 +247,8 @@ void Session::show(const SessionEvent& event) {
       const std::string name = file_name(end.file);
       if (end.measured_before) {
         session.log(
-            fmt::format("All angles of run {} were measured already; it is closed and analysed now: {}.", name,
-                        end.verdict));
+            fmt::format("All angles of run {} were measured already; it is closed and analysed now: {}.",
+                        name, end.verdict));
       } else if (end.complete) {
         session.log(fmt::format("Run {} is complete: {}.", name, end.verdict));
       }

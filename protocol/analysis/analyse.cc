@@ -139,8 +139,7 @@ std::string not_determined(const ReadingSeries& series, const char* reason) {
 }
 
 // Variance of a reading of each accelerometer from the residuals of its three fits together.
-std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits,
-                                                      const CurvatureFit& curvature) {
+std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits, const CurvatureFit& curvature) {
   std::array<std::optional<double>, 3> variances;
   for (std::size_t j = 0; j < 3; ++j) {
     double sum_squares = 0.0;
@@ -678,7 +677,8 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
     const ReadingSeries& series = estimate.cleaned[i];
     estimate.cleaned_fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
   }
-  if (!selection.with_uncertainty) estimate.reading_variance = pooled_variances(estimate.cleaned_fits, *estimate.curvature);
+  if (!selection.with_uncertainty)
+    estimate.reading_variance = pooled_variances(estimate.cleaned_fits, *estimate.curvature);
   estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
   std::string reason = dead_output(estimate);
   if (!reason.empty()) return reason;

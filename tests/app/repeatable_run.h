@@ -42,8 +42,9 @@ inline std::vector<std::string> measured_bits(const std::filesystem::path& run) 
   return bits;
 }
 
-/// The numbers of a result that an interruption must not change: the estimates and the part of their uncertainty that
-/// comes from noise. The part that comes from drift depends on when each angle was measured, pauses included.
+/// The numbers of a result that an interruption must not change: the estimates and the part of their
+/// uncertainty that comes from noise. The part that comes from drift depends on when each angle was measured,
+/// pauses included.
 inline nlohmann::json numbers(const std::string& analysis) {
   const nlohmann::json all = nlohmann::json::parse(analysis);
   nlohmann::json kept;

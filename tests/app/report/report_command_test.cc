@@ -332,8 +332,8 @@ TEST_F(ReportTest, AnInterruptedRunSaysSoOnTop) {
         stored.measured.size(), stored.header.plan.size());
     EXPECT_THAT(result.err, HasSubstr(caution));
     const std::string html = test::read_file(folder / "a.html");
-    EXPECT_THAT(html,
-                AllOf(HasSubstr("<p class=\"caution\">" + caution), HasSubstr("none: only a closed run has")));
+    EXPECT_THAT(
+        html, AllOf(HasSubstr("<p class=\"caution\">" + caution), HasSubstr("none: only a closed run has")));
     std::filesystem::remove(folder / "a.html");
     const std::string text = unwrapped(abcal({"report", "a.run"}).out);
     EXPECT_LT(text.find("!!! " + caution), text.find("Item")) << text;
