@@ -534,7 +534,7 @@ Eigen::Array3d SimBench::bend(const OutputTruth& truth, const Eigen::Array3d& li
   Eigen::Array3d sum = square * square * (truth.k4.array() + linear * truth.k5.array()) +
                        linear.abs() * truth.asymmetry.array();
   const Eigen::Array3d norm = truth.sensitivity_matrix.rowwise().norm().array();
-  const Eigen::Array3d a = linear / norm;
+  const Eigen::Array3d a = (norm > 0.0).select(linear / norm, 0.0);  // an output that feels nothing has none
   const Eigen::Array3d b(a[1], a[2], a[0]);
   const Eigen::Array3d c(a[2], a[0], a[1]);
   sum += norm *
@@ -631,7 +631,7 @@ TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
   Eigen::Array3d offset = truth.offset.array() + truth.k2.array() * size2 / 3.0 +
                           truth.k4.array() * size2 * size2 / 5.0 + truth.asymmetry.array() * size / 2.0;
   const Eigen::Array3d norm = truth.sensitivity_matrix.rowwise().norm().array();
-  const Eigen::Matrix3d y = norm.inverse().matrix().asDiagonal() * s;
+  const Eigen::Matrix3d y = (norm > 0.0).select(norm.inverse(), 0.0).matrix().asDiagonal() * s;
   for (int j = 0; j < 3; ++j) {
     const Eigen::Vector3d a = y.row(j);
     const Eigen::Vector3d b = y.row((j + 1) % 3);

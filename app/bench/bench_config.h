@@ -40,7 +40,8 @@ struct StageConfig {
   std::optional<int> baud;  ///< Absent: the driver's usual one.
   std::string address;
   std::string serial_number;  ///< If given, any other controller is refused.
-  std::string level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
+  std::string
+      level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }

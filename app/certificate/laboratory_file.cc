@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <charconv>
 
-#include "app/toml/toml_reader.h"
 #include "app/certificate/derived.h"
 #include "app/certificate/iso_codes.h"
+#include "app/toml/toml_reader.h"
 
 namespace abcal {
 namespace {

@@ -95,7 +95,8 @@ CLI::App* add_level(CLI::App& parent, int& exit_code) {
       const CalibrationResult abc = analyse(load_record(options->sensitivity).record, "abc");
       if (abc.verdict == Verdict::kNotUsable) throw std::runtime_error(options->sensitivity + ": " + abc.why);
       s = abc.sensitivity_values();
-    } else if (const auto response = nominal_response({}, who.accelerometer.output_unit, config.g_loc.value_mps2)) {
+    } else if (const auto response =
+                   nominal_response({}, who.accelerometer.output_unit, config.g_loc.value_mps2)) {
       s = Eigen::Matrix3d::Identity() * *response;
     } else {
       throw std::invalid_argument("the output is in " + who.accelerometer.output_unit +

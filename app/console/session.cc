@@ -245,7 +245,13 @@ void Session::show(const SessionEvent& event) {
     }
     void operator()(const FinishedEvent& end) const {
       const std::string name = file_name(end.file);
-      if (end.complete) session.log(fmt::format("Run {} is complete: {}.", name, end.verdict));
+      if (end.measured_before) {
+        session.log(
+            fmt::format("All angles of run {} were measured already; it is closed and analysed now: {}.",
+                        name, end.verdict));
+      } else if (end.complete) {
+        session.log(fmt::format("Run {} is complete: {}.", name, end.verdict));
+      }
       session.tell_(RunEnded{name, end.complete,
                              end.complete ? fmt::format("{}: {}", end.verdict, end.reason) : end.reason});
     }
@@ -279,11 +285,7 @@ void Session::do_start(const std::string& name) {
 }
 
 void Session::do_resume(const std::filesystem::path& path) {
-  const RunOutcome outcome = run_->resume({path.string()});
-  if (outcome.measured_before) {
-    log(fmt::format("All angles of run {} were measured already; it is closed and analysed now.",
-                    path.filename().string()));
-  }
+  run_->resume({path.string()});
 }
 
 void Session::do_jog(StageAxis axis, Angle by) {

@@ -28,9 +28,11 @@ std::string ReportData::ended_utc() const {
 std::vector<std::string> cautions(const ReportData& data) {
   std::vector<std::string> list;
   if (!data.complete()) {
-    list.push_back(fmt::format("Not complete: this run is {}, {} of {} angles are measured",
-                               to_string(data.run->state), data.run->measured.size(),
-                               data.run->header.plan.size()));
+    // A killed program and a full disk leave a run that says that it is running.
+    const std::string state = data.run->state == RunState::kRunning ? "running, or ended without storing why"
+                                                                    : std::string(to_string(data.run->state));
+    list.push_back(fmt::format("Not complete: this run is {}, {} of {} angles are measured", state,
+                               data.run->measured.size(), data.run->header.plan.size()));
   }
   const CalibrationResult& result = data.result();
   if (result.verdict != Verdict::kUsable) {

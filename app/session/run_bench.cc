@@ -9,6 +9,7 @@
 #include <stop_token>
 
 #include "app/bench/level_file.h"
+#include "app/session/host_clock.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 
@@ -32,7 +33,32 @@ InstrumentIdentity identity(const AccelerometerInfo& info) {
   return {"accelerometer", info.maker, info.model, info.serial_number, info.firmware, details};
 }
 
+/// The accelerometer on the stage, as the bench file and itself name it.
+RunItem item_of(const BenchConfig& config, const AccelerometerInfo& info) {
+  const auto either = [](const std::string& stated, const std::string& found) {
+    return stated.empty() ? found : stated;
+  };
+  RunItem item;
+  item.maker = either(config.item.maker, info.maker);
+  item.model = either(config.item.model, info.model);
+  item.serial_number = either(config.item.serial_number, info.serial_number);
+  item.firmware = either(config.item.firmware, info.firmware);
+  item.driver = config.accelerometer.driver;
+  item.port = config.accelerometer.port;
+  item.response_unit = info.output_unit;
+  item.rate_hz = info.rate_hz;
+  item.full_scale = info.full_scale;
+  item.resolution = info.resolution;
+  return item;
+}
+
 }  // namespace
+
+SessionStart session_start(const Bench& bench) {
+  const bool real_time = !bench.simulated_time && !bench.replayed;
+  return {bench.clock->utc_now(), bench.clock->now(), real_time ? read_host_clock() : HostClock{},
+          program_version()};
+}
 
 std::array<AxisTravel, 2> Identities::travel() const {
   return {AxisTravel{stage.axes[0].travel_min, stage.axes[0].travel_max},
@@ -85,6 +111,7 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   label("item.supply", config.item.supply);
   label("protocol.estimator", config.protocol.estimator);
   header.instruments = {identity(identities.stage), identity(identities.accelerometer)};
+  header.items = {item_of(config, identities.accelerometer)};
   header.response_unit = identities.accelerometer.output_unit;
   header.g_loc = config.g_loc;
   header.tolerances = config.tolerances;
@@ -129,14 +156,14 @@ std::optional<std::string> note_environment(Bench& bench, const BenchConfig& con
       now = bench.environment->read(bench.clock->now() + kPatience);
     } catch (const InstrumentError& error) {
       if (moment == "start") throw;
-      file.append_event(format_utc(bench.clock->utc_now()), "environment not read", error.what());
+      file.append_event(format_utc(file.utc_now(*bench.clock)), "environment not read", error.what());
       warning = fmt::format("the environment could not be read: {}", error.what());
     }
   }
   const auto either = [](const std::optional<double>& measured, const std::optional<double>& typed) {
     return measured ? measured : typed;
   };
-  file.append_environment(format_utc(bench.clock->utc_now()), moment,
+  file.append_environment(format_utc(file.utc_now(*bench.clock)), moment,
                           either(now.temperature_degc, config.environment.temperature_degc),
                           either(now.humidity_percent, config.environment.humidity_percent),
                           either(now.pressure_hpa, config.environment.pressure_hpa));

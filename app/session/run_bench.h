@@ -40,6 +40,9 @@ void require_serial_number(const std::string& role, const std::string& model, co
 PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const BenchConfig& config,
                                const Identities& identities);
 
+/// When and by which clocks measuring begins on a bench.
+SessionStart session_start(const Bench& bench);
+
 /// What a run file holds before the first angle.
 RunHeader make_header(const BenchConfig& config, const Identities& identities, std::vector<PlannedAngle> plan,
                       const Clock& clock);

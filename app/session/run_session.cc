@@ -24,19 +24,23 @@ namespace {
 /// Most notes that wait to be stored.
 constexpr std::size_t kMostNotes = 20;
 
-/// Analyses a run that is closed, and keeps the analyses in its results file.
-RunOutcome analyse_closed_run(const std::filesystem::path& path, const std::string& sha256,
-                              const std::string& utc) {
+/// Analyses a run that is complete, closed or not.
+RunOutcome analyse_complete_run(const std::filesystem::path& path) {
   RunOutcome outcome;
   outcome.path = path;
-  outcome.sha256 = sha256;
   outcome.stored = RunFile::load(path);
   outcome.results = analyse_all(outcome.stored.record);
-  ResultsFile results_file(path, sha256);
+  return outcome;
+}
+
+/// Keeps the analyses of a run that is closed in its results file.
+void keep_analyses(RunOutcome& outcome, const std::string& sha256, const std::string& utc,
+                   ResultsFile::Making making) {
+  outcome.sha256 = sha256;
+  ResultsFile results_file(outcome.path, sha256, making);
   for (const CalibrationResult& each : outcome.results) {
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
   }
-  return outcome;
 }
 
 /// The name of the first free "a-replay.run", "a-replay-2.run" ... in the folder of "a.run".
@@ -73,6 +77,7 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
   event.reason = outcome.results.front().why;
   event.measured = outcome.stored.measured.size();
   event.planned = outcome.stored.header.plan.size();
+  event.measured_before = outcome.measured_before;
   return event;
 }
 
@@ -83,9 +88,12 @@ std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path)
   if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete) {
     return std::nullopt;
   }
+  // One that is not closed yet never had results.
+  const auto making = RunFile::is_closed(path) ? ResultsFile::Making::kAgain : ResultsFile::Making::kFirst;
   const std::string sha256 = RunFile::finish_closing(path);
-  if (ResultsFile(path, sha256).analyses() >= kEstimators.size()) return std::nullopt;
-  RunOutcome outcome = analyse_closed_run(path, sha256, format_utc(RealClock().utc_now()));
+  if (ResultsFile(path, sha256, making).analyses() >= kEstimators.size()) return std::nullopt;
+  RunOutcome outcome = analyse_complete_run(path);
+  keep_analyses(outcome, sha256, format_utc(RealClock().utc_now()), making);
   outcome.measured_before = true;
   return outcome;
 }
@@ -156,7 +164,7 @@ void RunSession::store_notes(RunFile& file, const Clock& clock) {
     notes.swap(notes_);
   }
   for (const NoteRequest& note : notes) {
-    file.append_event(format_utc(clock.utc_now()), "note", fmt::format("{} ({})", note.text, note.by));
+    file.append_event(format_utc(file.utc_now(clock)), "note", fmt::format("{} ({})", note.text, note.by));
     tell(NoteStoredEvent{note.text, note.by});
   }
 }
@@ -260,7 +268,8 @@ RunFile RunSession::create_file(const OpenedBench& opened, const StartRequest& r
   RunFile file = RunFile::create(request.run_file,
                                  make_header(opened.config, opened.identities, opened.plan, *bench.clock));
   if (transcript_) transcript_->keep_in(file);
-  file.append_event(format_utc(bench.clock->utc_now()), "started", "run started");
+  file.begin_session(session_start(bench));
+  file.append_event(format_utc(file.utc_now(*bench.clock)), "started", "run started");
   (void)note_environment(bench, opened.config, file, "start");
   return file;
 }
@@ -307,7 +316,8 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   opened.identities = identify(opened.bench, opened.config);
   require_same_instruments(opened.identities, stored);
   opened.plan = stored.header.plan;
-  file.set_state(RunState::kRunning, format_utc(opened.bench.clock->utc_now()),
+  file.begin_session(session_start(opened.bench));
+  file.set_state(RunState::kRunning, format_utc(file.utc_now(*opened.bench.clock)),
                  fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
                              stored.header.plan.size()));
   tell_begun(opened, path, &stored);
@@ -349,11 +359,20 @@ RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_fa
         measure({bench, opened.config, file, opened.plan, so_far}, observer, stop_.get_token());
     store_notes(file, *bench.clock);
     tell(AllMeasuredEvent{path.string()});
-    const std::string utc = format_utc(bench.clock->utc_now());
+    const std::string utc = format_utc(file.utc_now(*bench.clock));
     if (const auto warning = note_environment(bench, opened.config, file, "end")) {
       warn("environment not read", *warning);
     }
-    RunOutcome outcome = analyse_closed_run(path, file.close_complete(utc, timing), utc);
+    file.complete(utc, timing);
+    RunOutcome outcome = analyse_complete_run(path);
+    if (const auto sha256 = file.close()) {
+      keep_analyses(outcome, *sha256, utc, ResultsFile::Making::kFirst);
+    } else {
+      warn("closing",
+           fmt::format("another program keeps {} open, so that it cannot be closed; its result is not kept "
+                       "yet: end that program, then close the run with: abcal resume {}",
+                       path.string(), path.string()));
+    }
     tell(finished_event(outcome));
     return outcome;
   } catch (const std::exception& error) {
@@ -407,6 +426,7 @@ RunOutcome RunSession::replay_to_the_end(const StoredRun& recorded, const Replay
   header.created_utc = format_utc(opened.bench.clock->utc_now());
   header.labels["replay.of"] = name;
   RunFile file = RunFile::create(request.run_file, header);
+  file.begin_session(session_start(opened.bench));
   file.append_event(header.created_utc, "started", "replay of " + name);
   (void)note_environment(opened_->bench, opened.config, file, "start");
   tell_begun(opened, request.run_file, nullptr);

@@ -251,6 +251,7 @@ void visit_members(Visitor& v, Event& event) {
   v.member("reason", event.reason);
   v.member("measured", event.measured);
   v.member("planned", event.planned);
+  v.member("measured_before", event.measured_before);
 }
 
 template <class Visitor, Like<StartRequest> Request>

@@ -126,6 +126,7 @@ struct FinishedEvent {
   std::string verdict;                    ///< Of the first result, in words; empty where the run ended early.
   std::string reason;                     ///< Why that verdict, or what ended the run.
   std::size_t measured = 0, planned = 0;  ///< Angles.
+  bool measured_before = false;           ///< Nothing was measured now: only closed and analysed.
 };
 
 using SessionEvent = std::variant<RunBeganEvent, PhaseEvent, AngleBegunEvent, DwellDoneEvent, FlagEvent,

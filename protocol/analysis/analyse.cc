@@ -139,7 +139,7 @@ std::string not_determined(const ReadingSeries& series, const char* reason) {
 }
 
 // Variance of a reading of each accelerometer from the residuals of its three fits together.
-std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits) {
+std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits, const CurvatureFit& curvature) {
   std::array<std::optional<double>, 3> variances;
   for (std::size_t j = 0; j < 3; ++j) {
     double sum_squares = 0.0;
@@ -147,6 +147,11 @@ std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits) {
     for (std::size_t e = 0; e < 3; ++e) {
       sum_squares += fits[3 * e + j].residual_sum_squares;
       degrees_of_freedom += fits[3 * e + j].degrees_of_freedom();
+    }
+    // k2 and k3, where they were estimated, were fitted to these residuals too.
+    for (Eigen::Index m = 0; m < 2; ++m) {
+      const Eigen::Index k = 2 * static_cast<Eigen::Index>(j) + m;
+      if (curvature.cofactor()(k, k) > 0.0) --degrees_of_freedom;
     }
     if (degrees_of_freedom > 0) variances[j] = sum_squares / degrees_of_freedom;
   }
@@ -672,7 +677,8 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
     const ReadingSeries& series = estimate.cleaned[i];
     estimate.cleaned_fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
   }
-  if (!selection.with_uncertainty) estimate.reading_variance = pooled_variances(estimate.cleaned_fits);
+  if (!selection.with_uncertainty)
+    estimate.reading_variance = pooled_variances(estimate.cleaned_fits, *estimate.curvature);
   estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
   std::string reason = dead_output(estimate);
   if (!reason.empty()) return reason;

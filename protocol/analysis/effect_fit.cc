@@ -26,6 +26,8 @@ constexpr std::array<double, 5> kTauGrid{0.3, 0.8, 2.0, 5.0, 12.0};
 constexpr std::array<double, 4> kRhoGrid{2.0, 10.0, 50.0, 400.0};
 /// A process whose whole neighbourhood is less probable than this is not worth a fit.
 constexpr double kNegligibleWeight = 1e-6;
+/// Estimated noise is at least this times S_j, or a noise-free record would leave nothing but round-off.
+constexpr double kSmallestRelativeNoise = 1e-9;
 
 using Vector12 = Eigen::Matrix<double, 12, 1>;
 using Rows12 = Eigen::Matrix<double, 12, Eigen::Dynamic>;
@@ -361,14 +363,13 @@ NoiseProcess EffectProblem::process_of(double tau, double rho) const {
 /// Rows of the line response by the unknowns, relative units.
 Rows12 EffectProblem::line_rows() const {
   Rows12 out = Rows12::Zero(12, layout_.count());
-  Eigen::Matrix3d unit_rows;
-  for (int j = 0; j < 3; ++j)
-    unit_rows.row(j) = value_.segment<3>(layout_.own_count() * j).normalized().transpose();
+  Eigen::Matrix3d rows;
+  for (int j = 0; j < 3; ++j) rows.row(j) = value_.segment<3>(layout_.own_count() * j).transpose();
   for (int j = 0; j < 3; ++j) {
     const int first = layout_.own_count() * j;
     double scale = 1.0;
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-      const LineShare share = layout_.own[i].effect->line(unit_rows, j, layout_.own[i].index);
+      const LineShare share = layout_.own[i].effect->line(rows, j, layout_.own[i].index);
       const int column = first + kOwnFixed + static_cast<int>(i);
       scale += share.scale * value_(column);
       for (int k = 0; k < 3; ++k) out(3 * j + k, column) = share.scale * value_(first + k);
@@ -382,15 +383,14 @@ Rows12 EffectProblem::line_rows() const {
 
 Vector12 EffectProblem::line_values(const Eigen::VectorXd& value) const {
   Vector12 out;
-  Eigen::Matrix3d unit_rows;
-  for (int j = 0; j < 3; ++j)
-    unit_rows.row(j) = value.segment<3>(layout_.own_count() * j).normalized().transpose();
+  Eigen::Matrix3d rows;
+  for (int j = 0; j < 3; ++j) rows.row(j) = value.segment<3>(layout_.own_count() * j).transpose();
   for (int j = 0; j < 3; ++j) {
     const int first = layout_.own_count() * j;
     double scale = 1.0;
     double offset = value(first + 3);
     for (std::size_t i = 0; i < layout_.own.size(); ++i) {
-      const LineShare share = layout_.own[i].effect->line(unit_rows, j, layout_.own[i].index);
+      const LineShare share = layout_.own[i].effect->line(rows, j, layout_.own[i].index);
       const double p = value(first + kOwnFixed + static_cast<int>(i));
       scale += share.scale * p;
       offset += share.offset * p;
@@ -513,6 +513,7 @@ EffectProblem::Point EffectProblem::at_noise(double tau, double rho, const Eigen
 /// White noise of each output, in units of u: repeated until the weighted squares of the residuals equal
 /// their expectation (restricted likelihood).
 Eigen::Vector3d EffectProblem::estimate_white(const Eigen::Vector3d& from) const {
+  const Eigen::Vector3d floor = kSmallestRelativeNoise * unit_.cwiseQuotient(readings_.front().u);
   Eigen::Vector3d white = from;
   for (int pass = 0; pass < 60; ++pass) {
     const Point point = at_noise(0.0, 1.0, white);
@@ -544,9 +545,9 @@ Eigen::Vector3d EffectProblem::estimate_white(const Eigen::Vector3d& from) const
                       "of the readings are required",
                       readings_.size()));
     }
-    const Eigen::Vector3d factor = squares.cwiseQuotient(redundancy).cwiseSqrt();
-    white = white.cwiseProduct(factor).cwiseMax(1e-9 * Eigen::Vector3d::Ones());
-    if ((factor.array() - 1.0).abs().maxCoeff() < 1e-3) break;
+    const Eigen::Vector3d before = white;
+    white = white.cwiseProduct(squares.cwiseQuotient(redundancy).cwiseSqrt()).cwiseMax(floor);
+    if ((white.cwiseQuotient(before).array() - 1.0).abs().maxCoeff() < 1e-3) break;
   }
   return white;
 }

@@ -150,7 +150,8 @@ LineShare cross_line(const Eigen::Matrix3d& rows, int output, int i) {
   const Eigen::Vector3d a = rows.row(output);
   const Eigen::Vector3d b = rows.row((output + 1) % 3);
   const Eigen::Vector3d d = rows.row((output + 2) % 3);
-  const std::array<double, 5> means{a.dot(b) / 3.0, a.dot(d) / 3.0, b.dot(d) / 3.0, 1.0 / 3.0, 1.0 / 3.0};
+  const std::array<double, 5> means{a.dot(b) / 3.0, a.dot(d) / 3.0, b.dot(d) / 3.0, b.dot(b) / 3.0,
+                                    d.dot(d) / 3.0};
   return {0.0, means[static_cast<std::size_t>(i)]};
 }
 
@@ -161,14 +162,16 @@ ItemShare hysteresis_share(const ItemPoint& at, int output, int /*i*/) {
 LineShare no_line(const Eigen::Matrix3d& /*rows*/, int /*output*/, int /*i*/) {
   return {};
 }
-/// Mean of y^n over the sphere is 1/(n + 1) for even n; the slope of y^n is 3/(n + 2) for odd n.
+/// With y = a.g over the sphere the mean of y^n is |a|^n/(n + 1) for even n; the slope of y^n along a is 3/(n
+/// + 2) |a|^(n-1) for odd n.
 template <int order>
-LineShare power_line(const Eigen::Matrix3d& /*rows*/, int /*output*/, int /*i*/) {
-  if constexpr (order % 2 == 0) return {0.0, 1.0 / (order + 1)};
-  return {3.0 / (order + 2), 0.0};
+LineShare power_line(const Eigen::Matrix3d& rows, int output, int /*i*/) {
+  const double norm = rows.row(output).norm();
+  if constexpr (order % 2 == 0) return {0.0, std::pow(norm, order) / (order + 1)};
+  return {3.0 / (order + 2) * std::pow(norm, order - 1), 0.0};
 }
-LineShare absolute_line(const Eigen::Matrix3d& /*rows*/, int /*output*/, int /*i*/) {
-  return {0.0, 0.5};
+LineShare absolute_line(const Eigen::Matrix3d& rows, int output, int /*i*/) {
+  return {0.0, 0.5 * rows.row(output).norm()};
 }
 
 constexpr std::array kItemEffects{

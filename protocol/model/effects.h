@@ -65,7 +65,7 @@ struct ItemEffect {
   int count = 0;
   double (*prior)(const EffectSizes&) = nullptr;
   ItemShare (*share)(const ItemPoint&, int output, int i) = nullptr;
-  /// @param rows  directions of the axes: unit rows of s
+  /// @param rows  of the linear responses y: those of s, each relative to its S_j, near unit
   LineShare (*line)(const Eigen::Matrix3d& rows, int output, int i) = nullptr;
   std::string (*unknown_name)(int i) = nullptr;
 };

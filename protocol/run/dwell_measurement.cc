@@ -81,8 +81,8 @@ MeasuredDwell DwellMeasurement::measure_once(std::size_t position, const Planned
   MeasuredDwell measured{dwell_record(angle, statistics, window), {}};
   measured.readings.reserve(readings.size());
   for (const Reading& reading : readings) {
-    measured.readings.push_back({reading.sequence, context_.stopwatch.run_time_s(reading.arrival),
-                                 reading.output, reading.temperature_degc});
+    measured.readings.push_back(
+        {reading.sequence, context_.time_s(reading.arrival), reading.output, reading.temperature_degc});
   }
   return measured;
 }
@@ -98,7 +98,7 @@ DwellRecord DwellMeasurement::dwell_record(const PlannedAngle& angle, const Dwel
   dwell.commanded_z = angle.z;
   dwell.encoder_x = parts_.motion.encoder_angle(StageAxis::kX);
   dwell.encoder_z = parts_.motion.encoder_angle(StageAxis::kZ);
-  dwell.time_s = context_.stopwatch.run_time_s(window.begin + (window.end - window.begin) / 2);
+  dwell.time_s = context_.time_s(window.begin + (window.end - window.begin) / 2);
   dwell.settle_time_s = to_seconds(window.begin - window.stopped);
   dwell.count = statistics.count;
   dwell.lost = statistics.lost;

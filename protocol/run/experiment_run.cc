@@ -130,6 +130,7 @@ class ExperimentRun {
         context_.journal.notify("full scale", *excess);
       }
     }
+    context_.journal.check_system_clock();
     file_.append_dwell(position, dwell, measured.readings, context_.stopwatch.timing());
     if (dwell.flags != kFlagNone) {
       context_.journal.notify(
@@ -189,10 +190,11 @@ struct RunFailure {
   std::string consequences = fmt::format(" ({}); {}", activity, halt.words);
   const std::string& reason = failure.reason;
   try {
+    const std::string utc = format_utc(file.utc_now(instruments.clock));
     for (const StageEvent& event : instruments.stage.take_events()) {
-      file.append_event(format_utc(instruments.clock.utc_now()), event.kind, event.text);
+      file.append_event(utc, event.kind, event.text);
     }
-    file.set_state(RunState::kInterrupted, format_utc(instruments.clock.utc_now()), reason + consequences);
+    file.set_state(RunState::kInterrupted, utc, reason + consequences);
   } catch (const RunFileError& error) {
     consequences += fmt::format("; the reason could not be stored ({})", error.what());
   }

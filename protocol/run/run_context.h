@@ -12,6 +12,7 @@
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/plan/run_config.h"
 #include "protocol/plan/tolerances.h"
+#include "protocol/record/clock_watch.h"
 #include "protocol/record/run_file.h"
 #include "protocol/run/run_observer.h"
 #include "protocol/run/stoppable_clock.h"
@@ -32,7 +33,7 @@ class RunJournal {
  public:
   /// Both must outlive this.
   RunJournal(RunFile& file, RunObserver& observer, const StoppableClock& clock)
-      : file_(file), observer_(observer), clock_(clock) {}
+      : file_(file), observer_(observer), clock_(clock), clock_watch_(clocks()) {}
 
   /// "homing axis X", "experiment 1, alpha = 5 deg": where an error happened.
   void set_activity(std::string activity) { activity_ = std::move(activity); }
@@ -44,18 +45,25 @@ class RunJournal {
 
   /// Into the run file only.
   void record(std::string_view kind, std::string_view text) {
-    file_.append_event(format_utc(clock_.utc_now()), kind, text);
+    file_.append_event(format_utc(file_.utc(clock_.now())), kind, text);
   }
   /// Into the run file and to the observer.
   void notify(std::string_view kind, std::string_view text) {
     record(kind, text);
     observer_.notice(kind, text);
   }
+  /// Notes a step that the system clock made since the look before.
+  void check_system_clock() {
+    if (const auto step = clock_watch_.look(clocks())) notify(kClockStepEvent, *step);
+  }
 
  private:
+  ClockPair clocks() const { return {clock_.utc_now(), clock_.now().time_since_epoch()}; }
+
   RunFile& file_;
   RunObserver& observer_;
   const StoppableClock& clock_;
+  ClockWatch clock_watch_;
   std::string activity_ = "starting";
 };
 
@@ -69,8 +77,8 @@ class RunStopwatch {
   void add_settling(Clock::Duration time) { timing_.settling_s += to_seconds(time); }
   void add_dwelling(Clock::Duration time) { timing_.dwelling_s += to_seconds(time); }
 
-  /// Seconds from the start of the run; the time between two parts of an interrupted run does not count.
-  double run_time_s(Clock::Instant instant) const {
+  /// Seconds of measuring; the time between two parts of an interrupted run does not count.
+  double spent_s(Clock::Instant instant) const {
     return spent_before_.total_s() + to_seconds(instant - begin_);
   }
 
@@ -78,7 +86,7 @@ class RunStopwatch {
   RunTiming timing() const {
     RunTiming timing = timing_;
     const double accounted = timing.moving_s + timing.settling_s + timing.dwelling_s;
-    timing.overhead_s = std::max(0.0, run_time_s(clock_.now()) - accounted);
+    timing.overhead_s = std::max(0.0, spent_s(clock_.now()) - accounted);
     return timing;
   }
 
@@ -103,13 +111,22 @@ struct RunContext {
       : clock(run_clock),
         settings(std::move(run_settings)),
         journal(file, observer, clock),
-        stopwatch(clock, spent_before) {}
+        stopwatch(clock, spent_before),
+        file_(file) {
+    if (!file.in_session()) file.begin_session({clock.utc_now(), clock.now(), {}, {}});
+  }
   RunContext(const RunContext&) = delete;
   RunContext& operator=(const RunContext&) = delete;
+
+  /// True time from the beginning of the run, pauses included: DwellRecord::time_s.
+  double time_s(Clock::Instant instant) const { return file_.time_s(instant); }
 
   /// For messages.
   std::string stage_name() const { return "stage " + stage_info.model; }
   std::string accelerometer_name() const { return "accelerometer " + accelerometer_info.model; }
+
+ private:
+  const RunFile& file_;
 };
 
 /// "experiment 1, alpha = 5 deg".

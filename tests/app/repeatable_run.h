@@ -42,13 +42,20 @@ inline std::vector<std::string> measured_bits(const std::filesystem::path& run) 
   return bits;
 }
 
-/// The numbers of a result that an interruption must not change.
+/// The numbers of a result that an interruption must not change: the estimates and the part of their
+/// uncertainty that comes from noise. The part that comes from drift depends on when each angle was measured,
+/// pauses included.
 inline nlohmann::json numbers(const std::string& analysis) {
   const nlohmann::json all = nlohmann::json::parse(analysis);
   nlohmann::json kept;
-  for (const char* key : {"estimator", "sensitivity_matrix", "offset", "intrinsic_sensitivity",
-                          "intrinsic_angle", "covariance", "covariance_intrinsic"})
-    kept[key] = all.at(key);
+  const auto keep = [&](const char* key, const nlohmann::json& quantity) {
+    kept[key].push_back(quantity.at("value"));
+    kept[key].push_back(quantity.at("type_a"));
+  };
+  for (const nlohmann::json& row : all.at("sensitivity_matrix"))
+    for (const nlohmann::json& quantity : row) keep("sensitivity_matrix", quantity);
+  for (const char* key : {"offset", "intrinsic_sensitivity", "intrinsic_angle"})
+    for (const nlohmann::json& quantity : all.at(key)) keep(key, quantity);
   return kept;
 }
 

@@ -48,7 +48,8 @@ std::string all_rows(const std::filesystem::path& run, const std::string& table)
   SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
   const std::string columns = table == "dwell" ? "id||'|'||time_s||'|'||settle_s||'|'||r_u||'|'||u_w"
                                                : "dwell||'|'||k||'|'||sequence||'|'||time_s||'|'||u||'|'||w";
-  SqliteStatement rows = database.prepare("select " + columns + " from " + (table == "dwell" ? "dwell" : "timed_reading"));
+  SqliteStatement rows =
+      database.prepare("select " + columns + " from " + (table == "dwell" ? "dwell" : "timed_reading"));
   std::string all;
   while (rows.step()) all += rows.text(0) + "\n";
   return all;

@@ -179,8 +179,9 @@ TEST_F(StudyCommands, SystemErrorsThatAJointAnalysisMeasuredEnterTheTypeAEvaluat
         .at(1)
         .get<double>();
   };
-  // s_uy depends on Xz, which the joint analysis measures to 4e-6 where the tolerance is 1.4e-4.
-  EXPECT_LT(u(with), 0.3 * u(without));
+  // s_uy depends on Xz, which the joint analysis measures well where the tolerance is 1.4e-4; the wobble of
+  // 50 urad by default stays in what it measures.
+  EXPECT_LT(u(with), 0.4 * u(without));
 
   test::write_file(folder / "abc.json", abcal({"analyse", "a.run", "--estimator", "abc", "--json"}).out);
   const ProgramResult wrong =

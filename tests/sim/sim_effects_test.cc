@@ -217,7 +217,8 @@ TEST(SimEffectsTest, TheMountCreepsTheFloorTiltsThePlatformSags) {
   BenchTruth sag;
   sag.sag_urad = {0.0, 0.0, 100.0};
   EXPECT_LT((reading(sag, 0, 0) - Vector3d::UnitZ()).norm(), 1e-15);
-  // X at 30 degrees: up is at (0, sin 30, cos 30) in the platter; the load above it falls farther, by 100 sin 30.
+  // X at 30 degrees: up is at (0, sin 30, cos 30) in the platter; the load above it falls farther, by 100
+  // sin 30.
   const double more = 30.0 * kDeg + 100e-6 * std::sin(30.0 * kDeg);
   EXPECT_LT((reading(sag, 30, 0) - Vector3d(0.0, std::sin(more), std::cos(more))).norm(), 1e-13);
 }
@@ -230,8 +231,7 @@ TEST(SimEffectsTest, HysteresisTakesTheSignOfTheLastChange) {
   const auto at = [&](double x_deg) {
     t += seconds(1);
     bench.place(StageAxis::kX, Angle::degrees(x_deg), t);
-    return Vector3d(bench.output(t, 0).value -
-                    Vector3d(0.0, std::sin(x_deg * kDeg), std::cos(x_deg * kDeg)));
+    return Vector3d(bench.output(t, 0).value - Vector3d(0.0, std::sin(x_deg * kDeg), std::cos(x_deg * kDeg)));
   };
   EXPECT_LT((bench.output(t, 0).value - Vector3d::UnitZ()).norm(), 1e-15) << "nothing has moved yet";
   EXPECT_LT((at(10.0) - Vector3d(0.0, 1e-4, -1e-4)).norm(), 1e-14);
@@ -251,7 +251,10 @@ TEST(SimEffectsTest, RefusesWhatCannotBe) {
       {"correlated_noise_s", [&](BenchTruth& t) { t.correlated_noise_s = 0.0; }},
       {"mount_creep_s", [&](BenchTruth& t) { t.mount_creep_s = nan; }},
       {"x.wobble_sd_urad", [&](BenchTruth& t) { t.x.wobble_sd_urad = -1.0; }},
-      {"z.wobble is nan", [&](BenchTruth& t) { t.z.wobble.push_back({1, nan, 0, 0, 0}); }},
+      {"z.wobble is nan",
+       [&](BenchTruth& t) {
+         t.z.wobble.push_back({1, nan, 0, 0, 0});
+       }},
       {"z.smooth_error_sd", [&](BenchTruth& t) { t.z.smooth_error_sd = Angle::degrees(nan); }},
       {"sag_urad", [&](BenchTruth& t) { t.sag_urad[0] = nan; }},
       {"floor_tilt_x_urad", [&](BenchTruth& t) { t.floor_tilt_x_urad = nan; }},

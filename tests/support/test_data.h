@@ -23,9 +23,9 @@ inline std::optional<std::filesystem::path> shared_data(std::string_view relativ
 
 }  // namespace abcal::test
 
-/// Binds `path` to a file of the shared data set, or skips the test with the reason.
-#define ABCAL_SHARED_DATA_OR_SKIP(path, relative)                                                         \
-  const auto path##_found = ::abcal::test::shared_data(relative);                                         \
-  if (!path##_found)                                                                                      \
+/// Binds `variable` to a file of the shared data set, or skips the test with the reason.
+#define ABCAL_SHARED_DATA_OR_SKIP(variable, relative)                                                     \
+  const auto variable##_found = ::abcal::test::shared_data(relative);                                     \
+  if (!variable##_found)                                                                                  \
     GTEST_SKIP() << "shared data file " << (relative) << " is absent; set ABCAL_TEST_DATA to its folder"; \
-  const std::filesystem::path path = *path##_found
+  const std::filesystem::path variable = *variable##_found

@@ -183,7 +183,9 @@ TEST_F(RunSessionTest, TooLittleDiskSpaceIsRefusedBeforeThereIsAFile) {
 TEST_F(RunSessionTest, LittleDiskSpaceIsToldAndTheRunGoesOn) {
   free_bytes = 12'000'000;
   on_event = [&](const SessionEvent& event) {
-    if (const auto* notice = std::get_if<NoticeEvent>(&event)) EXPECT_EQ(notice->kind, "disk space");
+    if (const auto* notice = std::get_if<NoticeEvent>(&event)) {
+      EXPECT_EQ(notice->kind, "disk space");
+    }
   };
   session()->start(start());
   EXPECT_EQ(count("notice"), 1U);

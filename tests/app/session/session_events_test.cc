@@ -66,7 +66,7 @@ std::vector<SessionEvent> events() {
           NoteStoredEvent{"door opened; 23 °C", "page 1"},
           AllMeasuredEvent{"a.run"},
           ReplayComparedEvent{38, 39, true, "complete"},
-          FinishedEvent{"a.run", true, "usable", "nothing found", 219, 220}};
+          FinishedEvent{"a.run", true, "usable", "nothing found", 219, 220, true}};
 }
 
 std::vector<SessionRequest> requests() {

@@ -241,7 +241,11 @@ TEST(AnalyseTest, TypeAFollowsTheTextbookForWhiteNoise) {  // docs/theory/uncert
   const CalibrationResult result = analyse_abc(record);
   for (std::size_t j = 0; j < 3; ++j) {
     for (std::size_t k = 0; k < 3; ++k) {
-      EXPECT_NEAR((*result.sensitivity_matrix)[j][k].type_a.value(), kSigma / std::sqrt(72.0), 1e-9 * kSigma);
+      // The line is a1 - 0.6 a3, first and third harmonic of the circle (docs/theory/effects.md): k3 enters
+      // a1 by 3/4 and a3 by 1/4, and the line by 3/5. Both have the same variance and are uncorrelated.
+      const double third = j == k ? 0.6 : 0.0;
+      EXPECT_NEAR((*result.sensitivity_matrix)[j][k].type_a.value(),
+                  std::sqrt(1.0 + third * third) * kSigma / std::sqrt(72.0), 1e-9 * kSigma);
     }
     EXPECT_NEAR(result.offset[j].type_a.value(), kSigma / std::sqrt(3.0 * 72.0), 1e-9 * kSigma);
     EXPECT_NEAR(result.intrinsic_angle[j].type_a.value(),
@@ -252,7 +256,7 @@ TEST(AnalyseTest, TypeAFollowsTheTextbookForWhiteNoise) {  // docs/theory/uncert
 
 TEST(AnalyseTest, TypeBOfTheAlignmentFollowsTheFirstOrderTable) {  // docs/theory/uncertainty.md
   RunRecord record = made_record(ideal(), {});
-  record.tolerances = {Angle::degrees(0.008), Angle(), Angle(), Angle(), 0.0};
+  record.tolerances = without_further_effects({Angle::degrees(0.008), Angle(), Angle(), Angle(), 0.0});
   const CalibrationResult result = analyse_abc(record);
   const double e = reference::q();
   Eigen::Matrix3d expected;               // root sum of squares of each row of the table
@@ -274,15 +278,16 @@ TEST(AnalyseTest, TypeBOfTheAlignmentFollowsTheFirstOrderTable) {  // docs/theor
 
 TEST(AnalyseTest, TypeBOfStepErrorsAloneMatchesTheSimulatedDiagonal) {
   RunRecord record = made_record(ideal(), {});
-  record.tolerances = {Angle(), Angle::degrees(0.008), Angle(), Angle(), 0.0};
+  record.tolerances = without_further_effects({Angle(), Angle::degrees(0.008), Angle(), Angle(), 0.0});
   const CalibrationResult result = analyse_abc(record);
-  // Diagonal 8.1e-6 (4000 simulations, docs/theory/uncertainty.md: known to 1 %, printed to two digits). The
-  // exact first-order value is u_f/sqrt(4 N): sin cos has mean square 1/8 over the circle, and s_jj averages
-  // two fits.
+  // A step error f turns cos(a) into -f sin(a). Over a circle the first harmonic then has the variance
+  // u_f^2/(2 N) (mean of sin^2 cos^2: 1/8), the third u_f^2/N (mean of sin^2 cos^2(3a): 1/4), their
+  // covariance is -u_f^2/(2 N) (mean of sin^2 cos cos(3a): -1/8), and s_jj averages two circles: a1 - 0.6 a3
+  // has u_f^2/(4 N) (1 + 2 * 0.36 + 2 * 0.6). Without the correction by the third harmonic it is u_f/sqrt(4
+  // N) = 8.2e-6, the published protocol's.
   for (std::size_t j = 0; j < 3; ++j) {
     const double u = (*result.sensitivity_matrix)[j][j].type_b.value();
-    EXPECT_NEAR(u, 8.1e-6, 0.1e-6 + 0.5e-7);
-    EXPECT_NEAR(u, Angle::degrees(0.008).rad() / std::sqrt(4.0 * 72.0), 1e-12);
+    EXPECT_NEAR(u, std::sqrt(2.92) * Angle::degrees(0.008).rad() / std::sqrt(4.0 * 72.0), 1e-12);
   }
 }
 
@@ -299,6 +304,16 @@ TEST(AnalyseTest, TypeBMatchesASimulationOfTheWholeStage) {
   Eigen::Matrix<double, 12, 1> sum_squares = Eigen::Matrix<double, 12, 1>::Zero();
   Eigen::Matrix<double, 12, 1> sum = sum_squares;
   const Tolerances t;
+  // What type B describes: the ABC equations after the correction by the harmonics, around the run as it was
+  // made.
+  const auto line_of = [](const RunRecord& run) {
+    const CalibrationResult result = analyse_abc(run);
+    Eigen::Matrix<double, 12, 1> out;
+    for (std::size_t i = 0; i < 9; ++i)
+      out(static_cast<Eigen::Index>(i)) = (*result.sensitivity_matrix)[i / 3][i % 3].value;
+    for (std::size_t j = 0; j < 3; ++j) out(static_cast<Eigen::Index>(9 + j)) = result.offset[j].value;
+    return out;
+  };
   for (int trial = 0; trial < kTrials; ++trial) {
     AcsErrors errors;
     errors.alignment = {reference::q() * normal(engine), reference::q() * normal(engine),
@@ -314,19 +329,18 @@ TEST(AnalyseTest, TypeBMatchesASimulationOfTheWholeStage) {
     for (Eigen::Index j = 0; j < 3; ++j) {
       drifting.drift(j) = t.drift * aut.sensitivity_matrix.row(j).norm() * normal(engine);
     }
-    const RunRecord run = made_record(drifting, errors);
-    AbcCoefficients coefficients;
-    // The uniform full circle allows the plain sums; the analysis itself is checked against them by this.
-    coefficients.setZero();
-    for (const DwellRecord& dwell : run.dwells) {
-      const SinCos sc = sincos(dwell.alpha);
-      for (int j = 0; j < 3; ++j) {
-        coefficients(abc_index(dwell.experiment, j, kA)) += dwell.mean(j) * sc.sin / 36.0;
-        coefficients(abc_index(dwell.experiment, j, kB)) += dwell.mean(j) * sc.cos / 36.0;
-        coefficients(abc_index(dwell.experiment, j, kC)) += dwell.mean(j) / 72.0;
-      }
+    RunRecord run = made_record(drifting, errors);
+    // Drift of the second and third order (docs/theory/effects.md: half Legendre polynomials of 2 t).
+    const Eigen::Vector3d size = t.drift * aut.sensitivity_matrix.rowwise().norm();
+    const Eigen::Vector3d second =
+        size.cwiseProduct(Eigen::Vector3d(normal(engine), normal(engine), normal(engine)));
+    const Eigen::Vector3d third =
+        size.cwiseProduct(Eigen::Vector3d(normal(engine), normal(engine), normal(engine)));
+    for (std::size_t i = 0; i < run.dwells.size(); ++i) {
+      const double x = 2.0 * static_cast<double>(i) / static_cast<double>(run.dwells.size() - 1) - 1.0;
+      run.dwells[i].mean += (3.0 * x * x - 1.0) / 4.0 * second + (5.0 * x * x - 3.0) * x / 4.0 * third;
     }
-    const AbcOutputs outputs = abc_outputs(coefficients);
+    const Eigen::Matrix<double, 12, 1> outputs = line_of(run);
     sum += outputs;
     sum_squares += outputs.cwiseAbs2();
   }
@@ -345,7 +359,7 @@ TEST(AnalyseTest, NoiseIsCoveredByItsTypeACovariance) {
   constexpr double kSigma = 1e-4;
   std::mt19937_64 engine(7);
   RunRecord clean = made_record(table2(), {}, 24, Angle::degrees(14.0));  // not a uniform full circle
-  clean.tolerances = {Angle(), Angle(), Angle(), Angle(), 0.0};
+  clean.tolerances = without_further_effects({Angle(), Angle(), Angle(), Angle(), 0.0});
   const Eigen::Matrix3d truth = reference::table2_sensitivity();
   const IntrinsicProperties intrinsic = intrinsic_properties(truth);
   for (const bool with_u : {true, false}) {
@@ -388,9 +402,10 @@ TEST(AnalyseTest, NoiseIsCoveredByItsTypeACovariance) {
 
 TEST(AnalyseTest, ResolutionAddsToTypeB) {
   RunRecord record = made_record(ideal(), {});
-  record.tolerances = {Angle(), Angle(), Angle(), Angle(), 0.0};
+  record.tolerances = without_further_effects({Angle(), Angle(), Angle(), Angle(), 0.0});
   const CalibrationResult result = analyse_abc(record, {.resolution = 1e-3});
-  EXPECT_NEAR((*result.sensitivity_matrix)[0][0].type_b.value(), 1e-3 / std::sqrt(12.0 * 72.0), 1e-12);
+  EXPECT_NEAR((*result.sensitivity_matrix)[0][0].type_b.value(),
+              1e-3 / std::sqrt(12.0) * std::sqrt(1.0 / 72.0 + 0.15 * 0.15 * 32.0 / 144.0), 1e-12);
   EXPECT_EQ(analyse_abc(record, {.resolution = -1.0}).verdict, Verdict::kNotUsable);
 }
 

@@ -210,14 +210,16 @@ TEST(JointFitTest, RecoversWhatTheRunWasMadeWith) {
   constexpr double kLimit = 4.5;
   for (std::size_t j = 0; j < 3; ++j) {
     const auto at = static_cast<Eigen::Index>(j);
+    // The measurand is the line over all directions of gravity (docs/theory/effects.md).
+    const double square = aut.sensitivity_matrix.row(at).squaredNorm();
+    const double line = 1.0 + 0.6 * aut.k3(at) * square;
     for (std::size_t k = 0; k < 3; ++k) {
       EXPECT_LT(std::abs(deviation((*result.sensitivity_matrix)[j][k],
-                                   aut.sensitivity_matrix(at, static_cast<Eigen::Index>(k)))),
+                                   line * aut.sensitivity_matrix(at, static_cast<Eigen::Index>(k)))),
                 kLimit);
     }
-    EXPECT_LT(std::abs(deviation(result.offset[j], aut.offset(at))), kLimit);
-    EXPECT_LT(std::abs(deviation(result.intrinsic_sensitivity[j], aut.sensitivity_matrix.row(at).norm())),
-              kLimit);
+    EXPECT_LT(std::abs(deviation(result.offset[j], aut.offset(at) + aut.k2(at) * square / 3.0)), kLimit);
+    EXPECT_LT(std::abs(deviation(result.intrinsic_sensitivity[j], line * std::sqrt(square))), kLimit);
     EXPECT_LT(std::abs(deviation(result.joint->k2[j], aut.k2(at))), kLimit);
     EXPECT_LT(std::abs(deviation(result.joint->k3[j], aut.k3(at))), kLimit);
     EXPECT_LT(std::abs(deviation(result.joint->drift[j], aut.drift(at))), kLimit);
@@ -353,7 +355,11 @@ TEST(JointFitTest, ChiSquareRefusesAnAccelerometerThatTheModelDoesNotKnow) {
     const double l = dwell.mean(0) - 0.05;
     dwell.mean(0) += 3e-4 * l * l * l * l * l;  // a fifth-order term
   }
-  const CalibrationResult result = analyse_joint(record);
+  // With the noise process in the fit a term that is stated as zero reads as slow noise: chi2 then says
+  // nothing.
+  JointOptions options;
+  options.noise_process = false;
+  const CalibrationResult result = analyse_joint(record, options);
   EXPECT_EQ(result.verdict, Verdict::kDoubtful);
   EXPECT_THAT(result.why, HasSubstr("chi2"));
   EXPECT_LT(*result.diagnostics.chi2_probability, 1e-3);
@@ -392,7 +398,7 @@ TEST(JointFitTest, NonlinearityLeftOutIsSoakedUpElsewhereAndChiSquareSays) {
     chi2_k3 += *result.diagnostics.chi2 / result.diagnostics.degrees_of_freedom / kRuns;
     diagonal += ((*result.sensitivity_matrix)[0][0].value - 1.0) / kRuns;
   }
-  EXPECT_NEAR(chi2_k2, 3.3, 0.33);
+  EXPECT_NEAR(chi2_k2, 2.9, 0.29);  // 3.3 with drift of the first order alone
   EXPECT_NEAR(chi2_k3, 2.2, 0.22);
   EXPECT_NEAR(offset, 7e-5, 1.4e-5);
   EXPECT_NEAR(diagonal, 8e-5, 1.6e-5);

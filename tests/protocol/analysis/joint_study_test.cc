@@ -61,8 +61,9 @@ void expect_honest(const JointStudy& study) {
     EXPECT_GE(output.ratio(), 0.92) << name;
     EXPECT_LE(output.ratio(), 1.08) << name;
   }
-  EXPECT_GE(study.mean_chi2_per_dof, 0.98);
-  EXPECT_LE(study.mean_chi2_per_dof, 1.02);
+  // 15 of the unknowns' priors are wider than what is drawn, as in the short study below; 0.0013 is the
+  // scatter of 2000 runs.
+  EXPECT_NEAR(study.mean_chi2_per_dof, 1.0 - 15.0 / 636.0, 4.0 * 0.0013);
 }
 
 TEST(JointStudyTest, CoverageOfTwoHundredRunsIsNominalWithinItsScatter) {
@@ -76,9 +77,9 @@ TEST(JointStudyTest, CoverageOfTwoHundredRunsIsNominalWithinItsScatter) {
     EXPECT_NEAR(study.output(name).coverage, 0.95, coverage) << name;
     EXPECT_NEAR(study.output(name).ratio(), 1.0, ratio) << name;
   }
-  // Three drifts and six k's are drawn far inside their priors and add nearly nothing to chi2: 1 - 9/636 at
-  // most.
-  EXPECT_NEAR(study.mean_chi2_per_dof, 1.0 - 9.0 / 636.0, 4.0 * std::sqrt(2.0 / 636.0 / trials));
+  // Nine drifts, six of them zero, and six k's are drawn far inside their priors and add nearly nothing to
+  // chi2.
+  EXPECT_NEAR(study.mean_chi2_per_dof, 1.0 - 15.0 / 636.0, 4.0 * std::sqrt(2.0 / 636.0 / trials));
 }
 
 TEST(JointStudyTest, TwoThousandRunsCoverTheTruthAsOftenAsTheySay) {
@@ -87,9 +88,10 @@ TEST(JointStudyTest, TwoThousandRunsCoverTheTruthAsOftenAsTheySay) {
   expect_honest(study);
   // Three fits in a thousand or fewer may be called doubtful by the chance of chi2 (level 1e-3).
   EXPECT_LE(study.not_usable_or_doubtful, 8);
-  // Plain ABC on the same runs: thirty times farther off wherever the joint fit determines anything.
+  // Plain ABC on the same runs: thirty times farther off in the sensitivities; in the angles, whose
+  // uncertainty the drifts of the second and third order raise by a sixth, 25 times.
   EXPECT_GT(study.output("|s_u|").abc_rms_error, 30.0 * study.output("|s_u|").rms_error);
-  EXPECT_GT(study.output("phi_vw").abc_rms_error, 30.0 * study.output("phi_vw").rms_error);
+  EXPECT_GT(study.output("phi_vw").abc_rms_error, 25.0 * study.output("phi_vw").rms_error);
 }
 
 TEST(JointStudyTest, TwoThousandRunsInCountsAreTheSameNumbers) {
@@ -126,8 +128,10 @@ TEST(JointStudyTest, FailsWithoutTheDrift) {
   EXPECT_LT(study.output("O_v").coverage, 0.85);  // docs/theory/joint_estimator.md: 0.5-0.8
 }
 
-// docs/theory/joint_estimator.md, posterior uncertainty of the worst output of a near-unit AUT. Tolerance:
-// half of the last printed digit, and 1 % because "near-unit" is not exactly unit.
+// docs/theory/joint_estimator.md, posterior uncertainty of the worst output of a near-unit AUT, of the line
+// response and with drifts of three orders. An independent NumPy fit has, for an item of its own,
+// intrinsic 4.27e-6, O 3.03e-6 and phi 2.75e-4 degrees at a noise of 1e-5, and 4.52e-7, 3.09e-7 and 2.78e-5
+// at 1e-6. Tolerance: half of the last printed digit, and 1 % because "near-unit" is not exactly unit.
 TEST(JointStudyTest, UncertaintiesAreThoseOfTheDesign) {
   JointStudyOptions options = options_of(kSlowBuild ? 4 : 40);
   options.diagonal_sd = options.off_diagonal_sd = 1e-3;
@@ -149,21 +153,21 @@ TEST(JointStudyTest, UncertaintiesAreThoseOfTheDesign) {
     SCOPED_TRACE("all unknowns, noise 1e-5");
     options.joint.nonlinearity = Nonlinearity::kFitted;
     const JointStudy study = run_joint_study(options);
-    near(off_diagonal(study), 4.2e-6, 1e-7);
+    near(off_diagonal(study), 6.4e-6, 1e-7);
     near(about_x(study), 8.1e-5, 1e-6);
-    near(intrinsic(study), 7.4e-6, 1e-7);
-    near(offset(study), 3.8e-6, 1e-7);
-    near(angle(study), 1.9e-4, 1e-5);
+    near(intrinsic(study), 4.3e-6, 1e-7);
+    near(offset(study), 3.0e-6, 1e-7);
+    near(angle(study), 2.7e-4, 1e-5);
   }
   {
     SCOPED_TRACE("all unknowns, noise 1e-6");
     options.noise = 1e-6;
     const JointStudy study = run_joint_study(options);
-    near(off_diagonal(study), 4.2e-7, 1e-8);
+    near(off_diagonal(study), 6.6e-7, 1e-8);
     near(about_x(study), 8.1e-5, 1e-6);
-    near(intrinsic(study), 7.4e-7, 1e-8);
-    near(offset(study), 3.9e-7, 1e-8);
-    near(angle(study), 1.9e-5, 1e-6);
+    near(intrinsic(study), 4.5e-7, 1e-8);
+    near(offset(study), 3.1e-7, 1e-8);
+    near(angle(study), 2.8e-5, 1e-6);
     options.noise = 1e-5;
   }
   options.k = 0.0;
@@ -171,11 +175,11 @@ TEST(JointStudyTest, UncertaintiesAreThoseOfTheDesign) {
   {
     SCOPED_TRACE("all but k");
     const JointStudy study = run_joint_study(options);
-    near(off_diagonal(study), 3.8e-6, 1e-7);
+    near(off_diagonal(study), 5.2e-6, 1e-7);
     near(about_x(study), 8.1e-5, 1e-6);
-    near(intrinsic(study), 1.4e-6, 1e-7);
-    near(offset(study), 1.6e-6, 1e-7);
-    near(angle(study), 1.9e-4, 1e-5);
+    near(intrinsic(study), 2.2e-6, 1e-7);
+    near(offset(study), 2.0e-6, 1e-7);
+    near(angle(study), 2.6e-4, 1e-5);
   }
   {
     SCOPED_TRACE("all but k and b");

@@ -234,7 +234,7 @@ TEST(TemperatureScaleTest, FitsEveryValueOrSaysThatNoneDoes) {
 }
 
 TEST_F(RunFile3Test, AReadingTakesAtMostFiftyBytesOnTheDisk) {
-  constexpr std::size_t kReadings = 200'000;
+  constexpr std::size_t kManyReadings = 200'000;
   const auto size = [&](std::size_t readings) {
     std::filesystem::remove(path);
     RunFile file = RunFile::create(path, plan_of_two());
@@ -250,7 +250,7 @@ TEST_F(RunFile3Test, AReadingTakesAtMostFiftyBytesOnTheDisk) {
     return static_cast<double>(std::filesystem::file_size(path));
   };
   const double without_readings = size(1000);
-  const double bytes = (size(kReadings) - without_readings) / static_cast<double>(kReadings - 1000);
+  const double bytes = (size(kManyReadings) - without_readings) / static_cast<double>(kManyReadings - 1000);
   RecordProperty("bytes_per_reading", std::to_string(bytes));
   EXPECT_LE(bytes, 50.0);
   EXPECT_GT(bytes, 24.0) << "three numbers of eight bytes";

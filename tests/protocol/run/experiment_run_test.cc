@@ -217,6 +217,53 @@ TEST_F(ResumedRunTest, MeasuresTheLastAngleAgainAndGoesOn) {
             "4");
 }
 
+TEST_F(ResumedRunTest, ThePauseIsInTheTimesOfDwellsAndReadings) {
+  const RunProgress so_far = interrupted_after(5);
+  clock.sleep_until(clock.now() + from_seconds(45.0));
+  resume(so_far);
+  const StoredRun stored = RunFile::load(folder / "a.run");
+  const double gap = *stored.record.dwells.at(5).time_s - *stored.record.dwells.at(4).time_s;
+  EXPECT_GT(gap, 45.0);
+  EXPECT_LT(gap, 75.0);
+  SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(database.value("select count(*) from timed_reading r join dwell d on d.id = r.dwell"
+                           " where abs(r.time_s - d.time_s) > 1.0"),
+            "0");
+  EXPECT_LT(stored.timing.total_s(), *stored.record.dwells.back().time_s) << "only measuring counts there";
+}
+
+/// A simulated clock whose UTC a person sets while it goes.
+class SettableClock final : public Clock {
+ public:
+  explicit SettableClock(sim::SimClock& inner) : inner_(inner) {}
+  Instant now() const override { return inner_.now(); }
+  UtcTime utc_now() const override { return inner_.utc_now() + moved; }
+  void sleep_until(Instant instant) override { inner_.sleep_until(instant); }
+  Duration moved{};
+
+ private:
+  sim::SimClock& inner_;
+};
+
+TEST_F(ExperimentRunTest, ASystemClockThatIsSetDuringTheRunIsAnEventAndMovesNoTime) {
+  build();
+  SettableClock settable(clock);
+  observer.after_dwell = [&] {
+    if (observer.dwells.size() == 5) settable.moved = -std::chrono::hours(1);
+  };
+  run_experiments({*stage, *accelerometer, settable}, {plan, settings(), {}}, *file, observer,
+                  stop.get_token());
+  file->complete(format_utc(file->utc_now(settable)), {});
+  const StoredRun stored = RunFile::load(folder / "a.run");
+  int steps = 0;
+  for (const RunEvent& event : stored.events) steps += event.kind == kClockStepEvent ? 1 : 0;
+  EXPECT_EQ(steps, 1);
+  EXPECT_GT(stored.events.back().utc, format_utc(*stored.sessions.at(0).begun))
+      << "complete after its beginning";
+  for (std::size_t k = 1; k < stored.record.dwells.size(); ++k)
+    EXPECT_GT(*stored.record.dwells[k].time_s, *stored.record.dwells[k - 1].time_s);
+}
+
 TEST_F(ResumedRunTest, RefusesToGoOnWhenTheLastAngleReadsOtherwise) {
   const RunProgress so_far = interrupted_after(5);
   // The accelerometer was taken off and put back, half a degree askew.
