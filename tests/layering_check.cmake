@@ -75,13 +75,13 @@ endfunction()
 # --- drivers -------------------------------------------------------------------------------------------------------------
 layer(drivers/text)
 layer(drivers/instrument FOREIGN Eigen/)
-layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h spdlog/ fmt/ Eigen/)
-layer(drivers/manual_stage MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ spdlog/ fmt/ Eigen/)
+layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h fmt/ Eigen/)
+layer(drivers/manual_stage MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ fmt/ Eigen/)
 # Every folder with a driver.cc is a driver; all have the same rule.
 file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")
 foreach(registration IN LISTS registrations)
   get_filename_component(driver ${registration} DIRECTORY)
-  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ spdlog/ fmt/ Eigen/)
+  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ fmt/ Eigen/)
 endforeach()
 layer(drivers TOP MAY drivers/ FOREIGN fmt/)
 
@@ -99,16 +99,16 @@ layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/
 
 # --- sim -----------------------------------------------------------------------------------------------------------------
 # Written apart from what it checks: neither protocol nor a driver's codec.
-layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ spdlog/ Random123/)
+layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ Random123/)
 
 # --- app -----------------------------------------------------------------------------------------------------------------
 # commands, console -> session -> bench, results; report, compare, certificate -> results.
 layer(app/xml FOREIGN libxml/ fmt/)
 layer(app/units MAY app/xml/ protocol/plan/ FOREIGN fmt/)
 layer(app/toml MAY app/system/ ${angle} protocol/plan/ FOREIGN toml++/ Eigen/ fmt/)
-layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ spdlog/)
+layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ hwy/ spdlog/)
 layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
-  FOREIGN toml++/ Eigen/ nlohmann/ fmt/ spdlog/ boost/)
+  FOREIGN toml++/ Eigen/ nlohmann/ fmt/ boost/)
 layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
@@ -117,13 +117,13 @@ layer(app/certificate MAY app/results/ app/document/ app/system/ app/units/ app/
   Eigen/ unsupported/Eigen/ boost/math/ libxml/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
 layer(app/session MAY app/bench/ app/results/ app/system/ drivers/instrument/ drivers/wire/ protocol/ sim/
-  FOREIGN Eigen/ nlohmann/ fmt/ spdlog/)
-layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/ spdlog/)
+  FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/)
 set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/report/ app/results/ app/robustness/
   app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
-layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/ spdlog/)
-layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/ spdlog/)
-layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ spdlog/)
+layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/)
+layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)
+layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ hwy/)
 
 # --- Nothing is left out ---------------------------------------------------------------------------------------------------
 set(unlisted "")

@@ -56,7 +56,8 @@ struct AccelerometerConfig {
   std::string driver, port;
   std::optional<int> baud;
   double rate_hz = 100.0;
-  std::string response_unit;  ///< Empty: what the instrument says; else it must say the same.
+  std::string
+      response_unit;  ///< Empty: that of the instrument; otherwise the instrument must report the same.
   std::optional<double> full_scale;
   std::string serial_number;
   // As in AccelerometerSettings: voltmeters and boards that print lines of text.
@@ -101,7 +102,7 @@ struct BenchConfig {
   std::vector<FaultConfig> faults;
   std::vector<ChangeConfig> changes;
 
-  std::vector<std::string> warnings;  ///< What a person should know though nothing is wrong.
+  std::vector<std::string> warnings;  ///< Warnings: accepted, but unusual.
 };
 
 /// A bench file that cannot be used: every problem of it, with its line.

@@ -14,7 +14,7 @@ namespace {
 
 constexpr const char* kPortWords = "a port: a path, usb:VID:PID[:SERIAL], tcp:HOST:PORT, or \"simulated\"";
 
-/// One controller for both axes, or one for each; what needs bytes has a port.
+/// One controller for both axes, or one for each; a driver that exchanges bytes has a port.
 void check_stage_ports(TomlReader& reader, StageConfig& stage) {
   if (!stage.split()) {
     if (stage.driver.empty())
@@ -79,7 +79,7 @@ void check_plan_and_item(TomlReader& reader, const BenchConfig& c) {
   if (c.protocol.step.deg() * (c.protocol.steps - 1) >= 360.0) {
     reader.add_problem("protocol.steps",
                        fmt::format("{} steps of {} deg", c.protocol.steps, c.protocol.step.deg()),
-                       "steps * step_deg <= 360");
+                       "(steps - 1) * step_deg < 360");
   }
   if (!(c.limits.temperature_min_degc < c.limits.temperature_max_degc)) {
     reader.add_problem("limits.temperature_min_degc",

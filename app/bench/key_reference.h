@@ -24,7 +24,7 @@ std::vector<BenchKey> bench_keys();
 /// The page docs/bench_file.md in Markdown, as `abcal plan --keys` prints it.
 std::string bench_file_page();
 
-/// What a key means, and its unit where the ending of its name does not tell it (`_deg`, `_s`). Empty
+/// What a key means, and its unit where the name does not end with it (`_deg`, `_s`). Empty
 /// if it is not listed.
 struct KeyMeaning {
   std::string text;

@@ -9,6 +9,7 @@
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
 #include "app/bench/stage_watchdog.h"
+#include "app/system/output.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/mounted_stage.h"
 #include "drivers/instrument/replaceable.h"
@@ -104,8 +105,8 @@ class SharedStream final : public wire::ByteStream {
   std::shared_ptr<wire::ByteStream> stream_;
 };
 
-/// Opens the instruments of one bench file, also again. The streams outlive the drivers, so that a recording,
-/// scripted faults and simulated firmware go on when a port was gone for a while.
+/// Opens the instruments of one bench file, more than once if needed. The streams outlive the drivers, so
+/// that a recording, scripted faults and simulated firmware continue after a port was gone.
 class Opener {
  public:
   Opener(const BenchConfig& config, BenchStreams streams, std::shared_ptr<sim::SimBench> world, Clock& clock)
@@ -122,9 +123,11 @@ class Opener {
     }
     if (config_.stage.driver == kManual) {
       if (streams_.replay)
-        throw std::invalid_argument("a stage turned by hand has no bytes: what was typed is not recorded");
+        throw std::invalid_argument("a stage turned by hand has no bytes: typed angles are not recorded");
       return std::make_unique<MountedStage>(
-          manual_stage::at_terminal(stage_settings(config_, InstrumentPort{})), mountings);
+          manual_stage::at_terminal(stage_settings(config_, InstrumentPort{}),
+                                    [](std::string_view text) { print_log("{}", text); }),
+          mountings);
     }
     std::vector<std::unique_ptr<RotationStage>> parts;
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
@@ -146,7 +149,7 @@ class Opener {
       const std::lock_guard lock(halt_mutex_);
       ports = halt_ports_;
     }
-    // All are told to stop before any is asked: one that is gone must not keep the other moving.
+    // All are halted before any is queried: one that is gone must not keep the other moving.
     for (const auto& [name, port] : ports) {
       for (const HaltRecipe& recipe : port.recipes) {
         try {
@@ -318,7 +321,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   }
 
   const auto opener = std::make_shared<Opener>(config, std::move(streams), bench.world, *bench.clock);
-  // A real stage turns the simulated world by what its encoder says.
+  // The encoder of a real stage turns the simulated world.
   const bool followed = accelerometer_is_simulated && !stage_is_simulated;
   auto stage = std::make_unique<ReplaceableStage>(
       [opener, followed, world = bench.world, &clock = *bench.clock]() -> std::unique_ptr<RotationStage> {

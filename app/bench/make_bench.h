@@ -24,18 +24,18 @@ struct Bench {
   std::shared_ptr<sim::SimBench> world;  ///< The simulated world; null where everything is real.
   std::unique_ptr<RotationStage> stage;  ///< In protocol angles, inside the bench's travel.
   std::unique_ptr<Accelerometer> accelerometer;
-  std::unique_ptr<Reconnector> reconnector;        ///< Opens again what was unplugged.
+  std::unique_ptr<Reconnector> reconnector;        ///< Opens unplugged ports again.
   std::unique_ptr<EnvironmentSensor> environment;  ///< Null: temperature and so on are typed in.
-  bool simulated_time = false;                     ///< Nothing real takes part: the clock jumps.
+  bool simulated_time = false;                     ///< Everything is simulated: the clock jumps.
   bool replayed = false;                           ///< Its bytes come from a recording.
 };
 
-/// What becomes of the byte streams of a bench, where they are not simply what the bench file says. `role`
+/// How the byte streams of a bench are replaced or wrapped. `role`
 /// is InstrumentPort::name. All must outlive the bench.
 struct BenchStreams {
   using Stream = std::unique_ptr<wire::ByteStream>;
 
-  /// Given each stream that was opened; the driver uses what it gives back.
+  /// Called with each stream that was opened; the driver uses the stream that it returns.
   std::function<Stream(std::string_view role, Stream opened, const Clock& clock)> wrap;
   /// Gives the streams of a replay: no port is opened, and the bench lives in the time of `replay_clock`,
   /// which jumps.
@@ -44,7 +44,7 @@ struct BenchStreams {
 };
 
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
-/// `simulated_clock`, if given, is the clock where nothing real takes part, in place of one that jumps.
+/// `simulated_clock`, if given, is the clock if everything is simulated, instead of one that jumps.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
 Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
                  std::unique_ptr<Clock> simulated_clock = nullptr);

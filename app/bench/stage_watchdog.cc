@@ -11,7 +11,7 @@
 namespace abcal {
 
 namespace {
-/// Never shorter than a reply may take; of a stage that names no such time nothing is known.
+/// Never shorter than the reply deadline of the stage, if it has one.
 Clock::Duration long_enough(Clock::Duration patience, Clock::Duration reply_deadline) {
   constexpr Clock::Duration kBeyondReply = std::chrono::seconds(1);
   return reply_deadline > Clock::Duration::zero() ? std::max(patience, reply_deadline + kBeyondReply)

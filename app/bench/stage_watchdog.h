@@ -75,7 +75,7 @@ class StageWatchdog final : public RotationStage {
   MotionWatch motion_;
   std::string halted_because_;  ///< Empty: it has not halted the stage.
   std::vector<StageEvent> events_;
-  std::jthread thread_;  ///< Last: it ends before what it uses.
+  std::jthread thread_;  ///< Last: it ends before the members that it uses.
 };
 
 }  // namespace abcal

@@ -14,7 +14,7 @@
 
 namespace abcal {
 
-/// Takes down what goes over the wires of a bench, for its run file (`abcal run --record`). Must outlive the
+/// Records the bytes on the wires of a bench, for its run file (`abcal run --record`). Must outlive the
 /// bench.
 class Transcript {
  public:
@@ -28,7 +28,7 @@ class Transcript {
   /// False: nothing on the bench has bytes.
   bool has_streams() const { return start_.has_value(); }
 
-  /// All that has come so far, and all that comes, goes to `file`.
+  /// Everything recorded so far, and from now on, goes to `file`.
   void keep_in(RunFile& file);
 
  private:

@@ -70,12 +70,12 @@ class Rules {
     }
   }
 
-  /// Not of signatures, of which elements are empty by their own standard.
+  /// Signatures are excepted: their standard has empty elements.
   void check_nothing_empty() {
     for (const char* path : {"//dcc:*[not(*)][not(self::dcc:metaData)]", "//si:*[not(*)]"}) {
       each(
           path, [](xmlNode* node) { return !xml_words(xml_content(node)).empty(); },
-          [](xmlNode*) { return std::string("nothing in it, or blanks alone"); });
+          [](xmlNode*) { return std::string("empty, or blanks only"); });
     }
   }
 
@@ -103,10 +103,10 @@ class Rules {
       for (xmlNode* lang : select_.nodes("dcc:content/@lang", parent)) {
         const std::string code = xml_content(lang);
         if (!used.contains(code)) add(lang, "language \"" + code + "\" is not declared");
-        if (!here.insert(code).second) add(lang, "language \"" + code + "\" stands twice");
+        if (!here.insert(code).second) add(lang, "language \"" + code + "\" appears twice");
       }
       for (const std::string& code : used)
-        if (!here.contains(code)) add(parent, "nothing in the declared language \"" + code + "\"");
+        if (!here.contains(code)) add(parent, "no text in the declared language \"" + code + "\"");
     }
   }
 
@@ -128,7 +128,7 @@ class Rules {
       for (xmlNode* begin : select_.nodes("../dcc:beginPerformanceDate", end)) {
         const auto from = parse_date(xml_content(begin)), to = parse_date(xml_content(end));
         if (!from || !to || *to < *from)
-          add(end, fmt::format("ends {}, before it begins, {}", xml_content(end), xml_content(begin)));
+          add(end, fmt::format("ends on {}, before it begins on {}", xml_content(end), xml_content(begin)));
       }
     }
   }
@@ -154,7 +154,7 @@ class Rules {
         if (count != words.size()) add(units, fmt::format("{} units for {} values", words.size(), count));
       }
       if (std::count(words.begin(), words.end(), words.front()) == static_cast<std::ptrdiff_t>(words.size()))
-        add(units, "the same unit several times; once is enough");
+        add(units, "the same unit is repeated; required: one unit for the list");
     }
   }
 
@@ -170,7 +170,7 @@ class Rules {
              }) == text.end();
     };
     const auto what = [](xmlNode*) {
-      return std::string("a list has one blank between entries and none at its ends");
+      return std::string("required: one blank between entries, none at the ends");
     };
     each("//si:*[substring(local-name(), string-length(local-name()) - 6) = 'XMLList'][not(*)]", well_spaced,
          what);
@@ -179,12 +179,12 @@ class Rules {
       const std::vector<xmlNode*> values = select_.nodes("si:valueXMLList", list);
       if (values.empty()) continue;
       const std::size_t count = xml_words(xml_content(values.front())).size();
-      for (xmlNode* beside :
+      for (xmlNode* other :
            select_.nodes("si:labelXMLList | si:measurementUncertaintyUnivariateXMLList/*/* | "
                          ".//si:covarianceXMLList/si:valueXMLList",
                          list)) {
-        const std::size_t found = xml_words(xml_content(beside)).size();
-        if (found != count && found != 1) add(beside, fmt::format("{} entries for {} values", found, count));
+        const std::size_t found = xml_words(xml_content(other)).size();
+        if (found != count && found != 1) add(other, fmt::format("{} entries for {} values", found, count));
       }
       const std::size_t columns = select_.nodes(".//si:columnXMLList", list).size();
       if (columns != 0 && columns != count)
@@ -219,7 +219,7 @@ class Rules {
           return std::find(words.begin(), words.end(), "NaN") == words.end() ||
                  std::string(reinterpret_cast<const char*>(node->name)).starts_with("label");
         },
-        [](xmlNode*) { return std::string("NaN where a number must stand"); });
+        [](xmlNode*) { return std::string("NaN instead of a number"); });
   }
 
   XmlQuery select_;

@@ -14,25 +14,25 @@ std::string problem_list(const std::string& head, const std::vector<Problem>& pr
   return text;
 }
 
-/// Collects what speaks against a certificate, in two lists: what a draft cannot do without, and the rest.
+/// Collects the problems of a certificate in two lists: those that a draft cannot have either, and the rest.
 class Inspection {
  public:
   Inspection(const LaboratoryFile& laboratory, std::vector<Problem> of_file)
       : laboratory_(laboratory), of_file_(std::move(of_file)) {}
 
-  void look_at(const ReportData& data, const std::string& which) {
+  void check(const ReportData& data, const std::string& which) {
     if (!data.run) {
       of_run_.push_back(
           {which, "a CSV of averages", "a run file: a certificate names item, operator and bench"});
       return;
     }
-    look_at_state(data, which);
-    look_at_labels(data, which);
-    look_at_conditions(data, which);
-    look_at_equipment(data, which);
+    check_state(data, which);
+    check_labels(data, which);
+    check_conditions(data, which);
+    check_equipment(data, which);
   }
 
-  void look_at_pair(const ReportData& found, const ReportData& left) {
+  void check_pair(const ReportData& found, const ReportData& left) {
     for (const char* key : {"item.maker", "item.model", "item.serial_number"}) {
       if (found.label(key) != left.label(key)) {
         of_run_.push_back({std::string("as-found run, ") + key, "\"" + found.label(key) + "\"",
@@ -50,7 +50,7 @@ class Inspection {
                           "what was done to the item between the as-found and the as-left run"});
   }
 
-  void look_at_issue(const IssueFacts& issue, const ReportData& data) {
+  void check_issue(const IssueFacts& issue, const ReportData& data) {
     const std::string measured_by =
         issue.measured_by.empty() ? data.label("operator.name") : issue.measured_by;
     if (one_of("measure", measured_by) == nullptr)
@@ -60,7 +60,8 @@ class Inspection {
       of_run_.push_back(
           {"approved by", quoted(issue.approved_by), "one of " + names("approve") + ", who may approve"});
     if (!measured_by.empty() && measured_by == issue.approved_by)
-      of_run_.push_back({"approved by", quoted(issue.approved_by), "another person than who measured"});
+      of_run_.push_back(
+          {"approved by", quoted(issue.approved_by), "a person other than the one who measured"});
     if (issue.number.find_first_not_of(" \t\r\n") == std::string::npos)
       of_run_.push_back({"number", quoted(issue.number), "the unique number of the certificate"});
     if (const auto end = parse_date(data.ended_utc()); end && issue.date < *end)
@@ -70,11 +71,11 @@ class Inspection {
       of_run_.push_back({"reason", "nothing", "why certificate " + issue.replaces->number + " is replaced"});
     if (issue.replaces && issue.replaces->number == issue.number)
       of_run_.push_back(
-          {"number", quoted(issue.number), "another number than that of the replaced certificate"});
+          {"number", quoted(issue.number), "a number different from that of the replaced certificate"});
   }
 
-  /// Limits and units that the result does not offer.
-  void look_at_wishes(const ReportData& data, CertifiedRun& run) {
+  /// Derives the requested units and decides on the limits; reports those that the result does not provide.
+  void derive_and_decide(const ReportData& data, CertifiedRun& run) {
     std::vector<SensitivityUnit> units;
     for (const std::string& name : laboratory_.units) {
       try {
@@ -124,7 +125,7 @@ class Inspection {
     return text.empty() ? "the [[person]] entries" : text;
   }
 
-  void look_at_state(const ReportData& data, const std::string& which) {
+  void check_state(const ReportData& data, const std::string& which) {
     if (!data.complete()) {
       of_run_.push_back({which,
                          fmt::format("{}, {} of {} angles measured", to_string(data.run->state),
@@ -132,7 +133,8 @@ class Inspection {
                          "a complete run: `abcal resume`"});
     } else {
       for (const IntegrityCheck& check : data.integrity)
-        if (!check.good) of_run_.push_back({which + ", " + check.what, check.found, "as it was written"});
+        if (!check.good)
+          of_run_.push_back({which + ", " + check.what, check.found, "consistent with what was stored"});
     }
     const CalibrationResult& result = data.result();
     if (result.verdict != Verdict::kUsable)
@@ -140,7 +142,7 @@ class Inspection {
           {which + ", verdict", fmt::format("{}: {}", to_string(result.verdict), result.why), "usable"});
   }
 
-  void look_at_labels(const ReportData& data, const std::string& which) {
+  void check_labels(const ReportData& data, const std::string& which) {
     for (const auto& [key, words] : {std::pair{"item.maker", "[item] maker"},
                                      {"item.model", "[item] model"},
                                      {"item.serial_number", "[item] serial_number"},
@@ -154,7 +156,7 @@ class Inspection {
           {which + ", operator", quoted(name), "one of " + names("measure") + ", who may measure"});
   }
 
-  void look_at_conditions(const ReportData& data, const std::string& which) {
+  void check_conditions(const ReportData& data, const std::string& which) {
     const auto& environment = data.run->environment;
     if (std::none_of(environment.begin(), environment.end(),
                      [](const StoredEnvironment& look) { return look.temperature_degc.has_value(); })) {
@@ -168,7 +170,7 @@ class Inspection {
       of_run_.push_back({which + ", local gravity", "no source", "[bench] g_loc_source"});
   }
 
-  void look_at_equipment(const ReportData& data, const std::string& which) {
+  void check_equipment(const ReportData& data, const std::string& which) {
     const auto day = parse_date(data.ended_utc());
     for (const Equipment& one : laboratory_.equipment) {
       if (day && one.due && *one.due < *day)
@@ -221,7 +223,7 @@ std::vector<Shift> shifts_between(const CalibrationResult& found, const Calibrat
   return shifts;
 }
 
-/// Not even a draft can be made of a result without a matrix.
+/// Even a draft needs a result with a sensitivity matrix.
 void require_certifiable(const ReportData& data) {
   if (find_estimator(data.estimator).certifiable) return;
   throw CertificateRefused(data.path.string(),
@@ -236,8 +238,9 @@ std::string Certificate::measured_by() const {
 }
 
 CertificateRefused::CertificateRefused(const std::string& run, std::vector<Problem> problems)
-    : std::runtime_error(problem_list("no certificate for " + run, problems) +
-                         "\n  `abcal report --draft` makes a draft all the same, which says so"),
+    : std::runtime_error(
+          problem_list("no certificate for " + run, problems) +
+          "\n  `abcal report --draft` makes a draft in spite of this and lists the reasons in it"),
       problems_(std::move(problems)) {}
 
 std::string draft_number(const ReportData& run) {
@@ -251,19 +254,20 @@ Certificate make_certificate(CertificateRequest request) {
   Certificate certificate;
   certificate.laboratory = std::move(read.file);
   Inspection inspection(certificate.laboratory, std::move(read.problems));
-  inspection.look_at(request.run, request.as_found ? "as-left run" : "run");
+  inspection.check(request.run, request.as_found ? "as-left run" : "run");
   if (request.as_found) {
-    inspection.look_at(*request.as_found, "as-found run");
-    inspection.look_at_pair(*request.as_found, request.run);
+    inspection.check(*request.as_found, "as-found run");
+    inspection.check_pair(*request.as_found, request.run);
   }
-  if (request.issue) inspection.look_at_issue(*request.issue, request.run);
+  if (request.issue) inspection.check_issue(*request.issue, request.run);
 
   certificate.run.data = std::move(request.run);
-  inspection.look_at_wishes(certificate.run.data, certificate.run);
+  inspection.derive_and_decide(certificate.run.data, certificate.run);
   if (request.as_found) {
     certificate.as_found.emplace().data = std::move(*request.as_found);
-    Inspection silent(certificate.laboratory, {});  // The same wishes: said once is enough.
-    silent.look_at_wishes(certificate.as_found->data, *certificate.as_found);
+    Inspection silent(certificate.laboratory,
+                      {});  // The same units and limits: their problems are reported once.
+    silent.derive_and_decide(certificate.as_found->data, *certificate.as_found);
   }
 
   if (!inspection.of_file().empty())

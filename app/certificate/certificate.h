@@ -12,11 +12,11 @@
 
 namespace abcal {
 
-/// The certificate that this one takes the place of (ISO/IEC 17025 7.8.8).
+/// The certificate that this one replaces (ISO/IEC 17025 7.8.8).
 struct Replacement {
   std::string number;
   std::string reason;
-  std::string sha256;  ///< Of the replaced certificate's XML; empty: not at hand.
+  std::string sha256;  ///< Of the XML of the replaced certificate; empty: not available.
 };
 
 /// What issuing adds. Until then a certificate is a draft.
@@ -28,7 +28,7 @@ struct IssueFacts {
   std::optional<Replacement> replaces;
 };
 
-/// One calibration in a certificate, with what was derived and decided.
+/// One calibration in a certificate, with derived quantities and decisions.
 struct CertifiedRun {
   ReportData data;
   std::vector<DerivedGroup> derived;  ///< Empty where there is no result.
@@ -39,14 +39,14 @@ struct CertifiedRun {
 /// Difference as left minus as found of a quantity that does not depend on the mounting.
 struct Shift {
   std::string name;
-  Quantity difference;  ///< Its uncertainty takes both runs as independent: an upper bound on one stage.
+  Quantity difference;  ///< Its uncertainty treats the runs as independent: an upper bound on one stage.
   double normalised_error = 0.0;  ///< E_n: difference / U of the difference.
 };
 
-/// All that a certificate says, before it has a form.
+/// The content of a certificate, independent of its form.
 struct Certificate {
   std::string number;                     ///< "DRAFT-..." until issued.
-  std::vector<std::string> reservations;  ///< What spoke against a certificate, and was let pass for a draft.
+  std::vector<std::string> reservations;  ///< Problems that a draft is allowed to have.
   LaboratoryFile laboratory;
   std::optional<IssueFacts> issue;
   std::optional<CertifiedRun> as_found;  ///< The item before it was adjusted.
@@ -58,16 +58,16 @@ struct Certificate {
   std::string measured_by() const;
 };
 
-/// What a certificate is to be made of.
+/// The input of a certificate.
 struct CertificateRequest {
-  ReadLaboratoryFile laboratory;  ///< With its problems, to be told beside those of the run.
+  ReadLaboratoryFile laboratory;  ///< With its problems, reported together with those of the run.
   ReportData run;
   std::optional<ReportData> as_found;
   std::optional<IssueFacts> issue;
-  bool draft = false;  ///< Make a draft whatever speaks against the run or the equipment.
+  bool draft = false;  ///< Make a draft in spite of problems of the run or the equipment.
 };
 
-/// No certificate for this run: every reason.
+/// A certificate is refused, with every reason.
 class CertificateRefused : public std::runtime_error {
  public:
   CertificateRefused(const std::string& run, std::vector<Problem> problems);
@@ -77,11 +77,11 @@ class CertificateRefused : public std::runtime_error {
   std::vector<Problem> problems_;
 };
 
-/// Gathers a certificate, or says everything that is missing or wrong, in the laboratory file and in the run
-/// together, before anything is written. For a draft what is wrong with the run or the equipment's dates is
-/// kept as a reservation; what is wrong with the laboratory file never is.
+/// Gathers a certificate, or reports every problem of the laboratory file and of the run together, before
+/// anything is written. For a draft, problems of the run and of the equipment's dates become reservations;
+/// problems of the laboratory file never do.
 /// @throws LaboratoryFileError  with any problem of the laboratory file (problems of the run follow it)
-/// @throws CertificateRefused   if only the run stands in the way, or its estimator gives no matrix
+/// @throws CertificateRefused   if only the run has problems, or its estimator gives no matrix
 Certificate make_certificate(CertificateRequest request);
 
 /// Name of the certificate until it is issued.

@@ -184,7 +184,7 @@ void add_certificate_sections(Document& document, const Certificate& certificate
   for (const std::string& reservation : certificate.reservations) document.cautions.push_back(reservation);
   document.sections.insert(document.sections.begin(),
                            {certificate_section(certificate), equipment_section(certificate)});
-  // What follows from the results stands behind them, the statements at the end.
+  // Derived quantities follow the results; the statements are at the end.
   std::vector<Section> results;
   if (!certificate.run.decisions.empty())
     results.push_back(decision_section(certificate.as_found ? "Conformity as left" : "Conformity",

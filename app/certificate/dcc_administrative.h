@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// Adds who, what, where, when and the statements of a certificate (dcc:administrativeData).
+/// Adds persons, item, place, dates and the statements of a certificate (dcc:administrativeData).
 void add_administrative_data(XmlElement& root, const Certificate& certificate);
 
 }  // namespace abcal

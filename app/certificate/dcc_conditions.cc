@@ -95,7 +95,7 @@ void add_instrument(XmlElement& list, const InstrumentIdentity& instrument) {
   equipment.attribute("refType", "abc_" + instrument.role);
   add_words(equipment, "dcc:name", "Instrument used as " + instrument.role + ", as it identified itself");
   add_words(equipment, "dcc:description",
-            fmt::format("firmware {}; {}", instrument.firmware.empty() ? "not told" : instrument.firmware,
+            fmt::format("firmware {}; {}", instrument.firmware.empty() ? "not reported" : instrument.firmware,
                         instrument.details));
   if (!one_line(instrument.maker).empty()) {
     XmlElement manufacturer = equipment.add("dcc:manufacturer");

@@ -62,11 +62,10 @@ std::vector<Quantity> as_vector(const Triple& triple) {
 
 /// Values with their covariance, so that a customer can propagate it.
 void add_values(XmlElement& results, const std::string& ref_type, const std::string& name,
-                const std::vector<std::string>& of, const std::vector<Quantity>& values,
-                const Eigen::MatrixXd& covariance) {
+                const ValueList& values) {
   XmlElement data = add_result(results, ref_type, name);
   XmlElement quantity = add_quantity(data, "basic_measuredValue", name);
-  add_value_list(quantity, list_of(of, values, covariance));
+  add_value_list(quantity, values);
 }
 
 Eigen::MatrixXd block(const Eigen::MatrixXd& covariance, Eigen::Index first) {
@@ -149,22 +148,22 @@ void add_si(XmlElement& results, const CertifiedRun& run) {
     const DerivedList row(first, first + 3);
     return list_of(row_labels("s", j), values_of(row), covariance_of(result, row));
   });
-  add_values(results, "abc_intrinsicSensitivities", "Intrinsic sensitivities", labels("s", kAccelerometers),
-             values_of(intrinsic), covariance_of(result, intrinsic));
+  add_values(results, "abc_intrinsicSensitivities", "Intrinsic sensitivities",
+             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic)));
   const Eigen::MatrixXd nine = *result.covariance_intrinsic;
   add_values(results, "abc_intrinsicAngles", "Intrinsic angles between the sensitive directions",
-             labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3));
-  add_values(results, "abc_offsets", "Zero-acceleration offsets", labels("O", kAccelerometers),
-             as_vector(result.offset), block(nine, 6));
+             list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3)));
+  add_values(results, "abc_offsets", "Zero-acceleration offsets",
+             list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6)));
   const DerivedList outputs = joined(sensitivity, offsets_of(result));
   add_values(results, "abc_allOutputs", "Sensitivity matrix row by row and offsets, with their covariance",
-             output_labels("s"), values_of(outputs), covariance_of(result, outputs));
+             list_of(output_labels("s"), values_of(outputs), covariance_of(result, outputs)));
   const DerivedList intrinsics = joined(joined(intrinsic, angles_of(result)), offsets_of(result));
   add_values(
       results, "abc_allIntrinsic",
       "Intrinsic sensitivities, intrinsic angles and offsets, with their covariance: what does not depend on "
       "the mounting",
-      intrinsic_labels("s"), values_of(intrinsics), covariance_of(result, intrinsics));
+      list_of(intrinsic_labels("s"), values_of(intrinsics), covariance_of(result, intrinsics)));
 }
 
 /// As the analysis has them: the change of the output for one g_loc. Local gravity's uncertainty is not in
@@ -185,25 +184,25 @@ void add_per_gravity(XmlElement& results, const CalibrationResult& result) {
                    block(*result.covariance, static_cast<Eigen::Index>(3 * j)));
   });
   add_values(results, "abc_intrinsicSensitivitiesPerGravity", "Intrinsic sensitivities per local gravity",
-             labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
-             block(*result.covariance_intrinsic, 0));
+             list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+                     block(*result.covariance_intrinsic, 0)));
   twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
   add_values(results, "abc_allOutputsPerGravity",
              "Sensitivity matrix per local gravity row by row and offsets, with their covariance",
-             output_labels(s), twelve, *result.covariance);
+             list_of(output_labels(s), twelve, *result.covariance));
   std::vector<Quantity> nine = as_vector(result.intrinsic_sensitivity);
   for (const Triple* triple : {&result.intrinsic_angle, &result.offset})
     nine.insert(nine.end(), triple->begin(), triple->end());
   add_values(results, "abc_allIntrinsicPerGravity",
              "Intrinsic sensitivities per local gravity, intrinsic angles and offsets, with their covariance",
-             intrinsic_labels(s), nine, *result.covariance_intrinsic);
+             list_of(intrinsic_labels(s), nine, *result.covariance_intrinsic));
 }
 
 void add_derived_group(XmlElement& results, const DerivedGroup& group) {
   std::vector<Quantity> values;
   std::vector<std::string> names;
   for (const DerivedQuantity& quantity : group.quantities) {
-    if (std::isnan(quantity.value.value)) continue;  // Not determined: said in the description.
+    if (std::isnan(quantity.value.value)) continue;  // Not determined: the description says so.
     values.push_back(quantity.value);
     names.push_back(quantity.name);
   }

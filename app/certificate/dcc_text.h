@@ -16,14 +16,14 @@ XmlElement add_words(XmlElement& parent, std::string_view element, std::string_v
 /// Adds an element with a name that belongs to no language.
 XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name);
 
-/// Adds an element whose text must not be empty and is one line; nothing where there is no text.
+/// Adds an element whose text must not be empty and is one line; nothing if there is no text.
 void add_line(XmlElement& parent, std::string_view element, std::string_view text);
 
-/// Adds software with its release as the business rules want it ("v0.1.0") and its version in full.
+/// Adds software with its release as the business rules require it ("v0.2.0") and its version in full.
 void add_software(XmlElement& list, std::string_view name, const std::string& version,
                   std::string_view type = "application");
 
-/// Adds an identification: who issued it, its value and what it is.
+/// Adds an identification: issuer, value and name.
 void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
                         std::string_view name);
 

@@ -38,7 +38,7 @@ struct SpecificationLimit {
   std::uint32_t line = 0;  ///< In the laboratory file.
 };
 
-/// One decision and what led to it; all in the unit of the limit.
+/// One decision and its reasons; all in the unit of the limit.
 struct Decision {
   SpecificationLimit limit;
   double value = 0.0;

@@ -65,7 +65,7 @@ double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, 
 /// Names of quantities that limits may be set on: those of the result itself and the derived ones.
 std::vector<std::string> names_of_quantities();
 
-/// A quantity of the result or of what was derived from it, by its name and in the unit asked for. Absent:
+/// A quantity of the result or derived from it, by its name and in the requested unit. Absent:
 /// not in this unit, or not determined; `units_of` tells in which there is one.
 std::optional<Quantity> find_quantity(const CalibrationResult& result,
                                       const std::vector<DerivedGroup>& derived, const std::string& name,

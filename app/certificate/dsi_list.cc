@@ -29,7 +29,7 @@ std::string listed(Eigen::Index count, const std::function<std::string(Eigen::In
   return list;
 }
 
-/// One representation of a list: all in units that D-SI takes.
+/// One representation of a list: all in units of D-SI.
 struct Representation {
   std::vector<std::string> labels;
   std::vector<DsiUnit> units;
@@ -137,7 +137,7 @@ void add_value_list(XmlElement& quantity, const ValueList& list) {
     si.units.push_back(in.unit);
     si.scale[i] = in.factor;
     own.units.push_back(in.own.value_or(in.unit));
-    // A reader that knows SI units only finds each label once.
+    // A reader that knows only SI units finds each label once.
     own.labels.push_back(list.labels[static_cast<std::size_t>(i)] + "[" + own.units.back().text() + "]");
     hybrid = hybrid || in.own.has_value();
   }

@@ -88,12 +88,12 @@ void read_persons(TomlReader& keys, std::vector<Person>& persons) {
   };
   const std::vector<std::string> measuring = who_may("measure"), approving = who_may("approve");
   if (measuring.empty())
-    keys.add_problem("person", "nobody who may measure", "a [[person]] with may = [\"measure\"]");
+    keys.add_problem("person", "no person who may measure", "a [[person]] with may = [\"measure\"]");
   if (approving.empty())
-    keys.add_problem("person", "nobody who may approve", "a [[person]] with may = [\"approve\"]");
+    keys.add_problem("person", "no person who may approve", "a [[person]] with may = [\"approve\"]");
   if (approving.size() == 1 && measuring == approving)
     keys.add_problem("person", measuring.front() + " alone, to measure and to approve",
-                     "two persons: who measured cannot approve");
+                     "two persons: the one who measured cannot approve");
 }
 
 void read_equipment(TomlReader& keys, std::vector<Equipment>& equipment) {
@@ -116,7 +116,7 @@ void read_equipment(TomlReader& keys, std::vector<Equipment>& equipment) {
   });
   const auto angle = [](const Equipment& one) { return one.quantity == "angle"; };
   if (std::none_of(equipment.begin(), equipment.end(), angle)) {
-    keys.add_problem("equipment", "nothing that makes the stage's angle traceable",
+    keys.add_problem("equipment", "no entry that makes the angle of the stage traceable",
                      "an [[equipment]] with quantity = \"angle\": the stage, with its certificate");
   }
 }

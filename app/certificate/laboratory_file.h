@@ -36,7 +36,7 @@ struct Laboratory {
   std::optional<double> latitude_deg, longitude_deg, height_m;  ///< WGS 84; height above the ellipsoid.
 };
 
-/// Somebody of the laboratory and what that person may do.
+/// A person of the laboratory, with rights.
 struct Person {
   std::string name, role, email;
   std::vector<std::string> may;  ///< "measure", "approve"
@@ -45,14 +45,15 @@ struct Person {
 /// What was measured with, and its own calibration.
 struct Equipment {
   std::string name, maker, model, serial_number;
-  std::string quantity;  ///< What it makes traceable: "angle", "voltage", "gravity", "temperature", ...
+  std::string
+      quantity;  ///< The quantity that it makes traceable: "angle", "voltage", "gravity", "temperature", ...
   std::string certificate, certificate_issuer;
   std::string certificate_sha256;  ///< Of that certificate's file; empty: not known.
   std::optional<Date> due;         ///< Until when its calibration holds.
   std::uint32_t line = 0;          ///< In the file.
 };
 
-/// What the run file does not know of the item and of the job.
+/// Data on the item and the job that a run file does not contain.
 struct Job {
   std::string item_name = "Triaxial accelerometer";
   std::string condition;  ///< Of the item on receipt (7.8.2.1 g).
@@ -65,11 +66,11 @@ struct Job {
   std::string external_results;                ///< Results from others (p); empty: none.
   std::string opinions;                        ///< 7.8.4.1 f; empty: none.
   std::string adjustment;                      ///< What was done to the item between as found and as left.
-  std::vector<std::string> customer_supplied;  ///< What the customer said and nobody checked (7.8.2.2).
+  std::vector<std::string> customer_supplied;  ///< Data supplied by the customer and not checked (7.8.2.2).
   std::optional<Date> recalibration;           ///< Only on the customer's request (7.8.4.3).
 };
 
-/// A laboratory file (schema abcal.laboratory/1): all that a certificate needs and a run does not know.
+/// A laboratory file (schema abcal.laboratory/1): the data of a certificate that a run does not contain.
 struct LaboratoryFile {
   std::string source;  ///< Its path, for messages.
   std::string text;    ///< As read, to be kept with an issued certificate.
@@ -80,7 +81,7 @@ struct LaboratoryFile {
   std::vector<Equipment> equipment;
   std::optional<DecisionRule> decision;
   std::vector<SpecificationLimit> limits;
-  std::vector<std::string> units;  ///< Of sensitivity, beside the certificate's own: "mV/g".
+  std::vector<std::string> units;  ///< Of sensitivity, in addition to those of the certificate: "mV/g".
 };
 
 /// A laboratory file that cannot be used: every problem of it, with its line.
@@ -93,13 +94,14 @@ class LaboratoryFileError : public std::invalid_argument {
   std::vector<Problem> problems_;
 };
 
-/// What was read, and what is wrong with it. With any problem the file serves for messages only.
+/// The file and its problems. With any problem the file serves for messages only.
 struct ReadLaboratoryFile {
   LaboratoryFile file;
   std::vector<Problem> problems;
 };
 
-/// Reads a laboratory file. Nothing is thrown, so that its problems can be shown beside those of the run.
+/// Reads a laboratory file. Nothing is thrown, so that its problems can be shown together with those of the
+/// run.
 ReadLaboratoryFile read_laboratory_file(const std::filesystem::path& path);
 
 /// The same from text; `source` names it in messages.

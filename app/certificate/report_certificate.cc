@@ -9,26 +9,27 @@
 namespace abcal {
 namespace {
 
-void require_unchanged(const ReportData& data) {
+void require_consistent(const ReportData& data) {
   std::vector<Problem> problems;
   for (const IntegrityCheck& check : data.integrity)
-    if (!check.good) problems.push_back({check.what, check.found, "as it was written"});
+    if (!check.good) problems.push_back({check.what, check.found, "consistent with what was stored"});
   if (!problems.empty()) throw CertificateRefused(data.path.string(), std::move(problems));
 }
 
-/// A page beside the XML of a certificate must not show a calibration that the XML does not have.
+/// The page of a certificate must not show a calibration that its XML does not contain.
 void require_issued_with(const IssuedCertificate& issued, const ReportData& as_found) {
   if (as_found.sha256 && issued.xml.find(*as_found.sha256) != std::string::npos) return;
   throw CertificateRefused(
-      issued.number, {{"--as-found", as_found.path.string() + ", of which this certificate has no results",
-                       "the run that it was issued with"}});
+      issued.number,
+      {{"--as-found", as_found.path.string() + ", whose results are not part of this certificate",
+        "the as-found run of the certificate"}});
 }
 
 bool has_as_found(const IssuedCertificate& issued) {
   return issued.xml.find("<dcc:status>beforeAdjustment<") != std::string::npos;
 }
 
-/// The certificate again as it was issued, from what was kept with it.
+/// The certificate as it was issued, made again from the data kept with it.
 Certificate restored(const IssuedCertificate& issued, const ReportData& data,
                      std::optional<ReportData> as_found) {
   CertificateRequest request;
@@ -43,16 +44,17 @@ Certificate restored(const IssuedCertificate& issued, const ReportData& data,
   facts.approved_by = issued.approved_by;
   facts.date = parse_date(issued.date).value_or(Date{});
   if (!issued.replaces.empty()) facts.replaces = Replacement{issued.replaces, issued.reason, {}};
-  request.draft =
-      true;  // It was issued: what another program finds now is said beside it, and refuses nothing.
+  request.draft = true;  // It is issued already: new findings are reservations and refuse nothing.
   Certificate certificate = make_certificate(std::move(request));
   if (only_as_left)
     certificate.reservations.emplace_back(
-        "Not all of it: the certificate has the calibration before adjustment, too; --as-found RUN shows it");
+        "Incomplete: the certificate also contains the calibration before adjustment; --as-found RUN shows "
+        "it");
   if (issued.program_version != certificate.program_version) {
-    certificate.reservations.push_back(fmt::format(
-        "Computed anew: the certificate was issued with abcal {}, the numbers beside its XML are of abcal {}",
-        issued.program_version, certificate.program_version));
+    certificate.reservations.push_back(
+        fmt::format("Recomputed: the certificate was issued by abcal {}; the numbers on this page were "
+                    "computed by abcal {}",
+                    issued.program_version, certificate.program_version));
   }
   return certificate;
 }
@@ -70,7 +72,7 @@ ReportedCertificate certificate_for_report(const ReportData& data, const Certifi
   if (!files.as_found.empty()) as_found = gather_report(files.as_found, now);
   if (data.run && !draft) {
     if (const auto issued = current_certificate(data.path)) {
-      require_unchanged(data);
+      require_consistent(data);
       if (as_found) require_issued_with(*issued, *as_found);
       ReportedCertificate reported{restored(*issued, data, std::move(as_found)), issued->xml, {}};
       if (!files.schemas.empty()) {

@@ -9,14 +9,14 @@
 
 namespace abcal {
 
-/// Files that a certificate is made with; empty: none.
+/// Files from which a certificate is made; empty: none.
 struct CertificateFiles {
   std::string laboratory;  ///< Laboratory file.
   std::string as_found;    ///< Run of the item before it was adjusted.
   std::string schemas;     ///< Folder with the schemas of the certificate.
 };
 
-/// What is said where no schemas are given.
+/// The note where no schemas are given.
 inline constexpr const char* kNotValidated =
     "the certificate follows the business rules; --schemas DIR validates it as well";
 
@@ -26,13 +26,13 @@ std::optional<DccSchema> schema_of(const CertificateFiles& files);
 /// A certificate for a report of a run: its content and its XML.
 struct ReportedCertificate {
   Certificate certificate;
-  std::string xml;   ///< As it was issued, byte for byte; of a draft, made now.
+  std::string xml;   ///< As issued, byte for byte; for a draft, made now.
   std::string note;  ///< What was not checked; empty: nothing.
 };
 
 /// The certificate of a run: the one that was issued, or else a draft from the laboratory file.
 /// @param data   the run; it is copied into the certificate
-/// @param draft  make a draft whatever speaks against the run
+/// @param draft  make a draft in spite of any problem of the run
 /// @param now    for as-found data
 /// @throws LaboratoryFileError, CertificateRefused, RunFileError, std::invalid_argument (no laboratory file)
 ReportedCertificate certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,

@@ -13,7 +13,7 @@ namespace abcal {
 /// The XML schemas of the digital calibration certificate, read once. Nothing is loaded from the network.
 class DccSchema {
  public:
-  /// @param folder  that holds v3.3.0/dcc.xsd, itself or in xsd/, with what that imports beside it
+  /// @param folder  contains v3.3.0/dcc.xsd, directly or in xsd/, and the schemas that it imports
   /// @throws std::invalid_argument  if there is none, or it cannot be read, with libxml2's words
   explicit DccSchema(const std::filesystem::path& folder);
   DccSchema(DccSchema&&) noexcept;

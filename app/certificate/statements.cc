@@ -37,10 +37,10 @@ Statement traceability(const Certificate& certificate) {
   return statement;
 }
 
-/// What the stated uncertainties leave out, by the budget: sources that no line of it stands for, and outputs
-/// of which it finds more, since it takes what harmonics show as non-linearity.
+/// Effects that the stated uncertainties do not cover, by the budget: sources without a line in it, and
+/// outputs for which it is larger, because it attributes harmonics to non-linearity.
 std::optional<Statement> not_covered(const Certificate& certificate) {
-  constexpr double kMore = 1.1;  // beyond what first order and rounding make
+  constexpr double kMore = 1.1;  // more than the effects of second order and rounding
   const ReportData& data = certificate.run.data;
   if (!data.budget || !certificate.run.has_numbers()) return std::nullopt;
   const CalibrationResult& result = data.result();
@@ -67,7 +67,7 @@ std::optional<Statement> not_covered(const Certificate& certificate) {
   return plain("abc_notCovered", "What the uncertainties leave out", text);
 }
 
-/// Every unit that stands in the certificate and is not of the SI, and every output that is a count.
+/// Every unit of the certificate that is not of the SI, and every output that is a count.
 void add_units(std::vector<Statement>& statements, const Certificate& certificate) {
   std::set<std::string> units{certificate.run.data.record.response_unit};
   for (const CertifiedRun* run :

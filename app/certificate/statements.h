@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// A sentence that a certificate must or may hold, for the XML and for people alike.
+/// A sentence that a certificate must or may contain, for the XML and for pages.
 struct Statement {
   std::string ref_type;  ///< "abc_traceability"
   std::string title;
@@ -21,7 +21,7 @@ struct Statement {
 };
 
 /// All statements of a certificate: draft, simulation, what it relates to, traceability, uncertainty,
-/// decision rule, deviations, what the customer said, opinions, amendment, units.
+/// decision rule, deviations, data supplied by the customer, opinions, amendment, units.
 std::vector<Statement> statements_of(const Certificate& certificate);
 
 }  // namespace abcal

@@ -19,7 +19,7 @@ namespace {
 /// XML Security is set up once for the program.
 void start_xmlsec() {
   static const bool kStarted = [] {
-    xmlSecErrorsDefaultCallbackEnableOutput(0);  // What went wrong is said by our exceptions.
+    xmlSecErrorsDefaultCallbackEnableOutput(0);  // Our exceptions report the errors.
     return xmlSecInit() >= 0 && xmlSecCryptoAppInit(nullptr) >= 0 && xmlSecCryptoInit() >= 0;
   }();
   if (!kStarted) throw std::runtime_error("the library for XML signatures cannot be started");

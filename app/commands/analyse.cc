@@ -30,13 +30,13 @@ bool has_no_angles(const std::filesystem::path& path) {
   return false;
 }
 
-/// Keeps an analysis with a closed run; one that cannot be kept (a read-only folder) is still shown.
+/// Keeps an analysis with a closed run; one that cannot be kept (a read-only folder) is shown all the same.
 void keep(const std::filesystem::path& path, const CalibrationResult& result) {
   if (!RunFile::is_closed(path)) return;
   try {
     ResultsFile results(path, sha256_of_file(path));
     if (results.made_again()) {
-      print_log("{} was missing and is made again; analyses of before are not known\n",
+      print_log("{} was missing and is made again; earlier analyses are not known\n",
                 ResultsFile::path_beside(path).string());
     }
     results.add_analysis(format_utc(RealClock().utc_now()), program_version(), result.estimator,
@@ -102,7 +102,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
     if (!options->truth.empty()) {
       const TruthComparison comparison = compare_with_truth(result, read_bench(options->truth));
       std::FILE* stream = options->json ? stderr : stdout;
-      const std::string heading = fmt::format("Beside the simulated truth ({} estimator)", estimator);
+      const std::string heading = fmt::format("Compared with the simulated truth ({} estimator)", estimator);
       const std::string text =
           fmt::format("\n{}\n{}", emphasised(stream, Emphasis::kHeading, heading), comparison.text);
       options->json ? print_log("{}", text) : print_result("{}", text);

@@ -44,7 +44,7 @@ std::string command_to_continue(const CampaignOptions& options, const std::files
 }
 
 /// Whether a run of the campaign is measured already.
-/// @throws std::invalid_argument if something else stands there
+/// @throws std::invalid_argument if something else is there
 bool is_measured(const std::filesystem::path& path, const CampaignOptions& options,
                  const BenchConfig& config) {
   if (!std::filesystem::exists(path)) return false;
@@ -79,8 +79,7 @@ void ask_to_remount(int run, int runs) {
     const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
     if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
     if (::read(STDIN_FILENO, line.data(), line.size()) > 0) return;
-    throw std::runtime_error(
-        "the terminal has gone, so nobody can confirm that the accelerometer is mounted");
+    throw std::runtime_error("the terminal is gone, so nobody can confirm that the accelerometer is mounted");
   }
 }
 

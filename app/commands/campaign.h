@@ -4,7 +4,7 @@
 
 namespace abcal {
 
-/// `abcal run BENCH --repeat K`: several runs of one accelerometer, and what they are together.
+/// `abcal run BENCH --repeat K`: several runs of one accelerometer, and their summary.
 struct CampaignOptions {
   std::string bench_file;
   std::string output;  ///< "a" or "a.run" makes a-1.run, a-2.run, ...; empty: the bench file's name and time.
@@ -15,7 +15,7 @@ struct CampaignOptions {
 };
 
 /// Measures, stores and summarises. What ends one run ends the campaign; the runs before are kept.
-/// @return what the program shall return to the shell
+/// @return the exit code of the program
 /// @throws as `abcal run`; std::invalid_argument for files in the way, for --remount without a terminal
 int run_campaign(const CampaignOptions& options);
 

@@ -70,7 +70,7 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
                                                                               : Emphasis::kNone;
         print_result("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", word(finding.grade))),
                      finding.what, finding.found);
-        if (!finding.advice.empty()) print_result("{:>8}  required: {}\n", "", finding.advice);
+        if (!finding.advice.empty()) print_result("{:>8}  do: {}\n", "", finding.advice);
       }
       print_result(
           "{}\n",

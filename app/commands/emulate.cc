@@ -53,7 +53,7 @@ struct Served {
 };
 
 /// Where to listen for "tcp:HOST:PORT". Port 0 is any free one, which is then printed. Without a host
-/// ("tcp:PORT", "tcp::PORT") on the loopback only: who serves the network says so with an address (0.0.0.0).
+/// ("tcp:PORT", "tcp::PORT") on the loopback only; another address (0.0.0.0) must be given.
 /// @throws std::invalid_argument
 sim::TcpPort listening_port(const std::string& port) {
   const std::size_t colon = port.rfind(':');  // at least that of "tcp:"
@@ -89,7 +89,7 @@ class StageFollower {
     thread_ = std::jthread([this](const std::stop_token& stop) { follow(stop); });
   }
 
-  /// Ends the following. @throws what ended it before.
+  /// Ends the following. @throws the error that ended it before.
   void finish() {
     thread_ = {};
     if (failure_) std::rethrow_exception(failure_);
@@ -103,7 +103,7 @@ class StageFollower {
         clock_.sleep_until(clock_.now() + from_seconds(0.02));
       }
     } catch (...) {
-      // Unknown is never idle: an accelerometer that no longer follows would tell lies.
+      // Unknown is never idle: an accelerometer that no longer follows would give wrong readings.
       failure_ = std::current_exception();
       end_.request_stop();
     }

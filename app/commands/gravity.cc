@@ -13,7 +13,7 @@ namespace {
 
 constexpr double kCoverageFactor = 2.0;  // as for latitude_deg and height_m in a bench file
 
-/// What a bench file takes, with the digits that the formulas are listed with.
+/// The lines for a bench file, with the digits of the formulas.
 std::string bench_piece(const FormulaGravity& gravity) {
   return fmt::format(
       "[bench]\n"

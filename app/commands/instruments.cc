@@ -24,7 +24,7 @@ struct Probed {
 
   std::string words() const {
     if (!failure.empty()) return failure;
-    if (!answer) return "no instrument that a driver knows answered";
+    if (!answer) return "no instrument of any driver answered";
     return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]", answer->maker, answer->model,
                        answer->serial_number.empty() ? "" : ", serial number ", answer->serial_number,
                        answer->driver, answer->stage ? "stage" : "accelerometer");

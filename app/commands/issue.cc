@@ -76,10 +76,10 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code) {
   command->add_option("RUN", options->run, "run file")->required();
   add_certificate_options(*command, options->certificate);
   command->get_option("--laboratory")->required();
-  command->add_option("--number", options->number, "number of the certificate, given once")->required();
+  command->add_option("--number", options->number, "number of the certificate, unique")->required();
   command
       ->add_option("--approved-by", options->approved_by,
-                   "who approves it: of the laboratory file, may approve")
+                   "who approves it: a person of the laboratory file who may approve")
       ->required();
   command->add_option("--measured-by", options->measured_by,
                       "who measured (default: the operator of the run)");

@@ -13,7 +13,7 @@
 namespace abcal {
 namespace {
 
-/// Text as troff takes it: hyphens that can be copied, no accidental requests at the start of a line.
+/// Text for troff: hyphens that can be copied, no accidental requests at the start of a line.
 std::string troff(const std::string& text) {
   std::string out;
   for (const char c : text) {
@@ -58,7 +58,7 @@ bool is_flag(const CLI::Option& option) {
   return option.get_items_expected_max() == 0;
 }
 
-/// "FILE" of a positional, "TEXT", "FLOAT" or what option_text() says of an option.
+/// "FILE" of a positional, "TEXT", "FLOAT", or option_text() of an option.
 std::string argument_word(const CLI::Option& option) {
   if (!option.get_option_text().empty()) return option.get_option_text();
   if (option.get_positional()) return option.get_name(true);
@@ -66,7 +66,7 @@ std::string argument_word(const CLI::Option& option) {
   return type.substr(0, type.find(':'));
 }
 
-/// What a check such as IsMember lists: "{abc,joint,norm}" in the name of the type.
+/// The choices that a check such as IsMember lists: "{abc,joint,norm}" in the name of the type.
 std::vector<std::string> choices(const CLI::Option& option) {
   const std::string type = option.get_type_name();
   const std::size_t begin = type.find('{');

@@ -60,7 +60,7 @@ void receive(T* data, std::size_t count, int from, int tag) {
   wait_for(request);
 }
 
-// A message of a length that only its sender knows.
+// A message whose length only its sender knows.
 template <class T>
 std::vector<T> receive_all(int from, int tag) {
   MPI_Status status{};
@@ -77,7 +77,7 @@ std::vector<T> receive_all(int from, int tag) {
   return data;
 }
 
-// A result as numbers, in the order that read() takes them.
+// A result as numbers, in the order of read().
 class Numbers {
  public:
   void add(double x) { numbers_.push_back(x); }
@@ -220,7 +220,7 @@ class MpiTeam final : public MonteCarloTeam {
       try {
         block(first, count, values.data());
       } catch (const std::exception& failure) {
-        // The leader refuses values that are not finite and names the trial; the reason is said here.
+        // The leader refuses values that are not finite and names the trial; the reason is logged here.
         print_log("abcal: trials from {}: {}\n", first, failure.what());
         values.assign(values.size(), std::numeric_limits<double>::quiet_NaN());
       }

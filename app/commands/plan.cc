@@ -37,6 +37,95 @@ KnownAxis known_axis(const StageConfig& stage, const StageAxisConfig& axis, cons
   return known;
 }
 
+/// What `abcal plan` shows.
+struct ShownPlan {
+  std::vector<PlannedAngle> angles;
+  PlanDuration duration;
+  std::array<AxisTravel, 2> twist;
+  bool speeds_known = false;
+  bool travel_assumed = false;
+};
+
+ShownPlan make_shown_plan(const BenchConfig& config) {
+  const KnownAxis x = known_axis(config.stage, config.stage.x, config.simulation.x);
+  const KnownAxis z = known_axis(config.stage, config.stage.z, config.simulation.z);
+  ShownPlan plan;
+  plan.angles = make_rotation_plan(config.protocol, {x.travel, z.travel});
+  plan.duration = estimate_duration(plan.angles, config.protocol, {x.speed_deg_per_s, z.speed_deg_per_s},
+                                    config.accelerometer.rate_hz);
+  plan.twist = cable_twist(plan.angles, config.protocol);
+  plan.speeds_known = x.speed_deg_per_s > 0.0 && z.speed_deg_per_s > 0.0;
+  plan.travel_assumed = x.travel_assumed || z.travel_assumed;
+  return plan;
+}
+
+nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& config) {
+  const auto range = [](const AxisTravel& travel) {
+    return nlohmann::ordered_json{travel.min.deg(), travel.max.deg()};
+  };
+  nlohmann::ordered_json json{
+      {"schema", "abcal.plan/1"},
+      {"angles", nlohmann::ordered_json::array()},
+      {"moving_s", plan.duration.moving_s},
+      {"settling_s", plan.duration.settling_s},
+      {"dwelling_s", plan.duration.dwelling_s},
+      {"travel_assumed", plan.travel_assumed},
+      {"estimator", config.protocol.estimator},
+      {"default_effects", unstated_effects(config.tolerances)},
+      {"cable_twist_deg", {{"x", range(plan.twist[0])}, {"z", range(plan.twist[1])}}}};
+  for (const PlannedAngle& angle : plan.angles) {
+    json["angles"].push_back({{"experiment", angle.experiment},
+                              {"n", angle.n},
+                              {"closing", angle.closing},
+                              {"alpha_deg", angle.alpha.deg()},
+                              {"x_deg", angle.x.deg()},
+                              {"z_deg", angle.z.deg()}});
+  }
+  return json;
+}
+
+void print_angles(const std::vector<PlannedAngle>& angles) {
+  print_result("{:>5} {:>10} {:>5} {:>10} {:>10} {:>10}\n", "", "experiment", "n", "alpha/deg", "X/deg",
+               "Z/deg");
+  for (std::size_t k = 0; k < angles.size(); ++k) {
+    const PlannedAngle& angle = angles[k];
+    print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}\n", k + 1, angle.experiment, angle.n,
+                 angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.closing ? "  closing angle" : "");
+  }
+}
+
+void print_duration(const ShownPlan& plan) {
+  const PlanDuration& duration = plan.duration;
+  const std::string total = describe_duration(duration.total_s());
+  const std::string settling = describe_duration(duration.settling_s);
+  const std::string reading = describe_duration(duration.dwelling_s);
+  if (plan.speeds_known) {
+    print_result("About {}: moving {}, settling {}, reading {}\n", total,
+                 describe_duration(duration.moving_s), settling, reading);
+  } else {
+    print_result(
+        "About {} and the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n", total,
+        settling, reading);
+  }
+}
+
+void print_plan(const ShownPlan& plan, const BenchConfig& config) {
+  print_angles(plan.angles);
+  print_result("{} angles; {} readings at each\n", plan.angles.size(),
+               readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
+  print_duration(plan);
+  print_result(
+      "Cables wind from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, counted from zero; the "
+      "stage is parked at zero. If they are too short, set travel_min_deg and travel_max_deg.\n",
+      plan.twist[0].min.deg(), plan.twist[0].max.deg(), plan.twist[1].min.deg(), plan.twist[1].max.deg());
+  print_result("The result will be that of the {} estimator.\n", config.protocol.estimator);
+  if (const std::string words = default_effects_words(config.tolerances); !words.empty())
+    print_result("Note: {}.\n", words);
+  if (plan.travel_assumed) {
+    print_result("Where the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");
+  }
+}
+
 }  // namespace
 
 CLI::App* add_plan(CLI::App& parent, int& exit_code) {
@@ -53,78 +142,20 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
   command->add_flag("--keys", options->keys, "print the reference of all keys of a bench file (Markdown)")
       ->excludes(bench);
   command->callback([options, &exit_code] {
+    exit_code = kExitDone;
     if (options->keys) {
       print_result("{}", bench_file_page());
-      exit_code = kExitDone;
       return;
     }
     if (options->bench_file.empty()) throw CLI::RequiredError("BENCH");
     const BenchConfig config = read_bench(options->bench_file);
     for (const std::string& warning : config.warnings) print_warning(warning);
-    const KnownAxis x = known_axis(config.stage, config.stage.x, config.simulation.x);
-    const KnownAxis z = known_axis(config.stage, config.stage.z, config.simulation.z);
-    const std::vector<PlannedAngle> plan = make_rotation_plan(config.protocol, {x.travel, z.travel});
-    const PlanDuration duration = estimate_duration(
-        plan, config.protocol, {x.speed_deg_per_s, z.speed_deg_per_s}, config.accelerometer.rate_hz);
-    const std::array<AxisTravel, 2> twist = cable_twist(plan, config.protocol);
+    const ShownPlan plan = make_shown_plan(config);
     if (options->json) {
-      nlohmann::ordered_json json{{"schema", "abcal.plan/1"},
-                                  {"angles", nlohmann::ordered_json::array()},
-                                  {"moving_s", duration.moving_s},
-                                  {"settling_s", duration.settling_s},
-                                  {"dwelling_s", duration.dwelling_s},
-                                  {"travel_assumed", x.travel_assumed || z.travel_assumed},
-                                  {"estimator", config.protocol.estimator},
-                                  {"default_effects", unstated_effects(config.tolerances)},
-                                  {"cable_twist_deg",
-                                   {{"x", {twist[0].min.deg(), twist[0].max.deg()}},
-                                    {"z", {twist[1].min.deg(), twist[1].max.deg()}}}}};
-      for (const PlannedAngle& angle : plan) {
-        json["angles"].push_back({{"experiment", angle.experiment},
-                                  {"n", angle.n},
-                                  {"closing", angle.closing},
-                                  {"alpha_deg", angle.alpha.deg()},
-                                  {"x_deg", angle.x.deg()},
-                                  {"z_deg", angle.z.deg()}});
-      }
-      print_result("{}\n", json.dump(2));
+      print_result("{}\n", plan_json(plan, config).dump(2));
     } else {
-      print_result("{:>5} {:>10} {:>5} {:>10} {:>10} {:>10}\n", "", "experiment", "n", "alpha/deg", "X/deg",
-                   "Z/deg");
-      for (std::size_t k = 0; k < plan.size(); ++k) {
-        const PlannedAngle& angle = plan[k];
-        print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}\n", k + 1, angle.experiment, angle.n,
-                     angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.closing ? "  closing angle" : "");
-      }
-      print_result("{} angles; {} readings at each\n", plan.size(),
-                   readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
-      if (x.speed_deg_per_s > 0.0 && z.speed_deg_per_s > 0.0) {
-        print_result("About {}: moving {}, settling {}, reading {}\n", describe_duration(duration.total_s()),
-                     describe_duration(duration.moving_s), describe_duration(duration.settling_s),
-                     describe_duration(duration.dwelling_s));
-      } else {
-        print_result(
-            "About {} and the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n",
-            describe_duration(duration.total_s()), describe_duration(duration.settling_s),
-            describe_duration(duration.dwelling_s));
-      }
-      print_result(
-          "Cables are wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, counted from "
-          "zero; "
-          "the stage is parked at zero. Where they do not reach so far, say travel_min_deg and "
-          "travel_max_deg.\n",
-          twist[0].min.deg(), twist[0].max.deg(), twist[1].min.deg(), twist[1].max.deg());
-      print_result("The result will be that of the {} estimator.\n", config.protocol.estimator);
-      if (const std::string words = default_effects_words(config.tolerances); !words.empty())
-        print_result("Note: {}.\n", words);
-      if (x.travel_assumed || z.travel_assumed) {
-        print_result(
-            "The travel of the stage was taken as -360 to 360 deg where the bench file does not say; `run` "
-            "asks "
-            "the stage.\n");
-      }
+      print_plan(plan, config);
     }
-    exit_code = kExitDone;
   });
   return command;
 }

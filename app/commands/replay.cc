@@ -1,12 +1,10 @@
 #include <memory>
 #include <string>
-#include <utility>
 
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
 #include "app/session/run_session.h"
-#include "app/system/interrupt.h"
 
 namespace abcal {
 
@@ -21,15 +19,12 @@ CLI::App* add_replay(CLI::App& parent, int& exit_code) {
       parent.add_subcommand("replay", "Repeat a recorded run from its own bytes; no instrument is used");
   command->add_option("RUN", options->run_file, "run file made with `abcal run BENCH --record`")->required();
   command->add_option("-o,--output", options->output,
-                      "run file to create (default: RUN-replay.run beside RUN)");
+                      "run file to create (default: RUN-replay.run in the folder of RUN)");
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     TerminalListener terminal({.title = "Replaying", .introduce = false});
-    RunSession::Options session_options;
-    session_options.listener = terminal.listener();
-    session_options.stop = interrupt_token();
-    RunSession session(std::move(session_options));
-    exit_code = print_outcome(session.replay({options->run_file, options->output}), options->json);
+    RunSession session(printing_session_options(terminal, options->json, exit_code));
+    session.replay({options->run_file, options->output});
   });
   return command;
 }

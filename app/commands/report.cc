@@ -38,7 +38,7 @@ struct ReportOptions {
   bool draft = false, json = false, force = false;
 };
 
-/// What is to be written, each with what writes it.
+/// A requested file, and the function that writes it.
 struct Output {
   RequestedOutput requested;
   std::function<void(OutputFile& file)> write;
@@ -48,7 +48,7 @@ void print_warnings(const HtmlPage& page) {
   for (const std::string& warning : page.warnings) print_warning(warning);
 }
 
-/// The certificate goes with its page: its XML is inside the PDF unless another file is asked for.
+/// The PDF of a certificate contains its XML, unless another attachment is requested.
 void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attached,
                const ReportedCertificate* certificate) {
   const TemporaryFolder folder;
@@ -65,8 +65,7 @@ void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attach
   file.commit();
 }
 
-/// Whether the report is one of a certificate: where one is asked for, and where one was issued for the run
-/// as it still is.
+/// Whether the report is that of a certificate: one is requested, or was issued for this run.
 bool of_certificate(const ReportOptions& options, const ReportData& data) {
   if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
   const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
@@ -74,7 +73,7 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
   return unchanged && current_certificate(data.path);
 }
 
-/// The outputs asked for. `page` makes the HTML page, once for all who need it.
+/// The requested outputs. `page` makes the HTML page, once.
 std::vector<Output> outputs_of(const ReportOptions& options, const ReportData& data,
                                const ReportedCertificate* certificate,
                                const std::function<const HtmlPage&()>& page) {
@@ -99,7 +98,7 @@ std::vector<Output> outputs_of(const ReportOptions& options, const ReportData& d
   return outputs;
 }
 
-/// Everything that can be known to fail before the first file is written.
+/// Reports all foreseeable errors before the first file is written.
 void check(const ReportOptions& options, const ReportData& data, const std::vector<Output>& outputs) {
   std::vector<RequestedOutput> requested;
   for (const Output& output : outputs) requested.push_back(output.requested);
@@ -137,7 +136,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       "a draft; docs/certificate.md");
   add_certificate_options(*command, options->certificate);
   command->add_flag("--draft", options->draft,
-                    "make a draft of a certificate whatever speaks against the run or its equipment");
+                    "make a draft of a certificate in spite of problems of the run or its equipment");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {

@@ -61,16 +61,23 @@ int print_outcome(const RunOutcome& outcome, bool json) {
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }
 
-namespace {
-
-RunSession::Options at_terminal(TerminalListener& terminal) {
+RunSession::Options session_options(TerminalListener& terminal) {
   RunSession::Options options;
   options.listener = terminal.listener();
   options.stop = interrupt_token();
   return options;
 }
 
-}  // namespace
+RunSession::Options printing_session_options(TerminalListener& terminal, bool json, int& exit_code) {
+  RunSession::Options options = session_options(terminal);
+  options.result_listener = [json, &exit_code](const RunOutcome& outcome) {
+    if (outcome.measured_before) {
+      print_log("All angles of {} were measured already; it is analysed now\n", outcome.path.string());
+    }
+    exit_code = print_outcome(outcome, json);
+  };
+  return options;
+}
 
 CLI::App* add_run(CLI::App& parent, int& exit_code) {
   struct Options {
@@ -114,11 +121,9 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     const BenchConfig config = read_bench(options->bench_file);
     print_warnings(config);
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
-    RunSession session(at_terminal(terminal));
+    RunSession session(printing_session_options(terminal, options->json, exit_code));
     const std::filesystem::path path = output_path(options->output, options->bench_file, ".run");
-    const RunOutcome outcome =
-        session.start({write_bench(config), options->bench_file, path.string(), options->record});
-    exit_code = print_outcome(outcome, options->json);
+    session.start({write_bench(config), options->bench_file, path.string(), options->record});
   });
   return command;
 }
@@ -134,12 +139,8 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
-    RunSession session(at_terminal(terminal));
-    const RunOutcome outcome = session.resume({options->run_file});
-    if (outcome.measured_before) {
-      print_log("All angles of {} were measured already; it is analysed now\n", options->run_file);
-    }
-    exit_code = print_outcome(outcome, options->json);
+    RunSession session(printing_session_options(terminal, options->json, exit_code));
+    session.resume({options->run_file});
   });
   return command;
 }

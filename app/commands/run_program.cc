@@ -30,12 +30,12 @@ int explain_command_line(const CLI::App& app, const CLI::ParseError& error) {
     print_result("{}", text.str());
     return exit_code;
   }
-  print_log("{0}: {1}\nRun `{0} --help` or `{0} COMMAND --help` to see what is possible.\n", app.get_name(),
+  print_log("{0}: {1}\nRun `{0} --help` or `{0} COMMAND --help` for commands and options.\n", app.get_name(),
             error.what());
   return kExitUsage;
 }
 
-/// @returns what the program shall return to the shell.
+/// @return the exit code of the program.
 int run_command(int argc, char** argv, const ProgramDescription& program) {
   int exit_code = kExitDone;
   CLI::App app(program.description, program.name);
@@ -61,15 +61,15 @@ int run_command(int argc, char** argv, const ProgramDescription& program) {
   }
 }
 
-/// An exception that nobody caught, in whichever thread, is a bug; its words are not lost.
+/// An exception that is caught nowhere is a bug, in any thread; its message is logged.
 [[noreturn]] void end_after_bug() noexcept {
   try {
     if (const std::exception_ptr pending = std::current_exception()) std::rethrow_exception(pending);
-    print_error("ended by an error of its own");
+    print_error("internal error");
   } catch (const std::exception& error) {
-    print_log("abcal: ended by an error of its own: {}\n", error.what());
+    print_log("abcal: internal error: {}\n", error.what());
   } catch (...) {
-    print_error("ended by an error of its own, of an unknown kind");
+    print_error("internal error of an unknown kind");
   }
   std::abort();
 }
@@ -86,7 +86,7 @@ int run_program(int argc, char** argv, const ProgramDescription& program) noexce
   } catch (const std::exception& error) {
     print_error(error.what());
   } catch (...) {
-    print_error("failed for a reason that has no words");
+    print_error("failed for an unknown reason");
   }
   return finish_output(exit_code);
 }

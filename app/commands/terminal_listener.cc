@@ -41,7 +41,7 @@ void TerminalListener::show(const RunBeganEvent& event) {
         event.stage.maker, event.stage.model, event.stage.serial_number, event.accelerometer.maker,
         event.accelerometer.model, event.accelerometer.serial_number, event.rate_hz, event.unit,
         event.plan.size(), describe_duration(event.estimated_s),
-        event.simulated_time ? " of simulated time (nothing real takes part)" : "");
+        event.simulated_time ? " of simulated time (everything is simulated)" : "");
   }
   begin(event.plan);
   for (const DwellDoneEvent& each : event.measured) measured_.insert(each.position);
@@ -66,8 +66,9 @@ void TerminalListener::show(const DwellDoneEvent& event) {
 
 void TerminalListener::show(const ReplayComparedEvent& event) {
   print_log("Replay: {} of {} angles are exactly as recorded; {}\n", event.same, event.replayed,
-            event.ended_alike ? "it ended as the recorded run did"
-                              : "it did not end as the recorded run did, which says: " + event.recorded_end);
+            event.ended_alike
+                ? "it ended as the recorded run did"
+                : "it did not end as the recorded run did, which reports: " + event.recorded_end);
 }
 
 void TerminalListener::show(const FinishedEvent& event) {

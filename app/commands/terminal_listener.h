@@ -19,7 +19,7 @@ class TerminalListener {
     std::string title;                ///< Of the progress bar: "Calibrating".
     bool introduce = true;            ///< Print instruments, plan and duration when a run begins.
     bool tell_what_is_kept = true;    ///< When a run ends early: how many angles are kept, and where.
-    bool tell_how_to_resume = false;  ///< ... and with which command it goes on.
+    bool tell_how_to_resume = false;  ///< ... and the command that continues it.
   };
 
   explicit TerminalListener(Options options) : options_(std::move(options)) {}
@@ -30,12 +30,11 @@ class TerminalListener {
     return [this](const SessionEvent& event) { on(event); };
   }
 
-  /// For a plan that is no run: the angles that the bar counts.
-  void begin(std::vector<PlannedAngle> plan);
   /// Removes the bar.
   void finish();
 
  private:
+  void begin(std::vector<PlannedAngle> plan);
   void show(const RunBeganEvent& event);
   void show(const PhaseEvent& event);
   void show(const DwellDoneEvent& event);
@@ -52,7 +51,7 @@ class TerminalListener {
   void line(const std::string& text);
 
   Options options_;
-  RealClock clock_;  // People live in real time, also when the run's time is simulated.
+  RealClock clock_;  // For people: real time, also when the time of the run is simulated.
   std::vector<PlannedAngle> plan_;
   std::set<std::size_t> measured_;  ///< Positions in the plan.
   std::unique_ptr<ProgressBar> bar_;

@@ -32,13 +32,13 @@ Measured measured(const nlohmann::json& quantity) {
   return {quantity.at("value").get<double>(), quantity.at("standard_uncertainty").get<double>()};
 }
 
-void take(const nlohmann::json& quantity, double& mean, double& error) {
+void set_measured(const nlohmann::json& quantity, double& mean, double& error) {
   const Measured m = measured(quantity);
   mean = m.value;
   error = m.standard_error;
 }
 
-void take(const nlohmann::json& quantity, Angle& mean, Angle& error) {
+void set_measured(const nlohmann::json& quantity, Angle& mean, Angle& error) {
   const Measured m = measured(quantity);
   mean = Angle::degrees(m.value);
   error = Angle::degrees(m.standard_error);
@@ -108,16 +108,17 @@ MeasuredAcs read_measured_acs(const std::filesystem::path& path) {
   try {
     const nlohmann::json json = nlohmann::json::parse(file);
     const nlohmann::json& alignment = json.at("alignment");
-    take(alignment.at(0), acs.mean.alignment.zx, acs.standard_error.alignment.zx);
-    take(alignment.at(1), acs.mean.alignment.zy, acs.standard_error.alignment.zy);
-    take(alignment.at(2), acs.mean.alignment.xz, acs.standard_error.alignment.xz);
-    take(json.at("initial_turn_error").at(0), acs.mean.d2, acs.standard_error.d2);
-    take(json.at("initial_turn_error").at(1), acs.mean.d3, acs.standard_error.d3);
-    take(json.at("mean_step_error").at(0), acs.mean.mean_step_x, acs.standard_error.mean_step_x);
-    take(json.at("mean_step_error").at(1), acs.mean.mean_step_z, acs.standard_error.mean_step_z);
+    set_measured(alignment.at(0), acs.mean.alignment.zx, acs.standard_error.alignment.zx);
+    set_measured(alignment.at(1), acs.mean.alignment.zy, acs.standard_error.alignment.zy);
+    set_measured(alignment.at(2), acs.mean.alignment.xz, acs.standard_error.alignment.xz);
+    set_measured(json.at("initial_turn_error").at(0), acs.mean.d2, acs.standard_error.d2);
+    set_measured(json.at("initial_turn_error").at(1), acs.mean.d3, acs.standard_error.d3);
+    set_measured(json.at("mean_step_error").at(0), acs.mean.mean_step_x, acs.standard_error.mean_step_x);
+    set_measured(json.at("mean_step_error").at(1), acs.mean.mean_step_z, acs.standard_error.mean_step_z);
     for (std::size_t i = 0; i < 3; ++i) {
       for (const nlohmann::json& step : json.at("step_error").at(i)) {
-        take(step, acs.mean.step_errors[i].emplace_back(), acs.standard_error.step_errors[i].emplace_back());
+        set_measured(step, acs.mean.step_errors[i].emplace_back(),
+                     acs.standard_error.step_errors[i].emplace_back());
       }
     }
   } catch (const nlohmann::json::exception& error) {

@@ -17,7 +17,7 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "verify", "Check that a run and its results are unchanged since they were written");
+      "verify", "Check that a run and its results are consistent with their hashes and chains");
   command->add_option("RUN", options->run_file, "run file")->required();
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] {
@@ -37,8 +37,8 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
             emphasised(stdout, check.good ? Emphasis::kGood : Emphasis::kBad, check.good ? "good" : " bad"),
             check.what, check.found);
       }
-      if (good) print_result("{}\n", attested_by(options->run_file));
-      print_result("{}\n", good ? "unchanged since it was written" : "not as it was written, or not closed");
+      print_result("{}\n", good ? attested_by(options->run_file)
+                                : "The run or its results were changed, or the run is not closed.");
     }
     exit_code = good ? kExitDone : kExitFailed;
   });

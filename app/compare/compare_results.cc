@@ -45,10 +45,11 @@ Eigen::Matrix<double, 12, 1> factors_of(const ComparedResult& result) {
 Covariance12 shared_covariance(const ComparedResult& first, const ComparedResult& second) {
   for (const ComparedResult* result : {&first, &second}) {
     if (!result->record || result->what != "abc estimator" || !result->matrix) {
-      throw CompareError(fmt::format(
-          "--shared: {} ({}) does not tell what part of its uncertainty comes from the stage; required: runs "
-          "or CSV records, and the abc estimator",
-          result->file, result->what));
+      throw CompareError(
+          fmt::format("--shared: {} ({}) does not state which part of its uncertainty comes from the stage; "
+                      "required: runs "
+                      "or CSV records, and the abc estimator",
+                      result->file, result->what));
     }
   }
   if (!first.stage.empty() && !second.stage.empty() && first.stage != second.stage) {
@@ -73,7 +74,7 @@ void note_common_stage(const ComparedResult& first, const ComparedResult& second
     notes.push_back(
         fmt::format("{} and {} were measured on the same stage ({}): its type B is common to both and was "
                     "NOT subtracted, so "
-                    "that E_n looks better than it is (--shared subtracts it)",
+                    "that E_n is too small (--shared subtracts it)",
                     first.file, second.file, first.stage));
   }
 }
@@ -204,7 +205,8 @@ ResultsComparison compare_results(std::vector<ComparedResult> results, const Com
   ResultsComparison comparison;
   comparison.results = std::move(results);
   if (!options.any_item) require_one_item(comparison.results, comparison.notes);
-  for (std::string& note : bring_together(comparison.results)) comparison.notes.push_back(std::move(note));
+  for (std::string& note : convert_to_common_units(comparison.results))
+    comparison.notes.push_back(std::move(note));
   const ComparedResult& first = comparison.results.front();
   comparison.units = units_of_properties(first);
   comparison.shared_subtracted = options.shared_stage;

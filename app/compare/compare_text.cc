@@ -64,7 +64,7 @@ void pair_table(const ResultsComparison& comparison, const PairComparison& pair,
       text += fmt::format(" {:>26}\n", "not compared");
     }
   }
-  text += "  +- is one standard uncertainty; E_n takes both at k = 2\n";
+  text += "  +- is one standard uncertainty; E_n uses expanded uncertainties (k = 2)\n";
   if (pair.intrinsic.chi2) {
     text += fmt::format("  all {} together: chi2 = {:.2f}, P = {:.3g} that chance gives as much or more\n",
                         pair.intrinsic.degrees_of_freedom, *pair.intrinsic.chi2,

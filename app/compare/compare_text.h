@@ -7,7 +7,7 @@
 
 namespace abcal {
 
-/// A comparison as people read it: verdict, the nine properties, the mounting, what several results tell, and
+/// A comparison as text: verdict, the nine properties, the mounting, statistics of several results, and
 /// what a reader must know. Colours as `stream` allows.
 std::string compare_text(const ResultsComparison& comparison, std::FILE* stream);
 

@@ -39,7 +39,7 @@ void describe_run(const StoredRun& run, ComparedResult& result) {
     result.notes.push_back(fmt::format("the run is {}", to_string(run.state)));
 }
 
-void take(const CalibrationResult& calibration, ComparedResult& result) {
+void set_values(const CalibrationResult& calibration, ComparedResult& result) {
   result.what = calibration.estimator + " estimator";
   result.unit_name = calibration.response_unit;
   result.unit = meaning_of_response_unit(calibration.response_unit);
@@ -113,7 +113,7 @@ void convert_response(const ComparedResult& first, ComparedResult& result) {
   if (result.unit_name == first.unit_name) return;
   UnitMeaning meaning = result.unit;
   UnitMeaning wanted = first.unit;
-  // A certificate knows no counts: it says one and explains it in words.
+  // A certificate has no unit for counts: it uses \one and explains it in words.
   const auto is_count = [](const UnitMeaning& unit) {
     return unit.powers == std::map<std::string, int>{{"LSB", 1}};
   };
@@ -144,12 +144,12 @@ ComparedResult load_compared(const std::filesystem::path& path, const std::strin
   const CalibrationResult calibration = analyse(loaded.record, estimator);
   if (calibration.verdict == Verdict::kNotUsable)
     throw std::runtime_error(fmt::format("{}: no usable result: {}", path.string(), calibration.why));
-  take(calibration, result);
+  set_values(calibration, result);
   result.record = std::move(loaded.record);
   return result;
 }
 
-std::vector<std::string> bring_together(std::vector<ComparedResult>& results) {
+std::vector<std::string> convert_to_common_units(std::vector<ComparedResult>& results) {
   std::vector<std::string> notes;
   const ComparedResult& first = results.front();
   const bool all_per_g_loc =

@@ -15,7 +15,7 @@
 
 namespace abcal {
 
-/// A result that can be laid beside others: from a run, a CSV of averaged readings, or a certificate.
+/// A result that can be compared with others: from a run, a CSV of averaged readings, or a certificate.
 struct ComparedResult {
   std::string file;  ///< As given.
   std::string kind;  ///< "run", "CSV", "certificate"
@@ -50,8 +50,8 @@ class CompareError : public std::invalid_argument {
   using std::invalid_argument::invalid_argument;
 };
 
-/// Reads and, where it is a record, analyses one file. Which of the three it is, its content says.
-/// @throws what load_record() and read_certificate() throw; std::runtime_error for a record that gives no
+/// Reads and, where it is a record, analyses one file. Its content decides which of the three it is.
+/// @throws as load_record() and read_certificate(); std::runtime_error for a record that gives no
 ///         usable result, with the reason
 ComparedResult load_compared(const std::filesystem::path& path, const std::string& estimator);
 
@@ -60,9 +60,9 @@ ComparedResult load_compared(const std::filesystem::path& path, const std::strin
 /// result what was done to it.
 /// @return notes that concern all
 /// @throws CompareError units that cannot be made into one another
-std::vector<std::string> bring_together(std::vector<ComparedResult>& results);
+std::vector<std::string> convert_to_common_units(std::vector<ComparedResult>& results);
 
-/// "V/g_loc", "degree", "V", ... in the order of Covariance9, after bring_together().
+/// "V/g_loc", "degree", "V", ... in the order of Covariance9, after convert_to_common_units().
 std::array<std::string, 9> units_of_properties(const ComparedResult& result);
 
 }  // namespace abcal

@@ -74,7 +74,7 @@ class ListReader {
       Number number{values[i] * units[i].factor, u.size() == size ? u[i] * units[i].factor : std::nan(""),
                     units[i]};
       number.unit.factor = 1.0;
-      // The same quantity may stand in more than one list; the first with an uncertainty counts.
+      // The same quantity may be in more than one list; the first with an uncertainty counts.
       const auto [place, is_new] = numbers.by_label.emplace(labels[i], number);
       if (!is_new && std::isnan(place->second.standard_uncertainty)) place->second = number;
     }
@@ -84,7 +84,7 @@ class ListReader {
  private:
   void problem(const std::string& what) { problems_.push_back(where_ + ": " + what); }
 
-  /// As many as asked for: D-SI lets one stand for all. Empty, with a problem, if it is neither.
+  /// The requested number of entries: in D-SI one entry may stand for all. Empty, with a problem, otherwise.
   template <class T>
   std::vector<T> spread_over(std::vector<T> list, std::size_t size, const std::string& what) {
     if (list.size() == 1) list.resize(size, list.front());
@@ -186,7 +186,7 @@ std::optional<Eigen::MatrixXd> covariance_of(const Numbers& numbers,
   return std::nullopt;
 }
 
-/// The same from lists of parts: what lies between two lists stays 0.
+/// The same from lists of parts: elements between two lists stay 0.
 template <std::size_t N>
 Eigen::MatrixXd pieced_covariance(const Numbers& numbers, const std::array<std::string, N>& labels) {
   const auto n = static_cast<Eigen::Index>(N);

@@ -6,7 +6,7 @@
 
 namespace abcal {
 
-/// Whether a file looks like XML, so that a certificate is told from a CSV.
+/// Whether a file looks like XML, to distinguish a certificate from a CSV.
 bool looks_like_xml(const std::filesystem::path& path);
 
 /// Reads matrix, offsets and intrinsic properties with their uncertainties from a digital calibration

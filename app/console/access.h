@@ -7,19 +7,19 @@
 
 namespace abcal::console {
 
-/// Who may talk to the console. Pure functions of what a request says of itself, so that each rule can be
+/// Who may use the console. Pure functions of the headers of a request, so that each rule can be
 /// tested alone.
 struct AccessRules {
   /// Required of everyone, where not empty: as a cookie, or as "Authorization: Bearer TOKEN".
   std::string token;
   /// Name of the cookie. Browsers do not keep the cookies of two ports of one host apart.
   std::string cookie = "abcal_token";
-  /// Names by which people may call the console beside its address, with our port or the one given:
+  /// Names by which the console may be called in addition to its address, with our port or the one given:
   /// "bench7.example.org", "proxy.example.org:8080".
   std::vector<std::string> hosts;
 };
 
-/// What a request says of itself. Empty: not said.
+/// The headers of a request that decide on access. Empty: absent.
 struct Caller {
   std::string_view host;           ///< Header Host.
   std::string_view origin;         ///< Header Origin: the page that asks; only browsers say it.

@@ -32,7 +32,7 @@ std::string bytes_of(const std::function<void(const Path& file)>& write) {
   const Path file = folder / "download";
   write(file);
   std::ifstream stream(file, std::ios::binary);
-  if (!stream) throw std::runtime_error("what was made cannot be read: " + file.string());
+  if (!stream) throw std::runtime_error("the temporary file cannot be read: " + file.string());
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 

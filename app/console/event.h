@@ -16,7 +16,7 @@
 
 namespace abcal::console {
 
-// Events of the measuring thread for those who watch. Each is a copy: nothing is shared.
+// Events of the measuring thread for pages. Each is a copy: nothing is shared.
 
 enum class Activity { kIdle, kChecking, kRunning, kJogging, kAnalysing };
 
@@ -33,7 +33,7 @@ struct RunBegan {
   std::vector<PlannedAngle> plan;
   std::vector<std::pair<std::size_t, DwellRecord>> measured;  ///< Before an interruption.
   double estimated_s = 0.0;                                   ///< Of real time, for the whole plan.
-  std::optional<double> pace;        ///< Where nothing real takes part: simulated over real time.
+  std::optional<double> pace;        ///< If everything is simulated: simulated time over real time.
   std::string stage, accelerometer;  ///< Who they are, in words.
 };
 
@@ -45,7 +45,7 @@ struct PhaseSeen {
 struct DwellSeen {
   std::size_t position = 0;
   DwellRecord dwell;
-  Clock::UtcTime told;  ///< When the measuring thread said so, in the time of people.
+  Clock::UtcTime told;  ///< When the measuring thread reported it, in real time.
 };
 
 struct LogLine {
@@ -61,7 +61,7 @@ struct ChecksSeen {
 struct RunEnded {
   std::string file;
   bool complete = false;
-  std::string words;  ///< Verdict and why, or what ended it.
+  std::string words;  ///< Verdict and reason, or the cause of its end.
 };
 
 using Event = std::variant<ActivitySeen, RunBegan, PhaseSeen, DwellSeen, StageSeen, StripSeen, LogLine,

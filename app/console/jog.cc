@@ -10,9 +10,20 @@
 namespace abcal::console {
 namespace {
 
-/// Waits until the controller says that an axis stands.
-void wait_until_stopped(RotationStage& stage, Clock& clock, StageAxis axis, double longest_s,
-                        const ProtocolConfig& protocol, const std::stop_token& stop) {
+/// The stage, and how long its motions may take.
+struct JoggedStage {
+  RotationStage& stage;
+  Clock& clock;
+  const ProtocolConfig& protocol;
+  const std::stop_token& stop;
+
+  StageAxisInfo info(StageAxis axis) const { return stage.identify().axes[index(axis)]; }
+  void wait_until_stopped(StageAxis axis, double longest_s) const;
+  void home_if_needed(StageAxis axis) const;
+  Angle turn(const Jog& jog) const;
+};
+
+void JoggedStage::wait_until_stopped(StageAxis axis, double longest_s) const {
   const Clock::Instant deadline = clock.now() + from_seconds(longest_s);
   while (stage.motion_state(axis) == MotionState::kMoving) {
     if (stop.stop_requested()) throw RunInterrupted("stopped by the operator");
@@ -24,36 +35,37 @@ void wait_until_stopped(RotationStage& stage, Clock& clock, StageAxis axis, doub
   if (stop.stop_requested()) throw RunInterrupted("stopped by the operator");
 }
 
-Angle turn(RotationStage& stage, Clock& clock, StageAxis axis, Angle by, const ProtocolConfig& protocol,
-           const std::stop_token& stop) {
-  const auto info = [&] { return stage.identify().axes[index(axis)]; };
-  if (!info().referenced) {
-    stage.home(axis);
-    wait_until_stopped(stage, clock, axis, protocol.homing_timeout_s, protocol, stop);
-    if (!info().referenced)
-      throw InstrumentError("stage", Fault::kNotReady,
-                            fmt::format("axis {} stopped without finding its reference", to_string(axis)));
-  }
-  const double speed = info().speed_deg_per_s;
-  const Angle target = stage.encoder_angle(axis) + by;
-  stage.move_to(axis, target);
-  const double expected_s = speed > 0.0 ? std::abs(by.deg()) / speed : 0.0;
-  wait_until_stopped(stage, clock, axis, expected_s + protocol.motion_timeout_s, protocol, stop);
-  const Angle encoder = stage.encoder_angle(axis);
-  // Half a degree: a jog is for people, who want to know that it arrived, not how exactly.
+void JoggedStage::home_if_needed(StageAxis axis) const {
+  if (info(axis).referenced) return;
+  stage.home(axis);
+  wait_until_stopped(axis, protocol.homing_timeout_s);
+  if (!info(axis).referenced)
+    throw InstrumentError("stage", Fault::kNotReady,
+                          fmt::format("axis {} stopped without finding its reference", to_string(axis)));
+}
+
+Angle JoggedStage::turn(const Jog& jog) const {
+  home_if_needed(jog.axis);
+  const double speed = info(jog.axis).speed_deg_per_s;
+  const Angle target = stage.encoder_angle(jog.axis) + jog.by;
+  stage.move_to(jog.axis, target);
+  const double expected_s = speed > 0.0 ? std::abs(jog.by.deg()) / speed : 0.0;
+  wait_until_stopped(jog.axis, expected_s + protocol.motion_timeout_s);
+  const Angle encoder = stage.encoder_angle(jog.axis);
+  // Half a degree: a jog only needs to arrive; its accuracy does not matter.
   if (!(std::abs((encoder - target).deg()) <= 0.5))
     throw InstrumentError("stage", Fault::kStalled,
-                          fmt::format("axis {} stopped at {:.3f} deg, commanded {:.3f} deg", to_string(axis),
-                                      encoder.deg(), target.deg()));
+                          fmt::format("axis {} stopped at {:.3f} deg, commanded {:.3f} deg",
+                                      to_string(jog.axis), encoder.deg(), target.deg()));
   return encoder;
 }
 
 }  // namespace
 
-Angle jog(RotationStage& stage, Clock& clock, StageAxis axis, Angle by, const ProtocolConfig& protocol,
-          const std::stop_token& stop) {
+Angle turn_axis(const Jog& jog, RotationStage& stage, Clock& clock, const ProtocolConfig& protocol,
+                const std::stop_token& stop) {
   try {
-    return turn(stage, clock, axis, by, protocol, stop);
+    return JoggedStage{stage, clock, protocol, stop}.turn(jog);
   } catch (const InstrumentError& error) {
     const bool halted = stage.halt();
     // A halt from another thread makes the exchange under way fail: that is the operator's stop, not a fault.

@@ -122,7 +122,7 @@ LiveView::LiveView(Json about, const Clock& clock) : about_(std::move(about)), c
 std::string LiveView::apply(const Event& event) {
   if (const auto* began = std::get_if<RunBegan>(&event)) {
     begin(*began);
-    return snapshot();  // Everything changes: what a new page gets serves the others as well.
+    return snapshot();  // Everything changes: the snapshot for new pages serves the others as well.
   }
   return text_of(std::visit([this](const auto& seen) { return on(seen); }, event));
 }

@@ -19,7 +19,7 @@ namespace abcal::console {
 /// grow without end only the latest is kept. For one thread.
 class LiveView {
  public:
-  /// `about` never changes: names, pace, versions. `clock` is that of people, for log and time left.
+  /// `about` never changes: names, pace, versions. `clock` is real time, for log and time left.
   LiveView(nlohmann::ordered_json about, const Clock& clock);
 
   std::string apply(const Event& event);

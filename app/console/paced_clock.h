@@ -9,7 +9,7 @@
 
 namespace abcal::console {
 
-/// Simulated time for people to watch: it jumps as SimClock does, but each jump is made when it is due, with
+/// Simulated time that can be watched: it jumps as SimClock does, but each jump is made when it is due, with
 /// simulated time passing `pace` times as fast as real time. What is simulated sees the same times, so that a
 /// run gives the same readings bit for bit at any pace.
 class PacedClock final : public Clock {

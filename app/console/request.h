@@ -12,7 +12,7 @@
 namespace abcal::console {
 
 // What a page may ask for over its WebSocket, one JSON object each (docs/console.md). Reading a request is
-// apart from doing it: bytes in, request out, nothing else touched.
+// separate from carrying it out: bytes in, request out, nothing else touched.
 
 /// The longest request that is looked at.
 constexpr std::size_t kLongestRequest = 4096;
@@ -35,7 +35,7 @@ struct ResumeRun {
 };
 struct Jog {
   StageAxis axis = StageAxis::kX;
-  Angle by;  ///< From where the axis is; at most one turn.
+  Angle by;  ///< From where its encoder says it is; at most one turn.
 };
 struct Note {
   std::string text;
@@ -49,7 +49,7 @@ struct Request {
   Command command;
 };
 
-/// A request that is not understood. what() says found and required.
+/// A request that is not understood. what() says what was found and required.
 class RequestError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

@@ -191,7 +191,7 @@ Json RunLibrary::compare(const std::filesystem::path& first, const std::filesyst
   std::vector<ComparedResult> results;
   for (const std::filesystem::path& run : {first, second}) {
     results.push_back(load_compared(run, kDefaultEstimator));
-    results.back().file = run.filename().string();  // A page knows runs by name.
+    results.back().file = run.filename().string();  // A page refers to runs by name.
   }
   CompareOptions options;
   options.shared_stage = shared_stage;
@@ -216,7 +216,7 @@ Json RunLibrary::history(const std::string& serial_number) {
       point.update(*known.intrinsic);
       list.push_back(std::move(point));
     } catch (const RunFileError&) {
-      continue;  // list() says why.
+      continue;  // list() reports the reason.
     }
   }
   // Stable: runs in simulated time may all begin at one time.

@@ -25,14 +25,15 @@ class RunLibrary {
   // Each of these is JSON as docs/console.md describes it. A run that is being measured is read as far as it
   // goes.
 
-  /// All runs, newest first: what they are and how far they went. A file that cannot be read says why.
+  /// All runs, newest first, with their state and progress. A file that cannot be read is listed with the
+  /// reason.
   nlohmann::ordered_json list();
   /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
   /// @throws RunFileError
   nlohmann::ordered_json result(const std::filesystem::path& run);
   /// Two runs side by side (abcal.compare/1), also of different items.
-  /// @param shared_stage  both were measured on one stage: what its errors have in common is taken out
-  /// @throws what load_compared() and compare_results() throw
+  /// @param shared_stage  both were measured on one stage: the common part of its errors is subtracted
+  /// @throws as load_compared() and compare_results()
   static nlohmann::ordered_json compare(const std::filesystem::path& first,
                                         const std::filesystem::path& second, bool shared_stage);
   /// The results of the default estimator of every complete run of one item, oldest first, with the limits of

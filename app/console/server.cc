@@ -183,7 +183,7 @@ struct Server::Impl {
   RefusalLog log_refusal{clock};
   RunLibrary library;
   LiveView live;
-  Text snapshot_now;  ///< Shared by all who need it before the next event; null: to be made.
+  Text snapshot_now;  ///< Shared until the next event; null: to be made.
   std::size_t connections = 0;
   asio::io_context io;
   tcp::acceptor acceptor{io};
@@ -225,7 +225,7 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
     });
   }
 
-  /// Tells the page what happened; dropped where the page is too slow.
+  /// Sends an event to the page; dropped if the page is too slow.
   void send(const Text& message) {
     if (behind_) return;
     if (queue_.size() >= server_.options.longest_queue) {
@@ -255,7 +255,7 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
   void read() {
     socket_.async_read(buffer_, [self = shared_from_this()](beast::error_code error, std::size_t) {
       if (error) {
-        // Either of the two, by whether the frame says its length or the bytes run on.
+        // One of the two: the frame states its length, or the bytes go on to the end.
         if (error == websocket::error::message_too_big || error == websocket::error::buffer_overflow)
           self->server_.log_refusal(self->peer_, "a message",
                                     fmt::format("longer than {} bytes", kLongestRequest));
@@ -298,7 +298,7 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
   std::deque<Waiting> queue_;
   Waiting now_{};            ///< Being written.
   std::size_t replies_ = 0;  ///< Not yet written.
-  bool paused_ = false;      ///< Nothing is read until replies have gone out.
+  bool paused_ = false;      ///< Nothing is read until replies are sent.
   bool writing_ = false;
   bool behind_ = false;
 };
@@ -401,7 +401,7 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
     });
   }
 
-  /// Reads what still comes, within limits: closed with unread bytes, the answer would be lost on its way.
+  /// Reads the remaining bytes, within limits: with unread bytes the answer would be lost at closing.
   void drain(std::size_t most) {
     buffer_.clear();
     stream_.async_read_some(buffer_.prepare(kLongestBody),
@@ -439,7 +439,7 @@ Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
   session = std::make_unique<Session>(std::move(bench), [this](Event event) { pass_on(std::move(event)); });
   options.access.cookie = fmt::format("abcal_token_{}", acceptor.local_endpoint().port());
   asio::post(reader, [] {
-    // Who looks at an old run leaves the processor to the run that is on.
+    // Reading an old run leaves the processor to the current run.
     constexpr int kLessThanMeasuring = 10;
     ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kLessThanMeasuring);
   });
@@ -503,7 +503,7 @@ void Server::Impl::arrived(const std::shared_ptr<Page>& page) {
   send_snapshot(*page);
 }
 
-/// What a page must know to begin with, or to catch up.
+/// The whole state, for a page that begins or has missed messages.
 void Server::Impl::send_snapshot(Page& page) {
   page.send(snapshot());
   page.send(std::make_shared<const std::string>(control_message()));
@@ -566,7 +566,7 @@ Session::Refusal Server::Impl::carry_out(Page& page, const Command& command) {
       if (!path) return "there is no such run in the run folder";
       return impl.session->resume(*path);
     }
-    Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog.axis, jog.by); }
+    Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog); }
     Session::Refusal operator()(const Note& note) const {
       return impl.session->note(note.text, fmt::format("page {} at {}", page.number, page.peer().remote));
     }
@@ -574,7 +574,7 @@ Session::Refusal Server::Impl::carry_out(Page& page, const Command& command) {
   return std::visit(Do{*this, page}, command);
 }
 
-/// What is asked for. `later` is set where the answer takes its time: it is to be called in the reading
+/// The answer to a request. `later` is set if the answer takes long: call it in the reading
 /// thread.
 HttpResponse Server::Impl::answer(const Peer& peer, const HttpRequest& request,
                                   std::function<HttpResponse()>& later) {

@@ -20,7 +20,7 @@ struct ServerOptions {
   /// are never dropped: no more is read from a page that leaves as many of them waiting.
   std::size_t longest_queue = 64;
   std::chrono::seconds request_time{10};  ///< For a request to come in, and for its answer to be taken.
-  std::chrono::seconds silent_time{20};   ///< A page that answers no ping for so long is gone.
+  std::chrono::seconds silent_time{20};   ///< A page that answers no ping for this time is gone.
 };
 
 /// The web console: one page over HTTP, and a WebSocket on the same port by which it watches and steers

@@ -15,14 +15,15 @@
 namespace abcal::console {
 namespace {
 
-/// So long after a jog the ports are free again for other programs.
+/// After this time without a jog the ports are released for other programs.
 constexpr std::chrono::seconds kKeepAfterJog{60};
 
-constexpr const char* kBusy = "something else is going on at the bench; stop it first, or wait for its end";
+constexpr const char* kBusy =
+    "another activity is in progress at the bench; stop it first, or wait for its end";
 
 std::string in_words(const InstrumentSummary& instrument) {
   return fmt::format("{} {}, serial number {}", instrument.maker, instrument.model,
-                     instrument.serial_number.empty() ? "not told" : instrument.serial_number);
+                     instrument.serial_number.empty() ? "not reported" : instrument.serial_number);
 }
 
 std::string file_name(const std::string& path) {
@@ -59,7 +60,7 @@ void Session::work(const std::stop_token& end) {
         jog_bench_.reset();
         continue;
       }
-      // What was begun before the end is ended in order: its stop is requested already.
+      // An activity that was begun is ended in order: its stop is requested already.
       if (!job_) return;
       job = std::exchange(job_, nullptr);
     }
@@ -87,7 +88,7 @@ void Session::carry_out(const std::function<void()>& job) {
     const std::lock_guard lock(mutex_);
     ended = std::move(run_);
   }
-  ended.reset();  // Its ports are closed before others are told that the bench is free.
+  ended.reset();  // Its ports are closed before the bench is reported as free.
   {
     const std::lock_guard lock(mutex_);
     activity_ = Activity::kIdle;
@@ -140,14 +141,14 @@ Session::Refusal Session::resume(const std::filesystem::path& run) {
   return begin(Activity::kRunning, [this, run] { do_resume(run); });
 }
 
-Session::Refusal Session::jog(StageAxis axis, Angle by) {
-  return begin(Activity::kJogging, [this, axis, by] { do_jog(axis, by); });
+Session::Refusal Session::jog(const Jog& jog) {
+  return begin(Activity::kJogging, [this, jog] { do_jog(jog); });
 }
 
 Session::Refusal Session::hold() {
   {
     const std::lock_guard lock(mutex_);
-    if (activity_ != Activity::kRunning || !run_) return "no run is on";
+    if (activity_ != Activity::kRunning || !run_) return "no run is in progress";
     run_->hold();
   }
   log("Hold: the stage will stand still after this angle.");
@@ -182,7 +183,7 @@ Session::Refusal Session::stop() {
 Session::Refusal Session::note(std::string text, std::string by) {
   const std::lock_guard lock(mutex_);
   if (activity_ != Activity::kRunning || !run_)
-    return "no run is on: a note goes into the event log of a run";
+    return "no run is in progress: a note goes into the event log of a run";
   if (!run_->add_note({std::move(text), std::move(by)})) return "many notes wait to be stored already";
   return std::nullopt;
 }
@@ -288,7 +289,7 @@ void Session::do_resume(const std::filesystem::path& path) {
   run_->resume({path.string()});
 }
 
-void Session::do_jog(StageAxis axis, Angle by) {
+void Session::do_jog(const Jog& jog) {
   if (!jog_bench_) {
     BenchConfig config = read_bench(options_.bench_file);
     Bench bench = open(config);
@@ -298,8 +299,8 @@ void Session::do_jog(StageAxis axis, Angle by) {
   std::optional<std::stop_callback<std::function<void()>>> halt_at_once;
   if (!bench.simulated_time) halt_at_once.emplace(stop_.get_token(), [&] { bench.stage->halt(); });
   const Angle angle =
-      console::jog(*bench.stage, *bench.clock, axis, by, jog_bench_->config.protocol, stop_.get_token());
-  log(fmt::format("Axis {} is at {:.4f} degrees (encoder).", to_string(axis), angle.deg()));
+      turn_axis(jog, *bench.stage, *bench.clock, jog_bench_->config.protocol, stop_.get_token());
+  log(fmt::format("Axis {} is at {:.4f} degrees (encoder).", to_string(jog.axis), angle.deg()));
 }
 
 }  // namespace abcal::console

@@ -13,6 +13,7 @@
 
 #include "app/bench/make_bench.h"
 #include "app/console/event.h"
+#include "app/console/request.h"
 #include "app/session/run_session.h"
 
 namespace abcal::console {
@@ -25,7 +26,7 @@ class Session {
   struct Options {
     std::filesystem::path bench_file;  ///< Read again for each check, run and jog.
     std::filesystem::path runs;        ///< Folder of the run files.
-    double pace = 1.0;                 ///< Where nothing real takes part: simulated over real time.
+    double pace = 1.0;                 ///< If everything is simulated: simulated time over real time.
   };
   using Refusal = std::optional<std::string>;
 
@@ -35,7 +36,7 @@ class Session {
   Session(const Session&) = delete;
   Session& operator=(const Session&) = delete;
 
-  /// Stops what goes on, the stage halted, and waits for it to end. Nothing can be begun any more.
+  /// Stops the current activity, halts the stage, and waits for the end. Nothing can be begun afterwards.
   void close();
 
   Refusal check(bool with_motion);
@@ -43,10 +44,10 @@ class Session {
   Refusal resume(const std::filesystem::path& run);
   Refusal hold();
   Refusal continue_run();
-  Refusal jog(StageAxis axis, Angle by);
-  /// Into the event log of the run that is on; `by` says who.
+  Refusal jog(const Jog& jog);
+  /// Into the event log of the current run; `by` names the person.
   Refusal note(std::string text, std::string by);
-  /// Halts the stage at once and ends what goes on.
+  /// Halts the stage at once and ends the current activity.
   Refusal stop();
 
  private:
@@ -55,7 +56,7 @@ class Session {
   void carry_out(const std::function<void()>& job);
   void tell_activity();
   void log(std::string text);  ///< For the pages.
-  /// What a run session tells, for the pages.
+  /// Events of a run session, for the pages.
   void show(const SessionEvent& event);
   RunBegan describe(const RunBeganEvent& event) const;
 
@@ -63,7 +64,7 @@ class Session {
   void do_check(bool with_motion);
   void do_start(const std::string& name);
   void do_resume(const std::filesystem::path& run);
-  void do_jog(StageAxis axis, Angle by);
+  void do_jog(const Jog& jog);
 
   Options options_;
   std::function<void(Event)> tell_;
@@ -73,8 +74,8 @@ class Session {
   std::function<void()> job_;  ///< To be begun.
   Activity activity_ = Activity::kIdle;
   bool closing_ = false;
-  std::stop_source stop_;            ///< Of what goes on.
-  std::shared_ptr<RunSession> run_;  ///< Null: no run is on.
+  std::stop_source stop_;            ///< Of the current activity.
+  std::shared_ptr<RunSession> run_;  ///< Null: no run is in progress.
 
   /// Kept open between jogs; of the measuring thread alone.
   struct JogBench {
@@ -83,7 +84,7 @@ class Session {
   };
   std::optional<JogBench> jog_bench_;
 
-  std::jthread stopper_;  ///< Sends the halt, for which nobody else has to wait.
+  std::jthread stopper_;  ///< Sends the halt, so that no other thread waits for it.
   std::jthread worker_;
 };
 

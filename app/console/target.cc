@@ -15,7 +15,7 @@ std::optional<Target> parse_target(std::string_view text) {
     joined.append("/").append(part.data(), part.size());
     target.words.push_back(part.decode());
   }
-  // Boost.URL takes a leading "/." away: then these would not be the parts that were sent.
+  // Boost.URL removes a leading "/.": the parts would not be those that were sent.
   if (joined != target.path && target.path != "/") return std::nullopt;
   const auto token = url->params().find("token");
   if (token != url->params().end()) target.token = (*token).value;

@@ -7,7 +7,7 @@
 
 namespace abcal::console {
 
-/// Where an HTTP request goes: its target, taken apart. Reading it is apart from answering it.
+/// Where an HTTP request goes: its target, taken apart. Reading it is separate from answering it.
 struct Target {
   std::string path;                  ///< As it was sent, before "?": "/runs/a%20b.run/result".
   std::vector<std::string> words;    ///< Its parts, decoded: "runs", "a b.run", "result". Any bytes, "/" too.

@@ -53,7 +53,7 @@ class WatchedStage final : public RotationStage {
   std::function<void(const StageSeen&)> see_;
 };
 
-/// An accelerometer whose readings others see, put together to at most 20 groups a second.
+/// An accelerometer whose readings are also passed on, in at most 20 groups a second.
 class WatchedAccelerometer final : public Accelerometer {
  public:
   /// `see` must return at once.
@@ -72,7 +72,7 @@ class WatchedAccelerometer final : public Accelerometer {
 
   std::unique_ptr<Accelerometer> accelerometer_;
   std::function<void(const StripSeen&)> see_;
-  RealClock real_;  // For people, who live in real time.
+  RealClock real_;  // Real time, for people.
   Clock::Instant last_seen_{};
   std::optional<Clock::Instant> first_arrival_;
   std::string unit_;

@@ -15,7 +15,7 @@ struct Paragraph {
   std::string text;
 };
 
-/// Sentences that stand for themselves, one a line.
+/// Separate sentences, one a line.
 struct BulletList {
   std::vector<std::string> items;
 };
@@ -28,7 +28,7 @@ struct FactList {
 /// How the cells of a column are set.
 enum class CellKind {
   kText,
-  kSymbol,  ///< "s_ux", "phi_uv": what stands behind "_" is an index.
+  kSymbol,  ///< "s_ux", "phi_uv": the part after "_" is an index.
   kNumber,
   kUnit,  ///< "g/g_loc", "degree", "m/s2"
 };
@@ -47,7 +47,7 @@ struct DocumentTable {
   bool may_break = false;  ///< Over two pages, though it would fit on one: leaves no half page empty.
 };
 
-/// A picture, drawn by gnuplot from a script that says neither terminal nor output. Pages only.
+/// A figure, drawn by gnuplot from a script without terminal and output. Pages only.
 struct Figure {
   std::string caption;
   std::string script;

@@ -83,7 +83,7 @@ div.mark { position: fixed; top: 95mm; left: 0; width: 100%; text-align: center;
 )";
 
 std::string page_style(const Document& document) {
-  // What stands before the colon of each caution: "Not complete".
+  // The text before the colon of each caution: "Not complete".
   std::string cautions = document.page_mark;
   for (const std::string& caution : document.cautions)
     cautions += (cautions.empty() ? "" : " · ") + caution.substr(0, caution.find(':'));
@@ -155,7 +155,7 @@ class MarkColours {
 
  private:
   static constexpr const char* kColour = "currentColor";
-  std::set<std::string> filled_;  // The definitions stand before their use.
+  std::set<std::string> filled_;  // The definitions precede their use.
 };
 
 void prepare_picture(xmlNode* node, const std::string& prefix, MarkColours& marks) {

@@ -7,7 +7,7 @@
 
 namespace abcal {
 
-/// A page and what it lacks.
+/// A page, and warnings about missing parts.
 struct HtmlPage {
   std::string html;
   std::vector<std::string> warnings;  ///< "figures are left out: gnuplot is not installed ...".

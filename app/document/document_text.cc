@@ -86,7 +86,7 @@ struct TextOf {
       if (row.size() == 1) continue;
       for (std::size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], width_of(row[c]));
     }
-    // Sentences stand in the last column; they go on below themselves.
+    // Sentences are in the last column; they are wrapped there.
     std::size_t before_last = 0;
     for (std::size_t c = 0; c + 1 < widths.size(); ++c) before_last += widths[c] + 2;
     if (table.columns.back().kind == CellKind::kText)

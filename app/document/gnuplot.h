@@ -11,7 +11,7 @@ namespace abcal {
 /// gnuplot, for is_installed().
 extern const Tool kGnuplot;
 
-/// Text as gnuplot takes it literally: in single quotes it follows neither escapes nor backquotes.
+/// Text that gnuplot reads literally: in single quotes it follows neither escapes nor backquotes.
 std::string gnuplot_quoted(const std::string& text);
 
 /// Draws a script, which names its terminal and output.

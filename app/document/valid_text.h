@@ -4,7 +4,7 @@
 
 namespace abcal {
 
-/// Text as XML, HTML and a terminal can hold it: what is not UTF-8 becomes U+FFFD, control characters but
+/// Text that XML, HTML and a terminal accept: bytes that are not UTF-8 become U+FFFD, control characters but
 /// line break and tab become blanks.
 std::string valid_text(const std::string& text);
 

@@ -10,7 +10,7 @@ const Tool kWeasyPrint{"weasyprint", "a PDF needs", "weasyprint"};
 
 namespace {
 
-/// WeasyPrint can make PDF/A from version 56 on, and says nothing of it before that.
+/// WeasyPrint makes PDF/A from version 56 on; its help does not mention it before.
 bool makes_pdf_a() {
   return run_tool(kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/a-3b", "--version"}, ToolOutput::kHidden) ==
          0;

@@ -17,7 +17,7 @@ class EmulatorControl {
   /// `links` are the links of the instruments by name, as [[fault]] calls them; all must outlive this object.
   EmulatorControl(sim::SimBench& world, const Clock& clock, std::map<std::string, sim::FaultyStream*> links);
 
-  /// @return {"ok": true, ...} or {"ok": false, "error": "..."}; never throws for what a client sent.
+  /// @return {"ok": true, ...} or {"ok": false, "error": "..."}; never throws because of a request.
   std::string answer(const std::string& line);
 
  private:

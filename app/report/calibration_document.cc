@@ -25,19 +25,19 @@ std::string or_not_stated(const std::string& text) {
   return text.empty() ? kNotStated : text;
 }
 
-std::string number(double value, const char* format = "{:.6g}") {
+std::string formatted(double value, const char* format = "{:.6g}") {
   return std::isfinite(value) ? fmt::format(fmt::runtime(format), value) : kNone;
 }
-std::string number(const std::optional<double>& value, const char* format = "{:.6g}") {
-  return value ? number(*value, format) : kNone;
+std::string formatted(const std::optional<double>& value, const char* format = "{:.6g}") {
+  return value ? formatted(*value, format) : kNone;
 }
 
 /// Two digits of an uncertainty that may be of any size.
 std::string two_digits(const std::optional<double>& u) {
-  return number(u, "{:.1e}");
+  return formatted(u, "{:.1e}");
 }
 
-std::string first_of(const std::string& utc) {
+std::string to_the_second(const std::string& utc) {
   return utc.size() < 19 ? utc : utc.substr(0, 10) + " " + utc.substr(11, 8) + " UTC";
 }
 
@@ -69,8 +69,8 @@ Section run_section(const ReportData& data) {
   const StoredRun& run = *data.run;
   FactList facts{{{"Bench", or_not_stated(data.label("bench.name"))},
                   {"Operator", or_not_stated(data.label("operator.name"))},
-                  {"Begun", first_of(data.started_utc())},
-                  {"Ended", first_of(data.ended_utc())},
+                  {"Begun", to_the_second(data.started_utc())},
+                  {"Ended", to_the_second(data.ended_utc())},
                   {"State", fmt::format("{}: {} of {} angles measured", to_string(run.state),
                                         run.measured.size(), run.header.plan.size())}}};
   const int continuations = data.record.continuations;
@@ -134,8 +134,8 @@ Section conditions_section(const ReportData& data) {
                         {"pressure (hPa)", CellKind::kNumber}},
                        {}};
     for (const StoredEnvironment& e : data.run->environment) {
-      room.rows.push_back({e.moment, first_of(e.utc), number(e.temperature_degc), number(e.humidity_percent),
-                           number(e.pressure_hpa)});
+      room.rows.push_back({e.moment, to_the_second(e.utc), formatted(e.temperature_degc),
+                           formatted(e.humidity_percent), formatted(e.pressure_hpa)});
     }
     if (room.rows.empty()) {
       section.blocks.push_back(Paragraph{"Room: not recorded."});
@@ -161,7 +161,7 @@ std::string tolerances_text(const RunRecord& record) {
       t.alignment.deg(), t.step.deg(), t.initial_turn.deg(), t.zero.deg(), t.drift);
   const MeasuredAlignment& a = record.measured_alignment;
   if (a.zx || a.zy || a.xz)
-    text += " The alignment was measured besides (abcal level); the joint estimator makes use of it.";
+    text += " The alignment was measured as well (abcal level); the joint estimator uses it.";
   return text;
 }
 
@@ -221,9 +221,9 @@ std::vector<std::string> result_row(const NamedQuantity& output) {
           q.unit};
 }
 
-/// Where the budget finds more than the stated uncertainty holds, in words; empty if nowhere.
+/// Where the budget gives a larger uncertainty than the result, in words; empty if nowhere.
 std::string larger_in_budget(const ReportData& data) {
-  constexpr double kMore = 1.1;  // beyond what first order and rounding make
+  constexpr double kMore = 1.1;  // more than the effects of second order and rounding
   if (!data.budget) return {};
   std::string list;
   const std::vector<NamedQuantity> named = outputs(data.result());
@@ -236,12 +236,11 @@ std::string larger_in_budget(const ReportData& data) {
           fmt::format("{}u({}) = {:.1e}", list.empty() ? "" : ", ", found->name, data.budget->combined(k));
   }
   if (list.empty()) return {};
-  return "The uncertainties above cover the readings, the stage's tolerances and the drift. The budget below "
-         "also "
-         "takes what harmonics 2 and 3 show as non-linearity of the accelerometer, though the stage's step "
+  return "The uncertainties above cover the readings, the tolerances of the stage and the drift. The budget "
+         "below also attributes harmonics 2 and 3 to non-linearity of the accelerometer, although step "
          "errors "
-         "make harmonics too, and then has larger standard uncertainties: " +
-         list + ". Use these unless the linearity of the accelerometer is known otherwise.";
+         "of the stage cause harmonics as well. It then gives larger standard uncertainties: " +
+         list + ". Use these unless the linearity of the accelerometer is known from another measurement.";
 }
 
 Section result_section(const ReportData& data) {
@@ -251,7 +250,7 @@ Section result_section(const ReportData& data) {
                     {"Estimator", result.estimator}}};
   section.blocks.push_back(verdict);
   if (result.verdict == Verdict::kNotUsable) {
-    section.blocks.push_back(Paragraph{"No numbers are given beside this verdict."});
+    section.blocks.push_back(Paragraph{"No numbers are given, because the result is not usable."});
   } else {
     DocumentTable table{"",
                         {{"quantity", CellKind::kSymbol},
@@ -316,7 +315,7 @@ Section estimators_section(const ReportData& data) {
       if (c == reported) continue;
       const Quantity& to = columns[reported][row].quantity;
       const double u = std::hypot(q.standard_uncertainty, to.standard_uncertainty);
-      differences.push_back(known(reported) && known(c) ? number((q.value - to.value) / u, "{:+.2f}")
+      differences.push_back(known(reported) && known(c) ? formatted((q.value - to.value) / u, "{:+.2f}")
                                                         : kNone);
     }
     cells.insert(cells.end(), differences.begin(), differences.end());
@@ -358,8 +357,8 @@ void add_check(DocumentTable& table, const std::string& name, int accelerometer,
   }
   const std::size_t cell = 1 + 2 * static_cast<std::size_t>(accelerometer);
   table.rows.back()[cell] =
-      fmt::format("{} ± {}", number(q.value, "{:+.2e}"), two_digits(q.standard_uncertainty));
-  table.rows.back()[cell + 1] = number(q.value / q.standard_uncertainty, "{:+.1f}");
+      fmt::format("{} ± {}", formatted(q.value, "{:+.2e}"), two_digits(q.standard_uncertainty));
+  table.rows.back()[cell + 1] = formatted(q.value / q.standard_uncertainty, "{:+.1f}");
 }
 
 Section closures_section(const Diagnostics& d, const std::string& unit) {
@@ -390,8 +389,8 @@ Section plausibility_section(const Diagnostics& d) {
       {{"check"}, {"found", CellKind::kNumber}, {"limit", CellKind::kNumber}, {"unit"}, {"outcome"}},
       {}};
   for (const Check& check : d.checks) {
-    if (!std::isfinite(check.found)) continue;  // not made: a note says why
-    table.rows.push_back({check.name, number(check.found, "{:.2g}"), number(check.limit, "{:.2g}"),
+    if (!std::isfinite(check.found)) continue;  // not done: a note says why
+    table.rows.push_back({check.name, formatted(check.found, "{:.2g}"), formatted(check.limit, "{:.2g}"),
                           check.unit, check.passed ? "passed" : "FAILED"});
   }
   return {"Plausibility checks", {std::move(table)}};
@@ -413,7 +412,7 @@ Section fits_section(const ReportData& data) {
   for (const FitDiagnostic& fit : result.diagnostics.fits) {
     std::vector<std::string> row{std::to_string(fit.experiment),
                                  std::string(1, kAccelerometers[static_cast<std::size_t>(fit.accelerometer)]),
-                                 std::to_string(fit.angles), number(fit.residual_rms, "{:.2e}")};
+                                 std::to_string(fit.angles), formatted(fit.residual_rms, "{:.2e}")};
     double u = std::numeric_limits<double>::quiet_NaN();
     for (int order = 2; order <= 5; ++order) {
       const auto found = std::find_if(fit.harmonics.begin(), fit.harmonics.end(),
@@ -422,11 +421,11 @@ Section fits_section(const ReportData& data) {
         row.emplace_back(kNone);
         continue;
       }
-      row.push_back(number(std::hypot(found->sin_amplitude.value, found->cos_amplitude.value), "{:.2e}"));
+      row.push_back(formatted(std::hypot(found->sin_amplitude.value, found->cos_amplitude.value), "{:.2e}"));
       u = std::fmax(
           u, std::fmax(found->sin_amplitude.standard_uncertainty, found->cos_amplitude.standard_uncertainty));
     }
-    row.push_back(number(u, "{:.1e}"));
+    row.push_back(formatted(u, "{:.1e}"));
     table.rows.push_back(std::move(row));
   }
   Section section{"Fits and harmonics", {}};
@@ -448,7 +447,7 @@ Section stage_section(const RunRecord& record, const JointResult& joint) {
       {}};
   const auto add = [&](const std::string& name, const Quantity& q) {
     if (!std::isfinite(q.value)) return;
-    table.rows.push_back({name, number(q.value, "{:+.3e}"), two_digits(q.standard_uncertainty), q.unit});
+    table.rows.push_back({name, formatted(q.value, "{:+.3e}"), two_digits(q.standard_uncertainty), q.unit});
   };
   add("Zx", joint.alignment[0]);
   add("Zy", joint.alignment[1]);
@@ -462,7 +461,7 @@ Section stage_section(const RunRecord& record, const JointResult& joint) {
   for (std::size_t j = 0; j < 3; ++j) add(fmt::format("k3_{}", kAccelerometers[j]), joint.k3[j]);
   Section section{"Stage and drift, by the joint estimator", {std::move(table)}};
   if (!joint.nonlinearity_fitted)
-    section.blocks.push_back(Paragraph{"k2, k3: left out of the fit, the readings show no non-linearity."});
+    section.blocks.push_back(Paragraph{"k2, k3: not fitted, because the readings show no non-linearity."});
   section.blocks.push_back(step_error_figure(record, joint));
   return section;
 }
@@ -474,8 +473,9 @@ Section budget_section(const ReportData& data) {
   Section section{"Uncertainty budget",
                   {Paragraph{"To first order (JCGM 100), for the output with the largest uncertainty of each "
                              "kind."}}};
-  const auto bare = [](double value) { return number(value, "{:.2e}"); };
-  constexpr double kRounding = 1e-9;  // of the combined uncertainty: what is less is zero but for rounding
+  const auto bare = [](double value) { return formatted(value, "{:.2e}"); };
+  constexpr double kRounding =
+      1e-9;  // of the combined uncertainty: smaller contributions are rounding errors
   for (const int k : worst_of_each_kind(budget.combined)) {
     DocumentTable table{fmt::format("{} ({})", output_symbol(k), output_unit(k, data.record.response_unit)),
                         {{"input", CellKind::kSymbol},
@@ -493,7 +493,7 @@ Section budget_section(const ReportData& data) {
       const bool none = line.contribution(k) < kRounding * budget.combined(k);
       table.rows.push_back(
           {line.input, line.value, line.unit, line.distribution, line.type_a ? "A" : "B",
-           bare(line.standard_uncertainty), none ? "0" : number(line.sensitivity(k), "{:+.2e}"),
+           bare(line.standard_uncertainty), none ? "0" : formatted(line.sensitivity(k), "{:+.2e}"),
            none ? "0" : bare(line.contribution(k)), fmt::format("{:.1f} %", 100.0 * budget.share(line, k))});
     }
     table.rows.push_back({"combined", "", "", "", "", "", "", bare(budget.combined(k)), ""});
@@ -530,8 +530,8 @@ Section flags_section(const ReportData& data) {
   if (!data.run) return section;
   DocumentTable events{"Events", {{"time (UTC)"}, {"kind"}, {"text"}}, {}};
   for (const RunEvent& event : data.run->events) {
-    // Flags stand in the table of angles.
-    if (event.kind != "flag") events.rows.push_back({first_of(event.utc), event.kind, event.text});
+    // Flags are in the table of angles.
+    if (event.kind != "flag") events.rows.push_back({to_the_second(event.utc), event.kind, event.text});
   }
   if (!events.rows.empty()) section.blocks.push_back(std::move(events));
   return section;
@@ -547,7 +547,7 @@ Section origin_section(const ReportData& data) {
   }
   if (data.run) facts.facts.emplace_back("Measured with", "abcal " + data.run->header.program_version);
   facts.facts.emplace_back("Analysed and reported with", "abcal " + data.program_version);
-  facts.facts.emplace_back("Report made", first_of(data.created_utc));
+  facts.facts.emplace_back("Report made", to_the_second(data.created_utc));
   return {"Raw data and program", {facts}};
 }
 
@@ -556,7 +556,7 @@ std::string identification(const ReportData& data) {
   const std::string item = data.label("item.model"), serial = data.label("item.serial_number");
   if (!item.empty()) text += " · " + item;
   if (!serial.empty()) text += " · serial number " + serial;
-  constexpr std::size_t kShort = 16;  // of 64 digits: enough to tell runs apart; the whole stands inside
+  constexpr std::size_t kShort = 16;  // of 64 digits: enough to tell runs apart; the report contains all
   if (data.sha256) text += " · SHA-256 " + data.sha256->substr(0, kShort) + "...";
   return text;
 }
@@ -568,7 +568,8 @@ Document calibration_document(const ReportData& data) {
   document.title = "Calibration report: triaxial accelerometer";
   document.subtitle = identification(data);
   document.identification = identification(data);
-  document.origin = fmt::format("abcal {}, report made {}", data.program_version, first_of(data.created_utc));
+  document.origin =
+      fmt::format("abcal {}, report made {}", data.program_version, to_the_second(data.created_utc));
   document.cautions = cautions(data);
   document.sections.push_back(item_section(data));
   document.sections.push_back(result_section(data));

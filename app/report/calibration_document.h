@@ -5,9 +5,10 @@
 
 namespace abcal {
 
-/// The report of a record, as far as the record goes: item, bench, conditions, method, results with standard
-/// and expanded uncertainty, checks, budget, flags and events, raw data and program. Without a usable verdict
-/// it has no numbers but says why. Who adds to it (a certificate, its laboratory) inserts sections.
+/// The report of a record, with whatever data it contains: item, bench, conditions, method, results with
+/// standard and expanded uncertainty, checks, budget, flags and events, raw data and program. Without a
+/// usable verdict it has no numbers but says why. Who adds to it (a certificate, its laboratory) inserts
+/// sections.
 Document calibration_document(const ReportData& data);
 
 }  // namespace abcal

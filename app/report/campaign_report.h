@@ -25,7 +25,7 @@ struct CampaignReport {
   std::vector<CampaignSummary> summaries() const;
 };
 
-/// For people: verdicts, then mean, spread and uncertainty of the mean.
+/// As text: verdicts, then mean, spread and uncertainty of the mean.
 std::string campaign_text(const CampaignReport& report, std::FILE* stream);
 
 /// Schema abcal.campaign/1.

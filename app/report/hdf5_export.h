@@ -8,8 +8,8 @@
 namespace abcal {
 
 /// Writes the record that `data` was gathered from, and its results, as HDF5 (app/report/record_hdf5.h), by
-/// the helper program abcal-hdf5: what does not export need not load HDF5.
-/// @param file_name what the file is called when it is handed out (NeXus: file_name), if `path` is temporary
+/// the helper program abcal-hdf5: other commands need not load HDF5.
+/// @param file_name final name of the file (NeXus: file_name), if `path` is temporary
 /// @throws ProgramMissing, RunInterrupted, std::runtime_error with the words of the helper
 void export_hdf5(const ReportData& data, const std::filesystem::path& path, const std::string& file_name);
 

@@ -27,7 +27,7 @@ std::string comment(const std::string& key, const std::string& value) {
   return line + "\n";
 }
 
-/// What stands above the header line; keys as in the run file.
+/// The lines above the header line; keys as in the run file.
 std::string comments(const ReportData& data, const std::string& what) {
   const RunRecord& record = data.record;
   std::string text = comment("abcal", data.program_version) + comment("content", what) +

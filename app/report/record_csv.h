@@ -7,10 +7,10 @@
 
 namespace abcal {
 
-/// The averaged readings as CSV: comments "# key: value" with all that the analysis and a reader need beside
-/// the numbers, then the columns of import_csv(). Numbers have as many digits as tell them apart, so that the
-/// analysis of the copy gives the same results. Angles without a finite mean are left out, and a comment says
-/// so.
+/// The averaged readings as CSV: comments "# key: value" with everything that the analysis and a reader need
+/// besides the numbers, then the columns of import_csv(). Numbers have as many digits as tell them apart, so
+/// that the analysis of the copy gives the same results. Angles without a finite mean are left out, and a
+/// comment says so.
 std::string averaged_csv(const ReportData& data);
 
 /// The single readings of a run as CSV, dwell by dwell, also of angles that were measured again for

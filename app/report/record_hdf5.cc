@@ -51,25 +51,30 @@ void put(const H5::Group& parent, const std::string& name, const std::string& te
   parent.createDataSet(name, utf8(), H5::DataSpace(H5S_SCALAR)).write(valid_text(text), utf8());
 }
 
-void describe(const H5::DataSet& dataset, const std::string& unit, const std::string& long_name) {
-  set_attribute(dataset, "units", unit);
-  if (!long_name.empty()) set_attribute(dataset, "long_name", long_name);
+/// What the numbers of a dataset are.
+struct Meaning {
+  std::string unit;
+  std::string long_name = {};
+};
+
+void describe(const H5::DataSet& dataset, const Meaning& meaning) {
+  set_attribute(dataset, "units", meaning.unit);
+  if (!meaning.long_name.empty()) set_attribute(dataset, "long_name", meaning.long_name);
 }
 
-void put(const H5::Group& parent, const std::string& name, double value, const std::string& unit,
-         const std::string& long_name = {}) {
+void put(const H5::Group& parent, const std::string& name, double value, const Meaning& meaning) {
   const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::IEEE_F64LE, H5::DataSpace(H5S_SCALAR));
   dataset.write(&value, H5::PredType::NATIVE_DOUBLE);
-  describe(dataset, unit, long_name);
+  describe(dataset, meaning);
 }
 
 /// Values row by row.
 void put(const H5::Group& parent, const std::string& name, const std::vector<double>& values,
-         const std::vector<hsize_t>& shape, const std::string& unit, const std::string& long_name = {}) {
+         const std::vector<hsize_t>& shape, const Meaning& meaning) {
   const H5::DataSpace space(static_cast<int>(shape.size()), shape.data());
   const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::IEEE_F64LE, space);
   if (!values.empty()) dataset.write(values.data(), H5::PredType::NATIVE_DOUBLE);
-  describe(dataset, unit, long_name);
+  describe(dataset, meaning);
 }
 
 void put(const H5::Group& parent, const std::string& name, const std::vector<std::int64_t>& values,
@@ -77,14 +82,14 @@ void put(const H5::Group& parent, const std::string& name, const std::vector<std
   const hsize_t size = values.size();
   const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::STD_I64LE, H5::DataSpace(1, &size));
   if (!values.empty()) dataset.write(values.data(), H5::PredType::NATIVE_INT64);
-  describe(dataset, kNoUnit, long_name);
+  describe(dataset, {kNoUnit, long_name});
 }
 
 /// A dataset that grows by rows: a long run need not fit into memory.
 class Column {
  public:
   Column(const H5::Group& parent, const std::string& name, hsize_t width, const H5::DataType& type,
-         const std::string& unit, const std::string& long_name)
+         const Meaning& meaning)
       : width_(width) {
     const int rank = width > 1 ? 2 : 1;
     const hsize_t none[] = {0, width}, unlimited[] = {H5S_UNLIMITED, width}, chunk[] = {kChunk, width};
@@ -93,7 +98,7 @@ class Column {
     properties.setShuffle();
     properties.setDeflate(kCompression);
     dataset_ = parent.createDataSet(name, type, H5::DataSpace(rank, none, unlimited), properties);
-    describe(dataset_, unit, long_name);
+    describe(dataset_, meaning);
   }
 
   template <class T>
@@ -155,14 +160,14 @@ void put_averaged(const H5::Group& entry, const RunRecord& record) {
   }
   const hsize_t size = record.dwells.size();
   const std::string& unit = record.response_unit;
-  put(data, "alpha", alpha, {size}, "degree", "desired rotation angle");
-  put(data, "response", response, {size, 3}, unit, "averaged readings of U, V, W");
-  put(data, "response_errors", errors, {size, 3}, unit, "standard uncertainty of the averaged readings");
-  put(data, "spread", spread, {size, 3}, unit, "standard deviation of single readings");
-  put(data, "encoder", encoder, {size, 2}, "degree", "encoders of X and Z");
-  put(data, "time", time, {size}, "s", "middle of the dwell from the start of the run");
-  put(data, "settle_time", settle, {size}, "s", "from stopped to the first reading used");
-  put(data, "temperature", temperature, {size}, "degree_Celsius", "temperature of the sensor");
+  put(data, "alpha", alpha, {size}, {"degree", "desired rotation angle"});
+  put(data, "response", response, {size, 3}, {unit, "averaged readings of U, V, W"});
+  put(data, "response_errors", errors, {size, 3}, {unit, "standard uncertainty of the averaged readings"});
+  put(data, "spread", spread, {size, 3}, {unit, "standard deviation of single readings"});
+  put(data, "encoder", encoder, {size, 2}, {"degree", "encoders of X and Z"});
+  put(data, "time", time, {size}, {"s", "middle of the dwell from the start of the run"});
+  put(data, "settle_time", settle, {size}, {"s", "from stopped to the first reading used"});
+  put(data, "temperature", temperature, {size}, {"degree_Celsius", "temperature of the sensor"});
   put(data, "experiment", experiment, "rotation experiment 1, 2, 3");
   put(data, "n", n, "index of the angle from 1");
   put(data, "closing", closing, "1: the first angle measured again, not part of the fits");
@@ -176,18 +181,17 @@ void put_readings(const H5::Group& entry, const ReportData& data) {
   const H5::Group group_of_readings = group(entry, "readings", "NXdata");
   const H5::PredType& real = H5::PredType::IEEE_F64LE;
   const H5::PredType& whole = H5::PredType::STD_I64LE;
-  const auto column = [&](const char* name, hsize_t width, const H5::PredType& type, const std::string& unit,
-                          const char* long_name) {
-    return Column(group_of_readings, name, width, type, unit, long_name);
+  const auto column = [&](const char* name, hsize_t width, const H5::PredType& type, const Meaning& meaning) {
+    return Column(group_of_readings, name, width, type, meaning);
   };
-  Column response = column("response", 3, real, data.record.response_unit, "single readings of U, V, W");
-  Column time = column("time", 1, real, "s", "arrival, from the start of the run");
-  Column temperature = column("temperature", 1, real, "degree_Celsius", "temperature of the sensor");
-  Column sequence = column("sequence", 1, whole, kNoUnit, "count of the accelerometer; a gap is a loss");
-  Column experiment = column("experiment", 1, whole, kNoUnit, "rotation experiment 1, 2, 3");
-  Column n = column("n", 1, whole, kNoUnit, "index of the angle from 1");
-  Column closing = column("closing", 1, whole, kNoUnit, "1: the first angle measured again");
-  Column repeat = column("repeat", 1, whole, kNoUnit, "1: measured again for comparison; the first counts");
+  Column response = column("response", 3, real, {data.record.response_unit, "single readings of U, V, W"});
+  Column time = column("time", 1, real, {"s", "arrival, from the start of the run"});
+  Column temperature = column("temperature", 1, real, {"degree_Celsius", "temperature of the sensor"});
+  Column sequence = column("sequence", 1, whole, {kNoUnit, "count of the accelerometer; a gap is a loss"});
+  Column experiment = column("experiment", 1, whole, {kNoUnit, "rotation experiment 1, 2, 3"});
+  Column n = column("n", 1, whole, {kNoUnit, "index of the angle from 1"});
+  Column closing = column("closing", 1, whole, {kNoUnit, "1: the first angle measured again"});
+  Column repeat = column("repeat", 1, whole, {kNoUnit, "1: measured again for comparison; the first counts"});
   RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
     std::vector<double> outputs, times, temperatures;
     std::vector<std::int64_t> sequences;
@@ -223,8 +227,8 @@ void put_quantities(const H5::Group& parent, const std::string& name, const std:
     if (unit.empty()) unit = q.unit;
   }
   if (unit.empty()) unit = kNoUnit;
-  put(parent, name, values, shape, unit, long_name);
-  put(parent, name + "_errors", errors, shape, unit, "standard uncertainty (k = 1) of " + name);
+  put(parent, name, values, shape, {unit, long_name});
+  put(parent, name + "_errors", errors, shape, {unit, "standard uncertainty (k = 1) of " + name});
 }
 
 template <class Matrix>
@@ -237,7 +241,7 @@ void put_covariance(const H5::Group& parent, const std::string& name, const std:
   }
   const auto size = static_cast<hsize_t>(matrix->rows());
   // Rows and columns have units of their own; the long name says which.
-  put(parent, name, values, {size, size}, "product of the units of row and column", long_name);
+  put(parent, name, values, {size, size}, {"product of the units of row and column", long_name});
 }
 
 void put_result(const H5::Group& entry, const CalibrationResult& result) {
@@ -291,25 +295,25 @@ void put_environment(const H5::Group& entry, const std::vector<StoredEnvironment
   put(made, "moment", moments);
   put(made, "time_utc", times);
   const std::vector<hsize_t> shape{rows.size()};
-  put(made, "temperature", temperature, shape, "degree_Celsius", "of the room");
-  put(made, "relative_humidity", humidity, shape, "percent");
-  put(made, "pressure", pressure, shape, "hPa");
+  put(made, "temperature", temperature, shape, {"degree_Celsius", "of the room"});
+  put(made, "relative_humidity", humidity, shape, {"percent"});
+  put(made, "pressure", pressure, shape, {"hPa"});
 }
 
 void put_conditions(const H5::Group& entry, const RunRecord& record) {
   const H5::Group made = group(entry, "conditions", "NXcollection");
   if (record.g_loc_known) {
-    put(made, "g_loc", record.g_loc.value_mps2, "m s-2", "local gravity");
-    put(made, "g_loc_errors", record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor, "m s-2",
-        "standard uncertainty (k = 1) of g_loc");
+    put(made, "g_loc", record.g_loc.value_mps2, {"m s-2", "local gravity"});
+    put(made, "g_loc_errors", record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor,
+        {"m s-2", "standard uncertainty (k = 1) of g_loc"});
     put(made, "g_loc_source", record.g_loc.source);
   }
   const Tolerances& t = record.tolerances;
-  put(made, "tolerance_alignment", t.alignment.deg(), "degree", "standard uncertainty of Zx, Zy, Xz");
-  put(made, "tolerance_step", t.step.deg(), "degree", "standard uncertainty of each rotation step");
-  put(made, "tolerance_initial_turn", t.initial_turn.deg(), "degree");
-  put(made, "tolerance_zero", t.zero.deg(), "degree");
-  put(made, "tolerance_drift", t.drift, kNoUnit, "over the run, of the sensitivity");
+  put(made, "tolerance_alignment", t.alignment.deg(), {"degree", "standard uncertainty of Zx, Zy, Xz"});
+  put(made, "tolerance_step", t.step.deg(), {"degree", "standard uncertainty of each rotation step"});
+  put(made, "tolerance_initial_turn", t.initial_turn.deg(), {"degree"});
+  put(made, "tolerance_zero", t.zero.deg(), {"degree"});
+  put(made, "tolerance_drift", t.drift, {kNoUnit, "over the run, of the sensitivity"});
 }
 
 void put_process(const H5::Group& entry, const std::string& name, const std::string& version,

@@ -10,9 +10,9 @@ namespace abcal {
 /// The record and its result as HDF5, in the program abcal-hdf5 (app/report/hdf5_export.h starts it) with
 /// NeXus conventions (docs/report.md names every dataset): units on every number, standard uncertainties
 /// beside their values as NAME_errors, single readings where the record is a run. Readable with h5py and
-/// whatever else reads HDF5.
-/// @param file_name what the file is called when it is handed out (NeXus: file_name), if `path` is temporary
-/// @throws RunFileError, std::runtime_error (what HDF5 says)
+/// any other reader of HDF5.
+/// @param file_name final name of the file (NeXus: file_name), if `path` is temporary
+/// @throws RunFileError, std::runtime_error (the message of HDF5)
 void write_hdf5(const ReportData& data, const std::filesystem::path& path, const std::string& file_name);
 
 }  // namespace abcal

@@ -13,7 +13,7 @@
 namespace abcal {
 namespace {
 
-/// Told apart by shape as well, and by people who do not see all colours (the palette of Okabe and Ito).
+/// Distinguished by shape as well, and without full colour vision (the palette of Okabe and Ito).
 struct Style {
   const char* name;
   const char* colour;

@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// Readings with the fitted curve, and what the fit leaves; of one experiment (1, 2, 3).
+/// Readings with the fitted curve, and the residuals; of one experiment (1, 2, 3).
 Figure response_figure(const ReportData& data, int experiment);
 
 /// Amplitudes of harmonics 2 to 5 of the three experiments.

@@ -9,7 +9,7 @@ namespace abcal {
 
 /// A simulation set as one JSON object, schema abcal.study/1 (docs/architecture.md). Every group of outputs
 /// has sensitivity_matrix (3x3, rows u v w), offset, intrinsic_sensitivity and intrinsic_angle (degrees) as
-/// plain numbers; what is not determined or not printed is null.
+/// plain numbers; values that are not determined or not printed are null.
 nlohmann::ordered_json study_json(const StudyResult& study);
 
 /// The uncertainty of a run, same schema; cases: type B, type A, combined.

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <array>
 #include <cmath>
 #include <optional>
 
@@ -48,29 +49,39 @@ std::optional<Eigen::Vector3d> part(const std::optional<OutputVector>& vector, i
   return Eigen::Vector3d(vector->segment<3>(first));
 }
 
-std::string heading(const char* what, const char* x, const char* y, const char* z, bool printed,
+std::string heading(const char* first, const std::array<const char*, 3>& columns, bool printed,
                     const std::string& table) {
-  std::string text = fmt::format("  {:<14}{:>11} {:>11} {:>11}", what, x, y, z);
+  std::string text = fmt::format("  {:<14}{:>11} {:>11} {:>11}", first, columns[0], columns[1], columns[2]);
   if (printed) text += fmt::format("  | {:<32}", table.empty() ? "" : "printed, " + table);
   return text + "  Unit\n";
 }
 
-// Layout of Tables 2 and 5 to 8.
-std::string matrix_and_triples(const StudyOutput& ours, const std::optional<StudyOutput>& printed,
-                               const std::string& table, const char* per_g, const char* unit,
-                               bool matrix_only = false) {
+constexpr const char* kResponseUnit = "R";
+constexpr const char* kSensitivityUnit = "R/g_loc";
+
+// The sensitivity matrix, as Tables 2 and 5 to 8 begin.
+std::string matrix_rows(const StudyOutput& ours, const std::optional<StudyOutput>& printed,
+                        const std::string& table) {
   const OutputVector v = to_vector(ours);
   std::optional<OutputVector> p;
   if (printed) p = to_vector(*printed);
-  std::string text =
-      heading("Matrix Vector", "x component", "y component", "z component", printed.has_value(), table);
-  text += row("s", "s_u", v.segment<3>(0), part(p, 0), per_g);
-  text += row("", "s_v", v.segment<3>(3), part(p, 3), per_g);
-  text += row("", "s_w", v.segment<3>(6), part(p, 6), per_g);
-  if (matrix_only) return text;
-  text += heading("       Triple", "u component", "v component", "w component", printed.has_value(), "");
-  text += row("", "s", v.segment<3>(kFirstIntrinsicSensitivity), part(p, kFirstIntrinsicSensitivity), per_g);
-  text += row("", "O", v.segment<3>(kFirstOffset), part(p, kFirstOffset), unit);
+  return heading("Matrix Vector", {"x component", "y component", "z component"}, printed.has_value(), table) +
+         row("s", "s_u", v.segment<3>(0), part(p, 0), kSensitivityUnit) +
+         row("", "s_v", v.segment<3>(3), part(p, 3), kSensitivityUnit) +
+         row("", "s_w", v.segment<3>(6), part(p, 6), kSensitivityUnit);
+}
+
+// Layout of Tables 2 and 5 to 8.
+std::string matrix_and_triples(const StudyOutput& ours, const std::optional<StudyOutput>& printed,
+                               const std::string& table) {
+  const OutputVector v = to_vector(ours);
+  std::optional<OutputVector> p;
+  if (printed) p = to_vector(*printed);
+  std::string text = matrix_rows(ours, printed, table);
+  text += heading("       Triple", {"u component", "v component", "w component"}, printed.has_value(), "");
+  text += row("", "s", v.segment<3>(kFirstIntrinsicSensitivity), part(p, kFirstIntrinsicSensitivity),
+              kSensitivityUnit);
+  text += row("", "O", v.segment<3>(kFirstOffset), part(p, kFirstOffset), kResponseUnit);
   text += row("", "phi", v.segment<3>(kFirstIntrinsicAngle), part(p, kFirstIntrinsicAngle), "degree");
   return text;
 }
@@ -103,9 +114,9 @@ std::string means_and_deviations(const StudyCase& one) {
   const StudyOutput mean = to_output(OutputVector(result.mean));
   const StudyOutput deviation = to_output(OutputVector(result.standard_deviation));
   std::string text = "  Means of errors in the sensitivity matrix\n";
-  text += matrix_and_triples(mean, one.published, one.table, "R/g_loc", "R", true);
+  text += matrix_rows(mean, one.published, one.table);
   text += "  Standard deviations of errors in the sensitivity matrix\n";
-  text += matrix_and_triples(deviation, one.published_standard_deviation, one.table, "R/g_loc", "R", true);
+  text += matrix_rows(deviation, one.published_standard_deviation, one.table);
   text += fmt::format("  {:<14}{:>11} {:>11}", "Intrinsic", "Mean error", "Std. dev.");
   if (one.published) text += fmt::format("  | {:<21}", "printed");
   text += fmt::format("  {:<9}{}\n", "Unit", result.coverage.empty() ? "" : "95 % interval");
@@ -173,7 +184,7 @@ std::string study_text(const StudyResult& study) {
     if (one.published_truth && one.truth) {
       text += "  Values\n" + all_digits(*one.truth, *one.published_truth, one.table) + "  Errors\n";
     }
-    if (one.error) text += matrix_and_triples(*one.error, one.published, one.table, "R/g_loc", "R");
+    if (one.error) text += matrix_and_triples(*one.error, one.published, one.table);
     if (one.monte_carlo) {
       if (one.monte_carlo->trials != study.trials) {
         text += fmt::format("  {} trials made.\n", one.monte_carlo->trials);
@@ -188,7 +199,7 @@ std::string study_text(const StudyResult& study) {
     text += wrapped(one.note, "  ");
   }
   for (const std::string& note : study.notes) text += wrapped(note, "");
-  if (study.interrupted) text += "\nInterrupted: this is what was done until then.\n";
+  if (study.interrupted) text += "\nInterrupted: the results up to then.\n";
   return text;
 }
 
@@ -269,7 +280,7 @@ std::string study_text(const RunUncertainty& study) {
     for (const std::string& warning : study.warnings) text += fmt::format("  warning: {}\n", warning);
     if (study.warnings.empty()) text += "  This bench stays within every bound.\n";
   }
-  if (study.interrupted) text += "\nInterrupted: this is what was done until then.\n";
+  if (study.interrupted) text += "\nInterrupted: the results up to then.\n";
   return text;
 }
 

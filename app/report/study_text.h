@@ -12,7 +12,7 @@ namespace abcal {
 /// A simulation set in tables laid out like the paper's, its printed numbers beside ours.
 std::string study_text(const StudyResult& study);
 
-/// The uncertainty of a run: outputs, budget, validation, what is not covered.
+/// The uncertainty of a run: outputs, budget, validation, effects that are not covered.
 std::string study_text(const RunUncertainty& study);
 
 /// One output for each kind (diagonal and other elements of s, O, s_j, phi): that with the largest

@@ -42,7 +42,7 @@ CalibrationResult estimate(const RunRecord& record, const Estimator& estimator) 
 }
 
 /// The line response of a simulated bench, averaged over its span. What changes without end (drift_per_hour,
-/// the room's temperature) counts from the start, as how long the run took is not known here.
+/// the room's temperature) counts from the start, because the duration of the run is not known here.
 sim::TrueLineResponse mean_line_response(sim::BenchTruth truth) {
   constexpr int kTimes = 101;
   truth.drift_per_hour.setZero();
@@ -58,7 +58,7 @@ sim::TrueLineResponse mean_line_response(sim::BenchTruth truth) {
   return mean;
 }
 
-/// What is true of the run goes with every estimator's result.
+/// The result of one estimator, with the checks and notes that concern the run as a whole.
 CalibrationResult checked(const RunRecord& record, const Estimator& estimator,
                           const std::vector<Check>& of_the_record) {
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
@@ -67,10 +67,10 @@ CalibrationResult checked(const RunRecord& record, const Estimator& estimator,
   if (std::string words = default_effects_words(record.tolerances); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
   if (record.continuations > 0) {
-    result.diagnostics.notes.push_back(
-        fmt::format("the run was interrupted and went on {}; each time the axes were referenced anew and the "
-                    "last angle was measured again and agreed",
-                    times(record.continuations)));
+    result.diagnostics.notes.push_back(fmt::format(
+        "the run was interrupted and resumed {}; each time the axes were homed again, and the last "
+        "angle was measured again and agreed",
+        times(record.continuations)));
   }
   if (record.reconnections > 0) {
     result.diagnostics.notes.push_back(fmt::format(

@@ -12,7 +12,7 @@
 namespace abcal {
 
 /// One estimator on one record. A record that the estimator refuses gives Verdict::kNotUsable with the
-/// reason; any other exception is a fault of the program and is not caught.
+/// reason; any other exception is a bug of the program and is not caught.
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator);
 CalibrationResult analyse(const RunRecord& record, const Estimator& estimator);
 
@@ -22,7 +22,7 @@ std::vector<CalibrationResult> analyse_all(const RunRecord& record);
 /// The names of all estimators.
 inline const std::vector<std::string>& kEstimators = estimator_names();
 
-/// Every output beside the truth of a simulated bench, with the difference in standard uncertainties.
+/// Every output compared with the truth of a simulated bench: the difference in standard uncertainties.
 struct TruthComparison {
   std::string text;
   double largest = 0.0;  ///< Largest difference, in standard uncertainties.

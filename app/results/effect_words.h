@@ -6,7 +6,7 @@
 
 namespace abcal {
 
-/// A sentence that names the effects whose size is a default that nobody stated; empty if there are none.
+/// A sentence that names the effects whose size is a default; empty if there are none.
 std::string default_effects_words(const EffectSizes& sizes);
 
 }  // namespace abcal

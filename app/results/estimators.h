@@ -12,13 +12,13 @@ namespace abcal {
 /// An estimator of the program. A further one is one more entry of estimators().
 struct Estimator {
   std::string name;   ///< As on the command line and in CalibrationResult::estimator.
-  std::string words;  ///< What it is, for the report: goes on after the name.
-  /// Gives the sensitivity matrix with its covariance, without which there is no certificate.
+  std::string words;  ///< Description for the report, after the name.
+  /// Gives the sensitivity matrix with its covariance, which a certificate requires.
   bool certifiable = false;
-  bool needs_angles = true;  ///< False: takes poses whose angles are not known.
+  bool needs_angles = true;  ///< False: accepts poses whose angles are not known.
   /// Stage errors are unknowns of the fit, so that chi2 is near the degrees of freedom on a real stage.
   bool fits_stage_errors = false;
-  /// The result of a record. @throws what the analysis throws for a record that it refuses
+  /// The result of a record. @throws the exceptions of the analysis for a record that it refuses
   CalibrationResult (*fit)(const RunRecord& record) = nullptr;
 };
 

@@ -28,7 +28,7 @@ std::string ReportData::ended_utc() const {
 std::vector<std::string> cautions(const ReportData& data) {
   std::vector<std::string> list;
   if (!data.complete()) {
-    // A killed program and a full disk leave a run that says that it is running.
+    // After a kill or on a full disk the state of a run remains "running".
     const std::string state = data.run->state == RunState::kRunning ? "running, or ended without storing why"
                                                                     : std::string(to_string(data.run->state));
     list.push_back(fmt::format("Not complete: this run is {}, {} of {} angles are measured", state,
@@ -42,15 +42,14 @@ std::vector<std::string> cautions(const ReportData& data) {
   }
   if (data.complete()) {
     for (const IntegrityCheck& check : data.integrity) {
-      if (!check.good)
-        list.push_back(fmt::format("Not shown to be as it was written: {}: {}", check.what, check.found));
+      if (!check.good) list.push_back(fmt::format("Integrity not shown: {}: {}", check.what, check.found));
     }
   }
   if (!data.bench_unreadable.empty()) {
-    list.push_back(
-        fmt::format("Bench not known: the run was made by abcal {}, whose bench file this one cannot read; "
-                    "whether instruments were simulated is not known",
-                    data.run->header.program_version));
+    list.push_back(fmt::format(
+        "Bench not known: the bench file was written by abcal {} and cannot be read by this version; "
+        "whether instruments were simulated is not known",
+        data.run->header.program_version));
   }
   if (!data.simulated.empty()) {
     list.push_back(fmt::format("Simulated: the {} {} not real", fmt::join(data.simulated, " and the "),
@@ -75,7 +74,7 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
     try {
       data.bench = parse_bench(data.run->header.bench_toml, "its bench file");
     } catch (const BenchError& error) {
-      // Of another abcal: what is needed most stands in the header of the run as well.
+      // Written by another abcal: the header of the run holds the most important values as well.
       data.bench_unreadable = error.what();
     }
     data.integrity = verify_run(path);

@@ -21,7 +21,7 @@ inline constexpr double kCoverageFactor = 2.0;
 /// ... which for a normal distribution covers approximately this probability (JCGM 100:2008, 6.2.2, G.1.3).
 inline constexpr double kCoverageProbability = 0.95;
 
-/// All that is known of one record, gathered once: what the report, the certificate and the console show.
+/// Everything known about one record, gathered once for the report, the certificate and the console.
 struct ReportData {
   std::filesystem::path path;                 ///< The run file or CSV.
   RunRecord record;                           ///< What was analysed.
@@ -49,9 +49,8 @@ struct ReportData {
   std::string ended_utc() const;
 };
 
-/// What must stand in large letters on top of whatever is made of the data: not complete, not usable,
-/// doubtful, simulated, changed since it was written,
-/// a bench file that says nothing to this program. Empty: nothing speaks against handing it out.
+/// The warnings at the top of every report of the data: not complete, not usable, doubtful, simulated, not
+/// consistent, a bench file that this program cannot read. Empty: there are none.
 std::vector<std::string> cautions(const ReportData& data);
 
 /// Reads and analyses a run file or a CSV. `now` is the time of the report.

@@ -29,7 +29,7 @@ std::string uncertainty_text(const std::optional<double>& u, int decimals) {
   return fmt::format("{:.{}f}", *u, decimals);
 }
 
-/// A part of an uncertainty to two digits of its own: beside a large type B, a small type A is not zero.
+/// A part of an uncertainty with two significant digits: a small type A next to a large type B is not zero.
 std::string part_text(const std::optional<double>& u) {
   return u && std::isfinite(*u) ? fmt::format("{:.1e}", *u) : "-";
 }
@@ -167,7 +167,7 @@ void add_closures(std::string& text, const Diagnostics& d) {
                       value_with_uncertainty(worst->value), worst->value.unit, in_units(*worst));
 }
 
-/// A fit that knows nothing of step errors: its chi2 against the readings' noise is large on any real stage.
+/// A fit without step errors: its chi2 against the readings' noise is large on any real stage.
 void add_chi2(std::string& text, const Diagnostics& d, bool fits_stage_errors) {
   text +=
       fits_stage_errors
@@ -182,7 +182,7 @@ void add_chi2(std::string& text, const Diagnostics& d, bool fits_stage_errors) {
 void add_checks(std::string& text, const Diagnostics& d, std::FILE* stream) {
   if (!d.checks.empty()) text += "Checks (found, limit)\n";
   for (const Check& check : d.checks) {
-    if (!std::isfinite(check.found)) continue;  // not made: a note says why
+    if (!std::isfinite(check.found)) continue;  // not done: a note says why
     text +=
         fmt::format("  {:<26} {:>10.2e} {:>10.2e}  {}  {}\n", check.name, check.found, check.limit,
                     check.passed ? "passed" : emphasised(stream, Emphasis::kWarning, "FAILED"), check.unit);
@@ -200,7 +200,7 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
                   emphasised(stream, emphasis, verdict_words(result.verdict)), result.estimator, result.why);
   const Diagnostics& d = result.diagnostics;
   for (const std::string& note : d.notes) text += "  note: " + note + "\n";
-  if (result.verdict == Verdict::kNotUsable) return text;  // No numbers beside a bad verdict.
+  if (result.verdict == Verdict::kNotUsable) return text;  // No numbers without a usable verdict.
 
   if (std::isfinite(result.g_loc.value)) {
     text += fmt::format("g_loc = {} m/s2 (k = 1; {})\n", value_with_uncertainty(result.g_loc),

@@ -17,7 +17,7 @@ struct NamedQuantity {
 };
 
 /// The 18 outputs in the order of the reports: matrix row by row, intrinsic sensitivities, intrinsic angles,
-/// offsets. What an estimator does not give has the value NaN.
+/// offsets. A value that an estimator does not give is NaN.
 std::vector<NamedQuantity> outputs(const CalibrationResult& result);
 
 /// Decimals that show two digits of the uncertainty.
@@ -31,7 +31,7 @@ std::string verdict_words(Verdict verdict);
 /// "+1.0845574 +- 0.0000012".
 std::string value_with_uncertainty(const Quantity& quantity);
 
-/// The result as people read it: verdict first, then every quantity with uncertainty and unit, then what the
+/// The result as text: verdict first, then every quantity with uncertainty and unit, then what the
 /// diagnostics say. Colours as `stream` allows.
 std::string result_text(const CalibrationResult& result, std::FILE* stream);
 

@@ -57,7 +57,7 @@ RunOutcome outcome_of(const CalibrationResult& result, const sim::TrueLineRespon
   return outcome;
 }
 
-/// Runs are summed in their order, whoever computed them.
+/// Runs are summed in their order, whichever thread computed them.
 ScenarioOutcome summed(const Scenario& scenario, const std::string& estimator,
                        const std::vector<const RunOutcome*>& runs) {
   ScenarioOutcome sum;
@@ -104,7 +104,7 @@ std::vector<const Scenario*> chosen(const RobustnessOptions& options) {
   return list;
 }
 
-/// Takes the numbers 0 to count - 1, each once, on so many threads. @return how many were done
+/// Takes the numbers 0 to count - 1, each once, on several threads. @return how many were done
 std::size_t each_in_parallel(std::size_t count, const RobustnessOptions& options,
                              const std::function<void(std::size_t)>& work) {
   std::atomic<std::size_t> next{0};
@@ -150,7 +150,7 @@ std::vector<std::string> ScenarioOutcome::shortfalls() const {
     list.push_back(fmt::format("usable {:.2f}, required {:.2f}", usable_share(), kLeastUsable));
   if (kind == ScenarioKind::kWrong && usable_share() > kMostUsableWhenWrong)
     list.push_back(fmt::format("usable {:.2f}, at most {:.2f} may be", usable_share(), kMostUsableWhenWrong));
-  // A handful of usable runs says nothing of their intervals.
+  // A handful of usable runs says nothing about the coverage of their intervals.
   if (usable_share() <= kMostUsableWhenWrong) return list;
   for (std::size_t g = 0; g < kOutputGroups; ++g) {
     if (!(groups[g].coverage >= kLeastCoverage))

@@ -23,7 +23,7 @@ Change both(Change first, Change second) {
   };
 }
 
-/// Both axes tilt by `urad` at `order` cycles a turn: a tilt of constant size whose direction goes round.
+/// Both axes tilt by `urad` at `order` cycles a turn: a tilt of constant size whose direction rotates.
 Change round_wobble(int order, double urad) {
   return [=](ScenarioBench& b, ScenarioDraw& draw) {
     for (sim::AxisTruth* axis : {&b.truth.x, &b.truth.z}) {
@@ -35,7 +35,7 @@ Change round_wobble(int order, double urad) {
   };
 }
 
-/// The tilt goes to and fro in one direction: bent ways, not a bent axle.
+/// The tilt oscillates in one direction: bent ways, not a bent axle.
 Change flat_wobble(int order, double urad) {
   return [=](ScenarioBench& b, ScenarioDraw& draw) {
     for (sim::AxisTruth* axis : {&b.truth.x, &b.truth.z}) {
@@ -180,7 +180,7 @@ void add_stage_scenarios(std::vector<Scenario>& list) {
       {"sag-20", "a load above the platform bends it by 20 urad", kWithin, plain([](ScenarioBench& b) {
          b.truth.sag_urad = {0.0, 0.0, 20.0};
        })});
-  list.push_back({"sag-off-axis", "a load beside the platform's centre bends it by 20 urad", kBeyond,
+  list.push_back({"sag-off-axis", "an off-centre load bends the platform by 20 urad", kBeyond,
                   plain([](ScenarioBench& b) {
                     b.truth.sag_urad = {20.0, 10.0, 20.0};
                   })});
@@ -326,7 +326,7 @@ std::uint64_t key_of(std::string_view name) {
   return key;
 }
 
-/// A sound bench: what the plainest model knows.
+/// A sound bench: only the effects of the simplest model.
 ScenarioBench sound_bench(ScenarioDraw& draw) {
   ScenarioBench b;
   const EffectSizes sizes;
@@ -384,7 +384,7 @@ std::uint64_t ScenarioDraw::seed_for_the_world() {
 const std::vector<Scenario>& robustness_scenarios() {
   static const std::vector<Scenario> scenarios = [] {
     std::vector<Scenario> list;
-    list.push_back({"sound", "a sound bench: all that the plainest model knows", ScenarioKind::kWithin,
+    list.push_back({"sound", "a sound bench: the effects of the simplest model", ScenarioKind::kWithin,
                     [](ScenarioBench&, ScenarioDraw&) {}});
     add_stage_scenarios(list);
     add_drift_scenarios(list);

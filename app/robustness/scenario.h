@@ -22,13 +22,13 @@ enum class ScenarioKind {
 /// "within", "beyond", "wrong".
 std::string_view to_string(ScenarioKind kind);
 
-/// One simulated bench: what is true of it and what its bench file states.
+/// One simulated bench: its truth, and the statements of its bench file.
 struct ScenarioBench {
   sim::BenchTruth truth;
   EffectSizes stated;
   int steps = 72;              ///< N
   double noise = 1e-5;         ///< R, white noise of a mean.
-  double stated_noise = 1e-5;  ///< R, what a mean claims to have; 0: no uncertainty stated.
+  double stated_noise = 1e-5;  ///< R, stated with a mean; 0: none is stated.
   double scale = 1.0;          ///< Response units per g_loc of a near-unit item.
   double angle_period_s = 12.0;
 };

@@ -24,8 +24,8 @@ namespace {
 using Grade = Finding::Grade;
 
 constexpr double kTurnDeg = 30.0;
-// What a reading may miss of the prediction, relative to the change that gravity makes: room for an
-// accelerometer that stands some degrees askew, and well below what a wrong sign does (at least 0.5).
+// Largest difference from the prediction, relative to the change caused by gravity: room for an
+// accelerometer mounted some degrees askew, and well below the effect of a wrong sign (at least 0.5).
 constexpr double kAgreement = 0.2;
 // A norm of the readings this far from local gravity means another unit, range or scale.
 constexpr double kNormTolerance = 0.1;
@@ -39,7 +39,7 @@ Eigen::Vector3d gravity_at(Angle x, Angle z) {
          (Eigen::AngleAxisd(-x.rad(), Eigen::Vector3d::UnitX()) * Eigen::Vector3d::UnitZ());
 }
 
-/// A simple way in which bench and bench file may differ.
+/// A simple difference between bench and bench file that may explain the readings.
 struct Hypothesis {
   std::string words;
   int sign_x = +1, sign_z = +1;
@@ -49,13 +49,13 @@ struct Hypothesis {
 std::vector<Hypothesis> hypotheses() {
   std::vector<Hypothesis> all{
       {"", +1, +1, Eigen::Matrix3d::Identity()},
-      {"[stage.x] sign is to be reversed", -1, +1, Eigen::Matrix3d::Identity()},
-      {"[stage.z] sign is to be reversed", +1, -1, Eigen::Matrix3d::Identity()},
-      {"both signs, [stage.x] and [stage.z], are to be reversed", -1, -1, Eigen::Matrix3d::Identity()}};
+      {"[stage.x] sign is wrong", -1, +1, Eigen::Matrix3d::Identity()},
+      {"[stage.z] sign is wrong", +1, -1, Eigen::Matrix3d::Identity()},
+      {"both signs, [stage.x] and [stage.z], are wrong", -1, -1, Eigen::Matrix3d::Identity()}};
   std::array<int, 3> order{0, 1, 2};
   do {
     for (int signs = 0; signs < 8; ++signs) {
-      Hypothesis h{"the accelerometer's u, v, w lie along", +1, +1, Eigen::Matrix3d::Zero()};
+      Hypothesis h{"u, v, w of the accelerometer are along", +1, +1, Eigen::Matrix3d::Zero()};
       for (int j = 0; j < 3; ++j) {
         const bool reversed = ((signs >> j) & 1) != 0;
         const int axis = order[static_cast<std::size_t>(j)];
@@ -95,9 +95,9 @@ class Checker {
 
   std::vector<Finding> run() {
     for (const std::string& warning : config_.warnings) add(Grade::kWarning, "bench file", warning);
-    const bool stage = attempt("stage", [&] { look_at_stage(); });
-    const bool accelerometer = attempt("accelerometer", [&] { look_at_accelerometer(); });
-    if (accelerometer) attempt("readings at rest", [&] { look_at_rest(); });
+    const bool stage = attempt("stage", [&] { check_stage(); });
+    const bool accelerometer = attempt("accelerometer", [&] { check_accelerometer(); });
+    if (accelerometer) attempt("readings at rest", [&] { check_at_rest(); });
     bench_.accelerometer->stop();
     if (options_.no_motion) {
       add(Grade::kLeftOut, "signs and axes", "nothing was moved (--no-motion)");
@@ -131,49 +131,50 @@ class Checker {
     return false;
   }
 
-  void look_at_stage() {
+  void check_stage() {
     identities_.stage = bench_.stage->identify();
     const StageInfo& info = identities_.stage;
     require_serial_number("stage", info.model, info.serial_number, config_.stage.serial_number);
     add(Grade::kGood, "stage",
         fmt::format("{} {}, serial number {}, firmware {}", info.maker, info.model,
-                    info.serial_number.empty() ? "not told" : info.serial_number,
-                    info.firmware.empty() ? "not told" : info.firmware));
+                    info.serial_number.empty() ? "not reported" : info.serial_number,
+                    info.firmware.empty() ? "not reported" : info.firmware));
     for (const StageAxis axis : kStageAxes) {
       const StageAxisInfo& a = info.axes[index(axis)];
       const std::string name = fmt::format("stage axis {}", to_string(axis));
       add(Grade::kGood, name,
           fmt::format("travel {:g} to {:g} deg, speed {:g} deg/s, resolution {:g} deg, {}",
                       a.travel_min.deg(), a.travel_max.deg(), a.speed_deg_per_s, a.resolution.deg(),
-                      a.referenced ? "referenced" : "not referenced: a run searches its reference first"));
+                      a.referenced ? "homed" : "not homed: a run homes it first"));
       if (a.resolution > config_.protocol.position_window)
         add(Grade::kProblem, name,
             fmt::format("its resolution of {:g} deg is coarser than position_window_deg = {:g}",
                         a.resolution.deg(), config_.protocol.position_window.deg()),
-            "position_window_deg of at least the resolution");
+            "set position_window_deg to the resolution or more");
     }
     const auto plan = make_rotation_plan(config_.protocol, identities_.travel());
-    add(Grade::kGood, "travel", fmt::format("all {} angles of the plan lie inside", plan.size()));
+    add(Grade::kGood, "travel", fmt::format("all {} angles of the plan are inside", plan.size()));
   }
 
-  void look_at_accelerometer() {
+  void check_accelerometer() {
     identities_.accelerometer = bench_.accelerometer->identify();
     const AccelerometerInfo& info = identities_.accelerometer;
     require_serial_number("accelerometer", info.model, info.serial_number,
                           config_.accelerometer.serial_number);
-    std::string words = fmt::format("{} {}, serial number {}, firmware {}, output in {}", info.maker,
-                                    info.model, info.serial_number.empty() ? "not told" : info.serial_number,
-                                    info.firmware.empty() ? "not told" : info.firmware, info.output_unit);
+    std::string words =
+        fmt::format("{} {}, serial number {}, firmware {}, output in {}", info.maker, info.model,
+                    info.serial_number.empty() ? "not reported" : info.serial_number,
+                    info.firmware.empty() ? "not reported" : info.firmware, info.output_unit);
     if (info.full_scale) words += fmt::format(", full scale {:g} {}", *info.full_scale, info.output_unit);
     add(Grade::kGood, "accelerometer", words);
     const std::string& unit = config_.accelerometer.response_unit;
     if (!unit.empty() && config_.accelerometer.driver != "simulated" && unit != info.output_unit)
       add(Grade::kProblem, "response unit",
           fmt::format("its output is in {}, response_unit is {}", info.output_unit, unit),
-          "the instrument's own unit, or none");
+          "set response_unit to the unit of the instrument, or remove it");
   }
 
-  void look_at_rest() {
+  void check_at_rest() {
     Accelerometer& accelerometer = *bench_.accelerometer;
     Clock& clock = *bench_.clock;
     accelerometer.start();
@@ -198,16 +199,17 @@ class Checker {
     const double asked = config_.accelerometer.rate_hz;
     const bool rate_good = std::abs(rate / asked - 1.0) <= kRateTolerance;
     add(rate_good ? Grade::kGood : Grade::kWarning, "sample rate",
-        fmt::format("{:.4g} readings/s came, rate_hz = {:g}", rate, asked),
-        rate_good ? "" : "the rate that the instrument gives, as rate_hz");
+        fmt::format("{:.4g} readings/s, rate_hz = {:g}", rate, asked),
+        rate_good ? "" : "set rate_hz to the rate of the instrument");
     const StreamHealth health = accelerometer.health();
     const bool whole = at_rest.lost == 0 && health.bad_frames == 0;
     add(whole ? Grade::kGood : Grade::kWarning, "losses",
         fmt::format("{} of {} readings lost, {} damaged frames", at_rest.lost, readings.size(),
                     health.bad_frames),
-        whole ? "" : "a better cable, a higher baud rate or a lower rate_hz");
+        whole ? "" : "use a better cable, a higher baud rate or a lower rate_hz");
     if ((at_rest.flags & kFlagClipped) != 0)
-      add(Grade::kProblem, "range", "an output clips at rest", "a larger full scale, or another mounting");
+      add(Grade::kProblem, "range", "an output clips at rest",
+          "set a larger full scale, or change the mounting");
     if (at_rest.not_finite > 0)
       add(Grade::kProblem, "readings at rest", fmt::format("{} readings are not finite", at_rest.not_finite));
     const bool silent = (at_rest.spread.array() == 0.0).all();
@@ -215,16 +217,15 @@ class Checker {
         fmt::format("mean {}, standard deviation {}, of the mean of {} readings {}",
                     in_words(at_rest.mean, unit), in_words(at_rest.spread, unit), at_rest.count,
                     in_words(at_rest.u_mean, unit)),
-        silent ? "an output that does not change at all may be stuck; look at it while the bench is touched"
-               : "");
+        silent
+            ? "an output that does not change at all may be stuck: touch the bench and see whether it changes"
+            : "");
     if (const auto gravity = nominal_response({}, unit, config_.g_loc.value_mps2)) {
       const double norm = at_rest.mean.norm();
       const bool plausible = std::abs(norm / *gravity - 1.0) <= kNormTolerance;
       add(plausible ? Grade::kGood : Grade::kProblem, "norm",
           fmt::format("the readings' norm is {:.5g} {}, local gravity {:.5g} {}", norm, unit, *gravity, unit),
-          plausible
-              ? ""
-              : "the right unit and full scale; a norm off by more than 10 % is no accelerometer at rest");
+          plausible ? "" : "check unit and full scale: at rest the norm is within 10 % of local gravity");
     }
   }
 
@@ -243,12 +244,12 @@ class Checker {
     const TemporaryFile path;
     RunFile file = RunFile::create(path.path, make_header(quick, identities_, plan, *bench_.clock));
     if (options_.listener) {
-      RunBeganEvent began;  // Without a file: that of the turn is of no use afterwards.
+      RunBeganEvent began;  // Without a file: it is removed after the check.
       began.plan = plan;
       options_.listener(began);
     }
     SessionObserver observer(options_.listener);
-    measure({bench_, quick, file, plan, {}}, observer, options_.stop);
+    measure_plan({bench_, quick, file, plan, {}}, observer, options_.stop);
     std::vector<PoseReading> poses;
     for (const DwellRecord& dwell : RunFile::load(path.path).record.dwells) {
       poses.push_back({dwell.commanded_x, dwell.commanded_z, dwell.mean});
@@ -261,7 +262,7 @@ class Checker {
     add(signs.grade, signs.what, signs.found, signs.advice);
   }
 
-  /// The turn is measured as a run is; its file is of no use afterwards.
+  /// The turn is measured as a run; its file is removed afterwards.
   struct TemporaryFile {
     std::filesystem::path path = std::filesystem::temp_directory_path() /
                                  fmt::format("abcal-check-{:08x}.run", std::random_device{}());
@@ -292,15 +293,15 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
     largest_change = std::max(largest_change, (pose.mean - poses.front().mean).norm());
   if (!(largest_change > 0.05 * poses.front().mean.norm())) {
     finding.grade = Grade::kProblem;
-    finding.found = fmt::format("turning both axes changed the readings by {:.2g} only", largest_change);
-    finding.advice = "an accelerometer that is bolted to this stage, and the right port for each";
+    finding.found = fmt::format("turning both axes changes the readings by only {:.2g}", largest_change);
+    finding.advice = "check that the accelerometer is bolted to this stage, and the port of each";
     return finding;
   }
   std::vector<Hypothesis> all = hypotheses();
   const double as_configured = disagreement(poses, all.front());
   if (as_configured <= kAgreement) {
     finding.found = fmt::format(
-        "both axes turn as gravity says, right-handed; u, v, w lie along x, y, z to about {:.0f} %",
+        "both axes turn right-handed, as gravity requires; u, v, w are along x, y, z to about {:.0f} %",
         100.0 * as_configured);
     return finding;
   }
@@ -308,14 +309,14 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
   for (std::size_t i = 1; i < all.size(); ++i) {
     if (disagreement(poses, all[i]) <= kAgreement) reasons += (reasons.empty() ? "" : "; or ") + all[i].words;
   }
-  // Any orientation of the accelerometer can be calibrated; a reversed stage axis cannot be told from it by
-  // gravity alone, and gives a wrong matrix: a person must look.
+  // Any orientation of the accelerometer can be calibrated; a reversed stage axis cannot be distinguished
+  // from it by gravity alone, and gives a wrong matrix: a person must look.
   finding.grade = Grade::kProblem;
   finding.found = reasons.empty()
                       ? "the readings do not change as gravity requires, and no simple reason explains it"
                       : "the readings do not change as gravity requires of the bench file";
-  finding.advice =
-      reasons.empty() ? "a look at cables, mounting and the axes' names" : "look at the bench: " + reasons;
+  finding.advice = reasons.empty() ? "check cables, mounting and the names of the axes"
+                                   : "look at the bench; possible reasons: " + reasons;
   return finding;
 }
 

@@ -13,24 +13,25 @@
 
 namespace abcal {
 
-/// One thing that `abcal check` looked at.
+/// One check of `abcal check` and its outcome.
 struct Finding {
   enum class Grade { kGood, kWarning, kProblem, kLeftOut };
   Grade grade = Grade::kGood;
   std::string what;    ///< "stage", "travel", "noise at rest", ...
   std::string found;   ///< In words, with units.
-  std::string advice;  ///< What to change; empty where nothing is to be done.
+  std::string advice;  ///< What to do; empty: nothing.
 };
 
 struct CheckOptions {
   bool no_motion = false;
-  /// Told of the small turn, which is measured as a run is (RunBeganEvent without a file); empty: nobody.
+  /// Receives the events of the small turn, which is measured as a run (RunBeganEvent without a file); may be
+  /// empty.
   SessionListener listener;
   std::stop_token stop;  ///< Halts the stage and ends the check.
 };
 
 /// Talks to both instruments of a bench: identity, travel against the plan, speed, reference, readings at
-/// rest, rate, and (unless `no_motion`) a small turn of both axes, from which it sees whether signs and axes
+/// rest, rate, and (unless `no_motion`) a small turn of both axes, which shows whether signs and axes
 /// agree with gravity. The stage ends at zero, or halted.
 /// @throws RunInterrupted; an instrument that fails is a finding.
 std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, const CheckOptions& options);
@@ -41,9 +42,9 @@ struct PoseReading {
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
 };
 
-/// Whether the readings change between poses as gravity requires of an accelerometer whose u, v, w point
-/// roughly along the platter's x, y, z. If not, names every simple reason that would explain them: a sign of
-/// a stage axis, swapped or reversed accelerometer axes. The first pose is the one compared with.
+/// Checks whether the readings change between poses as gravity requires of an accelerometer whose u, v, w
+/// point roughly along the platter's x, y, z. If not, names every simple reason that would explain them: a
+/// sign of a stage axis, swapped or reversed accelerometer axes. The first pose is the one compared with.
 Finding judge_signs(const std::vector<PoseReading>& poses);
 
 }  // namespace abcal

@@ -4,8 +4,8 @@
 
 namespace abcal {
 
-/// What this computer says of its clocks now: its start, the time since, and the time service's estimate of
-/// the system clock's error. What it does not say stays unknown.
+/// The clocks of this computer now: its start, the time since, and the time service's estimate of
+/// the system clock's error. Values that it does not give stay unknown.
 HostClock read_host_clock();
 
 }  // namespace abcal

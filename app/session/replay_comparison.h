@@ -7,11 +7,11 @@
 
 namespace abcal {
 
-/// How a run ended: what its program said, or that it said nothing. A run that was resumed has several ends;
-/// a recording goes up to the first.
+/// How a run ended: the last message of its program, or that there is none. A run that was resumed has
+/// several ends; a recording goes up to the first.
 std::string end_of_run(const StoredRun& run);
 
-/// Whether a replay did what the recorded run did.
+/// Whether a replay agrees with the recorded run.
 ReplayComparedEvent compare_replay(const StoredRun& recorded, const StoredRun& replayed);
 
 }  // namespace abcal

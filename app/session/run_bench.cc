@@ -72,7 +72,7 @@ void require_serial_number(const std::string& role, const std::string& model, co
       role + " " + model, Fault::kWrongIdentity,
       fmt::format("serial number {}; required: {} (serial_number in the bench file). Connect the "
                   "right one, or name its port by usb:VID:PID:SERIAL",
-                  found.empty() ? "not told" : found, required));
+                  found.empty() ? "not reported" : found, required));
 }
 
 Identities identify(Bench& bench, const BenchConfig& config) {
@@ -148,7 +148,7 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Benc
 
 std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
                                             std::string_view moment) {
-  constexpr Clock::Duration kPatience = std::chrono::seconds(30);  // some sensors speak every ten seconds
+  constexpr Clock::Duration kPatience = std::chrono::seconds(30);  // some sensors report every ten seconds
   std::optional<std::string> warning;
   EnvironmentReading now;
   if (bench.environment) {
@@ -170,7 +170,8 @@ std::optional<std::string> note_environment(Bench& bench, const BenchConfig& con
   return warning;
 }
 
-RunTiming measure(const PlanMeasurement& measurement, RunObserver& observer, const std::stop_token& stop) {
+RunTiming measure_plan(const PlanMeasurement& measurement, RunObserver& observer,
+                       const std::stop_token& stop) {
   Bench& bench = measurement.bench;
   const BenchConfig& config = measurement.config;
   // Simulated time has one thread only.

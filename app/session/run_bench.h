@@ -19,7 +19,7 @@
 
 namespace abcal {
 
-/// What the instruments said before the first move.
+/// The identities that the instruments reported before the first move.
 struct Identities {
   StageInfo stage;
   AccelerometerInfo accelerometer;
@@ -54,11 +54,11 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
 /// Stores temperature, humidity and pressure as the sensor says, or as typed into the bench file. At the
 /// start a sensor that fails throws InstrumentError; at the end of a run it is recorded only: nothing is lost
 /// for it.
-/// @return what a person should know: why the sensor could not be read at the end.
+/// @return a warning: why the sensor could not be read at the end.
 std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
                                             std::string_view moment);
 
-/// What is measured on a bench, into which file.
+/// A plan to measure on a bench, and the file for it.
 struct PlanMeasurement {
   Bench& bench;
   const BenchConfig& config;
@@ -67,8 +67,9 @@ struct PlanMeasurement {
   RunProgress so_far;
 };
 
-/// Measures what is missing of the plan. In real time `stop` halts the stage at once, whatever the measuring
-/// thread waits for: the halt is sent by the thread that requests the stop.
-RunTiming measure(const PlanMeasurement& measurement, RunObserver& observer, const std::stop_token& stop);
+/// Measures the missing angles of the plan. In real time `stop` halts the stage at once, whatever the
+/// measuring thread waits for: the halt is sent by the thread that requests the stop.
+RunTiming measure_plan(const PlanMeasurement& measurement, RunObserver& observer,
+                       const std::stop_token& stop);
 
 }  // namespace abcal

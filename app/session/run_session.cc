@@ -12,6 +12,7 @@
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
 #include "app/session/disk_space.h"
+#include "app/session/level_plan.h"
 #include "app/session/replay_comparison.h"
 #include "app/session/session_observer.h"
 #include "app/system/version.h"
@@ -24,20 +25,41 @@ namespace {
 /// Most notes that wait to be stored.
 constexpr std::size_t kMostNotes = 20;
 
-/// Analyses a run that is complete, closed or not.
-RunOutcome analyse_complete_run(const std::filesystem::path& path) {
+/// A run that is complete, closed or not.
+RunOutcome load_complete_run(const std::filesystem::path& path) {
   RunOutcome outcome;
   outcome.path = path;
   outcome.stored = RunFile::load(path);
-  outcome.results = analyse_all(outcome.stored.record);
   return outcome;
 }
 
+/// Passes a result on once: before the first wait for programs that read the run, or after closing it.
+class ResultTeller {
+ public:
+  ResultTeller(const RunOutcome& outcome, const std::function<void(const RunOutcome&)>& listener)
+      : outcome_(outcome), listener_(listener) {}
+
+  void tell() {
+    if (!std::exchange(told_, true) && listener_) listener_(outcome_);
+  }
+  /// Tells it, then waits.
+  RunFile::TryAgain before_waiting() {
+    return [this](int failures) {
+      tell();
+      return RunFile::wait_for_readers(failures);
+    };
+  }
+  bool is_told() const { return told_; }
+
+ private:
+  const RunOutcome& outcome_;
+  const std::function<void(const RunOutcome&)>& listener_;
+  bool told_ = false;
+};
+
 /// Keeps the analyses of a run that is closed in its results file.
-void keep_analyses(RunOutcome& outcome, const std::string& sha256, const std::string& utc,
-                   ResultsFile::Making making) {
-  outcome.sha256 = sha256;
-  ResultsFile results_file(outcome.path, sha256, making);
+void keep_analyses(const RunOutcome& outcome, const std::string& utc) {
+  ResultsFile results_file(outcome.path, outcome.sha256);
   for (const CalibrationResult& each : outcome.results) {
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
   }
@@ -73,8 +95,10 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
   FinishedEvent event;
   event.file = outcome.path.string();
   event.complete = true;
-  event.verdict = verdict_words(outcome.results.front().verdict);
-  event.reason = outcome.results.front().why;
+  if (!outcome.results.empty()) {
+    event.verdict = verdict_words(outcome.results.front().verdict);
+    event.reason = outcome.results.front().why;
+  }
   event.measured = outcome.stored.measured.size();
   event.planned = outcome.stored.header.plan.size();
   event.measured_before = outcome.measured_before;
@@ -83,22 +107,27 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
 
 }  // namespace
 
-std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path) {
+std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path,
+                                              const std::function<void(const RunOutcome&)>& result_listener) {
   std::error_code ignored;
   if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete) {
     return std::nullopt;
   }
-  // One that is not closed yet never had results.
-  const auto making = RunFile::is_closed(path) ? ResultsFile::Making::kAgain : ResultsFile::Making::kFirst;
-  const std::string sha256 = RunFile::finish_closing(path);
-  if (ResultsFile(path, sha256, making).analyses() >= kEstimators.size()) return std::nullopt;
-  RunOutcome outcome = analyse_complete_run(path);
-  keep_analyses(outcome, sha256, format_utc(RealClock().utc_now()), making);
+  if (RunFile::is_closed(path) &&
+      ResultsFile(path, RunFile::finish_closing(path)).analyses() >= kEstimators.size()) {
+    return std::nullopt;
+  }
+  RunOutcome outcome = load_complete_run(path);
+  outcome.results = analyse_all(outcome.stored.record);
   outcome.measured_before = true;
+  ResultTeller teller(outcome, result_listener);
+  outcome.sha256 = RunFile::finish_closing(path, teller.before_waiting());
+  teller.tell();
+  keep_analyses(outcome, format_utc(RealClock().utc_now()));
   return outcome;
 }
 
-/// The instruments of a bench file, with what they said and what is planned.
+/// The instruments of a bench file, their identities and the plan.
 struct RunSession::OpenedBench {
   BenchConfig config;
   Bench bench;
@@ -207,25 +236,40 @@ RunSession::OpenedBench& RunSession::open(const BenchConfig& config, BenchStream
 }
 
 RunOutcome RunSession::start(const StartRequest& request) {
+  return run_plan(request, make_rotation_plan, Analyses::kAll);
+}
+
+RunOutcome RunSession::level(const StartRequest& request) {
+  return run_plan(request, level_plan, Analyses::kNone);
+}
+
+Identities RunSession::identify_instruments(const StartRequest& request) {
   const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
   const bool is_open = opened_ && opened_->identified && !request.record &&
                        write_bench(opened_->config) == write_bench(config);
-  if (!is_open) {
-    opened_.reset();
-    transcript_ = request.record ? std::make_unique<Transcript>(stop_.get_token()) : nullptr;
-    OpenedBench& opened = open(config, transcript_ ? transcript_->streams() : BenchStreams{});
-    if (transcript_ && !transcript_->has_streams()) {
-      throw std::invalid_argument(
-          "--record: nothing on this bench has bytes to record, its drivers are simulated without a wire; "
-          "required: at least one other driver (its port may be \"simulated\")");
-    }
-    opened.identities = identify_or_keep_recording(request, opened);
-    opened.plan = make_rotation_plan(config.protocol, opened.identities.travel());
-    opened.identified = true;
-  }
+  if (!is_open) open_and_identify(request, config);
+  return opened_->identities;
+}
+
+RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner, Analyses analyses) {
+  (void)identify_instruments(request);
+  opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
   RunFile file = create_file(*opened_, request);
   tell_begun(*opened_, request.run_file, nullptr);
-  return measure_and_finish(std::move(file), {});
+  return measure_and_finish(std::move(file), {}, analyses);
+}
+
+void RunSession::open_and_identify(const StartRequest& request, const BenchConfig& config) {
+  opened_.reset();
+  transcript_ = request.record ? std::make_unique<Transcript>(stop_.get_token()) : nullptr;
+  OpenedBench& opened = open(config, transcript_ ? transcript_->streams() : BenchStreams{});
+  if (transcript_ && !transcript_->has_streams()) {
+    throw std::invalid_argument(
+        "--record: nothing on this bench has bytes to record, its drivers are simulated without a wire; "
+        "required: at least one other driver (its port may be \"simulated\")");
+  }
+  opened.identities = identify_or_keep_recording(request, opened);
+  opened.identified = true;
 }
 
 Identities RunSession::identify_or_keep_recording(const StartRequest& request, const OpenedBench& opened) {
@@ -234,7 +278,7 @@ Identities RunSession::identify_or_keep_recording(const StartRequest& request, c
     return identify(bench, opened.config);
   } catch (const InstrumentError& error) {
     if (!transcript_) throw;
-    // There is no run; but what the instruments said is worth keeping.
+    // There is no run, but the replies of the instruments are worth keeping.
     try {
       BenchConfig config = opened.config;
       config.stage.level_file.clear();  // Only an identified stage can be compared with it.
@@ -305,7 +349,7 @@ void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::pa
 
 RunOutcome RunSession::resume(const ResumeRequest& request) {
   const std::filesystem::path path = request.run_file;
-  if (std::optional<RunOutcome> outcome = finish_measured_run(path)) {
+  if (std::optional<RunOutcome> outcome = finish_measured_run(path, options_.result_listener)) {
     tell(finished_event(*outcome));
     return *std::move(outcome);
   }
@@ -336,7 +380,24 @@ void RunSession::require_same_instruments(const Identities& now, const StoredRun
 
 // ---- Measure, close, analyse
 
-RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far) {
+void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::string& utc) const {
+  ResultTeller teller(outcome, options_.result_listener);
+  const std::string path = outcome.path.string();
+  const auto sha256 = file.close(teller.before_waiting());
+  if (!sha256) {
+    warn("closing",
+         fmt::format("another program keeps {} open, so that it cannot be closed; its result is not kept "
+                     "yet: end that program, then close the run with: abcal resume {}",
+                     path, path));
+    return;
+  }
+  outcome.sha256 = *sha256;
+  if (teller.is_told()) warn("closing", fmt::format("{} is closed now: SHA-256 {}", path, *sha256));
+  teller.tell();
+  keep_analyses(outcome, utc);
+}
+
+RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far, Analyses analyses) {
   OpenedBench& opened = *opened_;
   Bench& bench = opened.bench;
   const std::filesystem::path path = file.path();
@@ -356,7 +417,7 @@ RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_fa
   try {
     SessionObserver observer(listener, hold_wanted);
     const RunTiming timing =
-        measure({bench, opened.config, file, opened.plan, so_far}, observer, stop_.get_token());
+        measure_plan({bench, opened.config, file, opened.plan, so_far}, observer, stop_.get_token());
     store_notes(file, *bench.clock);
     tell(AllMeasuredEvent{path.string()});
     const std::string utc = format_utc(file.utc_now(*bench.clock));
@@ -364,15 +425,9 @@ RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_fa
       warn("environment not read", *warning);
     }
     file.complete(utc, timing);
-    RunOutcome outcome = analyse_complete_run(path);
-    if (const auto sha256 = file.close()) {
-      keep_analyses(outcome, *sha256, utc, ResultsFile::Making::kFirst);
-    } else {
-      warn("closing",
-           fmt::format("another program keeps {} open, so that it cannot be closed; its result is not kept "
-                       "yet: end that program, then close the run with: abcal resume {}",
-                       path.string(), path.string()));
-    }
+    RunOutcome outcome = load_complete_run(path);
+    if (analyses == Analyses::kAll) outcome.results = analyse_all(outcome.stored.record);
+    close_and_keep(std::move(file), outcome, utc);
     tell(finished_event(outcome));
     return outcome;
   } catch (const std::exception& error) {
@@ -395,10 +450,10 @@ RunOutcome RunSession::replay(const ReplayRequest& request) {
       open(parse_bench(recorded.header.bench_toml, recorded_path.string()), recorded_wire_->streams());
   opened.identities = identify(opened.bench, opened.config);
   if (recorded.header.plan.empty()) {
-    throw std::runtime_error(
-        fmt::format("the recorded run ended before its first angle ({}), but in the replay both instruments "
-                    "were identified: this program takes their answers otherwise than the one that recorded",
-                    end_of_run(recorded)));
+    throw std::runtime_error(fmt::format(
+        "the recorded run ended before its first angle ({}), but in the replay both instruments "
+        "were identified: this program interprets their answers differently from the one that recorded",
+        end_of_run(recorded)));
   }
   opened.plan = recorded.header.plan;
   ReplayRequest complete = request;

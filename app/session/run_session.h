@@ -19,17 +19,18 @@
 
 namespace abcal {
 
-/// A run that is complete, and what its analyses say.
+/// A complete run and its results.
 struct RunOutcome {
   std::filesystem::path path;
   std::string sha256;  ///< Of the closed file; empty: readers keep the file open, it is closed later.
   StoredRun stored;
-  std::vector<CalibrationResult> results;  ///< One an estimator, in the order of kEstimators.
-  bool measured_before = false;            ///< Nothing was measured now: only closed and analysed.
+  std::vector<CalibrationResult>
+      results;                   ///< One an estimator, in the order of kEstimators. Levelling: none.
+  bool measured_before = false;  ///< Nothing was measured now: only closed and analysed.
 };
 
 /// Owns the life of a run: opens the bench, identifies, plans, begins or resumes, measures, closes, analyses.
-/// Tells a listener what happens and prints nothing. Every way to run (`run`, `resume`, `replay`, a campaign,
+/// Passes events to a listener and prints nothing. Every way to run (`run`, `resume`, `replay`, a campaign,
 /// the console) is a listener of the same events.
 ///
 /// One thread carries out start(), resume() and replay(); hold(), continue_run(), add_note() and
@@ -42,6 +43,9 @@ class RunSession {
     std::function<Bench(const BenchConfig& config, BenchStreams streams)> open_bench;
     SessionListener listener;  ///< Empty: nobody listens.
     std::stop_token stop;      ///< As request_stop().
+    /// Called once with a complete run and its result: when the file is closed, or before waiting for
+    /// programs that read it. May be empty.
+    std::function<void(const RunOutcome& outcome)> result_listener;
     /// Free space for a file, in bytes; nothing: not known. Empty: as the file system says.
     std::function<std::optional<std::uintmax_t>(const std::filesystem::path&)> free_disk_space;
   };
@@ -51,13 +55,23 @@ class RunSession {
   RunSession(const RunSession&) = delete;
   RunSession& operator=(const RunSession&) = delete;
 
+  /// Opens the instruments and asks who they are; nothing moves. start() and level() with the same bench file
+  /// use them as they are.
+  /// @throws as start()
+  Identities identify_instruments(const StartRequest& request);
+
   /// Measures a new run to its end. Everything that can be known to fail is refused before the first move: a
-  /// file or results that lie there already, too little disk space, an instrument of another serial number.
+  /// existing file or results, too little disk space, an instrument of another serial number.
   /// @throws BenchError, PlanError, InstrumentError, RunFileError, RunInterrupted, std::invalid_argument,
   /// std::runtime_error (disk space). Once there is a run file, FinishedEvent has the reason too.
   RunOutcome start(const StartRequest& request);
 
-  /// Goes on with an interrupted run to its end. One whose angles are all measured is closed and analysed.
+  /// Measures the angles of a levelling (level_plan()) to a closed run file, as start() does. No estimator of
+  /// a calibration analyses it.
+  /// @throws as start()
+  RunOutcome level(const StartRequest& request);
+
+  /// Continues an interrupted run to its end. A run whose angles are all measured is closed and analysed.
   /// @throws as start()
   RunOutcome resume(const ResumeRequest& request);
 
@@ -68,7 +82,7 @@ class RunSession {
   /// The same for requests as data. @return nothing for a request that is no run.
   std::optional<RunOutcome> carry_out(const SessionRequest& request);
 
-  /// The stage shall stand still after the angle under way.
+  /// Requests that the stage stands still after the current angle.
   void hold();
   void continue_run();
   bool is_hold_wanted() const;
@@ -83,13 +97,20 @@ class RunSession {
 
  private:
   struct OpenedBench;
+  /// How the angles follow from the bench file and the travel of the stage.
+  using Planner = std::vector<PlannedAngle> (*)(const ProtocolConfig&, const std::array<AxisTravel, 2>&);
+  /// What a complete run is analysed with.
+  enum class Analyses { kAll, kNone };
   OpenedBench& open(const BenchConfig& config, BenchStreams streams);
+  RunOutcome run_plan(const StartRequest& request, Planner planner, Analyses analyses);
+  void open_and_identify(const StartRequest& request, const BenchConfig& config);
   Identities identify_or_keep_recording(const StartRequest& request, const OpenedBench& opened);
   RunFile create_file(const OpenedBench& opened, const StartRequest& request);
   void require_disk_space(const OpenedBench& opened, const StartRequest& request);
   void require_same_instruments(const Identities& now, const StoredRun& stored) const;
   void tell_begun(const OpenedBench& opened, const std::filesystem::path& path, const StoredRun* resumed);
-  RunOutcome measure_and_finish(RunFile file, const RunProgress& so_far);
+  RunOutcome measure_and_finish(RunFile file, const RunProgress& so_far, Analyses analyses = Analyses::kAll);
+  void close_and_keep(RunFile file, RunOutcome& outcome, const std::string& utc) const;
   RunOutcome replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request);
   void tell_comparison(const StoredRun& recorded, const std::filesystem::path& replayed);
   void close_ended_replay(const StoredRun& recorded, const std::filesystem::path& path);
@@ -102,7 +123,7 @@ class RunSession {
   mutable std::mutex mutex_;
   bool hold_wanted_ = false;
   std::vector<NoteRequest> notes_;  ///< To be stored.
-  // Destroyed from the last to the first: what is behind the byte streams of a bench outlives it.
+  // Destroyed from the last to the first: the objects that the byte streams of a bench use outlive it.
   std::unique_ptr<Transcript> transcript_;
   std::unique_ptr<RecordedWire> recorded_wire_;
   std::unique_ptr<OpenedBench> opened_;
@@ -110,7 +131,10 @@ class RunSession {
 };
 
 /// Where every angle is measured, but the program ended before it had closed the run and analysed it: does
-/// so. @return nothing if nothing of this is left to do.
-std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path);
+/// so. `result_listener`: as in RunSession::Options.
+/// @return nothing if nothing of this is left to do.
+std::optional<RunOutcome> finish_measured_run(
+    const std::filesystem::path& path,
+    const std::function<void(const RunOutcome& outcome)>& result_listener = {});
 
 }  // namespace abcal

@@ -199,7 +199,7 @@ void visit_members(Visitor& v, Event& event) {
   v.member("dwell", event.dwell);
 }
 
-/// Those that say only where in the plan.
+/// Events that contain only a position in the plan.
 template <class Event>
 concept PositionOnly = Like<Event, AngleBegunEvent> || Like<Event, HeldEvent> || Like<Event, ContinuedEvent>;
 template <class Visitor, PositionOnly Event>

@@ -12,7 +12,7 @@
 #include "protocol/record/run_record.h"
 #include "protocol/run/run_observer.h"
 
-// What a session tells (events) and what it is asked to do (requests): plain data that can be sent to another
+// Events of a session and requests to it: plain data that can be sent to another
 // process as JSON. Nothing is shared between the session and those who read it.
 
 namespace abcal {
@@ -26,7 +26,7 @@ struct DwellDoneEvent {
   DwellRecord dwell;
 };
 
-/// Who an instrument said it was. An empty text: the instrument does not say.
+/// The identity that an instrument reported. An empty text: it reports none.
 struct InstrumentSummary {
   std::string maker, model, serial_number;
 };
@@ -35,7 +35,7 @@ struct InstrumentSummary {
 struct RunBeganEvent {
   static constexpr const char* kName = "run_began";
   std::string file;      ///< Path of the run file.
-  bool resumed = false;  ///< An interrupted run goes on.
+  bool resumed = false;  ///< An interrupted run continues.
   std::string bench, item, operator_name;
   std::string unit;  ///< R
   InstrumentSummary stage, accelerometer;
@@ -43,7 +43,7 @@ struct RunBeganEvent {
   std::vector<PlannedAngle> plan;
   std::vector<DwellDoneEvent> measured;  ///< Before an interruption.
   double estimated_s = 0.0;              ///< For the whole plan, in the time of the bench.
-  bool simulated_time = false;           ///< Nothing real takes part.
+  bool simulated_time = false;           ///< Everything is simulated.
 };
 
 /// What the run is doing now.
@@ -71,19 +71,19 @@ struct PortLostEvent {
   std::string text;
 };
 
-/// The port is back, with the same instrument; the run goes on.
+/// The port is back, with the same instrument; the run continues.
 struct PortBackEvent {
   static constexpr const char* kName = "port_back";
   std::string text;
 };
 
-/// The stage stands still before an angle because a person wants it.
+/// The stage stands still before an angle because of a hold request.
 struct HeldEvent {
   static constexpr const char* kName = "held";
   std::size_t position = 0;  ///< In the plan.
 };
 
-/// The stage goes on after it was held.
+/// The stage continues after a hold.
 struct ContinuedEvent {
   static constexpr const char* kName = "continued";
   std::size_t position = 0;  ///< In the plan.
@@ -109,7 +109,7 @@ struct AllMeasuredEvent {
   std::string file;
 };
 
-/// A replay is over: whether it did what the recorded run did.
+/// A replay is over: whether it agrees with the recorded run.
 struct ReplayComparedEvent {
   static constexpr const char* kName = "replay_compared";
   std::size_t same = 0;      ///< Angles that are exactly as recorded,
@@ -147,7 +147,7 @@ struct StartRequest {
   bool record = false;     ///< Keep every byte to and from the instruments.
 };
 
-/// Goes on with an interrupted run; closes and analyses one whose angles are all measured.
+/// Continues an interrupted run; closes and analyses one whose angles are all measured.
 struct ResumeRequest {
   static constexpr const char* kName = "resume";
   std::string run_file;
@@ -160,12 +160,12 @@ struct ReplayRequest {
   std::string run_file;  ///< Path of the file to create; empty: RUN-replay.run in the same folder.
 };
 
-/// The stage shall stand still after the angle under way.
+/// Requests that the stage stands still after the current angle.
 struct HoldRequest {
   static constexpr const char* kName = "hold";
 };
 
-/// The stage shall go on after a hold.
+/// Requests that the stage continues after a hold.
 struct ContinueRequest {
   static constexpr const char* kName = "continue";
 };

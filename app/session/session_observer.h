@@ -12,7 +12,7 @@
 
 namespace abcal {
 
-/// Makes the events of a session from what a run tells while it measures.
+/// Makes the events of a session from the notifications of a run.
 class SessionObserver final : public RunObserver {
  public:
   /// @param hold_wanted  Asked between two angles; may store notes meanwhile. Empty: never held.

@@ -24,8 +24,8 @@ extern char** environ;
 namespace abcal {
 namespace {
 
-/// How the child begins: signals as in a program that nobody changed, so that Ctrl-C ends it too, and no
-/// descriptor of this program but the standard ones. Standard output goes where standard error goes.
+/// How the child begins: signals have their default handling, so that Ctrl-C ends it too, and no
+/// descriptor of this program but the standard ones. Standard output goes to standard error.
 class SpawnSettings {
  public:
   SpawnSettings() {
@@ -87,7 +87,7 @@ int wait_for_end(pid_t child, const Tool& tool) {
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }
 
-/// All that comes until the writer is gone; what is more than 64 kB is not kept.
+/// All bytes until the writer is gone; those beyond 64 kB are not kept.
 std::string read_words(int descriptor) {
   constexpr std::size_t kMost = 65'536;
   std::string words;

@@ -6,7 +6,7 @@
 
 namespace abcal {
 
-/// A program that the work needs is not installed; what() says which, what for, and how to get it.
+/// A required program is not installed; what() names it, its purpose and its package.
 class ProgramMissing : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -25,7 +25,7 @@ bool is_installed(const Tool& tool);
 /// @throws ProgramMissing if the program is not found
 void require_installed(const Tool& tool);
 
-/// What becomes of what a program prints.
+/// Where the output of a program goes.
 enum class ToolOutput {
   kShown,   ///< On standard error: ours belongs to results.
   kHidden,  ///< Of a question whose answer is the exit code.
@@ -43,7 +43,7 @@ struct ToolResult {
   std::string words;  ///< At most 64 kB, without the newlines at its end.
 };
 
-/// The same for a program whose words belong to the message of its failure.
+/// The same for a program whose output becomes the message of its failure.
 /// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error
 ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments);
 

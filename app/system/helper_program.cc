@@ -33,7 +33,7 @@ void run_helper(const std::string& name, const std::string& needed_by,
                 const std::vector<std::string>& arguments) {
   const ToolResult result = run_tool_for_words(helper_program(name, needed_by), arguments);
   if (result.exit_code == kExitDone) return;
-  constexpr std::string_view kPrefix = "abcal: ";  // Whoever shows the message says it again.
+  constexpr std::string_view kPrefix = "abcal: ";  // The caller that shows the message adds it again.
   std::string why = result.words;
   if (why.starts_with(kPrefix)) why.erase(0, kPrefix.size());
   if (why.empty()) why = fmt::format("{} ended with {} and without a word", name, result.exit_code);

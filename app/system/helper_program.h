@@ -12,13 +12,13 @@ namespace abcal {
 /// from there; never looked for in PATH.
 Tool helper_program(const std::string& name, const std::string& needed_by);
 
-/// Runs it to its end. What it says is the message of its failure.
+/// Runs it to its end. Its output is the message of its failure.
 /// @throws std::invalid_argument if it ends with kExitUsage, ProgramMissing, RunInterrupted,
 /// std::runtime_error
 void run_helper(const std::string& name, const std::string& needed_by,
                 const std::vector<std::string>& arguments);
 
-/// Where tests, whose programs lie elsewhere, have the helper programs.
+/// The folder of the helper programs for tests, whose own programs are elsewhere.
 void set_helper_folder(std::filesystem::path folder);
 
 }  // namespace abcal

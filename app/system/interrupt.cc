@@ -25,7 +25,7 @@ sigset_t watched_signals() {
 void watch_for_signals() {
   const sigset_t signals = watched_signals();
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
-  // A pipe or port whose other end is gone is an error to report, not a reason to die.
+  // A pipe or port whose other end is gone is an error to report; it does not end the program.
   std::signal(SIGPIPE, SIG_IGN);
   // The file size limit shows as a failed write, which the run file reports.
   std::signal(SIGXFSZ, SIG_IGN);

@@ -26,7 +26,7 @@ constexpr std::size_t kLongestMessage = 16'384;    // bytes
 constexpr int kPatienceWithLogReader_ms = 1000;    // Longer would keep a run from its work.
 constexpr int kPatienceWithResultReader_ms = 200;  // Between two looks at the interrupt.
 
-/// What the streams have come to. One lock for both, so that lines of several threads are not torn.
+/// The state of the streams. One lock for both, so that lines of several threads are not torn.
 struct Streams {
   std::mutex mutex;
   bool log_is_stuck = false;  ///< Its reader did not read within its time.
@@ -42,7 +42,7 @@ Streams& streams() {
 
 enum class Room { kThere, kNone, kUnknown };
 
-/// Waits until a write would not wait. kUnknown: the write itself shall say what is wrong.
+/// Waits until a write would not wait. kUnknown: the write itself reports what is wrong.
 Room wait_for_room(int descriptor, int patience_ms) {
   pollfd request{descriptor, POLLOUT, 0};
   const int ready = ::poll(&request, 1, patience_ms);
@@ -63,7 +63,7 @@ std::size_t write_bytes(int descriptor, std::string_view bytes, int patience_ms,
       error = EAGAIN;
       break;
     }
-    // PIPE_BUF is what a pipe with room takes without waiting.
+    // PIPE_BUF bytes fit into a pipe with room without waiting.
     const ssize_t count =
         ::write(descriptor, bytes.data() + done, std::min<std::size_t>(bytes.size() - done, PIPE_BUF));
     if (count >= 0) {
@@ -150,7 +150,7 @@ bool is_obeyed(char32_t code) {
          (code >= 0x2066 && code <= 0x2069);
 }
 
-/// The printable text for a stream, with its emphasis as the terminal takes it.
+/// The printable text for a stream, with emphasis as terminal sequences.
 std::string text_for_stream(std::string_view text, std::FILE* stream) {
   std::string made;
   while (!text.empty()) {
@@ -163,7 +163,7 @@ std::string text_for_stream(std::string_view text, std::FILE* stream) {
   return made;
 }
 
-/// Where the log ends: standard error, by way of what cannot end a run.
+/// The end of the log: standard error, written so that no failure ends a run.
 class StandardErrorSink final : public spdlog::sinks::base_sink<spdlog::details::null_mutex> {
  private:
   void sink_it_(const spdlog::details::log_msg& message) override {
@@ -177,7 +177,7 @@ class StandardErrorSink final : public spdlog::sinks::base_sink<spdlog::details:
   void flush_() override {}
 };
 
-/// spdlog catches what its sinks throw; what it would say of that on standard error is left out.
+/// spdlog catches exceptions of its sinks; its own message about them on standard error is suppressed.
 spdlog::logger& logger() {
   static spdlog::logger instance = [] {
     spdlog::logger made("abcal", std::make_shared<StandardErrorSink>());

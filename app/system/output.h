@@ -50,9 +50,9 @@ int finish_output(int exit_code) noexcept;
 /// be printable already.
 void print_to_terminal(std::string_view text) noexcept;
 
-/// The text without what a terminal obeys instead of showing: control characters other than newline and tab
-/// as \u001b, characters that turn the direction of writing or end a line as \u202e, bytes that are not UTF-8
-/// as \xff. In JSON this changes no meaning.
+/// The text with everything escaped that a terminal would interpret: control characters other than newline
+/// and tab as \u001b, characters that turn the direction of writing or end a line as \u202e, bytes that are
+/// not UTF-8 as \xff. In JSON this changes no meaning.
 std::string printable_text(std::string_view text);
 
 /// The first `limit` bytes, cut between two characters of UTF-8, and how many bytes are left out; all of a

@@ -23,7 +23,7 @@ OutputFile::OutputFile(std::filesystem::path path) : path_(std::move(path)) {
   const int fd = ::mkstemps(pattern.data(), static_cast<int>(extension.size()));
   if (fd < 0)
     throw std::runtime_error(fmt::format("{}: cannot be written: {}", path_.string(), std::strerror(errno)));
-  // mkstemps gives the file to its owner alone; a report is as readable as the umask says.
+  // mkstemps makes the file readable by its owner only; a report follows the umask.
   const mode_t mask = ::umask(0);
   ::umask(mask);
   ::fchmod(fd, 0666 & ~mask);

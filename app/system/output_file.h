@@ -6,7 +6,7 @@
 
 namespace abcal {
 
-/// A file that is written beside its place under a name of its own and takes its place only when it is whole:
+/// A file that is written under a temporary name in the same folder and renamed when it is complete:
 /// what fails half-way leaves nothing behind, and an older file stays as it was.
 class OutputFile {
  public:
@@ -16,13 +16,13 @@ class OutputFile {
   OutputFile& operator=(const OutputFile&) = delete;
   OutputFile(OutputFile&& other) noexcept;
   OutputFile& operator=(OutputFile&&) = delete;
-  ~OutputFile();  ///< Removes what was not committed.
+  ~OutputFile();  ///< Removes a file that was not committed.
 
   const std::filesystem::path& path() const { return path_; }
   /// Where to write until commit(): an empty file in the same folder, with the same extension.
   const std::filesystem::path& temporary() const { return temporary_; }
 
-  /// Brings the file to the disk and gives it its name.
+  /// Writes the file to the disk and renames it.
   /// @throws std::runtime_error
   void commit();
 

@@ -14,13 +14,13 @@ std::string describe_duration(double seconds);
 /// A progress bar with the time that is left, on a terminal's one line; silent where nobody looks.
 class ProgressBar {
  public:
-  /// On standard error, so that standard output stays the result's.
+  /// On standard error, because standard output belongs to results.
   ProgressBar(std::string title, const Clock& clock);
   ~ProgressBar();
   ProgressBar(const ProgressBar&) = delete;
   ProgressBar& operator=(const ProgressBar&) = delete;
 
-  /// `done` of `total`, with a few words on what goes on now. Redraws at most ten times a second.
+  /// `done` of `total`, with a few words on the current activity. Redraws at most ten times a second.
   void show(double done, double total, std::string_view words = {});
   /// Prints a line of its own above the bar (also where there is no terminal).
   void line(std::string_view text);

@@ -15,11 +15,11 @@ enum class Emphasis { kNone, kGood, kWarning, kBad, kHeading };
 /// `stream` is a terminal and NO_COLOR is not set; else as it is.
 std::string emphasised(std::FILE* stream, Emphasis emphasis, const std::string& text);
 
-/// Bytes that begin and end what is emphasised. None of them occurs in UTF-8, so no text of a bench file
+/// Bytes that begin and end an emphasis. None of them occurs in UTF-8, so no text of a bench file
 /// holds one.
 inline constexpr std::string_view kEmphasisMarks = "\xf8\xf9\xfa\xfb\xfc";
 
-/// What a terminal takes for one of kEmphasisMarks.
+/// The terminal sequence for each of kEmphasisMarks.
 std::string_view terminal_sequence(char mark);
 
 }  // namespace abcal

@@ -39,7 +39,7 @@ inline constexpr Range kNotNegative{0.0, kInfinity};
 /// What a written file calls the source of a default, so that it is not taken for a stated value when read.
 inline constexpr std::string_view kDefaultSource = "default";
 
-/// A standard uncertainty and where it comes from; no source: a default that nobody stated.
+/// A standard uncertainty and its source; no source: a default.
 struct StatedUncertainty {
   double value = 0.0;
   std::string source;
@@ -62,7 +62,7 @@ class KeyVisitor {
   virtual void seed(const std::string& key, std::uint64_t& value) = 0;
   virtual void boolean(const std::string& key, bool& value) = 0;
   virtual void vector(const std::string& key, Eigen::Vector3d& value) = 0;
-  /// Three numbers, each in the range. Visitors to whom the range is nothing need not know of it.
+  /// Three numbers, each in the range. Visitors may ignore the range.
   virtual void vector_in(const std::string& key, Eigen::Vector3d& value, Range) { vector(key, value); }
   /// A standard uncertainty from 0 to `most`: a number, or a table with its source (docs/effects.md). `unit`
   /// is for messages. For a visitor that does not tell them apart it is a number.

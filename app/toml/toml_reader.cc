@@ -13,7 +13,7 @@
 namespace abcal {
 namespace {
 
-// What a message shows of a file, in bytes: enough to find the place, whatever stands there.
+// The part of a file that a message shows, in bytes: enough to find the place.
 constexpr std::size_t kLongestShown = 200;
 constexpr std::size_t kLongestRequired = 1000;
 constexpr std::size_t kMostProblems = 50;
@@ -35,17 +35,17 @@ class NestingCheck {
 
   /// The first line that nests too deeply; nothing: none does.
   std::optional<std::size_t> line_too_deep() {
-    while (at_ < text_.size()) {
-      const char c = text_[at_];
+    while (position_ < text_.size()) {
+      const char c = text_[position_];
       if (c == '#') {
-        at_ = std::min(text_.find('\n', at_), text_.size());
+        position_ = std::min(text_.find('\n', position_), text_.size());
         continue;
       }
       if (c == '"' || c == '\'') {
         skip_string(c);
         continue;
       }
-      ++at_;
+      ++position_;
       count(c);
       if (dots_ >= kDeepestToml || brackets_ > kDeepestToml) return line_;
     }
@@ -63,22 +63,22 @@ class NestingCheck {
 
   void skip_string(char quote) {
     const std::string triple(3, quote);
-    const bool has_lines = text_.substr(at_, 3) == triple;
-    at_ += has_lines ? 3 : 1;
-    while (at_ < text_.size()) {
-      const char c = text_[at_];
-      if (c == '\n' && !has_lines) return;  // Not closed: the parser says so.
-      if (has_lines ? text_.substr(at_, 3) == triple : c == quote) {
-        at_ += has_lines ? 3 : 1;
+    const bool has_lines = text_.substr(position_, 3) == triple;
+    position_ += has_lines ? 3 : 1;
+    while (position_ < text_.size()) {
+      const char c = text_[position_];
+      if (c == '\n' && !has_lines) return;  // Not closed: the parser reports it.
+      if (has_lines ? text_.substr(position_, 3) == triple : c == quote) {
+        position_ += has_lines ? 3 : 1;
         return;
       }
       if (c == '\n') ++line_;
-      at_ += c == '\\' && quote == '"' ? 2 : 1;
+      position_ += c == '\\' && quote == '"' ? 2 : 1;
     }
   }
 
   std::string_view text_;
-  std::size_t at_ = 0, line_ = 1, dots_ = 0, brackets_ = 0;
+  std::size_t position_ = 0, line_ = 1, dots_ = 0, brackets_ = 0;
 };
 
 std::string words_of(const toml::node& node) {
@@ -310,7 +310,7 @@ void TomlReader::read_uncertainty_table(const toml::table& table, const std::str
             kOneOf);
   if (found_.size() != problems_before) return;
 
-  // A written file keeps the default and says so; read again, it is a default again.
+  // A written file marks a default as such, so that it is a default again when it is read.
   if (value && source == kDefaultSource) {
     stated = {*value, ""};
     return;
@@ -469,7 +469,7 @@ void TomlReader::add_problem(const std::string& where, const std::string& found,
 
 void TomlReader::add_problem_at(std::uint32_t line, const std::string& where, const std::string& found,
                                 const std::string& required) {
-  // What has no line stands at the end.
+  // Problems without a line are at the end.
   found_.emplace_back(line == 0 ? std::numeric_limits<std::uint32_t>::max() : line,
                       shown_problem(at(line) + display(where), found, required));
 }

@@ -50,21 +50,21 @@ class TomlReader final : public KeyVisitor {
   /// A list of texts.
   void texts(const std::string& key, std::vector<std::string>& value,
              const std::vector<std::string>& choices = {});
-  /// Whether a key stands in the section being visited.
+  /// Whether a key is in the section being visited.
   bool has(const std::string& key) const { return table_ != nullptr && table_->contains(key); }
   /// Reports a key of the section being visited that must be there, and is not.
   void add_missing(const std::string& key, const std::string& required);
   /// The line of the section being visited; 0 if it is absent.
   std::uint32_t line() const { return table_ == nullptr ? 0 : table_->source().begin.line; }
 
-  /// The path of a key of the section being visited, as add_problem_at() takes it.
+  /// The path of a key of the section being visited, for add_problem_at().
   std::string name(const std::string& key) const { return path_.empty() ? key : path_ + "." + key; }
 
   /// Keys and sections that no visit asked for.
   void report_unknown();
   std::vector<Problem> take_problems();
   /// A problem that needs more than one key to be seen; `where` is a path such as "stage.x.sign". Not told of
-  /// a key that is wrong by itself, as that says enough.
+  /// a key that is already reported by itself.
   void add_problem(const std::string& where, const std::string& found, const std::string& required);
   /// The same where only the line is known.
   void add_problem_at(std::uint32_t line, const std::string& where, const std::string& found,
@@ -97,7 +97,7 @@ class TomlReader final : public KeyVisitor {
 toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
                        std::vector<Problem>& problems);
 
-/// The whole of a file of a kind ("bench file"). What stands in the way (absent, a folder, no permission) is
+/// The whole of a file of a kind ("bench file"). A failure (absent, a folder, no permission) is
 /// added to the problems.
 std::string read_text_file(const std::string& path, const std::string& kind, std::vector<Problem>& problems);
 

@@ -22,7 +22,7 @@ DsiUnit per_acceleration() {
   return DsiUnit("\\second").to_the(2) * DsiUnit("\\metre").to_the(-1);
 }
 
-/// The name of a unit that is not of the SI, as one word behind the bar that D-SI wants.
+/// The name of a unit that is not of the SI, as one word after the bar that D-SI requires.
 std::string non_si(const std::string& name) {
   std::string word = one_line(name);
   std::replace(word.begin(), word.end(), ' ', '_');
@@ -46,7 +46,7 @@ UnitMeaning meaning_to_the(UnitMeaning unit, int power) {
   return result;
 }
 
-/// A unit of the table, with what is known of it in D-SI.
+/// A unit of the table, with its D-SI form.
 UnitInDsi from_table(const PrefixedUnit& found, const std::string& name) {
   UnitInDsi in;
   const NamedUnit& unit = *found.unit;

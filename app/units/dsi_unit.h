@@ -27,16 +27,16 @@ class DsiUnit {
 /// How a unit of ours is given in a certificate.
 struct UnitInDsi {
   DsiUnit unit;
-  double factor = 1.0;  ///< Value in `unit` for 1 of ours; exactly 1 where D-SI knows our unit.
-  /// Ours, where D-SI does not know it: then both are given.
+  double factor = 1.0;  ///< Value in `unit` for 1 of ours; exactly 1 if D-SI has our unit.
+  /// Our unit, if D-SI does not have it: then both are given.
   std::optional<DsiUnit> own;
   std::string definition;  ///< Of our own, in words.
-  std::string note;        ///< What 1 stands for, where the output has no physical unit.
+  std::string note;        ///< What 1 means, if the output has no physical unit.
 };
 
 /// "V", "g", "LSB", "degree", "%", "mrad"; per local gravity "V/g_loc", which has the unit of the output
-/// since the quantity is the change of the output for one g_loc; "V/(m/s2)", "mV/g" (standard gravity). What
-/// nobody knows is a count: \one, with a note.
+/// since the quantity is the change of the output for one g_loc; "V/(m/s2)", "mV/g" (standard gravity). A
+/// unit that is unknown is a count: \one, with a note.
 UnitInDsi unit_in_dsi(const std::string& unit);
 
 /// A unit of D-SI: \volt\second\tothe{2}\metre\tothe{-1} (prefixes before the unit, \tothe{n} after it).

@@ -15,7 +15,7 @@ namespace abcal {
 /// Text that libxml2 gives away; nothing for a null pointer.
 std::string owned_text(xmlChar* text);
 
-/// The text below a node, as it stands.
+/// The text below a node, unchanged.
 std::string xml_content(const xmlNode* node);
 
 /// The words of a list, separated by white space.
@@ -30,7 +30,7 @@ class XmlQuery {
 
   std::vector<xmlNode*> nodes(const std::string& path, xmlNode* from = nullptr) const;
   bool any(const std::string& path, xmlNode* from = nullptr) const { return !nodes(path, from).empty(); }
-  /// Text of each node, as it stands.
+  /// Text of each node, unchanged.
   std::vector<std::string> texts(const std::string& path, xmlNode* from = nullptr) const;
   /// Text of the first node, without white space at its ends; empty if there is none.
   std::string text(const std::string& path, xmlNode* from = nullptr) const;

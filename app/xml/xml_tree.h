@@ -19,7 +19,7 @@ inline const xmlChar* as_xml(const char* text) {
   return reinterpret_cast<const xmlChar*>(text);
 }
 
-/// Text that any XML 1.0 document may hold: what is no valid UTF-8, and control characters, become U+FFFD.
+/// Text that any XML 1.0 document may hold: invalid UTF-8 and control characters become U+FFFD.
 std::string xml_safe(std::string_view text);
 
 /// The same on one line: blanks at the ends are cut off, others become one space each. What many elements of
@@ -45,7 +45,7 @@ class XmlElement {
 /// The document as UTF-8 text, indented.
 std::string xml_text(const XmlDocument& document);
 
-/// The largest text that parse_xml() takes: a certificate has some 100 kB.
+/// The largest text that parse_xml() accepts: a certificate has some 100 kB.
 inline constexpr std::size_t kLargestXml = 64u << 20;
 
 /// Parses a text. Nothing is loaded from the network or from other files; a text with a document type

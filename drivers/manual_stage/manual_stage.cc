@@ -9,9 +9,9 @@
 #include <cerrno>
 #include <charconv>
 #include <cmath>
-#include <iostream>
 #include <istream>
 #include <ostream>
+#include <sstream>
 #include <stdexcept>
 #include <streambuf>
 #include <utility>
@@ -103,11 +103,31 @@ class TerminalInput final : public std::streambuf {
   std::array<char, 512> buffer_{};
 };
 
-/// A ManualStage with the input it reads.
+/// Hands on what was written at each flush.
+class ShownOutput final : public std::stringbuf {
+ public:
+  explicit ShownOutput(std::function<void(std::string_view)> show) : show_(std::move(show)) {}
+
+ protected:
+  int sync() override {
+    show_(str());
+    str({});
+    return 0;
+  }
+
+ private:
+  std::function<void(std::string_view)> show_;
+};
+
+/// A ManualStage with the input it reads and the output it writes.
 class TerminalStage final : public RotationStage {
  public:
-  explicit TerminalStage(const StageSettings& settings)
-      : buffer_(pipe_), in_(&buffer_), stage_(in_, std::cerr, settings, [this] { pipe_.wake(); }) {}
+  TerminalStage(const StageSettings& settings, std::function<void(std::string_view)> show)
+      : buffer_(pipe_),
+        in_(&buffer_),
+        shown_(std::move(show)),
+        out_(&shown_),
+        stage_(in_, out_, settings, [this] { pipe_.wake(); }) {}
 
   StageInfo identify() override {
     pipe_.drain();
@@ -124,6 +144,8 @@ class TerminalStage final : public RotationStage {
   WakePipe pipe_;
   TerminalInput buffer_;
   std::istream in_;
+  ShownOutput shown_;
+  std::ostream out_;
   ManualStage stage_;
 };
 
@@ -266,14 +288,15 @@ bool ManualStage::halt() noexcept {
   return false;
 }
 
-std::unique_ptr<RotationStage> at_terminal(const StageSettings& settings) {
+std::unique_ptr<RotationStage> at_terminal(const StageSettings& settings,
+                                           std::function<void(std::string_view)> show) {
   if (::isatty(STDIN_FILENO) != 1 || ::isatty(STDERR_FILENO) != 1) {
     throw failure(
         Fault::kCannotOpen,
         "a stage that is turned by hand needs a person at a terminal, and standard input or standard "
         "error is none");
   }
-  return std::make_unique<TerminalStage>(settings);
+  return std::make_unique<TerminalStage>(settings, std::move(show));
 }
 
 }  // namespace abcal::manual_stage

@@ -70,10 +70,12 @@ class ManualStage final : public RotationStage {
   std::atomic<bool> halted_ = false;
 };
 
-/// A manual stage at the terminal of this process: asks on standard error (standard output belongs to
-/// results), reads standard input; a halt (Ctrl-C) ends an open question at once.
+/// A manual stage at the terminal of this process: asks with `show`, which writes to standard error (standard
+/// output belongs to results) and must not throw; reads standard input; a halt (Ctrl-C) ends an open question
+/// at once.
 /// @throws InstrumentError kCannotOpen, at once, if standard input or standard error is no terminal: nobody
 ///   would be there to turn the stage.
-std::unique_ptr<RotationStage> at_terminal(const StageSettings& settings);
+std::unique_ptr<RotationStage> at_terminal(const StageSettings& settings,
+                                           std::function<void(std::string_view)> show);
 
 }  // namespace abcal::manual_stage

@@ -36,8 +36,12 @@ constexpr EffectSizeKey angle(std::string_view section, std::string_view key, do
 }
 template <double EffectSizes::*member>
 constexpr EffectSizeKey value(std::string_view section, std::string_view key, std::string_view unit,
-                              double most, std::string_view words, bool was_tolerance = false) {
-  return {section, key, unit, most, words, was_tolerance, value_of<member>, set_value<member>};
+                              double most, std::string_view words) {
+  return {section, key, unit, most, words, false, value_of<member>, set_value<member>};
+}
+constexpr EffectSizeKey once_a_tolerance(EffectSizeKey key) {
+  key.was_tolerance = true;
+  return key;
 }
 
 constexpr std::array kKeys{
@@ -49,7 +53,7 @@ constexpr std::array kKeys{
                                      "smooth step errors, each coefficient to 6/rev", false),
     value<&EffectSizes::wobble_urad>(kStage, "wobble_urad", "urad", 10'000.0,
                                      "wobble of the axes, each coefficient to 3/rev"),
-    value<&EffectSizes::drift>(kItem, "drift", "1", 1.0, "drift of the offset, each order", true),
+    once_a_tolerance(value<&EffectSizes::drift>(kItem, "drift", "1", 1.0, "drift of the offset, each order")),
     value<&EffectSizes::sensitivity_drift>(kItem, "sensitivity_drift", "1", 1.0, "drift of the sensitivity"),
     value<&EffectSizes::nonlinearity>(kItem, "nonlinearity", "1", 0.1,
                                       "non-linearity of orders 4 and 5, |a| and cross terms"),

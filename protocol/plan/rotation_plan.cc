@@ -134,18 +134,18 @@ int readings_per_dwell(const ProtocolConfig& config, double rate_hz) {
 std::array<AxisTravel, 2> cable_twist(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config) {
   std::array<AxisTravel, 2> twist{AxisTravel{Angle{}, Angle{}}, AxisTravel{Angle{}, Angle{}}};
   std::array<Angle, 2> at{};
-  const auto bring = [&](std::size_t axis, Angle to) {
+  const auto turn_to = [&](std::size_t axis, Angle to) {
     const Angle lowest = to < at[axis] ? to - config.approach : to;
     twist[axis].min = std::min(twist[axis].min, lowest);
     twist[axis].max = std::max(twist[axis].max, to);
     at[axis] = to;
   };
   for (const PlannedAngle& angle : plan) {
-    bring(kX, angle.x);
-    bring(kZ, angle.z);
+    turn_to(kX, angle.x);
+    turn_to(kZ, angle.z);
   }
-  bring(kX, Angle{});  // Parked.
-  bring(kZ, Angle{});
+  turn_to(kX, Angle{});  // Parked.
+  turn_to(kZ, Angle{});
   return twist;
 }
 

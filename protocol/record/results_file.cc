@@ -54,18 +54,31 @@ void ResultsFile::require_none(const std::filesystem::path& run_path) {
       "it belongs to, or choose another name with -o");
 }
 
-ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256, Making making)
+ResultsFile::ResultsFile(const std::filesystem::path& run_path)
     : database_(path_beside(run_path), SqliteDatabase::Mode::kCreate) {
   database_.wait_at_most(kPatienceForOthers);
   database_.execute("pragma synchronous=full");
+}
+
+void ResultsFile::begin(const std::filesystem::path& run_path) {
+  ResultsFile results(run_path);
+  Transaction transaction(results.database_);
+  results.database_.execute(kResultsSchema);
+  transaction.commit();
+}
+
+ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256)
+    : ResultsFile(run_path) {
   Transaction transaction(database_);
+  const bool is_begun =
+      database_.value("select 1 from sqlite_master where type='table' and name='run'").has_value();
   database_.execute(kResultsSchema);
   add_missing_columns(database_);
   if (const auto stored = database_.value("select sha256 from run"); stored && *stored != run_sha256) {
     throw RunFileError(path_beside(run_path).string() + ": belongs to a run with SHA-256 " + *stored +
                        ", but " + run_path.string() + " has " + run_sha256 + ": one of the two was changed");
   } else if (!stored) {
-    made_again_ = making == Making::kAgain;
+    made_again_ = !is_begun;
     database_.prepare("insert into run(sha256, note) values(:sha256, :note)")
         .set("sha256", std::string_view(run_sha256))
         .set("note", std::string_view(made_again_ ? kMadeAgain : ""))

@@ -27,18 +27,18 @@ struct IssuedCertificate {
 /// in one transaction: several programs may add at once.
 class ResultsFile {
  public:
-  /// Whether the results of a run are made for the first time.
-  enum class Making {
-    kFirst,  ///< The run was closed just now.
-    kAgain,  ///< It may have had results that are lost: where there are none, the new ones say so.
-  };
   /// The note in the table `run` of results that were made again.
-  static constexpr std::string_view kMadeAgain = "made again: analyses of before are not known";
+  static constexpr std::string_view kMadeAgain = "made again: earlier analyses are not known";
 
-  /// Opens or makes the results of a run; they name the hash of the closed run they belong to.
+  /// Begins the results of a run that is about to be closed: without any, and without its hash. Does nothing
+  /// where it is begun already.
+  /// @throws RunFileError
+  static void begin(const std::filesystem::path& run_path);
+
+  /// Opens the results of a closed run; they name its hash. Where they are missing, which begin() had made,
+  /// they are made again, with a note.
   /// @throws RunFileError also where they belong to another run
-  ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256,
-              Making making = Making::kAgain);
+  ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256);
 
   /// Whether this call made the file again, so that a person should be told: earlier analyses are unknown.
   bool made_again() const { return made_again_; }
@@ -64,6 +64,8 @@ class ResultsFile {
   static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path);
 
  private:
+  explicit ResultsFile(const std::filesystem::path& run_path);
+
   SqliteDatabase database_;
   bool made_again_ = false;
 };

@@ -445,6 +445,11 @@ std::string RunFile::close_complete(const std::string& utc, const RunTiming& tim
 
 std::optional<std::string> RunFile::close(const TryAgain& try_again) {
   const std::filesystem::path path = impl_->path;
+  try {
+    ResultsFile::begin(path);
+  } catch (const RunFileError&) {
+    // The run comes first. Who keeps the first analysis tries again, and says what is wrong.
+  }
   // The log is folded into the file, for which SQLite wants it alone, and does not wait by itself.
   for (int failures = 1; !impl_->database.execute_unless_busy("pragma journal_mode=delete"); ++failures) {
     if (!try_again(failures)) return std::nullopt;

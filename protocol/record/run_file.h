@@ -244,7 +244,7 @@ class RunFile {
   /// The run can be loaded and analysed from now on.
   void complete(const std::string& utc, const RunTiming& timing);
 
-  /// Closes a run that is complete: checkpoint, one single file again, read-only.
+  /// Closes a run that is complete: checkpoint, one single file again, read-only. Its results are begun.
   /// @return SHA-256 of the closed file's bytes, in hexadecimal; nothing where readers keep the file open: it
   /// stays complete, and close() or finish_closing() closes it later.
   std::optional<std::string> close(const TryAgain& try_again = wait_for_readers);

@@ -22,7 +22,7 @@ IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, co
   std::string sql = "select ";
   for (const std::string& column : columns) sql += column + ", ";
   if (database.value("select count(*) from pragma_table_info('" + table + "') where name = 'chain'") == "0")
-    return {what, false, "written by an abcal that did not chain it yet"};
+    return {what, false, "written by an abcal that did not link its entries yet"};
   SqliteStatement rows = database.prepare(sql + "chain from " + table + " order by id");
   std::string link;
   std::size_t count = 0;
@@ -167,7 +167,7 @@ void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>
     checks.push_back({"SHA-256", false,
                       results.string() +
                           ", which names the hash of the run, is missing; `abcal analyse` makes it "
-                          "again, with a note that analyses of before are not known"});
+                          "again, with a note that earlier analyses are not known"});
     return;
   }
   SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
@@ -215,15 +215,15 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
 
 std::string attested_by(const std::filesystem::path& run) {
   SqliteDatabase database = open_run_file(run, SqliteDatabase::Mode::kReadOnly);
-  const char* chained =
-      run_file_version(database) >= 3
-          ? "dwells with their readings, events, analyses and certificates are chained"
-          : "events, analyses and certificates are chained, dwells are not (run file version 2)";
+  const bool chains_dwells = run_file_version(database) >= 3;
   return fmt::format(
-      "self-consistent only: {}; anyone who can write the run and its results can rebuild all of it, since "
-      "there is "
-      "neither a signature nor a time stamp. Keep the SHA-256 elsewhere if that matters",
-      chained);
+      "The run and its results are consistent: the results name the SHA-256 of the run, and each entry of {} "
+      "is linked to the one before{}. There is neither a signature nor a time stamp: anyone with write "
+      "access "
+      "to both files can rebuild them consistently. Keep the SHA-256 elsewhere to detect this.",
+      chains_dwells ? "dwells with their readings, events, analyses and certificates"
+                    : "events, analyses and certificates",
+      chains_dwells ? "" : " (run file version 2 does not link dwells)");
 }
 
 }  // namespace abcal

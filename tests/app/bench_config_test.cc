@@ -111,7 +111,10 @@ TEST(BenchConfigTest, RefusesSettingsThatContradictEachOther) {
   EXPECT_THAT(problems_of(base + "[stage.x]\ntravel_min_deg = 10\ntravel_max_deg = -10\n"),
               HasSubstr("travel_min_deg <"));
   EXPECT_THAT(problems_of(base + "[stage.z]\naxis = \"1\"\n"), HasSubstr("two different axes"));
-  EXPECT_THAT(problems_of(base + "[protocol]\nsteps = 100\n"), HasSubstr("<= 360"));
+  // The last of 73 angles would be the first again, one turn later.
+  EXPECT_THAT(problems_of(base + "[protocol]\nsteps = 73\nstep_deg = 5\n"),
+              HasSubstr("(steps - 1) * step_deg < 360"));
+  EXPECT_NO_THROW(parse_bench(base + "[protocol]\nsteps = 72\nstep_deg = 5\n", "bench.toml"));
   EXPECT_THAT(
       problems_of("[stage]\ndriver=\"pi_gcs\"\nport=\"simulated\"\n[accelerometer]\ndriver=\"simulated\"\n"
                   "port=\"simulated\"\n"),

@@ -277,7 +277,7 @@ TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
   }
   const ProgramResult shared = compare({"a.run", "a.xml", "--shared"});
   EXPECT_EQ(shared.exit_code, 2);
-  EXPECT_THAT(shared.err, AllOf(HasSubstr("a.xml"), HasSubstr("does not tell what part")));
+  EXPECT_THAT(shared.err, AllOf(HasSubstr("a.xml"), HasSubstr("does not state which part")));
 }
 
 TEST_F(CompareCommand, BadFilesAreNamed) {

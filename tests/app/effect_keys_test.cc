@@ -148,7 +148,7 @@ TEST(EffectKeysTest, AWrittenFileTellsDefaultsFromStatedValues) {
 TEST(EffectKeysTest, DefaultsAreNamed) {
   const BenchConfig config = bench_with("[stage_uncertainty]\nwobble_urad = 12\n");
   const std::string words = default_effects_words(config.tolerances);
-  EXPECT_THAT(words, HasSubstr("default sizes stand, not yours"));
+  EXPECT_THAT(words, HasSubstr("default sizes are used"));
   EXPECT_THAT(words, HasSubstr("hysteresis"));
   EXPECT_THAT(words, Not(HasSubstr("wobble")));
 }

@@ -37,7 +37,7 @@ class FailingDiskTest : public testing::Test {
   void SetUp() override {
     InProcessRun whole(bench(), folder / "whole.run");
     disk.mend();
-    whole.go_on();
+    whole.run_to_end();
     for (const Failure how : {Failure::kFull, Failure::kShortWrite, Failure::kInputOutput})
       calls[how] = disk.calls(how);
     ASSERT_TRUE(whole.finished());
@@ -70,7 +70,7 @@ class FailingDiskTest : public testing::Test {
     disk.fail(how, at, lasts);
     std::string why;
     try {
-      run.go_on();
+      run.run_to_end();
     } catch (const RunFileError& error) {
       why = error.what();
     }
@@ -97,7 +97,7 @@ class FailingDiskTest : public testing::Test {
     } else {
       check_kept(run, why);
     }
-    run.go_on();
+    run.run_to_end();
     check_complete(run);
     remove_run();
   }

@@ -80,7 +80,7 @@ void InProcessRun::watch(Bench& bench) {
   bench.accelerometer = std::make_unique<WatchedAccelerometer>(std::move(bench.accelerometer), *this);
 }
 
-void InProcessRun::go_on() {
+void InProcessRun::run_to_end() {
   calls_ = halts_ = 0;
   left_moving_ = false;
   longest_angle_s_ = 0.0;

@@ -25,18 +25,18 @@ class InProcessRun {
   /// Begins the run, or goes on with it where it was interrupted, to its end: closed and analysed. Does
   /// nothing more to one that is.
   /// @throws what the commands throw
-  void go_on();
+  void run_to_end();
 
   bool exists() const { return std::filesystem::exists(path_); }
   const std::filesystem::path& path() const { return path_; }
 
   /// Called before each call to an instrument, but for halt() and stop(), with its name and its number in
-  /// this go_on() (1 is the first); may throw what the instrument would.
+  /// this run_to_end() (1 is the first); may throw what the instrument would.
   std::function<void(std::string_view call, std::size_t number)> before_call;
   /// May change the bench before it is made, e.g. what goes wrong on it this time.
   std::function<void(BenchConfig& config)> change_bench;
 
-  // Of the last go_on().
+  // Of the last run_to_end().
   std::size_t calls() const { return calls_; }
   std::size_t halts() const { return halts_; }
   /// It had been told to move, and neither came to rest nor was halted before the run was left.
@@ -47,7 +47,7 @@ class InProcessRun {
   double longest_angle_s() const { return longest_angle_s_; }
   const std::optional<RunOutcome>& finished() const { return finished_; }
 
-  /// The angles that the run has said to be measured, of all go_on() together: positions in the plan.
+  /// The angles that the run has said to be measured, of all run_to_end() together: positions in the plan.
   const std::set<std::size_t>& reported() const { return reported_; }
 
  private:

@@ -9,10 +9,12 @@
 
 #include <array>
 #include <cmath>
+#include <memory>
 #include <nlohmann/json.hpp>
 
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
+#include "protocol/record/verify.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
@@ -25,6 +27,7 @@ using test::Program;
 using test::ProgramResult;
 using testing::AllOf;
 using testing::HasSubstr;
+using testing::Not;
 using Json = nlohmann::json;
 using namespace std::chrono_literals;
 
@@ -71,6 +74,51 @@ TEST_F(ProgramTest, AnAnalysisIsKeptBesideTheRunOnce) {
   SqliteDatabase results(folder / "a.run.results", SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(results.value("select count(*) from analysis where estimator='abc'"), "1");
   EXPECT_EQ(results.value("select sha256 from run"), before);
+}
+
+TEST_F(ProgramTest, LevelFindsTheTiltOfTheStageAndItsReadingsAreARunThatVerifies) {
+  write_bench({.simulation = "zx = 5e-4\nzy = -3e-4\n"});
+  const ProgramResult level =
+      abcal({"level", "bench.toml", "-o", "a.level.json", "--run", "a.level.run", "--json"});
+  ASSERT_EQ(level.exit_code, 0) << level.err;
+  const Json found = Json::parse(level.out);
+  EXPECT_EQ(found, Json::parse(test::read_file(folder / "a.level.json")));
+  for (const auto& [name, truth] : {std::pair{"zx", 5e-4}, {"zy", -3e-4}}) {
+    const Json& quantity = found.at(name);
+    EXPECT_NEAR(quantity.at("value").get<double>(), truth,
+                4.0 * quantity.at("standard_uncertainty").get<double>())
+        << name;
+  }
+  const ProgramResult verified = abcal({"verify", "a.level.run"});
+  EXPECT_EQ(verified.exit_code, 0) << verified.out;
+  EXPECT_THAT(verified.out, Not(HasSubstr("again")));
+  EXPECT_EQ(abcal({"level", "bench.toml", "-o", "a.level.json"}).exit_code, 2) << "never overwritten";
+}
+
+/// Programs that keep their analyses of one run at the same time. Each round begins without results.
+class LongParallelAnalysisTest : public ProgramTest {};
+
+TEST_F(LongParallelAnalysisTest, KeepsOneWholeChain) {
+  write_bench({});
+  ASSERT_EQ(abcal({"run", "bench.toml", "-o", "a.run"}).exit_code, 0);
+  constexpr std::array<const char*, 3> kEstimators{"abc", "joint", "norm"};
+  for (int round = 0; round < 40; ++round) {
+    std::filesystem::remove(folder / "a.run.results");
+    std::vector<std::unique_ptr<Program>> programs;
+    for (std::size_t k = 0; k < 8; ++k) {
+      programs.push_back(std::make_unique<Program>(
+          std::vector<std::string>{"analyse", "a.run", "--estimator", kEstimators.at(k % 3), "--json"},
+          folder.path()));
+    }
+    for (const auto& program : programs) EXPECT_EQ(program->wait(), 0) << program->err();
+    for (const IntegrityCheck& check : verify_run(folder / "a.run")) {
+      EXPECT_TRUE(check.good) << "round " << round << ": " << check.what << ": " << check.found;
+      if (check.what == "analyses") {
+        EXPECT_THAT(check.found, HasSubstr("3 entries")) << "round " << round;
+      }
+    }
+    if (HasFailure()) return;
+  }
 }
 
 TEST_F(ProgramTest, PlanShowsTheSequenceAndEveryProblem) {
@@ -134,7 +182,7 @@ TEST_F(ProgramTest, AFullDiskHaltsTheStageKeepsTheAnglesAndCanBeResumed) {
   EXPECT_LT(stored.measured.size(), stored.header.plan.size());
   const ProgramResult resumed = abcal({"resume", "a.run"});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
-  EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and went on once"));
+  EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and resumed once"));
   EXPECT_EQ(RunFile::load(folder / "a.run").state, RunState::kComplete);
 }
 

@@ -59,7 +59,7 @@ class FaultAtEveryCallTest : public testing::Test {
 
   void SetUp() override {
     InProcessRun whole(bench(), folder / "whole.run");
-    whole.go_on();
+    whole.run_to_end();
     calls = whole.calls();
     expected_bits = measured_bits(whole.path());
   }
@@ -91,7 +91,7 @@ class FaultAtEveryCallTest : public testing::Test {
       throw InstrumentError("this instrument", *fault, "scripted");
     };
     try {
-      run.go_on();
+      run.run_to_end();
     } catch (const InstrumentError& error) {
       why = error.what();
       EXPECT_EQ(error.fault(), fault) << why;
@@ -112,7 +112,7 @@ class FaultAtEveryCallTest : public testing::Test {
       return;
     }
     check_kept(run, why, fault);
-    run.go_on();
+    run.run_to_end();
     EXPECT_EQ(RunFile::load(run.path()).state, RunState::kComplete);
     EXPECT_EQ(measured_bits(run.path()), expected_bits);
     expect_verified(run.path());
@@ -257,7 +257,7 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
     std::string why;
     std::optional<Fault> found;
     try {
-      run.go_on();
+      run.run_to_end();
     } catch (const InstrumentError& error) {
       why = error.what();
       found = error.fault();
@@ -286,7 +286,7 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
       run.change_bench = [](BenchConfig& config) { config.faults.clear(); };
       std::filesystem::copy_file(run.path(), folder / "kept.run",
                                  std::filesystem::copy_options::overwrite_existing);
-      run.go_on();
+      run.run_to_end();
     } else {
       EXPECT_FALSE(run.left_moving());
     }
@@ -311,7 +311,7 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
 
 TEST_P(RunFaults, EndInTimeWithTheRightFaultAndGoOnOrCompleteWithoutAWrongNumberThatLooksRight) {
   InProcessRun whole(text, folder / "whole.run");
-  whole.go_on();
+  whole.run_to_end();
   ASSERT_TRUE(whole.finished());
   EXPECT_EQ(whole.finished()->results.front().verdict, Verdict::kUsable)
       << whole.finished()->results.front().why;

@@ -100,7 +100,7 @@ class SoakTest : public testing::Test {
       };
       std::string why;
       try {
-        run.go_on();
+        run.run_to_end();
       } catch (const InstrumentError& error) {
         why = error.what();
         ++by_instruments;

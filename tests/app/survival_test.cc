@@ -69,7 +69,7 @@ class SurvivalTest : public ProgramTest {
         ++killed_when_complete;
       } else {
         ASSERT_EQ(resumed.exit_code, 0) << resumed.err;
-        EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and went on"));
+        EXPECT_THAT(resumed.out, HasSubstr("the run was interrupted and resumed"));
       }
       EXPECT_EQ(integrity(path), "ok");
       const std::vector<std::string> bits = measured_bits(path);

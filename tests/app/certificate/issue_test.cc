@@ -87,7 +87,7 @@ TEST_F(IssueTest, WhoMeasuredCannotApprove) {
   const auto self =
       abcal(issue("EX-1", {"--approved-by", "Approver N. N.", "--measured-by", "Approver N. N."}));
   EXPECT_EQ(self.exit_code, 1);
-  EXPECT_THAT(self.err, HasSubstr("another person than who measured"));
+  EXPECT_THAT(self.err, HasSubstr("a person other than the one who measured"));
   const auto stranger = abcal(issue("EX-1", {"--approved-by", "Nobody"}));
   EXPECT_THAT(stranger.err, AllOf(HasSubstr("\"Nobody\""), HasSubstr("who may approve")));
   EXPECT_THAT(abcal(issue("EX-1", {"--approved-by", "Operator N. N."})).err, HasSubstr("who may approve"));

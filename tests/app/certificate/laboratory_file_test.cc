@@ -37,7 +37,7 @@ TEST(LaboratoryFileTest, AnEmptyFileNamesEverythingThatIsMandatory) {
   const std::string all = testing::PrintToString(problems);
   for (const char* item : {"[laboratory] name", "[laboratory] city", "[laboratory] country_code",
                            "[laboratory] street", "[customer] name", "[customer] city", "[job] condition",
-                           "who may measure", "who may approve", "the stage's angle traceable"})
+                           "who may measure", "who may approve", "the angle of the stage traceable"})
     EXPECT_THAT(all, HasSubstr(item));
 }
 
@@ -67,7 +67,7 @@ TEST(LaboratoryFileTest, BlanksAreNoAnswer) {
 TEST(LaboratoryFileTest, OnePersonCannotMeasureAndApprove) {
   std::string text = example_laboratory();
   text = replaced(text, "may = [\"measure\"]", "may = []");
-  EXPECT_THAT(problems_of(text), ElementsAre(HasSubstr("two persons: who measured cannot approve")));
+  EXPECT_THAT(problems_of(text), ElementsAre(HasSubstr("two persons: the one who measured cannot approve")));
 }
 
 TEST(LaboratoryFileTest, LimitsNeedARuleThatWasAgreed) {

@@ -356,7 +356,8 @@ TEST_F(ReportTest, AVerdictThatIsNotUsableHasNoNumbersAndExitsWith1) {
   EXPECT_THAT(report.at("cautions").dump(), HasSubstr("Not usable: "));
   const std::string html = test::read_file(folder / "a.html");
   EXPECT_THAT(html, AllOf(HasSubstr("<p class=\"caution\">Not usable: "), Not(HasSubstr("phi_uv")),
-                          Not(HasSubstr("<svg")), HasSubstr("No numbers are given beside this verdict")));
+                          Not(HasSubstr("<svg")),
+                          HasSubstr("No numbers are given, because the result is not usable")));
 }
 
 TEST_F(ReportTest, ARunThatWasChangedSaysSoOnTop) {
@@ -369,8 +370,7 @@ TEST_F(ReportTest, ARunThatWasChangedSaysSoOnTop) {
   bytes[at + 3] = '5';
   test::write_file(file, bytes);
   const ProgramResult result = abcal({"report", "a.run"});
-  EXPECT_THAT(unwrapped(result.out),
-              HasSubstr("!!! Not shown to be as it was written: SHA-256: the run has "));
+  EXPECT_THAT(unwrapped(result.out), HasSubstr("!!! Integrity not shown: SHA-256: the run has "));
 }
 
 TEST_F(ReportTest, ACsvIsReportedAsFarAsItGoes) {

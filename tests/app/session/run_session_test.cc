@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/verify.h"
 #include "tests/app/repeatable_run.h"
 #include "tests/support/temporary_folder.h"
 
@@ -50,6 +51,7 @@ class RunSessionTest : public testing::Test {
       if (on_event) on_event(event);
     };
     options.stop = stop.get_token();
+    options.result_listener = on_result;
     options.free_disk_space = [this](const std::filesystem::path&) { return free_bytes; };
     return std::make_unique<RunSession>(std::move(options));
   }
@@ -75,6 +77,7 @@ class RunSessionTest : public testing::Test {
   std::optional<std::uintmax_t> free_bytes;
   std::stop_source stop;
   std::function<void(const SessionEvent&)> on_event;
+  std::function<void(const RunOutcome&)> on_result;
   std::vector<std::string> kinds;  ///< Of all events, in order.
   std::optional<SessionEvent> last;
   int opened = 0;
@@ -233,6 +236,62 @@ TEST_F(RunSessionTest, APortThatVanishesAndComesBackIsTold) {
   EXPECT_EQ(count("port_back"), 1U);
   EXPECT_THAT(lost, AllOf(HasSubstr("the port of accelerometer"), HasSubstr("the stage is halted")));
   EXPECT_EQ(outcome.stored.record.reconnections, 1);
+}
+
+TEST_F(RunSessionTest, TheResultIsToldOnceAndBeforeReadersOfTheFileAreWaitedFor) {
+  int told = 0;
+  std::string sha256;
+  std::unique_ptr<SqliteDatabase> reader;
+  on_result = [&](const RunOutcome& outcome) {
+    ++told;
+    sha256 = outcome.sha256;
+    EXPECT_FALSE(outcome.results.empty());
+    reader.reset();
+  };
+  const RunOutcome alone = session()->start(start("alone.run"));
+  EXPECT_EQ(told, 1);
+  EXPECT_EQ(sha256, alone.sha256);
+  EXPECT_EQ(count("notice"), 0U);
+
+  on_event = [&](const SessionEvent& event) {
+    if (!std::holds_alternative<AllMeasuredEvent>(event)) return;
+    reader = std::make_unique<SqliteDatabase>(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
+    reader->value("select count(*) from dwell");
+  };
+  const RunOutcome outcome = session()->start(start());
+  EXPECT_EQ(told, 2);
+  EXPECT_EQ(sha256, "") << "not closed yet";
+  EXPECT_EQ(outcome.sha256.size(), 64U);
+  EXPECT_EQ(count("notice"), 1U);
+}
+
+TEST_F(RunSessionTest, ALevellingIsMeasuredAndClosedAsARunButNotAnalysed) {
+  const std::unique_ptr<RunSession> run = session();
+  EXPECT_FALSE(run->identify_instruments(start()).stage.model.empty());
+  const RunOutcome outcome = run->level(start());
+  EXPECT_EQ(opened, 1);
+  EXPECT_EQ(outcome.stored.state, RunState::kComplete);
+  EXPECT_EQ(outcome.stored.measured.size(), 5U + 4U);  // The spin, and the reversal.
+  EXPECT_THAT(outcome.results, testing::IsEmpty());
+  EXPECT_EQ(kinds.back(), "finished");
+  for (const IntegrityCheck& check : verify_run(folder / "a.run"))
+    EXPECT_TRUE(check.good) << check.what << ": " << check.found;
+}
+
+TEST_F(RunSessionTest, AKilledProgramsFirstResultsAreNotSaidToBeMadeAgain) {
+  session()->start(start());
+  const std::filesystem::path results = ResultsFile::path_beside(folder / "a.run");
+  {
+    // Killed after the run was closed, before its hash and its analyses were kept.
+    SqliteDatabase database(results, SqliteDatabase::Mode::kReadWrite);
+    database.execute("delete from run");
+    database.execute("delete from analysis");
+  }
+  const RunOutcome outcome = session()->resume({(folder / "a.run").string()});
+  EXPECT_TRUE(outcome.measured_before);
+  SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(database.value("select note from run"), "");
+  EXPECT_EQ(database.value("select sha256 from run"), outcome.sha256);
 }
 
 TEST_F(RunSessionTest, ARunThatIsCompleteButNotAnalysedIsOnlyFinished) {

@@ -46,7 +46,7 @@ step('continues, stops at once, and resumes from the list of runs', async (page)
   await page.locator('nav a[href="#runs"]').click();
   await page.getByRole('link', {name: runName}).click();
   await page.locator('#estimators').waitFor();
-  assert.match(await text('#verdict'), /interrupted and went on once/);
+  assert.match(await text('#verdict'), /interrupted and resumed once/);
 });
 
 step('connects again by itself, and the bench does not depend on it', async (page) => {

@@ -140,13 +140,17 @@ class Redirected {
   int error_;
 };
 
+void show(std::string_view text) {
+  EXPECT_EQ(::write(STDERR_FILENO, text.data(), text.size()), static_cast<ssize_t>(text.size()));
+}
+
 TEST(ManualStageAtTerminalTest, WithoutATerminalItFailsAtOnce) {
   int ends[2];
   ASSERT_EQ(::pipe(ends), 0);
   std::optional<InstrumentError> error;
   {
     const Redirected redirected(ends[1]);
-    error.emplace(error_of([] { at_terminal({}); }));
+    error.emplace(error_of([] { at_terminal({}, show); }));
   }
   EXPECT_EQ(error->fault(), Fault::kCannotOpen);
   EXPECT_THAT(error->what(), HasSubstr("needs a person at a terminal"));
@@ -162,7 +166,7 @@ TEST(ManualStageAtTerminalTest, ReadsTheTerminalAndAHaltEndsTheQuestionAtOnce) {
   std::optional<InstrumentError> error;
   {
     const Redirected redirected(terminal);
-    const auto stage = at_terminal({});
+    const auto stage = at_terminal({}, show);
     ASSERT_EQ(::write(person, "\n12.34\n", 7), 7);
     stage->home(StageAxis::kX);
     stage->move_to(StageAxis::kX, Angle::degrees(12.0));

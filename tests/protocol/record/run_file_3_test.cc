@@ -237,6 +237,7 @@ TEST_F(RunFile3Test, AReadingTakesAtMostFiftyBytesOnTheDisk) {
   constexpr std::size_t kManyReadings = 200'000;
   const auto size = [&](std::size_t readings) {
     std::filesystem::remove(path);
+    std::filesystem::remove(ResultsFile::path_beside(path));
     RunFile file = RunFile::create(path, plan_of_two());
     file.begin_session(start_after(0s));
     const std::vector<StoredReading> all = late_readings(readings, 1.0);
@@ -388,7 +389,7 @@ TEST_F(RunFile3Test, ResultsThatWereLostAreMadeAgainAndSaySo) {
     RunFile file = RunFile::create(path, plan_of_two());
     append(file, 0, 1.0);
     hash = file.close_complete("2026-11-22T09:00:00.000Z", {});
-    EXPECT_FALSE(ResultsFile(path, hash, ResultsFile::Making::kFirst).made_again());
+    EXPECT_FALSE(ResultsFile(path, hash).made_again());
   }
   EXPECT_THAT(found("results file").found, Not(HasSubstr("again")));
   std::filesystem::remove(ResultsFile::path_beside(path));
@@ -397,7 +398,7 @@ TEST_F(RunFile3Test, ResultsThatWereLostAreMadeAgainAndSaySo) {
   EXPECT_FALSE(ResultsFile(path, hash).made_again()) << "told once";
   EXPECT_TRUE(found("results file").good);
   EXPECT_THAT(found("results file").found, HasSubstr("made again"));
-  EXPECT_THAT(attested_by(path), HasSubstr("self-consistent only"));
+  EXPECT_THAT(attested_by(path), HasSubstr("neither a signature nor a time stamp"));
 }
 
 TEST_F(RunFile3Test, AnalysesOfManyProgramsAtOnceKeepOneChain) {

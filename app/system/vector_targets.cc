@@ -1,0 +1,32 @@
+#include "app/system/vector_targets.h"
+
+#include <hwy/targets.h>
+
+namespace abcal {
+
+std::int64_t vector_targets() {
+  std::int64_t targets = HWY_ENABLED_BASELINE;
+#if HWY_ARCH_X86
+  // As Highway groups them. Its further targets, which differ in other instructions than ours, are left out.
+  const auto add = [&](bool supported, std::int64_t target) {
+    if (supported) targets |= target;
+    return supported;
+  };
+  __builtin_cpu_init();
+  (void)(add(__builtin_cpu_supports("ssse3") != 0, HWY_SSSE3) &&
+         add(__builtin_cpu_supports("sse4.1") && __builtin_cpu_supports("sse4.2") &&
+                 __builtin_cpu_supports("aes") && __builtin_cpu_supports("pclmul"),
+             HWY_SSE4) &&
+         add(__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
+                 __builtin_cpu_supports("f16c") && __builtin_cpu_supports("lzcnt") &&
+                 __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2"),
+             HWY_AVX2) &&
+         add(__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+                 __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
+                 __builtin_cpu_supports("avx512cd"),
+             HWY_AVX3));
+#endif
+  return targets;
+}
+
+}  // namespace abcal
