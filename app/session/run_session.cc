@@ -12,11 +12,13 @@
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
 #include "app/session/disk_space.h"
+#include "app/session/find_operator.h"
 #include "app/session/replay_comparison.h"
 #include "app/session/session_observer.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/replay_stream.h"
+#include "protocol/record/run_seal.h"
 
 namespace abcal {
 namespace {
@@ -33,11 +35,16 @@ RunOutcome analyse_complete_run(const std::filesystem::path& path) {
   return outcome;
 }
 
-/// Keeps the analyses of a run that is closed in its results file.
+/// Keeps the analyses of a run that is closed in its results file. A run that was closed just now is signed.
 void keep_analyses(RunOutcome& outcome, const std::string& sha256, const std::string& utc,
                    ResultsFile::Making making) {
   outcome.sha256 = sha256;
   ResultsFile results_file(outcome.path, sha256, making);
+  if (const std::string key = read_signing_key(); !key.empty() && making == ResultsFile::Making::kFirst) {
+    const auto& labels = outcome.stored.header.labels;
+    const auto name = labels.find("bench.name");
+    sign_run(outcome.path, name == labels.end() ? "bench" : name->second, key);
+  }
   for (const CalibrationResult& each : outcome.results) {
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
   }
@@ -104,6 +111,7 @@ struct RunSession::OpenedBench {
   Bench bench;
   Identities identities;
   std::vector<PlannedAngle> plan;
+  RegisteredStart registered;
   bool identified = false;
 };
 
@@ -201,6 +209,7 @@ RunSession::OpenedBench& RunSession::open(const BenchConfig& config, BenchStream
   opened_.reset();  // Or its ports would be in the way.
   auto opened = std::make_unique<OpenedBench>();
   opened->config = config;
+  opened->registered.who.name = config.operator_name;
   opened->bench = options_.open_bench(config, std::move(streams));
   opened_ = std::move(opened);
   return *opened_;
@@ -208,6 +217,8 @@ RunSession::OpenedBench& RunSession::open(const BenchConfig& config, BenchStream
 
 RunOutcome RunSession::start(const StartRequest& request) {
   const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
+  const RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now());
+  (void)read_signing_key();  // A key that cannot be read is told before the first move.
   const bool is_open = opened_ && opened_->identified && !request.record &&
                        write_bench(opened_->config) == write_bench(config);
   if (!is_open) {
@@ -223,6 +234,7 @@ RunOutcome RunSession::start(const StartRequest& request) {
     opened.plan = make_rotation_plan(config.protocol, opened.identities.travel());
     opened.identified = true;
   }
+  opened_->registered = registered;
   RunFile file = create_file(*opened_, request);
   tell_begun(*opened_, request.run_file, nullptr);
   return measure_and_finish(std::move(file), {});
@@ -265,11 +277,15 @@ void RunSession::require_disk_space(const OpenedBench& opened, const StartReques
 RunFile RunSession::create_file(const OpenedBench& opened, const StartRequest& request) {
   Bench& bench = opened_->bench;
   require_disk_space(opened, request);
-  RunFile file = RunFile::create(request.run_file,
-                                 make_header(opened.config, opened.identities, opened.plan, *bench.clock));
+  RunHeader header = make_header(opened.config, opened.identities, opened.plan, *bench.clock);
+  const RegisteredStart& registered = opened.registered;
+  if (!registered.who.name.empty()) header.labels["operator.name"] = registered.who.name;
+  if (!registered.calibrations_json.empty()) header.labels[kCalibrationsLabel] = registered.calibrations_json;
+  RunFile file = RunFile::create(request.run_file, header);
   if (transcript_) transcript_->keep_in(file);
   file.begin_session(session_start(bench));
   file.append_event(format_utc(file.utc_now(*bench.clock)), "started", "run started");
+  note_operator(file, registered.who, format_utc(file.utc_now(*bench.clock)));
   (void)note_environment(bench, opened.config, file, "start");
   return file;
 }
@@ -287,7 +303,7 @@ void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::pa
   began.bench = config.name;
   began.item =
       config.item.serial_number.empty() ? identities.accelerometer.serial_number : config.item.serial_number;
-  began.operator_name = config.operator_name;
+  began.operator_name = opened.registered.who.name;
   began.unit = identities.accelerometer.output_unit;
   began.stage = summary(identities.stage);
   began.accelerometer = summary(identities.accelerometer);
@@ -312,7 +328,13 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   RunFile file = RunFile::open_for_append(path);
   const StoredRun stored = RunFile::load(path);
   transcript_.reset();
-  OpenedBench& opened = open(parse_bench(stored.header.bench_toml, path.string()), {});
+  const BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
+  // Another person than who began may go on with a run.
+  RegisteredStart registered = find_operator({}, RealClock().utc_now());
+  if (!registered.who.verified()) registered.who.name = config.operator_name;
+  (void)read_signing_key();
+  OpenedBench& opened = open(config, {});
+  opened.registered = registered;
   opened.identities = identify(opened.bench, opened.config);
   require_same_instruments(opened.identities, stored);
   opened.plan = stored.header.plan;
@@ -320,6 +342,7 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   file.set_state(RunState::kRunning, format_utc(file.utc_now(*opened.bench.clock)),
                  fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
                              stored.header.plan.size()));
+  note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
   tell_begun(opened, path, &stored);
   return measure_and_finish(std::move(file), progress_of(stored));
 }
