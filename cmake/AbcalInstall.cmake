@@ -113,8 +113,9 @@ set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
 set(CPACK_DEBIAN_ABCAL_PACKAGE_NAME abcal)
 set(CPACK_DEBIAN_ABCAL_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_ABCAL_PACKAGE_SHLIBDEPS ON)
-set(CPACK_DEBIAN_ABCAL_PACKAGE_DEPENDS adduser)
-set(CPACK_DEBIAN_ABCAL_PACKAGE_RECOMMENDS "gnuplot-nox, weasyprint")
+# The backend of the register is loaded when a register is opened, which dpkg-shlibdeps cannot see.
+set(CPACK_DEBIAN_ABCAL_PACKAGE_DEPENDS "adduser, libsoci-sqlite3-4.0 | libsoci-sqlite3-4.0t64")
+set(CPACK_DEBIAN_ABCAL_PACKAGE_RECOMMENDS "gnuplot-nox, weasyprint, libsoci-postgresql4.0 | libsoci-postgresql4.0t64")
 set(CPACK_DEBIAN_ABCAL_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/cmake/packaging/postinst
   ${PROJECT_SOURCE_DIR}/cmake/packaging/prerm)
 set(CPACK_COMPONENT_ABCAL_DESCRIPTION "calibrates triaxial accelerometers with gravity

@@ -10,7 +10,7 @@ set(listed "")
 
 # Standard library and POSIX: no slash and no extension, or one of these.
 set(system_headers "^(sys|netinet|arpa|linux)/"
-  "^(fcntl|unistd|poll|pty|termios|signal|spawn|grp|pwd|netdb|stdlib|dirent|errno|limits|time)\\.h$")
+  "^(dlfcn|fcntl|unistd|poll|pty|termios|signal|spawn|grp|pwd|netdb|stdlib|dirent|errno|limits|time)\\.h$")
 
 function(check_file file may foreign)
   file(STRINGS "${file}" includes REGEX "^[ \t]*#[ \t]*include")
@@ -113,13 +113,14 @@ layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ 
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
 layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
-layer(app/certificate MAY app/results/ app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
-  Eigen/ unsupported/Eigen/ boost/math/ libxml/ xmlsec/ fmt/)
+layer(app/laboratory MAY app/system/ drivers/instrument/clock.h protocol/record/ FOREIGN soci/ sodium.h nlohmann/ fmt/)
+layer(app/certificate MAY app/laboratory/ app/results/ app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
+  Eigen/ unsupported/Eigen/ boost/math/ libxml/ nlohmann/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
-layer(app/session MAY app/bench/ app/results/ app/system/ drivers/instrument/ drivers/wire/ protocol/ sim/
+layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ drivers/instrument/ drivers/wire/ protocol/ sim/
   FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/)
-set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/report/ app/results/ app/robustness/
+set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/laboratory/ app/report/ app/results/ app/robustness/
   app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
 layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "app/certificate/traceability.h"
+
 namespace abcal {
 namespace {
 
@@ -50,23 +52,12 @@ class Inspection {
                           "what was done to the item between the as-found and the as-left run"});
   }
 
-  void check_issue(const IssueFacts& issue, const ReportData& data) {
-    const std::string measured_by =
-        issue.measured_by.empty() ? data.label("operator.name") : issue.measured_by;
-    if (one_of("measure", measured_by) == nullptr)
-      of_run_.push_back(
-          {"measured by", quoted(measured_by), "one of " + names("measure") + ", who may measure"});
-    if (one_of("approve", issue.approved_by) == nullptr)
-      of_run_.push_back(
-          {"approved by", quoted(issue.approved_by), "one of " + names("approve") + ", who may approve"});
-    if (!measured_by.empty() && measured_by == issue.approved_by)
-      of_run_.push_back(
-          {"approved by", quoted(issue.approved_by), "a person other than the one who measured"});
+  void check_issue(const IssueFacts& issue, const ReportData& data,
+                   const std::vector<RunOperator>& operators) {
+    check_persons(issue, operators, !equipment_of_run(data).empty());
+    check_dates(issue, data);
     if (issue.number.find_first_not_of(" \t\r\n") == std::string::npos)
       of_run_.push_back({"number", quoted(issue.number), "the unique number of the certificate"});
-    if (const auto end = parse_date(data.ended_utc()); end && issue.date < *end)
-      of_run_.push_back(
-          {"date of issue", format_date(issue.date), "not before the run's end, " + format_date(*end)});
     if (issue.replaces && issue.replaces->reason.find_first_not_of(" \t\r\n") == std::string::npos)
       of_run_.push_back({"reason", "nothing", "why certificate " + issue.replaces->number + " is replaced"});
     if (issue.replaces && issue.replaces->number == issue.number)
@@ -101,6 +92,10 @@ class Inspection {
     }
   }
 
+  void add_of_run(const std::vector<Problem>& problems) {
+    of_run_.insert(of_run_.end(), problems.begin(), problems.end());
+  }
+
   const std::vector<Problem>& of_file() const { return of_file_; }
   const std::vector<Problem>& of_run() const { return of_run_; }
   std::vector<Problem> all() const {
@@ -111,6 +106,53 @@ class Inspection {
 
  private:
   static std::string quoted(const std::string& text) { return text.empty() ? "nothing" : "\"" + text + "\""; }
+
+  /// Four eyes: who measured stands in the run's own events, whatever anyone says now.
+  void check_persons(const IssueFacts& issue, const std::vector<RunOperator>& operators,
+                     bool has_registered_equipment) {
+    for (const RunOperator& who : operators) {
+      if (one_of("measure", who.name) == nullptr)
+        of_run_.push_back(
+            {"measured by", quoted(who.name), "one of " + names("measure") + ", who may measure"});
+      if (who.name == issue.approved_by)
+        of_run_.push_back(
+            {"approved by", quoted(issue.approved_by), "a person other than the one who measured"});
+      if (!issue.register_identity.empty() && !issue.training &&
+          who.register_identity != issue.register_identity)
+        of_run_.push_back({"measured by", fmt::format("\"{}\" ({})", who.name, kNotVerified),
+                           "a person who was logged in to the register during the run"});
+    }
+    const bool known = std::any_of(operators.begin(), operators.end(),
+                                   [&](const RunOperator& who) { return who.name == issue.measured_by; });
+    if (!issue.measured_by.empty() && !known)
+      of_run_.push_back({"--measured-by", quoted(issue.measured_by),
+                         "who measured by the events of the run: " + quoted(describe(operators))});
+    if (!issue.register_identity.empty() && !issue.training && !has_registered_equipment)
+      of_run_.push_back({"equipment", "nothing that the register named when the run began",
+                         "calibrations in the register (`abcal lab add calibration`) before the run"});
+    if (one_of("approve", issue.approved_by) == nullptr)
+      of_run_.push_back(
+          {"approved by", quoted(issue.approved_by), "one of " + names("approve") + ", who may approve"});
+  }
+
+  /// Dates agree with each other and with the clock.
+  void check_dates(const IssueFacts& issue, const ReportData& data) {
+    const auto begin = parse_date(data.started_utc()), end = parse_date(data.ended_utc());
+    if (end && issue.date < *end)
+      of_run_.push_back(
+          {"date of issue", format_date(issue.date), "not before the run's end, " + format_date(*end)});
+    if (issue.today && issue.date > *issue.today)
+      of_run_.push_back(
+          {"date of issue", format_date(issue.date), "not after today, " + format_date(*issue.today)});
+    const auto& received = laboratory_.job.received;
+    // The clock of a simulated run is simulated, too.
+    if (received && begin && data.simulated.empty() && *received > *begin)
+      of_run_.push_back(
+          {"[job] received", format_date(*received), "not after the run began, " + format_date(*begin)});
+    if (issue.today && end && *end > *issue.today)
+      of_run_.push_back(
+          {"end of the run", format_date(*end), "not after today, " + format_date(*issue.today)});
+  }
 
   const Person* one_of(const std::string& may, const std::string& name) const {
     for (const Person& person : laboratory_.persons)
@@ -150,7 +192,7 @@ class Inspection {
       if (data.label(key).find_first_not_of(" \t\r\n") == std::string::npos)
         of_run_.push_back({which + ", " + words, "nothing", "given in the bench file before the run"});
     }
-    const std::string& name = data.label("operator.name");
+    const std::string name = data.label("operator.name");
     if (!name.empty() && one_of("measure", name) == nullptr)
       of_run_.push_back(
           {which + ", operator", quoted(name), "one of " + names("measure") + ", who may measure"});
@@ -182,8 +224,7 @@ class Inspection {
       if (!instrument.role.starts_with("stage") || instrument.serial_number.empty()) continue;
       const bool listed =
           std::any_of(laboratory_.equipment.begin(), laboratory_.equipment.end(), [&](const Equipment& one) {
-            return one.quantity == "angle" &&
-                   instrument.serial_number.find(one.serial_number) != std::string::npos;
+            return one.quantity == "angle" && has_serial_number(one, instrument.serial_number);
           });
       if (!listed)
         of_run_.push_back({which + ", stage", fmt::format("serial number {}", instrument.serial_number),
@@ -230,11 +271,33 @@ void require_certifiable(const ReportData& data) {
                            {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});
 }
 
+/// Who measured, in all runs of a certificate.
+std::vector<RunOperator> operators_of_runs(const CertificateRequest& request) {
+  std::vector<RunOperator> operators;
+  for (const ReportData* data : {request.as_found ? &*request.as_found : nullptr, &request.run}) {
+    if (data == nullptr || !data->run) continue;
+    for (RunOperator& who : operators_of(*data->run))
+      if (std::find(operators.begin(), operators.end(), who) == operators.end())
+        operators.push_back(std::move(who));
+  }
+  return operators;
+}
+
+std::vector<Problem> reasons_against(const LaboratoryFile& laboratory, const CertificateRequest& request) {
+  std::vector<Problem> reasons = against_traceability(laboratory, request.run, "run");
+  if (!request.as_found) return reasons;
+  for (Problem& problem : against_traceability(laboratory, *request.as_found, "as-found run"))
+    reasons.push_back(std::move(problem));
+  return reasons;
+}
+
 }  // namespace
 
 std::string Certificate::measured_by() const {
-  if (issue && !issue->measured_by.empty()) return issue->measured_by;
-  return run.data.label("operator.name");
+  std::string names;
+  for (const RunOperator& who : operators)
+    if (names.find(who.name) == std::string::npos) names += (names.empty() ? "" : ", ") + who.name;
+  return names;
 }
 
 CertificateRefused::CertificateRefused(const std::string& run, std::vector<Problem> problems)
@@ -253,13 +316,22 @@ Certificate make_certificate(CertificateRequest request) {
   ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
   certificate.laboratory = std::move(read.file);
+  // What the register said when the run began, rather than what a file says now.
+  if (auto registered = equipment_of_run(request.run); !registered.empty())
+    certificate.laboratory.equipment = std::move(registered);
+  certificate.operators = operators_of_runs(request);
+  const std::vector<Problem> not_traceable = reasons_against(certificate.laboratory, request);
+  for (const Problem& problem : not_traceable) certificate.not_traceable.push_back(to_string(problem));
   Inspection inspection(certificate.laboratory, std::move(read.problems));
   inspection.check(request.run, request.as_found ? "as-left run" : "run");
   if (request.as_found) {
     inspection.check(*request.as_found, "as-found run");
     inspection.check_pair(*request.as_found, request.run);
   }
-  if (request.issue) inspection.check_issue(*request.issue, request.run);
+  if (request.issue) {
+    inspection.check_issue(*request.issue, request.run, certificate.operators);
+    if (!request.issue->training && !request.draft) inspection.add_of_run(not_traceable);
+  }
 
   certificate.run.data = std::move(request.run);
   inspection.derive_and_decide(certificate.run.data, certificate.run);

@@ -9,6 +9,7 @@
 #include "app/certificate/derived.h"
 #include "app/certificate/laboratory_file.h"
 #include "app/results/report_data.h"
+#include "protocol/record/run_operator.h"
 
 namespace abcal {
 
@@ -22,9 +23,13 @@ struct Replacement {
 /// What issuing adds. Until then a certificate is a draft.
 struct IssueFacts {
   std::string number;
-  std::string measured_by;  ///< Empty: the operator of the run.
+  std::string measured_by;  ///< Empty: the operators of the run; else it must be one of them.
   std::string approved_by;
   Date date{};
+  std::optional<Date> today;  ///< No date is after it. Absent: a certificate that was issued before.
+  std::string
+      register_identity;  ///< Of the register that gave the number; empty: none, names are stated only.
+  bool training = false;  ///< By a training register: marked TRAINING, and lets simulated runs pass.
   std::optional<Replacement> replaces;
 };
 
@@ -52,9 +57,14 @@ struct Certificate {
   std::optional<CertifiedRun> as_found;  ///< The item before it was adjusted.
   CertifiedRun run;                      ///< The calibration; as left where there is an as_found.
   std::vector<Shift> shifts;
+  std::vector<RunOperator> operators;  ///< Who measured, as the events of the runs say.
+  std::vector<std::string>
+      not_traceable;  ///< Every reason why the results are not called traceable; empty: they are.
   std::string program_version;
 
   bool draft() const { return !issue; }
+  bool training() const { return issue && issue->training; }
+  /// Names of those who measured.
   std::string measured_by() const;
 };
 

@@ -51,7 +51,8 @@ Section certificate_section(const Certificate& certificate) {
   add("Condition on receipt", from.job.condition);
   if (from.job.received) add("Received", format_date(*from.job.received));
   add("Procedure", from.job.procedure);
-  add("Measured by", role_of(from, certificate.measured_by()));
+  for (const RunOperator& who : certificate.operators)
+    add("Measured by", role_of(from, who.name) + (who.verified() ? "" : fmt::format(" ({})", kNotVerified)));
   add("Approved by",
       certificate.issue ? role_of(from, certificate.issue->approved_by) : "not approved: DRAFT");
   add("Date of issue", certificate.issue ? format_date(certificate.issue->date) : "not issued: DRAFT");
@@ -180,6 +181,10 @@ void add_certificate_sections(Document& document, const Certificate& certificate
   if (certificate.draft()) {
     document.page_mark = "DRAFT";
     document.cautions.insert(document.cautions.begin(), "DRAFT: this certificate is not issued");
+  }
+  if (certificate.training()) {
+    document.page_mark = "TRAINING";
+    document.cautions.insert(document.cautions.begin(), "TRAINING: this certificate certifies nothing");
   }
   for (const std::string& reservation : certificate.reservations) document.cautions.push_back(reservation);
   document.sections.insert(document.sections.begin(),

@@ -124,7 +124,9 @@ void add_person(XmlElement& persons, const LaboratoryFile& laboratory, const std
 
 void add_persons(XmlElement& administrative, const Certificate& certificate) {
   XmlElement persons = administrative.add("dcc:respPersons");
-  add_person(persons, certificate.laboratory, certificate.measured_by(), "measured by", false);
+  for (const RunOperator& who : certificate.operators)
+    add_person(persons, certificate.laboratory, who.name,
+               who.verified() ? "measured by" : fmt::format("measured by ({})", kNotVerified), false);
   if (certificate.issue)
     add_person(persons, certificate.laboratory, certificate.issue->approved_by, "approved by", true);
 }

@@ -8,6 +8,7 @@
 
 #include "app/certificate/dcc_text.h"
 #include "app/certificate/dsi_list.h"
+#include "app/certificate/traceability.h"
 
 namespace abcal {
 namespace {
@@ -111,8 +112,9 @@ void add_calibrated(XmlElement& list, const Equipment& from) {
   equipment.attribute("refType", from.quantity == "angle" ? "basic_standardUsed" : "abc_equipment");
   add_name(equipment, "dcc:name", from.name);
   add_words(equipment, "dcc:description",
-            fmt::format("Calibrated in {}; certificate {} of {}, valid until {}.", from.quantity,
-                        one_line(from.certificate), one_line(from.certificate_issuer),
+            fmt::format("Calibrated in {}; certificate {} of {}, performed {}, valid until {}.",
+                        from.quantity, one_line(from.certificate), one_line(from.certificate_issuer),
+                        from.performed ? format_date(*from.performed) : "not stated",
                         from.due ? format_date(*from.due) : "not stated"));
   if (!from.certificate_sha256.empty())
     add_hash(equipment, "dcc:certificate", "Calibration certificate of " + one_line(from.name),
@@ -186,15 +188,17 @@ void add_conditions(XmlElement& measurement, const Certificate& certificate, con
                     const ItemState& state) {
   XmlElement conditions = measurement.add("dcc:influenceConditions");
   const auto& room = data.run->environment;
+  // An observation is what an instrument said; a typed-in value is what the operator stated.
+  const std::string room_by = is_environment_stated(data) ? ", stated by the operator" : "";
   const auto look = [&](std::optional<double> StoredEnvironment::*member) {
     return range_of(room, [member](const StoredEnvironment& row) { return row.*member; });
   };
-  add_range(conditions, "basic_temperature", "Temperature of the room",
+  add_range(conditions, "basic_temperature", "Temperature of the room" + room_by,
             look(&StoredEnvironment::temperature_degc), "\\degreecelsius");
-  add_range(conditions, "basic_humidityRelative", "Relative humidity of the room",
+  add_range(conditions, "basic_humidityRelative", "Relative humidity of the room" + room_by,
             look(&StoredEnvironment::humidity_percent), "\\percent");
-  add_range(conditions, "abc_pressure", "Pressure of the air", look(&StoredEnvironment::pressure_hpa),
-            "\\hecto\\pascal");
+  add_range(conditions, "abc_pressure", "Pressure of the air" + room_by,
+            look(&StoredEnvironment::pressure_hpa), "\\hecto\\pascal");
   add_range(conditions, "abc_itemTemperature", "Temperature of the item, by its own sensor",
             range_of(data.record.dwells, [](const DwellRecord& dwell) { return dwell.temperature_degc; }),
             "\\degreecelsius");

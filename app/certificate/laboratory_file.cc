@@ -111,7 +111,10 @@ void read_equipment(TomlReader& keys, std::vector<Equipment>& equipment) {
     keys.required_text("certificate", one.certificate);
     keys.required_text("certificate_issuer", one.certificate_issuer);
     keys.text("certificate_sha256", one.certificate_sha256);
+    keys.date("performed", one.performed);
     keys.date("due", one.due);
+    if (one.performed && one.due && *one.due < *one.performed)
+      keys.add_problem_at(one.line, "equipment.due", format_date(*one.due), "not before it was performed");
     if (!keys.has("due")) keys.add_missing("due", "the date until which its calibration holds, 2027-03-01");
   });
   const auto angle = [](const Equipment& one) { return one.quantity == "angle"; };

@@ -49,6 +49,7 @@ struct Equipment {
       quantity;  ///< The quantity that it makes traceable: "angle", "voltage", "gravity", "temperature", ...
   std::string certificate, certificate_issuer;
   std::string certificate_sha256;  ///< Of that certificate's file; empty: not known.
+  std::optional<Date> performed;   ///< When it was calibrated.
   std::optional<Date> due;         ///< Until when its calibration holds.
   std::uint32_t line = 0;          ///< In the file.
 };

@@ -40,9 +40,9 @@ Certificate restored(const IssuedCertificate& issued, const ReportData& data,
   request.as_found = std::move(as_found);
   IssueFacts& facts = request.issue.emplace();
   facts.number = issued.number;
-  facts.measured_by = issued.measured_by;
   facts.approved_by = issued.approved_by;
   facts.date = parse_date(issued.date).value_or(Date{});
+  facts.training = issued.xml.find("refType=\"abc_training\"") != std::string::npos;
   if (!issued.replaces.empty()) facts.replaces = Replacement{issued.replaces, issued.reason, {}};
   request.draft = true;  // It is issued already: new findings are reservations and refuse nothing.
   Certificate certificate = make_certificate(std::move(request));

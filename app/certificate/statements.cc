@@ -21,6 +21,11 @@ Statement plain(std::string ref_type, std::string title, std::string text) {
 }
 
 Statement traceability(const Certificate& certificate) {
+  if (!certificate.not_traceable.empty()) {
+    std::string reasons = "Metrological traceability is not claimed:";
+    for (const std::string& reason : certificate.not_traceable) reasons += " " + reason + ".";
+    return plain("abc_traceability", "Metrological traceability", reasons);
+  }
   std::string text = "The results are traceable to the International System of Units (SI):";
   for (const Equipment& one : certificate.laboratory.equipment) {
     if (one.quantity == "other") continue;
@@ -140,6 +145,11 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
     for (const std::string& reservation : certificate.reservations) text += " " + reservation + ".";
     statements.push_back(plain("abc_draft", "DRAFT", text));
   }
+  if (certificate.training())
+    statements.push_back(
+        plain("abc_training", "TRAINING",
+              "TRAINING: this certificate is of a training register. It certifies nothing and may not be "
+              "used as a certificate."));
   if (!data.simulated.empty()) {
     statements.push_back(plain(
         "abc_simulated", "SIMULATED",

@@ -127,6 +127,26 @@ std::string synopsis(const CLI::App& command, const std::string& name) {
   return text + "\n";
 }
 
+/// The commands of a command, and theirs, each with its options.
+std::string commands_section(const CLI::App& command, const std::string& name) {
+  std::string text;
+  for (const CLI::App* inner : shown_commands(command)) {
+    const std::string full = name + " " + inner->get_name();
+    if (shown_commands(*inner).empty()) {
+      std::string call = synopsis(*inner, full);
+      call.erase(0, call.find('\n') + 1);
+      if (text.empty() && command.get_parent() != nullptr && command.get_parent()->get_parent() == nullptr)
+        text += ".SH COMMANDS\n";
+      text += ".SS " + troff(full) + "\n" + call + ".PP\n" + troff(inner->get_description()) + "\n";
+      std::string options = options_section(*inner);
+      if (!options.empty()) options.erase(0, options.find('\n') + 1);
+      text += options;
+    }
+    text += commands_section(*inner, full);
+  }
+  return text;
+}
+
 constexpr const char* kExitStatus =
     ".SH EXIT STATUS\n"
     ".TP\n0\ndone\n"
@@ -224,8 +244,9 @@ std::map<std::string, std::string> manual_pages(const CLI::App& app, const std::
     pages[name + ".1"] =
         page(name, one_line(command->get_description()),
              synopsis(*command, program + " " + command->get_name()) + ".SH DESCRIPTION\n" +
-                 troff(command->get_description()) + ".\n" + options_section(*command) + kExitStatus +
-                 kSafety + fmt::format(".SH SEE ALSO\n\\fB{}\\fR(1)\n", troff(program)),
+                 troff(command->get_description()) + ".\n" + options_section(*command) +
+                 commands_section(*command, program + " " + command->get_name()) + kExitStatus + kSafety +
+                 fmt::format(".SH SEE ALSO\n\\fB{}\\fR(1)\n", troff(program)),
              version, date);
   }
   pages[program + ".1"] =

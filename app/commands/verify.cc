@@ -1,47 +1,135 @@
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <fstream>
 #include <nlohmann/json.hpp>
+#include <sstream>
+#include <stdexcept>
 
+#include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
+#include "app/laboratory/login.h"
+#include "app/results/recompute.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/terminal.h"
-#include "protocol/record/verify.h"
+#include "protocol/record/attestation.h"
+#include "protocol/record/results_file.h"
+#include "protocol/record/sha256.h"
 
 namespace abcal {
+namespace {
+
+struct VerifyOptions {
+  std::string run_file, register_location;
+  std::vector<std::string> require, keys, authorities;
+  bool json = false;
+
+  bool requires_(const std::string& what) const {
+    return std::find(require.begin(), require.end(), what) != require.end();
+  }
+};
+
+std::string read_pem(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  if (!file) throw std::invalid_argument(path + ": no such file, or it cannot be read; required: PEM");
+  std::ostringstream text;
+  text << file.rdbuf();
+  return text.str();
+}
+
+Trust trust_of(const VerifyOptions& options, lab::Register* opened) {
+  Trust trust;
+  for (const std::string& key : options.keys) trust.keys.push_back({key, read_pem(key)});
+  for (const std::string& authority : options.authorities) trust.authorities_pem += read_pem(authority);
+  if (opened != nullptr)
+    for (const lab::SigningKey& key : opened->keys())
+      if (key.kind == "bench" && key.valid_to.empty()) trust.keys.push_back({key.owner, key.public_pem});
+  if (options.requires_("signed") && trust.keys.empty())
+    throw std::invalid_argument(
+        "--require signed: required: whose signature, by --key PUBLIC.pem or a register with keys");
+  if (options.requires_("timestamped") && trust.authorities_pem.empty())
+    throw std::invalid_argument(
+        "--require timestamped: required: whose time stamp, by --authority CERTIFICATE.pem");
+  return trust;
+}
+
+/// What the register says of the run's certificates.
+void compare_with_register(const VerifyOptions& options, lab::Register& opened,
+                           std::vector<IntegrityCheck>& checks) {
+  std::vector<lab::KeptCertificate> kept;
+  for (const IssuedCertificate& one : ResultsFile::certificates(options.run_file))
+    kept.push_back({one.number, sha256_of(one.xml)});
+  const auto registered = opened.certificates_of(sha256_of_file(options.run_file));
+  for (const lab::RegisterFinding& finding : lab::compare_with_run(registered, kept))
+    checks.push_back({"register, " + finding.what, finding.good, finding.found});
+  for (const lab::RegisterFinding& finding : opened.verify())
+    checks.push_back({"register, " + finding.what, finding.good, finding.found});
+}
+
+void print_checks(const std::vector<IntegrityCheck>& checks) {
+  for (const IntegrityCheck& check : checks) {
+    print_result(
+        "{}  {}: {}\n",
+        emphasised(stdout, check.good ? Emphasis::kGood : Emphasis::kBad, check.good ? "good" : " bad"),
+        check.what, check.found);
+  }
+}
+
+int verify(const VerifyOptions& options) {
+  std::optional<lab::Register> opened;
+  if (const std::string location = lab::register_location(options.register_location); !location.empty())
+    opened = lab::Register::open(location, RealClock().utc_now());
+  const Trust trust = trust_of(options, opened ? &*opened : nullptr);
+  std::vector<IntegrityCheck> checks = verify_and_recompute(options.run_file);
+  const Attestation attestation = attest(options.run_file, trust);
+  checks.insert(checks.end(), attestation.checks.begin(), attestation.checks.end());
+  if (options.requires_("signed") && !attestation.is_signed)
+    checks.push_back(
+        {"signed", false, "there is no signature by a trusted key; --require signed asks for one"});
+  if (options.requires_("timestamped") && !attestation.is_stamped)
+    checks.push_back({"timestamped", false,
+                      "there is no time stamp by a trusted authority; --require timestamped asks for one"});
+  if (opened) compare_with_register(options, *opened, checks);
+
+  const bool good =
+      std::all_of(checks.begin(), checks.end(), [](const IntegrityCheck& check) { return check.good; });
+  if (options.json) {
+    nlohmann::ordered_json json{{"schema", "abcal.verify/1"}, {"good", good}};
+    if (good) json["attests"] = attestation.words;
+    json["signed"] = attestation.is_signed;
+    json["timestamped"] = attestation.is_stamped;
+    for (const IntegrityCheck& check : checks)
+      json["checks"].push_back({{"what", check.what}, {"good", check.good}, {"found", check.found}});
+    print_result("{}\n", json.dump(2));
+  } else {
+    print_checks(checks);
+    print_result("{}\n",
+                 good ? attestation.words : "The run or its results were changed, or the run is not closed.");
+  }
+  return good ? kExitDone : kExitFailed;
+}
+
+}  // namespace
 
 CLI::App* add_verify(CLI::App& parent, int& exit_code) {
-  struct Options {
-    std::string run_file;
-    bool json = false;
-  };
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<VerifyOptions>();
   CLI::App* command = parent.add_subcommand(
       "verify", "Check that a run and its results are consistent with their hashes and chains");
   command->add_option("RUN", options->run_file, "run file")->required();
+  command->add_option("--require", options->require, "signed or timestamped, repeatable: fail without it")
+      ->check(CLI::IsMember({"signed", "timestamped"}))
+      ->allow_extra_args(false);
+  command->add_option("--key", options->keys, "public key (PEM) of a bench that is trusted, repeatable")
+      ->allow_extra_args(false);
+  command
+      ->add_option("--authority", options->authorities,
+                   "certificate (PEM) of a time-stamping authority that is trusted, repeatable")
+      ->allow_extra_args(false);
+  command->add_option("--register", options->register_location,
+                      "register: its keys are trusted, its certificates compared (default: ABCAL_REGISTER)");
   command->add_flag("--json", options->json, "print one JSON object");
-  command->callback([options, &exit_code] {
-    const std::vector<IntegrityCheck> checks = verify_run(options->run_file);
-    bool good = true;
-    for (const IntegrityCheck& check : checks) good = good && check.good;
-    if (options->json) {
-      nlohmann::ordered_json json{{"schema", "abcal.verify/1"}, {"good", good}};
-      if (good) json["attests"] = attested_by(options->run_file);
-      for (const IntegrityCheck& check : checks)
-        json["checks"].push_back({{"what", check.what}, {"good", check.good}, {"found", check.found}});
-      print_result("{}\n", json.dump(2));
-    } else {
-      for (const IntegrityCheck& check : checks) {
-        print_result(
-            "{}  {}: {}\n",
-            emphasised(stdout, check.good ? Emphasis::kGood : Emphasis::kBad, check.good ? "good" : " bad"),
-            check.what, check.found);
-      }
-      print_result("{}\n", good ? attested_by(options->run_file)
-                                : "The run or its results were changed, or the run is not closed.");
-    }
-    exit_code = good ? kExitDone : kExitFailed;
-  });
+  command->callback([options, &exit_code] { exit_code = verify(*options); });
   return command;
 }
 

@@ -128,7 +128,13 @@ class ListReader {
       std::vector<double> u = real_list("si:valueExpandedMUXMLList", expanded, size);
       const std::vector<double> k = real_list("si:coverageFactorXMLList", expanded, size);
       if (u.size() != size || k.size() != size) return {};
-      for (std::size_t i = 0; i < size; ++i) u[i] /= k[i];
+      for (std::size_t i = 0; i < size; ++i) {
+        if (!(u[i] > 0.0) || !(k[i] > 0.0)) {
+          problem(fmt::format("U = {} with k = {}; required: both greater than 0", u[i], k[i]));
+          return {};
+        }
+        u[i] /= k[i];
+      }
       return u;
     }
     constexpr const char* kStandard =

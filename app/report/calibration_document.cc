@@ -12,6 +12,7 @@
 #include "app/report/study_text.h"
 #include "app/results/result_text.h"
 #include "app/system/progress.h"
+#include "protocol/record/run_operator.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
@@ -68,7 +69,7 @@ Section item_section(const ReportData& data) {
 Section run_section(const ReportData& data) {
   const StoredRun& run = *data.run;
   FactList facts{{{"Bench", or_not_stated(data.label("bench.name"))},
-                  {"Operator", or_not_stated(data.label("operator.name"))},
+                  {"Operator", or_not_stated(describe(operators_of(run)))},
                   {"Begun", to_the_second(data.started_utc())},
                   {"Ended", to_the_second(data.ended_utc())},
                   {"State", fmt::format("{}: {} of {} angles measured", to_string(run.state),

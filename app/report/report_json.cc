@@ -1,7 +1,10 @@
 #include "app/report/report_json.h"
 
+#include <algorithm>
+
 #include "app/document/valid_text.h"
 #include "app/results/result_json.h"
+#include "protocol/record/run_operator.h"
 #include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
@@ -120,6 +123,12 @@ nlohmann::ordered_json report_json(const ReportData& data) {
   json["item"] = std::move(item);
   json["bench"] = text(data.label("bench.name"));
   json["operator"] = text(data.label("operator.name"));
+  if (data.run) {
+    const std::vector<RunOperator> operators = operators_of(*data.run);
+    json["operator_verified"] =
+        !operators.empty() && std::all_of(operators.begin(), operators.end(),
+                                          [](const RunOperator& who) { return who.verified(); });
+  }
   json["run"] = run_json(data);
   Json results = Json::array();
   for (const CalibrationResult& result : data.results) results.push_back(result_json(result));

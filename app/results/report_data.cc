@@ -6,6 +6,7 @@
 #include "app/bench/make_bench.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
+#include "app/results/recompute.h"
 #include "app/results/result_text.h"
 #include "app/system/version.h"
 #include "protocol/record/sha256.h"
@@ -82,6 +83,11 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
   }
   if (data.complete()) data.sha256 = sha256_of_file(path);
   data.results = analyse_all(data.record);
+  if (data.run) {
+    for (IntegrityCheck& check :
+         recompute(path, *data.run, data.bench ? &*data.bench : nullptr, data.results))
+      data.integrity.push_back(std::move(check));
+  }
   if (const CalibrationResult& abc = result_of(data.results, "abc"); abc.verdict != Verdict::kNotUsable)
     data.budget = make_budget(data.record, abc);
   return data;

@@ -12,12 +12,14 @@
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
 #include "app/session/disk_space.h"
+#include "app/session/find_operator.h"
 #include "app/session/level_plan.h"
 #include "app/session/replay_comparison.h"
 #include "app/session/session_observer.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/replay_stream.h"
+#include "protocol/record/run_seal.h"
 
 namespace abcal {
 namespace {
@@ -58,8 +60,14 @@ class ResultTeller {
 };
 
 /// Keeps the analyses of a run that is closed in its results file.
-void keep_analyses(const RunOutcome& outcome, const std::string& utc) {
+/// @param closed_now  The run is signed as well, if the bench has a key.
+void keep_analyses(const RunOutcome& outcome, const std::string& utc, bool closed_now) {
   ResultsFile results_file(outcome.path, outcome.sha256);
+  if (const std::string key = read_signing_key(); closed_now && !key.empty()) {
+    const auto& labels = outcome.stored.header.labels;
+    const auto name = labels.find("bench.name");
+    sign_run(outcome.path, name == labels.end() ? "bench" : name->second, key);
+  }
   for (const CalibrationResult& each : outcome.results) {
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
   }
@@ -113,8 +121,8 @@ std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path,
   if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete) {
     return std::nullopt;
   }
-  if (RunFile::is_closed(path) &&
-      ResultsFile(path, RunFile::finish_closing(path)).analyses() >= kEstimators.size()) {
+  const bool was_closed = RunFile::is_closed(path);
+  if (was_closed && ResultsFile(path, RunFile::finish_closing(path)).analyses() >= kEstimators.size()) {
     return std::nullopt;
   }
   RunOutcome outcome = load_complete_run(path);
@@ -123,7 +131,7 @@ std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path,
   ResultTeller teller(outcome, result_listener);
   outcome.sha256 = RunFile::finish_closing(path, teller.before_waiting());
   teller.tell();
-  keep_analyses(outcome, format_utc(RealClock().utc_now()));
+  keep_analyses(outcome, format_utc(RealClock().utc_now()), !was_closed);
   return outcome;
 }
 
@@ -133,6 +141,7 @@ struct RunSession::OpenedBench {
   Bench bench;
   Identities identities;
   std::vector<PlannedAngle> plan;
+  RegisteredStart registered;
   bool identified = false;
 };
 
@@ -230,6 +239,7 @@ RunSession::OpenedBench& RunSession::open(const BenchConfig& config, BenchStream
   opened_.reset();  // Or its ports would be in the way.
   auto opened = std::make_unique<OpenedBench>();
   opened->config = config;
+  opened->registered.who.name = config.operator_name;
   opened->bench = options_.open_bench(config, std::move(streams));
   opened_ = std::move(opened);
   return *opened_;
@@ -252,7 +262,11 @@ Identities RunSession::identify_instruments(const StartRequest& request) {
 }
 
 RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner, Analyses analyses) {
+  const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
+  RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now());
+  (void)read_signing_key();  // A key that cannot be read is told before the first move.
   (void)identify_instruments(request);
+  opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
   RunFile file = create_file(*opened_, request);
   tell_begun(*opened_, request.run_file, nullptr);
@@ -309,11 +323,15 @@ void RunSession::require_disk_space(const OpenedBench& opened, const StartReques
 RunFile RunSession::create_file(const OpenedBench& opened, const StartRequest& request) {
   Bench& bench = opened_->bench;
   require_disk_space(opened, request);
-  RunFile file = RunFile::create(request.run_file,
-                                 make_header(opened.config, opened.identities, opened.plan, *bench.clock));
+  RunHeader header = make_header(opened.config, opened.identities, opened.plan, *bench.clock);
+  const RegisteredStart& registered = opened.registered;
+  if (!registered.who.name.empty()) header.labels["operator.name"] = registered.who.name;
+  if (!registered.calibrations_json.empty()) header.labels[kCalibrationsLabel] = registered.calibrations_json;
+  RunFile file = RunFile::create(request.run_file, header);
   if (transcript_) transcript_->keep_in(file);
   file.begin_session(session_start(bench));
   file.append_event(format_utc(file.utc_now(*bench.clock)), "started", "run started");
+  note_operator(file, registered.who, format_utc(file.utc_now(*bench.clock)));
   (void)note_environment(bench, opened.config, file, "start");
   return file;
 }
@@ -331,7 +349,7 @@ void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::pa
   began.bench = config.name;
   began.item =
       config.item.serial_number.empty() ? identities.accelerometer.serial_number : config.item.serial_number;
-  began.operator_name = config.operator_name;
+  began.operator_name = opened.registered.who.name;
   began.unit = identities.accelerometer.output_unit;
   began.stage = summary(identities.stage);
   began.accelerometer = summary(identities.accelerometer);
@@ -356,7 +374,13 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   RunFile file = RunFile::open_for_append(path);
   const StoredRun stored = RunFile::load(path);
   transcript_.reset();
-  OpenedBench& opened = open(parse_bench(stored.header.bench_toml, path.string()), {});
+  const BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
+  // Another person than who began may go on with a run.
+  RegisteredStart registered = find_operator({}, RealClock().utc_now());
+  if (!registered.who.verified()) registered.who.name = config.operator_name;
+  (void)read_signing_key();
+  OpenedBench& opened = open(config, {});
+  opened.registered = registered;
   opened.identities = identify(opened.bench, opened.config);
   require_same_instruments(opened.identities, stored);
   opened.plan = stored.header.plan;
@@ -364,6 +388,7 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   file.set_state(RunState::kRunning, format_utc(file.utc_now(*opened.bench.clock)),
                  fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
                              stored.header.plan.size()));
+  note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
   tell_begun(opened, path, &stored);
   return measure_and_finish(std::move(file), progress_of(stored));
 }
@@ -394,7 +419,7 @@ void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::st
   outcome.sha256 = *sha256;
   if (teller.is_told()) warn("closing", fmt::format("{} is closed now: SHA-256 {}", path, *sha256));
   teller.tell();
-  keep_analyses(outcome, utc);
+  keep_analyses(outcome, utc, true);
 }
 
 RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far, Analyses analyses) {

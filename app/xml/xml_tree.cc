@@ -1,7 +1,9 @@
 #include "app/xml/xml_tree.h"
 
 #include <fmt/format.h>
+#include <libxml/SAX2.h>
 #include <libxml/parser.h>
+#include <libxml/parserInternals.h>
 #include <libxml/xmlstring.h>
 
 #include <stdexcept>
@@ -90,15 +92,62 @@ std::string xml_text(const XmlDocument& document) {
   return text;
 }
 
+namespace {
+
+/// What the parser may make of the bytes of others.
+struct Allowance {
+  /// Elements and attributes: each takes some 250 bytes of memory.
+  static constexpr std::size_t kMostParts = 100'000;
+  std::size_t parts = 0;
+  bool has_doctype = false;
+};
+
+Allowance& allowance_of(void* context) {
+  return *static_cast<Allowance*>(static_cast<xmlParserCtxt*>(context)->_private);
+}
+
+/// Stops at a document type declaration, before any entity that it declares can be expanded.
+void refuse_doctype(void* context, const xmlChar*, const xmlChar*, const xmlChar*) {
+  allowance_of(context).has_doctype = true;
+  xmlStopParser(static_cast<xmlParserCtxt*>(context));
+}
+
+void count_element(void* context, const xmlChar* name, const xmlChar* prefix, const xmlChar* uri,
+                   int namespaces, const xmlChar** namespace_list, int attributes, int defaulted,
+                   const xmlChar** attribute_list) {
+  Allowance& allowance = allowance_of(context);
+  allowance.parts += 1U + static_cast<std::size_t>(namespaces) + static_cast<std::size_t>(attributes);
+  if (allowance.parts > Allowance::kMostParts) return xmlStopParser(static_cast<xmlParserCtxt*>(context));
+  xmlSAX2StartElementNs(context, name, prefix, uri, namespaces, namespace_list, attributes, defaulted,
+                        attribute_list);
+}
+
+struct FreeParser {
+  void operator()(xmlParserCtxt* parser) const { xmlFreeParserCtxt(parser); }
+};
+
+}  // namespace
+
 XmlDocument parse_xml(std::string_view text, const std::string& source) {
   if (text.size() > kLargestXml) {
     throw std::runtime_error(
         fmt::format("{}: {} bytes; required: at most {}", source, text.size(), kLargestXml));
   }
-  XmlDocument document(xmlReadMemory(text.data(), static_cast<int>(text.size()), source.c_str(), nullptr,
-                                     XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOWARNING));
-  if (document && xmlGetIntSubset(document.get()) != nullptr)
+  const std::unique_ptr<xmlParserCtxt, FreeParser> parser(xmlNewParserCtxt());
+  if (!parser) throw std::bad_alloc();
+  Allowance allowance;
+  parser->_private = &allowance;
+  parser->sax->internalSubset = refuse_doctype;
+  parser->sax->startElementNs = count_element;
+  XmlDocument document(xmlCtxtReadMemory(parser.get(), text.data(), static_cast<int>(text.size()),
+                                         source.c_str(), nullptr,
+                                         XML_PARSE_NONET | XML_PARSE_NOERROR | XML_PARSE_NOWARNING));
+  if (allowance.has_doctype)
     throw std::runtime_error(source + ": has a document type declaration (DOCTYPE); required: none");
+  if (allowance.parts > Allowance::kMostParts)
+    throw std::runtime_error(
+        fmt::format("{}: has more than {} elements and attributes; required: at most that many", source,
+                    Allowance::kMostParts));
   if (document) return document;
   const xmlError* error = xmlGetLastError();
   const std::string why =

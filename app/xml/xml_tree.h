@@ -46,7 +46,7 @@ class XmlElement {
 std::string xml_text(const XmlDocument& document);
 
 /// The largest text that parse_xml() accepts: a certificate has some 100 kB.
-inline constexpr std::size_t kLargestXml = 64u << 20;
+inline constexpr std::size_t kLargestXml = 12u << 20;
 
 /// Parses a text. Nothing is loaded from the network or from other files; a text with a document type
 /// declaration is refused, so that there are no entities to expand.

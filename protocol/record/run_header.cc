@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <array>
+#include <charconv>
 #include <map>
 #include <utility>
 
@@ -142,11 +143,12 @@ class Facts {
   }
   double real(const std::string& key) const {
     const std::string value = text(key);
-    try {
-      return std::stod(value);
-    } catch (const std::exception&) {
+    double number = 0.0;
+    const char* end = value.data() + value.size();
+    // All of the text, and no sign but "-": "9.8x" is no number.
+    if (std::from_chars(value.data(), end, number) != std::from_chars_result{end, std::errc{}})
       throw RunFileError(source_ + ": meta \"" + key + "\" is \"" + value + "\", not a number");
-    }
+    return number;
   }
 
  private:

@@ -10,6 +10,7 @@
 
 #include "tests/app/program_fixtures.h"
 #include "tests/support/project_paths.h"
+#include "tests/support/training_register.h"
 
 namespace abcal {
 namespace {
@@ -256,9 +257,9 @@ TEST_F(CompareCommand, GroupsAreJudgedByAnalysisOfVariance) {
 TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
   const std::filesystem::path examples = test::source_folder() / "docs/examples";
   ASSERT_EQ(abcal({"run", (examples / "simulated.toml").string(), "-o", "a.run"}).exit_code, 0);
+  const test::TrainingRegister registered(folder.path());
   const ProgramResult written =
-      abcal({"issue", "a.run", "--laboratory", (examples / "laboratory.toml").string(), "--number", "EX-1",
-             "--approved-by", "Approver N. N.", "--dcc", "a.xml"});
+      abcal({"issue", "a.run", "--laboratory", (examples / "laboratory.toml").string(), "--dcc", "a.xml"});
   ASSERT_EQ(written.exit_code, 0) << written.err;
   for (const std::vector<std::string>& files :
        {std::vector<std::string>{"a.run", "a.xml"}, std::vector<std::string>{"a.xml", "a.run"}}) {

@@ -17,6 +17,7 @@
 #include "protocol/analysis/meaning.h"
 #include "tests/console/console_fixture.h"
 #include "tests/support/project_paths.h"
+#include "tests/support/training_register.h"
 
 namespace abcal::console {
 namespace {
@@ -59,8 +60,9 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   EXPECT_EQ(none.status, 422U);
   EXPECT_THAT(none.body, HasSubstr("abcal issue"));
 
-  const auto issued = abcal({"issue", "runs/a.run", "--laboratory", (examples / "laboratory.toml").string(),
-                             "--number", "EX-1", "--approved-by", "Approver N. N.", "--dcc", "a.xml"});
+  const test::TrainingRegister registered(folder.path());
+  const auto issued = abcal(
+      {"issue", "runs/a.run", "--laboratory", (examples / "laboratory.toml").string(), "--dcc", "a.xml"});
   ASSERT_EQ(issued.exit_code, 0) << issued.err;
   const std::vector<std::string> names = offered("a.run");
   EXPECT_THAT(names, Contains("certificate.xml"));
@@ -70,7 +72,7 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   EXPECT_EQ(but_for_when(get("/runs/a.run/readings.csv").body),
             but_for_when(test::read_file(folder / "a.csv")));
   const test::Answer report = get("/runs/a.run/report.html");
-  EXPECT_THAT(report.body, HasSubstr("EX-1"));
+  EXPECT_THAT(report.body, HasSubstr(test::number_of(issued.out)));
   // It is kept as a file, never shown as a page of the console.
   EXPECT_EQ(report.headers.at("Content-Disposition"), "attachment");
   EXPECT_THAT(get("/runs/a.run/run.h5").body, StartsWith("\x89HDF"));

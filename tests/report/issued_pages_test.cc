@@ -12,6 +12,7 @@
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
+#include "tests/support/training_register.h"
 
 namespace abcal {
 namespace {
@@ -51,10 +52,11 @@ TEST_F(IssuedPagesTest, APairIsShownWholeOrSaysThatItIsNot) {
   test::write_file(folder / "lab.toml",
                    std::regex_replace(example("laboratory.toml"), std::regex("\ndeviations"),
                                       "\nadjustment = \"offset of u\"\ndeviations"));
+  const test::TrainingRegister registered(folder.path());
   const test::ProgramResult issued =
-      abcal({"issue", "left.run", "--as-found", "found.run", "--laboratory", "lab.toml", "--number", "EX-1",
-             "--approved-by", "Approver N. N.", "--dcc", "a.xml"});
+      abcal({"issue", "left.run", "--as-found", "found.run", "--laboratory", "lab.toml", "--dcc", "a.xml"});
   ASSERT_EQ(issued.exit_code, 0) << issued.err;
+  const std::string number = test::number_of(issued.out);
 
   const test::ProgramResult whole =
       abcal({"report", "left.run", "--as-found", "found.run", "--dcc", "b.xml"});
@@ -67,12 +69,12 @@ TEST_F(IssuedPagesTest, APairIsShownWholeOrSaysThatItIsNot) {
   EXPECT_THAT(page, AllOf(HasSubstr("As found and as left"), Not(testing::ContainsRegex(" -0\\.0+ "))));
 
   EXPECT_THAT(abcal({"report", "left.run"}).out,
-              AllOf(HasSubstr("EX-1"), HasSubstr("Incomplete: the certificate")));
+              AllOf(HasSubstr(number), HasSubstr("Incomplete: the certificate")));
 
   const test::ProgramResult another =
       abcal({"report", "left.run", "--as-found", "other.run", "--html", "c.html"});
   EXPECT_EQ(another.exit_code, 1);
-  EXPECT_THAT(another.err, AllOf(HasSubstr("other.run"), HasSubstr("EX-1")));
+  EXPECT_THAT(another.err, AllOf(HasSubstr("other.run"), HasSubstr(number)));
   EXPECT_FALSE(std::filesystem::exists(folder / "c.html"));
 }
 

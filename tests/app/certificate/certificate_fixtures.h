@@ -8,6 +8,7 @@
 
 #include "app/certificate/certificate.h"
 #include "app/results/report_data.h"
+#include "protocol/plan/effect_sizes.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
@@ -71,6 +72,16 @@ inline std::string replaced(std::string text, const std::string& from, const std
   EXPECT_NE(at, std::string::npos) << from;
   if (at != std::string::npos) text.replace(at, from.size(), to);
   return text;
+}
+
+/// A simulated run as if real instruments had measured it on a date, on a bench whose effects all have a
+/// source.
+inline void as_if_real(ReportData& data, const std::string& date = "2026-03-01") {
+  data.simulated.clear();
+  data.run->header.created_utc = date + "T12:00:00.000Z";
+  for (RunEvent& event : data.run->events) event.utc = date + "T13:00:00.000Z";
+  for (const EffectSizeKey& key : effect_size_keys())
+    data.record.tolerances.sources[std::string(key.key)] = "data sheet";
 }
 
 inline Clock::UtcTime any_time() {

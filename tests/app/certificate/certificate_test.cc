@@ -25,6 +25,11 @@ class MakeCertificateTest : public CertificateTest {
     facts.date = Date{std::chrono::year(2999), std::chrono::month(1), std::chrono::day(2)};
     return facts;
   }
+  /// The stage's calibration ended before the simulated run of 2000.
+  static std::string overdue() {
+    return replaced(replaced(example_laboratory(), "performed = 2025-12-31", "performed = 1998-12-31"),
+                    "due = 2030-12-31", "due = 1999-12-31");
+  }
   static std::string refusal(CertificateRequest asked) {
     try {
       make_certificate(std::move(asked));
@@ -45,10 +50,9 @@ TEST_F(MakeCertificateTest, EveryClauseOfReportingHasItsPlace) {
                "opinions = \"stable\"\nrecalibration = 2027-03-01\nadjustment = \"offset register set\" ");
   laboratory = replaced(laboratory, "accreditation = \"\"", "accreditation = \"EX-K-1\"");
   CertificateRequest asked = request(laboratory);
+  as_if_real(asked.run);
   asked.as_found = asked.run;
-  // An earlier run of the same item, as the labels say.
-  asked.as_found->run->header.created_utc = "1999-01-01T00:00:00.000Z";
-  asked.as_found->run->events.back().utc = "1999-01-01T01:00:00.000Z";
+  as_if_real(*asked.as_found, "2026-02-28");  // An earlier run of the same item, as the labels say.
   asked.issue = facts();
   asked.issue->replaces = Replacement{"EX-0", "wrong address", std::string(64, 'a')};
   const Certificate certificate = make_certificate(std::move(asked));
@@ -133,8 +137,7 @@ TEST_F(MakeCertificateTest, EachMissingItemIsNamed) {
 }
 
 TEST_F(MakeCertificateTest, EquipmentMustBeThatOfTheRunAndInDate) {
-  const std::string due =
-      refusal(request(replaced(example_laboratory(), "due = 2030-12-31", "due = 1999-12-31")));
+  const std::string due = refusal(request(overdue()));
   EXPECT_THAT(due, AllOf(HasSubstr("Two-axis rotation stage, due: found 1999-12-31"),
                          HasSubstr("not before that of the run"), HasSubstr("--draft")));
   EXPECT_THAT(refusal(request(replaced(example_laboratory(), "\"118001234\"", "\"4711\""))),
@@ -142,7 +145,7 @@ TEST_F(MakeCertificateTest, EquipmentMustBeThatOfTheRunAndInDate) {
 }
 
 TEST_F(MakeCertificateTest, ADraftSaysWhatSpeaksAgainstIt) {
-  CertificateRequest asked = request(replaced(example_laboratory(), "due = 2030-12-31", "due = 1999-12-31"));
+  CertificateRequest asked = request(overdue());
   asked.draft = true;
   const Certificate draft = make_certificate(std::move(asked));
   ASSERT_EQ(draft.reservations.size(), 1U);

@@ -4,12 +4,14 @@
 #include <gtest/gtest.h>
 
 #include <cstdlib>
+#include <optional>
 
 #include "protocol/record/sha256.h"
 #include "protocol/record/sqlite.h"
 #include "protocol/record/verify.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
+#include "tests/support/training_register.h"
 
 namespace abcal {
 namespace {
@@ -18,35 +20,60 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
+/// The simulated run of the suite, and a training register of its own: no other issues for simulated runs.
 class IssueTest : public CertificateTest {
  protected:
+  static void SetUpTestSuite() {
+    CertificateTest::SetUpTestSuite();
+    register_folder_ = new test::TemporaryFolder;
+    template_ = new test::TrainingRegister(register_folder_->path());
+    test::TrainingRegister::leave();
+  }
+  static void TearDownTestSuite() {
+    delete template_;
+    delete register_folder_;
+    CertificateTest::TearDownTestSuite();
+  }
   void SetUp() override {
     run = own_run();
     test::write_file(folder / "lab.toml", example_laboratory());
+    registered.emplace(*template_, folder.path());
   }
-  std::vector<std::string> issue(const std::string& number, std::vector<std::string> more = {}) const {
-    std::vector<std::string> words{"issue", run, "--laboratory", "lab.toml", "--number", number};
-    if (std::find(more.begin(), more.end(), "--approved-by") == more.end())
-      words.insert(words.end(), {"--approved-by", "Approver N. N."});
-    words.insert(words.end(), more.begin(), more.end());
-    return words;
+  std::vector<std::string> issue(std::vector<std::string> more = {}) const {
+    more.insert(more.begin(), {"issue", run, "--laboratory", "lab.toml"});
+    return more;
+  }
+  /// Issues, and @returns the number.
+  std::string issued(const std::vector<std::string>& more = {}) {
+    const auto result = abcal(issue(more));
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    return test::number_of(result.out);
   }
   std::string run;
+  std::optional<test::TrainingRegister> registered;
+
+ private:
+  static inline test::TemporaryFolder* register_folder_ = nullptr;
+  static inline test::TrainingRegister* template_ = nullptr;
 };
 
 TEST_F(IssueTest, AnIssuedCertificateIsKeptAndVerified) {
-  const auto result = abcal(issue("EX-1", {"--dcc", "a.xml", "--date", "2999-01-02"}));
+  const auto result = abcal(issue({"--dcc", "a.xml"}));
   ASSERT_EQ(result.exit_code, 0) << result.err;
-  EXPECT_THAT(result.out, HasSubstr("certificate EX-1 of 2999-01-02: measured by Operator N. N., approved by "
-                                    "Approver N. N."));
+  const std::string number = test::number_of(result.out);
+  EXPECT_THAT(
+      result.out,
+      AllOf(HasSubstr("TRAINING: this certificate certifies nothing"),
+            HasSubstr("measured by Operator N. N. (stated, not verified), approved by Approver N. N.")));
+  EXPECT_THAT(number, testing::MatchesRegex("T-20[0-9][0-9]-0001"));
   const std::string xml = test::read_file(folder / "a.xml");
-  EXPECT_THAT(xml, Not(HasSubstr("DRAFT")));
+  EXPECT_THAT(xml, AllOf(Not(HasSubstr("DRAFT")), HasSubstr("TRAINING"), HasSubstr("SIMULATED")));
   const CertificateXml query(xml);
-  EXPECT_EQ(query.text("//dcc:uniqueIdentifier"), "EX-1");
-  EXPECT_EQ(query.text("//dcc:issueDate"), "2999-01-02");
+  EXPECT_EQ(query.text("//dcc:uniqueIdentifier"), number);
   EXPECT_EQ(query.text("//dcc:respPerson[dcc:mainSigner='true']//dcc:name/dcc:content"), "Approver N. N.");
   EXPECT_EQ(query.text("//dcc:metaData[@refType='abc_rawDataHash']//dcc:data//dcc:content"),
             sha256_of_file(folder / run));
+  EXPECT_EQ(query.text("//dcc:statement[@refType='abc_traceability']/dcc:traceable"), "");
 
   const auto kept = ResultsFile::certificates(folder / run);
   ASSERT_EQ(kept.size(), 1U);
@@ -54,44 +81,96 @@ TEST_F(IssueTest, AnIssuedCertificateIsKeptAndVerified) {
   EXPECT_EQ(kept[0].laboratory_toml, example_laboratory());
   const auto verified = abcal({"verify", run});
   EXPECT_EQ(verified.exit_code, 0) << verified.out;
-  EXPECT_THAT(verified.out, HasSubstr("certificates: 1 entries"));
+  EXPECT_THAT(verified.out,
+              AllOf(HasSubstr("certificates: 1 entries"),
+                    HasSubstr("register, certificate " + number + ": issued, approved by Approver N. N.")));
 }
 
-TEST_F(IssueTest, ANumberIsGivenOnceAndARunHasOneCertificate) {
-  ASSERT_EQ(abcal(issue("EX-1")).exit_code, 0);
-  EXPECT_THAT(abcal(issue("EX-1")).err, HasSubstr("EX-1 was issued on"));
-  const auto second = abcal(issue("EX-2"));
+TEST_F(IssueTest, ASimulatedRunIsIssuedByATrainingRegisterOnly) {
+  const auto without_register = [&](std::vector<std::string> more) {
+    test::TrainingRegister::leave();
+    more.insert(more.end(), {"--number", "EX-1", "--approved-by", "Approver N. N."});
+    const auto result = abcal(issue(more));
+    registered->use();
+    return result;
+  };
+  const auto refused = without_register({});
+  EXPECT_EQ(refused.exit_code, 1);
+  EXPECT_THAT(refused.err,
+              AllOf(HasSubstr("instruments: found simulated"), HasSubstr("default sizes stand")));
+  EXPECT_TRUE(ResultsFile::certificates(folder / run).empty());
+}
+
+TEST_F(IssueTest, ANumberIsTheRegistersAndARunHasOneCertificate) {
+  EXPECT_EQ(abcal(issue({"--number", "EX-1"})).exit_code, 2);
+  EXPECT_EQ(abcal(issue({"--approved-by", "Operator N. N."})).exit_code, 2);
+  const std::string number = issued();
+  const auto second = abcal(issue());
   EXPECT_EQ(second.exit_code, 1);
-  EXPECT_THAT(second.err, HasSubstr("amend it with --replaces EX-1"));
+  EXPECT_THAT(second.err, HasSubstr("--replaces " + number));
   EXPECT_EQ(ResultsFile::certificates(folder / run).size(), 1U);
 }
 
 TEST_F(IssueTest, AnAmendmentNamesWhatItReplacesAndWhy) {
-  ASSERT_EQ(abcal(issue("EX-1", {"--dcc", "a.xml"})).exit_code, 0);
-  EXPECT_EQ(abcal(issue("EX-2", {"--replaces", "EX-1"})).exit_code, 2);
-  const auto amended =
-      abcal(issue("EX-2", {"--replaces", "EX-1", "--reason", "customer's address", "--dcc", "b.xml"}));
-  ASSERT_EQ(amended.exit_code, 0) << amended.err;
+  const std::string first = issued({"--dcc", "a.xml"});
+  EXPECT_EQ(abcal(issue({"--replaces", first})).exit_code, 2);
+  const std::string second =
+      issued({"--replaces", first, "--reason", "customer's address", "--dcc", "b.xml"});
   const CertificateXml query(test::read_file(folder / "b.xml"));
   EXPECT_EQ(query.text("//dcc:reportAmendedSubstituted/dcc:typeOfChange"), "amended");
-  EXPECT_EQ(query.text("//dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"), "EX-1");
+  EXPECT_EQ(query.text("//dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"), first);
   EXPECT_EQ(query.text("//dcc:previousReport/dcc:value"), sha256_of_file(folder / "a.xml"));
   EXPECT_THAT(query.text("//dcc:statement[@refType='abc_amendment']"), HasSubstr("customer's address"));
-  EXPECT_THAT(abcal(issue("EX-3", {"--replaces", "EX-1", "--reason", "again"})).err,
-              HasSubstr("EX-1 is replaced by EX-2 already"));
-  EXPECT_THAT(abcal(issue("EX-3", {"--replaces", "EX-0", "--reason", "other"})).err,
-              HasSubstr("--replaces EX-2"));
+  EXPECT_THAT(abcal(issue({"--replaces", first, "--reason", "again"})).err,
+              HasSubstr("--replaces " + second));
+  EXPECT_THAT(abcal(issue({"--replaces", "EX-0", "--reason", "other"})).err,
+              HasSubstr("--replaces " + second));
 }
 
 TEST_F(IssueTest, WhoMeasuredCannotApprove) {
-  const auto self =
-      abcal(issue("EX-1", {"--approved-by", "Approver N. N.", "--measured-by", "Approver N. N."}));
-  EXPECT_EQ(self.exit_code, 1);
-  EXPECT_THAT(self.err, HasSubstr("a person other than the one who measured"));
-  const auto stranger = abcal(issue("EX-1", {"--approved-by", "Nobody"}));
-  EXPECT_THAT(stranger.err, AllOf(HasSubstr("\"Nobody\""), HasSubstr("who may approve")));
-  EXPECT_THAT(abcal(issue("EX-1", {"--approved-by", "Operator N. N."})).err, HasSubstr("who may approve"));
+  // Whatever name is given for who measured: the events of the run say it.
+  EXPECT_THAT(abcal(issue({"--measured-by", "Third P."})).err, HasSubstr("by the events of the run"));
+  registered->lab({"add", "person", "Second N. N.", "--role", "r", "--may", "approve"}, true);
+  registered->lab({"retire", "person", "Operator N. N.", "--reason", "test"});
+  EXPECT_THAT(abcal(issue()).err, HasSubstr("who may measure"));
   EXPECT_TRUE(ResultsFile::certificates(folder / run).empty());
+}
+
+TEST_F(IssueTest, ARunOfTheApproverNeedsAnotherApprover) {
+  // With a register the operator of a run is who is logged in.
+  test::write_file(folder / "bench.toml",
+                   replaced(certificate_bench(), "name = \"Operator N. N.\"", "name = \"\""));
+  const auto made = abcal({"run", "bench.toml", "-o", "own.run"});
+  ASSERT_EQ(made.exit_code, 0) << made.err;
+  run = "own.run";
+  EXPECT_THAT(abcal(issue()).err, HasSubstr("a person other than the one who measured"));
+  registered->lab({"add", "person", "Second N. N.", "--role", "r", "--may", "approve"}, true);
+  registered->log_in("Second N. N.");
+  const auto result = abcal(issue());
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_THAT(result.out, HasSubstr("measured by Approver N. N., approved by Second N. N."));
+  // Somebody who may not measure cannot start a run, nor under the name of another.
+  EXPECT_THAT(abcal({"run", "bench.toml", "-o", "b.run"}).err, HasSubstr("may not measure"));
+  registered->log_in("Operator N. N.");
+  test::write_file(folder / "bench.toml",
+                   replaced(certificate_bench(), "name = \"Operator N. N.\"", "name = \"X\""));
+  EXPECT_EQ(abcal({"run", "bench.toml", "-o", "b.run"}).exit_code, 2);
+  registered->lab({"logout"});
+  EXPECT_THAT(abcal({"run", "bench.toml", "-o", "b.run"}).err, HasSubstr("abcal lab login"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "b.run"));
+}
+
+TEST_F(IssueTest, TheRegisterFindsWhatIsTakenAwayFromARun) {
+  const std::string number = issued();
+  const std::filesystem::path results = folder / (run + ".results");
+  SqliteDatabase(results, SqliteDatabase::Mode::kReadWrite).execute("delete from certificate");
+  const auto deleted = abcal({"verify", run});
+  EXPECT_EQ(deleted.exit_code, 1);
+  EXPECT_THAT(deleted.out, HasSubstr("certificate " + number + ": the register knows it as issued"));
+  std::filesystem::remove(results);
+  EXPECT_EQ(abcal({"analyse", run}).exit_code, 0);
+  EXPECT_EQ(abcal({"verify", run}).exit_code, 1);
+  EXPECT_EQ(abcal(issue()).exit_code, 1);  // Nor a second number for it.
 }
 
 TEST_F(IssueTest, AllThatIsWrongIsSaidTogetherAndNothingIsWritten) {
@@ -102,7 +181,7 @@ TEST_F(IssueTest, AllThatIsWrongIsSaidTogetherAndNothingIsWritten) {
   laboratory = replaced(laboratory, "sensitivity = [\"mg/g\"]", "sensitivity = [\"mV/g\"]");
   test::write_file(folder / "lab.toml", laboratory);
   const std::string before = sha256_of_file(folder / (run + ".results"));
-  const auto refused = abcal(issue("EX-1", {"--dcc", "a.xml"}));
+  const auto refused = abcal(issue({"--dcc", "a.xml"}));
   EXPECT_EQ(refused.exit_code, 2);
   EXPECT_THAT(refused.err, AllOf(HasSubstr("[job] condition"), HasSubstr("due"), HasSubstr("1999-12-31"),
                                  HasSubstr("one of \"g/g_loc\", \"g/(m/s2)\""), HasSubstr("mV/g")))
@@ -112,8 +191,7 @@ TEST_F(IssueTest, AllThatIsWrongIsSaidTogetherAndNothingIsWritten) {
 }
 
 TEST_F(IssueTest, AChangedCertificateIsFound) {
-  ASSERT_EQ(abcal(issue("EX-1")).exit_code, 0);
-  ASSERT_EQ(abcal(issue("EX-2", {"--replaces", "EX-1", "--reason", "why"})).exit_code, 0);
+  (void)issued({"--replaces", issued(), "--reason", "why"});
   for (const std::string sql :
        {"update certificate set xml = replace(xml, 'no visible', 'visible') where id = 1",
         "update certificate set reason = 'another' where id = 2",
@@ -133,7 +211,7 @@ TEST_F(IssueTest, ARunThatWasChangedGetsNoCertificate) {
                                std::filesystem::perm_options::add);
   SqliteDatabase(folder / run, SqliteDatabase::Mode::kReadWrite)
       .execute("update dwell set r_u = r_u + 1e-6 where id = 1");
-  const auto refused = abcal(issue("EX-1"));
+  const auto refused = abcal(issue());
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_THAT(refused.err, HasSubstr("SHA-256"));
 }
@@ -158,22 +236,20 @@ TEST_F(IssueTest, ASignatureIsVerifiedByXmlsec1) {
     return more;
   };
 
-  EXPECT_THAT(abcal(issue("EX-1", signing("key.pem", "ec-cert.pem", {}))).err,
+  EXPECT_THAT(abcal(issue(signing("key.pem", "ec-cert.pem", {}))).err,
               HasSubstr("does not belong to the key"));
-  EXPECT_THAT(abcal(issue("EX-1", signing("lab.toml", "cert.pem", {}))).err, HasSubstr("no private key"));
+  EXPECT_THAT(abcal(issue(signing("lab.toml", "cert.pem", {}))).err, HasSubstr("no private key"));
   EXPECT_TRUE(ResultsFile::certificates(folder / run).empty());
 
-  ASSERT_EQ(abcal(issue("EX-1", signing("key.pem", "cert.pem", {}))).exit_code, 0);
-  const auto second =
-      abcal(issue("EX-2", signing("ec.pem", "ec-cert.pem", {"--replaces", "EX-1", "--reason", "why"})));
-  ASSERT_EQ(second.exit_code, 0) << second.err;
+  const std::string number = issued(signing("key.pem", "cert.pem", {}));
+  (void)issued(signing("ec.pem", "ec-cert.pem", {"--replaces", number, "--reason", "why"}));
   EXPECT_EQ(shell("xmlsec1 --verify --trusted-pem cert.pem key.pem.xml"), 0)
       << test::read_file(folder / "log");
   EXPECT_EQ(shell("xmlsec1 --verify --trusted-pem ec-cert.pem ec.pem.xml"), 0)
       << test::read_file(folder / "log");
   // One digit changed, and it does not verify any more.
   const std::string xml = test::read_file(folder / "key.pem.xml");
-  test::write_file(folder / "changed.xml", replaced(xml, "EX-1", "EX-7"));
+  test::write_file(folder / "changed.xml", replaced(xml, number, "T-7"));
   EXPECT_NE(shell("xmlsec1 --verify --trusted-pem cert.pem changed.xml"), 0);
   EXPECT_EQ(abcal({"verify", run}).exit_code, 0);
 }

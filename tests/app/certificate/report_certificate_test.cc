@@ -8,6 +8,7 @@
 #include "protocol/record/sqlite.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
+#include "tests/support/training_register.h"
 
 namespace abcal {
 namespace {
@@ -50,17 +51,18 @@ TEST_F(ReportCertificateTest, ADraftUntilItIsIssuedAndTheSameBytesEverAfter) {
                     HasSubstr("guard band"), HasSubstr("Metrological traceability")));
   EXPECT_EQ(abcal({"report", run, "--dcc", "draft.xml", "--laboratory", "lab.toml"}).exit_code, 2);
 
-  ASSERT_EQ(abcal({"issue", run, "--laboratory", "lab.toml", "--number", "EX-1", "--approved-by",
-                   "Approver N. N.", "--dcc", "issued.xml"})
-                .exit_code,
-            0);
+  const test::TrainingRegister registered(folder.path());
+  const auto issued = abcal({"issue", run, "--laboratory", "lab.toml", "--dcc", "issued.xml"});
+  ASSERT_EQ(issued.exit_code, 0) << issued.err;
+  const std::string number = test::number_of(issued.out);
   // The laboratory file may be gone by then.
   std::filesystem::remove(folder / "lab.toml");
   const auto again = abcal({"report", run, "--dcc", "again.xml", "--html", "again.html"});
   ASSERT_EQ(again.exit_code, 0) << again.err;
   EXPECT_EQ(test::read_file(folder / "again.xml"), test::read_file(folder / "issued.xml"));
-  EXPECT_THAT(test::read_file(folder / "again.html"), AllOf(HasSubstr("EX-1"), Not(HasSubstr("DRAFT"))));
-  EXPECT_THAT(abcal({"report", run}).out, HasSubstr("EX-1"));
+  EXPECT_THAT(test::read_file(folder / "again.html"),
+              AllOf(HasSubstr(number), HasSubstr("TRAINING"), Not(HasSubstr("DRAFT"))));
+  EXPECT_THAT(abcal({"report", run}).out, HasSubstr(number));
 }
 
 TEST_F(ReportCertificateTest, ThePdfHasTheXmlInside) {

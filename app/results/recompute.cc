@@ -1,0 +1,200 @@
+#include "app/results/recompute.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include "app/results/analyses.h"
+#include "app/results/result_json.h"
+#include "app/system/version.h"
+#include "protocol/record/run_seal.h"
+
+namespace abcal {
+namespace {
+
+/// Differences of rounding: an angle goes through text of 17 digits.
+constexpr double kAngleRoundingDeg = 1e-9;
+
+bool same_direction(Angle a, Angle b) {
+  const double turns = (a.deg() - b.deg()) / 360.0;
+  return std::abs(turns - std::round(turns)) * 360.0 <= kAngleRoundingDeg;
+}
+
+/// What of the stored plan is not what the bench file gives; empty: all is. Which whole turns and which
+/// order, depends on the travel of the stage, which is not in the bench file.
+std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const BenchConfig& bench) {
+  constexpr AxisTravel kAny{Angle::degrees(-1080.0), Angle::degrees(1080.0)};
+  std::map<std::pair<int, int>, PlannedAngle> expected;
+  for (const PlannedAngle& angle : make_rotation_plan(bench.protocol, {kAny, kAny}))
+    if (!angle.closing) expected[{angle.experiment, angle.n}] = angle;
+  std::set<std::pair<int, int>> seen;
+  for (const PlannedAngle& angle : stored) {
+    const auto found = expected.find({angle.experiment, angle.n});
+    if (found == expected.end())
+      return fmt::format("experiment {}, angle {} is not in the plan of the bench file", angle.experiment,
+                         angle.n);
+    const PlannedAngle& planned = found->second;
+    if (!same_direction(angle.alpha, planned.alpha) || !same_direction(angle.x, planned.x) ||
+        !same_direction(angle.z, planned.z))
+      return fmt::format("experiment {}, angle {} is not where the bench file has it", angle.experiment,
+                         angle.n);
+    if (!angle.closing) seen.insert({angle.experiment, angle.n});
+  }
+  if (seen.size() != expected.size())
+    return fmt::format("{} of the {} angles of the bench file are planned", seen.size(), expected.size());
+  return {};
+}
+
+/// What of the dwells is not as planned.
+std::string difference_from_plan(const StoredRun& stored, const BenchConfig* bench) {
+  const std::vector<PlannedAngle>& plan = stored.header.plan;
+  std::set<std::size_t> measured;
+  for (std::size_t k = 0; k < stored.measured.size(); ++k) {
+    const std::size_t position = stored.measured[k];
+    const DwellRecord& dwell = stored.record.dwells[k];
+    if (position >= plan.size())
+      return fmt::format("a dwell is of position {}, which is not planned", position);
+    measured.insert(position);
+    const PlannedAngle& planned = plan[position];
+    const std::string where = fmt::format("experiment {}, angle {}", planned.experiment, planned.n);
+    if (dwell.experiment != planned.experiment || dwell.n != planned.n || dwell.closing != planned.closing ||
+        !same_direction(dwell.alpha, planned.alpha))
+      return where + ": the dwell is of another angle";
+    if (!same_direction(dwell.commanded_x, planned.x) || !same_direction(dwell.commanded_z, planned.z))
+      return where + ": was not commanded as planned";
+    if (bench == nullptr || (dwell.flags & kFlagOutsideWindow) != 0U) continue;
+    for (const auto& [encoder, commanded] :
+         {std::pair{dwell.encoder_x, dwell.commanded_x}, std::pair{dwell.encoder_z, dwell.commanded_z}}) {
+      // Twice the window: the encoder may be read at another moment than the window was checked.
+      if (encoder && std::abs(encoder->deg() - commanded.deg()) > 2.0 * bench->protocol.position_window.deg())
+        return where + ": the encoder is outside the position window, and no flag says so";
+    }
+  }
+  if (stored.state == RunState::kComplete && measured.size() != plan.size())
+    return fmt::format("the run is complete, but {} of {} angles are measured", measured.size(), plan.size());
+  return {};
+}
+
+IntegrityCheck check_plan(const StoredRun& stored, const BenchConfig* bench) {
+  std::string wrong = difference_from_plan(stored, bench);
+  if (wrong.empty() && bench != nullptr) {
+    try {
+      wrong = difference_of_plans(stored.header.plan, *bench);
+    } catch (const PlanError& error) {
+      wrong = error.what();
+    }
+  }
+  if (!wrong.empty()) return {"plan", false, wrong};
+  return {"plan", true,
+          fmt::format("{} angles{}, each measured as planned", stored.measured.size(),
+                      bench != nullptr ? " as the bench file gives them" : "")};
+}
+
+/// The numbers below a node whose key is one of two, in order.
+void gather(const nlohmann::json& node, std::vector<double>& values, std::vector<double>& uncertainties) {
+  if (node.is_object() && node.contains("value") && node.contains("standard_uncertainty")) {
+    const auto number = [](const nlohmann::json& at) {
+      return at.is_number() ? at.get<double>() : std::nan("");
+    };
+    values.push_back(number(node["value"]));
+    uncertainties.push_back(number(node["standard_uncertainty"]));
+    return;
+  }
+  if (!node.is_structured()) return;
+  for (const auto& child : node) gather(child, values, uncertainties);
+}
+
+/// How far a stored analysis is from the one of now.
+struct Distance {
+  bool comparable = false;
+  double of_values = 0.0;         ///< Largest, in standard uncertainties of now.
+  double of_uncertainties = 0.0;  ///< Largest, relative.
+};
+
+Distance distance_between(const nlohmann::json& stored, const nlohmann::json& now) {
+  Distance distance;
+  for (const char* group : {"sensitivity_matrix", "offset", "intrinsic_sensitivity", "intrinsic_angle"}) {
+    std::vector<double> a, u_a, b, u_b;
+    if (stored.contains(group)) gather(stored[group], a, u_a);
+    if (now.contains(group)) gather(now[group], b, u_b);
+    if (a.size() != b.size()) return distance;
+    for (std::size_t k = 0; k < a.size(); ++k) {
+      if (std::isnan(a[k]) && std::isnan(b[k])) continue;
+      const double of_value = std::abs(a[k] - b[k]) / u_b[k], of_u = std::abs(u_a[k] / u_b[k] - 1.0);
+      if (!std::isfinite(of_value) || !std::isfinite(of_u)) {
+        if (a[k] == b[k] && u_a[k] == u_b[k]) continue;
+        return distance;
+      }
+      distance.of_values = std::max(distance.of_values, of_value);
+      distance.of_uncertainties = std::max(distance.of_uncertainties, of_u);
+    }
+  }
+  distance.comparable = stored.value("verdict", "") == now.value("verdict", "");
+  return distance;
+}
+
+IntegrityCheck check_results(const std::filesystem::path& run,
+                             const std::vector<CalibrationResult>& results) {
+  // The same program gives the same numbers but for rounding. Another one may have better methods: its
+  // analyses are a history, and are told, not judged. Reports and certificates never use them.
+  constexpr double kRounding = 1e-6;
+  std::size_t same = 0, other = 0;
+  double largest_of_other = 0.0;
+  for (const StoredAnalysis& stored : stored_analyses(run)) {
+    const auto now = std::find_if(results.begin(), results.end(), [&](const CalibrationResult& result) {
+      return result.estimator == stored.estimator;
+    });
+    const nlohmann::json json = nlohmann::json::parse(stored.result_json, nullptr, false);
+    if (now == results.end() || json.is_discarded()) continue;
+    const Distance distance = distance_between(json, nlohmann::json(result_json(*now)));
+    if (stored.program_version != program_version()) {
+      ++other;
+      largest_of_other = std::max(largest_of_other, distance.of_values);
+      continue;
+    }
+    ++same;
+    if (!distance.comparable || distance.of_values > kRounding || distance.of_uncertainties > kRounding)
+      return {
+          "results", false,
+          fmt::format("the analysis {} of {} does not follow from the dwells: it differs by {:.2g} standard "
+                      "uncertainties",
+                      stored.estimator, stored.utc, distance.of_values)};
+  }
+  std::string words = fmt::format("{} analyses computed again", same);
+  if (other > 0)
+    words += fmt::format("; {} of another version of abcal differ by up to {:.2g} standard uncertainties",
+                         other, largest_of_other);
+  return {"results", true, words};
+}
+
+}  // namespace
+
+std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const StoredRun& stored,
+                                      const BenchConfig* bench,
+                                      const std::vector<CalibrationResult>& results) {
+  std::vector<IntegrityCheck> checks{check_plan(stored, bench)};
+  if (stored.state == RunState::kComplete) checks.push_back(check_results(run, results));
+  return checks;
+}
+
+std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& run) {
+  std::vector<IntegrityCheck> checks = verify_run(run);
+  const StoredRun stored = RunFile::load(run);
+  std::optional<BenchConfig> bench;
+  try {
+    bench = parse_bench(stored.header.bench_toml, "its bench file");
+  } catch (const BenchError&) {
+    // Of another abcal, or of a test: the plan is compared with the dwells only.
+  }
+  for (IntegrityCheck& check : recompute(run, stored, bench ? &*bench : nullptr, analyse_all(stored.record)))
+    checks.push_back(std::move(check));
+  return checks;
+}
+
+}  // namespace abcal

@@ -1,0 +1,12 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+namespace abcal {
+
+/// Makes a file that only its owner can read, and brings it to the disk. It must not exist.
+/// @throws std::runtime_error
+void write_private_file(const std::filesystem::path& path, const std::string& content);
+
+}  // namespace abcal

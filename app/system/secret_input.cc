@@ -1,0 +1,67 @@
+#include "app/system/secret_input.h"
+
+#include <fmt/format.h>
+#include <sys/stat.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <iostream>
+#include <stdexcept>
+
+#include "app/system/output.h"
+
+namespace abcal {
+namespace {
+
+/// A terminal that does not show what is typed, for as long as this lives.
+class NoEcho {
+ public:
+  NoEcho() : changed_(::tcgetattr(STDIN_FILENO, &before_) == 0) {
+    if (!changed_) return;
+    termios silent = before_;
+    silent.c_lflag &= ~static_cast<tcflag_t>(ECHO);
+    changed_ = ::tcsetattr(STDIN_FILENO, TCSAFLUSH, &silent) == 0;
+  }
+  NoEcho(const NoEcho&) = delete;
+  NoEcho& operator=(const NoEcho&) = delete;
+  ~NoEcho() {
+    if (changed_) ::tcsetattr(STDIN_FILENO, TCSAFLUSH, &before_);
+  }
+
+ private:
+  termios before_{};
+  bool changed_ = false;
+};
+
+std::string secret_of_file(const std::string& path) {
+  struct stat facts {};
+  if (::stat(path.c_str(), &facts) != 0) throw std::invalid_argument(path + ": no such file");
+  if ((facts.st_mode & (S_IRWXG | S_IRWXO)) != 0U)
+    throw std::invalid_argument(
+        fmt::format("{}: others may read or change it; required: chmod 600 {}", path, path));
+  std::ifstream file(path);
+  std::string secret;
+  std::getline(file, secret);
+  if (secret.empty()) throw std::invalid_argument(path + ": its first line is empty; required: the password");
+  return secret;
+}
+
+}  // namespace
+
+std::string read_secret(const std::string& prompt, const std::string& file) {
+  if (!file.empty()) return secret_of_file(file);
+  std::string secret;
+  if (::isatty(STDIN_FILENO) == 0) {
+    std::getline(std::cin, secret);
+  } else {
+    print_log("{}: ", prompt);
+    const NoEcho silent;
+    std::getline(std::cin, secret);
+    print_log("\n");
+  }
+  if (secret.empty()) throw std::invalid_argument(prompt + ": nothing was given");
+  return secret;
+}
+
+}  // namespace abcal

@@ -1,0 +1,12 @@
+#pragma once
+
+#include <string>
+
+namespace abcal {
+
+/// A secret that a person types, not shown, or the first line of standard input where that is no terminal.
+/// @param file  if not empty, its first line instead; it must be readable by its owner only
+/// @throws std::invalid_argument, std::runtime_error
+std::string read_secret(const std::string& prompt, const std::string& file);
+
+}  // namespace abcal

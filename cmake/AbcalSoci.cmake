@@ -1,0 +1,16 @@
+# SOCI 4 without its backends, which app/laboratory loads when a register is opened. Debian's package has no CMake
+# configuration.
+find_path(SOCI_INCLUDE_DIR soci/soci.h)
+find_library(SOCI_CORE_LIBRARY soci_core)
+if(NOT SOCI_INCLUDE_DIR OR NOT SOCI_CORE_LIBRARY)
+  message(FATAL_ERROR "SOCI 4 is not found: install libsoci-dev (scripts/setup does)")
+endif()
+file(STRINGS ${SOCI_INCLUDE_DIR}/soci/version.h soci_version REGEX "#define SOCI_VERSION ")
+string(REGEX REPLACE ".*SOCI_VERSION +([0-9]+).*" "\\1" soci_version "${soci_version}")
+if(soci_version LESS 400000)
+  message(FATAL_ERROR "SOCI 4.0 or later is required; found ${soci_version} (${SOCI_INCLUDE_DIR})")
+endif()
+add_library(abcal_soci INTERFACE IMPORTED GLOBAL)
+target_include_directories(abcal_soci SYSTEM INTERFACE ${SOCI_INCLUDE_DIR})
+target_link_libraries(abcal_soci INTERFACE ${SOCI_CORE_LIBRARY} ${CMAKE_DL_LIBS})
+add_library(abcal::soci ALIAS abcal_soci)

@@ -1,0 +1,67 @@
+#include "protocol/record/run_seal.h"
+
+#include "protocol/record/results_file.h"
+#include "protocol/record/signature.h"
+#include "protocol/record/sqlite.h"
+
+namespace abcal {
+namespace {
+
+bool has_results(const std::filesystem::path& run_path) {
+  std::error_code error;
+  return std::filesystem::exists(ResultsFile::path_beside(run_path), error);
+}
+
+SqliteDatabase open_results(const std::filesystem::path& run_path, SqliteDatabase::Mode mode) {
+  SqliteDatabase database(ResultsFile::path_beside(run_path), mode);
+  database.wait_at_most(std::chrono::seconds(30));  // Parallel programs add analyses.
+  return database;
+}
+
+}  // namespace
+
+RunSeal read_seal(const std::filesystem::path& run_path) {
+  if (!has_results(run_path)) return {};
+  SqliteDatabase database = open_results(run_path, SqliteDatabase::Mode::kReadOnly);
+  // Results that abcal 0.1 began have no such columns.
+  if (database.value("select count(*) from pragma_table_info('run') where name = 'signer'") == "0") return {};
+  SqliteStatement row = database.prepare("select signer, signature, time_stamp from run");
+  if (!row.step()) return {};
+  return {row.text(0), row.blob(1), row.blob(2)};
+}
+
+void sign_run(const std::filesystem::path& run_path, const std::string& bench,
+              const std::string& private_pem) {
+  SqliteDatabase database = open_results(run_path, SqliteDatabase::Mode::kReadWrite);
+  Transaction transaction(database);
+  if (!database.value("select signer from run").value_or("").empty()) return;
+  const std::string sha256 = database.value("select sha256 from run").value_or("");
+  SqliteStatement row = database.prepare("update run set signer = :signer, signature = :signature");
+  row.set("signer", std::string_view(bench + "\n" + public_key_of(private_pem)));
+  row.bind_blob(2, sign(statement_of_run(sha256), private_pem));
+  row.run();
+  transaction.commit();
+}
+
+bool keep_time_stamp(const std::filesystem::path& run_path, const std::string& token) {
+  SqliteDatabase database = open_results(run_path, SqliteDatabase::Mode::kReadWrite);
+  Transaction transaction(database);
+  if (!database.value("select time_stamp from run").value_or("").empty()) return false;
+  SqliteStatement row = database.prepare("update run set time_stamp = :token");
+  row.bind_blob(1, token);
+  row.run();
+  transaction.commit();
+  return true;
+}
+
+std::vector<StoredAnalysis> stored_analyses(const std::filesystem::path& run_path) {
+  if (!has_results(run_path)) return {};
+  SqliteDatabase database = open_results(run_path, SqliteDatabase::Mode::kReadOnly);
+  std::vector<StoredAnalysis> analyses;
+  SqliteStatement rows =
+      database.prepare("select utc, program_version, estimator, result_json from analysis order by id");
+  while (rows.step()) analyses.push_back({rows.text(0), rows.text(1), rows.text(2), rows.text(3)});
+  return analyses;
+}
+
+}  // namespace abcal

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace abcal {
+
+/// Who signed the hash of a closed run, and when an authority saw it. Empty: not signed, not stamped.
+struct RunSeal {
+  std::string signer;      ///< Name of the bench, and its public key (PEM) from the next line on.
+  std::string signature;   ///< Ed25519, of statement_of_run().
+  std::string time_stamp;  ///< RFC 3161, of the SHA-256.
+
+  std::string signer_name() const { return signer.substr(0, signer.find('\n')); }
+  std::string public_pem() const {
+    const std::size_t end = signer.find('\n');
+    return end == std::string::npos ? std::string() : signer.substr(end + 1);
+  }
+};
+
+// All work on `RUN.results`, which must exist, and throw RunFileError.
+
+/// Signature and time stamp beside a run; empty where there are none, or no results.
+RunSeal read_seal(const std::filesystem::path& run_path);
+
+/// Keeps the signature of the run's hash by the bench's key (PEM). One that is there stays.
+void sign_run(const std::filesystem::path& run_path, const std::string& bench,
+              const std::string& private_pem);
+
+/// Keeps a time stamp of the run's hash. One that is there stays: it is the earlier one.
+/// @return false: there was one
+bool keep_time_stamp(const std::filesystem::path& run_path, const std::string& token);
+
+/// An analysis as it is stored.
+struct StoredAnalysis {
+  std::string utc, program_version, estimator, result_json;
+};
+
+/// The analyses stored for a run, oldest first; none where there are no results.
+std::vector<StoredAnalysis> stored_analyses(const std::filesystem::path& run_path);
+
+}  // namespace abcal

@@ -1,0 +1,35 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <string_view>
+
+namespace abcal {
+
+/// A new private Ed25519 key, as PEM (PKCS #8, not encrypted).
+std::string make_private_key();
+
+/// The public part of a private key's PEM, as PEM.
+/// @throws std::invalid_argument if it is no private Ed25519 key
+std::string public_key_of(const std::string& private_pem);
+
+/// SHA-256, in hexadecimal, of a public key in its DER form.
+/// @throws std::invalid_argument if the PEM is no public key
+std::string fingerprint_of(const std::string& public_pem);
+
+/// The Ed25519 signature of a message, 64 bytes.
+/// @throws std::invalid_argument if it is no private Ed25519 key
+std::string sign(std::string_view message, const std::string& private_pem);
+
+/// Whether a signature is that of a message by the owner of a public key. False for what is no key.
+bool is_signature(std::string_view message, std::string_view signature, const std::string& public_pem);
+
+/// The private key in a file that only its owner can read.
+/// @throws std::invalid_argument that says found and required
+std::string read_private_key(const std::filesystem::path& file);
+
+/// What a bench signs of a closed run: a text that names the SHA-256 of its bytes, so that the signature
+/// serves for nothing else.
+std::string statement_of_run(std::string_view run_sha256);
+
+}  // namespace abcal

@@ -1,0 +1,54 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <string>
+
+#include "protocol/record/dwell_chain.h"
+#include "protocol/record/results_file.h"
+#include "protocol/record/sha256.h"
+#include "protocol/record/sqlite.h"
+#include "tests/app/certificate/certificate_fixtures.h"
+
+namespace abcal {
+
+/// A run that a test may do anything to.
+class EvidenceTest : public CertificateTest {
+ protected:
+  void SetUp() override { path = folder / own_run(); }
+
+  std::filesystem::path results() const { return ResultsFile::path_beside(path); }
+
+  /// Changes a closed run, as anyone with write access can.
+  void change(const std::string& sql) const {
+    std::filesystem::permissions(path, std::filesystem::perms::owner_write,
+                                 std::filesystem::perm_options::add);
+    SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).execute(sql);
+  }
+
+  /// Changes a run and makes everything that depends on it again: means are the business of `sql`; chain of
+  /// dwells, seal, the hash in the results. The stored analyses are removed.
+  void forge(const std::string& sql) const {
+    change(sql);
+    {
+      SqliteDatabase run(path, SqliteDatabase::Mode::kReadWrite);
+      run.execute("update dwell set chain = null");
+      SqliteStatement rows = run.prepare("select id from dwell order by id");
+      while (rows.step()) link_dwell(run, rows.integer(0));
+      run.execute("update seal set dwell_chain = (select chain from dwell order by id desc limit 1)");
+    }
+    SqliteDatabase kept(results(), SqliteDatabase::Mode::kReadWrite);
+    kept.execute("delete from analysis");
+    kept.prepare("update run set sha256 = :hash").set("hash", std::string_view(sha256_of_file(path))).run();
+  }
+
+  std::filesystem::path path;
+};
+
+/// Readings and means of output u 5e-4 larger: what is stated still follows from what is stored.
+inline constexpr const char* kLargerU =
+    "update reading set u = u * 1.0005; update dwell set r_u = r_u * 1.0005, spread_u = spread_u * 1.0005,"
+    " u_u = u_u * 1.0005";
+
+}  // namespace abcal

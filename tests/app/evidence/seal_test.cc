@@ -1,0 +1,179 @@
+// Runs that are signed by their bench and stamped by an authority.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+
+#include "protocol/record/attestation.h"
+#include "protocol/record/run_seal.h"
+#include "protocol/record/signature.h"
+#include "protocol/record/time_stamp.h"
+#include "tests/app/evidence/evidence_fixtures.h"
+
+namespace abcal {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+class SealTest : public EvidenceTest {
+ protected:
+  bool shell(const std::string& command) const {
+    return std::system(("cd '" + folder.path().string() + "' && { " + command + "; } > log 2>&1").c_str()) ==
+           0;
+  }
+
+  /// An authority of the test's own: ca.pem, and what `openssl ts` answers with.
+  void make_authority() const {
+    test::write_file(folder / "tsa.cnf", R"([tsa]
+default_tsa = one
+[one]
+dir = .
+serial = ./serial
+signer_cert = ./tsa.pem
+certs = ./ca.pem
+signer_key = ./tsa.key
+signer_digest = sha256
+default_policy = 1.2.3.4.1
+digests = sha256
+accuracy = secs:1
+[ext]
+extendedKeyUsage = critical,timeStamping
+)");
+    test::write_file(folder / "serial", "01\n");
+    ASSERT_TRUE(shell(
+        "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -keyout ca.key -out ca.pem "
+        "-days 30 "
+        "-subj '/CN=Root of the test'"
+        " && openssl req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -keyout tsa.key -out tsa.csr "
+        "-subj '/CN=Authority of the test'"
+        " && openssl x509 -req -in tsa.csr -CA ca.pem -CAkey ca.key -CAcreateserial -out tsa.pem -days 30 "
+        "-extfile tsa.cnf -extensions ext"))
+        << test::read_file(folder / "log");
+  }
+
+  test::ProgramResult verify(std::vector<std::string> more) {
+    more.insert(more.begin(), {"verify", path.filename().string()});
+    return abcal(more);
+  }
+
+  const std::string key = make_private_key();
+  Trust trust() const { return {{{"bench 1", public_key_of(key)}}, {}}; }
+};
+
+TEST_F(SealTest, ASignatureIsThatOfItsKeyAndMessage) {
+  const std::string other = make_private_key();
+  const std::string signature = sign("message", key);
+  EXPECT_EQ(signature.size(), 64U);
+  EXPECT_TRUE(is_signature("message", signature, public_key_of(key)));
+  EXPECT_FALSE(is_signature("Message", signature, public_key_of(key)));
+  EXPECT_FALSE(is_signature("message", signature, public_key_of(other)));
+  EXPECT_FALSE(is_signature("message", signature, "no key"));
+  EXPECT_NE(fingerprint_of(public_key_of(key)), fingerprint_of(public_key_of(other)));
+  EXPECT_THROW((void)sign("message", public_key_of(key)), std::invalid_argument);
+}
+
+TEST_F(SealTest, OpensslVerifiesTheSignature) {
+  if (!shell("command -v openssl")) GTEST_SKIP() << "openssl is not installed";
+  sign_run(path, "bench 1", key);
+  test::write_file(folder / "bench.pub", public_key_of(key));
+  test::write_file(folder / "message", statement_of_run(sha256_of_file(path)));
+  test::write_file(folder / "signature", read_seal(path).signature);
+  EXPECT_TRUE(shell("openssl pkeyutl -verify -pubin -inkey bench.pub -rawin -in message -sigfile signature"))
+      << test::read_file(folder / "log");
+}
+
+TEST_F(SealTest, ARunIsSignedWhenItIsClosedAndAKeyThatOthersCanReadIsRefused) {
+  test::write_file(folder / "bench.pem", key);
+  test::write_file(folder / "bench.pub", public_key_of(key));
+  test::write_file(folder / "bench.toml", certificate_bench());
+  ::setenv("ABCAL_SIGNING_KEY", (folder / "bench.pem").c_str(), 1);
+  std::filesystem::permissions(folder / "bench.pem", std::filesystem::perms(0644));
+  const auto refused = abcal({"run", "bench.toml", "-o", "signed.run"});
+  std::filesystem::permissions(folder / "bench.pem", std::filesystem::perms(0600));
+  const auto made = abcal({"run", "bench.toml", "-o", "signed.run"});
+  ::unsetenv("ABCAL_SIGNING_KEY");
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.err, HasSubstr("chmod 600"));
+  ASSERT_EQ(made.exit_code, 0) << made.err;
+  const auto verified = abcal({"verify", "signed.run", "--require", "signed", "--key", "bench.pub"});
+  EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
+  EXPECT_THAT(verified.out,
+              AllOf(HasSubstr("signed by the key of bench 1"), HasSubstr("When it was signed is not")));
+}
+
+TEST_F(SealTest, WhatWasForgedByHandIsSelfConsistentButNotSigned) {
+  sign_run(path, "bench 1", key);
+  EXPECT_TRUE(attest(path, trust()).is_signed);
+  forge(kLargerU);
+  const Attestation forged = attest(path, trust());
+  EXPECT_FALSE(forged.is_signed);
+  ASSERT_EQ(forged.checks.size(), 1U);
+  EXPECT_FALSE(forged.checks[0].good);
+
+  // Without the signature the forgery cannot be told from a run: that is what is said.
+  SqliteDatabase(results(), SqliteDatabase::Mode::kReadWrite)
+      .execute("update run set signer = null, signature = null");
+  test::write_file(folder / "bench.pub", public_key_of(key));
+  const auto alone = verify({});
+  EXPECT_EQ(alone.exit_code, 0) << alone.out;
+  EXPECT_THAT(alone.out, HasSubstr("self-consistent only"));
+  EXPECT_EQ(verify({"--require", "signed", "--key", "bench.pub"}).exit_code, 1);
+
+  // Nor does a signature by another key help.
+  sign_run(path, "bench 1", make_private_key());
+  const auto other = verify({"--require", "signed", "--key", "bench.pub"});
+  EXPECT_EQ(other.exit_code, 1);
+  EXPECT_THAT(other.out, HasSubstr("none of the trusted keys"));
+}
+
+TEST_F(SealTest, ATimeStampHoldsForTheBytesThatWereStamped) {
+  if (!shell("command -v openssl")) GTEST_SKIP() << "openssl is not installed";
+  make_authority();
+  const std::string run = path.filename().string();
+  ASSERT_EQ(abcal({"lab", "timestamp", run, "--query", "q.tsq"}).exit_code, 0);
+  ASSERT_TRUE(shell("openssl ts -reply -config tsa.cnf -section one -queryfile q.tsq -out a.tsr"))
+      << test::read_file(folder / "log");
+  const auto kept = abcal({"lab", "timestamp", run, "--query", "q.tsq", "--answer", "a.tsr"});
+  ASSERT_EQ(kept.exit_code, 0) << kept.err;
+  EXPECT_THAT(kept.out, HasSubstr("Authority of the test"));
+  EXPECT_THAT(abcal({"lab", "timestamp", run, "--query", "q.tsq", "--answer", "a.tsr"}).out,
+              HasSubstr("already"));
+  const auto verified = verify({"--require", "timestamped", "--authority", "ca.pem"});
+  EXPECT_EQ(verified.exit_code, 0) << verified.out;
+  EXPECT_THAT(verified.out, HasSubstr("unchanged since 20"));
+  EXPECT_THAT(verify({}).out, HasSubstr("whether that authority is one, is not checked"));
+
+  forge(kLargerU);
+  EXPECT_EQ(verify({"--require", "timestamped", "--authority", "ca.pem"}).exit_code, 1);
+  EXPECT_THAT(verify({}).out, HasSubstr("it is not for the run as it is"));
+}
+
+TEST_F(SealTest, AnAnswerThatIsNotForTheRequestIsRefused) {
+  if (!shell("command -v openssl")) GTEST_SKIP() << "openssl is not installed";
+  make_authority();
+  const std::string run = path.filename().string();
+  ASSERT_EQ(abcal({"lab", "timestamp", run, "--query", "q.tsq"}).exit_code, 0);
+  ASSERT_EQ(abcal({"lab", "timestamp", run, "--query", "other.tsq"}).exit_code, 0);  // Another random number.
+  ASSERT_TRUE(shell("openssl ts -reply -config tsa.cnf -section one -queryfile other.tsq -out a.tsr"));
+  const auto refused = abcal({"lab", "timestamp", run, "--query", "q.tsq", "--answer", "a.tsr"});
+  EXPECT_EQ(refused.exit_code, 1);
+  EXPECT_THAT(refused.err, HasSubstr("not for what was asked"));
+  test::write_file(folder / "a.tsr", "no answer");
+  EXPECT_THAT(abcal({"lab", "timestamp", run, "--query", "q.tsq", "--answer", "a.tsr"}).err,
+              HasSubstr("RFC 3161"));
+}
+
+TEST_F(SealTest, AnAuthorityThatDoesNotAnswerLosesNothing) {
+  const std::string before = sha256_of_file(results());
+  // Nothing listens on the port that is reserved for multiplexing (RFC 1078).
+  const auto unanswered =
+      abcal({"lab", "timestamp", path.filename().string(), "--authority", "http://127.0.0.1:1/tsr"});
+  EXPECT_EQ(unanswered.exit_code, 1);
+  EXPECT_THAT(unanswered.err, HasSubstr("does not answer"));
+  EXPECT_EQ(sha256_of_file(results()), before);
+  EXPECT_EQ(abcal({"lab", "timestamp", path.filename().string(), "--authority", "ftp://x"}).exit_code, 2);
+}
+
+}  // namespace
+}  // namespace abcal
