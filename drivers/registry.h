@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -19,6 +20,17 @@ struct SerialDefaults {
   bool rts_cts = false;
 };
 
+/// How an instrument on an unknown port is recognised before its driver asks it: by what it sends of its own
+/// accord, or by its answer to a question that changes nothing.
+struct Recognition {
+  /// Sent once to a port; empty: what it sends by itself must do. Ends with CR LF, also a binary one:
+  /// whatever instrument is there, no half of a line is left in it.
+  std::string question{};
+  /// Whether these bytes, all that came so far at this driver's serial settings, are such an instrument's.
+  /// None: identify() is tried, with its own patience, once nothing else has been recognised.
+  std::function<bool(std::string_view received)> knows{};
+};
+
 /// A driver of stages. An instrument on an unknown port is recognised by identify(): that of another one
 /// throws kWrongIdentity, kNoReply or kBadFrame.
 struct StageDriver {
@@ -28,6 +40,7 @@ struct StageDriver {
   std::function<std::unique_ptr<RotationStage>(std::unique_ptr<wire::ByteStream>, Clock&,
                                                const StageSettings&)>
       make;
+  Recognition recognition{};
 };
 
 /// A driver of accelerometers, recognised in the same way.
@@ -45,6 +58,7 @@ struct AccelerometerDriver {
   bool generic = false;
   /// Lines of [accelerometer], beside driver and port, with which its simulated instrument is used in tests.
   std::string example = "rate_hz = 100.0\n";
+  Recognition recognition{};
 };
 
 /// What the drivers' own registrations fill in.

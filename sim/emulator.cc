@@ -24,12 +24,17 @@
 #include <system_error>
 #include <utility>
 
+#include "sim/serial_line.h"
+
 namespace abcal::sim {
 namespace {
 
 // What a client may leave unread before the oldest is lost, besides what the system holds.
 constexpr std::size_t kOutputCapacity = 65536;
 constexpr std::size_t kReadSize = 4096;
+// What a device holds that its serial line has not carried yet.
+constexpr std::size_t kDeviceBuffer = 4096;
+constexpr int kWaitingClients = 16;
 // The loop looks up this often even if nothing is due.
 constexpr Clock::Duration kLongestWait = std::chrono::milliseconds(500);
 
@@ -64,6 +69,24 @@ void make_raw(int fd, const std::string& who) {
   if (::tcgetattr(fd, &settings) != 0) fail(who, "cannot read the terminal's settings");
   ::cfmakeraw(&settings);
   if (::tcsetattr(fd, TCSANOW, &settings) != 0) fail(who, "cannot make the terminal raw");
+}
+
+/// The speed that a host has set; nothing: one that has no name.
+std::optional<unsigned> terminal_speed(int fd) {
+  struct Speed {
+    speed_t code;
+    unsigned baud;
+  };
+  constexpr std::array kSpeeds{Speed{B1200, 1200},      Speed{B2400, 2400},     Speed{B4800, 4800},
+                               Speed{B9600, 9600},      Speed{B19200, 19200},   Speed{B38400, 38400},
+                               Speed{B57600, 57600},    Speed{B115200, 115200}, Speed{B230400, 230400},
+                               Speed{B460800, 460800},  Speed{B921600, 921600}, Speed{B1000000, 1000000},
+                               Speed{B2000000, 2000000}};
+  termios settings{};
+  if (::tcgetattr(fd, &settings) != 0) return std::nullopt;
+  for (const Speed& speed : kSpeeds)
+    if (speed.code == ::cfgetospeed(&settings)) return speed.baud;
+  return std::nullopt;
 }
 
 /// A link that appears at once and whole, also where an old link stands.
@@ -101,11 +124,18 @@ struct Emulator::Port {
   FileDescriptor slave;
   FileDescriptor watch;
   int clients = 0;
+  LineModel line = LineModel::kIdeal;
+  SerialLine to_device;
+  SerialLine to_host;
 
   // TCP.
   FileDescriptor listener;
   FileDescriptor connection;
 
+  /// The speed of its line, if that matters.
+  std::optional<unsigned> line_speed() const {
+    return line == LineModel::kReal && slave.open() ? firmware->line_speed() : std::nullopt;
+  }
   int io() const { return master.open() ? master.get() : connection.get(); }
 };
 
@@ -123,6 +153,8 @@ struct Emulator::Loop {
   void follow_clients(Port& port);
   void accept_client(Port& port);
   void read_from(Port& port);
+  void take(Port& port, std::string_view bytes);
+  void deliver(Port& port);
   void write_to(Port& port);
   void hang_up(Port& port);
   void pump(Port& port);
@@ -157,6 +189,8 @@ void Emulator::Loop::follow_plug(Port& port) {
   }
   remove_link(port);
   port.output.clear();
+  port.to_device.clear();
+  port.to_host.clear();
   port.client = false;
   port.clients = 0;
   port.master.close();
@@ -187,6 +221,7 @@ void Emulator::Loop::open_pty(Port& port, const PtyLink& where) {
   port.client = !port.watch.open();
   link_atomically(port.terminal, where.link);
   port.link = where.link;
+  port.line = where.line;
   port.address = who;
 }
 
@@ -206,7 +241,7 @@ void Emulator::Loop::open_tcp(Port& port, const TcpPort& where) {
   const int on = 1;
   ::setsockopt(port.listener.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof on);
   if (::bind(port.listener.get(), found->ai_addr, found->ai_addrlen) != 0) fail(who, "cannot take the port");
-  if (::listen(port.listener.get(), 4) != 0) fail(who, "cannot listen");
+  if (::listen(port.listener.get(), kWaitingClients) != 0) fail(who, "cannot listen");
   sockaddr_storage bound{};
   socklen_t size = sizeof bound;
   void* const generic = &bound;
@@ -240,6 +275,7 @@ void Emulator::Loop::follow_clients(Port& port) {
 
 void Emulator::Loop::hang_up(Port& port) {
   port.output.clear();
+  port.to_host.clear();
   port.client = false;
   if (port.slave.open()) {
     // The next client shall find neither what this one left unread nor its lock.
@@ -251,22 +287,24 @@ void Emulator::Loop::hang_up(Port& port) {
 
 void Emulator::Loop::accept_client(Port& port) {
   FileDescriptor fresh(::accept4(port.listener.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+  // The client before may have gone already, and be noticed only now.
+  if (port.connection.open()) read_from(port);
   if (!fresh.open() || port.connection.open()) return;  // one client at a time: the second is hung up on
+  port.firmware->session_starts();
   const int on = 1;
   ::setsockopt(fresh.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
   port.connection = std::move(fresh);
   port.client = true;
 }
 
+/// Until there is no more: what a client that has gone still sent, and that it has gone.
 void Emulator::Loop::read_from(Port& port) {
   std::array<char, kReadSize> buffer{};
   for (;;) {
     const ssize_t size = ::read(port.io(), buffer.data(), buffer.size());
     if (size > 0) {
-      const Clock::Instant now = clock.now();
-      pump(port);  // what was put out before these bytes came
-      port.firmware->receive({buffer.data(), static_cast<std::size_t>(size)}, now);
-      if (static_cast<std::size_t>(size) == buffer.size()) continue;
+      take(port, {buffer.data(), static_cast<std::size_t>(size)});
+      if (port.connection.open() || static_cast<std::size_t>(size) == buffer.size()) continue;
       return;
     }
     if (size < 0 && (errno == EAGAIN || errno == EINTR)) return;
@@ -275,9 +313,40 @@ void Emulator::Loop::read_from(Port& port) {
   }
 }
 
+/// What a client has sent.
+void Emulator::Loop::take(Port& port, std::string_view bytes) {
+  pump(port);  // what was put out before these bytes came
+  if (const auto speed = port.line_speed()) {
+    port.to_device.send(bytes, terminal_speed(port.slave.get()).value_or(*speed), speed, clock.now());
+  } else {
+    port.firmware->receive(bytes, clock.now());
+  }
+}
+
+/// What has come through the line to the device.
+void Emulator::Loop::deliver(Port& port) {
+  const std::string bytes = port.to_device.arrived(clock.now());
+  if (bytes.empty()) return;
+  pump(port);
+  port.firmware->receive(bytes, clock.now());
+}
+
 /// Takes what the firmware has put out by now; the oldest is lost if there is too much.
 void Emulator::Loop::pump(Port& port) {
-  port.output += port.firmware->transmit(clock.now());
+  const Clock::Instant now = clock.now();
+  // Asked before: an answer to a change of the speed goes at the old one.
+  const auto speed = port.line_speed();
+  std::string bytes = port.firmware->transmit(now);
+  if (speed) {
+    if (!port.client) bytes.clear();
+    if (port.to_host.under_way() + bytes.size() > kDeviceBuffer) {
+      dropped += bytes.size();  // Whole messages, as the device itself loses them.
+      bytes.clear();
+    }
+    port.to_host.send(bytes, *speed, terminal_speed(port.slave.get()), now);
+    bytes = port.to_host.arrived(now);
+  }
+  port.output += bytes;
   const std::size_t capacity = port.client ? kOutputCapacity : 0;
   if (port.output.size() <= capacity) return;
   const std::size_t surplus = port.output.size() - capacity;
@@ -333,6 +402,7 @@ void Emulator::run(std::stop_token stop) {
   while (!stop.stop_requested()) {
     for (Port& port : loop_->ports) {
       loop_->follow_plug(port);
+      loop_->deliver(port);
       loop_->pump(port);
       loop_->write_to(port);
     }
@@ -345,7 +415,9 @@ void Emulator::run(std::stop_token stop) {
       polled.push_back({.fd = port.io(), .events = events, .revents = 0});  // a negative one is passed over
       polled.push_back({.fd = port.watch.get(), .events = POLLIN, .revents = 0});
       polled.push_back({.fd = port.listener.get(), .events = POLLIN, .revents = 0});
-      if (const auto due = port.firmware->next_due()) {
+      for (const auto& due :
+           {port.firmware->next_due(), port.to_device.next_due(), port.to_host.next_due()}) {
+        if (!due) continue;
         const double seconds = to_seconds(*due - loop_->clock.now()) / loop_->clock_rate;
         wait = std::min(wait, from_seconds(std::clamp(seconds, 0.0, to_seconds(kLongestWait))));
       }

@@ -13,12 +13,23 @@
 
 namespace abcal::sim {
 
+/// How the serial line of a pseudo-terminal behaves.
+enum class LineModel {
+  kIdeal,  ///< Bytes are there at once, whatever speed the host has set.
+  /// Bytes take their time at Firmware::line_speed(). To a host whose terminal has another speed they are
+  /// noise, and so are the host's to the device. What the device puts out faster than its line carries is
+  /// lost. RTS, CTS and the other lines are not to be had on a pseudo-terminal.
+  kReal,
+};
+
 /// A pseudo-terminal, found by a symbolic link at `link`.
 struct PtyLink {
   std::filesystem::path link;
+  LineModel line = LineModel::kIdeal;
 };
 
-/// A listening TCP port, one client at a time; port 0: any free one.
+/// A listening TCP port, one client at a time, whose half command ends with its connection; port 0: any free
+/// one.
 struct TcpPort {
   std::string host = "127.0.0.1";
   std::uint16_t port = 0;

@@ -1,26 +1,39 @@
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "drivers/instrument/clock.h"
+#include "drivers/registry.h"
+#include "drivers/wire/byte_stream.h"
 
 namespace abcal {
 
 /// Who answered on a port.
 struct ProbeAnswer {
-  std::string driver;  ///< Name in the registry, for `driver` in a bench file.
+  std::string driver;  ///< Name in the registry, for `driver` in a bench file; empty: none fits.
   bool stage = false;  ///< Else an accelerometer.
   std::string maker, model, serial_number, firmware;
+  std::string said{};     ///< What it said to a question, where no driver fits; printable.
+  std::size_t ports = 1;  ///< How many such instruments the driver needs.
 };
 
-/// Identifies the instrument on one port: tries one driver after the other with its usual settings. Sends
-/// only what identify() sends, so nothing moves and nothing is stored; a sensor that streams may be stopped.
-/// @param trying gets the name of each driver before it is tried.
-/// @return nothing if no known instrument answers.
-/// @throws InstrumentError kCannotOpen if the port cannot be opened at all.
+/// Opens the port that is probed with these serial settings.
+using ProbeOpener = std::function<std::unique_ptr<wire::ByteStream>(const SerialDefaults&)>;
+
+/// Identifies the instrument on one port: asks the drivers' questions (Recognition), each once, at the serial
+/// settings of each, and lets the driver whose instrument answers identify it; nothing is written to the port
+/// after that but by this driver. Nothing moves and no setting is stored; a sensor that streams may be
+/// stopped.
+/// @param trying gets a word on what is tried.
+/// @return nothing if nothing answers that is known.
+/// @throws InstrumentError kCannotOpen if the port cannot be opened at all, kLinkLost.
+std::optional<ProbeAnswer> probe_port(const ProbeOpener& open, Clock& clock,
+                                      const std::function<void(const std::string&)>& trying);
+
+/// The same of a port by its name.
 std::optional<ProbeAnswer> probe_port(const std::string& port, Clock& clock,
                                       const std::function<void(const std::string&)>& trying);
 

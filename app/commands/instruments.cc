@@ -1,7 +1,10 @@
 #include <fmt/format.h>
 
+#include <exception>
+#include <mutex>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <thread>
 
 #include "app/bench/probe.h"
 #include "app/bench/real_clock.h"
@@ -9,7 +12,6 @@
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/progress.h"
-#include "drivers/instrument/instrument_error.h"
 #include "drivers/registry.h"
 #include "drivers/wire/port_list.h"
 
@@ -24,15 +26,22 @@ struct Probed {
 
   std::string words() const {
     if (!failure.empty()) return failure;
-    if (!answer) return "no instrument of any driver answered";
-    return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]", answer->maker, answer->model,
+    if (!answer) return "no instrument that a driver knows answered";
+    if (answer->driver.empty())
+      return fmt::format("no driver fits the instrument that says \"{}\"", answer->said);
+    const std::string others =
+        answer->ports > 1 ? fmt::format(", with {} more of its kind", answer->ports - 1) : std::string();
+    return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]{}", answer->maker, answer->model,
                        answer->serial_number.empty() ? "" : ", serial number ", answer->serial_number,
-                       answer->driver, answer->stage ? "stage" : "accelerometer");
+                       answer->driver, answer->stage ? "stage" : "accelerometer", others);
   }
   nlohmann::ordered_json json() const {
     nlohmann::ordered_json object{{"port", port}};
     if (!failure.empty()) {
       object["failure"] = failure;
+    } else if (answer && answer->driver.empty()) {
+      object["role"] = nullptr;
+      object["said"] = answer->said;
     } else if (answer) {
       object["role"] = answer->stage ? "stage" : "accelerometer";
       object["driver"] = answer->driver;
@@ -47,22 +56,31 @@ struct Probed {
   }
 };
 
+/// All ports at once, each in a thread of its own.
 std::vector<Probed> probe(const std::vector<std::string>& ports) {
-  RealClock clock;
-  ProgressBar bar("Asking", clock);
-  std::vector<Probed> all;
+  RealClock bar_clock;
+  ProgressBar bar("Asking", bar_clock);
+  std::mutex bar_mutex;
+  std::size_t asked = 0;
   const auto drivers = static_cast<double>(stage_drivers().size() + accelerometer_drivers().size());
-  for (const std::string& port : ports) {
-    Probed probed{port, std::nullopt, ""};
-    double asked = static_cast<double>(all.size()) * drivers;
-    try {
-      probed.answer = probe_port(port, clock, [&](const std::string& driver) {
-        bar.show(asked++, static_cast<double>(ports.size()) * drivers, port + " for " + driver);
+  std::vector<Probed> all(ports.size());
+  {
+    std::vector<std::jthread> threads;
+    for (std::size_t n = 0; n < ports.size(); ++n) {
+      threads.emplace_back([&, n] {
+        RealClock clock;
+        all[n].port = ports[n];
+        try {
+          all[n].answer = probe_port(ports[n], clock, [&](const std::string& driver) {
+            const std::lock_guard lock(bar_mutex);
+            bar.show(static_cast<double>(asked++), static_cast<double>(ports.size()) * drivers,
+                     ports[n] + " for " + driver);
+          });
+        } catch (const std::exception& error) {
+          all[n].failure = error.what();
+        }
       });
-    } catch (const InstrumentError& error) {
-      probed.failure = error.what();
     }
-    all.push_back(std::move(probed));
   }
   bar.clear();
   return all;

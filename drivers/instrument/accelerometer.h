@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 
@@ -50,6 +51,11 @@ class Accelerometer {
   /// Asks the instrument what it is (stopping its stream first if need be). Changes no stored setting.
   /// @throws InstrumentError kWrongIdentity if it is not an instrument this driver knows.
   virtual AccelerometerInfo identify() = 0;
+
+  /// The corrections that the instrument itself applies to its output, as they are now, by name and in its
+  /// own words: what is calibrated is the item with them. Empty if it has none or does not tell. To be asked
+  /// after identify() and before start().
+  virtual std::map<std::string, std::string> correction_registers() { return {}; }
 
   /// Configures the output and starts it.
   virtual void start() = 0;

@@ -11,6 +11,7 @@ struct StageSettings {
   std::array<std::string, 2> axis_names{"1", "2"};       ///< The controller's names of X and Z.
   std::array<std::optional<double>, 2> speed_deg_per_s;  ///< Absent: as the controller has it.
   std::string address;                                   ///< Of a controller in a daisy chain; empty: none.
+  std::string unit{};  ///< Of the axes, where the controller does not tell it: "deg"; empty: not known.
 };
 
 /// What a bench file says of an accelerometer, as far as a driver needs it. A driver reads what concerns it.

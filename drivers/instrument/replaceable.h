@@ -150,6 +150,9 @@ class ReplaceableAccelerometer final : public Accelerometer {
   AccelerometerInfo identify() override {
     return accelerometer_.guarded([](Accelerometer& a) { return a.identify(); });
   }
+  std::map<std::string, std::string> correction_registers() override {
+    return accelerometer_.guarded([](Accelerometer& a) { return a.correction_registers(); });
+  }
   void start() override {
     accelerometer_.guarded([](Accelerometer& a) { a.start(); });
   }

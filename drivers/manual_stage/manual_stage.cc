@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/text/text.h"
 
 namespace abcal::manual_stage {
 namespace {
@@ -27,12 +28,7 @@ constexpr std::string_view kWho = "manual stage";
 /// Scales turn without end; ten turns are more than any plan asks for.
 constexpr double kTravelDeg = 3600.0;
 
-std::string_view trimmed(std::string_view text) {
-  constexpr std::string_view kBlank = " \t\r\n";
-  const std::size_t first = text.find_first_not_of(kBlank);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
-}
+using pieces::trimmed;
 
 std::optional<double> number_in(std::string_view text) {
   double value = 0.0;

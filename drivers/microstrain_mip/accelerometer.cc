@@ -35,6 +35,8 @@ constexpr std::uint8_t kLegacyFormat = 0x08;
 constexpr std::uint8_t kBaseRate = 0x0E;
 constexpr std::uint8_t kFormat = 0x0F;
 constexpr std::uint8_t kStreamControl = 0x11;
+constexpr std::uint8_t kAccelerometerBias = 0x37;
+constexpr std::uint8_t kReadFunction = 0x02;
 constexpr std::uint8_t kSharedSet = 0xFF;  // How newer devices list the fields that all data sets share.
 
 /// "5g, 300d/s" -> 5. [unverified against a device]: seen as the options text of several models, not promised
@@ -168,6 +170,16 @@ void MipAccelerometer::start() {
 
 // Commands.
 
+std::map<std::string, std::string> MipAccelerometer::correction_registers() {
+  if (!abilities_.accelerometer_bias) return {};
+  const std::string data = ask(exchange_, {mip::k3dmSet, kAccelerometerBias, mip::u8(kReadFunction),
+                                           "accelerometer bias", std::uint8_t{0x9A}});
+  const auto bias = mip::decode_scaled_accelerometer(data);
+  if (!bias) fail(Fault::kBadFrame, "the answer to \"accelerometer bias\" has not 12 bytes");
+  return {{"accelerometer bias (0C,37)",
+           fmt::format("{:.9g}, {:.9g}, {:.9g} g", bias->x(), bias->y(), bias->z())}};
+}
+
 void MipAccelerometer::make_quiet() {
   exchange_.restart(mip::PacketParser());
   ask(exchange_, {mip::kBaseSet, kSetIdle, {}, "set idle", {}});
@@ -210,6 +222,7 @@ AccelerometerInfo MipAccelerometer::interrogate() {
   abilities.gps_timestamp = offers(mip::kSensorSet, mip::kGpsTimestamp);
   abilities.temperature = offers(mip::kSensorSet, mip::kTemperature);
   abilities.over_range = offers(mip::kSensorSet, mip::kOverRange);
+  abilities.accelerometer_bias = offers(mip::k3dmSet, kAccelerometerBias);
   for (const std::uint16_t descriptor : *offered) {
     const auto set = static_cast<std::uint8_t>(descriptor >> 8U);
     auto& others = abilities.other_data_sets;

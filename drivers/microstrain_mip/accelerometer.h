@@ -32,6 +32,9 @@ class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParse
   /// slow.
   void start() override;
 
+  /// The accelerometer bias (0C,37), where the device has it.
+  std::map<std::string, std::string> correction_registers() override;
+
  private:
   /// What the device offers and how it is to be configured.
   struct Abilities {
@@ -41,6 +44,7 @@ class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParse
     bool gps_timestamp = false;
     bool temperature = false;
     bool over_range = false;
+    bool accelerometer_bias = false;
     std::vector<std::uint8_t> other_data_sets;  ///< Of the filter, GNSS...: they share the line.
     std::uint16_t base_rate_hz = 0;
     std::uint16_t decimation = 1;

@@ -4,6 +4,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "drivers/text/text.h"
+
 namespace abcal::mip {
 namespace {
 
@@ -47,13 +49,8 @@ std::string with_entries(std::string data, const std::vector<FormatEntry>& entri
   return data;
 }
 
-std::string trimmed(std::string_view text) {
-  // Padded with spaces according to the manual; zeros are seen too.
-  constexpr std::string_view kPadding(" \0", 2);
-  const std::size_t first = text.find_first_not_of(kPadding);
-  if (first == std::string_view::npos) return {};
-  return std::string(text.substr(first, text.find_last_not_of(kPadding) - first + 1));
-}
+// Padded with spaces according to the manual; zeros are seen too.
+constexpr std::string_view kPadding(" \0", 2);
 
 }  // namespace
 
@@ -220,7 +217,9 @@ std::optional<std::uint64_t> decode_reference_time(std::string_view data) {
 std::optional<DeviceInfo> decode_device_info(std::string_view data) {
   constexpr std::size_t kText = 16;
   if (data.size() != 2 + 5 * kText) return std::nullopt;
-  const auto text = [&](std::size_t index) { return trimmed(data.substr(2 + index * kText, kText)); };
+  const auto text = [&](std::size_t index) {
+    return std::string(pieces::trimmed(data.substr(2 + index * kText, kText), kPadding));
+  };
   return DeviceInfo{big_endian<std::uint16_t>(data, 0), text(0), text(1), text(2), text(3), text(4)};
 }
 

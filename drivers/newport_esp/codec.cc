@@ -8,15 +8,15 @@
 #include <cmath>
 #include <utility>
 
+#include "drivers/text/text.h"
+
 namespace abcal::newport_esp {
 namespace {
 
-std::string_view trimmed(std::string_view text) {
-  constexpr std::string_view kBlank = " \t\r\n";
-  const std::size_t first = text.find_first_not_of(kBlank);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
-}
+using pieces::trimmed;
+
+// No angle, speed or count of a stage is as large: such a number is a damaged reply.
+constexpr double kLargestNumber = 1e12;
 
 template <class Integer>
 std::optional<Integer> whole_number(std::string_view text) {
@@ -149,7 +149,7 @@ std::optional<double> parse_number(std::string_view text) {
   double value = 0.0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  if (!std::isfinite(value)) return std::nullopt;
+  if (!(std::abs(value) <= kLargestNumber)) return std::nullopt;
   return value;
 }
 

@@ -8,15 +8,15 @@
 #include <cmath>
 #include <utility>
 
+#include "drivers/text/text.h"
+
 namespace abcal::pi_gcs {
 namespace {
 
-std::string_view trimmed(std::string_view text) {
-  constexpr std::string_view kBlank = " \t\r";
-  const std::size_t first = text.find_first_not_of(kBlank);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kBlank) - first + 1);
-}
+using pieces::trimmed;
+
+// No angle, speed or count of a stage is as large: such a number is a damaged reply.
+constexpr double kLargestNumber = 1e12;
 
 char lower(char c) {
   return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
@@ -155,7 +155,7 @@ std::optional<bool> axis_flag(const std::vector<std::string>& lines, std::string
   return std::nullopt;
 }
 
-std::optional<double> parameter_number(const std::vector<std::string>& lines, unsigned parameter) {
+std::optional<std::string> parameter_text(const std::vector<std::string>& lines, unsigned parameter) {
   const auto values = parse_axis_values(lines);
   if (!values) return std::nullopt;
   for (const AxisValue& entry : *values) {
@@ -164,10 +164,15 @@ std::optional<double> parameter_number(const std::vector<std::string>& lines, un
                                                              : std::string_view(entry.axis).substr(space + 1);
     const std::string_view digits = without_hex_prefix(name);
     if (whole_number<unsigned>(digits, digits.size() == name.size() ? 10 : 16) == parameter) {
-      return parse_number(entry.value);
+      return entry.value;
     }
   }
   return std::nullopt;
+}
+
+std::optional<double> parameter_number(const std::vector<std::string>& lines, unsigned parameter) {
+  const auto value = parameter_text(lines, parameter);
+  return value ? parse_number(*value) : std::nullopt;
 }
 
 std::optional<double> parse_number(std::string_view text) {
@@ -176,7 +181,7 @@ std::optional<double> parse_number(std::string_view text) {
   double value = 0.0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  if (!std::isfinite(value)) return std::nullopt;
+  if (!(std::abs(value) <= kLargestNumber)) return std::nullopt;
   return value;
 }
 

@@ -63,6 +63,8 @@ std::optional<bool> axis_flag(const std::vector<std::string>& lines, std::string
 
 /// The reply to "SPA? <axis> <parameter>": "<axis> <parameter>=v" or "<parameter>=v", parameter decimal or
 /// 0x...
+std::optional<std::string> parameter_text(const std::vector<std::string>& lines, unsigned parameter);
+/// As a number.
 std::optional<double> parameter_number(const std::vector<std::string>& lines, unsigned parameter);
 
 /// A finite number that fills the text (but for spaces around it).

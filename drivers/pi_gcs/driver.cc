@@ -9,7 +9,10 @@ void register_pi_gcs(DriverList& drivers) {
        .description =
            "PI controllers that speak GCS 2.0 (C-884, C-863, E-861, ...), serial or TCP port 50000",
        .serial = {115200, false},
-       .make = make_stage_of<pi_gcs::PiGcsStage>});
+       .make = make_stage_of<pi_gcs::PiGcsStage>,
+       .recognition = {"*IDN?\r\n", [](std::string_view received) {
+                         return received.find("Physik Instrumente") != std::string_view::npos;
+                       }}});
 }
 
 }  // namespace abcal

@@ -34,6 +34,8 @@ constexpr Clock::Duration kHaltRetryInterval = std::chrono::milliseconds(20);
 /// SPA parameters: counts per degree = numerator / denominator.
 constexpr unsigned kCountsNumerator = 14;
 constexpr unsigned kCountsDenominator = 15;
+/// The unit of an axis, where the controller has no PUN? (E-861).
+constexpr unsigned kUserUnit = 0x7000601;
 constexpr int kErrorUnknownParameter = 54;
 
 void check_settings(const wire::ByteStream* stream, const StageSettings& settings) {
@@ -194,16 +196,32 @@ class PiGcsController final : public wire::LineController {
                                                          to_string(axis), fmt::join(axes_, ", ")));
       }
       position_[index(axis)] = static_cast<std::size_t>(found - axes_.begin());
-      const std::string unit = require(fmt::format("PUN? {}", name),
-                                       [&name](const Lines& lines) { return axis_value(lines, name); });
-      if (!is_degrees(unit)) {
-        throw failure(
-            Fault::kWrongIdentity,
-            fmt::format("axis \"{}\" counts in \"{}\"; degrees are required (PUN, or the stage's parameters)",
-                        name, printable(unit)));
-      }
+      require_degrees(name);
     }
     known_ = true;
+  }
+
+  /// By PUN?, else by the axis' parameter, else as the bench file says.
+  void require_degrees(const std::string& name) {
+    auto unit = ask_optional(fmt::format("PUN? {}", name),
+                             [&name](const Lines& lines) { return axis_value(lines, name); });
+    if (!unit) {
+      unit = ask_optional(fmt::format("SPA? {} 0x{:X}", name, kUserUnit),
+                          [](const Lines& lines) { return parameter_text(lines, kUserUnit); });
+    }
+    if (!unit && settings_.unit.empty()) {
+      throw failure(
+          Fault::kWrongIdentity,
+          fmt::format("axis \"{}\" does not tell its unit (PUN?, parameter 0x{:X}); if it counts in "
+                      "degrees, say unit = \"deg\" under [stage]",
+                      name, kUserUnit));
+    }
+    if (!is_degrees(unit.value_or(settings_.unit))) {
+      throw failure(
+          Fault::kWrongIdentity,
+          fmt::format("axis \"{}\" counts in \"{}\"; degrees are required (PUN, or the stage's parameters)",
+                      name, printable(unit.value_or(settings_.unit))));
+    }
   }
 
   const std::string& name_of(StageAxis axis) const {

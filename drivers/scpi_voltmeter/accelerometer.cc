@@ -199,15 +199,16 @@ std::vector<std::string> VoltmeterAccelerometer::setup(Family family) const {
               ":TRIG:COUN 1",
               ":SAMP:COUN 3"};
     case Family::kKeithley2001:
-      return {":INIT:CONT OFF",
-              ":SENS:FUNC \"VOLT\"",
-              fmt::format(":SENS:VOLT:RANG {:g}", range),
-              fmt::format(":SENS:VOLT:NPLC {:g}", plc),
-              ":FORM:ELEM READ,CHAN",
-              fmt::format(":ROUT:SCAN {}", list),
-              ":ROUT:SCAN:LSEL INT",
-              ":TRIG:COUN 1",
-              ":SAMP:COUN 3"};
+      return {
+          ":INIT:CONT OFF",
+          ":SENS:FUNC \"VOLT\"",
+          fmt::format(":SENS:VOLT:RANG {:g}", range),
+          fmt::format(":SENS:VOLT:NPLC {:g}", plc),
+          ":FORM:ELEM READ,CHAN",
+          fmt::format(":ROUT:SCAN {}", list),
+          ":ROUT:SCAN:LSEL INT",
+          ":ARM:LAY2:COUN 1",  // It has no SAMP:COUN: scans by the arm layer, readings of one by the trigger.
+          ":TRIG:COUN 3"};
     case Family::kSingle:
       return {fmt::format("CONF:VOLT:DC {:g}", range), fmt::format("SENS:VOLT:DC:NPLC {:g}", plc),
               "TRIG:SOUR IMM", "TRIG:COUN 1", "SAMP:COUN 1"};

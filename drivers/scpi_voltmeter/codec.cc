@@ -52,6 +52,8 @@ std::optional<bool> take_sign(std::string_view& text) {
 }
 
 std::optional<int> parse_channel(std::string_view text) {
+  constexpr std::string_view kInternal = "INTCHAN";  // As a Keithley 2001 names its own.
+  if (text.ends_with(kInternal)) text.remove_suffix(kInternal.size());
   if (text.empty() || text.size() > 5 || !std::all_of(text.begin(), text.end(), is_digit))
     return std::nullopt;
   int channel = 0;
@@ -94,8 +96,11 @@ std::optional<Identity> parse_identity(std::string_view text) {
   if (words.size() != 4) return std::nullopt;
   Identity identity{std::string(trim(words[0])), std::string(trim(words[1])), std::string(trim(words[2])),
                     std::string(trim(words[3]))};
-  constexpr std::string_view kModel = "MODEL ";
-  if (identity.model.starts_with(kModel)) identity.model = trim(identity.model.substr(kModel.size()));
+  constexpr std::string_view kModel = "MODEL ";  // In any case.
+  const auto is_same = [](char a, char b) { return a == (b >= 'a' && b <= 'z' ? b - 'a' + 'A' : b); };
+  if (identity.model.size() > kModel.size() &&
+      std::equal(kModel.begin(), kModel.end(), identity.model.begin(), is_same))
+    identity.model = trim(identity.model.substr(kModel.size()));
   if (identity.maker.empty() || !is_letter(identity.maker.front()) || identity.model.empty())
     return std::nullopt;
   return identity;

@@ -1,4 +1,7 @@
+#include <algorithm>
 #include <array>
+#include <initializer_list>
+#include <string_view>
 #include <utility>
 
 #include "drivers/registry.h"
@@ -17,6 +20,22 @@ std::unique_ptr<Accelerometer> make_three_voltmeters(std::vector<std::unique_ptr
   return std::make_unique<ScpiSingleVoltmeters>(std::move(three), clock, settings);
 }
 
+constexpr std::string_view kIdentityQuery = "*IDN?\r\n";
+
+bool names_one_of(std::string_view received, std::initializer_list<std::string_view> models) {
+  return std::any_of(models.begin(), models.end(), [received](std::string_view model) {
+    return received.find(model) != std::string_view::npos;
+  });
+}
+
+bool is_scanner(std::string_view received) {
+  return names_one_of(received, {",34970A,", ",34972A,", ",DAQ970A,", "MODEL 2700,", "MODEL 2001,"});
+}
+
+bool is_single(std::string_view received) {
+  return names_one_of(received, {",34401A,", ",34460A,", ",34461A,", ",34465A,", ",34470A,"});
+}
+
 }  // namespace
 
 void register_scpi_voltmeter(DriverList& drivers) {
@@ -26,7 +45,8 @@ void register_scpi_voltmeter(DriverList& drivers) {
                       "Keithley 2700, 2001",
        .serial = {9600, false},
        .make = make_accelerometer_of<ScpiScanningVoltmeter>,
-       .example = kExample});
+       .example = kExample,
+       .recognition = {std::string(kIdentityQuery), is_scanner}});
   drivers.accelerometers.push_back(
       {.name = "scpi_single",
        .description = "analog accelerometers behind three voltmeters of one channel: Keysight 34401A, 34465A "
@@ -34,7 +54,8 @@ void register_scpi_voltmeter(DriverList& drivers) {
        .serial = {9600, false},
        .make = make_three_voltmeters,
        .ports = 3,
-       .example = kExample});
+       .example = kExample,
+       .recognition = {std::string(kIdentityQuery), is_single}});
 }
 
 }  // namespace abcal

@@ -116,6 +116,13 @@ AccelerometerInfo TextLineAccelerometer::interrogate() {
   // Bytes may never cease to come.
   while (like_lines_ < kLikeLines && readings_.receive(deadline) && clock_.now() < deadline) continue;
   if (like_lines_ < kLikeLines) fail_without_lines(clock_.now() - began);
+  if (decimal_commas_) {
+    fail(Fault::kImplausible,
+         fmt::format(
+             "its lines look as if the separator \",\" were the decimal mark of its numbers, beginning "
+             "\"{}\": let the board print a point in its numbers, or another separator",
+             wire::bytes_as_text(readings_.first_bytes())));
+  }
   return AccelerometerInfo{
       .maker = std::string(kUnknown),
       .model = std::string(kUnknown),
@@ -131,6 +138,7 @@ AccelerometerInfo TextLineAccelerometer::interrogate() {
 Reading TextLineAccelerometer::take(const text_line::NumberLine& line) {
   like_lines_ = line.words == words_ ? like_lines_ + 1 : 1;
   words_ = line.words;
+  decimal_commas_ = line.decimal_commas;
   Reading reading;
   for (std::size_t i = 0; i < 3; ++i)
     reading.output(static_cast<Eigen::Index>(i)) = (line.values[i] - settings_.bias[i]) / settings_.scale[i];

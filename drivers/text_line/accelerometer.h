@@ -33,7 +33,8 @@ class TextLineAccelerometer final : public Accelerometer {
   /// Listens until two lines in a row have numbers in the columns, and as many columns. The board says
   /// nothing of itself: maker, model and firmware are "unknown", the serial number is empty. A started stream
   /// must be started again.
-  /// @throws InstrumentError kNoReply, kWrongIdentity (no such lines), each saying what came.
+  /// @throws InstrumentError kNoReply, kWrongIdentity (no such lines), each saying what came; kImplausible if
+  /// the separator looks like the decimal mark of the numbers.
   AccelerometerInfo identify() override;
 
   /// Identifies, and waits until it is seen to print about rate_hz lines a second. From here on each line
@@ -59,8 +60,9 @@ class TextLineAccelerometer final : public Accelerometer {
   std::string who_;  ///< For messages.
   text_line::LineFormat format_;
   wire::ReadingStream<text_line::LineReader> readings_;
-  std::size_t words_ = 0;    ///< Columns of the last line.
-  unsigned like_lines_ = 0;  ///< Lines in a row that had as many.
+  std::size_t words_ = 0;        ///< Columns of the last line.
+  unsigned like_lines_ = 0;      ///< Lines in a row that had as many.
+  bool decimal_commas_ = false;  ///< The last line looked so.
 };
 
 }  // namespace abcal

@@ -7,21 +7,41 @@
 #include <stdexcept>
 #include <utility>
 
+#include "drivers/text/text.h"
+
 namespace abcal::text_line {
 namespace {
 
 constexpr std::string_view kBlanks = " \t";
 
 std::string_view trimmed(std::string_view text) {
-  const std::size_t first = text.find_first_not_of(kBlanks);
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(kBlanks) - first + 1);
+  return pieces::trimmed(text, kBlanks);
 }
 
 /// A character that a number may have.
 bool is_of_a_number(char c) {
   return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
          std::string_view("+-.()_").find(c) != std::string_view::npos;
+}
+
+bool all_digits(std::string_view word) {
+  return !word.empty() && std::all_of(word.begin(), word.end(), [](char c) { return c >= '0' && c <= '9'; });
+}
+
+/// Whole numbers, every second of which are digits, one of them with a zero before others: "01" is no number
+/// that a board prints, but what stands behind a decimal mark.
+bool looks_like_decimal_commas(const std::vector<std::string_view>& words) {
+  constexpr std::size_t kAxes = 3;
+  if (words.size() % 2 != 0 || words.size() < 2 * kAxes) return false;
+  bool leading_zero = false;
+  for (std::size_t n = 0; n < words.size(); n += 2) {
+    std::string_view whole = words[n];
+    if (whole.starts_with('-') || whole.starts_with('+')) whole.remove_prefix(1);
+    const std::string_view part = words[n + 1];
+    if (!all_digits(whole) || !all_digits(part)) return false;
+    leading_zero = leading_zero || (part.size() > 1 && part.front() == '0');
+  }
+  return leading_zero;
 }
 
 }  // namespace
@@ -124,6 +144,7 @@ std::optional<NumberLine> LineReader::take(std::string_view line) {
     return std::nullopt;
   }
   has_numbers_come_ = true;
+  numbers.decimal_commas = format_.separator == "," && looks_like_decimal_commas(words);
   return numbers;
 }
 

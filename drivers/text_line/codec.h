@@ -22,6 +22,8 @@ struct NumberLine {
   std::vector<double> values;  ///< One for each of LineFormat::columns.
   std::size_t words = 0;       ///< How many columns the line has.
   std::size_t size = 0;        ///< Bytes, with its end.
+  /// It looks like "0,01,0,02,1,00": numbers whose decimal mark is the separator, which shifts the columns.
+  bool decimal_commas = false;
 };
 
 /// A decimal number: "1", "+1.5", "-.5e-3", "nan", "inf". Whatever the locale, the decimal mark is a point.

@@ -1,7 +1,34 @@
+#include <algorithm>
+#include <charconv>
+#include <system_error>
+
 #include "drivers/registry.h"
+#include "drivers/text/text.h"
 #include "drivers/text_line/accelerometer.h"
 
 namespace abcal {
+namespace {
+
+bool is_number(std::string_view word) {
+  word = pieces::trimmed(word);
+  if (word.starts_with('+')) word.remove_prefix(1);
+  double value = 0.0;
+  const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
+  return error == std::errc() && end == word.data() + word.size();
+}
+
+/// Two whole lines of three numbers or more. The first line may have lost its beginning.
+bool prints_numbers(std::string_view received) {
+  const std::vector<std::string_view> lines = pieces::split(received, '\n');
+  int found = 0;
+  for (std::size_t n = 1; n + 1 < lines.size(); ++n) {
+    const std::vector<std::string_view> words = pieces::split(lines[n], ',');
+    if (words.size() >= 3 && std::all_of(words.begin(), words.end(), is_number)) ++found;
+  }
+  return found >= 2;
+}
+
+}  // namespace
 
 void register_text_line(DriverList& drivers) {
   drivers.accelerometers.push_back(
@@ -9,7 +36,8 @@ void register_text_line(DriverList& drivers) {
        .description = "boards that print lines of numbers, output in the unit of the bench file",
        .serial = {115200, false},
        .make = make_accelerometer_of<TextLineAccelerometer>,
-       .generic = true});
+       .generic = true,
+       .recognition = {"", prints_numbers}});
 }
 
 }  // namespace abcal

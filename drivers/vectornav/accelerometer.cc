@@ -193,6 +193,21 @@ AccelerometerInfo VectorNavAccelerometer::interrogate() {
   };
 }
 
+std::map<std::string, std::string> VectorNavAccelerometer::correction_registers() {
+  std::map<std::string, std::string> registers;
+  for (const auto& [number, name] :
+       {std::pair{25, "acceleration compensation (25)"}, std::pair{26, "reference frame rotation (26)"}}) {
+    const std::string command = fmt::format("VNRRG,{:02}", number);
+    const wire::PacketAnswer answer = try_exchange(command);
+    if (!answer.error) {
+      registers[name] = answer.data;
+    } else if (*answer.error != kInvalidRegister) {
+      refuse(command, *answer.error);
+    }
+  }
+  return registers;
+}
+
 void VectorNavAccelerometer::check_rate(double rate_hz, std::string_view possible) const {
   if (std::abs(rate_hz - settings_.rate_hz) <= kRateTolerance * settings_.rate_hz) return;
   fail(Fault::kRefused, fmt::format("rate_hz is {}; it makes {}, the nearest is {:.6g}", settings_.rate_hz,

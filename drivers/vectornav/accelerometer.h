@@ -36,6 +36,9 @@ class VectorNavAccelerometer final : public wire::PacketAccelerometer<vectornav:
   /// @throws InstrumentError kRefused also if the rate cannot be made within 1 %, or if the link is too slow.
   void start() override;
 
+  /// Registers 25 (acceleration compensation) and 26 (rotation of the reference frame).
+  std::map<std::string, std::string> correction_registers() override;
+
  private:
   enum class Output { kBinary, kImuText, kAccelerationText };
 

@@ -151,8 +151,8 @@ std::optional<std::size_t> binary_size(const std::array<std::uint16_t, kGroups>&
 
 std::size_t wire_size(const Message& message) {
   if (const auto* text = std::get_if<TextMessage>(&message)) {
-    constexpr std::size_t kFrame = 4;  // '$', '*', CR, LF.
-    return text->text.size() + kFrame + (text->checksum == Checksum::kXor8 ? 2 : 4);
+    const std::size_t frame = text->carriage_return ? 4 : 3;  // '$', '*', CR, LF.
+    return text->text.size() + frame + (text->checksum == Checksum::kXor8 ? 2 : 4);
   }
   const auto& binary = std::get<BinaryMessage>(message);
   return binary_header(binary.fields).size() + binary.payload.size() + kCrcBytes;
@@ -181,9 +181,9 @@ MessageParser::Look MessageParser::look_at_text(std::string_view here) const {
   while (end < here.size() && here[end] >= ' ' && here[end] <= '~' && here[end] != kTextStart) ++end;
   if (end > kLongestText) return {};
   if (end == here.size()) return {Found::kNeedsMore, 0};
-  if (here[end] != '\r') return {};
-  if (end + 1 == here.size()) return {Found::kNeedsMore, 0};
-  if (here[end + 1] != '\n') return {};
+  std::size_t line_feed = end;
+  if (here[end] == '\r' && ++line_feed == here.size()) return {Found::kNeedsMore, 0};
+  if (here[line_feed] != '\n') return {};
   const std::size_t star = here.substr(0, end).rfind('*');
   if (star == std::string_view::npos) return {};
   const std::string_view text = here.substr(1, star - 1);
@@ -191,7 +191,7 @@ MessageParser::Look MessageParser::look_at_text(std::string_view here) const {
   if ((digits.size() != 2 && digits.size() != 4) || !std::all_of(digits.begin(), digits.end(), is_hex))
     return {};
   const bool right = digits == (digits.size() == 2 ? to_hex(xor8(text), 2) : to_hex(crc16(text), 4));
-  return {right ? Found::kMessage : Found::kBadChecksum, end + 2};
+  return {right ? Found::kMessage : Found::kBadChecksum, line_feed + 1};
 }
 
 MessageParser::Look MessageParser::look_at_binary(std::string_view here) const {
@@ -220,8 +220,10 @@ Message MessageParser::take(std::size_t position, std::size_t size) {
   begin_ = position + size;
   if (here.front() == kTextStart) {
     const std::size_t star = here.rfind('*');
-    const bool two_digits = star + 5 == here.size();
-    return TextMessage{here.substr(1, star - 1), two_digits ? Checksum::kXor8 : Checksum::kCrc16};
+    const bool carriage_return = here[here.size() - 2] == '\r';
+    const std::size_t digits = here.size() - star - (carriage_return ? 3 : 2);
+    return TextMessage{here.substr(1, star - 1), digits == 2 ? Checksum::kXor8 : Checksum::kCrc16,
+                       carriage_return};
   }
   BinaryMessage message;
   std::size_t at = 2;

@@ -32,6 +32,7 @@ std::string make_message(std::string_view text, Checksum checksum);
 struct TextMessage {
   std::string_view text;
   Checksum checksum = Checksum::kXor8;
+  bool carriage_return = true;  ///< Before the line feed; some programs that pass a stream on drop it.
 };
 
 inline constexpr std::size_t kGroups = 6;

@@ -1,7 +1,21 @@
 #include "drivers/registry.h"
 #include "drivers/witmotion/accelerometer.h"
+#include "drivers/witmotion/codec.h"
 
 namespace abcal {
+namespace {
+
+/// A frame has one byte of sum: several of them are no accident. It streams, and is not asked.
+bool streams_frames(std::string_view received) {
+  constexpr int kEnough = 3;
+  witmotion::FrameParser parser;
+  parser.feed(received);
+  int frames = 0;
+  while (frames < kEnough && parser.next()) ++frames;
+  return frames == kEnough;
+}
+
+}  // namespace
 
 void register_witmotion(DriverList& drivers) {
   drivers.accelerometers.push_back(
@@ -10,7 +24,8 @@ void register_witmotion(DriverList& drivers) {
        .serial = {9600, false},
        .make = make_accelerometer_of<WitMotionAccelerometer>,
        .output_unit = "g",
-       .example = "rate_hz = 100.0\nbaud = 115200\n"});
+       .example = "rate_hz = 100.0\nbaud = 115200\n",
+       .recognition = {"", streams_frames}});
 }
 
 }  // namespace abcal

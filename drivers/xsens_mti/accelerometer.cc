@@ -6,6 +6,7 @@
 #include <cmath>
 #include <utility>
 
+#include "drivers/text/text.h"
 #include "drivers/wire/readable_bytes.h"
 
 namespace abcal {
@@ -26,12 +27,7 @@ constexpr std::size_t kItemHeader = 3;
 constexpr std::size_t kPacketBytes = kFrameBytes + 4 * kItemHeader + 2 + 4 + 12 + 4;
 constexpr std::size_t kTemperatureBytes = kItemHeader + 4;  // Once a second.
 
-std::string trimmed(std::string_view text) {
-  constexpr std::string_view kPadding(" \0", 2);
-  const std::size_t first = text.find_first_not_of(kPadding);
-  if (first == std::string_view::npos) return {};
-  return std::string(text.substr(first, text.find_last_not_of(kPadding) - first + 1));
-}
+constexpr std::string_view kPadding(" \0", 2);
 
 using Exchange = wire::PacketExchange<xbus::MessageParser>;
 
@@ -110,7 +106,8 @@ AccelerometerInfo XsensMtiAccelerometer::interrogate() {
   }
   std::string serial_number;
   for (const char byte : device_id) serial_number += fmt::format("{:02X}", static_cast<unsigned char>(byte));
-  const std::string model = trimmed(exchange({xbus::kReqProductCode, {}, "product code"}));
+  const std::string product_code = exchange({xbus::kReqProductCode, {}, "product code"});
+  const std::string model(pieces::trimmed(product_code, kPadding));
   if (!model.starts_with("MT")) {
     fail(Fault::kWrongIdentity,
          fmt::format("its product code is \"{}\"; required: one that begins with MT", model));

@@ -21,6 +21,9 @@ class FaultyPort final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   bool plugged_in() const override { return !stream_.unplugged(); }
+  void session_starts() override { inner_->session_starts(); }
+  std::optional<unsigned> line_speed() const override { return inner_->line_speed(); }
+  UnservedCommands& unserved() override { return inner_->unserved(); }
 
   FaultyStream& link() { return stream_; }  ///< To add faults; safe from other threads.
 

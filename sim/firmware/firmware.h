@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include "drivers/instrument/clock.h"
+#include "sim/firmware/unserved_commands.h"
 
 namespace abcal::sim {
 
@@ -25,6 +26,20 @@ class Firmware {
 
   /// Whether its plug is in: an emulator takes the port of an unplugged one away.
   virtual bool plugged_in() const { return true; }
+
+  /// A client has connected over a network: the half of a command that another one left is forgotten, and
+  /// what was to be answered to it. Motion, settings and the rest of the instrument's state go on. Not called
+  /// on serial lines: there the half stays.
+  virtual void session_starts() {}
+
+  /// The speed of its serial port as it is set now, in Bd; nothing: it has none (USB, network).
+  virtual std::optional<unsigned> line_speed() const { return std::nullopt; }
+
+  /// What hosts have asked that it does not carry out.
+  virtual UnservedCommands& unserved() { return unserved_; }
+
+ private:
+  UnservedCommands unserved_;
 };
 
 }  // namespace abcal::sim

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -28,6 +29,7 @@ constexpr std::size_t kChecksum = 2;
 
 constexpr std::uint8_t kBaseSet = 0x01;
 constexpr std::uint8_t k3dmSet = 0x0C;
+constexpr std::uint8_t kFilterSet = 0x0D;
 constexpr std::uint8_t kSensorData = 0x80;
 constexpr std::uint8_t kFilterData = 0x82;
 constexpr std::uint8_t kAck = 0xF1;
@@ -40,13 +42,80 @@ constexpr std::uint8_t kGyro = 0x05;
 constexpr std::uint8_t kMagnetometer = 0x06;
 constexpr std::uint8_t kDeltaTheta = 0x07;
 constexpr std::uint8_t kDeltaVelocity = 0x08;
+constexpr std::uint8_t kInternalTime = 0x0E;
+constexpr std::uint8_t kGpsTime = 0x12;
 constexpr std::uint8_t kTemperature = 0x14;
+constexpr std::uint8_t kPressure = 0x17;
 constexpr std::uint8_t kOverRange = 0x18;
+constexpr std::uint8_t kFilterQuaternion = 0x03;
+constexpr std::uint8_t kFilterEuler = 0x05;
+constexpr std::uint8_t kFilterGyroBias = 0x06;
+constexpr std::uint8_t kFilterAccelBias = 0x07;
+constexpr std::uint8_t kLinearAcceleration = 0x0D;
+constexpr std::uint8_t kAngularRate = 0x0E;
+constexpr std::uint8_t kFilterStatus = 0x10;
+constexpr std::uint8_t kFilterTime = 0x11;
+constexpr std::uint8_t kGravity = 0x13;
+constexpr std::uint8_t kCompensatedAcceleration = 0x1C;
+constexpr std::uint8_t kEventSource = 0xD0;
+constexpr std::uint8_t kSharedGpsTime = 0xD3;
 constexpr std::uint8_t kReferenceTime = 0xD5;
 constexpr std::uint8_t kReferenceTimeDelta = 0xD6;
-constexpr std::array kSensorFields{kAccelerometer, kGyro,          kMagnetometer,
-                                   kDeltaTheta,    kDeltaVelocity, kTemperature,
-                                   kOverRange,     kReferenceTime, kReferenceTimeDelta};
+constexpr std::array kSensorFields{
+    kAccelerometer, kGyro,          kMagnetometer,  kDeltaTheta,        kDeltaVelocity,
+    kInternalTime,  kGpsTime,       kTemperature,   kPressure,          kOverRange,
+    kEventSource,   kSharedGpsTime, kReferenceTime, kReferenceTimeDelta};
+constexpr std::array kFilterFields{
+    kFilterQuaternion,        kFilterEuler,   kFilterGyroBias, kFilterAccelBias,   kAngularRate,
+    kLinearAcceleration,      kFilterStatus,  kFilterTime,     kGravity,           kEventSource,
+    kCompensatedAcceleration, kSharedGpsTime, kReferenceTime,  kReferenceTimeDelta};
+
+constexpr double kPressureMbar = 1013.25;
+// From a reset of the filter until it has a solution [unverified against a device].
+constexpr Clock::Duration kFilterStart = std::chrono::seconds(1);
+enum FilterState : std::uint16_t { kFilterInitialises = 1, kFilterRuns = 2, kFilterRunsWithHeading = 3 };
+
+/// Which units have a command.
+enum class Family { kAll, kLegacy, kModern };
+
+/// A setting that is kept and read back: function, key, value.
+struct Kept {
+  std::uint8_t set;
+  std::uint8_t command;
+  std::uint8_t reply;
+  Family family;
+  std::size_t key;                ///< Bytes behind the function that say which one.
+  std::size_t size;               ///< Of the value; 0: any.
+  std::string_view initial = {};  ///< Of the value; zeros where it is shorter.
+};
+constexpr std::uint8_t kAccelBias = 0x37;
+// Layouts: docs/protocols/mip.md. The replies of the set 0D are [unverified against a device].
+constexpr auto kKept = std::to_array<Kept>({
+    {k3dmSet, 0x2B, 0xB5, Family::kModern, 1, 1},               // event control
+    {k3dmSet, 0x2E, 0xB8, Family::kModern, 1, 0},               // event trigger
+    {k3dmSet, 0x2F, 0xB9, Family::kModern, 1, 0},               // event action
+    {k3dmSet, 0x31, 0xB1, Family::kModern, 0, 12},              // rotation to the vehicle: Euler angles
+    {k3dmSet, 0x32, 0xB2, Family::kModern, 0, 16, "\x3F\x80"},  // ... quaternion
+    {k3dmSet, 0x33, 0xB3, Family::kModern, 0, 36},              // ... matrix
+    {k3dmSet, kAccelBias, 0x9A, Family::kAll, 0, 12},           // accelerometer bias
+    {k3dmSet, 0x38, 0x9B, Family::kAll, 0, 12},                 // gyro bias
+    {k3dmSet, 0x3E, 0x9E, Family::kAll, 0, 1, "\x01"},          // coning and sculling
+    {k3dmSet, 0x50, 0x8B, Family::kLegacy, 1, 5},               // low-pass filter
+    {k3dmSet, 0x51, 0x97, Family::kLegacy, 0, 10, "\x01\x01"},  // complementary filter
+    {k3dmSet, 0x52, 0xD2, Family::kModern, 1, 1, "\x01"},       // range of a sensor
+    {k3dmSet, 0x54, 0xD4, Family::kModern, 2, 6},               // low-pass filter
+    {kFilterSet, 0x11, 0x81, Family::kAll, 0, 12},              // rotation to the vehicle
+    {kFilterSet, 0x18, 0x87, Family::kLegacy, 0, 1, "\x01"},    // source of the heading
+    {kFilterSet, 0x19, 0x88, Family::kLegacy, 0, 1, "\x01"},    // initialises by itself
+    {kFilterSet, 0x50, 0xD0, Family::kModern, 2, 1, "\x01"},    // an aiding measurement is used
+});
+constexpr unsigned kEvents = 12;
+
+const Kept* kept_command(std::uint8_t set, std::uint8_t command) {
+  const auto found = std::find_if(kKept.begin(), kKept.end(),
+                                  [&](const Kept& k) { return k.set == set && k.command == command; });
+  return found == kKept.end() ? nullptr : &*found;
+}
 
 constexpr Clock::Duration kPacketTimeout = std::chrono::milliseconds(100);
 constexpr std::array<unsigned, 7> kBaudRates{9600, 19200, 38400, 115200, 230400, 460800, 921600};
@@ -99,6 +168,12 @@ class Arguments {
   std::uint8_t u8() { return static_cast<std::uint8_t>(take(1)); }
   std::uint16_t u16() { return static_cast<std::uint16_t>(take(2)); }
   std::uint32_t u32() { return take(4); }
+  std::string bytes(std::size_t count) {
+    if (data_.size() < count) throw Refusal{kBadParameter};
+    const std::string taken(data_.substr(0, count));
+    data_.remove_prefix(count);
+    return taken;
+  }
   std::size_t left() const { return data_.size(); }
   void done() const {
     if (!data_.empty()) throw Refusal{kBadParameter};
@@ -122,18 +197,38 @@ struct Rate {
 
 /// What can be saved, loaded and reset.
 struct Stored {
-  std::vector<Rate> sensor_format;
-  bool sensor_stream = true;
+  struct Stream {
+    std::vector<Rate> format;
+    bool on = true;
+  };
+  std::map<std::uint8_t, Stream> streams;  ///< By data set: 80 and 82.
   std::uint32_t baud = 115200;
+  std::map<std::string, std::string> kept;  ///< Set, command and key -> value.
 };
+
+bool has_field(std::uint8_t set, std::uint8_t descriptor, bool magnetometer) {
+  if (set == kFilterData)
+    return std::find(kFilterFields.begin(), kFilterFields.end(), descriptor) != kFilterFields.end();
+  if (descriptor == kMagnetometer && !magnetometer) return false;
+  return std::find(kSensorFields.begin(), kSensorFields.end(), descriptor) != kSensorFields.end();
+}
+
+std::string kept_name(std::uint8_t set, std::uint8_t command, std::string_view key) {
+  return std::string{static_cast<char>(set), static_cast<char>(command)} + std::string(key);
+}
 
 }  // namespace
 
 class MipFirmware::Device {
  public:
-  Device(std::shared_ptr<SimBench> bench, MipSettings settings);
+  Device(std::shared_ptr<SimBench> bench, MipSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void forget_session() {
+    input_.clear();
+    replies_.clear();
+  }
+  unsigned line_speed() const { return line_speed_; }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
 
@@ -148,22 +243,45 @@ class MipFirmware::Device {
   std::optional<Answer> run_command(std::uint8_t set, std::uint8_t command, Arguments arguments);
   std::optional<Answer> run_base(std::uint8_t command, Arguments arguments);
   std::optional<Answer> run_3dm(std::uint8_t command, Arguments arguments);
-  std::optional<Answer> message_format(bool modern, Arguments arguments);
+  std::optional<Answer> run_filter(std::uint8_t command, Arguments arguments);
+  std::optional<Answer> keep(const Kept& kept, Arguments arguments);
+  bool has(Family family) const {
+    return family == Family::kAll ||
+           (family == Family::kLegacy ? settings_.legacy_commands : settings_.modern_commands);
+  }
+  void require(Family family) const {
+    if (!has(family)) throw Refusal{kUnknown};
+  }
+  bool has_magnetometer() const { return settings_.model_name.find("AHRS") != std::string::npos; }
+  Answer event_support(Arguments arguments) const;
+  static Answer event_status(bool of_triggers, Arguments arguments);
+  std::optional<Answer> message_format(bool modern, std::uint8_t legacy_set, Arguments arguments);
+  Eigen::Vector3d accelerometer_bias() const;
   std::optional<Answer> stream_control(Arguments arguments);
   std::optional<Answer> baud_rate(bool modern, Arguments arguments);
   void device_settings(Arguments arguments);
   void poll(Arguments arguments);
   std::string device_info() const;
   std::string descriptors() const;
-  std::string sensor_packet(const std::vector<std::uint8_t>& fields, std::uint64_t tick) const;
+  const SimOutput& output_at(std::uint64_t tick) const;
+  std::string data_payload(std::uint8_t set, const std::vector<std::uint8_t>& fields,
+                           std::uint64_t tick) const;
+  std::string sensor_field(std::uint8_t field, std::uint64_t tick) const;
+  std::string filter_field(std::uint8_t field, std::uint64_t tick) const;
+  std::string shared_field(std::uint8_t set, std::uint8_t field, std::uint64_t tick) const;
   Stored factory() const;
 
-  bool streaming() const { return !idle_ && current_.sensor_stream && !current_.sensor_format.empty(); }
+  bool streaming() const {
+    return !idle_ && std::any_of(current_.streams.begin(), current_.streams.end(), [](const auto& stream) {
+      return stream.second.on && !stream.second.format.empty();
+    });
+  }
   void stream_from(Clock::Instant now);
   void advance_tick();
 
   std::shared_ptr<SimBench> bench_;
   MipSettings settings_;
+  UnservedCommands& unserved_;
   SampleGrid grid_;
   Stored current_;
   Stored saved_;
@@ -173,15 +291,21 @@ class MipFirmware::Device {
   std::string input_;
   ReplyQueue replies_;
   std::vector<std::pair<std::uint8_t, std::string>> after_ack_;
-  bool suppress_ack_ = false;  ///< Of the command in hand.
+  bool suppress_ack_ = false;                        ///< Of the command in hand.
+  Clock::Duration takes_ = Clock::Duration::zero();  ///< The command in hand, before it is answered.
+  unsigned line_speed_;
+  Clock::Instant filter_since_;  ///< Its last reset.
   Clock::Instant now_;
 };
 
-MipFirmware::Device::Device(std::shared_ptr<SimBench> bench, MipSettings settings)
+MipFirmware::Device::Device(std::shared_ptr<SimBench> bench, MipSettings settings, UnservedCommands& unserved)
     : bench_(std::move(bench)),
       settings_(std::move(settings)),
+      unserved_(unserved),
       grid_(bench_->start(), std::max(1U, settings_.base_rate_hz)),
       idle_(!settings_.streaming_at_power_on),
+      line_speed_(settings_.baud),
+      filter_since_(bench_->start()),
       now_(bench_->start()) {
   if (settings_.base_rate_hz < 1 || settings_.base_rate_hz > 10000)
     throw std::invalid_argument(fmt::format(
@@ -197,9 +321,10 @@ MipFirmware::Device::Device(std::shared_ptr<SimBench> bench, MipSettings setting
 
 Stored MipFirmware::Device::factory() const {
   const auto decimation = static_cast<std::uint16_t>(std::max(1U, settings_.base_rate_hz / 100U));
-  return {.sensor_format = {{kAccelerometer, decimation}, {kReferenceTime, decimation}},
-          .sensor_stream = true,
-          .baud = settings_.baud};
+  return {.streams = {{kSensorData, {{{kAccelerometer, decimation}, {kReferenceTime, decimation}}, true}},
+                      {kFilterData, {{}, true}}},
+          .baud = settings_.baud,
+          .kept = {}};
 }
 
 // Bytes.
@@ -238,6 +363,7 @@ void MipFirmware::Device::find_packets() {
 void MipFirmware::Device::run_packet(std::uint8_t set, std::string_view payload, bool checksum_holds) {
   std::string reply;
   after_ack_.clear();
+  takes_ = Clock::Duration::zero();
   while (payload.size() >= 2) {
     const std::size_t size = byte(payload[0]);
     if (size < 2 || size > payload.size()) break;
@@ -254,6 +380,8 @@ void MipFirmware::Device::run_packet(std::uint8_t set, std::string_view payload,
         answer = run_command(set, command, Arguments(data));
       } catch (const Refusal& refusal) {
         code = refusal.code;
+        if (code == kUnknown)
+          unserved_.note(fmt::format("{:02X},{:02X}", set, command), "not emulated: NACK 01");
       }
     }
     if (!suppress_ack_)
@@ -261,15 +389,21 @@ void MipFirmware::Device::run_packet(std::uint8_t set, std::string_view payload,
     if (answer) put_field(reply, answer->descriptor, answer->data);
     if (!checksum_holds) break;
   }
-  if (!reply.empty()) replies_.push(packet(set, reply), now_ + settings_.reply_delay);
+  if (!reply.empty()) replies_.push(packet(set, reply), now_ + settings_.reply_delay + takes_);
   for (const auto& [data_set, fields] : after_ack_)
-    replies_.push(packet(data_set, fields), now_ + settings_.reply_delay);
+    replies_.push(packet(data_set, fields), now_ + settings_.reply_delay + takes_);
 }
 
 std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_command(std::uint8_t set,
                                                                             std::uint8_t command,
                                                                             Arguments arguments) {
+  if (const Kept* kept = kept_command(set, command)) {
+    require(kept->family);
+    return keep(*kept, arguments);
+  }
   switch (set) {
+    case kFilterSet:
+      return run_filter(command, arguments);
     case kBaseSet:
       return run_base(command, arguments);
     case k3dmSet:
@@ -295,6 +429,18 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_base(std::ui
     case 0x04:
       arguments.done();
       return Answer{0x82, descriptors()};
+    case 0x05: {  // built-in test: nothing is wrong
+      arguments.done();
+      std::string data;
+      put_big_endian(data, std::uint32_t{0});
+      return Answer{0x83, data};
+    }
+    case 0x07:  // the rest of the descriptors: the list fits in one packet
+      arguments.done();
+      return Answer{0x86, {}};
+    case 0x08:  // continuous built-in test
+      arguments.done();
+      return Answer{0x88, std::string(16, '\0')};
     case 0x06:  // resume
       arguments.done();
       idle_ = false;
@@ -306,6 +452,7 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_base(std::ui
     case 0x7E:  // soft reset: as after power on, with what was saved
       arguments.done();
       current_ = saved_;
+      filter_since_ = now_;
       idle_ = !settings_.streaming_at_power_on;
       stream_from(now_);
       return std::nullopt;
@@ -325,7 +472,15 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_3dm(std::uin
       return Answer{0x83, data};
     case 0x08:
       if (!settings_.legacy_commands) throw Refusal{kUnknown};
-      return message_format(false, arguments);
+      return message_format(false, kSensorData, arguments);
+    case 0x0A:
+      require(Family::kLegacy);
+      return message_format(false, kFilterData, arguments);
+    case 0x0B:  // base rate of the filter, legacy
+      require(Family::kLegacy);
+      arguments.done();
+      put_big_endian(data, static_cast<std::uint16_t>(settings_.base_rate_hz));
+      return Answer{0x8A, data};
     case 0x0D:
       poll(arguments);
       return std::nullopt;
@@ -333,14 +488,27 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_3dm(std::uin
       if (!settings_.modern_commands) throw Refusal{kUnknown};
       const std::uint8_t set = arguments.u8();
       arguments.done();
-      if (set != kSensorData) throw Refusal{kBadParameter};
+      if (set != kSensorData && set != kFilterData) throw Refusal{kBadParameter};
       put(data, set);
       put_big_endian(data, static_cast<std::uint16_t>(settings_.base_rate_hz));
       return Answer{0x8E, data};
     }
     case 0x0F:
       if (!settings_.modern_commands) throw Refusal{kUnknown};
-      return message_format(true, arguments);
+      return message_format(true, 0, arguments);
+    case 0x2A:
+      require(Family::kModern);
+      return event_support(arguments);
+    case 0x2C:
+    case 0x2D:
+      require(Family::kModern);
+      return event_status(command == 0x2C, arguments);
+    case 0x39: {  // capture of the gyro bias: takes as long as it is told to
+      takes_ = std::chrono::milliseconds(arguments.u16());
+      arguments.done();
+      current_.kept[kept_name(k3dmSet, 0x38, "")] = std::string(12, '\0');
+      return Answer{0x9B, std::string(12, '\0')};
+    }
     case 0x11:
       return stream_control(arguments);
     case 0x30:
@@ -353,46 +521,135 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_3dm(std::uin
   }
 }
 
+std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_filter(std::uint8_t command,
+                                                                           Arguments arguments) {
+  switch (command) {
+    case 0x01:  // reset
+      arguments.done();
+      filter_since_ = now_;
+      return std::nullopt;
+    case 0x02:  // initial attitude
+      arguments.bytes(12);
+      arguments.done();
+      return std::nullopt;
+    case 0x03:  // initial heading
+      arguments.bytes(4);
+      arguments.done();
+      return std::nullopt;
+    default:
+      throw Refusal{kUnknown};
+  }
+}
+
+std::optional<MipFirmware::Device::Answer> MipFirmware::Device::keep(const Kept& kept, Arguments arguments) {
+  const std::uint8_t function = arguments.u8();
+  const std::string key = arguments.bytes(kept.key);
+  const std::string name = kept_name(kept.set, kept.command, key);
+  const auto copy = [&](const Stored& from, Stored& to) {
+    const auto found = from.kept.find(name);
+    if (found == from.kept.end()) {
+      to.kept.erase(name);
+    } else {
+      to.kept[name] = found->second;
+    }
+  };
+  const bool of_an_event = kept.set == k3dmSet && (kept.command == 0x2E || kept.command == 0x2F);
+  switch (function) {
+    case kWrite: {
+      const std::size_t size = kept.size == 0 ? arguments.left() : kept.size;
+      const std::string value = arguments.bytes(size);
+      arguments.done();
+      current_.kept[name] = value;
+      if (of_an_event)
+        unserved_.note(fmt::format("{:02X},{:02X}", kept.set, kept.command),
+                       "kept; events are not carried out");
+      return std::nullopt;
+    }
+    case kRead: {
+      arguments.done();
+      const auto found = current_.kept.find(name);
+      if (found != current_.kept.end()) return Answer{kept.reply, key + found->second};
+      std::string initial(kept.initial);
+      initial.resize(kept.size, '\0');
+      return Answer{kept.reply, key + initial};
+    }
+    case kSave:
+      copy(current_, saved_);
+      return std::nullopt;
+    case kLoad:
+      copy(saved_, current_);
+      return std::nullopt;
+    case kReset:
+      current_.kept.erase(name);
+      return std::nullopt;
+    default:
+      throw Refusal{kBadParameter};
+  }
+}
+
+/// Which triggers (1) or actions (2) there are: kind and how many [unverified against a device].
+MipFirmware::Device::Answer MipFirmware::Device::event_support(Arguments arguments) const {
+  const std::uint8_t query = arguments.u8();
+  arguments.done();
+  if (query != 1 && query != 2) throw Refusal{kBadParameter};
+  std::string data{static_cast<char>(query), static_cast<char>(kEvents)};
+  const std::string kinds =
+      query == 1 ? std::string("\x03\x01\x04\x02\x0C\x03\x0C", 7) : std::string("\x02\x01\x04\x02\x0C", 5);
+  return {0xB4, data + kinds};
+}
+
+/// Of each event asked for: its kind and its state; none has happened.
+MipFirmware::Device::Answer MipFirmware::Device::event_status(bool of_triggers, Arguments arguments) {
+  const std::uint8_t count = arguments.u8();
+  arguments.bytes(count);
+  arguments.done();
+  if (count > kEvents) throw Refusal{kBadParameter};
+  return {static_cast<std::uint8_t>(of_triggers ? 0xB6 : 0xB7),
+          std::string(1, static_cast<char>(count)) + std::string(std::size_t{2} * count, '\0')};
+}
+
 std::optional<MipFirmware::Device::Answer> MipFirmware::Device::message_format(bool modern,
+                                                                               std::uint8_t legacy_set,
                                                                                Arguments arguments) {
   const std::uint8_t function = arguments.u8();
-  if (modern && arguments.u8() != kSensorData) throw Refusal{kBadParameter};
+  const std::uint8_t set = modern ? arguments.u8() : legacy_set;
+  if (set != kSensorData && set != kFilterData) throw Refusal{kBadParameter};
+  std::vector<Rate>& format = current_.streams[set].format;
   switch (function) {
     case kWrite: {
       const std::uint8_t count = arguments.u8();
-      std::vector<Rate> format;
+      std::vector<Rate> wanted;
       for (unsigned n = 0; n < count; ++n) {
         const std::uint8_t descriptor = arguments.u8();
         const std::uint16_t decimation = arguments.u16();
-        const bool known =
-            std::find(kSensorFields.begin(), kSensorFields.end(), descriptor) != kSensorFields.end();
-        if (!known || decimation == 0) throw Refusal{kBadParameter};
-        format.push_back({descriptor, decimation});
+        if (!has_field(set, descriptor, has_magnetometer()) || decimation == 0) throw Refusal{kBadParameter};
+        wanted.push_back({descriptor, decimation});
       }
       arguments.done();
-      current_.sensor_format = std::move(format);
+      format = std::move(wanted);
       stream_from(now_);
       return std::nullopt;
     }
     case kRead: {
       std::string data;
-      if (modern) put(data, kSensorData);
-      put(data, static_cast<std::uint8_t>(current_.sensor_format.size()));
-      for (const Rate& rate : current_.sensor_format) {
+      if (modern) put(data, set);
+      put(data, static_cast<std::uint8_t>(format.size()));
+      for (const Rate& rate : format) {
         put(data, rate.descriptor);
         put_big_endian(data, rate.decimation);
       }
-      return Answer{modern ? std::uint8_t{0x8F} : std::uint8_t{0x80}, data};
+      const std::uint8_t legacy_reply = set == kSensorData ? 0x80 : 0x82;
+      return Answer{modern ? std::uint8_t{0x8F} : legacy_reply, data};
     }
     case kSave:
-      saved_.sensor_format = current_.sensor_format;
+      saved_.streams[set].format = format;
       return std::nullopt;
     case kLoad:
-      current_.sensor_format = saved_.sensor_format;
+      format = saved_.streams[set].format;
       stream_from(now_);
       return std::nullopt;
     case kReset:
-      current_.sensor_format = factory().sensor_format;
+      format = factory().streams[set].format;
       stream_from(now_);
       return std::nullopt;
     default:
@@ -404,34 +661,36 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::stream_control(A
   const std::uint8_t function = arguments.u8();
   const std::uint8_t set = arguments.u8();
   // 01, 02, 03 are the legacy names of the streams 80, 81, 82; 00 is all of them.
-  const bool sensor = set == kSensorData || set == 0x01 || set == 0x00;
-  if (!sensor && set != 0x03 && set != kFilterData) throw Refusal{kBadParameter};
+  std::vector<std::uint8_t> wanted;
+  if (set == kSensorData || set == 0x01 || set == 0x00) wanted.push_back(kSensorData);
+  if (set == kFilterData || set == 0x03 || set == 0x00) wanted.push_back(kFilterData);
+  if (wanted.empty()) throw Refusal{kBadParameter};
+  const auto switch_all = [&](auto on_of) {
+    for (const std::uint8_t each : wanted) current_.streams[each].on = on_of(each);
+    stream_from(now_);
+  };
   switch (function) {
     case kWrite: {
       const std::uint8_t enable = arguments.u8();
       arguments.done();
       if (enable > 1) throw Refusal{kBadParameter};
-      if (!sensor) return std::nullopt;  // this device has nothing else to stream
-      current_.sensor_stream = enable == 1;
       // Hosts that enable a stream after "set idle" and never send "resume" expect data [unverified against a
       // device].
-      if (current_.sensor_stream) idle_ = false;
-      stream_from(now_);
+      if (enable == 1) idle_ = false;
+      switch_all([&](std::uint8_t) { return enable == 1; });
       return std::nullopt;
     }
     case kRead:
       return Answer{0x85,
-                    {static_cast<char>(set), static_cast<char>(sensor && current_.sensor_stream ? 1 : 0)}};
+                    {static_cast<char>(set), static_cast<char>(current_.streams[wanted.front()].on ? 1 : 0)}};
     case kSave:
-      saved_.sensor_stream = current_.sensor_stream;
+      for (const std::uint8_t each : wanted) saved_.streams[each].on = current_.streams[each].on;
       return std::nullopt;
     case kLoad:
-      current_.sensor_stream = saved_.sensor_stream;
-      stream_from(now_);
+      switch_all([&](std::uint8_t each) { return saved_.streams[each].on; });
       return std::nullopt;
     case kReset:
-      current_.sensor_stream = factory().sensor_stream;
-      stream_from(now_);
+      switch_all([&](std::uint8_t each) { return factory().streams[each].on; });
       return std::nullopt;
     default:
       throw Refusal{kBadParameter};
@@ -447,7 +706,7 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::baud_rate(bool m
       arguments.done();
       if (std::find(kBaudRates.begin(), kBaudRates.end(), baud) == kBaudRates.end())
         throw Refusal{kBadParameter};
-      current_.baud = baud;  // a pseudo-terminal has no line rate: it is kept, and nothing changes
+      current_.baud = baud;
       return std::nullopt;
     }
     case kRead: {
@@ -494,9 +753,9 @@ void MipFirmware::Device::poll(Arguments arguments) {
   // The maker's check file puts the two bytes the other way round than his command list: both are taken.
   std::uint8_t set = arguments.u8();
   std::uint8_t suppress_ack = arguments.u8();
-  if (set <= 1 && suppress_ack == kSensorData) std::swap(set, suppress_ack);
+  if (set <= 1 && (suppress_ack == kSensorData || suppress_ack == kFilterData)) std::swap(set, suppress_ack);
   const std::uint8_t count = arguments.u8();
-  if (set != kSensorData || suppress_ack > 1) throw Refusal{kBadParameter};
+  if ((set != kSensorData && set != kFilterData) || suppress_ack > 1) throw Refusal{kBadParameter};
   // Two forms are in use: {descriptor} and {descriptor, u16 reserved}.
   const bool with_reserved = arguments.left() == std::size_t{3} * count;
   if (!with_reserved && arguments.left() != count) throw Refusal{kBadParameter};
@@ -504,14 +763,13 @@ void MipFirmware::Device::poll(Arguments arguments) {
   for (unsigned n = 0; n < count; ++n) {
     fields.push_back(arguments.u8());
     if (with_reserved) arguments.u16();
-    if (std::find(kSensorFields.begin(), kSensorFields.end(), fields.back()) == kSensorFields.end())
-      throw Refusal{kBadParameter};
+    if (!has_field(set, fields.back(), has_magnetometer())) throw Refusal{kBadParameter};
   }
   if (fields.empty())
-    for (const Rate& rate : current_.sensor_format) fields.push_back(rate.descriptor);
+    for (const Rate& rate : current_.streams[set].format) fields.push_back(rate.descriptor);
   const std::uint64_t next = grid_.first_after(now_);
   if (!bench_->fault_at(FaultKind::kNoOutput, now_))
-    after_ack_.emplace_back(kSensorData, sensor_packet(fields, next > 0 ? next - 1 : 0));
+    after_ack_.emplace_back(set, data_payload(set, fields, next > 0 ? next - 1 : 0));
   suppress_ack_ = suppress_ack == 1;
 }
 
@@ -534,14 +792,19 @@ std::string MipFirmware::Device::descriptors() const {
       put(data, field);
     }
   };
-  add(kBaseSet, {0x01, 0x02, 0x03, 0x04, 0x06});
+  add(kBaseSet, {0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x07, 0x08});
   if (settings_.modern_commands) add(kBaseSet, {0x09});
   add(kBaseSet, {0x7E});
-  if (settings_.legacy_commands) add(k3dmSet, {0x06, 0x08});
+  if (settings_.legacy_commands) add(k3dmSet, {0x06, 0x08, 0x0A, 0x0B});
   add(k3dmSet, {0x0D});
-  if (settings_.modern_commands) add(k3dmSet, {0x0E, 0x0F});
-  add(k3dmSet, {0x11, 0x30, 0x40});
-  for (const std::uint8_t field : kSensorFields) add(kSensorData, {field});
+  if (settings_.modern_commands) add(k3dmSet, {0x0E, 0x0F, 0x2A, 0x2C, 0x2D});
+  add(k3dmSet, {0x11, 0x30, 0x39, 0x40});
+  for (const Kept& kept : kKept)
+    if (has(kept.family)) add(kept.set, {kept.command});
+  add(kFilterSet, {0x01, 0x02, 0x03});
+  for (const std::uint8_t field : kSensorFields)
+    if (has_field(kSensorData, field, has_magnetometer())) add(kSensorData, {field});
+  for (const std::uint8_t field : kFilterFields) add(kFilterData, {field});
   return data;
 }
 
@@ -557,56 +820,133 @@ void MipFirmware::Device::stream_from(Clock::Instant now) {
 /// To the next tick at which a field is due: a multiple of its decimation.
 void MipFirmware::Device::advance_tick() {
   std::uint64_t next = std::numeric_limits<std::uint64_t>::max();
-  for (const Rate& rate : current_.sensor_format)
-    next = std::min(next, (next_tick_ / rate.decimation + 1) * rate.decimation);
+  for (const auto& [set, stream] : current_.streams) {
+    if (!stream.on) continue;
+    for (const Rate& rate : stream.format)
+      next = std::min(next, (next_tick_ / rate.decimation + 1) * rate.decimation);
+  }
   next_tick_ = next;
 }
 
-std::string MipFirmware::Device::sensor_packet(const std::vector<std::uint8_t>& fields,
-                                               std::uint64_t tick) const {
-  const Clock::Instant t = grid_.time(tick);
+const SimOutput& MipFirmware::Device::output_at(std::uint64_t tick) const {
   if (!last_output_ || last_output_->first != tick)
-    last_output_.emplace(tick, bench_->output(t, tick, grid_.period()));
-  const SimOutput& output = last_output_->second;
+    last_output_.emplace(tick, bench_->output(grid_.time(tick), tick, grid_.period()));
+  return last_output_->second;
+}
+
+Eigen::Vector3d MipFirmware::Device::accelerometer_bias() const {
+  Eigen::Vector3d bias = Eigen::Vector3d::Zero();
+  const auto found = current_.kept.find(kept_name(k3dmSet, kAccelBias, ""));
+  if (found == current_.kept.end()) return bias;
+  Arguments numbers(found->second);
+  for (int j = 0; j < 3; ++j) bias[j] = static_cast<double>(std::bit_cast<float>(numbers.u32()));
+  return bias;
+}
+
+std::string MipFirmware::Device::data_payload(std::uint8_t set, const std::vector<std::uint8_t>& fields,
+                                              std::uint64_t tick) const {
   std::string payload;
-  std::string data;
   for (const std::uint8_t field : fields) {
-    data.clear();
-    switch (field) {
-      case kAccelerometer:
-        for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.value[j]);
-        break;
-      case kDeltaVelocity:
-        for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.value[j] / settings_.base_rate_hz);
-        break;
-      case kGyro:
-      case kMagnetometer:
-      case kDeltaTheta:  // not simulated
-        data.assign(12, '\0');
-        break;
-      case kTemperature:  // lowest, highest, mean
-        for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.temperature_degc);
-        break;
-      case kOverRange: {  // bits 0 to 2: accelerometer x, y, z
-        unsigned bits = 0;
-        for (std::size_t j = 0; j < 3; ++j)
-          if (output.clipped[j]) bits |= 1U << j;
-        put_big_endian(data, static_cast<std::uint16_t>(bits));
-        break;
-      }
-      case kReferenceTime:
-        put_big_endian(data, static_cast<std::uint64_t>((t - bench_->start()).count()));
-        break;
-      default: {  // kReferenceTimeDelta: since the packet before
-        std::uint64_t before = 0;
-        for (const Rate& rate : current_.sensor_format)
-          if (tick > 0) before = std::max(before, (tick - 1) / rate.decimation * rate.decimation);
-        put_big_endian(data, static_cast<std::uint64_t>((t - grid_.time(before)).count()));
-      }
-    }
-    put_field(payload, field, data);
+    const bool shared = field >= kEventSource;
+    put_field(payload, field,
+              shared               ? shared_field(set, field, tick)
+              : set == kFilterData ? filter_field(field, tick)
+                                   : sensor_field(field, tick));
   }
   return payload;
+}
+
+/// Those that any data set may have.
+std::string MipFirmware::Device::shared_field(std::uint8_t set, std::uint8_t field,
+                                              std::uint64_t tick) const {
+  const Clock::Instant t = grid_.time(tick);
+  std::string data;
+  switch (field) {
+    case kEventSource:
+      put(data, 0);  // None: it is the stream's.
+      return data;
+    case kReferenceTime:
+      put_big_endian(data, static_cast<std::uint64_t>((t - bench_->start()).count()));
+      return data;
+    case kReferenceTimeDelta: {  // Since the packet before.
+      std::uint64_t before = 0;
+      for (const Rate& rate : current_.streams.at(set).format)
+        if (tick > 0) before = std::max(before, (tick - 1) / rate.decimation * rate.decimation);
+      put_big_endian(data, static_cast<std::uint64_t>((t - grid_.time(before)).count()));
+      return data;
+    }
+    default:  // GPS time: not valid
+      return std::string(12, '\0');
+  }
+}
+
+std::string MipFirmware::Device::sensor_field(std::uint8_t field, std::uint64_t tick) const {
+  const SimOutput& output = output_at(tick);
+  const Eigen::Vector3d acceleration = output.value - accelerometer_bias();
+  std::string data;
+  switch (field) {
+    case kAccelerometer:
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j]);
+      break;
+    case kDeltaVelocity:
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j] / settings_.base_rate_hz);
+      break;
+    case kInternalTime:  // ticks of the base rate
+      put_big_endian(data, static_cast<std::uint32_t>(tick));
+      break;
+    case kTemperature:  // lowest, highest, mean
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.temperature_degc);
+      break;
+    case kPressure:
+      put_big_endian_float(data, kPressureMbar);
+      break;
+    case kOverRange: {  // bits 0 to 2: accelerometer x, y, z
+      unsigned bits = 0;
+      for (std::size_t j = 0; j < 3; ++j)
+        if (output.clipped[j]) bits |= 1U << j;
+      put_big_endian(data, static_cast<std::uint16_t>(bits));
+      break;
+    }
+    default:  // gyro, magnetometer, angle increment, GPS time: not simulated, 12 bytes each
+      data.assign(12, '\0');
+  }
+  return data;
+}
+
+/// Numbers, then whether they are valid.
+std::string MipFirmware::Device::filter_field(std::uint8_t field, std::uint64_t tick) const {
+  const Clock::Instant t = grid_.time(tick);
+  const bool running = t - filter_since_ >= kFilterStart;
+  const Eigen::Vector3d acceleration = output_at(tick).value - accelerometer_bias();
+  std::string data;
+  const auto put_valid = [&] { put_big_endian(data, static_cast<std::uint16_t>(running ? 1 : 0)); };
+  switch (field) {
+    case kFilterStatus: {
+      const bool heading = has_magnetometer() && settings_.modern_commands && !settings_.legacy_commands;
+      const FilterState runs = heading ? kFilterRunsWithHeading : kFilterRuns;
+      put_big_endian(data, static_cast<std::uint16_t>(running ? runs : kFilterInitialises));
+      put_big_endian(data, std::uint16_t{1});  // dynamics: portable
+      put_big_endian(data, std::uint16_t{0});
+      return data;
+    }
+    case kFilterTime:  // seconds of the week, week
+      put_big_endian(data, std::bit_cast<std::uint64_t>(to_seconds(t - bench_->start())));
+      put_big_endian(data, std::uint16_t{0});
+      break;
+    case kFilterQuaternion:
+      put_big_endian_float(data, 1.0);
+      data.append(12, '\0');
+      break;
+    case kCompensatedAcceleration:
+    case kGravity:
+      // In m/s2, as the filter has it; from g.
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j] * 9.80665);
+      break;
+    default:  // attitude, biases, linear acceleration and rate: at rest
+      data.append(12, '\0');
+  }
+  put_valid();
+  return data;
 }
 
 std::string MipFirmware::Device::transmit(Clock::Instant now) {
@@ -616,14 +956,19 @@ std::string MipFirmware::Device::transmit(Clock::Instant now) {
     const Clock::Instant t = grid_.time(next_tick_);
     out += replies_.take(t);
     if (!bench_->fault_at(FaultKind::kNoOutput, t)) {
-      fields.clear();
-      for (const Rate& rate : current_.sensor_format)
-        if (next_tick_ % rate.decimation == 0) fields.push_back(rate.descriptor);
-      out += packet(kSensorData, sensor_packet(fields, next_tick_));
+      for (const auto& [set, stream] : current_.streams) {
+        fields.clear();
+        for (const Rate& rate : stream.format)
+          if (stream.on && next_tick_ % rate.decimation == 0) fields.push_back(rate.descriptor);
+        if (!fields.empty()) out += packet(set, data_payload(set, fields, next_tick_));
+      }
     }
     advance_tick();
   }
-  return out + replies_.take(now);
+  out += replies_.take(now);
+  // The answer to a change of the baud rate goes at the old one.
+  if (!replies_.next_due()) line_speed_ = current_.baud;
+  return out;
 }
 
 std::optional<Clock::Instant> MipFirmware::Device::next_due() const {
@@ -633,7 +978,7 @@ std::optional<Clock::Instant> MipFirmware::Device::next_due() const {
 }
 
 MipFirmware::MipFirmware(std::shared_ptr<SimBench> bench, MipSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), std::move(settings))) {}
+    : device_(std::make_unique<Device>(std::move(bench), std::move(settings), unserved())) {}
 
 MipFirmware::~MipFirmware() = default;
 
@@ -647,6 +992,14 @@ std::string MipFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> MipFirmware::next_due() const {
   return device_->next_due();
+}
+
+void MipFirmware::session_starts() {
+  device_->forget_session();
+}
+
+std::optional<unsigned> MipFirmware::line_speed() const {
+  return device_->line_speed();
 }
 
 }  // namespace abcal::sim

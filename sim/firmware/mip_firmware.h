@@ -10,6 +10,7 @@
 namespace abcal::sim {
 
 struct MipSettings {
+  /// One with "AHRS" in it has a magnetometer, an "AR" has none.
   std::string model_name = "3DM-GV7-AR";
   std::string model_number = "6284-9999";
   std::string serial_number = "6284.123456";
@@ -18,15 +19,17 @@ struct MipSettings {
   unsigned firmware_version = 1103;  ///< 1.1.03
   unsigned base_rate_hz = 1000;
   unsigned baud = 115200;
-  bool legacy_commands = true;         ///< 0C,06 and 0C,08.
-  bool modern_commands = true;         ///< 0C,0E and 0C,0F; 01,09.
+  bool legacy_commands = true;         ///< 0C,06 and 0C,08; 0C,0A and 0C,0B; 0D,18 and 0D,19: as a GX5.
+  bool modern_commands = true;         ///< 0C,0E and 0C,0F; 01,09; 0C,2A to 0C,2F; 0D,50: as a 7 series.
   bool streaming_at_power_on = false;  ///< As an instrument whose settings were saved with the stream on.
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 
 /// A MicroStrain accelerometer that speaks MIP (docs/protocols/mip.md), reading the world of a SimBench. Its
 /// output unit R is g (field 80,04). Samples lie on the grid of its base rate, from the start of the world's
-/// time.
+/// time. Its accelerometer bias (0C,37) is subtracted. Its filter (data set 82) comes up a second after it is
+/// reset and shows rest; events can be set and are not carried out. Commands that it does not know are
+/// refused by code 1, and noted (unserved()). A new baud rate holds from the end of its answer on.
 class MipFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument if the base rate or a text does not fit its field.
@@ -36,6 +39,8 @@ class MipFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
+  std::optional<unsigned> line_speed() const override;
 
  private:
   class Device;

@@ -24,6 +24,7 @@ constexpr int kEmergencyStop = 4;
 constexpr int kNoSuchCommand = 6;
 constexpr int kOutOfRange = 7;
 constexpr int kAxisOutOfRange = 9;
+constexpr int kNoProgram = 35;
 constexpr int kNotAllowed = 27;
 constexpr int kAxisMissing = 37;
 constexpr int kParameterMissing = 38;
@@ -43,6 +44,9 @@ enum AxisError : int {
 
 constexpr std::size_t kErrorMemory = 10;
 constexpr std::size_t kLongestLine = 80;
+constexpr int kPrograms = 100;
+constexpr std::size_t kLongestProgram = 1000;  // lines
+constexpr double kTargetPassed = 1e-9;         // deg, by which WP sees a position as reached
 constexpr Clock::Duration kShortestHoming = std::chrono::milliseconds(200);
 constexpr double kAbruptDeceleration = 1e5;  // deg/s2
 // Error times count these [unverified against a device].
@@ -83,6 +87,8 @@ std::string_view text_of(int error) {
         return "AXIS NUMBER OUT OF RANGE";
       case kNotAllowed:
         return "COMMAND NOT ALLOWED";
+      case kNoProgram:
+        return "PROGRAM DOES NOT EXIST";
       case kAxisMissing:
         return "AXIS NUMBER MISSING";
       case kParameterMissing:
@@ -159,9 +165,13 @@ std::string decimal(double value) {
 
 class NewportEspFirmware::Controller {
  public:
-  Controller(std::shared_ptr<SimBench> bench, NewportEspSettings settings);
+  Controller(std::shared_ptr<SimBench> bench, NewportEspSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void forget_session() {
+    line_.clear();
+    replies_.clear();
+  }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
 
@@ -188,6 +198,15 @@ class NewportEspFirmware::Controller {
     double jerk = 0.0;
     double abrupt_deceleration = kAbruptDeceleration;
     int unit = 7;
+    std::map<std::string, double, std::less<>> kept;  ///< Settings that are kept and nothing else.
+  };
+  /// A setting that does nothing here: hosts read it, set it and read it again.
+  struct Kept {
+    double initial;
+    double lowest;
+    double highest;
+    bool whole = false;
+    bool angle = false;  ///< In the axis' unit.
   };
   struct Error {
     int code;
@@ -195,8 +214,11 @@ class NewportEspFirmware::Controller {
   };
 
   static const std::map<std::string, Run, std::less<>>& commands();
+  static const std::map<std::string, Kept, std::less<>>& kept_settings();
+  std::optional<std::string> keep(std::string_view name, const Kept& kept, const Command& c);
 
   // Lines.
+  void take_line(const std::string& line);
   void run_line(std::string_view line);
   void run_command(std::string_view text);
   void say(const std::string& text);
@@ -264,13 +286,32 @@ class NewportEspFirmware::Controller {
   std::optional<std::string> error_message(const Command&);
   std::optional<std::string> keypad_lock(const Command& c);
   std::optional<std::string> save(const Command&) { return std::nullopt; }
+  std::optional<std::string> move_on(const Command& c);
+  std::optional<std::string> move_to_limit(const Command& c);
+  std::optional<std::string> wait_for_position(const Command& c);
+  std::optional<std::string> speed_wanted(const Command& c);
+  std::optional<std::string> torque_reduction(const Command& c);
+  std::optional<std::string> controller_status(const Command&);
+  std::optional<std::string> system_configuration(const Command&) { return "0H"; }
+  std::optional<std::string> reset(const Command&);
+  std::optional<std::string> update_servo(const Command&) { return std::nullopt; }
+  std::optional<std::string> enter_program(const Command& c);
+  std::optional<std::string> quit_program(const Command&);
+  std::optional<std::string> run_program(const Command& c);
+  std::optional<std::string> erase_program(const Command& c);
+  int program_number(const Command& c) const;
+  double toward(const Command& c, double negative, double positive) const;
+  void power_on();
 
   double& limit_of(const Command& c, bool left);
 
   std::shared_ptr<SimBench> bench_;
   NewportEspSettings settings_;
+  UnservedCommands& unserved_;
   std::array<Axis, 2> axes_;
-  std::array<unsigned, 2> numbers_{};  ///< Of X and Z; 0: not here.
+  std::map<int, std::vector<std::string>> programs_;
+  std::optional<int> entered_program_;  ///< Lines go into it rather than being run.
+  std::array<unsigned, 2> numbers_{};   ///< Of X and Z; 0: not here.
   ReplyQueue replies_;
   std::string line_;
   std::deque<std::string> waiting_lines_;  ///< Behind a WS or WT.
@@ -281,9 +322,11 @@ class NewportEspFirmware::Controller {
   Clock::Instant now_;
 };
 
-NewportEspFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, NewportEspSettings settings)
+NewportEspFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, NewportEspSettings settings,
+                                           UnservedCommands& unserved)
     : bench_(std::move(bench)),
       settings_(std::move(settings)),
+      unserved_(unserved),
       silent_until_(bench_->start()),
       now_(bench_->start()) {
   for (std::size_t k = 0; k < 2; ++k) {
@@ -303,8 +346,12 @@ NewportEspFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, Newp
   if (numbers_[0] == numbers_[1])
     throw std::invalid_argument(fmt::format(
         "simulated ESP controller: both axes are named \"{}\", required: two numbers", numbers_[0]));
+  power_on();
+}
+
+void NewportEspFirmware::Controller::power_on() {
   for (std::size_t k = 0; k < 2; ++k) {
-    Axis& a = axes_[k];
+    Axis& a = axes_[k] = Axis{};
     a.offset_deg = -controller_deg(k, bench_->target(kStageAxes[k], now_));  // Reads 0 until it is homed.
     const double low = settings_.zero[k].deg() + settings_.sign[k] * truth(k).travel_min.deg();
     const double high = settings_.zero[k].deg() + settings_.sign[k] * truth(k).travel_max.deg();
@@ -324,6 +371,9 @@ NewportEspFirmware::Controller::commands() {
       {"AU", &C::max_acceleration},
       {"DH", &C::define_position},
       {"DP", &C::target},
+      {"DV", &C::speed_wanted},
+      {"EP", &C::enter_program},
+      {"EX", &C::run_program},
       {"FR", &C::full_step},
       {"ID", &C::stage_id},
       {"JK", &C::jerk},
@@ -331,11 +381,17 @@ NewportEspFirmware::Controller::commands() {
       {"MD", &C::motion_done},
       {"MF", &C::motor_off},
       {"MO", &C::motor_on},
+      {"MT", &C::move_to_limit},
+      {"MV", &C::move_on},
       {"OR", &C::origin},
       {"PA", &C::move_absolute},
       {"PH", &C::hardware_status},
       {"PR", &C::move_relative},
+      {"QD", &C::update_servo},
+      {"QP", &C::quit_program},
+      {"QR", &C::torque_reduction},
       {"QS", &C::microsteps},
+      {"RS", &C::reset},
       {"SH", &C::home_preset},
       {"SL", &C::left_limit},
       {"SM", &C::save},
@@ -346,17 +402,61 @@ NewportEspFirmware::Controller::commands() {
       {"TB", &C::error_message},
       {"TE", &C::error_code},
       {"TP", &C::position},
+      {"TS", &C::controller_status},
       {"TV", &C::speed_now},
+      {"UF", &C::update_servo},
       {"VA", &C::speed},
       {"VB", &C::base_speed},
       {"VE", &C::version},
       {"VU", &C::max_speed},
+      {"WP", &C::wait_for_position},
       {"WS", &C::wait_for_stop},
       {"WT", &C::wait_time},
+      {"XX", &C::erase_program},
       {"ZB", &C::feedback_configuration},
       {"ZH", &C::limit_configuration},
+      {"ZU", &C::system_configuration},
   };
   return table;
+}
+
+/// The initial values are those of no special stage [unverified against a device].
+const std::map<std::string, NewportEspFirmware::Controller::Kept, std::less<>>&
+NewportEspFirmware::Controller::kept_settings() {
+  static const std::map<std::string, Kept, std::less<>> table{
+      {"AF", {.initial = 0.0, .lowest = 0.0, .highest = 1e9}},
+      {"FE", {.initial = 1.0, .lowest = 0.0, .highest = 360.0, .angle = true}},
+      {"FP", {.initial = 5.0, .lowest = 0.0, .highest = 7.0, .whole = true}},
+      {"JH", {.initial = 10.0, .lowest = 0.0, .highest = 1e4, .angle = true}},
+      {"JW", {.initial = 1.0, .lowest = 0.0, .highest = 1e4, .angle = true}},
+      {"KD", {.initial = 500.0, .lowest = 0.0, .highest = 1e9}},
+      {"KI", {.initial = 100.0, .lowest = 0.0, .highest = 1e9}},
+      {"KP", {.initial = 450.0, .lowest = 0.0, .highest = 1e9}},
+      {"KS", {.initial = 1000.0, .lowest = 0.0, .highest = 1e9}},
+      {"OH", {.initial = 10.0, .lowest = 0.0, .highest = 1e4, .angle = true}},
+      {"QI", {.initial = 1.0, .lowest = 0.0, .highest = 3.0}},
+      {"QM", {.initial = 1.0, .lowest = 0.0, .highest = 4.0, .whole = true}},
+      {"QV", {.initial = 24.0, .lowest = 0.0, .highest = 60.0}},
+      {"TJ", {.initial = 1.0, .lowest = 1.0, .highest = 6.0, .whole = true}},
+  };
+  return table;
+}
+
+std::optional<std::string> NewportEspFirmware::Controller::keep(std::string_view name, const Kept& kept,
+                                                                const Command& c) {
+  const std::size_t k = index_of(c);
+  auto& values = axes_[k].kept;
+  const auto found = values.find(name);
+  const double scale = kept.angle ? unit(k) : 1.0;
+  if (c.asks()) {
+    const double value = (found == values.end() ? kept.initial : found->second) / scale;
+    return kept.whole ? fmt::format("{:.0f}", value) : decimal(value);
+  }
+  const double value = number(c.parameter) * scale;
+  if (value < kept.lowest || value > kept.highest || (kept.whole && value != std::floor(value)))
+    throw Refusal{kOutOfRange};
+  values.insert_or_assign(std::string(name), value);
+  return std::nullopt;
 }
 
 // Lines.
@@ -370,15 +470,26 @@ void NewportEspFirmware::Controller::receive(std::string_view bytes, Clock::Inst
         remember(kNoSuchCommand);
         line_.clear();
       }
-      const std::string line = std::exchange(line_, {});
-      if (waits_until_) {
-        waiting_lines_.push_back(line);
-      } else {
-        run_line(line);
-      }
+      take_line(std::exchange(line_, {}));
     } else if (c != '\n' && line_.size() <= kLongestLine) {  // One more than the longest: too long.
       line_.push_back(c);
     }
+  }
+}
+
+void NewportEspFirmware::Controller::take_line(const std::string& line) {
+  if (entered_program_) {
+    std::string name(pieces::trimmed(line));
+    std::transform(name.begin(), name.end(), name.begin(), upper);
+    if (name == "QP" || name == "QP;") {
+      entered_program_.reset();
+    } else if (programs_[*entered_program_].size() < kLongestProgram) {
+      programs_[*entered_program_].push_back(line);
+    }
+  } else if (waits_until_) {
+    waiting_lines_.push_back(line);
+  } else {
+    run_line(line);
   }
 }
 
@@ -407,10 +518,19 @@ void NewportEspFirmware::Controller::run_command(std::string_view text) {
   const std::string name{upper(text[at]), upper(text[at + 1])};
   command.parameter = pieces::trimmed(text.substr(at + 2));
   const auto found = commands().find(name);
-  if (found == commands().end()) return remember(kNoSuchCommand);
-  if (axis_given && (command.axis < 1 || command.axis > settings_.axes)) return remember(kAxisOutOfRange);
+  const auto kept = kept_settings().find(name);
+  if (found == commands().end() && kept == kept_settings().end()) {
+    unserved_.note(name, "not emulated: error 6, no answer");
+    return remember(kNoSuchCommand);
+  }
+  // Of a program the number before the command is its own, not an axis'.
+  const bool of_a_program = name == "EP" || name == "EX" || name == "XX";
+  if (!of_a_program && axis_given && (command.axis < 1 || command.axis > settings_.axes))
+    return remember(kAxisOutOfRange);
   try {
-    if (const auto reply = (this->*found->second)(command)) say(*reply);
+    const auto reply =
+        kept != kept_settings().end() ? keep(name, kept->second, command) : (this->*found->second)(command);
+    if (reply) say(*reply);
   } catch (const Refusal& refusal) {
     remember(refusal.code);
   }
@@ -615,6 +735,8 @@ std::optional<std::string> NewportEspFirmware::Controller::motion_done(const Com
 }
 
 std::optional<std::string> NewportEspFirmware::Controller::stop_motion(const Command& c) {
+  // Of an axis without a stage there is nothing to stop, and no error: so hosts count the axes.
+  if (c.axis != 0 && c.axis != numbers_[0] && c.axis != numbers_[1]) return std::nullopt;
   for (const std::size_t k : one_or_all(c)) stop(k, false);
   return std::nullopt;
 }
@@ -804,16 +926,19 @@ std::optional<std::string> NewportEspFirmware::Controller::feedback_configuratio
 
 std::optional<std::string> NewportEspFirmware::Controller::encoder_resolution(const Command& c) {
   const std::size_t k = index_of(c);
+  if (!c.asks() && !c.parameter.empty()) throw Refusal{kNotAllowed};  // The stage is what it is.
   return fmt::format("{}", truth(k).encoder_resolution.deg() / unit(k));
 }
 
 std::optional<std::string> NewportEspFirmware::Controller::full_step(const Command& c) {
   const std::size_t k = index_of(c);
+  if (!c.asks() && !c.parameter.empty()) throw Refusal{kNotAllowed};  // The stage is what it is.
   return fmt::format("{}", truth(k).encoder_resolution.deg() * 100.0 / unit(k));
 }
 
 std::optional<std::string> NewportEspFirmware::Controller::microsteps(const Command& c) {
   index_of(c);
+  if (!c.asks() && !c.parameter.empty()) throw Refusal{kNotAllowed};
   return "100";
 }
 
@@ -848,8 +973,140 @@ std::optional<std::string> NewportEspFirmware::Controller::keypad_lock(const Com
   return std::nullopt;
 }
 
+/// The end of the travel that "+" or "-" points to.
+double NewportEspFirmware::Controller::toward(const Command& c, double negative, double positive) const {
+  if (c.parameter.empty()) throw Refusal{kParameterMissing};
+  if (c.parameter == "+") return positive;
+  if (c.parameter == "-") return negative;
+  throw Refusal{kOutOfRange};
+}
+
+/// On and on, until it is stopped or comes to its software limit.
+std::optional<std::string> NewportEspFirmware::Controller::move_on(const Command& c) {
+  const std::size_t k = index_of(c);
+  if (c.asks()) return in_motion(k) ? "1" : "0";
+  const auto [lowest, highest] = hardware_travel(k);
+  start_move(k, toward(c, std::max(axes_[k].soft_min_deg, lowest), std::min(axes_[k].soft_max_deg, highest)));
+  return std::nullopt;
+}
+
+/// To the limit switch, whose finding is no error here.
+std::optional<std::string> NewportEspFirmware::Controller::move_to_limit(const Command& c) {
+  const std::size_t k = index_of(c);
+  if (c.asks()) return in_motion(k) ? "0" : "1";
+  refuse_while_homing(k);
+  if (!axes_[k].motor_on) throw Refusal{axis_error(k, kMotorNotEnabled)};
+  const auto [lowest, highest] = hardware_travel(k);
+  axes_[k].limit_ahead.reset();
+  axes_[k].target_deg = toward(c, lowest, highest);
+  bench_->move(kStageAxes[k], protocol_angle(k, axes_[k].target_deg), now_);
+  return std::nullopt;
+}
+
+/// Blocks the line until the axis is there; at once if it is not on its way.
+std::optional<std::string> NewportEspFirmware::Controller::wait_for_position(const Command& c) {
+  const std::size_t k = index_of(c);
+  const double wanted = number(c.parameter) * unit(k);
+  const StageAxis which = kStageAxes[k];
+  const Clock::Instant end = bench_->motion_end(which, now_);
+  const auto ahead = [&](Clock::Instant t) {
+    const double way = axes_[k].target_deg - wanted;
+    const double left = controller_deg(k, bench_->commanded_angle(which, t)) - wanted;
+    const bool at_the_end = std::abs(way) <= kTargetPassed;
+    return std::abs(left) > kTargetPassed && (at_the_end || (left > 0.0) != (way > 0.0));
+  };
+  if (!bench_->moving(which, now_) || end == Clock::Instant::max() || !ahead(now_)) return std::nullopt;
+  // The motion goes one way: halve the time until the servo cycle is found.
+  Clock::Instant before = now_;
+  Clock::Instant after = end;
+  while (after - before > kServoCycle) {
+    const Clock::Instant middle = before + (after - before) / 2;
+    (ahead(middle) ? before : after) = middle;
+  }
+  waits_until_ = after;
+  return std::nullopt;
+}
+
+std::optional<std::string> NewportEspFirmware::Controller::speed_wanted(const Command& c) {
+  const std::size_t k = index_of(c);
+  return in_units(k, in_motion(k) ? bench_->motion_limits(kStageAxes[k]).speed_deg_per_s : 0.0);
+}
+
+/// "1000, 50": after how many ms at rest to how many per cent.
+std::optional<std::string> NewportEspFirmware::Controller::torque_reduction(const Command& c) {
+  auto& kept = axis(c).kept;
+  if (c.asks()) return fmt::format("{:.0f},{:.0f}", kept["QR"], 100.0 - kept["QR%"]);
+  const auto parts = pieces::split(c.parameter, ',');
+  if (parts.size() != 2) throw Refusal{kParameterMissing};
+  const int time_ms = whole_number(pieces::trimmed(parts[0]), 0, 60000);
+  const int per_cent = whole_number(pieces::trimmed(parts[1]), 0, 100);
+  kept["QR"] = time_ms;
+  kept["QR%"] = 100.0 - per_cent;
+  return std::nullopt;
+}
+
+/// One character: bits 0 to 3 axes 1 to 4 in motion, bit 4 motor power [unverified against a device].
+std::optional<std::string> NewportEspFirmware::Controller::controller_status(const Command&) {
+  unsigned bits = 0x40;
+  for (std::size_t k = 0; k < 2; ++k) {
+    if (numbers_[k] == 0) continue;
+    if (in_motion(k) && numbers_[k] <= 4) bits |= 1U << (numbers_[k] - 1);
+    if (axes_[k].motor_on) bits |= 0x10U;
+  }
+  return std::string(1, static_cast<char>(bits));
+}
+
+/// As switched off and on: motors off, positions from 0, no errors. Programs stay.
+std::optional<std::string> NewportEspFirmware::Controller::reset(const Command&) {
+  for (std::size_t k = 0; k < 2; ++k)
+    if (numbers_[k] != 0) stop(k, true);
+  errors_.clear();
+  waiting_lines_.clear();
+  waits_until_.reset();
+  power_on();
+  return std::nullopt;
+}
+
+int NewportEspFirmware::Controller::program_number(const Command& c) const {
+  const int program = c.axis != 0 ? static_cast<int>(c.axis)
+                                  : whole_number(pieces::split(c.parameter, ',').front(), 1, kPrograms);
+  if (program > kPrograms) throw Refusal{kOutOfRange};
+  return program;
+}
+
+std::optional<std::string> NewportEspFirmware::Controller::enter_program(const Command& c) {
+  const int program = program_number(c);
+  programs_[program].clear();
+  entered_program_ = program;
+  return std::nullopt;
+}
+
+std::optional<std::string> NewportEspFirmware::Controller::quit_program(const Command&) {
+  entered_program_.reset();
+  return std::nullopt;
+}
+
+std::optional<std::string> NewportEspFirmware::Controller::run_program(const Command& c) {
+  const auto found = programs_.find(program_number(c));
+  if (found == programs_.end()) throw Refusal{kNoProgram};
+  for (const std::string& line : found->second) {
+    std::string text = line;
+    std::transform(text.begin(), text.end(), text.begin(), upper);
+    // A program that runs programs might never end.
+    if (text.find("EX") != std::string::npos) throw Refusal{kNotAllowed};
+  }
+  waiting_lines_.insert(waiting_lines_.begin(), found->second.begin(), found->second.end());
+  if (!waits_until_) waits_until_ = now_;
+  return std::nullopt;
+}
+
+std::optional<std::string> NewportEspFirmware::Controller::erase_program(const Command& c) {
+  if (programs_.erase(program_number(c)) == 0) throw Refusal{kNoProgram};
+  return std::nullopt;
+}
+
 NewportEspFirmware::NewportEspFirmware(std::shared_ptr<SimBench> bench, NewportEspSettings settings)
-    : controller_(std::make_unique<Controller>(std::move(bench), std::move(settings))) {}
+    : controller_(std::make_unique<Controller>(std::move(bench), std::move(settings), unserved())) {}
 
 NewportEspFirmware::~NewportEspFirmware() = default;
 
@@ -863,6 +1120,10 @@ std::string NewportEspFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> NewportEspFirmware::next_due() const {
   return controller_->next_due();
+}
+
+void NewportEspFirmware::session_starts() {
+  controller_->forget_session();
 }
 
 }  // namespace abcal::sim

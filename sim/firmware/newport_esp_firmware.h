@@ -32,7 +32,8 @@ struct NewportEspSettings {
 
 /// A Newport ESP300, ESP301 or ESP302 motion controller (docs/protocols/newport_esp.md), turning the axes of
 /// a SimBench. Accepts what host programs send in their differing styles: any case, "01PA5.0", "1PA5" and
-/// "1 PA 5.0", several commands joined by ';', CR or CR LF.
+/// "1 PA 5.0", several commands joined by ';', CR or CR LF. What it does not know is error 6, and noted
+/// (unserved()).
 ///
 /// Its encoders are incremental: wherever an axis is when the controller is switched on, it reads 0 until it
 /// is homed (OR). The home switch lies at the controller's zero. The controller does not say whether an axis
@@ -46,6 +47,7 @@ class NewportEspFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
 
  private:
   class Controller;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "drivers/text/text.h"
+#include "sim/firmware/pi_gcs_parameters.h"
 #include "sim/firmware/reply_queue.h"
 
 namespace abcal::sim {
@@ -26,6 +27,7 @@ constexpr int kPositionOutOfLimits = 7;
 constexpr int kVelocityOutOfLimits = 8;
 constexpr int kStoppedByCommand = 10;
 constexpr int kInvalidAxis = 15;
+constexpr int kInvalidStageName = 16;
 constexpr int kOutOfRange = 17;
 constexpr int kDoubleAxis = 22;
 constexpr int kWrongCount = 24;
@@ -33,6 +35,7 @@ constexpr int kInvalidNumber = 25;
 constexpr int kMissingParameter = 26;
 constexpr int kNotAllowed = 34;
 constexpr int kUnknownParameter = 54;
+constexpr int kWrongPassword = 56;
 constexpr int kParameterProtected = 60;
 
 constexpr std::size_t kLongestLine = 1024;
@@ -40,13 +43,8 @@ constexpr double kLargestAcceleration = 1e5;  // deg/s2
 constexpr double kAbruptDeceleration = 1e5;   // deg/s2: STP and #24 do not use the ramp.
 constexpr Clock::Duration kShortestHoming = std::chrono::milliseconds(200);
 
-// Axis parameters (SPA).
-constexpr unsigned kCountsNumerator = 14;
-constexpr unsigned kCountsDenominator = 15;
-constexpr unsigned kSettleTime = 0x3F;
-constexpr unsigned kReferenceVelocity = 0x50;
-constexpr unsigned kWindowEnter = 0x406;
-constexpr unsigned kWindowLeave = 0x407;
+constexpr std::string_view kMemoryPassword = "100";         // SEP, WPA
+constexpr std::string_view kAdvancedPassword = "advanced";  // CCL 1
 
 std::vector<std::string> split(std::string_view line) {
   const std::vector<std::string_view> words = pieces::words(line, " \t");
@@ -96,13 +94,26 @@ std::string decimal(double value) {
   return fmt::format("{:.6f}", value == 0.0 ? 0.0 : value);
 }
 
+/// As parameters are given: no more digits than needed.
+std::string short_decimal(double value) {
+  return fmt::format("{:.12g}", value == 0.0 ? 0.0 : value);
+}
+
 }  // namespace
 
 class PiGcsFirmware::Controller {
  public:
-  Controller(std::shared_ptr<SimBench> bench, PiGcsSettings settings);
+  Controller(std::shared_ptr<SimBench> bench, PiGcsSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void forget_line() {
+    line_.clear();
+    line_too_long_ = false;
+  }
+  void forget_session() {
+    forget_line();
+    replies.clear();
+  }
 
   ReplyQueue replies;
 
@@ -121,10 +132,12 @@ class PiGcsFirmware::Controller {
     std::optional<Clock::Instant> homing_until;
     double offset_deg = 0.0;  ///< By POS, on top of zero.
     double target_deg = 0.0;  ///< Controller angle.
-    std::map<unsigned, double> parameters;
+    double home_deg = 0.0;    ///< Of GOH, by DFH.
+    std::map<unsigned, std::string> parameters;
   };
 
   static const std::map<std::string, Command, std::less<>>& commands();
+  bool knows(std::string_view name) const;
 
   void power_on();
   void run_line(std::string line);
@@ -150,6 +163,21 @@ class PiGcsFirmware::Controller {
   double at_negative_limit(std::size_t k) const { return travel(k).first; }
   double at_positive_limit(std::size_t k) const { return travel(k).second; }
   void stop_all(bool abruptly);
+  // Parameters.
+  std::string parameter(std::size_t k, const PiParameter& parameter) const;
+  void check_parameter(const PiParameter& parameter, const std::string& text) const;
+  void set_parameter(std::size_t k, const PiParameter& parameter, const std::string& text);
+  const PiParameter& known_parameter(std::string_view command, const std::string& axis,
+                                     const std::string& id) const;
+  struct NamedParameter {
+    std::size_t axis;
+    const PiParameter* parameter;
+    std::string value;  ///< Of a set command.
+  };
+  std::vector<NamedParameter> named_parameters(std::string_view command, const Words& arguments,
+                                               bool with_values) const;
+  template <typename Value>
+  Lines parameter_lines(std::string_view command, const Words& arguments, Value value) const;
   template <typename Value>
   Lines each_axis(const Words& arguments, Value value) {
     Lines lines;
@@ -163,6 +191,22 @@ class PiGcsFirmware::Controller {
   Lines csv(const Words&);
   Lines sai(const Words& a);
   Lines cst(const Words& a);
+  Lines set_cst(const Words& a);
+  Lines set_ccl(const Words& a);
+  Lines get_ccl(const Words&) { return {std::to_string(command_level_)}; }
+  Lines dfh(const Words& a);
+  Lines get_dfh(const Words& a);
+  Lines goh(const Words& a);
+  Lines hpa(const Words&);
+  Lines joystick(const Words& a);
+  Lines get_joystick(const Words&) { return {"1=0"}; }
+  Lines set_sep(const Words& a);
+  Lines get_sep(const Words& a);
+  Lines tio(const Words&) { return {"I=4", "O=4"}; }
+  Lines tvi(const Words&) { return {"1234567890ABCDEFGHIJKLMNOPQRSTUVWXYZ-_"}; }
+  Lines ver(const Words&);
+  Lines vst(const Words&);
+  Lines wpa(const Words& a);
   Lines hlp(const Words&);
   Lines set_eax(const Words& a);
   Lines get_eax(const Words& a);
@@ -200,15 +244,19 @@ class PiGcsFirmware::Controller {
 
   std::shared_ptr<SimBench> bench_;
   PiGcsSettings settings_;
+  UnservedCommands& unserved_;
   std::array<Axis, 2> axes_;
+  std::array<std::map<unsigned, std::string>, 2> memory_;  ///< Parameters that outlast a reboot.
+  int command_level_ = 0;
   std::string line_;
   bool line_too_long_ = false;
   int error_ = kNoError;
   Clock::Instant now_;
 };
 
-PiGcsFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, PiGcsSettings settings)
-    : bench_(std::move(bench)), settings_(std::move(settings)), now_(bench_->start()) {
+PiGcsFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, PiGcsSettings settings,
+                                      UnservedCommands& unserved)
+    : bench_(std::move(bench)), settings_(std::move(settings)), unserved_(unserved), now_(bench_->start()) {
   for (const int sign : settings_.sign)
     if (sign != 1 && sign != -1)
       throw std::invalid_argument(
@@ -217,19 +265,25 @@ PiGcsFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, PiGcsSett
     throw std::invalid_argument(
         fmt::format("simulated GCS controller: both axes are named \"{}\", required: two names",
                     settings_.axis_names[0]));
+  for (std::size_t k = 0; k < 2; ++k) {
+    for (const PiParameter& one : pi_parameters()) memory_[k][one.id] = one.initial;
+    memory_[k][pi_id::kSettleTime] = short_decimal(settings_.settle_s);
+    const MotionLimits limits = bench_->motion_limits(kStageAxes[k]);
+    memory_[k][pi_id::kVelocity] = short_decimal(limits.speed_deg_per_s);
+    memory_[k][pi_id::kAcceleration] = short_decimal(limits.acceleration_deg_per_s2);
+    memory_[k][pi_id::kDeceleration] = short_decimal(limits.deceleration_deg_per_s2);
+  }
   power_on();
 }
 
 void PiGcsFirmware::Controller::power_on() {
   error_ = kNoError;
-  line_.clear();
+  command_level_ = 0;
+  forget_line();
   for (std::size_t k = 0; k < 2; ++k) {
     axes_[k] = Axis{};
     axes_[k].target_deg = controller_deg(k, bench_->target(kStageAxes[k], now_));
-    // Hosts turn angles into counts by 14/15. A pair of whole numbers close to the encoder.
-    axes_[k].parameters = {
-        {kCountsNumerator, 10000.0}, {kCountsDenominator, 1.0}, {kSettleTime, settings_.settle_s},
-        {kReferenceVelocity, 10.0},  {kWindowEnter, 10.0},      {kWindowLeave, 12.0}};
+    axes_[k].parameters = memory_[k];
   }
 }
 
@@ -240,10 +294,15 @@ PiGcsFirmware::Controller::commands() {
       {"*IDN?", {"Get Device Identification", &C::idn}},
       {"ACC", {"{<AxisID> <Acceleration>} Set Closed-Loop Acceleration", &C::set_acc}},
       {"ACC?", {"[{<AxisID>}] Get Closed-Loop Acceleration", &C::get_acc}},
+      {"CCL", {"<Level> [<PSWD>] Set Command Level", &C::set_ccl}},
+      {"CCL?", {"Get Command Level", &C::get_ccl}},
+      {"CST", {"{<AxisID> <StageName>} Set Assignment Of Stages To Axes", &C::set_cst}},
       {"CST?", {"[{<AxisID>}] Get Assignment Of Stages To Axes", &C::cst}},
       {"CSV?", {"Get Current Syntax Version", &C::csv}},
       {"DEC", {"{<AxisID> <Deceleration>} Set Closed-Loop Deceleration", &C::set_dec}},
       {"DEC?", {"[{<AxisID>}] Get Closed-Loop Deceleration", &C::get_dec}},
+      {"DFH", {"[{<AxisID>}] Define Home Position", &C::dfh}},
+      {"DFH?", {"[{<AxisID>}] Get Home Position Definition", &C::get_dfh}},
       {"EAX", {"{<AxisID> <EnableState>} Enable Axis", &C::set_eax}},
       {"EAX?", {"[{<AxisID>}] Get Enable Status Of Axes", &C::get_eax}},
       {"ERR?", {"Get Error Number", &C::get_err}},
@@ -251,9 +310,13 @@ PiGcsFirmware::Controller::commands() {
       {"FPL", {"[{<AxisID>}] Fast Reference Move To Positive Limit", &C::fpl}},
       {"FRF", {"[{<AxisID>}] Fast Reference Move To Reference Switch", &C::frf}},
       {"FRF?", {"[{<AxisID>}] Get Referencing Result", &C::get_frf}},
+      {"GOH", {"[{<AxisID>}] Go To Home Position", &C::goh}},
       {"HAR?", {"[{<AxisID>}] Indicate Hard Stops", &C::no}},
       {"HLP?", {"Get List Of Available Commands", &C::hlp}},
       {"HLT", {"[{<AxisID>}] Halt Motion Smoothly", &C::hlt}},
+      {"HPA?", {"Get List Of Available Parameters", &C::hpa}},
+      {"JON", {"{<JoystickID> <State>} Set Joystick Activation Status", &C::joystick}},
+      {"JON?", {"[{<JoystickID>}] Get Joystick Activation Status", &C::get_joystick}},
       {"LIM?", {"[{<AxisID>}] Indicate Limit Switches", &C::yes}},
       {"MOV", {"{<AxisID> <Position>} Set Target Position", &C::mov}},
       {"MOV?", {"[{<AxisID>}] Get Target Position", &C::get_mov}},
@@ -266,18 +329,31 @@ PiGcsFirmware::Controller::commands() {
       {"RON", {"{<AxisID> <ReferenceOn>} Set Reference Mode", &C::set_ron}},
       {"RON?", {"[{<AxisID>}] Get Reference Mode", &C::get_ron}},
       {"SAI?", {"[ALL] Get List Of Current Axis Identifiers", &C::sai}},
+      {"SEP", {"<PSWD> {<ItemID> <PamID> <PamValue>} Set Non-Volatile Memory Parameters", &C::set_sep}},
+      {"SEP?", {"[{<ItemID> <PamID>}] Get Non-Volatile Memory Parameters", &C::get_sep}},
       {"SPA", {"{<ItemID> <PamID> <PamValue>} Set Volatile Memory Parameters", &C::set_spa}},
       {"SPA?", {"[{<ItemID> <PamID>}] Get Volatile Memory Parameters", &C::get_spa}},
       {"STP", {"Stop All Axes", &C::stp}},
       {"SVO", {"{<AxisID> <ServoState>} Set Servo Mode", &C::set_svo}},
       {"SVO?", {"[{<AxisID>}] Get Servo Mode", &C::get_svo}},
+      {"TIO?", {"Tell Digital I/O Lines", &C::tio}},
       {"TMN?", {"[{<AxisID>}] Get Minimum Commandable Position", &C::get_tmn}},
       {"TMX?", {"[{<AxisID>}] Get Maximum Commandable Position", &C::get_tmx}},
       {"TRS?", {"[{<AxisID>}] Indicate Reference Switch", &C::yes}},
+      {"TVI?", {"Tell Valid Character Set For Axis Identifiers", &C::tvi}},
       {"VEL", {"{<AxisID> <Velocity>} Set Closed-Loop Velocity", &C::set_vel}},
       {"VEL?", {"[{<AxisID>}] Get Closed-Loop Velocity", &C::get_vel}},
+      {"VER?", {"Get Versions Of Firmware And Drivers", &C::ver}},
+      {"VST?", {"Get List Of Available Stages", &C::vst}},
+      {"WPA", {"<PSWD> [{<ItemID> <PamID>}] Save Parameters To Non-Volatile Memory", &C::wpa}},
   };
   return table;
+}
+
+bool PiGcsFirmware::Controller::knows(std::string_view name) const {
+  if (!settings_.has_enable && name.starts_with("EAX")) return false;
+  if (!settings_.has_unit_query && name == "PUN?") return false;
+  return commands().contains(name);
 }
 
 // Bytes.
@@ -330,15 +406,13 @@ void PiGcsFirmware::Controller::run_line(std::string line) {
   if (!prefix || words.empty()) return;
   const std::string name = upper(words.front());
   words.erase(words.begin());
-  const auto command = commands().find(name);
-  const bool absent =
-      command == commands().end() || (!settings_.has_enable && (name == "EAX" || name == "EAX?"));
-  if (absent) {
+  if (!knows(name)) {
     error_ = kUnknownCommand;
+    unserved_.note(name, "not emulated: error 2, no answer");
     return;
   }
   try {
-    const Lines lines = (this->*command->second.run)(words);
+    const Lines lines = (this->*commands().find(name)->second.run)(words);
     if (!lines.empty()) reply(*prefix, lines);
   } catch (const Refusal& refusal) {
     error_ = refusal.code;  // a refused query does not answer
@@ -385,7 +459,7 @@ void PiGcsFirmware::Controller::single_byte(char byte) {
     }
     case '\x07': {
       const bool homing = axes_[0].homing_until || axes_[1].homing_until;
-      replies.push(std::string(1, homing ? '\xB0' : '\xB1'), now_ + settings_.reply_delay);  // no line end
+      reply(prefix, {std::string(1, homing ? '\xB0' : '\xB1')});
       return;
     }
     default:
@@ -505,6 +579,9 @@ void PiGcsFirmware::Controller::stop_all(bool abruptly) {
 // Commands. A set command answers nothing.
 
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::idn(const Words&) {
+  if (settings_.short_identity)
+    return {fmt::format("(c)2013 Physik Instrumente(PI) Karlsruhe, {} Version {}", settings_.model,
+                        settings_.firmware_version)};
   return {fmt::format("(c)2013 Physik Instrumente (PI) GmbH & Co. KG, {}, {}, {}", settings_.model,
                       settings_.serial_number, settings_.firmware_version)};
 }
@@ -532,7 +609,7 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::hlp(const Words&) {
               "#7 Request Controller Ready Status",
               "#24 Stop All Axes"};
   for (const auto& [name, command] : commands()) {
-    if (!settings_.has_enable && name.starts_with("EAX")) continue;
+    if (!knows(name)) continue;
     lines.push_back(fmt::format("{} {}", name, command.help));
   }
   lines.emplace_back("end of help");
@@ -684,7 +761,7 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::get_ont(const Words&
   return each_axis(a, [&](std::size_t k) {
     if (in_motion(k)) return 0;
     const Clock::Duration since = now_ - bench_->motion_end(kStageAxes[k], now_);
-    return since >= from_seconds(axes_[k].parameters.at(kSettleTime)) ? 1 : 0;
+    return since >= from_seconds(number(axes_[k].parameters.at(pi_id::kSettleTime))) ? 1 : 0;
   });
 }
 
@@ -716,41 +793,191 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::stp(const Words&) {
   return {};
 }
 
+// Parameters.
+
+/// Most are only kept; these are the stage's.
+std::string PiGcsFirmware::Controller::parameter(std::size_t k, const PiParameter& parameter) const {
+  const MotionLimits limits = bench_->motion_limits(kStageAxes[k]);
+  switch (parameter.id) {
+    case pi_id::kMaxVelocity:
+      return short_decimal(settings_.max_speed_deg_per_s);
+    case pi_id::kAcceleration:
+      return short_decimal(limits.acceleration_deg_per_s2);
+    case pi_id::kDeceleration:
+      return short_decimal(limits.deceleration_deg_per_s2);
+    case pi_id::kVelocity:
+      return short_decimal(limits.speed_deg_per_s);
+    case pi_id::kMaxAcceleration:
+    case pi_id::kMaxDeceleration:
+      return short_decimal(kLargestAcceleration);
+    case pi_id::kNegativeLimit:
+      return short_decimal(travel(k).first);
+    case pi_id::kPositiveLimit:
+      return short_decimal(travel(k).second);
+    case pi_id::kStageName:
+      return settings_.stage_names[k];
+    default:
+      return axes_[k].parameters.at(parameter.id);
+  }
+}
+
+void PiGcsFirmware::Controller::check_parameter(const PiParameter& parameter, const std::string& text) const {
+  if (parameter.write_level > command_level_) throw Refusal{kParameterProtected};
+  const double value = number(text);
+  if (value < 0.0) throw Refusal{kOutOfRange};
+  const bool ramp = parameter.id == pi_id::kAcceleration || parameter.id == pi_id::kDeceleration;
+  if (ramp && !(value > 0.0 && value <= kLargestAcceleration)) throw Refusal{kOutOfRange};
+  if (parameter.id == pi_id::kVelocity && !(value > 0.0 && value <= settings_.max_speed_deg_per_s))
+    throw Refusal{kVelocityOutOfLimits};
+}
+
+void PiGcsFirmware::Controller::set_parameter(std::size_t k, const PiParameter& parameter,
+                                              const std::string& text) {
+  axes_[k].parameters[parameter.id] = text;
+  MotionLimits limits = bench_->motion_limits(kStageAxes[k]);
+  if (parameter.id == pi_id::kAcceleration) limits.acceleration_deg_per_s2 = number(text);
+  if (parameter.id == pi_id::kDeceleration) limits.deceleration_deg_per_s2 = number(text);
+  if (parameter.id == pi_id::kVelocity) limits.speed_deg_per_s = number(text);
+  bench_->set_motion_limits(kStageAxes[k], limits);
+}
+
+const PiParameter& PiGcsFirmware::Controller::known_parameter(std::string_view command,
+                                                              const std::string& axis,
+                                                              const std::string& id) const {
+  if (const PiParameter* found = pi_parameter(parameter_id(id))) return *found;
+  unserved_.note(fmt::format("{} {} {}", command, axis, id), "not emulated: error 54, no answer");
+  throw Refusal{kUnknownParameter};
+}
+
+std::vector<PiGcsFirmware::Controller::NamedParameter> PiGcsFirmware::Controller::named_parameters(
+    std::string_view command, const Words& arguments, bool with_values) const {
+  const std::size_t size = with_values ? 3 : 2;
+  if (arguments.size() % size != 0) throw Refusal{kWrongCount};
+  std::vector<NamedParameter> named;
+  for (std::size_t n = 0; n < arguments.size(); n += size) {
+    const std::size_t k = find(arguments[n]);
+    const PiParameter& parameter = known_parameter(command, arguments[n], arguments[n + 1]);
+    if (with_values) check_parameter(parameter, arguments[n + 2]);
+    named.push_back({k, &parameter, with_values ? arguments[n + 2] : ""});
+  }
+  return named;
+}
+
+/// "1 0x4A=1.5"; without arguments all of them.
+template <typename Value>
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::parameter_lines(std::string_view command,
+                                                                            const Words& arguments,
+                                                                            Value value) const {
+  std::vector<NamedParameter> named = named_parameters(command, arguments, false);
+  if (arguments.empty()) {
+    for (const std::size_t k : axes_or_all({}))
+      for (const PiParameter& parameter : pi_parameters()) named.push_back({k, &parameter, ""});
+  }
+  Lines lines;
+  for (const NamedParameter& one : named)
+    lines.push_back(fmt::format("{} 0x{:X}={}", settings_.axis_names[one.axis], one.parameter->id,
+                                value(one.axis, *one.parameter)));
+  return lines;
+}
+
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::set_spa(const Words& a) {
   if (a.empty()) throw Refusal{kMissingParameter};
-  if (a.size() % 3 != 0) throw Refusal{kWrongCount};
-  for (std::size_t n = 0; n < a.size(); n += 3) {
-    Axis& axis = axes_[find(a[n])];
-    const unsigned id = parameter_id(a[n + 1]);
-    const double value = number(a[n + 2]);
-    if (!axis.parameters.contains(id)) throw Refusal{kUnknownParameter};
-    if (id == kCountsNumerator || id == kCountsDenominator) throw Refusal{kParameterProtected};
-    if (value < 0.0) throw Refusal{kOutOfRange};
-    axis.parameters[id] = value;
-  }
+  for (const NamedParameter& one : named_parameters("SPA", a, true))  // all, or none
+    set_parameter(one.axis, *one.parameter, one.value);
   return {};
 }
 
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::get_spa(const Words& a) {
-  Lines lines;
-  const auto line = [&](std::size_t k, std::string_view id, double value) {
-    const std::string axis = settings_.spa_reply_names_axis ? settings_.axis_names[k] + " " : "";
-    lines.push_back(fmt::format("{}{}={}", axis, id, value));
-  };
-  if (a.empty()) {
-    for (const std::size_t k : axes_or_all({}))
-      for (const auto& [id, value] : axes_[k].parameters)
-        lines.push_back(fmt::format("{} {:#x}={}", settings_.axis_names[k], id, value));
-    return lines;
-  }
-  if (a.size() % 2 != 0) throw Refusal{kWrongCount};
-  for (std::size_t n = 0; n < a.size(); n += 2) {
-    const std::size_t k = find(a[n]);
-    const auto found = axes_[k].parameters.find(parameter_id(a[n + 1]));
-    if (found == axes_[k].parameters.end()) throw Refusal{kUnknownParameter};
-    line(k, a[n + 1], found->second);
-  }
+  return parameter_lines("SPA?", a,
+                         [this](std::size_t k, const PiParameter& one) { return parameter(k, one); });
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::set_sep(const Words& a) {
+  if (a.size() < 2) throw Refusal{kMissingParameter};
+  if (a.front() != kMemoryPassword) throw Refusal{kWrongPassword};
+  for (const NamedParameter& one : named_parameters("SEP", {a.begin() + 1, a.end()}, true))
+    memory_[one.axis][one.parameter->id] = one.value;
+  return {};
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::get_sep(const Words& a) {
+  return parameter_lines("SEP?", a, [this](std::size_t k, const PiParameter& one) {
+    const std::string& stored = memory_[k].at(one.id);
+    return stored.empty() ? parameter(k, one) : stored;
+  });
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::wpa(const Words& a) {
+  if (a.empty()) throw Refusal{kMissingParameter};
+  if (a.front() != kMemoryPassword) throw Refusal{kWrongPassword};
+  const std::vector<NamedParameter> named = named_parameters("WPA", {a.begin() + 1, a.end()}, false);
+  for (const NamedParameter& one : named)
+    memory_[one.axis][one.parameter->id] = parameter(one.axis, *one.parameter);
+  if (!named.empty()) return {};
+  for (const std::size_t k : axes_or_all({}))
+    for (const PiParameter& one : pi_parameters()) memory_[k][one.id] = parameter(k, one);
+  return {};
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::hpa(const Words&) {
+  Lines lines{"The following parameters are available:"};
+  for (const PiParameter& one : pi_parameters())
+    lines.push_back(fmt::format("0x{:X}=\t{}\t1\t{}\tmotorcontroller\t{}", one.id, one.write_level, one.type,
+                                one.description));
+  lines.emplace_back("end of help");
   return lines;
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::set_ccl(const Words& a) {
+  if (a.empty()) throw Refusal{kMissingParameter};
+  if (a.front() != "0" && a.front() != "1") throw Refusal{kOutOfRange};
+  const bool advanced = a.front() == "1";
+  if (advanced && (a.size() < 2 || a[1] != kAdvancedPassword)) throw Refusal{kWrongPassword};
+  command_level_ = advanced ? 1 : 0;
+  return {};
+}
+
+// The rest.
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::set_cst(const Words& a) {
+  // The simulated stage is what it is.
+  for (const auto& [k, value] : pairs(a))
+    if (value != settings_.stage_names[k]) throw Refusal{kInvalidStageName};
+  return {};
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::vst(const Words&) {
+  Lines names{settings_.stage_names[0]};
+  if (settings_.stage_names[1] != names.front()) names.push_back(settings_.stage_names[1]);
+  names.emplace_back("NOSTAGE");
+  return names;
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::ver(const Words&) {
+  return {fmt::format("FW_ARM: V{}", settings_.firmware_version)};
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::dfh(const Words& a) {
+  for (const std::size_t k : axes_or_all(a))
+    axes_[k].home_deg = controller_deg(k, bench_->encoder_angle(kStageAxes[k], now_));
+  return {};
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::get_dfh(const Words& a) {
+  return each_axis(a, [&](std::size_t k) { return decimal(axes_[k].home_deg); });
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::goh(const Words& a) {
+  const std::vector<std::size_t> wanted = axes_or_all(a);
+  for (const std::size_t k : wanted) check_move(k, axes_[k].home_deg);
+  for (const std::size_t k : wanted) start_move(k, axes_[k].home_deg);
+  return {};
+}
+
+PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::joystick(const Words& a) {
+  if (a.size() < 2) throw Refusal{kMissingParameter};
+  if (flag(a[1])) throw Refusal{kNotAllowed};  // None is connected.
+  return {};
 }
 
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::get_err(const Words&) {
@@ -761,11 +988,14 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::rbt(const Words&) {
   stop_all(true);
   replies.clear();
   power_on();
+  for (const std::size_t k : axes_or_all({}))
+    for (const unsigned live : {pi_id::kVelocity, pi_id::kAcceleration, pi_id::kDeceleration})
+      set_parameter(k, *pi_parameter(live), memory_[k].at(live));
   return {};
 }
 
 PiGcsFirmware::PiGcsFirmware(std::shared_ptr<SimBench> bench, PiGcsSettings settings)
-    : controller_(std::make_unique<Controller>(std::move(bench), std::move(settings))) {}
+    : controller_(std::make_unique<Controller>(std::move(bench), std::move(settings), unserved())) {}
 
 PiGcsFirmware::~PiGcsFirmware() = default;
 
@@ -779,6 +1009,10 @@ std::string PiGcsFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> PiGcsFirmware::next_due() const {
   return controller_->replies.next_due();
+}
+
+void PiGcsFirmware::session_starts() {
+  controller_->forget_session();
 }
 
 }  // namespace abcal::sim

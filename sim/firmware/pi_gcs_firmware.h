@@ -22,15 +22,19 @@ struct PiGcsSettings {
   std::array<std::string, 2> stage_names{"M-060.PD", "M-060.PD"};
   int address = 1;  ///< In a daisy chain; 1 answers without an address as well.
   double max_speed_deg_per_s = 720.0;
-  double settle_s = 0.01;             ///< Parameter 0x3F: how long ONT? waits after the motion.
-  bool has_enable = true;             ///< False: EAX is an unknown command, as on many controllers.
-  bool spa_reply_names_axis = false;  ///< "1 14=10000", as PIPython expects it, in place of "14=10000".
+  double settle_s = 0.01;      ///< Parameter 0x3F: how long ONT? waits after the motion.
+  bool has_enable = true;      ///< False: EAX is an unknown command, as on many controllers.
+  bool has_unit_query = true;  ///< False: PUN? is an unknown command, as on E-861; parameter 0x7000601 tells.
+  /// "..., E-861 Version 7.2.0": model and firmware in one field and no serial number, as older firmware
+  /// says.
+  bool short_identity = false;
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 
 /// A PI controller that speaks GCS 2.0 (docs/protocols/pi_gcs.md), turning the axes of a SimBench. Accepts
 /// what host programs send in their differing styles: any case, CR LF, several blanks, with or without axes,
-/// with or without address.
+/// with or without address, parameters by decimal or hexadecimal number. What it does not know is answered as
+/// the maker does, by error 2 and silence, and noted (unserved()).
 class PiGcsFirmware final : public Firmware {
  public:
   explicit PiGcsFirmware(std::shared_ptr<SimBench> bench, PiGcsSettings settings = {});
@@ -39,6 +43,7 @@ class PiGcsFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
 
  private:
   class Controller;

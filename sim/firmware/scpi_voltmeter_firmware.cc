@@ -14,6 +14,7 @@
 
 #include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
+#include "sim/firmware/scpi_status.h"
 
 namespace abcal::sim {
 namespace {
@@ -39,6 +40,69 @@ constexpr double kOverRange = 1.2;  // A range goes to 120 % of its name, the hi
 constexpr std::array kRanges{0.1, 1.0, 10.0, 100.0, 300.0};
 constexpr std::array kKeysightNplc{0.02, 0.2, 1.0, 2.0, 10.0, 20.0, 100.0, 200.0};
 constexpr int kChannelsOfACard = 20;
+
+// Bits of the status registers (docs/protocols/scpi_voltmeters.md).
+constexpr unsigned kMeasuring = 1U << 4U;         // OPERation
+constexpr unsigned kKeithleyIdle = 1U << 10U;     // OPERation
+constexpr unsigned kVoltageOverload = 1U << 0U;   // QUEStionable
+constexpr unsigned kReadingAvailable = 1U << 5U;  // MEASurement
+constexpr unsigned kBufferFull = 1U << 9U;        // MEASurement
+
+struct Model {
+  std::string_view name;
+  ScpiFamily family;
+  std::string_view identity;  ///< "{}" stands for the serial number.
+  ScpiStatusLayout layout;
+};
+constexpr ScpiStatusLayout kOldScanner{.alarm = 1U << 1U};
+constexpr ScpiStatusLayout kNewScanner{.error_queue = 1U << 2U, .alarm = 1U << 1U};
+constexpr ScpiStatusLayout kOldMeter{.operation = 0};
+constexpr ScpiStatusLayout kNewMeter{.error_queue = 1U << 2U};
+constexpr ScpiStatusLayout kKeithleyByte{.error_queue = 1U << 2U, .measurement = 1U << 0U};
+// Those of DAQ970A, 34460A, 34461A, 34470A, 2000, 2701 and 2750 are like those of their sisters
+// [unverified against a device].
+constexpr auto kModels = std::to_array<Model>({
+    {"34970A", ScpiFamily::kKeysight34970a, "HEWLETT-PACKARD,34970A,{},13-2-2", kOldScanner},
+    {"34972A", ScpiFamily::kKeysight34970a, "Agilent Technologies,34972A,{},1.16-1.12-02-02", kOldScanner},
+    {"DAQ970A", ScpiFamily::kKeysight34970a,
+     "Keysight Technologies,DAQ970A,{},A.02.02-01.00-02.01-00.02-03-02", kNewScanner},
+    {"34401A", ScpiFamily::kKeysight34401a, "HEWLETT-PACKARD,34401A,0,11-5-2", kOldMeter},
+    {"34460A", ScpiFamily::kKeysight34401a, "Keysight Technologies,34460A,{},A.03.01-03.15-03.01-00.52-03-02",
+     kNewMeter},
+    {"34461A", ScpiFamily::kKeysight34401a, "Keysight Technologies,34461A,{},A.03.01-03.15-03.01-00.52-03-02",
+     kNewMeter},
+    {"34465A", ScpiFamily::kKeysight34401a, "Keysight Technologies,34465A,{},A.03.01-03.15-03.01-00.52-03-02",
+     kNewMeter},
+    {"34470A", ScpiFamily::kKeysight34401a, "Keysight Technologies,34470A,{},A.03.01-03.15-03.01-00.52-03-02",
+     kNewMeter},
+    {"2000", ScpiFamily::kKeithley2700, "KEITHLEY INSTRUMENTS INC.,MODEL 2000,{},A20  /A02  ", kKeithleyByte},
+    {"2001", ScpiFamily::kKeithley2700, "KEITHLEY INSTRUMENTS INC.,MODEL 2001,{},B17  /A02  ", kKeithleyByte},
+    {"2700", ScpiFamily::kKeithley2700, "KEITHLEY INSTRUMENTS INC.,MODEL 2700,{},B09  /A02  ", kKeithleyByte},
+    {"2701", ScpiFamily::kKeithley2700, "KEITHLEY INSTRUMENTS INC.,MODEL 2701,{},A01  /A02  ", kKeithleyByte},
+    {"2750", ScpiFamily::kKeithley2700, "KEITHLEY INSTRUMENTS INC.,MODEL 2750,{},A01  /A02  ", kKeithleyByte},
+});
+
+std::string_view default_model(ScpiFamily family) {
+  switch (family) {
+    case ScpiFamily::kKeysight34970a:
+      return "34970A";
+    case ScpiFamily::kKeysight34401a:
+      return "34465A";
+    default:
+      return "2700";
+  }
+}
+
+/// @throws std::invalid_argument
+const Model& model_named(std::string_view name) {
+  const auto found =
+      std::find_if(kModels.begin(), kModels.end(), [name](const Model& model) { return model.name == name; });
+  if (found != kModels.end()) return *found;
+  std::string known;
+  for (const Model& model : kModels) known += fmt::format("{}{}", known.empty() ? "" : ", ", model.name);
+  throw std::invalid_argument(
+      fmt::format("simulated SCPI voltmeter: model is \"{}\", required: one of {}", name, known));
+}
 
 std::string_view text_of(int error) {
   switch (error) {
@@ -89,9 +153,14 @@ std::vector<std::string> split(std::string_view text, char separator) {
   std::vector<std::string> parts;
   std::string part;
   int depth = 0;
-  bool quoted = false;
+  char quote = 0;
   for (const char c : text) {
-    if (c == '"') quoted = !quoted;
+    if (quote == 0 && (c == '"' || c == '\'')) {
+      quote = c;
+    } else if (c == quote) {
+      quote = 0;
+    }
+    const bool quoted = quote != 0;
     if (!quoted && c == '(') ++depth;
     if (!quoted && c == ')') --depth;
     if (c == separator && !quoted && depth == 0) {
@@ -125,11 +194,8 @@ bool matches(std::string_view pattern, std::string_view header) {
   const std::size_t header_end = std::min(header.find_first_of(":?"), header.size());
   const std::string_view node = pattern.substr(0, pattern_end);
   const std::string_view word = header.substr(0, header_end);
-  const std::string_view short_form = node.substr(
-      0, std::min(static_cast<std::size_t>(
-                      std::find_if(node.begin(), node.end(), [](char c) { return c >= 'a' && c <= 'z'; }) -
-                      node.begin()),
-                  node.size()));
+  std::string short_form(node);  // "LAYer2": LAY2
+  std::erase_if(short_form, [](char c) { return c >= 'a' && c <= 'z'; });
   if (word != short_form && word != upper(node)) return false;
   return matches(pattern.substr(pattern_end), header.substr(header_end));
 }
@@ -154,9 +220,14 @@ bool boolean(std::string_view text) {
 
 class ScpiVoltmeterFirmware::Meter {
  public:
-  Meter(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings);
+  Meter(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void forget_session() {
+    input_.clear();
+    waiting_.clear();
+    replies_.clear();
+  }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
 
@@ -166,7 +237,18 @@ class ScpiVoltmeterFirmware::Meter {
     std::optional<std::string> (Meter::*run)(const std::vector<std::string>& arguments);
     unsigned families = kAll;
   };
-  enum : unsigned { kScanner = 1, kSingle = 2, kKeysight = kScanner | kSingle, kKeithley = 4, kAll = 7 };
+  enum : unsigned {
+    kScanner = 1,
+    kSingle = 2,  ///< But a 34401A.
+    kOldSingle = 4,
+    kSingles = kSingle | kOldSingle,
+    kKeysight = kScanner | kSingles,
+    k2700 = 8,  ///< And 2000.
+    k2001 = 16,
+    kKeithley = k2700 | k2001,
+    kWithOperation = kScanner | kSingle | kKeithley,
+    kAll = 31
+  };
 
   struct Sample {
     double value;
@@ -183,9 +265,12 @@ class ScpiVoltmeterFirmware::Meter {
   Reply run_command(std::string header, std::string_view arguments, std::string& path);
   void run_waiting(Clock::Instant now);
   void remember(int code);
+  void settle();
 
   // Settings.
   unsigned family() const;
+  bool is_2001() const { return settings_.model == "2001"; }
+  std::string integer(unsigned value) const { return fmt::format("{}{}", keithley() ? "" : "+", value); }
   bool keithley() const { return settings_.family == ScpiFamily::kKeithley2700; }
   bool single() const { return settings_.family == ScpiFamily::kKeysight34401a; }
   bool is_channel(int channel) const;
@@ -211,8 +296,51 @@ class ScpiVoltmeterFirmware::Meter {
   Reply cls(const Arguments&);
   Reply opc(const Arguments&);
   Reply ask_opc(const Arguments&);
+  Reply wait(const Arguments&);
   Reply nothing(const Arguments&) { return std::nullopt; }
-  Reply zero(const Arguments&) { return "0"; }
+  Reply zero(const Arguments&) { return integer(0); }
+  static unsigned register_value(const Arguments& a, unsigned largest);
+  Reply event_enable(const Arguments& a);
+  Reply ask_event_enable(const Arguments&) { return integer(status_.standard_enable); }
+  Reply service_enable(const Arguments& a);
+  Reply ask_service_enable(const Arguments&) { return integer(status_.service_enable); }
+  Reply ask_events(const Arguments&) { return integer(status_.take_standard()); }
+  Reply ask_status_byte(const Arguments&) {
+    return integer(status_.status_byte(!errors_.empty(), replies_.next_due().has_value()));
+  }
+  Reply preset(const Arguments&);
+  template <ScpiStatus::Group group>
+  Reply ask_group(const Arguments&) {
+    return integer(status_.take_event(group));
+  }
+  template <ScpiStatus::Group group>
+  Reply ask_condition(const Arguments&) {
+    return integer(group == ScpiStatus::kOperation ? operation_condition() : 0U);
+  }
+  template <ScpiStatus::Group group>
+  Reply group_enable(const Arguments& a) {
+    status_.enable(group) = register_value(a, 65535);
+    return std::nullopt;
+  }
+  template <ScpiStatus::Group group>
+  Reply ask_group_enable(const Arguments&) {
+    return integer(status_.enable(group));
+  }
+  unsigned operation_condition() const;
+  Reply clear_errors(const Arguments&);
+  Reply options(const Arguments&) {
+    return settings_.model == "2001" || settings_.model == "2000" ? "0" : "7700,NONE";
+  }
+  Reply relay_counts(const Arguments& a);
+  Reply three_zeros(const Arguments&) { return "+0,+0,+0"; }
+  Reply close_channel(const Arguments& a);
+  Reply open_channels(const Arguments&);
+  Reply arm_count(const Arguments& a);
+  Reply ask_arm_count(const Arguments&) { return fmt::format("{}", arm_count_); }
+  Reply immediate(const Arguments&) { return "IMM"; }
+  Reply stored(const Arguments&);
+  Reply ask_date(const Arguments&) { return "+2026,+1,+1"; }
+  Reply ask_time(const Arguments&) { return "+0,+0,+0.000"; }
   Reply ask_error(const Arguments&);
   Reply ask_version(const Arguments&) { return "1994.0"; }
   Reply remote(const Arguments&);
@@ -268,6 +396,8 @@ class ScpiVoltmeterFirmware::Meter {
   std::string trigger_source_ = "IMM";
   std::size_t trigger_count_ = 1;
   std::size_t sample_count_ = 1;
+  std::size_t arm_count_ = 1;  ///< 2001: how many channels of the list.
+  int closed_channel_ = 0;     ///< Keithley: measured while it does not scan; 0: the front input.
   double channel_delay_s_ = 0.0;
   bool with_channel_ = false;
   bool with_unit_ = false;
@@ -276,6 +406,10 @@ class ScpiVoltmeterFirmware::Meter {
   bool continuous_ = false;
 
   bool remote_ = false;
+  UnservedCommands& unserved_;
+  ScpiStatus status_;
+  bool tells_completion_ = false;  ///< After *OPC.
+  bool measuring_ = false;         ///< A measurement has begun whose end has not been seen yet.
   std::deque<int> errors_;
   std::vector<Sample> samples_;
   bool has_samples_ = false;
@@ -289,11 +423,15 @@ class ScpiVoltmeterFirmware::Meter {
   Clock::Instant now_;
 };
 
-ScpiVoltmeterFirmware::Meter::Meter(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings)
+ScpiVoltmeterFirmware::Meter::Meter(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings,
+                                    UnservedCommands& unserved)
     : bench_(std::move(bench)),
       settings_(std::move(settings)),
+      unserved_(unserved),
       measured_until_(bench_->start()),
       now_(bench_->start()) {
+  if (settings_.model.empty()) settings_.model = default_model(settings_.family);
+  const Model& model = model_named(settings_.model);
   const auto refuse = [](const std::string& what) {
     throw std::invalid_argument("simulated SCPI voltmeter: " + what);
   };
@@ -305,20 +443,12 @@ ScpiVoltmeterFirmware::Meter::Meter(std::shared_ptr<SimBench> bench, ScpiVoltmet
     for (std::size_t j = 0; j < i; ++j)
       if (settings_.channels[i] == settings_.channels[j])
         refuse(fmt::format("channel {} is given twice", settings_.channels[i]));
+  if (model.family != settings_.family) refuse(fmt::format("model {} is of another family", settings_.model));
+  status_ = ScpiStatus(model.layout);
   if (settings_.identity.empty()) {
-    switch (settings_.family) {
-      case ScpiFamily::kKeysight34970a:
-        settings_.identity = fmt::format("HEWLETT-PACKARD,34970A,{},13-2-2", settings_.serial_number);
-        break;
-      case ScpiFamily::kKeysight34401a:
-        settings_.identity = fmt::format("Agilent Technologies,34465A,{},A.02.14-02.40-02.14-00.49-02-01",
-                                         settings_.serial_number);
-        break;
-      case ScpiFamily::kKeithley2700:
-        settings_.identity =
-            fmt::format("KEITHLEY INSTRUMENTS INC.,MODEL 2700,{},B02  /A02", settings_.serial_number);
-        break;
-    }
+    settings_.identity = model.identity;
+    if (const std::size_t hole = settings_.identity.find("{}"); hole != std::string::npos)
+      settings_.identity.replace(hole, 2, settings_.serial_number);
   }
   power_on();
 }
@@ -330,7 +460,9 @@ void ScpiVoltmeterFirmware::Meter::power_on() {
   scan_list_.clear();
   scans_ = false;
   trigger_source_ = "IMM";
-  trigger_count_ = sample_count_ = 1;
+  trigger_count_ = sample_count_ = arm_count_ = 1;
+  closed_channel_ = 0;
+  tells_completion_ = measuring_ = false;
   channel_delay_s_ = 0.0;
   with_channel_ = with_time_ = with_unit_ = with_number_ = false;
   if (keithley()) with_unit_ = with_time_ = with_number_ = true;  // READ, UNIT, TST, RNUM
@@ -344,9 +476,9 @@ unsigned ScpiVoltmeterFirmware::Meter::family() const {
     case ScpiFamily::kKeysight34970a:
       return kScanner;
     case ScpiFamily::kKeysight34401a:
-      return kSingle;
+      return settings_.model == "34401A" ? kOldSingle : kSingle;
     default:
-      return kKeithley;
+      return is_2001() ? k2001 : k2700;
   }
 }
 
@@ -358,12 +490,17 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"*CLS", &M::cls},
       {"*OPC", &M::opc},
       {"*OPC?", &M::ask_opc},
-      {"*WAI", &M::opc},
-      {"*ESE", &M::nothing},
-      {"*SRE", &M::nothing},
-      {"*ESR?", &M::zero},
-      {"*STB?", &M::zero},
+      {"*WAI", &M::wait},
+      {"*ESE", &M::event_enable},
+      {"*ESE?", &M::ask_event_enable},
+      {"*SRE", &M::service_enable},
+      {"*SRE?", &M::ask_service_enable},
+      {"*ESR?", &M::ask_events},
+      {"*STB?", &M::ask_status_byte},
       {"*TST?", &M::zero},
+      {"*OPT?", &M::options, kKeithley},
+      {"*PSC", &M::nothing},
+      {"*PSC?", &M::zero},
       {"SYSTem:ERRor[:NEXT]?", &M::ask_error},
       {"SYSTem:VERSion?", &M::ask_version},
       {"SYSTem:REMote", &M::remote},
@@ -372,7 +509,37 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"SYSTem:PRESet", &M::rst},
       {"SYSTem:BEEPer[:STATe]", &M::nothing},
       {"SYSTem:CTYPe?", &M::card, kScanner},
-      {"STATus:PRESet", &M::cls},
+      {"SYSTem:DATE", &M::nothing},
+      {"SYSTem:DATE?", &M::ask_date},
+      {"SYSTem:TIME", &M::nothing},
+      {"SYSTem:TIME?", &M::ask_time},
+      {"SYSTem:CLEar", &M::clear_errors, kKeithley},
+      {"DISPlay[:STATe]", &M::nothing},
+      {"DISPlay:ENABle", &M::nothing},
+      {"DISPlay:TEXT[:DATA]", &M::nothing},
+      {"DISPlay:TEXT:CLEar", &M::nothing},
+      {"DIAGnostic:DMM:CYCLes?", &M::three_zeros, kScanner},
+      {"DIAGnostic:RELay:CYCLes?", &M::relay_counts, kScanner},
+      {"DIAGnostic:PEEK:SLOT:DATA?", &M::three_zeros, kScanner},
+      {"STATus:PRESet", &M::preset},
+      {"STATus:QUEue[:NEXT]?", &M::ask_error, kKeithley},
+      {"STATus:QUEue:CLEar", &M::clear_errors, kKeithley},
+      {"STATus:OPERation:CONDition?", &M::ask_condition<ScpiStatus::kOperation>, kWithOperation},
+      {"STATus:OPERation[:EVENt]?", &M::ask_group<ScpiStatus::kOperation>, kWithOperation},
+      {"STATus:OPERation:ENABle", &M::group_enable<ScpiStatus::kOperation>, kWithOperation},
+      {"STATus:OPERation:ENABle?", &M::ask_group_enable<ScpiStatus::kOperation>, kWithOperation},
+      {"STATus:QUEStionable:CONDition?", &M::ask_condition<ScpiStatus::kQuestionable>},
+      {"STATus:QUEStionable[:EVENt]?", &M::ask_group<ScpiStatus::kQuestionable>},
+      {"STATus:QUEStionable:ENABle", &M::group_enable<ScpiStatus::kQuestionable>},
+      {"STATus:QUEStionable:ENABle?", &M::ask_group_enable<ScpiStatus::kQuestionable>},
+      {"STATus:ALARm:CONDition?", &M::ask_condition<ScpiStatus::kAlarm>, kScanner},
+      {"STATus:ALARm[:EVENt]?", &M::ask_group<ScpiStatus::kAlarm>, kScanner},
+      {"STATus:ALARm:ENABle", &M::group_enable<ScpiStatus::kAlarm>, kScanner},
+      {"STATus:ALARm:ENABle?", &M::ask_group_enable<ScpiStatus::kAlarm>, kScanner},
+      {"STATus:MEASurement:CONDition?", &M::ask_condition<ScpiStatus::kMeasurement>, kKeithley},
+      {"STATus:MEASurement[:EVENt]?", &M::ask_group<ScpiStatus::kMeasurement>, kKeithley},
+      {"STATus:MEASurement:ENABle", &M::group_enable<ScpiStatus::kMeasurement>, kKeithley},
+      {"STATus:MEASurement:ENABle?", &M::ask_group_enable<ScpiStatus::kMeasurement>, kKeithley},
       {"CONFigure[:VOLTage][:DC]", &M::configure},
       {"CONFigure?", &M::ask_configure},
       {"MEASure[:VOLTage][:DC]?", &M::measure_once},
@@ -405,8 +572,17 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"TRIGger:SOURce?", &M::ask_trigger_source},
       {"TRIGger:COUNt", &M::trigger_count},
       {"TRIGger:COUNt?", &M::ask_trigger_count},
-      {"SAMPle:COUNt", &M::sample_count, kSingle | kKeithley},
-      {"SAMPle:COUNt?", &M::ask_sample_count, kSingle | kKeithley},
+      {"SAMPle:COUNt", &M::sample_count, kSingles | k2700},
+      {"SAMPle:COUNt?", &M::ask_sample_count, kSingles | k2700},
+      {"ARM:LAYer2:COUNt", &M::arm_count, k2001},
+      {"ARM:LAYer2:COUNt?", &M::ask_arm_count, k2001},
+      {"ARM:LAYer2:SOURce", &M::trigger_source, k2001},
+      {"ARM:LAYer2:SOURce?", &M::immediate, k2001},
+      {"ROUTe:CLOSe", &M::close_channel, kKeithley},
+      {"ROUTe:MULTiple:CLOSe", &M::close_channel, kKeithley},
+      {"ROUTe:OPEN", &M::open_channels, kKeithley},
+      {"ROUTe:OPEN:ALL", &M::open_channels, kKeithley},
+      {"ROUTe:MULTiple:OPEN:ALL", &M::open_channels, kKeithley},
       {"FORMat:READing:CHANnel", &M::with_channel, kScanner},
       {"FORMat:READing:UNIT", &M::with_unit, kScanner},
       {"FORMat:READing:TIME", &M::with_time, kScanner},
@@ -418,10 +594,21 @@ const std::vector<ScpiVoltmeterFirmware::Meter::Command>& ScpiVoltmeterFirmware:
       {"FETCh?", &M::fetch},
       {"READ?", &M::read},
       {"ABORt", &M::abort},
-      {"DATA:POINts?", &M::points, kKeysight},
+      {"DATA:POINts?", &M::points},
       {"TRACe:CLEar", &M::nothing, kKeithley},
       {"TRACe:POINts", &M::nothing, kKeithley},
       {"TRACe:POINts?", &M::points, kKeithley},
+      {"TRACe:FEED", &M::nothing, kKeithley},
+      {"TRACe:FEED:CONTrol", &M::nothing, kKeithley},
+      {"TRACe:EGRoup", &M::nothing, k2001},
+      {"TRACe:DATA?", &M::stored, kKeithley},
+      {"DATA:CLEar", &M::nothing, kKeithley},
+      {"DATA:POINts", &M::nothing, kKeithley},
+      {"DATA:FEED", &M::nothing, kKeithley},
+      {"DATA:FEED:CONTrol", &M::nothing, kKeithley},
+      {"DATA:EGRoup", &M::nothing, k2001},
+      {"DATA:DATA?", &M::stored, kKeithley},
+      {"DATA[:LATest]?", &M::stored, kKeithley},
   };
   return table;
 }
@@ -479,6 +666,7 @@ std::optional<Clock::Instant> ScpiVoltmeterFirmware::Meter::next_due() const {
 }
 
 void ScpiVoltmeterFirmware::Meter::run_message(const std::string& message) {
+  settle();
   std::string answer;
   std::string path;
   for (const std::string& unit : split(message, ';')) {
@@ -519,10 +707,33 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::run_command(st
     }
     return (this->*found->run)(arguments.empty() ? Arguments{} : split(arguments, ','));
   }
+  unserved_.note(header, "not emulated: error -113");
   throw Refusal{kUndefinedHeader};
 }
 
+/// What the end of a measurement sets, if it has come.
+void ScpiVoltmeterFirmware::Meter::settle() {
+  if (now_ < measured_until_) return;
+  if (std::exchange(measuring_, false)) {
+    status_.latch(ScpiStatus::kOperation, keithley() ? kKeithleyIdle : 0U);
+    status_.latch(ScpiStatus::kMeasurement, kReadingAvailable | kBufferFull);
+    for (const Sample& sample : samples_) {
+      if (std::abs(sample.value) < kOverload) continue;
+      status_.latch(ScpiStatus::kQuestionable, kVoltageOverload);
+      status_.latch(ScpiStatus::kMeasurement, 1U);
+      if (settings_.model == "34401A") status_.happen(ScpiStatus::kDeviceError);
+    }
+  }
+  if (std::exchange(tells_completion_, false)) status_.happen(ScpiStatus::kOperationComplete);
+}
+
+unsigned ScpiVoltmeterFirmware::Meter::operation_condition() const {
+  if (now_ < measured_until_) return kMeasuring;
+  return keithley() ? kKeithleyIdle : 0U;
+}
+
 void ScpiVoltmeterFirmware::Meter::remember(int code) {
+  status_.error(code);
   if (errors_.size() + 1 < kErrorMemory) {
     errors_.push_back(code);
   } else if (errors_.size() < kErrorMemory) {
@@ -634,9 +845,9 @@ std::vector<int> ScpiVoltmeterFirmware::Meter::scanned() const {
     channels.assign(sample_count_ * trigger_count_, 0);
   } else if (keithley()) {
     // Readings are counted; a list shorter than the count begins again.
-    const std::vector<int> list =
-        scans_ && !scan_list_.empty() ? scan_list_ : std::vector<int>{settings_.channels[0]};
-    for (std::size_t n = 0; n < sample_count_ * trigger_count_; ++n)
+    const int alone = closed_channel_ != 0 ? closed_channel_ : settings_.channels[0];
+    const std::vector<int> list = scans_ && !scan_list_.empty() ? scan_list_ : std::vector<int>{alone};
+    for (std::size_t n = 0; n < sample_count_ * trigger_count_ * arm_count_; ++n)
       channels.push_back(list[n % list.size()]);
   } else {
     if (scan_list_.empty()) throw Refusal{kInitIgnored};
@@ -655,6 +866,8 @@ void ScpiVoltmeterFirmware::Meter::begin_measurement() {
   check_remote();
   if (continuous_ || now_ < measured_until_) throw Refusal{kInitIgnored};
   const std::vector<int> channels = scanned();
+  measuring_ = true;
+  status_.latch(ScpiStatus::kOperation, kMeasuring);
   samples_.clear();
   const std::size_t in_a_scan = keithley() || single()
                                     ? std::max<std::size_t>(1, std::min(channels.size(), scan_list_.size()))
@@ -696,6 +909,14 @@ double ScpiVoltmeterFirmware::Meter::measure(int channel, Clock::Instant t, std:
 }
 
 std::string ScpiVoltmeterFirmware::Meter::text_of_sample(const Sample& sample, std::size_t index) const {
+  if (is_2001()) {
+    std::string text = fmt::format("{:+.7E}", sample.value);
+    if (with_unit_) text += "VDC";
+    if (with_time_) text += fmt::format(",{:+.6f}SECS", to_seconds(sample.time - samples_.front().time));
+    if (with_number_) text += fmt::format(",+{:05}RDNG#", index);
+    if (with_channel_) text += fmt::format(",{:02}{}", scans_ ? sample.channel : 0, "INTCHAN");
+    return text;
+  }
   std::string text = fmt::format("{:+.8E}", sample.value);
   if (keithley()) {
     if (with_unit_) text += "VDC";
@@ -733,17 +954,88 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::rst(const Argu
 
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::cls(const Arguments&) {
   errors_.clear();
+  status_.clear();
+  tells_completion_ = false;
   return std::nullopt;
 }
 
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::clear_errors(const Arguments&) {
+  errors_.clear();
+  return std::nullopt;
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::preset(const Arguments&) {
+  status_.preset();
+  return std::nullopt;
+}
+
+/// Does not wait: the bit says it when the measurement is over.
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::opc(const Arguments&) {
+  tells_completion_ = true;
+  settle();
+  return std::nullopt;
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::wait(const Arguments&) {
   if (measured_until_ > now_) busy_until_ = measured_until_;
   return std::nullopt;
 }
 
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::ask_opc(const Arguments& a) {
-  opc(a);
+  wait(a);
   return "1";
+}
+
+/// A whole number. @throws Refusal
+unsigned ScpiVoltmeterFirmware::Meter::register_value(const Arguments& a, unsigned largest) {
+  if (a.empty()) throw Refusal{kMissingParameter};
+  const double value = number(a[0]);
+  if (!(value >= 0.0 && value <= largest)) throw Refusal{kDataOutOfRange};
+  return static_cast<unsigned>(value);
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::event_enable(const Arguments& a) {
+  status_.standard_enable = register_value(a, 255);
+  return std::nullopt;
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::service_enable(const Arguments& a) {
+  status_.service_enable = register_value(a, 255);
+  return std::nullopt;
+}
+
+/// How often the relays of these channels have switched.
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::relay_counts(const Arguments& a) {
+  Arguments rest = a;
+  const auto channels = take_channel_list(rest);
+  if (!channels) throw Refusal{kMissingParameter};
+  std::string text;
+  for (std::size_t n = 0; n < channels->size(); ++n) text += n == 0 ? "+0" : ",+0";
+  return text;
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::close_channel(const Arguments& a) {
+  Arguments rest = a;
+  const auto channels = take_channel_list(rest);
+  if (!channels || channels->empty()) throw Refusal{kMissingParameter};
+  closed_channel_ = channels->front();
+  return std::nullopt;
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::open_channels(const Arguments&) {
+  closed_channel_ = 0;
+  return std::nullopt;
+}
+
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::arm_count(const Arguments& a) {
+  if (a.empty()) throw Refusal{kMissingParameter};
+  arm_count_ = static_cast<std::size_t>(number_or_limit(a[0], 1.0, static_cast<double>(kMostReadings)));
+  return std::nullopt;
+}
+
+/// The readings of the measurement that was made last.
+ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::stored(const Arguments& a) {
+  return fetch(a);
 }
 
 ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::ask_error(const Arguments&) {
@@ -1039,7 +1331,7 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::points(const A
 }
 
 ScpiVoltmeterFirmware::ScpiVoltmeterFirmware(std::shared_ptr<SimBench> bench, ScpiVoltmeterSettings settings)
-    : meter_(std::make_unique<Meter>(std::move(bench), std::move(settings))) {}
+    : meter_(std::make_unique<Meter>(std::move(bench), std::move(settings), unserved())) {}
 
 ScpiVoltmeterFirmware::~ScpiVoltmeterFirmware() = default;
 
@@ -1053,6 +1345,19 @@ std::string ScpiVoltmeterFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> ScpiVoltmeterFirmware::next_due() const {
   return meter_->next_due();
+}
+
+void ScpiVoltmeterFirmware::session_starts() {
+  meter_->forget_session();
+}
+
+ScpiVoltmeterSettings scpi_model(const std::string& model) {
+  const Model& found = model_named(model);
+  ScpiVoltmeterSettings settings;
+  settings.family = found.family;
+  settings.model = model;
+  if (model == "2000" || model == "2001") settings.channels = {1, 2, 3};
+  return settings;
 }
 
 }  // namespace abcal::sim

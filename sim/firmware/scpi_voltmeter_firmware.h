@@ -15,11 +15,14 @@ namespace abcal::sim {
 enum class ScpiFamily {
   kKeysight34970a,  ///< Scanning: 34970A, 34972A, DAQ970A.
   kKeysight34401a,  ///< One channel: 34401A, 34465A.
-  kKeithley2700,    ///< Scanning: 2700; 2001 with channels 1, 2, 3.
+  kKeithley2700,    ///< Scanning: 2700; 2000 and 2001 with channels 1, 2, 3.
 };
 
 struct ScpiVoltmeterSettings {
   ScpiFamily family = ScpiFamily::kKeysight34970a;
+  /// Of the family; empty: 34970A, 34465A or 2700. It decides on the identity, the layout of the status byte,
+  /// and for a 2001 on the commands that count.
+  std::string model = {};
   std::string identity = {};  ///< Reply to *IDN?; empty: that of the family, with `serial_number`.
   std::string serial_number = "MY44012345";
   std::array<int, 3> channels{101, 102, 103};  ///< Where u, v, w of the SimBench are wired.
@@ -33,13 +36,18 @@ struct ScpiVoltmeterSettings {
   Clock::Duration reply_delay = std::chrono::microseconds(500);
 };
 
+/// The settings of a model: 34970A, 34972A, DAQ970A, 34401A, 34460A, 34461A, 34465A, 34470A, 2000, 2001,
+/// 2700, 2701 or 2750. @throws std::invalid_argument for another one
+ScpiVoltmeterSettings scpi_model(const std::string& model);
+
 /// A SCPI voltmeter (docs/protocols/scpi_voltmeters.md) that measures the outputs of a SimBench, whose
 /// response unit R is then volt.
 ///
 /// A measurement lasts as long as the integration of each channel (number of power line cycles, twice with
 /// automatic zero) and its switching; each channel is measured at its own time. Commands that come meanwhile
 /// wait, except those after INIT, which runs in the background. Short and long forms, any case, several
-/// commands joined by ';'.
+/// commands joined by ';'. Status registers as IEEE 488.2 has them. Commands that it does not know are error
+/// -113, and noted (unserved()).
 class ScpiVoltmeterFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument if a setting cannot be.
@@ -49,6 +57,7 @@ class ScpiVoltmeterFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
 
  private:
   class Meter;

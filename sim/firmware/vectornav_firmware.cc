@@ -18,6 +18,7 @@
 #include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
 #include "sim/firmware/sample_grid.h"
+#include "sim/firmware/vectornav_registers.h"
 
 namespace abcal::sim {
 namespace {
@@ -119,67 +120,9 @@ void put_float(std::string& out, double value) {
   put(out, std::bit_cast<std::uint32_t>(static_cast<float>(value)));
 }
 
-/// What a field of a binary group holds.
-enum class Content : std::uint8_t {
-  kZero,
-  kTime,
-  kAcceleration,
-  kUncompensated,
-  kMagnetic,
-  kTemperature,
-  kPressure
-};
-struct Part {
-  Content content;
-  std::uint8_t bytes;
-};
-using BinaryField = std::vector<Part>;
-
-/// Fields of the common, time, IMU and attitude groups in the order of their bits; what this device does not
-/// simulate is zero. Those of time, IMU and attitude that docs/protocols/vectornav.md does not list are
-/// [unverified against a device].
-const std::vector<BinaryField>& fields_of_group(unsigned group) {
-  using C = Content;
-  static const std::vector<BinaryField> common{
-      {{C::kTime, 8}},                                                // time since startup
-      {{C::kZero, 8}},                                                // GPS time
-      {{C::kTime, 8}},                                                // time since the last sync-in
-      {{C::kZero, 12}},                                               // yaw, pitch, roll
-      {{C::kZero, 16}},                                               // quaternion
-      {{C::kZero, 12}},                                               // angular rate
-      {{C::kZero, 24}},                                               // latitude, longitude, altitude
-      {{C::kZero, 12}},                                               // velocity
-      {{C::kAcceleration, 12}},                                       // acceleration
-      {{C::kUncompensated, 12}, {C::kZero, 12}},                      // IMU: acceleration, gyro
-      {{C::kMagnetic, 12}, {C::kTemperature, 4}, {C::kPressure, 4}},  // magnetic field, temperature, pressure
-      {{C::kZero, 28}},                                               // delta time, angle, velocity
-      {{C::kZero, 2}},                                                // status
-      {{C::kZero, 4}},                                                // sync-in count
-      {{C::kZero, 8}}};                                               // time since the GPS pulse
-  static const std::vector<BinaryField> time{
-      {{C::kTime, 8}}, {{C::kZero, 8}}, {{C::kZero, 8}}, {{C::kZero, 2}}, {{C::kTime, 8}},
-      {{C::kZero, 8}}, {{C::kZero, 8}}, {{C::kZero, 4}}, {{C::kZero, 4}}, {{C::kZero, 1}}};
-  static const std::vector<BinaryField> imu{
-      {{C::kZero, 2}},        {{C::kMagnetic, 12}},     {{C::kUncompensated, 12}}, {{C::kZero, 12}},
-      {{C::kTemperature, 4}}, {{C::kPressure, 4}},      {{C::kZero, 16}},          {{C::kZero, 12}},
-      {{C::kMagnetic, 12}},   {{C::kAcceleration, 12}}, {{C::kZero, 12}}};
-  static const std::vector<BinaryField> attitude{{{C::kZero, 2}},  {{C::kZero, 12}}, {{C::kZero, 16}},
-                                                 {{C::kZero, 36}}, {{C::kZero, 12}}, {{C::kZero, 12}},
-                                                 {{C::kZero, 12}}, {{C::kZero, 12}}, {{C::kZero, 12}}};
-  static const std::vector<BinaryField> none;
-  switch (group) {
-    case 0:
-      return common;
-    case 1:
-      return time;
-    case 2:
-      return imu;
-    case 4:
-      return attitude;
-    default:
-      return none;  // GNSS and INS: a VN-100 has neither.
-  }
-}
+using vn::Content;
+using vn::fields_of_group;
+using vn::Part;
 
 struct BinaryOutput {
   unsigned mode = 0;  ///< Bit 0: serial port 1 (ours), bit 1: serial port 2.
@@ -199,7 +142,7 @@ struct BinaryOutput {
   template <typename Visit>
   void each_part(Visit visit) const {
     std::size_t which = 0;
-    for (unsigned group = 0; group < 7; ++group) {
+    for (unsigned group = 0; group < vn::kGroups; ++group) {
       if ((groups >> group & 1U) == 0) continue;
       const auto& fields = fields_of_group(group);
       for (std::size_t bit = 0; bit < fields.size(); ++bit)
@@ -218,12 +161,7 @@ struct Stored {
   unsigned async_rate_hz = 40;
   std::array<BinaryOutput, 3> binary;
   std::array<unsigned, 7> protocol{0, 0, 0, 0, 1, 0, 1};  ///< Register 30.
-  std::map<unsigned, std::vector<double>> vectors{
-      {25, {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}},  // acceleration: matrix, offset
-      {26, {1, 0, 0, 0, 1, 0, 0, 0, 1}},           // frame rotation; kept, never applied
-      {84, {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0}},  // gyro: matrix, offset
-      {85, {0, 4, 0, 0, 0, 0, 3, 0, 0, 0}},        // filter windows and modes; kept, never applied
-  };
+  std::map<unsigned, std::vector<double>> vectors;        ///< Of vectornav_registers().
 };
 
 std::string async_name(unsigned type) {
@@ -257,9 +195,14 @@ std::string async_name(unsigned type) {
 
 class VectorNavFirmware::Device {
  public:
-  Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings);
+  Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void forget_session() {
+    in_command_ = false;
+    replies_.clear();
+  }
+  unsigned line_speed() const { return line_speed_; }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
 
@@ -272,6 +215,8 @@ class VectorNavFirmware::Device {
   std::string write_register(const Words& words);
   void write_serial(unsigned reg, const Words& values);
   void write_binary(BinaryOutput& output, const Words& values);
+  void write_numbers(unsigned reg, const Words& values);
+  const VectorNavRegister& number_register(unsigned reg) const;
   std::string values_of(unsigned reg) const;
   void require_link(const Stored& wanted) const;
   Stored factory() const;
@@ -292,11 +237,13 @@ class VectorNavFirmware::Device {
   Sample sample(std::uint64_t tick) const;
   std::string vector_text(std::string_view what, const Sample& sample) const;
   std::string async_text(unsigned type, const Sample& sample) const;
+  static std::string delta_text(const Sample& sample);
   std::string async_sentence(const Sample& sample) const;
   std::string binary_packet(const BinaryOutput& output, const Sample& sample) const;
 
   std::shared_ptr<SimBench> bench_;
   VectorNavSettings settings_;
+  UnservedCommands& unserved_;
   SampleGrid grid_;
   Stored current_;
   Stored saved_;
@@ -305,16 +252,20 @@ class VectorNavFirmware::Device {
   mutable std::optional<Sample> last_sample_;
   std::string input_;
   bool in_command_ = false;
+  unsigned line_speed_;
   ReplyQueue replies_;
   Clock::Instant now_;
   Clock::Instant started_;       ///< Switched on or reset.
   Clock::Instant silent_until_;  ///< After a reset.
 };
 
-VectorNavFirmware::Device::Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings)
+VectorNavFirmware::Device::Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings,
+                                  UnservedCommands& unserved)
     : bench_(std::move(bench)),
       settings_(std::move(settings)),
+      unserved_(unserved),
       grid_(bench_->start(), kImuRateHz),
+      line_speed_(settings_.baud),
       now_(bench_->start()),
       started_(now_),
       silent_until_(now_) {
@@ -334,6 +285,7 @@ Stored VectorNavFirmware::Device::factory() const {
   stored.baud = settings_.baud;
   stored.async_type = settings_.async_type;
   stored.async_rate_hz = settings_.async_rate_hz;
+  for (const VectorNavRegister& reg : vectornav_registers()) stored.vectors[reg.id] = factory_values(reg);
   return stored;
 }
 
@@ -415,6 +367,16 @@ std::string VectorNavFirmware::Device::run(const Words& words) {
       replies_.push(binary_packet(output, sample(next > 0 ? next - 1 : 0)), now_ + settings_.reply_delay);
     return fmt::format("VNBOM,{}", which);
   }
+  if (name == "VNTAR" || name == "VNSGB") {  // Of its attitude and its gyro: nothing here depends on them.
+    plain();
+    return name;
+  }
+  if (name == "VNKMD" || name == "VNKAD") {  // A known disturbance, for its filter.
+    if (words.size() < 2) throw Refusal{kTooFewParameters};
+    if (words.size() > 2) throw Refusal{kTooManyParameters};
+    if (number(words[1]) > 1) throw Refusal{kBadParameter};
+    return name + "," + words[1];
+  }
   if (name == "VNWNV") {
     plain();
     saved_ = current_;
@@ -431,6 +393,7 @@ std::string VectorNavFirmware::Device::run(const Words& words) {
     restart();
     return "VNRST";
   }
+  unserved_.note(name, "not emulated: VNERR,04");
   throw Refusal{kBadCommand};
 }
 
@@ -464,6 +427,10 @@ std::string VectorNavFirmware::Device::values_of(unsigned reg) const {
       return fmt::format("{}", current_.async_rate_hz);
     case 8:
       return measured(1);
+    case 9:
+      return measured(2);
+    case 15:
+      return measured(8);
     case 17:
       return measured(10);
     case 18:
@@ -482,6 +449,12 @@ std::string VectorNavFirmware::Device::values_of(unsigned reg) const {
     }
     case 54:
       return measured(19);
+    case 80:  // Over one period of the IMU, as it integrates them.
+      return delta_text(sample(next > 0 ? next - 1 : 0));
+    case 239:
+      return measured(16);
+    case 240:
+      return measured(17);
     case 75:
     case 76:
     case 77: {
@@ -491,16 +464,19 @@ std::string VectorNavFirmware::Device::values_of(unsigned reg) const {
       return text;
     }
     default: {
-      const auto found = current_.vectors.find(reg);
-      if (found == current_.vectors.end()) throw Refusal{kBadRegister};
-      std::string text;
-      for (const double value : found->second) {
-        if (!text.empty()) text += ',';
-        text += reg == 85 ? fmt::format("{:.0f}", value) : fmt::format("{:+09.6f}", value);
-      }
-      return text;
+      const VectorNavRegister& known = number_register(reg);
+      return register_text(known, current_.vectors.at(reg));
     }
   }
+}
+
+/// @throws Refusal if there is none
+const VectorNavRegister& VectorNavFirmware::Device::number_register(unsigned reg) const {
+  const VectorNavRegister* found = vectornav_register(reg);
+  if (found != nullptr && found->gnss && settings_.model.starts_with("VN-1")) throw Refusal{kBadRegister};
+  if (found != nullptr) return *found;
+  unserved_.note(fmt::format("register {}", reg), "not emulated: VNERR,08");
+  throw Refusal{kBadRegister};
 }
 
 std::string VectorNavFirmware::Device::write_register(const Words& words) {
@@ -533,23 +509,28 @@ std::string VectorNavFirmware::Device::write_register(const Words& words) {
     case 77:
       write_binary(current_.binary[reg - 75], values);
       break;
-    default: {
-      const auto found = current_.vectors.find(reg);
-      if (found == current_.vectors.end()) {
-        values_of(reg);                 // Unknown altogether: bad register.
-        throw Refusal{kNotAuthorised};  // It can be read only [unverified against a device].
-      }
-      if (values.size() < found->second.size()) throw Refusal{kTooFewParameters};
-      if (values.size() > found->second.size()) throw Refusal{kTooManyParameters};
-      std::vector<double> numbers;
-      for (const std::string& value : values) numbers.push_back(real_number(value));
-      found->second = std::move(numbers);
-    }
+    default:
+      write_numbers(reg, values);
   }
   last_sample_.reset();
   std::string echo = fmt::format("VNWRG,{:02}", reg);
   for (const std::string& value : values) echo += "," + value;
   return echo;
+}
+
+void VectorNavFirmware::Device::write_numbers(unsigned reg, const Words& values) {
+  if (vectornav_register(reg) == nullptr) {
+    values_of(reg);                 // Unknown altogether: bad register.
+    throw Refusal{kNotAuthorised};  // It can be read only [unverified against a device].
+  }
+  const VectorNavRegister& known = number_register(reg);
+  if (!known.writable) throw Refusal{kNotAuthorised};
+  if (values.size() < known.cells.size()) throw Refusal{kTooFewParameters};
+  if (values.size() > known.cells.size()) throw Refusal{kTooManyParameters};
+  std::vector<double> numbers;
+  for (std::size_t n = 0; n < values.size(); ++n)
+    numbers.push_back(known.cells[n] == 'u' ? number(values[n]) : real_number(values[n]));
+  current_.vectors[reg] = std::move(numbers);
 }
 
 void VectorNavFirmware::Device::write_serial(unsigned reg, const Words& values) {
@@ -567,7 +548,7 @@ void VectorNavFirmware::Device::write_serial(unsigned reg, const Words& values) 
   Stored wanted = current_;
   (reg == 5 ? wanted.baud : reg == 6 ? wanted.async_type : wanted.async_rate_hz) = value;
   require_link(wanted);
-  current_ = wanted;  // A pseudo-terminal has no line rate: the baud rate is kept, and nothing changes.
+  current_ = wanted;
   stream_from(now_);
 }
 
@@ -583,7 +564,7 @@ void VectorNavFirmware::Device::write_binary(BinaryOutput& output, const Words& 
   if (values.size() < 3 + masks) throw Refusal{kTooFewParameters};
   if (values.size() > 3 + masks) throw Refusal{kTooManyParameters};
   std::size_t which = 0;
-  for (unsigned group = 0; group < 7; ++group) {
+  for (unsigned group = 0; group < vn::kGroups; ++group) {
     if ((wanted.groups >> group & 1U) == 0) continue;
     const unsigned mask = number(values[3 + which++], 16);
     const std::size_t fields = fields_of_group(group).size();
@@ -703,6 +684,14 @@ std::string VectorNavFirmware::Device::async_text(unsigned type, const Sample& s
   }
 }
 
+/// Time, angle and velocity of one period.
+std::string VectorNavFirmware::Device::delta_text(const Sample& sample) {
+  constexpr double kPeriod_s = 1.0 / kImuRateHz;
+  const Eigen::Vector3d velocity = sample.acceleration * kPeriod_s;
+  return fmt::format("{:+09.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f}", kPeriod_s,
+                     0.0, 0.0, 0.0, velocity[0], velocity[1], velocity[2]);
+}
+
 std::string VectorNavFirmware::Device::async_sentence(const Sample& sample) const {
   std::string text = async_name(current_.async_type) + "," + async_text(current_.async_type, sample);
   // Register 30 appends a count and a status [M: what it counts].
@@ -759,7 +748,10 @@ std::string VectorNavFirmware::Device::transmit(Clock::Instant now) {
     }
     advance_tick();
   }
-  return out + replies_.take(now);
+  out += replies_.take(now);
+  // The answer to a change of the baud rate goes at the old one.
+  if (!replies_.next_due()) line_speed_ = current_.baud;
+  return out;
 }
 
 std::optional<Clock::Instant> VectorNavFirmware::Device::next_due() const {
@@ -769,7 +761,7 @@ std::optional<Clock::Instant> VectorNavFirmware::Device::next_due() const {
 }
 
 VectorNavFirmware::VectorNavFirmware(std::shared_ptr<SimBench> bench, VectorNavSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), std::move(settings))) {}
+    : device_(std::make_unique<Device>(std::move(bench), std::move(settings), unserved())) {}
 
 VectorNavFirmware::~VectorNavFirmware() = default;
 
@@ -783,6 +775,14 @@ std::string VectorNavFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> VectorNavFirmware::next_due() const {
   return device_->next_due();
+}
+
+void VectorNavFirmware::session_starts() {
+  device_->forget_session();
+}
+
+std::optional<unsigned> VectorNavFirmware::line_speed() const {
+  return device_->line_speed();
 }
 
 }  // namespace abcal::sim

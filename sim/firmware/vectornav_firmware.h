@@ -11,7 +11,7 @@ namespace abcal::sim {
 
 struct VectorNavSettings {
   std::string user_tag;
-  std::string model = "VN-100T-CR";
+  std::string model = "VN-100T-CR";  ///< "VN-200..." and "VN-300...": with the registers of GNSS receivers.
   unsigned hardware_revision = 7;
   std::string serial_number = "0100012345";
   std::string firmware_version = "2.1.0.0";
@@ -26,7 +26,9 @@ struct VectorNavSettings {
 /// A VectorNav VN-100 (docs/protocols/vectornav.md), reading the world of a SimBench. Its output unit R is
 /// m/s2: a truth of about 9.8 R per g_loc makes an ideal one. ASCII, asynchronous ASCII and binary outputs;
 /// both checksums. Samples lie on the grid of its 800 Hz IMU, from the start of the world's time. The port is
-/// its serial port 1.
+/// its serial port 1. Registers that tune the maker's filter are kept and change nothing. Register 25 is
+/// applied. What it does not know is refused by VNERR, and noted (unserved()). A new baud rate holds from the
+/// end of its answer on.
 class VectorNavFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a baud rate, type or output rate that a VN-100 does not have.
@@ -36,6 +38,8 @@ class VectorNavFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
+  std::optional<unsigned> line_speed() const override;
 
  private:
   class Device;

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <map>
 #include <stdexcept>
 #include <string_view>
 #include <utility>
@@ -33,6 +34,11 @@ constexpr Clock::Duration kMessageTimeout = std::chrono::milliseconds(100);
 constexpr Clock::Duration kWakeUpWait = std::chrono::milliseconds(500);
 
 enum MessageId : unsigned {
+  kSetNoRotation = 0x22,
+  kRunSelfTest = 0x24,
+  kReqEmts = 0x90,
+  kResetOrientation = 0xA4,
+  kAlignmentRotation = 0xEC,
   kReqDeviceId = 0x00,
   kInitBus = 0x02,
   kReqConfiguration = 0x0C,
@@ -57,6 +63,8 @@ enum MessageId : unsigned {
 
 enum ErrorCode : std::uint8_t { kInvalidMessage = 0x04, kInvalidBaudrate = 0x20, kInvalidParameter = 0x21 };
 
+bool known_message(unsigned id);
+
 /// Thrown by a message that is refused.
 struct Refusal {
   ErrorCode code;
@@ -69,6 +77,40 @@ struct BaudCode {
 constexpr std::array kBaudCodes{BaudCode{0x80, 921600}, BaudCode{0x00, 460800}, BaudCode{0x01, 230400},
                                 BaudCode{0x02, 115200}, BaudCode{0x04, 57600},  BaudCode{0x05, 38400},
                                 BaudCode{0x07, 19200},  BaudCode{0x09, 9600}};
+
+/// A message whose data are kept, and do nothing.
+struct Kept {
+  unsigned id;
+  std::size_t size;
+  std::string_view initial;  ///< In hexadecimal; zeros where it is shorter.
+};
+// Ids and sizes: docs/protocols/xbus.md.
+constexpr auto kKept = std::to_array<Kept>({
+    {0x04, 2, "0480"},  // period, in units of 1 / 115200 s: 100 Hz
+    {0x60, 12, ""},     // UTC
+    {0x6E, 24, ""},     // latitude, longitude, altitude
+    {0x76, 2, ""},      // GNSS platform
+    {0x86, 2, ""},      // external output mode
+    {0x8E, 2, ""},      // text outputs
+    {0xD0, 2, "0002"},  // output mode of old hosts
+    {0xD2, 4, ""},      // output settings of old hosts
+    {0xD4, 2, ""},      // output skip factor
+    {0xDA, 2, "0001"},  // error mode
+    {0xDC, 2, ""},      // transmit delay
+});
+
+const Kept* kept_message(unsigned id) {
+  const auto found = std::find_if(kKept.begin(), kKept.end(), [id](const Kept& k) { return k.id == id; });
+  return found == kKept.end() ? nullptr : &*found;
+}
+
+// What the maker's software reads before it measures; it does not look at what is in it
+// [unverified against a device].
+constexpr std::size_t kEmtsSize = 64;
+constexpr std::size_t kQuaternionSize = 16;
+constexpr unsigned kAlignmentFrames = 2;  // of the sensor, of the world
+constexpr double kPressurePa = 101325.0;
+constexpr std::size_t kGnssPvtSize = 94;
 
 struct FilterProfile {
   std::uint8_t type;
@@ -84,7 +126,15 @@ enum DataId : unsigned {
   kUtcTime = 0x1010,
   kPacketCounter = 0x1020,
   kSampleTimeFine = 0x1060,
+  kQuaternion = 0x2010,
+  kRotationMatrix = 0x2020,
   kEuler = 0x2030,
+  kPressure = 0x3010,
+  kAltitude = 0x5020,
+  kLatLon = 0x5040,
+  kGnssPvt = 0x7010,
+  kRateOfTurnHr = 0x8040,
+  kVelocity = 0xD010,
   kDeltaVelocity = 0x4010,
   kAcceleration = 0x4020,
   kFreeAcceleration = 0x4030,
@@ -95,9 +145,11 @@ enum DataId : unsigned {
   kStatusByte = 0xE010,
   kStatusWord = 0xE020,
 };
-constexpr std::array kWithRate{kTemperature,      kEuler,          kDeltaVelocity, kAcceleration,
-                               kFreeAcceleration, kAccelerationHr, kRateOfTurn,    kDeltaQuaternion,
+constexpr std::array kWithRate{kTemperature,    kQuaternion,    kRotationMatrix, kEuler,
+                               kPressure,       kDeltaVelocity, kAcceleration,   kFreeAcceleration,
+                               kAccelerationHr, kRateOfTurn,    kRateOfTurnHr,   kDeltaQuaternion,
                                kMagneticField};
+constexpr std::array kOfGnss{kAltitude, kLatLon, kGnssPvt, kVelocity};
 constexpr std::array kInEveryPacket{kUtcTime, kPacketCounter, kSampleTimeFine, kStatusByte, kStatusWord};
 constexpr unsigned kEveryPacket = 0xFFFF;
 
@@ -177,6 +229,14 @@ void put_real(std::string& out, unsigned id, double value) {
   }
 }
 
+bool known_message(unsigned id) {
+  constexpr std::array kKnown{kReqDeviceId, kInitBus,           kReqConfiguration,  kReqFirmware,
+                              kBaudrate,    kReqProductCode,    kReqHardware,       kSyncSettings,
+                              kOptionFlags, kReqFilterProfiles, kFilterProfile,     kLocationId,
+                              kRunSelfTest, kReqEmts,           kAlignmentRotation, kOutputConfiguration};
+  return kept_message(id) != nullptr || std::find(kKnown.begin(), kKnown.end(), id) != kKnown.end();
+}
+
 std::string from_hex(std::string_view digits) {
   std::string bytes;
   for (std::size_t n = 0; n + 1 < digits.size(); n += 2) {
@@ -192,9 +252,14 @@ std::string from_hex(std::string_view digits) {
 
 class XsensMtiFirmware::Device {
  public:
-  Device(std::shared_ptr<SimBench> bench, XsensMtiSettings settings);
+  Device(std::shared_ptr<SimBench> bench, XsensMtiSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void forget_session() {
+    input_.clear();
+    replies_.clear();
+  }
+  unsigned line_speed() const { return line_speed_; }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
 
@@ -212,6 +277,11 @@ class XsensMtiFirmware::Device {
   std::string location_id(std::string_view data);
   std::string sync_settings(std::string_view data);
   std::string configuration() const;
+  std::string keep(const Kept& kept, std::string_view data);
+  std::string alignment_rotation(std::string_view data);
+  bool has_gnss() const {
+    return settings_.product_code.starts_with("MTi-G") || settings_.product_code.starts_with("MTi-68");
+  }
   std::string firmware_revision() const;
   std::string filter_profiles() const;
 
@@ -233,7 +303,9 @@ class XsensMtiFirmware::Device {
 
   std::shared_ptr<SimBench> bench_;
   XsensMtiSettings settings_;
+  UnservedCommands& unserved_;
   std::string device_id_;
+  unsigned line_speed_;
   SampleGrid grid_;
   State state_ = State::kSwitchedOff;
   Clock::Instant switched_on_;
@@ -243,6 +315,8 @@ class XsensMtiFirmware::Device {
   std::uint32_t option_flags_ = 0;
   unsigned location_id_ = 0;
   std::string sync_settings_;
+  std::map<unsigned, std::string> kept_;
+  std::array<std::string, kAlignmentFrames> alignment_;  ///< Quaternions.
   Clock::Instant streams_until_ = Clock::Instant::min();
   std::uint64_t next_tick_ = 0;
   unsigned packet_counter_ = 0;
@@ -251,10 +325,13 @@ class XsensMtiFirmware::Device {
   Clock::Instant now_;
 };
 
-XsensMtiFirmware::Device::Device(std::shared_ptr<SimBench> bench, XsensMtiSettings settings)
+XsensMtiFirmware::Device::Device(std::shared_ptr<SimBench> bench, XsensMtiSettings settings,
+                                 UnservedCommands& unserved)
     : bench_(std::move(bench)),
       settings_(std::move(settings)),
+      unserved_(unserved),
       device_id_(from_hex(settings_.device_id)),
+      line_speed_(settings_.baud),
       grid_(bench_->start(), std::max(1U, settings_.base_rate_hz)),
       switched_on_(bench_->start()),
       changes_state_(bench_->start()),
@@ -278,6 +355,8 @@ XsensMtiFirmware::Device::Device(std::shared_ptr<SimBench> bench, XsensMtiSettin
   if (std::none_of(kBaudCodes.begin(), kBaudCodes.end(),
                    [&](const BaudCode& known) { return known.baud == settings_.baud; }))
     refuse("baud rate", settings_.baud, "one of the maker's, 9600 to 921600");
+  for (std::string& quaternion : alignment_)
+    for (const double part : {1.0, 0.0, 0.0, 0.0}) put_big_endian_float(quaternion, part);
   if (settings_.just_switched_on) {
     switch_on(now_);
   } else {
@@ -352,7 +431,12 @@ void XsensMtiFirmware::Device::run(unsigned id, std::string_view data) {
         if (!data.empty()) throw Refusal{kInvalidParameter};
         if (state_ != State::kMeasurement) begin_measurement(answered);
         break;
+      case kSetNoRotation:  // For so many seconds; hosts send it while it measures.
+      case kResetOrientation:
+        if (data.size() != 2) throw Refusal{kInvalidParameter};
+        break;
       default:
+        if (!known_message(id)) unserved_.note(fmt::format("message {:02X}", id), "not emulated: error 04");
         // Not valid in the other states [M: says so rather than ignoring it].
         if (state_ != State::kConfig) throw Refusal{kInvalidMessage};
         answer = run_in_config(id, data);
@@ -365,7 +449,13 @@ void XsensMtiFirmware::Device::run(unsigned id, std::string_view data) {
 }
 
 std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_view data) {
+  if (const Kept* kept = kept_message(id)) return keep(*kept, data);
   switch (id) {
+    case kAlignmentRotation:
+      return alignment_rotation(data);
+    case kReqEmts:
+      if (data.size() > 2) throw Refusal{kInvalidParameter};
+      return std::string(kEmtsSize, '\0');
     case kOutputConfiguration:
       return output_configuration(data);
     case kBaudrate:
@@ -385,6 +475,7 @@ std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_vie
     case kReqFirmware:
     case kReqConfiguration:
     case kReqFilterProfiles:
+    case kRunSelfTest:
       break;
     default:
       throw Refusal{kInvalidMessage};
@@ -405,6 +496,9 @@ std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_vie
       return configuration();
     case kReqFilterProfiles:
       return filter_profiles();
+    case kRunSelfTest:
+      put_u16(answer, 0x01FF);  // All nine sensors pass.
+      return answer;
     default:
       return device_id_;
   }
@@ -418,8 +512,9 @@ std::string XsensMtiFirmware::Device::output_configuration(std::string_view data
     Output output{u16_at(data, at), u16_at(data, at + 2)};
     const bool in_every_packet = contains(kInEveryPacket, output.kind());
     const unsigned format_and_frame = output.id & 0xFU;
-    const bool known = in_every_packet ? format_and_frame == 0
-                                       : contains(kWithRate, output.kind()) && format_and_frame < 0xC;
+    const bool with_rate =
+        contains(kWithRate, output.kind()) || (has_gnss() && contains(kOfGnss, output.kind()));
+    const bool known = in_every_packet ? format_and_frame == 0 : with_rate && format_and_frame < 0xC;
     if (!known) throw Refusal{kInvalidParameter};
     if (in_every_packet) {
       output.rate_hz = kEveryPacket;
@@ -447,7 +542,7 @@ std::string XsensMtiFirmware::Device::baudrate(std::string_view data) {
   });
   if (known == kBaudCodes.end()) throw Refusal{kInvalidBaudrate};
   if (!data.empty()) {
-    // Takes effect at the next reset [unverified against a device]: nothing changes now.
+    // Takes effect at the next reset [unverified against a device].
     settings_.baud = known->baud;
     return {};
   }
@@ -467,6 +562,29 @@ std::string XsensMtiFirmware::Device::filter_profile(std::string_view data) {
   if (found == kFilterProfiles.end()) throw Refusal{kInvalidParameter};
   profile_ = static_cast<unsigned>(found - kFilterProfiles.begin());
   return answer;
+}
+
+std::string XsensMtiFirmware::Device::keep(const Kept& kept, std::string_view data) {
+  if (data.empty()) {
+    const auto found = kept_.find(kept.id);
+    if (found != kept_.end()) return found->second;
+    std::string initial = from_hex(kept.initial);
+    initial.resize(kept.size, '\0');
+    return initial;
+  }
+  if (data.size() != kept.size) throw Refusal{kInvalidParameter};
+  kept_[kept.id] = data;
+  return {};
+}
+
+/// Of the sensor or of the world, by the first byte; alone it asks.
+std::string XsensMtiFirmware::Device::alignment_rotation(std::string_view data) {
+  if (data.empty() || byte(data[0]) >= kAlignmentFrames) throw Refusal{kInvalidParameter};
+  std::string& quaternion = alignment_[byte(data[0])];
+  if (data.size() == 1) return std::string(data) + quaternion;
+  if (data.size() != 1 + kQuaternionSize) throw Refusal{kInvalidParameter};
+  quaternion = data.substr(1);
+  return {};
 }
 
 /// Those to set, then those to clear [unverified against a device].
@@ -511,19 +629,28 @@ std::string XsensMtiFirmware::Device::firmware_revision() const {
 
 std::string XsensMtiFirmware::Device::configuration() const {
   const std::string id = device_id_.substr(device_id_.size() - 4);
+  const bool long_id = device_id_.size() > 4;
   std::string block = id;
-  put_u16(block, 1152);  // Period, in units of 1 / 115200 s: 100 Hz.
-  put_u16(block, 0);
+  if (long_id) {
+    block += device_id_.substr(0, 4);
+  } else {
+    put_u16(block, 1152);  // Period, in units of 1 / 115200 s: 100 Hz.
+    put_u16(block, 0);
+  }
   block.append(8, '\0');
   block += "20000101";
   block += "00000000";
-  block.append(64, '\0');
+  std::string code = long_id ? settings_.product_code : std::string();
+  code.resize(64, '\0');
+  block += code;
   put_u16(block, 1);  // Devices.
   block += id;
-  put_u16(block, 0);
-  put_u16(block, 0);
-  put_big_endian(block, std::uint32_t{0});
   block.append(8, '\0');
+  put_u16(block, kFilterProfiles[profile_].type);
+  for (const unsigned part : settings_.firmware_version) put_u8(block, part);
+  block += 'U';  // The profile is the user's choice [unverified against a device].
+  put_u8(block, kFilterProfiles[profile_].version);
+  put_u8(block, 0);
   return block;
 }
 
@@ -544,6 +671,7 @@ std::string XsensMtiFirmware::Device::filter_profiles() const {
 
 void XsensMtiFirmware::Device::switch_on(Clock::Instant t) {
   state_ = State::kWakingUp;
+  line_speed_ = settings_.baud;
   switched_on_ = t;
   changes_state_ = t + kWakeUpWait;
   replies_.push(message(kWakeUp, {}), t);
@@ -624,6 +752,21 @@ std::string XsensMtiFirmware::Device::item(const Output& output, const SimOutput
       put_reals({a[0] * period_s, a[1] * period_s, a[2] * period_s});
       break;
     }
+    case kPressure:
+      put_big_endian(data, static_cast<std::uint32_t>(kPressurePa));
+      break;
+    case kRotationMatrix:
+      put_reals({1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0});
+      break;
+    case kAltitude:
+      put_reals({0.0});
+      break;
+    case kLatLon:
+      put_reals({0.0, 0.0});
+      break;
+    case kGnssPvt:
+      return std::string(kGnssPvtSize, '\0');  // No fix.
+    case kQuaternion:
     case kDeltaQuaternion:
       put_reals({1.0, 0.0, 0.0, 0.0});
       break;
@@ -683,7 +826,7 @@ std::optional<Clock::Instant> XsensMtiFirmware::Device::next_due() const {
 }
 
 XsensMtiFirmware::XsensMtiFirmware(std::shared_ptr<SimBench> bench, XsensMtiSettings settings)
-    : device_(std::make_unique<Device>(std::move(bench), std::move(settings))) {}
+    : device_(std::make_unique<Device>(std::move(bench), std::move(settings), unserved())) {}
 
 XsensMtiFirmware::~XsensMtiFirmware() = default;
 
@@ -697,6 +840,14 @@ std::string XsensMtiFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> XsensMtiFirmware::next_due() const {
   return device_->next_due();
+}
+
+void XsensMtiFirmware::session_starts() {
+  device_->forget_session();
+}
+
+std::optional<unsigned> XsensMtiFirmware::line_speed() const {
+  return device_->line_speed();
 }
 
 }  // namespace abcal::sim

@@ -12,6 +12,7 @@ namespace abcal::sim {
 struct XsensMtiSettings {
   /// Hexadecimal, 8 digits (or 16 of the MTi-600 series [unverified against a device]).
   std::string device_id = "037003F8";
+  /// "MTi-G...", "MTi-680...": with the outputs of a GNSS receiver, which sees no satellite.
   std::string product_code = "MTi-30-2A8G4";
   unsigned hardware_version = 0x0105;
   std::array<unsigned, 3> firmware_version{1, 8, 2};
@@ -30,7 +31,8 @@ struct XsensMtiSettings {
 /// they show rest.
 ///
 /// Switched on, it says WakeUp and begins to measure 500 ms later unless a command says otherwise, with
-/// its last output configuration. The baud rate is kept and reported, and limits nothing: USB has none.
+/// its last output configuration. A new baud rate holds from the next reset on. Messages that it does not
+/// know are error 04, and noted (unserved()).
 class XsensMtiFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a device id, product code, baud rate or base rate that cannot be.
@@ -40,6 +42,8 @@ class XsensMtiFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
+  std::optional<unsigned> line_speed() const override;
 
  private:
   class Device;

@@ -14,6 +14,7 @@
 
 #include "drivers/text/text.h"
 #include "sim/firmware/reply_queue.h"
+#include "sim/firmware/zaber_settings.h"
 
 namespace abcal::sim {
 namespace {
@@ -26,6 +27,8 @@ constexpr double kLargestAcceleration = 1e5;  // deg/s2
 constexpr double kAbruptDeceleration = 1e5;   // deg/s2: estop does not use the ramp.
 constexpr Clock::Duration kShortestHoming = std::chrono::milliseconds(200);
 constexpr Clock::Duration kStallDetection = std::chrono::milliseconds(20);
+constexpr std::size_t kSettingsOfAGet = 10;  // get.settings.max
+constexpr int kStoredPositions = 16;
 
 using Words = std::vector<std::string>;
 
@@ -47,8 +50,10 @@ std::optional<int> whole_number(std::string_view text) {
   return value;
 }
 
+/// Digits, perhaps with a sign and a point: neither "1e3" nor "+1" nor "inf" is a number to a device.
 double number(std::string_view text) {
   double value = 0.0;
+  if (text.find_first_not_of("-.0123456789") != std::string_view::npos) throw Rejection{"BADDATA"};
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value))
     throw Rejection{"BADDATA"};
@@ -100,9 +105,14 @@ std::string joined(const Words& words, std::size_t first = 0) {
 
 class ZaberAsciiFirmware::Chain {
  public:
-  Chain(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings);
+  Chain(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void forget_session() {
+    line_.clear();
+    continued_.reset();
+    replies_.clear();
+  }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
 
@@ -121,12 +131,15 @@ class ZaberAsciiFirmware::Chain {
     double limit_min_deg = 0.0;
     double limit_max_deg = 0.0;
     int resolution = 64;
+    std::map<int, double> stored_deg;  ///< Positions of "tools storepos".
+    std::map<std::string, std::string, std::less<>> kept;
   };
   struct Device {
     int number = 1;
     std::string serial;
     bool alerts = false;
     bool checksums = false;
+    std::map<std::string, std::string, std::less<>> kept{};  ///< Settings that were written and do nothing.
     std::vector<std::optional<std::size_t>> axes;  ///< Which of X and Z its axes are; nothing: not connected.
   };
   /// One command for one device.
@@ -197,6 +210,12 @@ class ZaberAsciiFirmware::Chain {
   std::string stop(Command& c);
   std::string estop(Command& c);
   std::string get(Command& c);
+  std::string get_one(const Command& c, const std::string& name);
+  std::optional<std::string> get_kept(const Command& c, const std::string& name) const;
+  bool set_kept(Command& c, const std::string& name, const Words& values);
+  [[noreturn]] void reject_unknown(const std::string& command) const;
+  std::string io(Command& c);
+  std::string store_position(Command& c);
   std::string set(Command& c);
   std::string driver(Command& c);
   std::string warnings(Command& c);
@@ -230,7 +249,16 @@ class ZaberAsciiFirmware::Chain {
   std::string driver_enabled(std::size_t k) const { return axes_[k].driver_on ? "1" : "0"; }
   std::string driver_temperature(std::size_t) const { return temperature(); }
 
+  std::string busy(std::size_t k) const { return axes_[k].moving ? "1" : "0"; }
+  std::string velocity(std::size_t k) const;
+  std::string parked(std::size_t k) const { return axes_[k].parked ? "1" : "0"; }
+  std::string encoder_count(std::size_t k) const;
+
   // Settings of a device.
+  std::string build(const Device&) const { return settings_.build; }
+  std::string uptime(const Device&) const {
+    return fmt::format("{:.3f}", to_seconds(now_ - bench_->start()));
+  }
   std::string device_id(const Device& d) const;
   std::string version(const Device&) const { return settings_.version; }
   std::string serial(const Device& d) const { return d.serial; }
@@ -248,6 +276,7 @@ class ZaberAsciiFirmware::Chain {
 
   std::shared_ptr<SimBench> bench_;
   ZaberAsciiSettings settings_;
+  UnservedCommands& unserved_;
   std::array<Axis, 2> axes_;
   std::vector<Device> devices_;  ///< As they stand in the chain.
   ReplyQueue replies_;
@@ -257,8 +286,9 @@ class ZaberAsciiFirmware::Chain {
   Clock::Instant now_;
 };
 
-ZaberAsciiFirmware::Chain::Chain(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings)
-    : bench_(std::move(bench)), settings_(std::move(settings)), now_(bench_->start()) {
+ZaberAsciiFirmware::Chain::Chain(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings,
+                                 UnservedCommands& unserved)
+    : bench_(std::move(bench)), settings_(std::move(settings)), unserved_(unserved), now_(bench_->start()) {
   std::map<int, std::vector<std::optional<std::size_t>>> found;
   for (std::size_t k = 0; k < 2; ++k) {
     if (settings_.sign[k] != 1 && settings_.sign[k] != -1)
@@ -311,10 +341,19 @@ const std::map<std::string, ZaberAsciiFirmware::Chain::Method, std::less<>>&
 ZaberAsciiFirmware::Chain::commands() {
   using C = Chain;
   static const std::map<std::string, Method, std::less<>> table{
-      {"driver", {false, &C::driver}},    {"estop", {false, &C::estop}}, {"get", {false, &C::get}},
-      {"help", {true, &C::help}},         {"home", {false, &C::home}},   {"move", {false, &C::move}},
-      {"renumber", {true, &C::renumber}}, {"set", {false, &C::set}},     {"stop", {false, &C::stop}},
-      {"system", {true, &C::system}},     {"tools", {false, &C::tools}}, {"warnings", {false, &C::warnings}},
+      {"driver", {false, &C::driver}},
+      {"estop", {false, &C::estop}},
+      {"get", {false, &C::get}},
+      {"help", {true, &C::help}},
+      {"io", {true, &C::io}},
+      {"home", {false, &C::home}},
+      {"move", {false, &C::move}},
+      {"renumber", {true, &C::renumber}},
+      {"set", {false, &C::set}},
+      {"stop", {false, &C::stop}},
+      {"system", {true, &C::system}},
+      {"tools", {false, &C::tools}},
+      {"warnings", {false, &C::warnings}},
   };
   return table;
 }
@@ -326,6 +365,7 @@ ZaberAsciiFirmware::Chain::axis_settings() {
       {"accel", {&C::acceleration, &C::set_acceleration}},
       {"driver.enabled", {&C::driver_enabled, nullptr}},
       {"driver.temperature", {&C::driver_temperature, nullptr}},
+      {"encoder.count", {&C::encoder_count, nullptr}},
       {"encoder.pos", {&C::encoder_position, nullptr}},
       {"knob.enable", {&C::knob, &C::set_knob}},
       {"limit.cycle.dist", {&C::cycle_distance, nullptr}},
@@ -334,9 +374,12 @@ ZaberAsciiFirmware::Chain::axis_settings() {
       {"limit.min", {&C::limit_min, &C::set_limit_min}},
       {"maxspeed", {&C::speed, &C::set_speed}},
       {"motion.accelonly", {&C::acceleration, &C::set_acceleration_only}},
+      {"motion.busy", {&C::busy, nullptr}},
       {"motion.decelonly", {&C::deceleration, &C::set_deceleration_only}},
+      {"parking.state", {&C::parked, nullptr}},
       {"pos", {&C::position, &C::set_position}},
       {"resolution", {&C::resolution, &C::set_resolution}},
+      {"vel", {&C::velocity, nullptr}},
   };
   return table;
 }
@@ -345,10 +388,17 @@ const std::map<std::string, ZaberAsciiFirmware::Chain::DeviceSetting, std::less<
 ZaberAsciiFirmware::Chain::device_settings() {
   using C = Chain;
   static const std::map<std::string, DeviceSetting, std::less<>> table{
-      {"comm.address", {&C::address, &C::set_address}},          {"comm.alert", {&C::alerts, &C::set_alerts}},
-      {"comm.checksum", {&C::checksums, &C::set_checksums}},     {"deviceid", {&C::device_id, nullptr}},
-      {"system.axiscount", {&C::axis_count, nullptr}},           {"system.serial", {&C::serial, nullptr}},
-      {"system.temperature", {&C::device_temperature, nullptr}}, {"version", {&C::version, nullptr}},
+      {"comm.address", {&C::address, &C::set_address}},
+      {"comm.alert", {&C::alerts, &C::set_alerts}},
+      {"comm.checksum", {&C::checksums, &C::set_checksums}},
+      {"deviceid", {&C::device_id, nullptr}},
+      {"device.id", {&C::device_id, nullptr}},
+      {"system.uptime", {&C::uptime, nullptr}},
+      {"version.build", {&C::build, nullptr}},
+      {"system.axiscount", {&C::axis_count, nullptr}},
+      {"system.serial", {&C::serial, nullptr}},
+      {"system.temperature", {&C::device_temperature, nullptr}},
+      {"version", {&C::version, nullptr}},
   };
   return table;
 }
@@ -426,7 +476,7 @@ void ZaberAsciiFirmware::Chain::run_on(Command command) {
       throw Rejection{"BADAXIS"};
     if (command.arguments.empty()) return reply(command, true, "0");
     const auto method = commands().find(command.arguments.front());
-    if (method == commands().end()) throw Rejection{"BADCOMMAND"};
+    if (method == commands().end()) reject_unknown(command.arguments.front());
     if (method->second.device_only && command.axis != 0) throw Rejection{"DEVICEONLY"};
     command.arguments.erase(command.arguments.begin());
     reply(command, true, (this->*method->second.run)(command));
@@ -507,6 +557,8 @@ void ZaberAsciiFirmware::Chain::power_on(std::size_t k) {
   a.limit_max_deg = before.limit_max_deg;
   a.resolution = before.resolution;
   a.knob = before.knob;
+  a.stored_deg = before.stored_deg;
+  a.kept = before.kept;
   a.offset_deg = settings_.keeps_position_without_power
                      ? before.offset_deg
                      : -controller_deg(k, bench_->target(kStageAxes[k], now_));  // Reads 0 until homed.
@@ -640,9 +692,11 @@ std::string ZaberAsciiFirmware::Chain::move(Command& c) {
   const std::string how = c.arguments.front();
   const Words rest(c.arguments.begin() + 1, c.arguments.end());
   const bool takes_number = how == "abs" || how == "rel" || how == "vel";
-  if (!takes_number && how != "min" && how != "max") throw Rejection{"BADCOMMAND"};
-  if (!takes_number && !rest.empty()) throw Rejection{"BADDATA"};
-  const double value = takes_number ? whole(only(rest)) : 0.0;
+  const bool stored = how == "stored";
+  if (!takes_number && !stored && how != "min" && how != "max") reject_unknown("move " + how);
+  if (!takes_number && !stored && !rest.empty()) throw Rejection{"BADDATA"};
+  const double value = takes_number || stored ? whole(only(rest)) : 0.0;
+  if (stored && (value < 1.0 || value > kStoredPositions)) throw Rejection{"BADDATA"};
   if (c.axes().empty()) throw Rejection{"INACTIVE"};
   // All of them move, or none does.
   std::map<std::size_t, double> targets;
@@ -652,10 +706,12 @@ std::string ZaberAsciiFirmware::Chain::move(Command& c) {
         std::round(to_steps(k, controller_deg(k, bench_->commanded_angle(kStageAxes[k], now_))));
     const double speed_deg_per_s = std::abs(to_degrees(k, value / kSpeedFactor));
     if (how == "vel" && speed_deg_per_s > settings_.max_speed_deg_per_s) throw Rejection{"BADDATA"};
-    targets[k] = how == "abs"                                    ? checked_target(k, value)
-                 : how == "rel"                                  ? checked_target(k, here + value)
-                 : how == "min" || (how == "vel" && value < 0.0) ? axes_[k].limit_min_deg
-                                                                 : axes_[k].limit_max_deg;
+    targets[k] =
+        how == "abs"   ? checked_target(k, value)
+        : how == "rel" ? checked_target(k, here + value)
+        : stored ? checked_target(k, std::round(to_steps(k, axes_[k].stored_deg[static_cast<int>(value)])))
+        : how == "min" || (how == "vel" && value < 0.0) ? axes_[k].limit_min_deg
+                                                        : axes_[k].limit_max_deg;
   }
   for (const auto& [k, target] : targets) {
     const StageAxis axis = kStageAxes[k];
@@ -685,28 +741,84 @@ std::string ZaberAsciiFirmware::Chain::estop(Command& c) {
   return "0";
 }
 
-/// Of all axes: one value each, NA for those that are not connected.
+void ZaberAsciiFirmware::Chain::reject_unknown(const std::string& command) const {
+  unserved_.note(command, "not emulated: RJ BADCOMMAND");
+  throw Rejection{"BADCOMMAND"};
+}
+
+/// One setting; from firmware 7 on several, their values behind each other with "; " between them
+/// [unverified against a device].
 std::string ZaberAsciiFirmware::Chain::get(Command& c) {
-  const std::string& name = only(c.arguments);
+  if (c.arguments.empty()) throw Rejection{"BADCOMMAND"};
+  if (c.arguments.size() > (old_firmware() ? 1 : kSettingsOfAGet)) throw Rejection{"BADDATA"};
+  std::string values;
+  for (const std::string& name : c.arguments) values += (values.empty() ? "" : "; ") + get_one(c, name);
+  return values;
+}
+
+/// Of all axes: one value each, NA for those that are not connected.
+std::string ZaberAsciiFirmware::Chain::get_one(const Command& c, const std::string& name) {
+  const bool peripheral = name == "peripheralid" || (name == "peripheral.id" && !old_firmware());
+  const bool new_name =
+      name == "driver.enabled" || name == "device.id" || name == "motion.busy" || name == "version.build";
+  if (old_firmware() && new_name) throw Rejection{"BADCOMMAND"};
   if (const auto found = device_settings().find(name); found != device_settings().end()) {
     if (c.axis != 0) throw Rejection{"DEVICEONLY"};
     return (this->*found->second.get)(*c.device);
   }
+  if (const auto kept = get_kept(c, name)) return *kept;
   const auto found = axis_settings().find(name);
-  if (found == axis_settings().end() && name != "peripheralid") throw Rejection{"BADCOMMAND"};
-  if (old_firmware() && name == "driver.enabled") throw Rejection{"BADCOMMAND"};
+  if (found == axis_settings().end() && !peripheral) reject_unknown("get " + name);
+  // A unit whose motor is built in has no peripheral.
+  if (peripheral && c.device->axes.size() == 1) throw Rejection{"BADCOMMAND"};
   Words values;
   for (std::size_t n = 0; n < c.device->axes.size(); ++n) {
     if (c.axis != 0 && static_cast<std::size_t>(c.axis) != n + 1) continue;
     const auto k = c.device->axes[n];
-    if (name == "peripheralid") {
-      const bool controller = c.device->axes.size() > 1;
-      values.push_back(std::to_string(k && controller ? settings_.peripheral_ids[*k] : 0U));
+    if (peripheral) {
+      values.push_back(std::to_string(k ? settings_.peripheral_ids[*k] : 0U));
     } else {
       values.push_back(k ? (this->*found->second.get)(*k) : "NA");
     }
   }
   return joined(values);
+}
+
+std::optional<std::string> ZaberAsciiFirmware::Chain::get_kept(const Command& c,
+                                                               const std::string& name) const {
+  const ZaberSetting* setting = zaber_setting(name);
+  if (setting == nullptr || (setting->since_7 && old_firmware())) return std::nullopt;
+  const auto value = [&](const auto& kept) {
+    const auto found = kept.find(name);
+    return found == kept.end() ? std::string(setting->initial) : found->second;
+  };
+  if (setting->of_device) {
+    if (c.axis != 0) throw Rejection{"DEVICEONLY"};
+    return value(c.device->kept);
+  }
+  Words values;
+  for (std::size_t n = 0; n < c.device->axes.size(); ++n) {
+    if (c.axis != 0 && static_cast<std::size_t>(c.axis) != n + 1) continue;
+    const auto k = c.device->axes[n];
+    values.push_back(k ? value(axes_[*k].kept) : "NA");
+  }
+  return joined(values);
+}
+
+/// Whether there is such a setting.
+bool ZaberAsciiFirmware::Chain::set_kept(Command& c, const std::string& name, const Words& values) {
+  const ZaberSetting* setting = zaber_setting(name);
+  if (setting == nullptr || (setting->since_7 && old_firmware())) return false;
+  if (!setting->writable) throw Rejection{"BADCOMMAND"};
+  const double value = number(only(values));
+  if (value < setting->lowest || value > setting->highest) throw Rejection{"BADDATA"};
+  if (setting->of_device) {
+    if (c.axis != 0) throw Rejection{"DEVICEONLY"};
+    c.device->kept.insert_or_assign(name, values.front());
+  } else {
+    for (const std::size_t k : c.axes()) axes_[k].kept.insert_or_assign(name, values.front());
+  }
+  return true;
 }
 
 std::string ZaberAsciiFirmware::Chain::set(Command& c) {
@@ -719,8 +831,10 @@ std::string ZaberAsciiFirmware::Chain::set(Command& c) {
     (this->*found->second.set)(*c.device, only(rest));
     return "0";
   }
+  if (set_kept(c, name, rest)) return "0";
   const auto found = axis_settings().find(name);
-  if (found == axis_settings().end() || found->second.set == nullptr) throw Rejection{"BADCOMMAND"};
+  if (found == axis_settings().end()) reject_unknown("set " + name);
+  if (found->second.set == nullptr) throw Rejection{"BADCOMMAND"};
   if (c.axes().empty()) throw Rejection{"INACTIVE"};
   for (const std::size_t k : c.axes()) (this->*found->second.set)(k, only(rest));
   return "0";
@@ -751,7 +865,9 @@ std::string ZaberAsciiFirmware::Chain::warnings(Command& c) {
 std::string ZaberAsciiFirmware::Chain::tools(Command& c) {
   if (c.arguments.empty()) throw Rejection{"BADCOMMAND"};
   if (c.arguments.front() == "echo") return c.arguments.size() > 1 ? joined(c.arguments, 1) : "0";
-  if (c.arguments.front() != "parking" || c.arguments.size() != 2) throw Rejection{"BADCOMMAND"};
+  if (c.arguments.front() == "storepos") return store_position(c);
+  if (c.arguments.front() != "parking") reject_unknown("tools " + c.arguments.front());
+  if (c.arguments.size() != 2) throw Rejection{"BADCOMMAND"};
   const std::string& what = c.arguments[1];
   if (what == "state") {
     Words values;
@@ -764,8 +880,34 @@ std::string ZaberAsciiFirmware::Chain::tools(Command& c) {
   return "0";
 }
 
+/// "storepos 3 1000" stores, "storepos 3 current" where it is; "storepos 3" tells.
+std::string ZaberAsciiFirmware::Chain::store_position(Command& c) {
+  if (c.arguments.size() < 2 || c.arguments.size() > 3) throw Rejection{"BADDATA"};
+  const double which = whole(c.arguments[1]);
+  if (which < 1.0 || which > kStoredPositions) throw Rejection{"BADDATA"};
+  const int n = static_cast<int>(which);
+  Words values;
+  for (const std::size_t k : c.axes()) {
+    if (c.arguments.size() == 2) {
+      values.push_back(integer(to_steps(k, axes_[k].stored_deg[n])));
+      continue;
+    }
+    axes_[k].stored_deg[n] = c.arguments[2] == "current"
+                                 ? controller_deg(k, bench_->commanded_angle(kStageAxes[k], now_))
+                                 : checked_target(k, whole(c.arguments[2]));
+  }
+  return values.empty() ? "0" : joined(values);
+}
+
+/// How many lines there are: analogue out, analogue in, digital out, digital in. None.
+std::string ZaberAsciiFirmware::Chain::io(Command& c) {
+  if (c.arguments.empty() || c.arguments.front() != "info") reject_unknown("io " + joined(c.arguments));
+  return "0 0 0 0";
+}
+
 std::string ZaberAsciiFirmware::Chain::system(Command& c) {
-  if (c.arguments.empty() || only(c.arguments) != "reset") throw Rejection{"BADCOMMAND"};
+  if (c.arguments.empty()) throw Rejection{"BADCOMMAND"};
+  if (only(c.arguments) != "reset") reject_unknown("system " + c.arguments.front());
   for (const std::size_t k : c.axes()) {
     stop_axis(k, true);
     power_on(k);
@@ -804,6 +946,19 @@ void ZaberAsciiFirmware::Chain::set_position(std::size_t k, const std::string& v
 
 std::string ZaberAsciiFirmware::Chain::encoder_position(std::size_t k) const {
   return fmt::format("{:.2f}", to_steps(k, controller_deg(k, bench_->encoder_angle(kStageAxes[k], now_))));
+}
+
+std::string ZaberAsciiFirmware::Chain::encoder_count(std::size_t k) const {
+  return integer(to_steps(k, controller_deg(k, bench_->encoder_angle(kStageAxes[k], now_))));
+}
+
+/// In the unit of maxspeed, over a millisecond.
+std::string ZaberAsciiFirmware::Chain::velocity(std::size_t k) const {
+  constexpr Clock::Duration kSpan = std::chrono::milliseconds(1);
+  const StageAxis axis = kStageAxes[k];
+  const Angle turned = bench_->commanded_angle(axis, now_) -
+                       bench_->commanded_angle(axis, std::max(bench_->start(), now_ - kSpan));
+  return integer(settings_.sign[k] * to_steps(k, turned.deg()) / to_seconds(kSpan) * kSpeedFactor);
 }
 
 void ZaberAsciiFirmware::Chain::set_limit_min(std::size_t k, const std::string& value) {
@@ -900,7 +1055,7 @@ std::optional<Clock::Instant> ZaberAsciiFirmware::Chain::next_due() const {
 }
 
 ZaberAsciiFirmware::ZaberAsciiFirmware(std::shared_ptr<SimBench> bench, ZaberAsciiSettings settings)
-    : chain_(std::make_unique<Chain>(std::move(bench), std::move(settings))) {}
+    : chain_(std::make_unique<Chain>(std::move(bench), std::move(settings), unserved())) {}
 
 ZaberAsciiFirmware::~ZaberAsciiFirmware() = default;
 
@@ -914,6 +1069,10 @@ std::string ZaberAsciiFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> ZaberAsciiFirmware::next_due() const {
   return chain_->next_due();
+}
+
+void ZaberAsciiFirmware::session_starts() {
+  chain_->forget_session();
 }
 
 }  // namespace abcal::sim

@@ -21,7 +21,8 @@ struct ZaberAsciiSettings {
   std::array<Angle, 2> zero{};
   std::string serial_number = "54321";    ///< Of the device of X.
   std::string z_serial_number = "54322";  ///< Of the device of Z, if it is another one.
-  std::string version = "7.38.16432";     ///< Below 7: no "driver", and no flags of it.
+  std::string version = "7.38";           ///< Below 7: no "driver", no flags of it, settings of firmware 6.
+  std::string build = "16432";            ///< version.build
   /// deviceid of one with several axes, X-MCC2 [unverified against a device].
   unsigned controller_id = 30222;
   unsigned unit_id = 50009;  ///< deviceid of one with a single axis: X-RSW60A-E03.
@@ -41,8 +42,8 @@ struct ZaberAsciiSettings {
 /// SimBench: a controller with two axes, or single-axis units in a daisy chain. All of them hear every byte.
 ///
 /// Wherever an axis is when it is switched on, it reads 0 until it is homed; the home sensor lies at the
-/// controller's zero. comm.checksum, comm.alert and the device number are kept without power, positions are
-/// not.
+/// controller's zero. What it does not know is rejected by BADCOMMAND, and noted (unserved()). comm.checksum,
+/// comm.alert and the device number are kept without power, positions are not.
 class ZaberAsciiFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument if a sign or the name of an axis cannot be.
@@ -52,6 +53,7 @@ class ZaberAsciiFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
 
  private:
   class Chain;

@@ -205,6 +205,72 @@ TEST_F(EmulatorTest, TcpServesOneClientAtATime) {
   EXPECT_EQ(first.ask("CSV?\n", 4), kVersion);
 }
 
+// "MOV 1 1" and a broken connection must not become "MOV 1 120" with the next client's bytes.
+TEST_F(EmulatorTest, HalfACommandEndsWithItsConnection) {
+  serve({{stage(), TcpPort{}}});
+  const std::string address = emulator->addresses()[0];
+  {
+    Client first = Client::tcp(address);
+    first.send("SVO 1 1\nFRF 1\n");
+    while (first.ask("FRF? 1\n", 4) != "1=1\n") {
+    }
+    first.send("MOV 1 1");
+  }
+  Client second = Client::tcp(address);
+  EXPECT_EQ(second.ask("20\nMOV? 1\n", 11), "1=0.000000\n");
+}
+
+TEST_F(EmulatorTest, AReconnectionIsNeverRefused) {
+  serve({{stage(), TcpPort{}}});
+  const std::string address = emulator->addresses()[0];
+  for (int n = 0; n < 600; ++n) {
+    Client client = Client::tcp(address);
+    if (n % 2 == 0) {
+      EXPECT_EQ(client.ask("CSV?\n", 4), kVersion) << n;
+    } else {
+      client.send("CSV?\n");  // and leaves without waiting
+    }
+  }
+}
+
+void set_speed(const Client& client, speed_t speed) {
+  termios settings{};
+  ASSERT_EQ(::tcgetattr(client.fd(), &settings), 0);
+  ::cfsetspeed(&settings, speed);
+  ASSERT_EQ(::tcsetattr(client.fd(), TCSANOW, &settings), 0);
+}
+
+TEST_F(EmulatorTest, ARealLineGarblesWhatIsSentAtAnotherSpeed) {
+  MipSettings settings;
+  settings.baud = 460800;
+  serve({{accelerometer(settings), PtyLink{link("accelerometer"), LineModel::kReal}}});
+  Client client = Client::terminal(link("accelerometer"));
+  set_speed(client, B9600);
+  client.send(kIdle);
+  EXPECT_EQ(client.receive(kAck, milliseconds(200)), "") << "the device sees noise only";
+  set_speed(client, B460800);
+  EXPECT_EQ(client.ask(kIdle, kAck), kIdleAck);
+}
+
+TEST_F(EmulatorTest, ARealLineCarriesATenthOfItsSpeedInBytes) {
+  serve({{accelerometer({.base_rate_hz = 1000}), PtyLink{link("accelerometer"), LineModel::kReal}}});
+  Client client = Client::terminal(link("accelerometer"));
+  set_speed(client, B115200);
+  const std::string format("\x75\x65\x0C\x08\x08\x0F\x01\x80\x01\x04\x00\x01", 12);  // 20 bytes at 1 kHz
+  unsigned a = 0;
+  unsigned b = 0;
+  for (const char c : format) b = (b + (a = (a + static_cast<unsigned char>(c)) % 256)) % 256;
+  client.send(format + static_cast<char>(a) + static_cast<char>(b));
+  client.send(kResume);
+  client.receive(100);
+  const auto start = std::chrono::steady_clock::now();
+  const std::size_t bytes = client.receive(6000).size();
+  const double elapsed_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  EXPECT_GE(bytes, 6000U);
+  EXPECT_GT(elapsed_s, 6000.0 / 11520.0 - 0.05);  // what lay in the terminal at the start came at once
+  EXPECT_GT(emulator->dropped_bytes(), 0U) << "the rest is lost";
+}
+
 TEST_F(EmulatorTest, InstrumentsOfOneWorldFeelEachOther) {
   serve({{stage(), PtyLink{link("stage")}}, {accelerometer(), TcpPort{}}});
   Client turn = Client::terminal(link("stage"));

@@ -214,7 +214,7 @@ TEST_F(MipFirmwareTest, UnknownCommandsAndParametersAreRefusedWithTheirCodes) {
   EXPECT_EQ(code(0x77, "0201"), 1U);
   EXPECT_EQ(code(0x0C, "080F01800199000A"), 3U);  // no such field
   EXPECT_EQ(code(0x0C, "080F018001040000"), 3U);  // decimation 0
-  EXPECT_EQ(code(0x0C, "040F0182"), 3U);          // no such set
+  EXPECT_EQ(code(0x0C, "040F0183"), 3U);          // no such set
   EXPECT_EQ(code(0x0C, "030F01"), 3U);            // too short
   EXPECT_EQ(code(0x01, "0301FF"), 3U);            // too long
   EXPECT_EQ(code(0x0C, "033009"), 3U);            // no such function
@@ -299,6 +299,124 @@ TEST_F(MipFirmwareTest, TheBaudRateIsWrittenAndReadInBothForms) {
   EXPECT_EQ(ask(0x0C, "034002").back().descriptor, 0x87U);
   EXPECT_EQ(to_hex(ask(0x0C, "034002").back().data), "000E1000");
   EXPECT_EQ(code(0x0C, "07400100000001"), 3U);
+}
+
+// The order of the maker's example for this unit: without any of these it gives up.
+TEST_F(MipFirmwareTest, AnswersTheMakersFilterExampleOfThe7Series) {
+  EXPECT_EQ(code(0x01, "0202"), 0U);
+  EXPECT_EQ(code(0x0C, "0330 05"), 0U);
+  host.send(command(0x0C, "0439 03E8"));  // capture of the gyro bias, 1 s
+  EXPECT_EQ(host.listen(milliseconds(999)), "");
+  const auto bias = fields_of(host.listen(milliseconds(10)));
+  ASSERT_EQ(bias.size(), 2U);
+  EXPECT_EQ(to_hex(bias[0].data), "3900");
+  EXPECT_EQ(bias[1].descriptor, 0x9BU);
+  EXPECT_EQ(bias[1].data.size(), 12U);
+  const auto rate = ask(0x0C, "030E 82");
+  EXPECT_EQ(to_hex(rate.at(1).data), "8203E8");
+  EXPECT_EQ(code(0x0C, "0E0F 01 82 03 D3000A 100064 05000A"), 0U);
+  EXPECT_EQ(code(0x0C, "192E 01 01 02 82 05 01 01 BFE0000000000000 3FE0000000000000"), 0U);
+  EXPECT_EQ(code(0x0C, "0A2F 01 01 01 02 82 0001 00"), 0U);
+  EXPECT_EQ(code(0x0C, "052B 01 01 01"), 0U);
+  EXPECT_EQ(code(0x0C, "0F31 01 00000000 00000000 00000000"), 0U);
+  EXPECT_EQ(code(0x0D, "0201"), 0U);
+  EXPECT_EQ(code(0x0C, "0511 01 82 01"), 0U);
+  EXPECT_EQ(code(0x0C, "0511 01 80 00"), 0U);
+  EXPECT_EQ(code(0x01, "0206"), 0U);
+  std::vector<unsigned> states;
+  for (const Field& field : fields_of(host.listen(seconds(2)))) {
+    EXPECT_EQ(field.set, 0x82U);
+    if (field.descriptor == 0x10) states.push_back(static_cast<unsigned>(big_endian(field.data, 0, 2)));
+    if (field.descriptor == 0x05) {
+      EXPECT_EQ(field.data.size(), 14U);
+    }
+  }
+  ASSERT_EQ(states.size(), 20U);
+  EXPECT_EQ(states.front(), 1U);
+  EXPECT_EQ(states.back(), 2U) << "the host waits for this";
+}
+
+TEST_F(MipFirmwareTest, AnAttitudeReferenceHasNoMagnetometer) {
+  const auto answer = ask(0x01, "0204");
+  std::vector<std::uint64_t> descriptors;
+  for (std::size_t at = 0; at < answer.at(1).data.size(); at += 2)
+    descriptors.push_back(big_endian(answer[1].data, at, 2));
+  EXPECT_THAT(descriptors, testing::Contains(0x8004U));
+  EXPECT_THAT(descriptors, testing::Contains(0x8210U));
+  EXPECT_THAT(descriptors, testing::Contains(0x0C39U));
+  EXPECT_THAT(descriptors, testing::Not(testing::Contains(0x8006U)));
+  EXPECT_LT(descriptors.size(), 125U);  // more would be in a second list
+  EXPECT_EQ(code(0x0C, "080F 01 80 01 060001"), 3U);
+}
+
+TEST_F(MipFirmwareTest, EveryCommandThatItListsIsKnown) {
+  const std::string list = ask(0x01, "0204").at(1).data;
+  for (std::size_t at = 0; at < list.size(); at += 2) {
+    const auto set = static_cast<unsigned>(big_endian(list, at, 1));
+    if (set >= 0x80) continue;
+    const std::string command = to_hex(list.substr(at + 1, 1));
+    // Without parameters most are refused, but not as unknown.
+    if (command != "7E") {
+      EXPECT_NE(code(set, "02" + command), 1U) << set << " " << command;
+    }
+  }
+}
+
+TEST_F(MipFirmwareTest, ItsAccelerometerBiasIsSubtracted) {
+  const auto z = [&] { return as_float(ask(0x0C, "060D 80 00 01 04").at(1).data, 2); };
+  EXPECT_EQ(z(), 1.0F);
+  EXPECT_EQ(to_hex(ask(0x0C, "0337 02").at(1).data), "000000000000000000000000");
+  EXPECT_EQ(code(0x0C, "0F37 01 00000000 00000000 3E800000"), 0U);  // 0.25 g
+  EXPECT_EQ(z(), 0.75F);
+  const auto read = ask(0x0C, "0337 02");
+  EXPECT_EQ(read.at(1).descriptor, 0x9AU);
+  EXPECT_EQ(to_hex(read[1].data), "00000000000000003E800000");
+  EXPECT_EQ(code(0x0C, "0337 05"), 0U);
+  EXPECT_EQ(z(), 1.0F);
+}
+
+TEST_F(MipFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
+  EXPECT_EQ(code(0x0C, "0377 02"), 1U);
+  EXPECT_EQ(code(0x0C, "0377 02"), 1U);
+  EXPECT_EQ(code(0x13, "0201"), 1U);
+  const auto unserved = firmware.unserved().all();
+  ASSERT_EQ(unserved.size(), 2U);
+  EXPECT_EQ(unserved[0].command, "0C,77");
+  EXPECT_EQ(unserved[0].count, 2U);
+  EXPECT_EQ(unserved[1].command, "13,01");
+}
+
+TEST_F(MipFirmwareTest, ANewBaudRateHoldsFromTheEndOfItsAnswerOn) {
+  host.send(command(0x0C, "0740 01 000E1000"));
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+  EXPECT_EQ(fields_of(host.listen(milliseconds(1))).size(), 1U);
+  EXPECT_EQ(firmware.line_speed(), 921600U);
+}
+
+TEST_F(MipFirmwareTest, ANewSessionStartsWithAnEmptyBuffer) {
+  host.send(from_hex("75650120"));
+  firmware.session_starts();
+  EXPECT_EQ(code(0x01, "0201"), 0U);
+}
+
+class MipAhrsTest : public MipFirmwareTest {
+ protected:
+  MipAhrsTest()
+      : MipFirmwareTest({.model_name = "3DM-GX5-AHRS", .legacy_commands = true, .modern_commands = false}) {}
+};
+
+TEST_F(MipAhrsTest, AnswersTheMakersFilterExampleOfThe5Series) {
+  EXPECT_EQ(to_hex(ask(0x0C, "020B").at(1).data), "03E8");
+  EXPECT_EQ(code(0x0C, "0A0A 01 02 1003E8 05000A"), 0U);
+  EXPECT_EQ(code(0x0D, "0418 01 01"), 0U);
+  EXPECT_EQ(code(0x0D, "0419 01 01"), 0U);
+  EXPECT_EQ(code(0x0D, "0F11 01 00000000 00000000 00000000"), 0U);
+  EXPECT_EQ(code(0x0D, "0201"), 0U);
+  host.listen(seconds(2));
+  const auto status = ask(0x0C, "060D 82 00 01 10");
+  EXPECT_EQ(big_endian(status.at(1).data, 0, 2), 2U) << "GX5_RUN_SOLUTION_VALID";
+  EXPECT_EQ(code(0x0C, "0708 01 01 060001"), 0U) << "it has a magnetometer";
+  EXPECT_EQ(code(0x0C, "052B 01 01 01"), 1U) << "of the 7 series";
 }
 
 TEST_F(MipFirmwareTest, TheStreamSeesTheStageTurn) {

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <memory>
 #include <string>
 
@@ -102,7 +103,7 @@ TEST_F(NewportEspFirmwareTest, MovesForAsLongAsTheMotionLasts) {
 TEST_F(NewportEspFirmwareTest, RefusesWithTheCodesOfTheManual) {
   EXPECT_EQ(command("1PA5"), "113\r\n");  // motor not enabled
   home_both();
-  EXPECT_EQ(command("1XX5"), "6\r\n");
+  EXPECT_EQ(command("1YY5"), "6\r\n");
   EXPECT_EQ(command("hello"), "6\r\n");
   EXPECT_EQ(command("7"), "6\r\n");
   EXPECT_EQ(command("1PA5x"), "7\r\n");
@@ -122,12 +123,12 @@ TEST_F(NewportEspFirmwareTest, RefusesWithTheCodesOfTheManual) {
 }
 
 TEST_F(NewportEspFirmwareTest, RemembersErrorsInTheirOrderAndTheOldestAreLost) {
-  ask("1XX");
+  ask("1YY");
   ask("TP");
   EXPECT_EQ(ask("TE?"), "6\r\n");
   EXPECT_EQ(ask("TE?"), "37\r\n");
   EXPECT_EQ(ask("TE?"), "0\r\n");
-  for (int n = 0; n < 12; ++n) ask(n < 2 ? "1XX" : "TP");
+  for (int n = 0; n < 12; ++n) ask(n < 2 ? "1YY" : "TP");
   for (int n = 0; n < 10; ++n) EXPECT_EQ(ask("TE?"), "37\r\n");
   EXPECT_EQ(ask("TE?"), "0\r\n");
 }
@@ -223,6 +224,112 @@ TEST_F(NewportEspFirmwareTest, ShowsTheFaultsOfTheWorld) {
   bench->inject(
       {.kind = FaultKind::kLostReference, .at = now(), .until = now() + seconds(1), .axis = StageAxis::kX});
   EXPECT_EQ(command("1PA10"), "109\r\n");
+}
+
+// EPICS counts the axes by ST and TB?: any error but 9 ends its start.
+TEST_F(NewportEspFirmwareTest, StoppingAnAxisWithoutAStageIsNoError) {
+  EXPECT_EQ(command("03ST"), "0\r\n");
+  EXPECT_EQ(command("04ST"), "9\r\n");
+}
+
+TEST_F(NewportEspFirmwareTest, JogsUntilItIsStopped) {
+  home_both();
+  EXPECT_EQ(command("01MV+;"), "0\r\n");  // as EPICS writes it
+  host.listen(seconds(2));
+  EXPECT_EQ(ask("1MD?"), "0\r\n");
+  EXPECT_EQ(ask("1DV"), "20.00000\r\n");
+  EXPECT_EQ(ask("TS"), "Q\r\n");  // axis 1 in motion, motors on
+  EXPECT_EQ(command("1ST"), "0\r\n");
+  wait_until_done();
+  EXPECT_GT(bench->commanded_angle(StageAxis::kX, now()).deg(), 30.0);
+  EXPECT_EQ(ask("1DV") + ask("TS"), "0.00000\r\nP\r\n");
+  EXPECT_EQ(command("2MV-"), "0\r\n");
+  host.listen(seconds(60));
+  EXPECT_EQ(ask("2TP") + ask("2MO?"), "-360.00000\r\n1\r\n") << "the software limit ends it";
+  EXPECT_EQ(command("1MV"), "38\r\n");
+  EXPECT_EQ(command("1MV5"), "7\r\n");
+  EXPECT_EQ(command("1MT+"), "0\r\n");
+  EXPECT_EQ(ask("1MT?"), "0\r\n");
+  host.listen(seconds(60));
+  EXPECT_EQ(ask("1TP") + ask("TE?"), "360.00000\r\n0\r\n");
+}
+
+TEST_F(NewportEspFirmwareTest, WaitsForAPosition) {
+  home_both();
+  host.send("1PA40;1WP20;1TP\r");
+  // 20 deg/s at 80 deg/s2: 2.5 degrees in 0.25 s, then 17.5 degrees in 0.875 s.
+  EXPECT_EQ(host.listen(milliseconds(1120)), "");
+  EXPECT_THAT(host.listen(milliseconds(10)), StartsWith("20.0"));
+  host.listen(seconds(3));
+  EXPECT_EQ(ask("1WP20;1TP"), "40.00000\r\n") << "not on its way: nothing to wait for";
+  host.send("1PA0;1WP0;1TP\r");  // as InstrumentKit: up to the target itself
+  EXPECT_EQ(host.listen(seconds(5)), "0.00000\r\n");
+}
+
+TEST_F(NewportEspFirmwareTest, KeepsTheSettingsThatHostsReadAndWrite) {
+  for (const char* name : {"AF", "FE", "JH", "JW", "KD", "KI", "KP", "KS", "OH", "QI", "QV"}) {
+    const std::string setting = std::string("1") + name;
+    EXPECT_THAT(ask(setting + "?"), testing::MatchesRegex("[0-9]+\\.[0-9]{5}\r\n")) << name;
+    EXPECT_EQ(command(setting + "2.5"), "0\r\n") << name;
+    EXPECT_EQ(ask(setting + "?"), "2.50000\r\n") << name;
+    EXPECT_EQ(command(setting + "-1"), "7\r\n") << name;
+  }
+  for (const char* name : {"FP", "QM", "TJ"}) {
+    const std::string setting = std::string("1") + name;
+    EXPECT_EQ(command(setting + "3"), "0\r\n") << name;
+    EXPECT_EQ(ask(setting + "?"), "3\r\n") << name;
+    EXPECT_EQ(command(setting + "2.5"), "7\r\n") << name;
+  }
+  EXPECT_EQ(command("1QR1000,50"), "0\r\n");
+  EXPECT_EQ(ask("1QR?"), "1000,50\r\n");
+  EXPECT_EQ(command("1QD;UF"), "0\r\n");
+  EXPECT_EQ(ask("ZU?"), "0H\r\n");
+  EXPECT_EQ(command("1SU0.001"), "27\r\n") << "what is set is not answered";
+}
+
+TEST_F(NewportEspFirmwareTest, KeepsAndRunsPrograms) {
+  home_both();
+  EXPECT_EQ(command("1EX"), "35\r\n");
+  EXPECT_EQ(ask("1EP"), "");
+  EXPECT_EQ(ask("1PA5;1WS"), "");
+  EXPECT_EQ(ask("2PA-5"), "");
+  EXPECT_EQ(ask("QP"), "");
+  EXPECT_EQ(ask("1MD?"), "1\r\n") << "nothing moves while it is entered";
+  EXPECT_EQ(ask("1EX"), "");
+  EXPECT_EQ(bench->target(StageAxis::kX, now()).deg(), 5.0);
+  EXPECT_EQ(bench->target(StageAxis::kZ, now()).deg(), 0.0) << "waits for the first";
+  host.listen(seconds(3));
+  EXPECT_EQ(ask("1TP") + ask("2TP"), "5.00000\r\n-5.00000\r\n");
+  for (const char* line : {"2EP", "1EX", "QP"}) EXPECT_EQ(ask(line), "") << line;
+  EXPECT_EQ(command("2EX"), "27\r\n") << "programs that run programs might never end";
+  EXPECT_EQ(command("1XX"), "0\r\n");
+  EXPECT_EQ(command("1EX"), "35\r\n");
+}
+
+TEST_F(NewportEspFirmwareTest, AResetIsASwitchingOffAndOn) {
+  home_both();
+  ask("1PA5");
+  wait_until_done();
+  ask("1YY");
+  EXPECT_EQ(ask("RS"), "");
+  EXPECT_EQ(ask("1TP") + ask("1MO?") + ask("TE?"), "0.00000\r\n0\r\n0\r\n");
+}
+
+// InstrumentKit asks TB? after every command and cuts the reply at its commas into three.
+TEST_F(NewportEspFirmwareTest, ErrorTextsHaveNoComma) {
+  for (const char* wrong : {"1YY", "TP", "1PA", "1PA5x", "9TP", "3PA1", "1EX", "1PA5", "1VA1000", "1AC1e7"}) {
+    ask(wrong);
+    const std::string message = ask("TB?");
+    EXPECT_EQ(std::count(message.begin(), message.end(), ','), 2) << wrong << " " << message;
+  }
+}
+
+TEST_F(NewportEspFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
+  ask("1YY");
+  ask("1YY");
+  ASSERT_EQ(firmware.unserved().all().size(), 1U);
+  EXPECT_EQ(firmware.unserved().all()[0].command, "YY");
+  EXPECT_EQ(firmware.unserved().all()[0].count, 2U);
 }
 
 class NewportEspMountedTest : public NewportEspFirmwareTest {

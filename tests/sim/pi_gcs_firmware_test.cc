@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <memory>
+#include <sstream>
 #include <string>
 
 #include "tests/sim/firmware_host.h"
@@ -142,7 +143,7 @@ TEST_F(PiGcsFirmwareTest, OneMoveIsEnoughAndTheStateSaysSoAtOnce) {
 TEST_F(PiGcsFirmwareTest, OnTargetWaitsForTheSettleTime) {
   reference();
   EXPECT_EQ(command("SPA 1 0x3F 0.5"), "0\n");
-  EXPECT_EQ(ask("SPA? 1 0x3F"), "0x3F=0.5\n");
+  EXPECT_EQ(ask("SPA? 1 0x3F"), "1 0x3F=0.5\n");
   ask("MOV 1 5");
   wait_until_stopped();
   EXPECT_EQ(ask("ONT? 1"), "1=0\n");
@@ -166,10 +167,10 @@ TEST_F(PiGcsFirmwareTest, MovesAreRefusedWithoutServoOrReference) {
   EXPECT_EQ(command("SVO 1 1"), "0\n");
   EXPECT_EQ(command("MOV 1 5"), "5\n");  // not referenced
   EXPECT_EQ(command("FRF 1"), "0\n");
-  EXPECT_EQ(host.exchange("\x07"), "\xB0");  // busy, and no line end
+  EXPECT_EQ(host.exchange("\x07"), "\xB0\n");  // busy
   EXPECT_EQ(host.exchange("\x04"), "0x70000000\n");
   host.listen(seconds(1));
-  EXPECT_EQ(host.exchange("\x07"), "\xB1");
+  EXPECT_EQ(host.exchange("\x07"), "\xB1\n");
   EXPECT_EQ(command("MOV 1 5"), "0\n");
   wait_until_stopped();
   EXPECT_EQ(command("SVO 1 0"), "0\n");
@@ -265,11 +266,108 @@ TEST_F(PiGcsFirmwareTest, ReferencesToItsLimitsAndByDefinition) {
 }
 
 TEST_F(PiGcsFirmwareTest, GivesTheParametersFromWhichHostsCountSteps) {
-  EXPECT_EQ(ask("SPA? 1 14"), "14=10000\n");
-  EXPECT_EQ(ask("SPA? 1 15"), "15=1\n");
-  EXPECT_EQ(ask("SPA? 1 0x0E"), "0x0E=10000\n");
-  EXPECT_EQ(ask("SPA? 1 0x406"), "0x406=10\n");
-  EXPECT_EQ(ask("SPA? 1 0x407 2 0x407"), "0x407=12 \n0x407=12\n");
+  EXPECT_EQ(ask("SPA? 1 14"), "1 0xE=10000\n");
+  EXPECT_EQ(ask("SPA? 1 15"), "1 0xF=1\n");
+  EXPECT_EQ(ask("SPA? 1 0x0E"), "1 0xE=10000\n");
+  EXPECT_EQ(ask("SPA? 1 0x406"), "1 0x406=10\n");
+  EXPECT_EQ(ask("SPA? 1 0x407 2 0x407"), "1 0x407=12 \n2 0x407=12\n");
+}
+
+// The order in which the EPICS module asks before every move; the numbers are decimal on the wire.
+TEST_F(PiGcsFirmwareTest, AnswersWhatEpicsAsksBeforeAMove) {
+  EXPECT_EQ(ask("SPA? 1 74"), "1 0x4A=100000\n");
+  EXPECT_EQ(ask("SPA? 1 75"), "1 0x4B=100000\n");
+  EXPECT_EQ(command("SPA 1 11 160"), "0\n");
+  EXPECT_EQ(command("SPA 1 12 40"), "0\n");
+  EXPECT_EQ(ask("SPA? 1 11"), "1 0xB=160\n");
+  EXPECT_EQ(ask("SPA? 1 0xC"), "1 0xC=40\n");
+  EXPECT_EQ(ask("ACC? 1"), "1=160.000000\n");
+  EXPECT_EQ(ask("DEC? 1"), "1=40.000000\n");
+  EXPECT_EQ(bench->motion_limits(StageAxis::kX).acceleration_deg_per_s2, 160.0);
+  EXPECT_EQ(command("SPA 1 0x50 5"), "0\n");
+  EXPECT_EQ(command("SPA 1 11 0"), "17\n");
+  EXPECT_EQ(command("SPA 1 0x49 1e9"), "8\n");
+}
+
+TEST_F(PiGcsFirmwareTest, AnswersWhatOdemisAsksOfAClosedLoopAxis) {
+  EXPECT_EQ(ask("SPA? 1 117442049"), "1 0x7000601=DEG\n");
+  EXPECT_EQ(ask("SPA? 1 0x7000601"), "1 0x7000601=DEG\n");
+  EXPECT_EQ(ask("SEP? 1 1"), "1 0x1=40\n");
+  EXPECT_EQ(ask("SPA? 1 10"), "1 0xA=720\n");
+  EXPECT_EQ(ask("SPA? 1 60"), "1 0x3C=M-060.PD\n");
+  EXPECT_EQ(ask("SPA? 2 0x15 2 0x30"), "2 0x15=360 \n2 0x30=-360\n");
+  EXPECT_EQ(command("CCL 1 advanced"), "0\n");
+  EXPECT_EQ(ask("CCL?"), "1\n");
+  EXPECT_EQ(command("CCL 1 wrong"), "56\n");
+  EXPECT_EQ(command("CCL 0"), "0\n");
+  EXPECT_EQ(ask("CCL?"), "0\n");
+}
+
+// PIPython asks it before the first SPA? and takes the fourth word of a line for the type.
+TEST_F(PiGcsFirmwareTest, ListsItsParametersAsPiPythonReadsThem) {
+  std::istringstream list(ask("HPA?"));
+  std::string line;
+  std::getline(list, line);
+  int parameters = 0;
+  while (std::getline(list, line) && !line.starts_with("end of help")) {
+    std::istringstream words(line);
+    std::string id, level, items, type;
+    words >> id >> level >> items >> type;
+    EXPECT_THAT(id, testing::MatchesRegex("0x[0-9A-F]+=")) << line;
+    EXPECT_THAT(type, testing::AnyOf("INT", "FLOAT", "CHAR")) << line;
+    EXPECT_THAT(ask("SPA? 1 " + id.substr(0, id.size() - 1)), StartsWith("1 " + id)) << line;
+    ++parameters;
+  }
+  EXPECT_EQ(line, "end of help");
+  EXPECT_GE(parameters, 25);
+}
+
+TEST_F(PiGcsFirmwareTest, ParametersInMemoryOutlastAReboot) {
+  EXPECT_EQ(command("SEP 99 1 0x3F 0.25"), "56\n");
+  EXPECT_EQ(command("SEP 100 1 0x3F 0.25"), "0\n");
+  EXPECT_EQ(ask("SPA? 1 0x3F"), "1 0x3F=0.01\n");
+  EXPECT_EQ(command("VEL 2 33"), "0\n");
+  EXPECT_EQ(command("WPA 100 2 0x49"), "0\n");
+  EXPECT_EQ(command("VEL 2 44"), "0\n");
+  EXPECT_EQ(command("VEL 1 55"), "0\n");
+  ask("RBT");
+  EXPECT_EQ(ask("SPA? 1 0x3F"), "1 0x3F=0.25\n");
+  EXPECT_EQ(ask("VEL?"), "1=20.000000 \n2=33.000000\n");
+}
+
+TEST_F(PiGcsFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
+  EXPECT_EQ(command("SPA? 1 0x123"), "54\n");
+  EXPECT_EQ(command("SPA? 1 0x123"), "54\n");
+  EXPECT_EQ(command("WGO 1 1"), "2\n");
+  EXPECT_EQ(command("MOV 1 400"), "5\n");  // refused, yet known
+  const auto unserved = firmware.unserved().all();
+  ASSERT_EQ(unserved.size(), 2U);
+  EXPECT_EQ(unserved[0].command, "SPA? 1 0x123");
+  EXPECT_EQ(unserved[0].count, 2U);
+  EXPECT_EQ(unserved[1].command, "WGO");
+  EXPECT_THAT(unserved[1].reaction, HasSubstr("error 2"));
+}
+
+TEST_F(PiGcsFirmwareTest, ANewSessionStartsWithAnEmptyLine) {
+  reference();
+  host.send("MOV 1 1");
+  firmware.session_starts();
+  EXPECT_EQ(host.exchange("20\n"), "");
+  EXPECT_EQ(ask("MOV? 1"), "1=0.000000\n");
+  EXPECT_EQ(host.exchange("\x05"), "0\n");
+}
+
+TEST_F(PiGcsFirmwareTest, GoesToTheHomeThatWasDefined) {
+  reference();
+  EXPECT_EQ(ask("DFH? 1"), "1=0.000000\n");
+  ask("MOV 1 5");
+  wait_until_stopped();
+  EXPECT_EQ(command("DFH 1"), "0\n");
+  ask("MOV 1 0");
+  wait_until_stopped();
+  EXPECT_EQ(command("GOH 1"), "0\n");
+  wait_until_stopped();
+  EXPECT_EQ(ask("POS? 1"), "1=5.000000\n");
 }
 
 TEST_F(PiGcsFirmwareTest, ARebootForgetsReferenceAndServo) {
@@ -343,6 +441,8 @@ TEST_F(PiGcsChainTest, AnswersItsOwnAddressOnly) {
   EXPECT_EQ(ask("3 0 POS? 1"), "0 3 1=0.000000\n");
   EXPECT_EQ(ask("3 SAI?"), "0 3 1 \n2\n");
   EXPECT_EQ(host.exchange("3 \x05"), "0 3 0\n");
+  EXPECT_EQ(host.exchange("3 \x07"), "0 3 \xB1\n");
+  EXPECT_EQ(host.exchange("3 ERR?\n3 \x05"), "0 3 0\n0 3 0\n");  // as odemis: two commands in one write
   EXPECT_EQ(ask("CSV?"), "");
   EXPECT_EQ(ask("2 CSV?"), "");
   EXPECT_EQ(host.exchange("\x05"), "");
@@ -372,11 +472,19 @@ TEST(PiGcsSettingsTest, RefusesASignThatIsNone) {
   EXPECT_THROW(PiGcsFirmware(bench, {.axis_names = {"1", "1"}}), std::invalid_argument);
 }
 
-TEST(PiGcsSettingsTest, SpeaksPiPythonsFormOfParametersIfAsked) {
+TEST(PiGcsSettingsTest, AnE861TellsItsUnitByAParameterOnly) {
   const auto bench = std::make_shared<SimBench>(BenchTruth{});
-  PiGcsFirmware firmware(bench, {.spa_reply_names_axis = true});
+  PiGcsFirmware firmware(bench, {.model = "E-861",
+                                 .firmware_version = "7.2.0",
+                                 .has_enable = false,
+                                 .has_unit_query = false,
+                                 .short_identity = true});
   FirmwareHost host(firmware);
-  EXPECT_EQ(host.exchange("SPA? 1 14\n"), "1 14=10000\n");
+  EXPECT_EQ(host.exchange("*IDN?\n"), "(c)2013 Physik Instrumente(PI) Karlsruhe, E-861 Version 7.2.0\n");
+  EXPECT_EQ(host.exchange("PUN? 1\n"), "");
+  EXPECT_EQ(host.exchange("ERR?\n"), "2\n");
+  EXPECT_EQ(host.exchange("SPA? 1 0x7000601\n"), "1 0x7000601=DEG\n");
+  EXPECT_THAT(host.exchange("HLP?\n"), testing::Not(HasSubstr("PUN?")));
 }
 
 }  // namespace

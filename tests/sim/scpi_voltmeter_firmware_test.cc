@@ -199,7 +199,7 @@ class Keithley2700Test : public ScpiTest {
 
 TEST_F(Keithley2700Test, ScansWithItsOwnCommandsAndElements) {
   constexpr std::string_view kNone = "0, \"no error\"\n";
-  EXPECT_EQ(ask("*IDN?"), "KEITHLEY INSTRUMENTS INC.,MODEL 2700,MY44012345,B02  /A02\n");
+  EXPECT_EQ(ask("*IDN?"), "KEITHLEY INSTRUMENTS INC.,MODEL 2700,MY44012345,B09  /A02  \n");
   EXPECT_EQ(command(":SENS:FUNC \"VOLT\""), kNone);
   EXPECT_EQ(command(":FORM:ELEM READ,CHAN,UNIT"), kNone);
   EXPECT_EQ(ask(":READ?", seconds(1)), "+5.00000000E-01VDC,000\n") << "the front input";
@@ -216,15 +216,156 @@ TEST_F(Keithley2700Test, ScansWithItsOwnCommandsAndElements) {
   EXPECT_EQ(command(":READ?"), "-213,\"Init ignored\"\n");
 }
 
+TEST_F(Keithley2700Test, TakesTheLinesOfItsHosts) {
+  constexpr std::string_view kNone = "0, \"no error\"\n";
+  EXPECT_EQ(command("status:queue:clear;*RST;:stat:pres;:*CLS;"), kNone);
+  EXPECT_EQ(ask("*OPC?"), "1\n");
+  EXPECT_EQ(ask("SYST:ERR:NEXT?"), kNone);
+  EXPECT_EQ(command(":SENS:FUNC 'VOLT:DC'"), kNone);
+  EXPECT_EQ(command("ROUTe:MULTiple:CLOSe (@102)"), kNone);
+  EXPECT_EQ(command(":FORM:ELEM READ"), kNone);
+  EXPECT_EQ(ask(":READ?", seconds(1)), "-2.50000000E-01\n") << "the channel that is closed";
+  EXPECT_EQ(command(":ROUTe:OPEN:ALL"), kNone);
+  EXPECT_EQ(ask("*OPT?"), "7700,NONE\n");
+  EXPECT_EQ(command("SYST:BEEP 500, 0.1"), kNone);
+}
+
 class Keithley2001Test : public ScpiTest {
  protected:
-  Keithley2001Test() : ScpiTest({.family = ScpiFamily::kKeithley2700, .channels = {1, 2, 3}}) {}
+  Keithley2001Test() : ScpiTest(scpi_model("2001")) {}
 };
 
-TEST_F(Keithley2001Test, NumbersItsChannelsFromOne) {
-  EXPECT_EQ(command(":ROUT:SCAN (@1,2,3);:ROUT:SCAN:LSEL INT;:SAMP:COUN 3;:FORM:ELEM READ"),
-            "0, \"no error\"\n");
-  EXPECT_EQ(ask(":READ?", seconds(1)), "+5.00000000E-01,-2.50000000E-01,+3.12500000E+00\n");
+// As EPICS asks it: the buffer is full when bit 9 of the measurement events says so.
+TEST_F(Keithley2001Test, ScansByItsArmLayer) {
+  constexpr std::string_view kNone = "0, \"no error\"\n";
+  EXPECT_EQ(ask("*IDN?"), "KEITHLEY INSTRUMENTS INC.,MODEL 2001,MY44012345,B17  /A02  \n");
+  EXPECT_EQ(command(":SAMP:COUN 3"), "-113,\"Undefined header\"\n");
+  EXPECT_EQ(command("*CLS;*SRE 1;:STAT:MEAS:ENAB 512;:INIT:CONT OFF"), kNone);
+  EXPECT_EQ(command(":ROUT:SCAN (@1,2,3)"), kNone);
+  EXPECT_EQ(command(":ROUT:SCAN:LSEL INT"), kNone);
+  EXPECT_EQ(command(":ARM:LAY2:COUN 1"), kNone);
+  EXPECT_EQ(ask(":ARM:LAYER2:COUNT?"), "1\n");
+  EXPECT_EQ(command(":TRIG:COUN 3"), kNone);
+  EXPECT_EQ(command(":FORM:ELEM READ,CHAN,UNIT"), kNone);
+  EXPECT_EQ(command(":DATA:FEED SENS1;:DATA:FEED:CONT NEXT"), kNone);
+  EXPECT_EQ(ask(":INIT"), "");
+  EXPECT_EQ(ask("*STB?"), "0\n");
+  host.listen(seconds(1));
+  EXPECT_EQ(ask("*STB?"), "65\n");
+  EXPECT_EQ(ask(":DATA:DATA?"),
+            "+5.0000000E-01VDC,01INTCHAN,-2.5000000E-01VDC,02INTCHAN,+3.1250000E+00VDC,03INTCHAN\n");
+  EXPECT_EQ(ask(":STAT:MEAS?"), "544\n");  // reading available, buffer full
+  EXPECT_EQ(ask("*STB?"), "0\n");
+}
+
+TEST(ScpiModelTest, EveryModelSaysWhatItIs) {
+  const auto bench = std::make_shared<SimBench>(BenchTruth{});
+  for (const auto& [model, identity] : std::vector<std::pair<std::string, std::string>>{
+           {"34970A", "HEWLETT-PACKARD,34970A,MY44012345,13-2-2"},
+           {"34972A", "Agilent Technologies,34972A,MY44012345,1.16-1.12-02-02"},
+           {"34401A", "HEWLETT-PACKARD,34401A,0,11-5-2"},
+           {"34465A", "Keysight Technologies,34465A,MY44012345,A.03.01-03.15-03.01-00.52-03-02"},
+           {"2700", "KEITHLEY INSTRUMENTS INC.,MODEL 2700,MY44012345,B09  /A02  "}}) {
+    ScpiVoltmeterFirmware firmware(bench, scpi_model(model));
+    FirmwareHost host(firmware);
+    EXPECT_EQ(host.exchange("*IDN?\n"), identity + "\n");
+  }
+  EXPECT_THROW(scpi_model("3458A"), std::invalid_argument);
+}
+
+// The loop of public hosts: *ESE 1, INIT, *OPC, and bit 5 of the status byte is polled until it is set.
+TEST_F(Keysight34970aTest, OpcTellsTheEndOfTheMeasurementWithoutWaiting) {
+  EXPECT_EQ(ask("*ESR?"), "+128\n") << "power on";
+  EXPECT_EQ(ask("*ESR?"), "+0\n");
+  command("CONF:VOLT:DC 10,DEF,(@101:103)");
+  ask("*ESE 1");
+  EXPECT_EQ(ask("*ESE?"), "+1\n");
+  EXPECT_EQ(ask("INIT;*OPC"), "");
+  EXPECT_EQ(ask("*STB?"), "+0\n");
+  EXPECT_EQ(ask("STAT:OPER:COND?"), "+16\n");
+  host.listen(milliseconds(200));
+  EXPECT_EQ(ask("*STB?"), "+32\n");
+  EXPECT_EQ(ask("*ESR?"), "+1\n");
+  EXPECT_EQ(ask("*STB?"), "+0\n");
+  EXPECT_EQ(ask("STAT:OPER:COND?"), "+0\n");
+  EXPECT_EQ(ask("STAT:OPER?"), "+16\n") << "latched until it is read";
+  EXPECT_EQ(ask("STAT:OPER?"), "+0\n");
+  ask("*OPC");
+  EXPECT_EQ(ask("*ESR?"), "+1\n") << "at once if nothing is under way";
+}
+
+TEST_F(Keysight34970aTest, ErrorsAreEventsByTheirKind) {
+  ask("*CLS");
+  ask("HELLO");
+  EXPECT_EQ(ask("*ESR?"), "+32\n");
+  ask("CONF:VOLT:DC 1000,MAX,(@101)");
+  EXPECT_EQ(ask("*ESR?"), "+16\n");
+  ask("*ESE 32;*SRE 32;HELLO");
+  EXPECT_EQ(ask("*STB?"), "+96\n");
+  ask("STAT:PRES");
+  EXPECT_EQ(ask("*STB?"), "+96\n") << "only the enable registers of the groups";
+  ask("*CLS");
+  EXPECT_EQ(ask("*STB?"), "+0\n");
+  EXPECT_EQ(ask("*SRE?"), "+32\n") << "*CLS leaves what counts";
+  EXPECT_EQ(command("*ESE 256"), "-222,\"Data out of range\"\n");
+}
+
+TEST_F(Keysight34970aTest, AnOverloadIsAQuestionableEvent) {
+  command("STAT:QUES:ENAB 1");
+  command("CONF:VOLT:DC 1,MAX,(@101:103)");
+  ask("READ?", seconds(1));
+  EXPECT_EQ(ask("*STB?"), "+8\n");
+  EXPECT_EQ(ask("STAT:QUES:EVEN?"), "+1\n");
+  EXPECT_EQ(ask("*STB?"), "+0\n");
+}
+
+TEST_F(Keysight34970aTest, AnswersWhatPublicHostsAskAtTheStart) {
+  EXPECT_EQ(ask("abor;*rst;*cls"), "");
+  EXPECT_EQ(ask("diag:dmm:cycl?"), "+0,+0,+0\n");
+  EXPECT_EQ(ask("diag:peek:slot:data? 100"), "+0,+0,+0\n");
+  EXPECT_EQ(ask("diag:rel:cycl? (@101:103)"), "+0,+0,+0\n");
+  EXPECT_EQ(command("disp:text 'wait; please'"), kNoError);
+  EXPECT_EQ(command("DISP:TEXT:CLE"), kNoError);
+  EXPECT_EQ(ask("SYST:DATE?"), "+2026,+1,+1\n");
+}
+
+TEST_F(Keysight34970aTest, WhatItDoesNotKnowIsNotedOnce) {
+  ask("CONF:FREQ 1,(@101)");
+  ask("CONF:FREQ 1,(@102)");
+  ASSERT_EQ(firmware.unserved().all().size(), 1U);
+  EXPECT_EQ(firmware.unserved().all()[0].command, "CONF:FREQ");
+  EXPECT_EQ(firmware.unserved().all()[0].count, 2U);
+}
+
+TEST_F(Keysight34970aTest, ANewSessionStartsWithAnEmptyLine) {
+  host.send("TRIG:COUN 1");
+  firmware.session_starts();
+  EXPECT_EQ(command("*CLS"), kNoError);
+  EXPECT_EQ(ask("TRIG:COUN?"), "+1.00000000E+00\n");
+}
+
+TEST(Keysight34401aModelTest, HasNoOperationRegisterAndTellsAnOverloadAsADeviceError) {
+  const auto bench = std::make_shared<SimBench>(truth_in_volts());
+  auto settings = scpi_model("34401A");
+  settings.single_channel = 2;
+  ScpiVoltmeterFirmware firmware(bench, settings);
+  FirmwareHost host(firmware);
+  EXPECT_EQ(host.exchange("STAT:OPER:COND?\n"), "");
+  EXPECT_EQ(host.exchange("*CLS\n"), "");
+  host.send("CONF:VOLT:DC 1,MAX;:READ?\n");
+  host.listen(seconds(1));
+  EXPECT_EQ(host.exchange("*ESR?\n"), "+8\n");
+  EXPECT_EQ(host.exchange("SYST:ERR?\n"), kNoError) << "without an entry in the queue";
+}
+
+TEST(Keysight34465aModelTest, TheStatusByteHasABitOfItsErrorQueue) {
+  const auto bench = std::make_shared<SimBench>(BenchTruth{});
+  ScpiVoltmeterFirmware firmware(bench, scpi_model("34465A"));
+  FirmwareHost host(firmware);
+  host.exchange("HELLO\n");
+  EXPECT_EQ(host.exchange("*STB?\n"), "+4\n");
+  host.exchange("SYST:ERR?\n");
+  EXPECT_EQ(host.exchange("*STB?\n"), "+0\n");
 }
 
 TEST(ScpiSettingsTest, RefusesWhatCannotBe) {

@@ -138,7 +138,7 @@ TEST_F(VectorNavFirmwareTest, MistakesAreAnsweredWithTheMakersCodes) {
   EXPECT_EQ(ask("VNWRG,07,30"), "VNERR,07");
   EXPECT_EQ(ask("VNWRG,05,100000"), "VNERR,07");
   EXPECT_EQ(ask("VNWRG,75,1,0,01,0001"), "VNERR,07");
-  EXPECT_EQ(ask("VNWRG,75,1,8,08,0001"), "VNERR,07") << "a VN-100 has no GNSS group";
+  EXPECT_EQ(ask("VNWRG,75,1,8,08,4000"), "VNERR,07") << "the GNSS group has 14 fields";
   EXPECT_EQ(ask("VNWRG,75,1,8,05,0001"), "VNERR,05");
   EXPECT_EQ(ask("VNRRG,99"), "VNERR,08");
   EXPECT_EQ(ask("VNWRG,99,1"), "VNERR,08");
@@ -280,6 +280,97 @@ TEST_F(VectorNavFirmwareTest, WhatTheLineCannotCarryIsRefused) {
   ask("VNASY,0");
   EXPECT_EQ(ask("VNWRG,75,1,1,01,0100"), "VNERR,0C");
   EXPECT_EQ(ask("VNRRG,75"), "VNRRG,75,0,1,00");
+}
+
+// What the public ROS driver writes by default, also to a VN-100: groups common, time, attitude, INS.
+TEST_F(VectorNavFirmwareTest, TakesTheOutputsOfTheRosDriver) {
+  const std::string command = "VNWRG,75,1,20,33,578,4C,100,69D";
+  EXPECT_EQ(ask(command), command);
+  const std::string bytes = host.listen(seconds(1));
+  constexpr std::size_t kPacket = 208;
+  ASSERT_EQ(bytes.size(), 40 * kPacket);
+  for (std::size_t at = 0; at < bytes.size(); at += kPacket) {
+    const std::string packet = bytes.substr(at, kPacket);
+    EXPECT_EQ(packet.substr(0, 10), std::string("\xFA\x33\x78\x05\x4C\x00\x00\x01\x9D\x06", 10));
+    EXPECT_EQ(crc(packet.substr(1)), 0U);
+  }
+  // Common: yaw pitch roll 12, quaternion 16, rate 12, position 24, then the acceleration.
+  const std::size_t z = 10 + 12 + 16 + 12 + 24 + 8;
+  EXPECT_EQ(bytes.substr(z, 4), std::string("\xC3\xF5\x1C\x41", 4));  // 9.81F
+  EXPECT_EQ(ask("VNWRG,76,0,1,0"), "VNWRG,76,0,1,0");
+}
+
+TEST_F(VectorNavFirmwareTest, TheRegistersThatConfigurationToolsDumpAreThere) {
+  for (const auto& [reg, values] : std::vector<std::pair<unsigned, std::size_t>>{
+           {9, 4},  {15, 13}, {21, 6},  {22, 10}, {23, 12}, {24, 4},  {25, 12}, {26, 9}, {30, 7},
+           {32, 9}, {33, 3},  {34, 7},  {35, 4},  {36, 9},  {37, 9},  {38, 9},  {39, 9}, {40, 9},
+           {43, 3}, {44, 3},  {47, 12}, {48, 2},  {50, 3},  {51, 3},  {52, 9},  {74, 7}, {80, 7},
+           {82, 5}, {83, 9},  {84, 12}, {85, 10}, {227, 4}, {239, 9}, {240, 9}}) {
+    const std::string answer = ask(fmt::format("VNRRG,{:02}", reg));
+    EXPECT_THAT(answer, StartsWith(fmt::format("VNRRG,{:02},", reg)));
+    EXPECT_EQ(numbers_of(answer).size(), values + 1) << answer;
+  }
+  EXPECT_EQ(ask("VNRRG,58"), "VNERR,08") << "a VN-100 has no GNSS";
+}
+
+TEST_F(VectorNavFirmwareTest, WhatIsReadOfARegisterCanBeWrittenBack) {
+  for (const unsigned reg :
+       {21U, 23U, 24U, 25U, 26U, 32U, 35U, 36U, 44U, 51U, 74U, 82U, 83U, 84U, 85U, 227U}) {
+    const std::string read = ask(fmt::format("VNRRG,{:02}", reg));
+    const std::string values = read.substr(std::string("VNRRG,").size());
+    EXPECT_EQ(ask("VNWRG," + values), "VNWRG," + values);
+    EXPECT_EQ(ask(fmt::format("VNRRG,{:02}", reg)), read);
+  }
+  EXPECT_EQ(ask("VNWRG,32,3,0,0,0,6,1,0,1.5,0"), "VNERR,07");
+  EXPECT_EQ(ask("VNWRG,47,1,0,0,0,1,0,0,0,1,0,0,0"), "VNERR,09");
+}
+
+TEST_F(VectorNavFirmwareTest, TheCommandsOfItsFilterAreTaken) {
+  EXPECT_EQ(ask("VNTAR"), "VNTAR");
+  EXPECT_EQ(ask("VNSGB"), "VNSGB");
+  EXPECT_EQ(ask("VNKMD,1"), "VNKMD,1");
+  EXPECT_EQ(ask("VNKAD,0"), "VNKAD,0");
+  EXPECT_EQ(ask("VNKAD"), "VNERR,05");
+  EXPECT_EQ(ask("VNKMD,7"), "VNERR,07");
+}
+
+TEST_F(VectorNavFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
+  ask("VNFWU");
+  ask("VNFWU");
+  ask("VNRRG,99");
+  const auto unserved = firmware.unserved().all();
+  ASSERT_EQ(unserved.size(), 2U);
+  EXPECT_EQ(unserved[0].command, "VNFWU");
+  EXPECT_EQ(unserved[0].count, 2U);
+  EXPECT_EQ(unserved[1].command, "register 99");
+}
+
+TEST_F(VectorNavFirmwareTest, ANewBaudRateHoldsFromTheEndOfItsAnswerOn) {
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+  host.send("$VNWRG,05,921600*XX\r\n");
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+  EXPECT_THAT(host.listen(milliseconds(1)), StartsWith("$VNWRG,05,921600"));
+  EXPECT_EQ(firmware.line_speed(), 921600U);
+  ask("VNRST");
+  host.listen(seconds(1));
+  EXPECT_EQ(firmware.line_speed(), 115200U) << "it was not saved";
+}
+
+TEST_F(VectorNavFirmwareTest, ANewSessionStartsWithAnEmptyLine) {
+  host.send("$VNWRG,06");
+  firmware.session_starts();
+  EXPECT_EQ(raw(",1*XX\r\n"), "");
+  EXPECT_EQ(ask("VNRRG,06"), "VNRRG,06,0");
+}
+
+TEST(VectorNavFamilyTest, AVn200HasTheRegistersOfItsReceiver) {
+  VectorNavSettings settings;
+  settings.model = "VN-200T-CR";
+  settings.async_type = 0;
+  VectorNavFirmware firmware(std::make_shared<SimBench>(BenchTruth{}), settings);
+  FirmwareHost host(firmware);
+  EXPECT_THAT(host.exchange("$VNRRG,58*XX\r\n"), StartsWith("$VNRRG,58,"));
+  EXPECT_THAT(host.exchange("$VNRRG,01*XX\r\n"), StartsWith("$VNRRG,01,VN-200T-CR"));
 }
 
 TEST_F(VectorNavFirmwareTest, ItsOwnCalibrationIsApplied) {

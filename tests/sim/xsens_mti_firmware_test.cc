@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstdint>
@@ -195,6 +196,98 @@ TEST_F(XsensMtiFirmwareTest, SaysWhatItIs) {
   EXPECT_EQ(ask(0x84, "1234"), "85 ");
   EXPECT_EQ(ask(0x84), "85 1234");
   EXPECT_EQ(ask(0x2C), "2D ");
+}
+
+// Without 91 the maker's library ends with "Could not read device configuration".
+TEST_F(XsensMtiFirmwareTest, AnswersWhatTheMakersRosDriverAsksBeforeItMeasures) {
+  go_to_config();
+  EXPECT_THAT(ask(0x90, "00FF"), StartsWith("91 "));
+  const std::string block = from_hex(ask(0x0C).substr(3));
+  ASSERT_EQ(block.size(), 118U);
+  EXPECT_EQ(big_endian(block, 96, 2), 1U) << "devices";
+  EXPECT_EQ(big_endian(block, 110, 2), 39U) << "filter profile";
+  EXPECT_EQ(to_hex(block.substr(112, 3)), "010802") << "firmware";
+  EXPECT_EQ(ask(0x10), "11 ");
+  const auto answers = messages_of(host.exchange(command(0x22, "0006")));  // while it measures
+  EXPECT_TRUE(std::any_of(answers.begin(), answers.end(), [](const Message& m) { return m.id == 0x23; }));
+}
+
+TEST_F(XsensMtiFirmwareTest, TakesTheOutputConfigurationOfTheRosDriver) {
+  go_to_config();
+  const std::string outputs =
+      "1020FFFF1060FFFF1010FFFF4020006480200064C0200064081000642010006440300064E020FFFF";
+  const std::string answer = ask(0xC0, outputs);
+  EXPECT_EQ(answer, "C1 1020FFFF1060FFFF1010FFFF4020006480200064C0200064081000642010006440300064E020FFFF");
+  EXPECT_EQ(ask(0xC0, "20200064 30100032 80400190"), "C1 202000643010003280400190");
+  EXPECT_EQ(ask(0xC0, "50420064"), "42 21") << "no receiver";
+  ask(0xC0, "20100064 20200064 30100064 E020FFFF");
+  ask(0x10);
+  const auto items = data_of(milliseconds(15)).back();
+  EXPECT_EQ(to_hex(items.at(0x2010)), "3F800000000000000000000000000000");
+  EXPECT_EQ(items.at(0x2020).size(), 36U);
+  EXPECT_EQ(to_hex(items.at(0x3010)), "00018BCD");  // 101325 Pa
+}
+
+TEST_F(XsensMtiFirmwareTest, KeepsTheSettingsThatHostsReadAndWrite) {
+  go_to_config();
+  EXPECT_EQ(ask(0x04), "05 0480");
+  EXPECT_EQ(ask(0x8E, "0000"), "8F ");
+  EXPECT_EQ(ask(0xDA), "DB 0001");
+  EXPECT_EQ(ask(0xDA, "0002"), "DB ");
+  EXPECT_EQ(ask(0xDA), "DB 0002");
+  EXPECT_EQ(ask(0xDA, "02"), "42 21");
+  EXPECT_EQ(ask(0xDC), "DD 0000");
+  EXPECT_EQ(ask(0x6E).size(), 3U + 48);
+  EXPECT_EQ(ask(0x60).size(), 3U + 24);
+  EXPECT_EQ(ask(0x76), "77 0000");
+  EXPECT_EQ(ask(0x24), "25 01FF");
+  EXPECT_EQ(ask(0xA4, "0000"), "A5 ");
+  EXPECT_EQ(ask(0xEC, "00"), "ED 003F800000000000000000000000000000");
+  EXPECT_EQ(ask(0xEC, "00 00000000 3F800000 00000000 00000000"), "ED ");
+  EXPECT_EQ(ask(0xEC, "00"), "ED 00000000003F8000000000000000000000");
+  EXPECT_EQ(ask(0xEC, "02"), "42 21");
+}
+
+TEST_F(XsensMtiFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
+  go_to_config();
+  EXPECT_EQ(ask(0x74, "00"), "42 04");
+  EXPECT_EQ(ask(0x74, "00"), "42 04");
+  ask(0xDA, "02");
+  ASSERT_EQ(firmware.unserved().all().size(), 1U);
+  EXPECT_EQ(firmware.unserved().all()[0].command, "message 74");
+  EXPECT_EQ(firmware.unserved().all()[0].count, 2U);
+}
+
+TEST_F(XsensMtiFirmwareTest, ANewBaudRateHoldsFromTheNextResetOn) {
+  go_to_config();
+  ask(0x18, "80");
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+  host.send(command(0x40));
+  host.listen(seconds(1));
+  EXPECT_EQ(firmware.line_speed(), 921600U);
+}
+
+TEST_F(XsensMtiFirmwareTest, ANewSessionStartsWithAnEmptyBuffer) {
+  go_to_config();
+  host.send(from_hex("FAFF0020"));
+  firmware.session_starts();
+  EXPECT_EQ(ask(0x00), "01 037003F8");
+}
+
+TEST(XsensMti680Test, HasTheOutputsOfItsReceiver) {
+  XsensMtiSettings settings;
+  settings.product_code = "MTi-680";
+  settings.device_id = "0080000012345678";
+  XsensMtiFirmware firmware(std::make_shared<SimBench>(BenchTruth{}), settings);
+  FirmwareHost host(firmware);
+  host.send(command(0x30));
+  host.listen(milliseconds(10));
+  const auto answers = messages_of(host.exchange(command(0xC0, "50420064 50220064 D0120064 70100004")));
+  ASSERT_EQ(answers.size(), 1U);
+  EXPECT_EQ(to_hex(answers[0].data), "5042006450220064D012006470100004");
+  const auto block = messages_of(host.exchange(command(0x0C)))[0].data;
+  EXPECT_EQ(to_hex(block.substr(0, 8)), "1234567800800000");
+  EXPECT_THAT(block.substr(32), StartsWith("MTi-680"));
 }
 
 TEST_F(XsensMtiFirmwareTest, AnswersErrorsWithTheirCodes) {

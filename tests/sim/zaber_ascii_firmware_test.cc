@@ -52,7 +52,7 @@ TEST_F(ZaberAsciiFirmwareTest, AnswersWhatAHostOfARotaryStageAsks) {
   EXPECT_EQ(ask("/get deviceid"), "@01 0 OK IDLE WR 30222\r\n");
   EXPECT_EQ(ask("/1 get system.serial"), "@01 0 OK IDLE WR 54321\r\n");
   EXPECT_EQ(ask("/1 get system.axiscount"), "@01 0 OK IDLE WR 2\r\n");
-  EXPECT_EQ(ask("/1 get version"), "@01 0 OK IDLE WR 7.38.16432\r\n");
+  EXPECT_EQ(ask("/1 get version"), "@01 0 OK IDLE WR 7.38\r\n");
   EXPECT_EQ(ask("/1 get limit.cycle.dist"), "@01 0 OK IDLE WR 384000 384000\r\n");
   EXPECT_EQ(ask("/1 2 get limit.cycle.dist"), "@01 2 OK IDLE WR 384000\r\n");
   EXPECT_EQ(ask("/1 get resolution"), "@01 0 OK IDLE WR 64 64\r\n");
@@ -65,6 +65,95 @@ TEST_F(ZaberAsciiFirmwareTest, AnswersWhatAHostOfARotaryStageAsks) {
   EXPECT_EQ(ask("/1 1 get accel"), "@01 1 OK IDLE WR 14\r\n");
   EXPECT_EQ(ask("/1 get system.temperature"), "@01 0 OK IDLE WR 23.0\r\n");
   EXPECT_EQ(ask("/1 system reset"), "@01 0 OK IDLE WR 0\r\n");
+}
+
+TEST_F(ZaberAsciiFirmwareTest, AnswersWhatZabersOwnProgramsAsk) {
+  EXPECT_EQ(ask("/1 get device.id"), "@01 0 OK IDLE WR 30222\r\n");
+  EXPECT_EQ(ask("/1 get peripheral.id"), "@01 0 OK IDLE WR 70009 70009\r\n");
+  EXPECT_EQ(ask("/1 1 get peripheralid"), "@01 1 OK IDLE WR 70009\r\n");
+  EXPECT_EQ(ask("/1 get version.build"), "@01 0 OK IDLE WR 16432\r\n");
+  EXPECT_EQ(ask("/1 get system.access"), "@01 0 OK IDLE WR 1\r\n");
+  EXPECT_EQ(ask("/1 set system.access 2"), "@01 0 OK IDLE WR 0\r\n");
+  EXPECT_EQ(ask("/1 get system.access"), "@01 0 OK IDLE WR 2\r\n");
+  EXPECT_EQ(ask("/1 set system.access 3"), "@01 0 RJ IDLE WR BADDATA\r\n");
+  EXPECT_THAT(ask("/1 get system.voltage"), testing::MatchesRegex("@01 0 OK IDLE WR [0-9]+\\.[0-9]\r\n"));
+  EXPECT_EQ(ask("/1 1 get system.voltage"), "@01 1 RJ IDLE WR DEVICEONLY\r\n");
+  EXPECT_EQ(ask("/1 set system.voltage 5"), "@01 0 RJ IDLE WR BADCOMMAND\r\n");
+  EXPECT_EQ(ask("/1 get comm.packet.size.max"), "@01 0 OK IDLE WR 80\r\n");
+  EXPECT_EQ(ask("/1 get motion.busy"), "@01 0 OK IDLE WR 0 0\r\n");
+  EXPECT_EQ(ask("/1 get cloop.enable"), "@01 0 OK IDLE WR 1 1\r\n");
+  EXPECT_EQ(ask("/1 2 set cloop.enable 0"), "@01 2 OK IDLE WR 0\r\n");
+  EXPECT_EQ(ask("/1 get cloop.enable"), "@01 0 OK IDLE WR 1 0\r\n");
+  EXPECT_EQ(ask("/1 io info"), "@01 0 OK IDLE WR 0 0 0 0\r\n");
+}
+
+TEST_F(ZaberAsciiFirmwareTest, GetsSeveralSettingsAtOnce) {
+  EXPECT_EQ(ask("/1 1 get pos resolution limit.cycle.dist"), "@01 1 OK IDLE WR 0; 64; 384000\r\n");
+  EXPECT_EQ(ask("/1 get pos deviceid"), "@01 0 OK IDLE WR 0 0; 30222\r\n");
+  EXPECT_EQ(ask("/1 1 get pos nonsense"), "@01 1 RJ IDLE WR BADCOMMAND\r\n");
+  EXPECT_EQ(ask("/1 1 get pos pos pos pos pos pos pos pos pos pos pos"), "@01 1 RJ IDLE WR BADDATA\r\n");
+}
+
+TEST_F(ZaberAsciiFirmwareTest, TellsItsSpeedOnTheWay) {
+  home_all();
+  ask("/1 1 move abs 192000");
+  host.listen(seconds(1));
+  EXPECT_EQ(ask("/1 1 get vel"), "@01 1 OK BUSY -- 34953\r\n");  // that of maxspeed
+  EXPECT_EQ(ask("/1 1 get motion.busy"), "@01 1 OK BUSY -- 1\r\n");
+  host.listen(seconds(20));
+  EXPECT_EQ(ask("/1 1 get vel"), "@01 1 OK IDLE -- 0\r\n");
+}
+
+TEST_F(ZaberAsciiFirmwareTest, NumbersAreDigits) {
+  home_all();
+  for (const char* number : {"1e3", "+1000", "0x10", "inf", "nan", "1,5", "--5", "", "5-"})
+    EXPECT_EQ(ask(std::string("/1 1 move abs ") + number), "@01 1 RJ IDLE -- BADDATA\r\n") << number;
+  EXPECT_EQ(angle_deg(StageAxis::kX), 0.0);
+  EXPECT_EQ(ask("/1 1 move abs 1000"), "@01 1 OK BUSY -- 0\r\n");
+}
+
+TEST_F(ZaberAsciiFirmwareTest, StoresPositions) {
+  home_all();
+  EXPECT_EQ(ask("/1 1 tools storepos 3 9600"), "@01 1 OK IDLE -- 0\r\n");
+  EXPECT_EQ(ask("/1 1 tools storepos 3"), "@01 1 OK IDLE -- 9600\r\n");
+  EXPECT_EQ(ask("/1 1 move stored 3"), "@01 1 OK BUSY -- 0\r\n");
+  host.listen(seconds(5));
+  EXPECT_EQ(ask("/1 1 get pos"), "@01 1 OK IDLE -- 9600\r\n");
+  EXPECT_EQ(ask("/1 1 move stored 17"), "@01 1 RJ IDLE -- BADDATA\r\n");
+}
+
+TEST_F(ZaberAsciiFirmwareTest, WhatItDoesNotKnowIsNotedOnce) {
+  EXPECT_EQ(ask("/1 pvt 1 setup disable"), "@01 0 RJ IDLE WR BADCOMMAND\r\n");
+  EXPECT_EQ(ask("/1 pvt buffer 1 erase"), "@01 0 RJ IDLE WR BADCOMMAND\r\n");
+  EXPECT_EQ(ask("/1 get motor.inductance"), "@01 0 RJ IDLE WR BADCOMMAND\r\n");
+  const auto unserved = firmware.unserved().all();
+  ASSERT_EQ(unserved.size(), 2U);
+  EXPECT_EQ(unserved[0].command, "pvt");
+  EXPECT_EQ(unserved[0].count, 2U);
+  EXPECT_EQ(unserved[1].command, "get motor.inductance");
+}
+
+TEST_F(ZaberAsciiFirmwareTest, ANewSessionStartsWithAnEmptyLine) {
+  home_all();
+  host.send("/1 1 move abs 1");
+  firmware.session_starts();
+  EXPECT_EQ(ask("20"), "");
+  EXPECT_EQ(angle_deg(StageAxis::kX), 0.0);
+}
+
+TEST(ZaberAsciiFirmware6Test, KnowsTheNamesOfItsTime) {
+  const auto bench = std::make_shared<SimBench>(BenchTruth{});
+  ZaberAsciiFirmware firmware(bench, {.axis_names = {"1", ""}, .version = "6.28"});
+  FirmwareHost host(firmware);
+  const auto ask = [&](const std::string& command) {
+    host.send(command + "\n");
+    return host.listen(milliseconds(2));
+  };
+  EXPECT_EQ(ask("/1 get deviceid"), "@01 0 OK IDLE WR 50009\r\n");
+  EXPECT_EQ(ask("/1 get system.voltage"), "@01 0 OK IDLE WR 48.1\r\n");
+  for (const char* newer : {"device.id", "cloop.enable", "motion.busy", "peripheral.id", "peripheralid"})
+    EXPECT_EQ(ask(std::string("/1 get ") + newer), "@01 0 RJ IDLE WR BADCOMMAND\r\n") << newer;
+  EXPECT_EQ(ask("/1 get pos resolution"), "@01 0 RJ IDLE WR BADDATA\r\n");
 }
 
 TEST_F(ZaberAsciiFirmwareTest, TakesTheHeadersAndLineEndsOfDifferentHosts) {

@@ -11,6 +11,9 @@
 #include <memory>
 #include <random>
 
+#include "sim/firmware/firmware_stream.h"
+#include "sim/firmware/mip_firmware.h"
+#include "sim/sim_clock.h"
 #include "tests/drivers/microstrain_mip/fake_mip_device.h"
 #include "tests/drivers/microstrain_mip/reference_decoder.h"
 #include "tests/support/test_data.h"
@@ -847,6 +850,28 @@ TEST(MipAccelerometerTest, GivesOfADamagedStreamOnlyTrueReadingsAndCountsTheOthe
     lost_in_all += replayed.health.lost_readings;
   }
   EXPECT_GT(lost_in_all, 1000U) << "the damage must have cost something";
+}
+
+TEST(MipAccelerometerTest, TellsTheBiasThatTheDeviceSubtracts) {
+  sim::SimClock clock;
+  auto world = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
+  const auto device = std::make_shared<sim::MipFirmware>(world);
+  // 0C,37: write (0.25, 0, -0.5) g.
+  const std::string bias("\x75\x65\x0C\x0F\x0F\x37\x01\x3E\x80\0\0\0\0\0\0\xBF\0\0\0", 19);
+  unsigned a = 0;
+  unsigned b = 0;
+  for (const char c : bias) b = (b + (a = (a + static_cast<unsigned char>(c)) % 256)) % 256;
+  device->receive(bias + static_cast<char>(a) + static_cast<char>(b), clock.now());
+  MipAccelerometer accelerometer(std::make_unique<sim::FirmwareStream>(device, clock), clock,
+                                 AccelerometerSettings());
+  accelerometer.identify();
+  const auto registers = accelerometer.correction_registers();
+  ASSERT_EQ(registers.size(), 1U);
+  EXPECT_EQ(registers.at("accelerometer bias (0C,37)"), "0.25, 0, -0.5 g");
+  accelerometer.start();
+  const auto reading = accelerometer.next(clock.now() + std::chrono::seconds(1));
+  ASSERT_TRUE(reading);
+  EXPECT_EQ(reading->output, Eigen::Vector3d(-0.25, 0.0, 1.5));
 }
 
 }  // namespace

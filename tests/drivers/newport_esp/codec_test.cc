@@ -71,7 +71,7 @@ TEST(NewportEspCodecTest, LinesOfAnotherShapeAreNoAnswer) {
   for (const char* text : {"", "0", "0,", "0, 1", "0, 1,", "x, 1, NO ERROR", "0, x, NO ERROR", "-1, 1, ERROR",
                            "0, -1, NO ERROR", "99999, 1, ERROR", "ESP301 Version 3.0.1 6/1/99"})
     EXPECT_FALSE(parse_error_report(text).has_value()) << text;
-  for (const char* text : {"", "nan", "inf", "1x", "1 2", "1,2", "24H", "+-1", "++1"})
+  for (const char* text : {"", "nan", "inf", "1x", "1 2", "1,2", "24H", "+-1", "++1", "1e300", "-1e300"})
     EXPECT_FALSE(parse_number(text).has_value()) << text;
   for (const char* text : {"", "2", "1.0", "01", "-1"}) EXPECT_FALSE(parse_flag(text).has_value()) << text;
   for (const char* text : {"", "12", "-1", "7.0", "deg"}) EXPECT_FALSE(parse_unit(text).has_value()) << text;

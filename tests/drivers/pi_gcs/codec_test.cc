@@ -92,6 +92,17 @@ TEST(PiGcsCodecTest, ParametersAreFoundByNumberHoweverTheirNameIsWritten) {
   EXPECT_FALSE(parameter_number(lines_of("1 15=1\n"), 14).has_value());
 }
 
+TEST(PiGcsCodecTest, ParametersMayBeText) {
+  EXPECT_EQ(parameter_text(lines_of("1 0x7000601=DEG\n"), 0x7000601), "DEG");
+  EXPECT_EQ(parameter_text(lines_of("1 117442049=DEG\n"), 0x7000601), "DEG");
+}
+
+TEST(PiGcsCodecTest, ANumberThatNoStageCanHaveIsADamagedReply) {
+  EXPECT_EQ(axis_number(lines_of("1=1e9\n"), "1"), 1e9);
+  EXPECT_FALSE(axis_number(lines_of("1=1e300\n"), "1").has_value());
+  EXPECT_FALSE(axis_number(lines_of("1=-1e300\n"), "1").has_value());
+}
+
 TEST(PiGcsCodecTest, ErrorCodesAreWholeNumbersAndHaveWords) {
   EXPECT_EQ(parse_error_code(lines_of("0\n")), 0);
   EXPECT_EQ(parse_error_code(lines_of("15\n")), 15);

@@ -115,6 +115,39 @@ TEST_F(PiGcsStageTest, AUnitOtherThanDegreesIsRefused) {
   EXPECT_EQ(controller_.count("MOV 1 1.000000"), 0U);
 }
 
+TEST_F(PiGcsStageTest, AControllerWithoutPunTellsItsUnitByAParameter) {
+  for (const std::string axis : {"1", "2"}) {
+    controller_.replies.erase("PUN? " + axis);
+    controller_.replies["SPA? " + axis + " 0x7000601"] = axis + " 0x7000601=deg\n";
+  }
+  connect();
+  EXPECT_EQ(stage_->identify().axes[0].travel_max.deg(), 370.5);
+  controller_.replies["SPA? 2 0x7000601"] = "2 0x7000601=mm\n";
+  EXPECT_THAT(error_of([&] { stage_->identify(); }).what(), HasSubstr("\"mm\""));
+}
+
+TEST_F(PiGcsStageTest, AControllerThatDoesNotTellItsUnitNeedsItInTheBenchFile) {
+  for (const std::string axis : {"1", "2"}) controller_.replies.erase("PUN? " + axis);
+  connect();
+  const InstrumentError error = error_of([&] { stage_->identify(); });
+  EXPECT_EQ(error.fault(), Fault::kWrongIdentity);
+  EXPECT_THAT(error.what(), HasSubstr("unit = \"deg\""));
+}
+
+TEST_F(PiGcsStageTest, TheBenchFileMayTellTheUnit) {
+  for (const std::string axis : {"1", "2"}) controller_.replies.erase("PUN? " + axis);
+  StageSettings settings;
+  settings.unit = "deg";
+  connect(settings);
+  EXPECT_EQ(stage_->identify().axes[0].travel_max.deg(), 370.5);
+}
+
+TEST_F(PiGcsStageTest, AReadBackThatNoStageCanHaveIsNoAngle) {
+  controller_.replies["POS? 1"] = "1=1e300\n";
+  connect();
+  EXPECT_THROW(stage_->encoder_angle(StageAxis::kX), InstrumentError);
+}
+
 TEST_F(PiGcsStageTest, SettingsThatCannotBeMeantAreRefused) {
   const auto with = [&](const StageSettings& settings) {
     return std::make_unique<PiGcsStage>(std::make_unique<ScriptedController>(clock_), clock_, settings);

@@ -204,7 +204,8 @@ TEST(ScpiScanningVoltmeterTest, SetsTheKeithleys) {
   Bench other(fake, settings);
   other.accelerometer->start();
   EXPECT_THAT(other.settings_sent(), AllOf(Contains(":SENS:FUNC \"VOLT\""), Contains(":SENS:VOLT:NPLC 1"),
-                                           Contains(":ROUT:SCAN (@1,2,3)")));
+                                           Contains(":ROUT:SCAN (@1,2,3)"), Contains(":ARM:LAY2:COUN 1"),
+                                           Contains(":TRIG:COUN 3"), Not(Contains(":SAMP:COUN 3"))));
   EXPECT_EQ(other.next()->output, Eigen::Vector3d(1.5, -2.5, 3.5));
 }
 
@@ -620,8 +621,7 @@ struct SimulatedBench {
       meter.channels = channels;
       meter.single_channel = single;
       meter.needs_remote = family == sim::ScpiFamily::kKeysight34401a;
-      if (family == sim::ScpiFamily::kKeithley2700 && channels[0] == 1)
-        meter.identity = "KEITHLEY INSTRUMENTS INC.,MODEL 2001,1234567,B17  /A02";
+      if (family == sim::ScpiFamily::kKeithley2700 && channels[0] == 1) meter.model = "2001";
       return std::make_unique<sim::FirmwareStream>(std::make_shared<sim::ScpiVoltmeterFirmware>(world, meter),
                                                    clock);
     };

@@ -70,6 +70,16 @@ TEST(ScpiReadingsTest, AreInTheOrderInWhichTheyCame) {
               Eq(std::vector<ChannelReading>{{0.5, 0, 101}, {2.5, 0, 3}}));
 }
 
+TEST(ScpiReadingsTest, NameTheChannelsOfA2001) {
+  EXPECT_THAT(parse_readings("+1.5000000E+00VDC,01INTCHAN,-2.5000000E+00VDC,10INTCHAN", true),
+              Eq(std::vector<ChannelReading>{{1.5, 0, 1}, {-2.5, 0, 10}}));
+}
+
+TEST(ScpiIdentityTest, TheWordModelMayBeInAnyCase) {
+  EXPECT_EQ(parse_identity("KEITHLEY INSTRUMENTS INC.,Model 2001,4301578,B17  /A02  ")->model, "2001");
+  EXPECT_EQ(parse_identity("KEITHLEY INSTRUMENTS INC.,model 2001,4301578,B17  /A02  ")->model, "2001");
+}
+
 TEST(ScpiReadingsTest, SayOverload) {
   EXPECT_THAT(parse_readings("+9.90000000E+37,-9.9E37,9.9e+37", false),
               Eq(std::vector<ChannelReading>{{0.0, 1, {}}, {0.0, -1, {}}, {0.0, 1, {}}}));

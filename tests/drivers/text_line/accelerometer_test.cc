@@ -98,6 +98,21 @@ TEST(TextLineAccelerometerTest, WaitsForABoardThatRestartsWhenItsPortIsOpened) {
   EXPECT_EQ(bench.accelerometer->identify().output_unit, "R");
 }
 
+// "0,01" is 0.01 to half of the world: read as two columns it would be an output of 0 and one of 1.
+TEST(TextLineAccelerometerTest, ADecimalCommaIsRefusedRatherThanReadAsShiftedColumns) {
+  for (const char* line : {"0,01,0,02,1,00", "-0,01,0,02,1,00", "0,5,0,02,9,81"}) {
+    Bench bench;
+    bench.print(line, milliseconds(10), 101);
+    EXPECT_THAT(error_of([&] { bench.accelerometer->identify(); }, Fault::kImplausible),
+                AllOf(HasSubstr("decimal mark"), HasSubstr(line)));
+  }
+  for (const char* line : {"1,2,3,4,5,6", "10,20,30,40,50,60", "0,01,5", "0.5,0.01,1.0,0,0,0"}) {
+    Bench bench;
+    bench.print(line, milliseconds(10), 101);
+    EXPECT_NO_THROW(bench.accelerometer->identify()) << line;
+  }
+}
+
 TEST(TextLineAccelerometerTest, GivesOutputsInTheUnitOfTheBenchFile) {
   AccelerometerSettings settings;
   settings.columns = {4, 2, 3};

@@ -450,5 +450,22 @@ TEST(VectorNavAccelerometerTest, ReadsTheSimulatedDevice) {
   EXPECT_EQ(accelerometer.health().skipped_bytes, 0U);
 }
 
+TEST(VectorNavAccelerometerTest, TellsTheCorrectionsThatTheDeviceApplies) {
+  sim::SimClock clock;
+  auto world = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
+  const auto device = std::make_shared<sim::VectorNavFirmware>(world);
+  device->receive("$VNWRG,25,1,0,0,0,1,0,0,0,1,0.5,0,0*XX\r\n", clock.now());
+  VectorNavAccelerometer accelerometer(std::make_unique<sim::FirmwareStream>(device, clock), clock,
+                                       AccelerometerSettings());
+  accelerometer.identify();
+  const auto registers = accelerometer.correction_registers();
+  ASSERT_EQ(registers.size(), 2U);
+  EXPECT_EQ(registers.at("acceleration compensation (25)"),
+            "+1.000000,+0.000000,+0.000000,+0.000000,+1.000000,+0.000000,+0.000000,+0.000000,+1.000000,"
+            "+0.500000,+0.000000,+0.000000");
+  accelerometer.start();
+  EXPECT_TRUE(accelerometer.next(clock.now() + seconds(1)));
+}
+
 }  // namespace
 }  // namespace abcal

@@ -179,6 +179,8 @@ TEST(VectorNavCodecTest, RejectsEverySingleDamagedByteOfAMessage) {
     ASSERT_EQ(undamaged.size(), 2U);
     for (std::size_t at = 0; at < message.size(); ++at) {
       for (unsigned change = 1; change < 256; ++change) {
+        // A line feed alone ends a message as well, whose content is then undamaged.
+        if (message[at] == '\r' && change == ('\r' ^ '\n')) continue;
         std::string damaged = message;
         damaged[at] = static_cast<char>(static_cast<unsigned char>(damaged[at]) ^ change);
         const auto found = parse(damaged + good, 1000, driver_header);
@@ -215,6 +217,24 @@ TEST(VectorNavCodecTest, TakesOnlyTheBinaryMessagesItIsToldTo) {
   const std::string driver_header = binary_header({0x0101, 0, 0x0010, 0, 0, 0});
   EXPECT_TRUE(parse(kManualExample, 3, driver_header).empty());
   EXPECT_EQ(parse(kManualExample, 3).size(), 1U);
+}
+
+TEST(VectorNavCodecTest, ALineFeedAloneEndsAMessage) {
+  const std::string bytes = "$VNRRG,01*72\n$VNRRG,01*E15F\n$VNRRG,54*72\r\n";
+  MessageParser parser;
+  parser.feed(bytes);
+  std::size_t size = 0;
+  for (const auto& [text, checksum] :
+       {std::pair{"VNRRG,01", Checksum::kXor8}, std::pair{"VNRRG,01", Checksum::kCrc16},
+        std::pair{"VNRRG,54", Checksum::kXor8}}) {
+    const auto message = parser.next();
+    ASSERT_TRUE(message);
+    EXPECT_EQ(std::get<TextMessage>(*message).text, text);
+    EXPECT_EQ(std::get<TextMessage>(*message).checksum, checksum);
+    size += wire_size(*message);
+  }
+  EXPECT_EQ(size, bytes.size());
+  EXPECT_EQ(parser.skipped_bytes(), 0U);
 }
 
 TEST(VectorNavCodecTest, SaysErrorsInWords) {

@@ -95,13 +95,14 @@ inline Frame text_frame(std::string_view rest) {
     if (byte_at(rest, end) < 0x20 || byte_at(rest, end) > 0x7E || rest[end] == '$') break;
   if (end > kLongest) return {};
   if (end == rest.size() || rest.substr(end) == "\r") return {Kind::kIncomplete};
-  if (rest.substr(end, 2) != "\r\n") return {};
+  const std::size_t line_end = rest[end] == '\n' ? 1 : 2;  // A line feed alone is taken as well.
+  if (line_end == 2 && rest.substr(end, 2) != "\r\n") return {};
   for (const std::size_t digits : {std::size_t{2}, std::size_t{4}}) {
     if (end < digits + 2 || rest[end - digits - 1] != '*') continue;
     const std::string_view sum = rest.substr(end - digits, digits);
     if (sum.find_first_not_of("0123456789ABCDEF") != std::string_view::npos) continue;
     const std::string_view text = rest.substr(1, end - digits - 2);
-    return {Kind::kWhole, end + 2, sum == (digits == 2 ? hex(exclusive_or(text), 2) : hex(crc(text), 4))};
+    return {Kind::kWhole, end + line_end, sum == (digits == 2 ? hex(exclusive_or(text), 2) : hex(crc(text), 4))};
   }
   return {};
 }

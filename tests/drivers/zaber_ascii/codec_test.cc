@@ -141,7 +141,7 @@ TEST(ZaberAsciiCodecTest, WarningsAreCountedFlags) {
 TEST(ZaberAsciiCodecTest, NumbersFillTheText) {
   EXPECT_EQ(parse_number("-384000"), -384000.0);
   EXPECT_EQ(parse_number("1.5"), 1.5);
-  for (const char* text : {"", "NA", "1 2", "nan", "1x"})
+  for (const char* text : {"", "NA", "1 2", "nan", "1x", "1e300"})
     EXPECT_FALSE(parse_number(text).has_value()) << text;
 }
 

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "drivers/instrument/clock.h"
+
+namespace abcal::sim {
+
+/// One direction of a serial line, 8N1: a byte takes ten bits, and one that is read at another speed than it
+/// was sent with is noise. What arrives is handed over as a UART with a FIFO does it: some bytes at a time.
+class SerialLine {
+ public:
+  /// Bytes at a time.
+  static constexpr std::size_t kFifo = 16;
+
+  /// `bytes` are sent behind what is under way, at `speed` Bd. `read_at`: the speed of the other end;
+  /// nothing: the same.
+  void send(std::string_view bytes, unsigned speed, std::optional<unsigned> read_at, Clock::Instant now);
+
+  /// What has come through since the last call.
+  std::string arrived(Clock::Instant now);
+
+  /// When the next bytes are handed over; nothing: none are under way.
+  std::optional<Clock::Instant> next_due() const;
+
+  std::size_t under_way() const { return under_way_; }
+  void clear();
+
+ private:
+  struct Piece {
+    Clock::Instant start;
+    double bytes_per_s;  ///< As they are read.
+    std::string bytes;
+    std::size_t taken = 0;
+
+    Clock::Instant time_of(std::size_t count) const;
+  };
+
+  std::deque<Piece> pieces_;
+  Clock::Instant free_at_ = Clock::Instant::min();
+  std::size_t under_way_ = 0;
+  std::uint64_t noise_ = 0;
+};
+
+}  // namespace abcal::sim
