@@ -83,7 +83,11 @@ std::string difference_from_plan(const StoredRun& stored, const BenchConfig* ben
 
 IntegrityCheck check_plan(const StoredRun& stored, const BenchConfig* bench) {
   std::string wrong = difference_from_plan(stored, bench);
-  if (wrong.empty() && bench != nullptr) {
+  // Angles of no rotation experiment are those of a levelling, which the bench file does not plan.
+  const bool is_planned =
+      bench != nullptr && std::any_of(stored.header.plan.begin(), stored.header.plan.end(),
+                                      [](const PlannedAngle& angle) { return angle.experiment != 0; });
+  if (wrong.empty() && is_planned) {
     try {
       wrong = difference_of_plans(stored.header.plan, *bench);
     } catch (const PlanError& error) {
@@ -93,7 +97,7 @@ IntegrityCheck check_plan(const StoredRun& stored, const BenchConfig* bench) {
   if (!wrong.empty()) return {"plan", false, wrong};
   return {"plan", true,
           fmt::format("{} angles{}, each measured as planned", stored.measured.size(),
-                      bench != nullptr ? " as the bench file gives them" : "")};
+                      is_planned ? " as the bench file gives them" : "")};
 }
 
 /// The numbers below a node whose key is one of two, in order.
@@ -166,7 +170,7 @@ IntegrityCheck check_results(const std::filesystem::path& run,
                       "uncertainties",
                       stored.estimator, stored.utc, distance.of_values)};
   }
-  std::string words = fmt::format("{} analyses computed again", same);
+  std::string words = fmt::format("{} analyses recomputed", same);
   if (other > 0)
     words += fmt::format("; {} of another version of abcal differ by up to {:.2g} standard uncertainties",
                          other, largest_of_other);

@@ -52,8 +52,6 @@ std::optional<bool> take_sign(std::string_view& text) {
 }
 
 std::optional<int> parse_channel(std::string_view text) {
-  constexpr std::string_view kInternal = "INTCHAN";  // As a Keithley 2001 names its own.
-  if (text.ends_with(kInternal)) text.remove_suffix(kInternal.size());
   if (text.empty() || text.size() > 5 || !std::all_of(text.begin(), text.end(), is_digit))
     return std::nullopt;
   int channel = 0;
@@ -135,7 +133,10 @@ std::optional<std::vector<ChannelReading>> parse_readings(std::string_view text,
     auto reading = parse_volts(trim(words[i]));
     if (!reading) return std::nullopt;
     if (with_channels) {
-      reading->channel = parse_channel(trim(words[i + 1]));
+      constexpr std::string_view kInternal = "INTCHAN";  // As a Keithley 2001 names its own.
+      std::string_view channel = trim(words[i + 1]);
+      if (channel.ends_with(kInternal)) channel.remove_suffix(kInternal.size());
+      reading->channel = parse_channel(channel);
       if (!reading->channel) return std::nullopt;
     }
     readings.push_back(*reading);

@@ -95,7 +95,7 @@ std::optional<double> reference_number(const std::string& untrimmed) {
   }
   if (at != text.size()) return std::nullopt;
   const double value = std::strtod(text.c_str(), nullptr);
-  if (!std::isfinite(value)) return std::nullopt;
+  if (!(std::abs(value) <= 1e12)) return std::nullopt;  // No number of a stage is larger.
   if (value == 0.0 && mantissa.find_first_of("123456789") != std::string::npos) return std::nullopt;
   return value;
 }

@@ -117,7 +117,9 @@ bool reference_readings(const std::string& text, bool with_channels, std::vector
       if (++i == words.size()) return false;
       const std::string channel = trimmed(words[i]);
       Walk walk{channel};
-      if (!reference_channel(walk, reading.channel.emplace()) || !walk.done()) return false;
+      if (!reference_channel(walk, reading.channel.emplace())) return false;
+      walk.take("INTCHAN");
+      if (!walk.done()) return false;
     }
     all.push_back(reading);
   }
@@ -150,7 +152,9 @@ int check_readings(const std::string& text) {
 int check_identity(const std::string& text) {
   const auto words = words_of(text);
   std::string model = words.size() == 4 ? trimmed(words[1]) : "";
-  if (model.rfind("MODEL ", 0) == 0) model = trimmed(model.substr(6));
+  std::string word = model.substr(0, 6);
+  for (char& c : word) c = static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
+  if (word == "MODEL ") model = trimmed(model.substr(6));
   const char first = words.size() == 4 && !trimmed(words[0]).empty() ? trimmed(words[0])[0] : '?';
   const bool is_one =
       printable(text) && !model.empty() && ((first >= 'A' && first <= 'Z') || (first >= 'a' && first <= 'z'));

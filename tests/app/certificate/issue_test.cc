@@ -97,7 +97,7 @@ TEST_F(IssueTest, ASimulatedRunIsIssuedByATrainingRegisterOnly) {
   const auto refused = without_register({});
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_THAT(refused.err,
-              AllOf(HasSubstr("instruments: found simulated"), HasSubstr("default sizes stand")));
+              AllOf(HasSubstr("instruments: found simulated"), HasSubstr("default sizes are used")));
   EXPECT_TRUE(ResultsFile::certificates(folder / run).empty());
 }
 

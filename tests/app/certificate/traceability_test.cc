@@ -63,7 +63,7 @@ TEST_F(TraceabilityTest, EveryReasonAgainstItIsListedAndRefusesACertificate) {
   asked.run.record.response_unit = "V";
   const std::string why = refusal(asked);
   EXPECT_THAT(why, AllOf(HasSubstr("simulated: stage"), HasSubstr("by formula GRS80"),
-                         HasSubstr("performed not stated"), HasSubstr("default sizes stand"),
+                         HasSubstr("performed not stated"), HasSubstr("default sizes are used"),
                          HasSubstr("run, voltage")));
   // A training certificate lets it pass and says so.
   asked.run.record.response_unit = "g";

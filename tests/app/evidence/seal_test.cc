@@ -117,7 +117,7 @@ TEST_F(SealTest, WhatWasForgedByHandIsSelfConsistentButNotSigned) {
   test::write_file(folder / "bench.pub", public_key_of(key));
   const auto alone = verify({});
   EXPECT_EQ(alone.exit_code, 0) << alone.out;
-  EXPECT_THAT(alone.out, HasSubstr("self-consistent only"));
+  EXPECT_THAT(alone.out, HasSubstr("neither a signature nor a time stamp"));
   EXPECT_EQ(verify({"--require", "signed", "--key", "bench.pub"}).exit_code, 1);
 
   // Nor does a signature by another key help.
