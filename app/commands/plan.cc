@@ -85,7 +85,8 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
                                   {"closing", angle.closing},
                                   {"alpha_deg", angle.alpha.deg()},
                                   {"x_deg", angle.x.deg()},
-                                  {"z_deg", angle.z.deg()}});
+                                  {"z_deg", angle.z.deg()},
+                                  {"check", angle.check}});
       }
       print_result("{}\n", json.dump(2));
     } else {
@@ -94,7 +95,10 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
       for (std::size_t k = 0; k < plan.size(); ++k) {
         const PlannedAngle& angle = plan[k];
         print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}\n", k + 1, angle.experiment, angle.n,
-                     angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.closing ? "  closing angle" : "");
+                     angle.alpha.deg(), angle.x.deg(), angle.z.deg(),
+                     angle.closing ? "  closing angle"
+                     : angle.check ? "  check pose"
+                                   : "");
       }
       print_result("{} angles; {} readings at each\n", plan.size(),
                    readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
