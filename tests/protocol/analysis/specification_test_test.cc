@@ -163,6 +163,24 @@ TEST(SpecificationTest, AlignmentStatedATenthOfItsSizeIsDoubtful) {
   EXPECT_GE(doubtful, 9);  // Three errors of ten standard deviations each; all are within 5 once in 20 runs.
 }
 
+TEST(OffsetDrift, WithinItsStatementTheResultSaysWhatTheOffsetMeansAndWhatItWasAtTheEnd) {
+  RunRecord record = measured_on(kStage, 600);
+  record.tolerances = stated(kStage);
+  record.tolerances.drift = 1e-4;
+  for (std::size_t n = 0; n < record.dwells.size(); ++n)
+    record.dwells[n].mean(0) +=
+        2e-4 * (static_cast<double>(n) / static_cast<double>(record.dwells.size() - 1) - 0.5);
+  const CalibrationResult result = analyse_joint(record);
+  EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
+  EXPECT_NEAR(result.offset[0].value, 0.01, 4.0 * result.offset[0].standard_uncertainty);
+  EXPECT_NEAR(result.joint->drift_at_end[0].value, 1e-4,
+              4.0 * result.joint->drift_at_end[0].standard_uncertainty);
+  EXPECT_THAT(
+      result.diagnostics.notes,
+      testing::Contains(testing::AllOf(HasSubstr("O_u is its mean over the run"), HasSubstr("at the end"))));
+  EXPECT_THAT(result.diagnostics.notes, testing::Not(testing::Contains(HasSubstr("O_v is its mean"))));
+}
+
 TEST(FewAngles, SixDirectionsDoNotLetTheNormContradictTheJointFit) {
   for (std::uint64_t seed = 400; seed < 420; ++seed) {
     RunRecord record = measured_on(kStage, seed, 4, 1e-3);
