@@ -154,6 +154,7 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.angle("step_deg", p.step, {0.0, 180.0, true});
   keys.text("estimator", p.estimator, {"abc", "joint", "norm"});
   keys.boolean("closing_angle", p.closing_angle);
+  keys.boolean("check_poses", p.check_poses);
   keys.angle("approach_deg", p.approach, {0.0, 45.0});
   keys.angle("position_window_deg", p.position_window, {0.0, 5.0, true});
   keys.integer("window_polls", p.window_polls, 1, 1000);

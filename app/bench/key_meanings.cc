@@ -104,6 +104,11 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"protocol.step_deg", {"D, the nominal rotation step.", ""}},
       {"protocol.closing_angle",
        {"Measures the first angle of each experiment again, one turn on, to show drift.", ""}},
+      {"protocol.check_poses",
+       {"Measures two poses, gravity along (1, 1, 1) and against it, at the start, between the experiments "
+        "and at the end: they show a late change of the gain or offset of any output. false: the plan as "
+        "published.",
+        ""}},
       {"protocol.approach_deg",
        {"Every angle is reached from below by this much, so that backlash does not matter. 0: from either "
         "side.",

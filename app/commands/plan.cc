@@ -77,6 +77,7 @@ nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& confi
     json["angles"].push_back({{"experiment", angle.experiment},
                               {"n", angle.n},
                               {"closing", angle.closing},
+                              {"check", angle.check},
                               {"alpha_deg", angle.alpha.deg()},
                               {"x_deg", angle.x.deg()},
                               {"z_deg", angle.z.deg()}});
@@ -90,7 +91,10 @@ void print_angles(const std::vector<PlannedAngle>& angles) {
   for (std::size_t k = 0; k < angles.size(); ++k) {
     const PlannedAngle& angle = angles[k];
     print_result("{:>5} {:>10} {:>5} {:>10g} {:>10g} {:>10g}{}\n", k + 1, angle.experiment, angle.n,
-                 angle.alpha.deg(), angle.x.deg(), angle.z.deg(), angle.closing ? "  closing angle" : "");
+                 angle.alpha.deg(), angle.x.deg(), angle.z.deg(),
+                 angle.closing ? "  closing angle"
+                 : angle.check ? "  check pose"
+                               : "");
   }
 }
 

@@ -55,7 +55,9 @@ void TerminalListener::show(const PhaseEvent& event) {
     const PlannedAngle& angle = plan_[event.position];
     words += angle.experiment > 0
                  ? fmt::format(", experiment {}, alpha = {:g} deg", angle.experiment, angle.alpha.deg())
-                 : fmt::format(", X = {:g} deg, Z = {:g} deg", angle.x.deg(), angle.z.deg());
+                 : fmt::format(", {}X = {:g} deg, Z = {:g} deg",
+                               angle.check ? fmt::format("check pose {}, ", angle.n) : "", angle.x.deg(),
+                               angle.z.deg());
   }
   bar_->show(static_cast<double>(measured_.size()), static_cast<double>(plan_.size()), words);
 }

@@ -67,8 +67,13 @@ std::string_view name(Finding::Grade grade) {
 }
 
 Json planned_json(const PlannedAngle& angle) {
-  return {{"experiment", angle.experiment}, {"n", angle.n},           {"closing", angle.closing},
-          {"alpha_deg", angle.alpha.deg()}, {"x_deg", angle.x.deg()}, {"z_deg", angle.z.deg()}};
+  return {{"experiment", angle.experiment},
+          {"n", angle.n},
+          {"closing", angle.closing},
+          {"alpha_deg", angle.alpha.deg()},
+          {"x_deg", angle.x.deg()},
+          {"z_deg", angle.z.deg()},
+          {"check", angle.check}};
 }
 
 Json dwell_json(std::size_t position, const DwellRecord& dwell) {

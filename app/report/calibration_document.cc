@@ -188,6 +188,11 @@ Section method_section(const ReportData& data) {
                 : std::string("angles are approached from either side; ");
     text += p.closing_angle ? "at the end of each experiment the first angle is measured again; "
                             : "no closing angle; ";
+    if (p.check_poses) {
+      text +=
+          "two check poses, gravity along (1, 1, 1) and against it, are measured at the start, between the "
+          "experiments and at the end; ";
+    }
     text += fmt::format("warm-up {:g} s.", p.warm_up_s);
     section.blocks.push_back(Paragraph{text});
   }

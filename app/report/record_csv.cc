@@ -67,7 +67,8 @@ std::string comments(const ReportData& data, const std::string& what) {
 std::string averaged_csv(const ReportData& data) {
   std::string rows;
   int left_out = 0;
-  for (const DwellRecord& dwell : data.record.dwells) {
+  for (const DwellRecord* each : dwells_in_time(data.record)) {
+    const DwellRecord& dwell = *each;
     if (!dwell.mean.allFinite()) {
       ++left_out;
       continue;
@@ -89,6 +90,8 @@ std::string averaged_csv(const ReportData& data) {
   std::string text =
       comments(data, "averaged readings, their standard uncertainty (u_), times from the start");
   if (left_out > 0) text += comment("left_out", fmt::format("{} angles without a finite mean", left_out));
+  if (!data.record.check_poses.empty())
+    text += comment("experiment 0", "a check pose, n = 1 or 2: gravity along (1, 1, 1) or against it");
   return text + comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_* response_unit; time_s s") +
          comment("flags", "sum of " + flags) +
          "experiment,n,closing,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,"

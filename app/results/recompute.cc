@@ -31,7 +31,11 @@ bool same_direction(Angle a, Angle b) {
 std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const BenchConfig& bench) {
   constexpr AxisTravel kAny{Angle::degrees(-1080.0), Angle::degrees(1080.0)};
   std::map<std::pair<int, int>, PlannedAngle> expected;
-  for (const PlannedAngle& angle : make_rotation_plan(bench.protocol, {kAny, kAny}))
+  // Runs of before version 0.2 have no check poses, whatever is the rule for a bench file that says nothing.
+  ProtocolConfig protocol = bench.protocol;
+  protocol.check_poses =
+      std::any_of(stored.begin(), stored.end(), [](const auto& angle) { return angle.check; });
+  for (const PlannedAngle& angle : make_rotation_plan(protocol, {kAny, kAny}))
     if (!angle.closing) expected[{angle.experiment, angle.n}] = angle;
   std::set<std::pair<int, int>> seen;
   for (const PlannedAngle& angle : stored) {

@@ -134,12 +134,20 @@ Json result_json(const CalibrationResult& result) {
     json["drift"] = quantities(joint.drift);
     json["nonlinearity"] = {
         {"k2", quantities(joint.k2)}, {"k3", quantities(joint.k3)}, {"fitted", joint.nonlinearity_fitted}};
+    json["drift_at_end"] = quantities(joint.drift_at_end);
+    const SpecificationTest& test = joint.norm_against_joint;
+    json["norm_against_joint"] = {{"statistic", test.done ? json_number(test.statistic) : Json(nullptr)},
+                                  {"degrees_of_freedom", test.degrees_of_freedom},
+                                  {"probability", test.done ? json_number(test.probability) : Json(nullptr)}};
     json["iterations"] = joint.iterations;
   }
   if (result.norm) {
     const NormResult& norm = *result.norm;
     json["poses"] = norm.poses;
     json["poses_left_out"] = norm.poses_left_out;
+    json["left_out"] = Json::array();
+    for (const auto& [pose, residual] : norm.left_out)
+      json["left_out"].push_back({{"pose", pose}, {"residual", json_number(residual)}});
     json["norm_rms"] = json_number(norm.norm_rms);
     json["sphere_coverage"] = json_number(norm.sphere_coverage);
     json["coverage_words"] = norm.coverage_words;

@@ -28,7 +28,7 @@ ReplayComparedEvent compare_replay(const StoredRun& recorded, const StoredRun& r
     const auto found = std::find(recorded.measured.begin(), recorded.measured.end(), replayed.measured[k]);
     if (found == recorded.measured.end()) continue;
     const auto before = static_cast<std::size_t>(found - recorded.measured.begin());
-    if (is_measured_alike(recorded.record.dwells[before], replayed.record.dwells[k])) ++comparison.same;
+    if (is_measured_alike(recorded.dwells[before], replayed.dwells[k])) ++comparison.same;
   }
   comparison.recorded_end = end_of_run(recorded);
   comparison.ended_alike = comparison.recorded_end == end_of_run(replayed);

@@ -89,7 +89,7 @@ RunProgress progress_of(const StoredRun& stored) {
   RunProgress so_far;
   so_far.measured = {stored.measured.begin(), stored.measured.end()};
   so_far.spent = stored.timing;
-  const std::vector<DwellRecord>& dwells = stored.record.dwells;
+  const std::vector<DwellRecord>& dwells = stored.dwells;
   if (dwells.empty()) return so_far;
   const auto last = std::find_if(dwells.rbegin(), dwells.rend(), can_be_compared_with);
   if (last != dwells.rend()) {
@@ -356,7 +356,7 @@ void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::pa
   began.rate_hz = identities.accelerometer.rate_hz;
   began.plan = opened.plan;
   for (std::size_t i = 0; resumed != nullptr && i < resumed->measured.size(); ++i) {
-    began.measured.push_back({resumed->measured[i], resumed->record.dwells[i]});
+    began.measured.push_back({resumed->measured[i], resumed->dwells[i]});
   }
   began.estimated_s = estimate_duration(opened.plan, config, identities).total_s();
   began.simulated_time = opened.bench.simulated_time;

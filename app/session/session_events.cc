@@ -140,6 +140,7 @@ void visit_members(Visitor& v, Planned& angle) {
   v.member("alpha_deg", angle.alpha);
   v.member("x_deg", angle.x);
   v.member("z_deg", angle.z);
+  v.member("check", angle.check);
 }
 
 template <class Visitor, Like<DwellRecord> Dwell>

@@ -28,6 +28,8 @@ constexpr double kDegreesPerRadian = 180.0 / std::numbers::pi;
 constexpr std::size_t kFewestAngles = 5;
 /// A process less probable than this is not told.
 constexpr double kProcessTold = 0.5;
+/// Standard uncertainties from which on a drift is told.
+constexpr double kDriftTold = 3.0;
 
 Quantity quantity(double value, double variance, double variance_b, std::string unit) {
   Quantity out;
@@ -253,12 +255,25 @@ std::string words_about_noise(const EffectFit& fit, const RunRecord& record) {
       fit.noise.process_probability);
 }
 
+/// Where an offset drifted by more than its uncertainty explains: what O means then.
+void note_drifts(CalibrationResult& result) {
+  for (std::size_t j = 0; j < 3; ++j) {
+    const Quantity& end = result.joint->drift_at_end[j];
+    if (!(std::abs(end.value) > kDriftTold * end.standard_uncertainty)) continue;
+    result.diagnostics.notes.push_back(fmt::format(
+        "the offset of {} drifted: O_{} is its mean over the run; at the end of the run it was {:+.2g} "
+        "{} from that (standard uncertainty {:.1g} {}), {:.6g} {}",
+        "uvw"[j], "uvw"[j], end.value, end.unit, end.standard_uncertainty, end.unit,
+        result.offset[j].value + end.value, end.unit));
+  }
+}
+
 /// The verdict, its reasons and the notes.
-void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const RunRecord& record,
-                 CalibrationResult& result) {
+void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const JointTests& tests,
+                 const RunRecord& record, CalibrationResult& result) {
   Diagnostics& diagnostics = result.diagnostics;
-  const JointTests tests = test_joint_fit(fit, options, options.white_known);
   result.joint->effects = tests.effects;
+  result.joint->norm_against_joint = tests.norm_against_joint;
   std::vector<std::string> contradictions;
   std::string about_chi2;
   if (options.white_known) {
@@ -278,10 +293,15 @@ void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const Ru
         u(0), u(1), u(2), record.response_unit);
     diagnostics.notes.push_back(about_chi2);
   }
-  for (std::string& words : contradictions_of(tests)) contradictions.push_back(std::move(words));
+  for (std::string& words : contradictions_of(tests, record.response_unit))
+    contradictions.push_back(std::move(words));
   const std::string about_nonlinearity =
       result.joint->nonlinearity_fitted ? "non-linearity fitted" : "non-linearity left out, as asked";
   diagnostics.notes.push_back(about_nonlinearity);
+  note_drifts(result);
+  if (!tests.norm_against_joint.done)
+    diagnostics.notes.push_back("the norm fit could not be compared with this one: " +
+                                tests.norm_against_joint.why_not);
   if (std::string words = words_about_noise(fit, record); !words.empty())
     diagnostics.notes.push_back(std::move(words));
   if (place_of(fit, "F_X", -1) < 0) {
@@ -297,15 +317,41 @@ void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const Ru
   }
 }
 
+std::optional<EffectFit> fit_or_reason(std::span<const EffectReading> readings,
+                                       const EffectFitOptions& options, std::string& why);
+
+/// Noise from angle to angle of which the norm of the readings shows nothing is none of the outputs: it turns
+/// them alike, as errors of the stage do that are larger than stated. The fit without that noise says which.
+std::vector<std::string> hidden_by_process(std::span<const EffectReading> readings, const EffectFit& fit,
+                                           const EffectFitOptions& options, const JointTests& tests,
+                                           const std::string& response_unit) {
+  constexpr double kNormIsSound = 1e-3;
+  const bool wanders = fit.noise.process_probability > kProcessTold && fit.noise.tau > 0.0;
+  const SpecificationTest& norm = tests.norm_against_joint;
+  if (!options.white_known || !wanders || !norm.done || !(norm.norm_probability >= kNormIsSound)) return {};
+  EffectFitOptions white = options;
+  white.noise_process = false;
+  std::string why;
+  const std::optional<EffectFit> without = fit_or_reason(readings, white, why);
+  if (!without) return {};
+  const JointTests again = test_joint_fit(readings, *without, white);
+  std::vector<std::string> found = contradictions_of(again, response_unit);
+  if (!(again.chi2_probability >= again.level))
+    found.push_back(fmt::format("chi2 {:.4g} for {} degrees of freedom", without->chi2,
+                                without->chi2_degrees_of_freedom));
+  if (found.empty()) return {};
+  return {fmt::format(
+      "the readings wander from angle to angle, but their norm does not: the stage does more than "
+      "is stated (without that noise: {})",
+      fmt::join(found, "; "))};
+}
+
 /// The fit, or why there is none.
-std::optional<EffectFit> fit_or_reason(std::vector<EffectReading> readings, const EffectFitOptions& options,
-                                       std::string& why) {
+std::optional<EffectFit> fit_or_reason(std::span<const EffectReading> readings,
+                                       const EffectFitOptions& options, std::string& why) {
   try {
     EffectFit fit = effect_fit(readings, options);
-    if (fit.converged) {
-      if (!options.white_known) fit.noise.white = fit.noise.white.cwiseProduct(readings.front().u);
-      return fit;
-    }
+    if (fit.converged) return fit;
     why = fmt::format(
         "the joint fit did not converge ({} iterations): the readings are not those of the three "
         "experiments, or their angles are wrong",
@@ -347,7 +393,7 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   }
   std::vector<EffectReading> readings = effect_readings(data, options.one_map_per_axis);
   if (!data.u_known) guess_noise(readings);
-  std::optional<EffectFit> fit = fit_or_reason(std::move(readings), fit_options, result.why);
+  std::optional<EffectFit> fit = fit_or_reason(readings, fit_options, result.why);
   if (!fit) return result;
 
   fill_line_response(*fit, result);
@@ -358,7 +404,16 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   diagnostics.degrees_of_freedom = fit->chi2_degrees_of_freedom;
   diagnostics.reciprocal_condition = fit->reciprocal_condition;
   diagnostics.rank = static_cast<int>(fit->unknowns.size());
-  judge_joint(*fit, fit_options, record, result);
+  const JointTests tests = test_joint_fit(readings, *fit, fit_options);
+  const std::vector<std::string> hidden =
+      hidden_by_process(readings, *fit, fit_options, tests, record.response_unit);
+  // From here on in response units.
+  if (!data.u_known) fit->noise.white = fit->noise.white.cwiseProduct(readings.front().u);
+  judge_joint(*fit, fit_options, tests, record, result);
+  for (const std::string& words : hidden) {
+    result.why = result.verdict == Verdict::kUsable ? words : words + "; " + result.why;
+    result.verdict = Verdict::kDoubtful;
+  }
   return result;
 }
 

@@ -129,6 +129,22 @@ struct EffectTest {
   bool passed = true;
 };
 
+/// The joint fit against the norm fit of the same readings. The norm fit is untouched by every error of the
+/// stage; what the two have in common (nine intrinsic outputs) therefore differs by no more than the effects
+/// of the model make it differ, unless the stage has errors that the model does not have (Hausman's test).
+struct SpecificationTest {
+  bool done = false;  ///< False: the readings alone do not determine the nine outputs (`why_not`).
+  std::string why_not;
+  double statistic = 0.0;  ///< chi2, or F times its degrees of freedom where the noise was estimated.
+  int degrees_of_freedom = 0;
+  double probability = 1.0;
+  double norm_probability = 1.0;  ///< Of the norm fit's own chi2: its readings have white noise only.
+  /// Norm minus joint, and its standard uncertainty if the model is right: s_u, s_v, s_w (R/g_loc), phi_uv,
+  /// phi_vw, phi_wu (degree), O_u, O_v, O_w (R).
+  Eigen::Matrix<double, 9, 1> difference = Eigen::Matrix<double, 9, 1>::Zero();
+  Eigen::Matrix<double, 9, 1> standard_uncertainty = Eigen::Matrix<double, 9, 1>::Zero();
+};
+
 /// What only the joint estimator gives (docs/joint_estimator.md).
 struct JointResult {
   std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
@@ -147,6 +163,7 @@ struct JointResult {
   double process_probability = 0.0;
   double process_tau = 0.0;
   double process_rho = 0.0;
+  SpecificationTest norm_against_joint;
   std::array<Quantity, 3> drift_at_end;  ///< Offset at the end of the run minus its mean over the run (R).
 };
 

@@ -30,7 +30,8 @@ constexpr double kUndetermined = 1e-8;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
 /// Where the columns of the lasting changes stand among each other.
-constexpr Eigen::Index kSlipColumn = 0, kAxisXColumn = 3, kOutputColumn = 4, kLastingColumns = 7;
+constexpr Eigen::Index kSlipColumn = 0, kAxisXColumn = 3, kOutputColumn = 4, kGainColumn = 7,
+                       kLastingColumns = 10;
 
 Eigen::Matrix3d cross_product(const Eigen::Vector3d& v) {
   Eigen::Matrix3d m;
@@ -46,7 +47,7 @@ double median(std::vector<double> values) {
 
 bool lasts(ChangeKind kind) {
   return kind == ChangeKind::kSlip || kind == ChangeKind::kAxisX || kind == ChangeKind::kAxisZ ||
-         kind == ChangeKind::kOutput;
+         kind == ChangeKind::kOutput || kind == ChangeKind::kGain;
 }
 
 bool is_turn(ChangeKind kind) {
@@ -130,6 +131,7 @@ class LinearModel {
       lasting.col(kAxisXColumn) =
           reading.experiment == 3 ? Eigen::Vector3d(point.by_unknown.col(kD3)) : point.by_step_error;
       lasting.middleCols<3>(kOutputColumn).setIdentity();
+      lasting.middleCols<3>(kGainColumn) = (matrix * g).asDiagonal();
 
       by_step_.push_back(point.by_step_error);
       lasting_.push_back(lasting);
@@ -236,6 +238,9 @@ class LinearModel {
       case ChangeKind::kReading:
         columns = Eigen::Vector3d::Unit(change.accelerometer);
         break;
+      case ChangeKind::kGain:
+        columns = lasting_[i].col(kGainColumn + change.accelerometer);
+        break;
       case ChangeKind::kAngle:
         columns = by_step_[i];
         break;
@@ -265,7 +270,10 @@ class LinearModel {
       offer(ChangeKind::kSlip, at, -1, block(kSlipColumn, 3));
       offer(ChangeKind::kAxisX, at, -1, block(kAxisXColumn, 1));
       offer(ChangeKind::kAxisZ, at, -1, block(kSlipColumn + 2, 1));
-      for (int j = 0; j < 3; ++j) offer(ChangeKind::kOutput, at, j, block(kOutputColumn + j, 1));
+      for (int j = 0; j < 3; ++j) {
+        offer(ChangeKind::kOutput, at, j, block(kOutputColumn + j, 1));
+        offer(ChangeKind::kGain, at, j, block(kGainColumn + j, 1));
+      }
     }
   }
 
@@ -318,6 +326,9 @@ std::vector<Change> judged(const LinearModel& model, const RunRecord& record,
       limit = (change.kind == ChangeKind::kAngle ? angle_limit(record.limits, record.tolerances)
                                                  : slip_limit(record.limits, record.tolerances))
                   .deg();
+    } else if (change.kind == ChangeKind::kGain) {
+      change.magnitude = std::abs(change.size(0));
+      limit = gain_limit(record.tolerances);
     } else if (change.accelerometer >= 0) {
       change.magnitude = std::abs(change.size(0)) / sensitivity(change.accelerometer);
       limit = drift;
@@ -350,9 +361,12 @@ std::vector<JointReading> readings_in_time(const RunRecord& record, ChangeScan& 
                    [&](std::size_t a, std::size_t b) { return data.readings[a].t < data.readings[b].t; });
   std::vector<JointReading> readings;
   for (const std::size_t i : order) {
+    // The run saw that an output was frozen there: nothing has to be found out, and nothing else blamed.
+    if ((data.dwells[i]->flags & kFlagStuck) != 0U) continue;
     readings.push_back(data.readings[i]);
     scan.dwells.push_back(data.dwells[i]);
   }
+  if (readings.size() < 5) throw std::runtime_error("fewer than 5 usable angles");
   u_known = data.u_known;
   if (!u_known) return readings;
   for (int j = 0; j < 3; ++j) {

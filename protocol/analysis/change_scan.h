@@ -12,26 +12,27 @@
 
 namespace abcal {
 
-/// What may have happened to a run at one of its angles. The first four last from there on.
+/// What may have happened to a run at one of its angles. The first five last from there on.
 enum class ChangeKind {
   kSlip,      ///< The accelerometer turned on the platter.
   kAxisX,     ///< Axis X lost its angle: a missed step that the encoder does not see.
   kAxisZ,     ///< Axis Z did, or the accelerometer slipped about z: the two are one.
   kOutput,    ///< One output jumped.
+  kGain,      ///< The sensitivity of one output changed.
   kAngle,     ///< The stage stood at another angle, this once.
   kReading,   ///< One output was wrong, this once.
   kReadings,  ///< All three were wrong, this once, and not as another angle would make them.
 };
-inline constexpr std::array kChangeKinds{ChangeKind::kSlip,    ChangeKind::kAxisX, ChangeKind::kAxisZ,
-                                         ChangeKind::kOutput,  ChangeKind::kAngle, ChangeKind::kReading,
-                                         ChangeKind::kReadings};
+inline constexpr std::array kChangeKinds{ChangeKind::kSlip,    ChangeKind::kAxisX,   ChangeKind::kAxisZ,
+                                         ChangeKind::kOutput,  ChangeKind::kGain,    ChangeKind::kAngle,
+                                         ChangeKind::kReading, ChangeKind::kReadings};
 
 struct Change {
   ChangeKind kind = ChangeKind::kSlip;
   std::size_t at = 0;      ///< In ChangeScan::dwells: the first angle, or the only one, that it touches.
-  int accelerometer = -1;  ///< kOutput, kReading: 0, 1, 2 = u, v, w.
+  int accelerometer = -1;  ///< kOutput, kGain, kReading: 0, 1, 2 = u, v, w.
   /// kSlip: rotation vector along the platter's x, y, z at the default orientation, radian. kAxisX, kAxisZ,
-  /// kAngle: radian, in element 0. Others: R; kReadings all three, else in element 0.
+  /// kAngle: radian, in element 0. kGain: relative. Others: R; kReadings all three, else in element 0.
   Eigen::Vector3d size = Eigen::Vector3d::Zero();
   double gain = 0.0;    ///< By how much chi2 falls with it, over the scatter that is left.
   double needed = 0.0;  ///< The gain that a sound run reaches once in 1e6 runs, at any of its angles.

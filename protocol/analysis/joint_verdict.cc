@@ -9,6 +9,7 @@
 #include <numbers>
 
 #include "protocol/analysis/chi2_tail.h"
+#include "protocol/analysis/specification_test.h"
 
 namespace abcal {
 namespace {
@@ -110,8 +111,8 @@ double lag_one(const EffectFit& fit, int output) {
 
 }  // namespace
 
-JointTests test_joint_fit(const EffectFit& fit, const EffectFitOptions& options, bool chi2_known,
-                          int further_tests) {
+JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectFit& fit,
+                          const EffectFitOptions& options) {
   JointTests out;
   const auto count = static_cast<Eigen::Index>(fit.unknowns.size());
   for (Eigen::Index first = 0; first < count;) {
@@ -123,21 +124,25 @@ JointTests test_joint_fit(const EffectFit& fit, const EffectFitOptions& options,
   }
   if (!fit.step_error.empty() && options.sizes.step.rad() > 0.0 && fit.u_step_error.front() > 0.0)
     out.effects.push_back(test_steps(fit, options.sizes.step.rad()));
-  const auto tests = static_cast<double>(static_cast<int>(out.effects.size()) + 4 + further_tests);
+  // With chi2, three autocorrelations and the comparison with the norm fit.
+  const auto tests = static_cast<double>(out.effects.size() + 5);
   out.level = kFamilyWiseFalseAlarm / tests;
   for (EffectTest& test : out.effects) test.passed = test.probability >= out.level;
-  if (chi2_known) out.chi2_probability = chi2_tail(fit.chi2, fit.chi2_degrees_of_freedom);
+  if (options.white_known) out.chi2_probability = chi2_tail(fit.chi2, fit.chi2_degrees_of_freedom);
   for (int j = 0; j < 3; ++j) out.autocorrelation[static_cast<std::size_t>(j)] = lag_one(fit, j);
+  out.norm_against_joint = compare_norm_with_joint(readings, fit, options);
   return out;
 }
 
-std::vector<std::string> contradictions_of(const JointTests& tests) {
+std::vector<std::string> contradictions_of(const JointTests& tests, const std::string& response_unit) {
   std::vector<std::string> out;
   for (const EffectTest& test : tests.effects) {
     if (test.passed) continue;
     out.push_back(fmt::format("{} is {:.1f} times the stated size ({}; probability {:.1g})", test.name,
                               test.times_stated, test.key, test.probability));
   }
+  if (tests.norm_against_joint.probability < tests.level)
+    out.push_back(words_of(tests.norm_against_joint, response_unit));
   const double deviate = std::numbers::sqrt2 * boost::math::erfc_inv(tests.level);
   for (std::size_t j = 0; j < 3; ++j) {
     if (std::abs(tests.autocorrelation[j]) <= deviate) continue;

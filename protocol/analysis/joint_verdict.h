@@ -1,5 +1,7 @@
 #pragma once
 
+#include <array>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -18,18 +20,18 @@ struct JointTests {
   /// Of the products of successive whitened residuals of u, v, w, beyond what the fit itself makes of them,
   /// in standard deviations; 0 where too few residuals are free.
   std::array<double, 3> autocorrelation{};
+  SpecificationTest norm_against_joint;
   double level = 0.0;  ///< Of one test: the family-wise level over the number of tests.
 };
 
 /// A test for each effect (of each output, for effects of the item): the posterior mean against its
 /// predictive covariance, prior covariance minus posterior covariance, in the directions of which the run
 /// tells something; one for the step errors without memory; the autocorrelation of the whitened residuals of
-/// each output; chi2.
-/// @param further_tests  tests that the caller adds to the family
-JointTests test_joint_fit(const EffectFit& fit, const EffectFitOptions& options, bool chi2_known,
-                          int further_tests = 0);
+/// each output; chi2; the norm fit of the same readings.
+JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectFit& fit,
+                          const EffectFitOptions& options);
 
 /// "wobble of X is 9.3 times its stated size (wobble_urad), probability 1e-12": for those that failed.
-std::vector<std::string> contradictions_of(const JointTests& tests);
+std::vector<std::string> contradictions_of(const JointTests& tests, const std::string& response_unit);
 
 }  // namespace abcal

@@ -3,10 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
-#include <Eigen/LU>
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -17,136 +14,27 @@
 #include <vector>
 
 #include "protocol/analysis/chi2_tail.h"
-#include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/analysis/norm_model.h"
+#include "protocol/analysis/run_time.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
 
 constexpr int kUnknowns = 9;
-using Unknowns = Eigen::Matrix<double, kUnknowns, 1>;
-using UnknownMatrix = Eigen::Matrix<double, kUnknowns, kUnknowns>;
-
-/// Rows and columns of the six elements of the upper triangular B; unknowns 6..8 are the offset.
-constexpr int kRow[6] = {0, 0, 0, 1, 1, 2};
-constexpr int kColumn[6] = {0, 1, 2, 1, 2, 2};
-
-/// Robust standard deviations at which a pose is taken to have been disturbed.
-constexpr double kOutlier = 5.0;
+constexpr int kAngles = 3;
+/// Six poses and three angles make nine equations.
+constexpr std::size_t kFewestPoses = 6;
 /// Below this probability chi2 contradicts the model, as for the joint estimator.
 constexpr double kChi2Level = kFalseAlarm;
 /// A cap without poses of this radius (degrees) is named, and of the second makes the result doubtful: six
 /// poses, one a face, leave 54.7 degrees.
 constexpr double kNamedCap = 60.0;
 constexpr double kDoubtfulCap = 75.0;
-/// Reciprocal condition of the column-scaled design below which the nine unknowns are not told apart.
-constexpr double kSingular = 1e-9;
-
-Eigen::Matrix3d upper(const Unknowns& x) {
-  Eigen::Matrix3d b = Eigen::Matrix3d::Zero();
-  for (int i = 0; i < 6; ++i) b(kRow[i], kColumn[i]) = x(i);
-  return b;
-}
-
-struct Fit {
-  Unknowns x;
-  UnknownMatrix cofactor;    ///< (J' W J)^-1
-  Eigen::VectorXd residual;  ///< |a| - 1
-  Eigen::VectorXd variance;  ///< Of the residual from the readings' uncertainty; 1 where that is unknown.
-  double weighted_squares = 0.0;
-  double reciprocal_condition = 0.0;
-  std::vector<Eigen::Vector3d> direction;
-};
-
-/// Poses in scaled units: (r - centre) / size.
-struct Scaled {
-  std::vector<Eigen::Vector3d> reading;
-  std::vector<Eigen::Vector3d> u;  ///< Empty: unknown.
-};
-
-/// The quadric (r - O)' M (r - O) = 1 by linear least squares: a start for the fit of the norm.
-Unknowns start(const Scaled& poses) {
-  const auto n = static_cast<Eigen::Index>(poses.reading.size());
-  Eigen::MatrixXd design(n, kUnknowns);
-  for (Eigen::Index i = 0; i < n; ++i) {
-    const Eigen::Vector3d& r = poses.reading[static_cast<std::size_t>(i)];
-    design.row(i) << r.x() * r.x(), r.y() * r.y(), r.z() * r.z(), 2.0 * r.x() * r.y(), 2.0 * r.x() * r.z(),
-        2.0 * r.y() * r.z(), 2.0 * r.x(), 2.0 * r.y(), 2.0 * r.z();
-  }
-  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(design);
-  qr.setThreshold(kSingular);
-  const auto undetermined = [&] {
-    return std::runtime_error(fmt::format(
-        "norm fit: {} poses do not determine the nine unknowns; poses all over the sphere are required", n));
-  };
-  if (qr.rank() < kUnknowns) throw undetermined();
-  const Unknowns p = qr.solve(Eigen::VectorXd::Ones(n));
-  Eigen::Matrix3d m;
-  m << p(0), p(3), p(4), p(3), p(1), p(5), p(4), p(5), p(2);
-  const Eigen::Vector3d offset = -m.partialPivLu().solve(p.tail<3>());
-  const Eigen::Matrix3d unit = m / (1.0 + offset.dot(m * offset));
-  const Eigen::LLT<Eigen::Matrix3d> llt(unit);
-  if (llt.info() != Eigen::Success || !offset.allFinite()) throw undetermined();  // not an ellipsoid
-  const Eigen::Matrix3d b = llt.matrixU();
-  Unknowns x;
-  for (int i = 0; i < 6; ++i) x(i) = b(kRow[i], kColumn[i]);
-  x.tail<3>() = offset;
-  return x;
-}
-
-/// Weighted least squares of |B (r - O)| - 1 by Gauss-Newton. `extra` is a variance common to all poses.
-Fit fit_norm(const Scaled& poses, const Unknowns& from, double extra) {
-  const auto n = static_cast<Eigen::Index>(poses.reading.size());
-  Fit fit;
-  fit.x = from;
-  fit.residual.resize(n);
-  fit.variance.resize(n);
-  fit.direction.resize(poses.reading.size());
-  Eigen::MatrixXd jacobian(n, kUnknowns);
-  bool converged = false;
-  for (int iteration = 0; iteration < 50 && !converged; ++iteration) {
-    const Eigen::Matrix3d b = upper(fit.x);
-    Eigen::VectorXd right(n);
-    fit.weighted_squares = 0.0;
-    for (Eigen::Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
-      const Eigen::Vector3d d = poses.reading[at] - fit.x.tail<3>();
-      const Eigen::Vector3d a = b * d;
-      const double norm = a.norm();
-      const Eigen::Vector3d e = a / norm;
-      const Eigen::Vector3d gradient = b.transpose() * e;  // of the norm by the reading
-      fit.direction[at] = e;
-      fit.residual(i) = norm - 1.0;
-      fit.variance(i) = poses.u.empty() ? 1.0 : gradient.cwiseProduct(poses.u[at]).squaredNorm() + extra;
-      const double root = 1.0 / std::sqrt(fit.variance(i));
-      for (int k = 0; k < 6; ++k) jacobian(i, k) = root * e(kRow[k]) * d(kColumn[k]);
-      jacobian.row(i).tail<3>() = -root * gradient.transpose();
-      right(i) = -root * fit.residual(i);
-      fit.weighted_squares += right(i) * right(i);
-    }
-    const Unknowns scale = jacobian.colwise().norm().cwiseInverse();
-    const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(jacobian * scale.asDiagonal());
-    const auto r = qr.matrixR().topLeftCorner<kUnknowns, kUnknowns>().triangularView<Eigen::Upper>();
-    fit.reciprocal_condition = std::abs(qr.matrixR()(kUnknowns - 1, kUnknowns - 1) / qr.matrixR()(0, 0));
-    if (!(fit.reciprocal_condition > kSingular)) {
-      throw std::runtime_error(fmt::format(
-          "norm fit: {} poses do not determine the nine unknowns; poses all over the sphere are required",
-          n));
-    }
-    const Unknowns change = scale.cwiseProduct(Unknowns(qr.solve(right)));
-    // (J' J)^-1 = P R^-1 R^-T P', with the columns' scaling taken back.
-    const UnknownMatrix r_inverse = r.solve(UnknownMatrix::Identity());
-    const UnknownMatrix permuted = qr.colsPermutation() * r_inverse;
-    fit.cofactor = scale.asDiagonal() * (permuted * permuted.transpose()) * scale.asDiagonal();
-    fit.x += change;
-    if (!fit.x.allFinite()) break;
-    converged = change.norm() <= 1e-13 * fit.x.norm() * std::sqrt(static_cast<double>(kUnknowns)) ||
-                (iteration > 3 && change.norm() <= 1e-11 * fit.x.norm());
-  }
-  if (!converged)
-    throw std::runtime_error("norm fit: did not converge; the readings are not those of gravity alone");
-  return fit;
-}
+/// Fewer free residuals than this do not say again what the scatter is once the effects are estimated.
+constexpr double kFewestFree = 10.0;
+/// Estimated scatter of the norm beside effects with priors: a noise-free record would leave round-off.
+constexpr double kSmallestNormScatter = 1e-9;
 
 double median(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
@@ -172,176 +60,305 @@ std::pair<double, Eigen::Vector3d> largest_empty_cap(const std::vector<Eigen::Ve
   return largest;
 }
 
-Quantity type_a_quantity(double value, double variance, const std::string& unit) {
-  Quantity out;
-  out.value = value;
-  out.standard_uncertainty = std::sqrt(variance);
-  out.type_a = out.standard_uncertainty;
-  out.unit = unit;
+bool has_item_effects(const EffectSizes& sizes) {
+  return std::any_of(item_effects().begin(), item_effects().end(),
+                     [&](const ItemEffect& effect) { return effect.prior(sizes) > 0.0; });
+}
+
+/// The poses shifted and scaled to readings of about 1: the columns of the design are then alike in LSB and
+/// in volts.
+struct ScaledPoses {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  double size = 0.0;
+  bool u_known = false;
+  std::vector<NormPose> poses;
+};
+
+ScaledPoses scaled(std::span<const Pose> poses) {
+  ScaledPoses out;
+  for (const Pose& pose : poses) out.centre += pose.reading / static_cast<double>(poses.size());
+  for (const Pose& pose : poses) out.size += (pose.reading - out.centre).squaredNorm();
+  out.size = std::sqrt(out.size / static_cast<double>(poses.size()));
+  if (!(out.size > 1e-12 * out.centre.norm())) throw std::runtime_error("norm fit: all poses read the same");
+  out.u_known = std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.u.has_value(); });
+  const bool timed =
+      std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.t.has_value(); });
+  const auto intervals = static_cast<double>(std::max<std::size_t>(poses.size(), 2) - 1);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    NormPose pose;
+    pose.reading = (poses[i].reading - out.centre) / out.size;
+    if (out.u_known) pose.u = *poses[i].u / out.size;
+    pose.t = timed ? *poses[i].t : static_cast<double>(i) / intervals - 0.5;
+    out.poses.push_back(pose);
+  }
+  find_directions(out.poses);
   return out;
 }
 
-/// The estimate from checked poses; everything of the result but where the poses came from.
-void estimate(std::span<const Pose> poses, CalibrationResult& result) {
-  // Shift and scale to readings of about 1: the columns of the design are then alike in LSB and in volts.
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
-  for (const Pose& pose : poses) centre += pose.reading / static_cast<double>(poses.size());
-  double size = 0.0;
-  for (const Pose& pose : poses) size += (pose.reading - centre).squaredNorm();
-  size = std::sqrt(size / static_cast<double>(poses.size()));
-  if (!(size > 1e-12 * centre.norm())) throw std::runtime_error("norm fit: all poses read the same");
-
-  const bool u_known =
-      std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.u.has_value(); });
-  Scaled used;
-  for (const Pose& pose : poses) {
-    used.reading.push_back((pose.reading - centre) / size);
-    if (u_known) used.u.push_back(*pose.u / size);
-  }
-
-  Fit fit = fit_norm(used, start(used), 0.0);
-  int left_out = 0;
-  const auto most = static_cast<int>(poses.size() / 4);
+/// The estimate as it grows.
+struct Estimate {
+  std::vector<NormPose> used;
+  std::vector<std::size_t> place;  ///< Of those used, among the poses given.
+  NormModel model;
+  bool u_known = false;
+  NormSolution solution;
+  std::vector<std::pair<std::size_t, double>> left_out;     ///< Place and residual.
+  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Of |residual|, where one was found beyond.
   bool too_many = false;
-  for (int round = 0; round < 10; ++round) {
-    std::vector<double> deviations;
-    for (Eigen::Index i = 0; i < fit.residual.size(); ++i) {
-      deviations.push_back(std::abs(fit.residual(i)) / std::sqrt(fit.variance(i)));
+
+  /// Equations less unknowns without prior.
+  int degrees_of_freedom() const {
+    return static_cast<int>(used.size()) - kUnknowns + (model.orthogonality > 0.0 ? kAngles : 0);
+  }
+};
+
+/// A solution whose weights are right: with stated uncertainties at once, else with the scatter that the norm
+/// shows. The first look is without effects, which cannot make the scatter smaller than it is.
+void solve(Estimate& at) {
+  const Eigen::VectorXd from = at.solution.unknowns;
+  if (at.u_known) {
+    at.solution = solve_norm(at.used, at.model, from);
+    return;
+  }
+  NormModel plain = at.model;
+  plain.sizes = linear_item(plain.sizes);
+  plain.common_variance = at.model.orthogonality > 0.0 ? 1e-24 : 0.0;  // Readings far better than the angles.
+  NormSolution first = solve_norm(at.used, plain, from);
+  const auto free = static_cast<double>(at.used.size()) - kUnknowns;
+  const bool effects = has_item_effects(at.model.sizes);
+  if (free < 1.0 || !effects) {
+    if (free >= 1.0 && at.model.orthogonality == 0.0) {
+      plain.common_variance = std::max(1e-300, first.residual.squaredNorm() / free);
+      first = solve_norm(at.used, plain, first.unknowns);
     }
+    at.model.common_variance = plain.common_variance;
+    at.solution = std::move(first);
+    return;
+  }
+  const double least = kSmallestNormScatter * kSmallestNormScatter;
+  at.model.common_variance = std::max(least, first.residual.squaredNorm() / free);
+  at.solution = solve_norm(at.used, at.model, first.unknowns);
+  for (int pass = 0; pass < 20 && at.solution.redundancy >= kFewestFree; ++pass) {
+    const double next = std::max(least, at.solution.residual.squaredNorm() / at.solution.redundancy);
+    const bool settled = std::abs(next / at.model.common_variance - 1.0) < 0.01;
+    at.model.common_variance = next;
+    at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
+    if (settled) break;
+  }
+}
+
+/// Leaves out the poses that are far from the others, once more after each solution.
+void leave_out_disturbed(Estimate& at) {
+  const auto most = at.used.size() / 4;
+  for (int round = 0; round < 10; ++round) {
+    const NormSolution& fit = at.solution;
+    std::vector<double> deviations;
+    for (Eigen::Index i = 0; i < fit.residual.size(); ++i)
+      deviations.push_back(std::abs(fit.residual(i)) / std::sqrt(fit.variance(i)));
+    const double free = static_cast<double>(deviations.size()) - kUnknowns;
+    if (free < 1.0) return;
     // 1.4826: from the median of |x| to the standard deviation of a normal distribution. The residuals of
     // nine unknowns are smaller than the scatter by the root of the degrees of freedom.
-    const double dof = static_cast<double>(deviations.size()) - kUnknowns;
-    if (dof < 1.0) break;
-    const double scale =
-        1.4826 * median(deviations) * std::sqrt(static_cast<double>(deviations.size()) / dof);
+    double scale = 1.4826 * median(deviations) * std::sqrt(static_cast<double>(deviations.size()) / free);
+    if (at.u_known) scale = std::max(scale, 1.0);
     // Residuals at the level of rounding (noise-free poses) are no outliers.
-    const double limit = std::max(kOutlier * scale, 1e-13 / std::sqrt(fit.variance.minCoeff()));
-    Scaled kept;
-    for (std::size_t i = 0; i < used.reading.size(); ++i) {
-      if (deviations[i] > limit) continue;
-      kept.reading.push_back(used.reading[i]);
-      if (u_known) kept.u.push_back(used.u[i]);
+    const double limit = std::max(kNormOutlier * scale, 1e-13 / std::sqrt(fit.variance.minCoeff()));
+    Estimate kept = at;
+    kept.used.clear();
+    kept.place.clear();
+    for (std::size_t i = 0; i < at.used.size(); ++i) {
+      if (deviations[i] > limit) {
+        kept.left_out.emplace_back(at.place[i], fit.residual(static_cast<Eigen::Index>(i)));
+        continue;
+      }
+      kept.used.push_back(at.used[i]);
+      kept.place.push_back(at.place[i]);
     }
-    const auto dropped = static_cast<int>(used.reading.size() - kept.reading.size());
-    if (dropped == 0) break;
-    if (left_out + dropped > most || kept.reading.size() < kUnknowns) {
-      too_many = true;
-      break;
+    if (kept.used.size() == at.used.size()) return;
+    kept.limit = limit * std::sqrt(median({fit.variance.data(), fit.variance.data() + fit.variance.size()}));
+    if (kept.left_out.size() > most || kept.used.size() < kUnknowns) {
+      at.too_many = true;
+      return;
     }
-    left_out += dropped;
-    used = std::move(kept);
-    fit = fit_norm(used, fit.x, 0.0);
+    at = std::move(kept);
+    solve(at);
   }
+}
 
-  const auto n = static_cast<int>(used.reading.size());
-  const int dof = n - kUnknowns;
+/// Sentences that make the verdict.
+struct Judgement {
   std::vector<std::string> contradictions;
   std::string about_scatter;
-  double factor = 1.0;  // from cofactor to covariance
-  Diagnostics& diagnostics = result.diagnostics;
-  const double rms = std::sqrt(fit.residual.squaredNorm() / n);
-  if (u_known) {
-    diagnostics.chi2 = fit.weighted_squares;
-    if (dof > 0) {
-      const double probability = chi2_tail(fit.weighted_squares, dof);
-      diagnostics.chi2_probability = probability;
-      about_scatter = fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})",
-                                  fit.weighted_squares, dof, probability);
-      if (!(probability >= kChi2Level)) {
-        // A variance common to all poses that makes chi2 equal its expectation (Paule and Mandel).
-        double low = 0.0;
-        double high = std::max(1e-30, fit.residual.squaredNorm());
-        for (int i = 0; i < 60; ++i) {
-          const double middle = 0.5 * (low + high);
-          fit = fit_norm(used, fit.x, middle);
-          (fit.weighted_squares > dof ? low : high) = middle;
-        }
-        contradictions.push_back(about_scatter +
-                                 fmt::format(": the norm is not constant within the readings' uncertainties; "
-                                             "a scatter of {:.2g} g_loc was "
-                                             "added to them",
-                                             std::sqrt(high)));
-      }
-    } else {
-      contradictions.push_back("nine poses for nine unknowns: nothing tests them");
-    }
-  } else if (dof > 0) {
-    factor = fit.weighted_squares / dof;
-    about_scatter =
-        fmt::format("uncertainties from the scatter of the norm, {:.2g} g_loc", std::sqrt(factor));
-  } else {
-    factor = std::numeric_limits<double>::quiet_NaN();
-    contradictions.push_back("nine poses for nine unknowns: neither tested nor with uncertainties");
-  }
+};
 
-  const Eigen::Matrix3d b = upper(fit.x);
-  const Eigen::Matrix3d s = b.triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
-  // s = B^-1: ds = -s dB s, and the offset follows its own unknowns.
-  Eigen::Matrix<double, 12, kUnknowns> by_unknown = Eigen::Matrix<double, 12, kUnknowns>::Zero();
-  for (int i = 0; i < 6; ++i) {
-    const Eigen::Matrix3d change = -s.col(kRow[i]) * s.row(kColumn[i]);
-    for (int j = 0; j < 3; ++j) by_unknown.block<3, 1>(3 * j, i) = change.row(j).transpose();
+/// chi2 of stated uncertainties, or what the scatter says. Adds a common scatter where chi2 fails.
+void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement) {
+  const int dof = at.degrees_of_freedom();
+  if (!at.u_known) {
+    judgement.about_scatter =
+        static_cast<int>(at.used.size()) > kUnknowns
+            ? fmt::format("uncertainties from the scatter of the norm, {:.2g} g_loc",
+                          std::sqrt(at.model.common_variance))
+            : "no uncertainty is given: the poses state none, and none are left over to show their scatter";
+    return;
   }
-  by_unknown.bottomRightCorner<3, 3>().setIdentity();
-  const Eigen::Matrix<double, 9, kUnknowns> jacobian = intrinsic_jacobian(s) * by_unknown;
-  Covariance9 covariance = factor * (jacobian * fit.cofactor * jacobian.transpose());
-  Eigen::Matrix<double, 9, 1> units = Eigen::Matrix<double, 9, 1>::Constant(size);
+  diagnostics.chi2 = at.solution.weighted_squares;
+  if (dof <= 0) {
+    judgement.about_scatter = "as many equations as unknowns: nothing tests the result";
+    return;
+  }
+  const double probability = chi2_tail(*diagnostics.chi2, dof);
+  diagnostics.chi2_probability = probability;
+  judgement.about_scatter = fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})",
+                                        *diagnostics.chi2, dof, probability);
+  if (probability >= kChi2Level) return;
+  // A variance common to all poses that makes chi2 equal its expectation (Paule and Mandel).
+  double low = 0.0;
+  double high = std::max(1e-30, at.solution.residual.squaredNorm());
+  for (int i = 0; i < 60 && high - low > 1e-6 * high; ++i) {
+    at.model.common_variance = 0.5 * (low + high);
+    at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
+    (at.solution.weighted_squares > dof ? low : high) = at.model.common_variance;
+  }
+  judgement.contradictions.push_back(
+      judgement.about_scatter +
+      fmt::format(
+          ": the norm is not constant within the readings' uncertainties and the effects of the item; a "
+          "scatter of {:.2g} g_loc was added to them",
+          std::sqrt(high)));
+}
+
+void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult& result) {
+  const NormSolution& fit = at.solution;
+  Eigen::Matrix<double, 9, 1> units = Eigen::Matrix<double, 9, 1>::Constant(scale.size);
   units.segment<3>(3).setOnes();  // angles
-  covariance = units.asDiagonal() * covariance * units.asDiagonal();
-
-  const IntrinsicProperties intrinsic = intrinsic_properties(s);
-  for (int j = 0; j < 3; ++j) {
-    const auto at = static_cast<std::size_t>(j);
-    result.intrinsic_sensitivity[at] =
-        type_a_quantity(size * intrinsic.sensitivity(j), covariance(j, j), result.response_unit + "/g_loc");
-    result.intrinsic_angle[at] = type_a_quantity(intrinsic.angle_deg(j), covariance(3 + j, 3 + j), "degree");
-    result.offset[at] =
-        type_a_quantity(centre(j) + size * fit.x(6 + j), covariance(6 + j, 6 + j), result.response_unit);
+  Covariance9 total = units.asDiagonal() * fit.covariance * units.asDiagonal();
+  Covariance9 of_poses = units.asDiagonal() * fit.covariance_of_poses * units.asDiagonal();
+  // Nine poses without uncertainties determine the values, and nothing says how well.
+  if (!at.u_known && static_cast<int>(at.used.size()) <= kUnknowns) {
+    total.setConstant(std::numeric_limits<double>::quiet_NaN());
+    of_poses = total;
   }
-  result.covariance_intrinsic = covariance;
-  result.covariance_intrinsic_type_a = covariance;
+  const auto quantity = [&](Eigen::Index i, double value, const std::string& unit) {
+    Quantity out;
+    out.value = value;
+    out.standard_uncertainty = std::sqrt(total(i, i));
+    out.type_a = std::sqrt(of_poses(i, i));
+    out.type_b = std::sqrt(std::max(0.0, total(i, i) - of_poses(i, i)));
+    out.unit = unit;
+    return out;
+  };
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    const auto place = static_cast<std::size_t>(j);
+    result.intrinsic_sensitivity[place] =
+        quantity(j, scale.size * fit.intrinsic(j), result.response_unit + "/g_loc");
+    result.intrinsic_angle[place] = quantity(3 + j, fit.intrinsic(3 + j), "degree");
+    result.offset[place] =
+        quantity(6 + j, scale.centre(j) + scale.size * fit.intrinsic(6 + j), result.response_unit);
+  }
+  result.covariance_intrinsic = total;
+  result.covariance_intrinsic_type_a = of_poses;
+  result.covariance_intrinsic_type_b = total - of_poses;
+}
 
-  diagnostics.degrees_of_freedom = dof;
-  diagnostics.reciprocal_condition = fit.reciprocal_condition;
-  diagnostics.rank = kUnknowns;
-  diagnostics.angles_used = n;
-
-  NormResult& norm = result.norm.emplace();
-  norm.poses = n;
-  norm.poses_left_out = left_out;
-  norm.norm_rms = rms;
+/// How well the poses cover the sphere.
+void judge_coverage(const Estimate& at, CalibrationResult& result, Judgement& judgement) {
+  NormResult& norm = *result.norm;
+  const std::vector<Eigen::Vector3d>& directions = at.solution.direction;
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-  for (const Eigen::Vector3d& direction : fit.direction) scatter += direction * direction.transpose() / n;
+  for (const Eigen::Vector3d& direction : directions)
+    scatter += direction * direction.transpose() / static_cast<double>(directions.size());
   norm.sphere_coverage =
       std::clamp(3.0 * Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter).eigenvalues()(0), 0.0, 1.0);
-  const auto [radius, cap] = largest_empty_cap(fit.direction);
+  const auto [radius, cap] = largest_empty_cap(directions);
   if (radius > kNamedCap) {
     norm.coverage_words =
         fmt::format("no pose within {:.0f} degrees of the direction (u, v, w) = ({:.1f}, {:.1f}, {:.1f})",
                     radius, cap.x(), cap.y(), cap.z());
-    diagnostics.notes.push_back(norm.coverage_words);
+    result.diagnostics.notes.push_back(norm.coverage_words);
   }
-  if (radius > kDoubtfulCap) contradictions.push_back(norm.coverage_words);
-  if (too_many) {
-    contradictions.push_back(fmt::format(
-        "more than a quarter of the poses are far from the others ({} robust standard deviations)",
-        kOutlier));
+  if (radius > kDoubtfulCap) judgement.contradictions.push_back(norm.coverage_words);
+}
+
+/// What was left out, with the rule.
+void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationResult& result,
+                   Judgement& judgement) {
+  NormResult& norm = *result.norm;
+  norm.poses_left_out = static_cast<int>(at.left_out.size());
+  std::vector<std::string> words;
+  for (const auto& [place, residual] : at.left_out) {
+    norm.left_out.emplace_back(static_cast<int>(place) + 1, residual);
+    const std::string& name = poses[place].name;
+    words.push_back(fmt::format("{} ({:+.2g} %)", name.empty() ? fmt::format("pose {}", place + 1) : name,
+                                100.0 * residual));
   }
-  if (left_out > 0) {
-    diagnostics.notes.push_back(
-        fmt::format("{} of {} poses left out: their norm is {} robust standard deviations off", left_out,
-                    poses.size(), kOutlier));
+  const std::string rule = fmt::format(
+      "{:g} robust standard deviations of the others{}", kNormOutlier,
+      at.u_known ? fmt::format(" and more than {:g} of its own uncertainties", kNormOutlier) : "");
+  if (!words.empty()) {
+    result.diagnostics.notes.push_back(fmt::format(
+        "{} of {} poses left out, whose norm is off by more than {}{}: {}", words.size(), poses.size(), rule,
+        std::isfinite(at.limit) ? fmt::format(" ({:.2g} %)", 100.0 * at.limit) : "", fmt::join(words, ", ")));
   }
-  if (contradictions.empty()) {
-    result.verdict = Verdict::kUsable;
-    result.why = fmt::format("{} poses, norm constant to {:.2g} (rms); {}", n, rms, about_scatter);
-  } else {
-    result.verdict = Verdict::kDoubtful;
-    result.why = fmt::format("{}", fmt::join(contradictions, "; "));
+  if (at.too_many) {
+    judgement.contradictions.push_back(
+        fmt::format("more than a quarter of the poses are off by more than {}", rule));
   }
 }
 
-void analyse_into(std::span<const Pose> poses, CalibrationResult& result) {
+/// The estimate from checked poses; everything of the result but where the poses came from.
+void estimate(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
+  const ScaledPoses scale = scaled(poses);
+  Estimate at;
+  at.u_known = scale.u_known;
+  at.model.sizes = sizes;
+  if (poses.size() < kUnknowns) at.model.orthogonality = sizes.orthogonality.rad();
+  at.used = scale.poses;
+  for (std::size_t i = 0; i < poses.size(); ++i) at.place.push_back(i);
+  solve(at);
+  leave_out_disturbed(at);
+  const double rms = std::sqrt(at.solution.residual.squaredNorm() / static_cast<double>(at.used.size()));
+
+  Judgement judgement;
+  judge_scatter(at, result.diagnostics, judgement);
+  fill_values(at, scale, result);
+  Diagnostics& diagnostics = result.diagnostics;
+  diagnostics.degrees_of_freedom = at.degrees_of_freedom();
+  diagnostics.reciprocal_condition = at.solution.reciprocal_condition;
+  diagnostics.rank = kUnknowns;
+  diagnostics.angles_used = static_cast<int>(at.used.size());
+  NormResult& norm = result.norm.emplace();
+  norm.poses = static_cast<int>(at.used.size());
+  norm.norm_rms = rms;
+  judge_coverage(at, result, judgement);
+  list_left_out(poses, at, result, judgement);
+  if (at.model.orthogonality > 0.0) {
+    diagnostics.notes.push_back(
+        fmt::format("{} poses are fewer than the nine unknowns: the angles between the axes are taken as 90 "
+                    "degrees with the stated standard uncertainty of {:g} degree ([item_uncertainty] "
+                    "orthogonality_deg)",
+                    poses.size(), sizes.orthogonality.deg()));
+  }
+  if (judgement.contradictions.empty()) {
+    result.verdict = Verdict::kUsable;
+    result.why =
+        fmt::format("{} poses, norm constant to {:.2g} (rms); {}", norm.poses, rms, judgement.about_scatter);
+  } else {
+    result.verdict = Verdict::kDoubtful;
+    result.why = fmt::format("{}", fmt::join(judgement.contradictions, "; "));
+  }
+}
+
+void require_enough(std::size_t poses, const EffectSizes& sizes) {
+  if (poses >= kUnknowns) return;
+  if (poses >= kFewestPoses && sizes.orthogonality.rad() > 0.0) return;
+  throw std::runtime_error(fmt::format(
+      "norm fit: {} poses; nine or more are required, or six or more with the angles between the axes stated "
+      "([item_uncertainty] orthogonality_deg)",
+      poses));
+}
+
+void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
   for (std::size_t i = 0; i < poses.size(); ++i) {
     const Pose& pose = poses[i];
     if (!pose.reading.allFinite()) {
@@ -354,23 +371,52 @@ void analyse_into(std::span<const Pose> poses, CalibrationResult& result) {
     }
   }
   try {
-    if (poses.size() < kUnknowns) {
-      throw std::runtime_error(fmt::format("norm fit: {} poses; nine or more are required", poses.size()));
-    }
-    estimate(poses, result);
+    require_enough(poses.size(), sizes);
+    estimate(poses, sizes, result);
   } catch (const std::runtime_error& error) {
     result.verdict = Verdict::kNotUsable;
     result.why = error.what();
   }
 }
 
+/// The poses of a record in the order of time, and what was left out of them at once.
+struct RecordPoses {
+  std::vector<Pose> poses;
+  int clipped = 0, not_finite = 0;
+
+  void add(const DwellRecord& dwell, double t) {
+    if ((dwell.flags & kFlagNotFinite) != 0U && !dwell.mean.allFinite()) {
+      ++not_finite;
+      return;
+    }
+    if ((dwell.flags & kFlagClipped) != 0U) {
+      ++clipped;
+      return;
+    }
+    Pose pose{dwell.mean, {}, t, {}};
+    // An uncertainty of zero says that it is not known (a dwell without any scatter).
+    if (dwell.u_mean && !(dwell.u_mean->minCoeff() <= 0.0)) pose.u = dwell.u_mean;
+    if (dwell.experiment > 0) {
+      pose.name = fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
+    } else if (dwell.role == DwellRole::kCheck) {
+      pose.name = fmt::format("check pose {}", dwell.n);
+    }
+    poses.push_back(std::move(pose));
+  }
+};
+
 }  // namespace
 
-CalibrationResult analyse_norm(std::span<const Pose> poses) {
+EffectSizes linear_item(EffectSizes sizes) {
+  sizes.drift = sizes.sensitivity_drift = sizes.nonlinearity = sizes.hysteresis = sizes.k2 = sizes.k3 = 0.0;
+  return sizes;
+}
+
+CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes) {
   CalibrationResult result;
   result.estimator = "norm";
   result.g_loc.unit = "m/s2";
-  analyse_into(poses, result);
+  analyse_into(poses, sizes, result);
   return result;
 }
 
@@ -386,29 +432,24 @@ CalibrationResult analyse_norm(const RunRecord& record) {
     result.g_loc.type_b = result.g_loc.standard_uncertainty;
     result.g_loc_source = record.g_loc.source;
   }
-  std::vector<Pose> poses;
-  int clipped = 0;
-  int not_finite = 0;
-  for (const DwellRecord& dwell : record.dwells) {
-    if (dwell.flags != kFlagNone) ++result.diagnostics.angles_flagged;
-    if ((dwell.flags & kFlagNotFinite) != 0U && !dwell.mean.allFinite()) {
-      ++not_finite;
-      continue;
-    }
-    if ((dwell.flags & kFlagClipped) != 0U) {
-      ++clipped;
-      continue;
-    }
-    Pose pose{.reading = dwell.mean, .u = {}};
-    // An uncertainty of zero says that it is not known (a dwell without any scatter).
-    if (dwell.u_mean && !(dwell.u_mean->minCoeff() <= 0.0)) pose.u = dwell.u_mean;
-    poses.push_back(pose);
+  RecordPoses all;
+  const std::vector<double> t = run_time_fractions(record);
+  const std::vector<double> t_of_checks = check_time_fractions(record);
+  std::size_t check = 0;
+  for (std::size_t i = 0; i <= record.dwells.size(); ++i) {
+    for (; check < record.check_poses.size() && record.check_poses[check].after <= i; ++check)
+      all.add(record.check_poses[check].dwell, t_of_checks[check]);
+    if (i < record.dwells.size()) all.add(record.dwells[i], t[i]);
   }
-  if (clipped > 0) result.diagnostics.notes.push_back(fmt::format("{} clipped poses left out", clipped));
-  if (not_finite > 0) {
-    result.diagnostics.notes.push_back(fmt::format("{} poses without finite readings left out", not_finite));
+  for (const DwellRecord* dwell : dwells_in_time(record))
+    if (dwell->flags != kFlagNone) ++result.diagnostics.angles_flagged;
+  if (all.clipped > 0)
+    result.diagnostics.notes.push_back(fmt::format("{} clipped poses left out", all.clipped));
+  if (all.not_finite > 0) {
+    result.diagnostics.notes.push_back(
+        fmt::format("{} poses without finite readings left out", all.not_finite));
   }
-  analyse_into(poses, result);
+  analyse_into(all.poses, record.tolerances, result);
   return result;
 }
 

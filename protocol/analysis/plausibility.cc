@@ -14,6 +14,7 @@
 #include <utility>
 
 #include "protocol/analysis/change_scan.h"
+#include "protocol/analysis/check_poses.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -39,6 +40,8 @@ std::string_view name_of(ChangeKind kind) {
       return "missed step of axis Z";
     case ChangeKind::kOutput:
       return "jump of an output";
+    case ChangeKind::kGain:
+      return "change of a gain";
     case ChangeKind::kAngle:
       return "single angle";
     case ChangeKind::kReading:
@@ -95,6 +98,9 @@ std::string alternatives(const Change& change) {
       case ChangeKind::kOutput:
         text += ", or an output jumped";
         break;
+      case ChangeKind::kGain:
+        text += ", or the gain of an output changed";
+        break;
       case ChangeKind::kAngle:
         text += ", or the stage stood at another angle there";
         break;
@@ -138,6 +144,10 @@ std::string words_of(const ChangeScan& scan, const Change& change, const RunReco
       return fmt::format("output {} jumped by {:.2g} {} {}{}",
                          kOutputs[static_cast<std::size_t>(change.accelerometer)], change.size(0),
                          record.response_unit, between(), others);
+    case ChangeKind::kGain:
+      return fmt::format("the gain of output {} changed by {:+.4f} % {}{}",
+                         kOutputs[static_cast<std::size_t>(change.accelerometer)], 100.0 * change.size(0),
+                         between(), others);
     case ChangeKind::kAngle:
       return fmt::format(
           "{}: the readings are those of an angle {:+.3f} degrees away{}{}", place_of(here),
@@ -208,6 +218,32 @@ void check_drift(const RunRecord& record, const ChangeScan& scan, std::vector<Ch
           kOutputs[static_cast<std::size_t>(j)], drift, std::abs(drift) / prior);
     }
     checks.push_back(std::move(check));
+  }
+}
+
+// ---- Stuck outputs -------------------------------------------------------------------------------------
+
+/// Names the output that the run saw frozen: the flag does not say which.
+void check_stuck(const RunRecord& record, std::vector<Check>& checks) {
+  constexpr std::size_t kMostNamed = 3;
+  for (int j = 0; j < 3; ++j) {
+    std::vector<std::string> places;
+    int frozen = 0;
+    for (const DwellRecord* dwell : dwells_in_time(record)) {
+      // A spread of zero of all three is one that is not known (a CSV).
+      const bool one_is_frozen = dwell->spread(j) == 0.0 && dwell->spread.maxCoeff() > 0.0;
+      if ((dwell->flags & kFlagStuck) == 0U || !one_is_frozen) continue;
+      if (++frozen <= static_cast<int>(kMostNamed))
+        places.push_back(dwell->experiment > 0 ? place_of(*dwell) : fmt::format("check pose {}", dwell->n));
+    }
+    if (frozen == 0) continue;
+    checks.push_back({fmt::format("stuck output {}", kOutputs[static_cast<std::size_t>(j)]),
+                      static_cast<double>(frozen), 0.0, "dwells", false,
+                      fmt::format("output {} was stuck: it did not change at all at {}{}",
+                                  kOutputs[static_cast<std::size_t>(j)], fmt::join(places, "; "),
+                                  frozen > static_cast<int>(kMostNamed)
+                                      ? fmt::format(" and {} more", frozen - static_cast<int>(kMostNamed))
+                                      : "")});
   }
 }
 
@@ -386,13 +422,44 @@ void check_directions(const RunRecord& record, const CalibrationResult& result, 
   checks.push_back(std::move(check));
 }
 
+/// Whether the readings state no uncertainties and leave too few residuals to find the noise from: of three
+/// readings an angle one goes to its step error, and twelve to the outputs.
+bool tells_little(const RunRecord& record) {
+  constexpr int kFewFree = 24;  // Their scatter is known to 14 %.
+  int usable = 0;
+  for (const DwellRecord& dwell : record.dwells) {
+    if (dwell.u_mean && dwell.u_mean->minCoeff() > 0.0) return false;
+    usable += dwell.mean.allFinite() && (dwell.flags & kFlagClipped) == 0U ? 1 : 0;
+  }
+  return 2 * usable - 12 < kFewFree;
+}
+
+void check_the_check_poses(const RunRecord& record, std::vector<Check>& checks) {
+  try {
+    for (Check& check : check_pose_checks(record)) checks.push_back(std::move(check));
+  } catch (const std::exception& error) {
+    checks.push_back({"check poses", std::numeric_limits<double>::quiet_NaN(),
+                      std::numeric_limits<double>::quiet_NaN(), "", true,
+                      fmt::format("the check poses were not compared: {}", error.what())});
+  }
+}
+
 }  // namespace
 
 std::vector<Check> check_record(const RunRecord& record) {
   std::vector<Check> checks;
   check_temperature(record, checks);
+  check_stuck(record, checks);
+  check_the_check_poses(record, checks);
   try {
     const ChangeScan scan = scan_for_changes(record);
+    if (!scan.converged && tells_little(record)) {
+      checks.push_back({"changes during the run", std::numeric_limits<double>::quiet_NaN(),
+                        std::numeric_limits<double>::quiet_NaN(), "", true,
+                        "slips, missed steps and disturbed angles were not looked for: so few angles without "
+                        "uncertainties do not tell noise from a change"});
+      return checks;
+    }
     if (!scan.converged) {
       checks.push_back(
           {"joint fit", std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN(),

@@ -10,12 +10,14 @@
 #include <cmath>
 #include <fstream>
 #include <limits>
+#include <map>
 #include <optional>
 #include <stdexcept>
 #include <string_view>
 #include <utility>
 
 #include "drivers/text/text.h"
+#include "protocol/analysis/norm_fit.h"
 
 namespace abcal {
 namespace {
@@ -25,7 +27,8 @@ namespace {
 struct Table {
   std::vector<std::string> header;  ///< Empty: none.
   std::vector<std::vector<double>> rows;
-  std::vector<int> lines;  ///< Line of each row, from 1.
+  std::vector<int> lines;                                       ///< Line of each row, from 1.
+  std::map<std::string, std::pair<int, std::string>> comments;  ///< "# KEY: VALUE": its line and value.
 };
 
 /// Without white space and quotes at its ends.
@@ -60,7 +63,14 @@ Table read_table(std::istream& in, const std::string& source) {
   std::size_t columns = 0;
   for (int number_of_line = 1; std::getline(in, line); ++number_of_line) {
     const std::string_view text = bare(line);
-    if (text.empty() || text.front() == '#') continue;
+    if (text.empty()) continue;
+    if (text.front() == '#') {
+      if (const std::size_t colon = text.find(':'); colon != std::string_view::npos) {
+        table.comments[std::string(bare(text.substr(1, colon - 1)))] = {
+            number_of_line, std::string(bare(text.substr(colon + 1)))};
+      }
+      continue;
+    }
     const std::vector<std::string_view> cells = cells_of(text);
     const auto where = [&] { return fmt::format("{}, line {}", source, number_of_line); };
     if (columns == 0) {
@@ -101,6 +111,26 @@ std::optional<std::size_t> column_named(const Table& table, std::initializer_lis
     if (at != table.header.end()) return static_cast<std::size_t>(at - table.header.begin());
   }
   return std::nullopt;
+}
+
+/// What the comments state of the item; effects that are not stated are left out.
+EffectSizes stated_sizes(const Table& table, const std::string& source) {
+  EffectSizes sizes = linear_item();
+  const auto number_of = [&](const std::string& key, double most) -> std::optional<double> {
+    const auto found = table.comments.find(key);
+    if (found == table.comments.end()) return std::nullopt;
+    const auto& [line, text] = found->second;
+    const std::optional<double> value = number(text);
+    if (value && *value >= 0.0 && *value <= most) return value;
+    throw std::invalid_argument(fmt::format("{}, line {}: {} is \"{}\"; a number from 0 to {:g} is required",
+                                            source, line, key, text, most));
+  };
+  const auto text_of = [&](const std::string& key) {
+    const auto found = table.comments.find(key);
+    return found == table.comments.end() ? std::nullopt : std::optional(found->second.second);
+  };
+  read_effect_sizes(number_of, text_of, sizes);
+  return sizes;
 }
 
 // ---- Static stretches -------------------------------------------------------------------------------------
@@ -269,6 +299,7 @@ ImportedPoses import_poses(std::istream& in, const std::string& source, const St
   const Table table = read_table(in, source);
   ImportedPoses out;
   out.record.source = source;
+  out.record.tolerances = stated_sizes(table, source);
   std::array<std::size_t, 3> reading{};
   std::array<std::optional<std::size_t>, 3> uncertainty{};
   std::optional<std::size_t> time;

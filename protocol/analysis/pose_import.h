@@ -49,9 +49,11 @@ struct ImportedPoses {
 };
 
 /// Reads poses or a time series for the norm estimator. Comma, semicolon, tab or blanks separate columns;
-/// lines that begin with # are comments. A header names the columns: r_u, r_v, r_w (poses; u_u, u_v, u_w
-/// optional, other columns ignored), or t (also time, time_s) with three further columns (time series).
-/// Without a header three columns are poses and four are a time series t, u, v, w.
+/// lines that begin with # are comments; "# item_uncertainty.KEY: VALUE" states the size of an effect of the
+/// item (protocol/plan/effect_sizes.h), and what is not stated is left out. A header names the columns: r_u,
+/// r_v, r_w (poses; u_u, u_v, u_w optional, other columns ignored), or t (also time, time_s) with three
+/// further columns (time series). Without a header three columns are poses and four are a time series t, u,
+/// v, w.
 /// @throws std::invalid_argument with file and line: wrong number of columns, not a number, unknown header
 /// @throws std::runtime_error the file cannot be read, or is empty
 ImportedPoses import_poses(const std::filesystem::path& path, const StaticSearch& search = {});

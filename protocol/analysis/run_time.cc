@@ -33,4 +33,25 @@ std::vector<double> run_time_fractions(const RunRecord& record) {
   return fractions;
 }
 
+std::vector<double> check_time_fractions(const RunRecord& record) {
+  const std::vector<DwellRecord>& dwells = record.dwells;
+  const auto has_time = [](const DwellRecord& dwell) { return dwell.time_s && std::isfinite(*dwell.time_s); };
+  bool timed = dwells.size() > 1 && std::all_of(dwells.begin(), dwells.end(), has_time);
+  for (const CheckDwell& check : record.check_poses) timed = timed && has_time(check.dwell);
+  double first = 0.0, span = 0.0;
+  if (timed) {
+    const auto [least, most] = std::minmax_element(
+        dwells.begin(), dwells.end(), [](const auto& a, const auto& b) { return *a.time_s < *b.time_s; });
+    first = *least->time_s;
+    span = *most->time_s - first;
+  }
+  std::vector<double> fractions;
+  const double intervals = static_cast<double>(std::max<std::size_t>(dwells.size(), 2) - 1);
+  for (const CheckDwell& check : record.check_poses) {
+    fractions.push_back(span > 0.0 ? (*check.dwell.time_s - first) / span - 0.5
+                                   : (static_cast<double>(check.after) - 0.5) / intervals - 0.5);
+  }
+  return fractions;
+}
+
 }  // namespace abcal

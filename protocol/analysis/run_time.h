@@ -11,4 +11,8 @@ namespace abcal {
 /// spacing in row order. A single dwell is at 0.
 std::vector<double> run_time_fractions(const RunRecord& record);
 
+/// The same of the check poses, on the scale of the dwells: those before the first dwell or after the last
+/// are just outside -1/2 to 1/2.
+std::vector<double> check_time_fractions(const RunRecord& record);
+
 }  // namespace abcal

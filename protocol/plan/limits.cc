@@ -28,6 +28,10 @@ double drift_limit(const LimitsConfig& limits, const Tolerances& tolerances) {
   return limits.drift.value_or(tolerances.drift * kFalseAlarmDeviate);
 }
 
+double gain_limit(const Tolerances& tolerances) {
+  return tolerances.sensitivity_drift * kFalseAlarmDeviate;
+}
+
 double temperature_change_limit_degc(const LimitsConfig& limits, const Tolerances& tolerances) {
   return limits.temperature_change_degc.value_or(drift_limit(limits, tolerances) /
                                                  kUsualTemperatureCoefficient);

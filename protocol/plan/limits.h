@@ -54,6 +54,8 @@ Angle slip_limit(const LimitsConfig& limits, const Tolerances& tolerances);
 Angle angle_limit(const LimitsConfig& limits, const Tolerances& tolerances);
 /// Relative to the sensitivity.
 double drift_limit(const LimitsConfig& limits, const Tolerances& tolerances);
+/// Of a sensitivity at once, relative: as far as it may drift over the run.
+double gain_limit(const Tolerances& tolerances);
 /// The change of temperature that makes an accelerometer drift as far as it may, at the temperature
 /// coefficient of usual ones: 1e-4 of the sensitivity (0.1 mg at 1 g) for each kelvin.
 double temperature_change_limit_degc(const LimitsConfig& limits, const Tolerances& tolerances);

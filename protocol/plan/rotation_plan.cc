@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <optional>
 #include <string>
 #include <utility>
@@ -83,6 +84,12 @@ PlanError::PlanError(std::vector<Problem> problems)
       }()),
       problems_(std::move(problems)) {}
 
+std::array<CheckPose, kCheckPoses> check_poses() {
+  const Angle tilt = Angle::degrees(std::atan(std::numbers::sqrt2) * 180.0 / std::numbers::pi);
+  const Angle z = Angle::degrees(45.0);
+  return {CheckPose{tilt, z}, CheckPose{tilt + kTurn * 0.5, z}};
+}
+
 std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
                                              const std::array<AxisTravel, 2>& travel) {
   std::vector<Problem> problems;
@@ -105,9 +112,15 @@ std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
   const std::array<Experiment, 3> experiments{Experiment{1, about_x, true, hold(Angle{}, kZ)},
                                               Experiment{2, about_x, true, hold(kInitialTurn, kZ)},
                                               Experiment{3, about_z, false, hold(kInitialTurn, kX)}};
+  std::vector<PlannedAngle> visit;  // Of the check poses.
+  if (config.check_poses) {
+    int n = 0;
+    for (const CheckPose& pose : check_poses())
+      visit.push_back({0, ++n, false, Angle{}, hold(pose.x, kX), hold(pose.z, kZ), true});
+  }
   if (!problems.empty()) throw PlanError(std::move(problems));
 
-  std::vector<PlannedAngle> plan;
+  std::vector<PlannedAngle> plan = visit;
   for (const Experiment& experiment : experiments) {
     const auto add = [&](int n, bool closing, Angle alpha, Angle commanded) {
       plan.push_back({experiment.number, n, closing, alpha,
@@ -121,6 +134,7 @@ std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
       const Angle full_turn = first.commanded + kTurn;
       add(first.n, true, first.alpha + kTurn, full_turn <= turning.max ? full_turn : first.commanded);
     }
+    plan.insert(plan.end(), visit.begin(), visit.end());
   }
   return plan;
 }

@@ -15,14 +15,25 @@ struct AxisTravel {
   Angle max = Angle::degrees(360.0);
 };
 
+/// One of the two poses at which every output sees 1/sqrt 3 of gravity, of either sign: g along (1, 1, 1) and
+/// against it. Measured at the start, between the experiments and at the end (`[protocol] check_poses`), they
+/// show a change of the gain or the offset of any output, whatever the experiment under way sees of it.
+struct CheckPose {
+  Angle x, z;
+};
+inline constexpr int kCheckPoses = 2;
+/// Before modulo a turn: (54.7356, 45) and (234.7356, 45) degrees.
+std::array<CheckPose, kCheckPoses> check_poses();
+
 /// One angle of the plan. The commanded angles are alpha, or the other axis's initial turn, moved by whole
 /// turns into the axis's travel.
 struct PlannedAngle {
-  int experiment = 0;    ///< 1, 2, 3 as in the paper.
+  int experiment = 0;    ///< 1, 2, 3 as in the paper; 0: a pose of no experiment.
   int n = 0;             ///< 1..N; the closing angle repeats the n of the first angle that was measured.
   bool closing = false;  ///< Measured last in its experiment, one turn after its first angle.
   Angle alpha;           ///< Desired rotation angle, (n-1) D; + 360 degrees at the closing angle.
   Angle x, z;            ///< Commanded angles.
+  bool check = false;    ///< A check pose: experiment 0, n = 1 or 2, alpha = 0.
 };
 
 /// What cannot be planned, every problem of it.
@@ -38,7 +49,7 @@ class PlanError : public std::runtime_error {
 /// The angles of the three experiments (paper, section 2.4: about X; about X with Z turned -90 degrees; about
 /// Z with X turned -90 degrees) in the order in which they are measured: each experiment in one sweep of
 /// rising commanded angle, inside the travel with room for the approach from below, so that no cable winds
-/// up.
+/// up. With `check_poses`, both check poses come first, between the experiments and last.
 /// @throws PlanError if an angle cannot be reached.
 std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
                                              const std::array<AxisTravel, 2>& travel);

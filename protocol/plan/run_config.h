@@ -27,7 +27,7 @@ struct ProtocolConfig {
   int steps = 72;                    ///< N, angles of each experiment.
   Angle step = Angle::degrees(5.0);  ///< D, desired rotation step.
   bool closing_angle = true;         ///< Measure the first angle again, at alpha + 360 degrees.
-  bool check_poses = false;          ///< Measure two poses at the start, between experiments and at the end.
+  bool check_poses = true;           ///< Measure two poses at the start, between experiments and at the end.
   /// "abc", "joint", "norm": chosen before the first angle, so that nobody chooses by the result.
   std::string estimator{kDefaultProtocolEstimator};
   Angle approach = Angle::degrees(1.0);  ///< Every angle is reached from below, by this much; 0: either side.

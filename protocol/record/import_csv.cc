@@ -22,6 +22,7 @@
 #include <utility>
 
 #include "drivers/text/text.h"
+#include "protocol/plan/rotation_plan.h"
 #include "protocol/record/limits_entries.h"
 
 namespace abcal {
@@ -301,7 +302,8 @@ class Importer {
       return;
     }
     DwellRecord dwell;
-    const auto experiment = whole_number(row, "experiment", 1, 3, "experiment 1, 2 or 3");
+    const auto experiment =
+        whole_number(row, "experiment", 0, 3, "experiment 1, 2 or 3, or 0 for a check pose");
     const auto n = whole_number(row, "n", 1, 1e6, "a whole number from 1 on");
     const auto alpha = number(row, "alpha_deg");
     for (std::size_t j = 0; j < 3; ++j) {
@@ -323,6 +325,10 @@ class Importer {
     dwell.experiment = static_cast<int>(*experiment);
     dwell.n = static_cast<int>(*n);
     dwell.alpha = Angle::degrees(*alpha);
+    if (dwell.experiment == 0) {
+      read_check_pose(row, std::move(dwell));
+      return;
+    }
     // A closing angle may carry the n of the angle that it repeats: it is told by its alpha.
     const auto [first, is_new] =
         line_of_.emplace(std::make_tuple(dwell.experiment, dwell.n, *alpha >= 360.0), row.line);
@@ -335,6 +341,20 @@ class Importer {
     }
     set_commanded_angles(dwell);
     record_.dwells.push_back(dwell);
+  }
+
+  void read_check_pose(const Row& row, DwellRecord dwell) {
+    const std::array<CheckPose, kCheckPoses> poses = check_poses();
+    if (dwell.n > kCheckPoses) {
+      problem(fmt::format("line {}, n", row.line), fmt::format("check pose {}", dwell.n),
+              "check pose 1 or 2");
+      return;
+    }
+    const CheckPose& pose = poses[static_cast<std::size_t>(dwell.n - 1)];
+    dwell.role = DwellRole::kCheck;
+    dwell.commanded_x = pose.x;
+    dwell.commanded_z = pose.z;
+    record_.check_poses.push_back({std::move(dwell), record_.dwells.size()});
   }
 
   void read_uncertainty(const Row& row, DwellRecord& dwell) {

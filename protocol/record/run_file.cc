@@ -501,7 +501,12 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   record.steps = header.steps;
   read_counting_dwells(database, [&](std::size_t position, DwellRecord dwell) {
     run.measured.push_back(position);
-    record.dwells.push_back(std::move(dwell));
+    run.dwells.push_back(dwell);
+    if (dwell.role == DwellRole::kCheck) {
+      record.check_poses.push_back({std::move(dwell), record.dwells.size()});
+    } else {
+      record.dwells.push_back(std::move(dwell));
+    }
   });
   SqliteStatement events = database.prepare("select utc, kind, text from event order by id");
   while (events.step()) {

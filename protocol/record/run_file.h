@@ -170,7 +170,8 @@ struct StoredRun {
   RunTiming timing;
   RunRecord record;
   std::vector<StoredSession> sessions;  ///< None in a file of version 2.
-  std::vector<std::size_t> measured;    ///< Positions in header.plan that have a dwell.
+  std::vector<std::size_t> measured;    ///< Positions in header.plan that have a dwell, in order of time.
+  std::vector<DwellRecord> dwells;      ///< Their dwells: those of the record and its check poses.
   std::vector<RunEvent> events;
   std::vector<StoredEnvironment> environment;
 };

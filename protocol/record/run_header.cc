@@ -266,9 +266,10 @@ void read_run_header(SqliteDatabase& database, const std::string& source, Stored
   }
   SqliteStatement plan = database.prepare("select * from plan order by position");
   while (plan.step()) {
-    header.plan.push_back({static_cast<int>(plan.integer("experiment")), static_cast<int>(plan.integer("n")),
-                           plan.integer("closing") != 0, Angle::degrees(plan.real("alpha_deg")),
-                           Angle::degrees(plan.real("x_deg")), Angle::degrees(plan.real("z_deg"))});
+    const auto experiment = static_cast<int>(plan.integer("experiment"));
+    header.plan.push_back({experiment, static_cast<int>(plan.integer("n")), plan.integer("closing") != 0,
+                           Angle::degrees(plan.real("alpha_deg")), Angle::degrees(plan.real("x_deg")),
+                           Angle::degrees(plan.real("z_deg")), experiment == 0});
   }
   if (run_file_version(database) < 3) {
     header.items = {item_from_labels(header)};

@@ -29,6 +29,16 @@ std::optional<DwellRole> dwell_role_from(std::string_view word) {
   return std::nullopt;
 }
 
+std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record) {
+  std::vector<const DwellRecord*> all;
+  auto check = record.check_poses.begin();
+  for (std::size_t i = 0; i <= record.dwells.size(); ++i) {
+    for (; check != record.check_poses.end() && check->after <= i; ++check) all.push_back(&check->dwell);
+    if (i < record.dwells.size()) all.push_back(&record.dwells[i]);
+  }
+  return all;
+}
+
 std::string describe_flags(std::uint32_t flags) {
   static constexpr std::array<std::pair<std::uint32_t, const char*>, 10> kWords{{
       {kFlagNotQuiet, "not quiet"},

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <optional>
@@ -38,7 +39,8 @@ enum class DwellRole {
   kPlan,     ///< An angle of the plan, for the fits.
   kReturn,   ///< A pose of the plan to which the stage returns, to show a change of the item.
   kClosing,  ///< The extra angle that closes an experiment's circle; not part of the fits.
-  kCheck,    ///< Measured again after an interruption, for comparison; does not count.
+  kCheck,    ///< A check pose (experiment 0); or an angle measured again after an interruption, which does
+             ///< not count.
 };
 std::string_view to_string(DwellRole role);
 /// @return nothing for a word that is none of them
@@ -66,6 +68,12 @@ struct DwellRecord {
   std::optional<Eigen::Vector3d> u_mean;
   std::optional<double> temperature_degc;
   std::uint32_t flags = kFlagNone;
+};
+
+/// One dwell at a check pose (protocol/plan/rotation_plan.h): its experiment is 0 and its n 1 or 2.
+struct CheckDwell {
+  DwellRecord dwell;
+  std::size_t after = 0;  ///< So many of RunRecord::dwells were measured before it.
 };
 
 /// Local gravity at the bench, with where it comes from.
@@ -103,6 +111,10 @@ struct RunRecord {
   int continuations = 0;                 ///< How often the run was interrupted and went on.
   int reconnections = 0;                 ///< How often a port vanished, came back, and the run went on.
   std::vector<DwellRecord> dwells;       ///< In the order of measurement, closing angles included.
+  std::vector<CheckDwell> check_poses;   ///< In the order of measurement; empty where none were planned.
 };
+
+/// The dwells of a record with those at its check poses, in the order of measurement; they live in it.
+std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record);
 
 }  // namespace abcal

@@ -82,8 +82,8 @@ bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector
     const double slope_limit = std::max(t_limit * residual / std::sqrt(sum_kk), resolution / count);
     // A reading that is not finite makes the comparison false, and the window not quiet.
     if (!(std::abs(slope) <= slope_limit)) return false;
-    if (usual_spread && !(spread[j] <= std::max(spread_factor * (*usual_spread)[j], resolution)))
-      return false;
+    if (!usual_spread || std::isnan((*usual_spread)[j])) continue;
+    if (!(spread[j] <= std::max(spread_factor * (*usual_spread)[j], resolution))) return false;
   }
   return true;
 }

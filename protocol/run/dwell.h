@@ -32,8 +32,8 @@ DwellStatistics dwell_statistics(std::span<const Reading> readings, const Accele
 Eigen::Vector3d spread_of(std::span<const Reading> readings);
 
 /// Whether a window of readings shows neither a slope (Student's t of a least-squares line, at a false alarm
-/// in 1e5 windows) nor more spread than `spread_factor` times `usual_spread` (not checked if that is absent).
-/// Changes below `resolution` (R) never count.
+/// in 1e5 windows) nor more spread than `spread_factor` times `usual_spread` (not checked where that is
+/// absent or NaN). Changes below `resolution` (R) never count.
 bool is_quiet(std::span<const Reading> window, const std::optional<Eigen::Vector3d>& usual_spread,
               double spread_factor, double resolution);
 

@@ -93,6 +93,7 @@ DwellRecord DwellMeasurement::dwell_record(const PlannedAngle& angle, const Dwel
   dwell.experiment = angle.experiment;
   dwell.n = angle.n;
   dwell.closing = angle.closing;
+  if (angle.check) dwell.role = DwellRole::kCheck;
   dwell.alpha = angle.alpha;
   dwell.commanded_x = angle.x;
   dwell.commanded_z = angle.z;

@@ -137,7 +137,7 @@ class ExperimentRun {
           kFlagEvent, fmt::format("{}: {}", context_.journal.activity(), describe_flags(dwell.flags)));
     }
     plausibility_.remember(dwell);
-    settling_.spreads().add(dwell.spread);
+    settling_.spreads().add(dwell.spread, context_.accelerometer_info.resolution.value_or(0.0));
     if (is_check) return;
     measured_.insert(position);
     context_.journal.dwell(position, dwell);

@@ -14,16 +14,27 @@ namespace {
 /// Fewest readings from which anything is concluded.
 constexpr std::int64_t kFewReadings = 8;
 
+/// What noise usually does to an output; of one that was frozen from the start, what it does to the quietest
+/// of the others, where that is well above the resolution: outputs of one accelerometer have noise alike.
+double usual_of(const Eigen::Vector3d& usual_spread, int output, double resolution) {
+  if (!std::isnan(usual_spread[output])) return usual_spread[output];
+  double quietest = std::numeric_limits<double>::infinity();
+  for (int j = 0; j < 3; ++j)
+    if (usual_spread[j] > 2.0 * resolution) quietest = std::min(quietest, usual_spread[j]);
+  return std::isfinite(quietest) ? quietest : 0.0;
+}
+
 }  // namespace
 
 bool is_stuck(const DwellStatistics& statistics, const std::optional<Eigen::Vector3d>& usual_spread,
               double resolution) {
   if (statistics.count < kFewReadings || !usual_spread) return false;
   for (int j = 0; j < 3; ++j) {
-    if (statistics.spread[j] != 0.0 || !((*usual_spread)[j] > 0.0)) continue;
+    const double usual = usual_of(*usual_spread, j, resolution);
+    if (statistics.spread[j] != 0.0 || !(usual > 0.0)) continue;
     // Rounding to the resolution is part of the usual spread.
     const double rounding = resolution * resolution / 12.0;
-    const double noise = std::sqrt(std::max((*usual_spread)[j] * (*usual_spread)[j] - rounding, 0.0));
+    const double noise = std::sqrt(std::max(usual * usual - rounding, 0.0));
     // The likeliest step holds so much of the noise; all readings but the first must fall into it as well.
     const double one = noise > 0.0 ? std::erf(resolution / (2.0 * std::numbers::sqrt2 * noise)) : 1.0;
     if (std::pow(one, static_cast<double>(statistics.count - 1)) <= kFalseAlarm) return true;
@@ -40,6 +51,7 @@ bool is_shaken(const DwellStatistics& statistics, const std::optional<Eigen::Vec
       std::sqrt(2.0 * boost::math::gamma_q_inv(0.5 * freedom, kFalseAlarm / 3.0) / freedom);
   const double factor = std::max(limits.spread_factor, of_noise);
   for (int j = 0; j < 3; ++j) {
+    if (std::isnan((*usual_spread)[j])) continue;  // Frozen so far: not known.
     if (!(statistics.spread[j] <= std::max(factor * (*usual_spread)[j], resolution))) return true;
   }
   return false;

@@ -16,7 +16,8 @@ namespace abcal {
 
 /// Whether an output that did not change at all during a dwell must be stuck: noise of the usual spread would
 /// have moved it by a step of its resolution, but for one dwell in 1e6. `resolution` 0: not known, any spread
-/// moves it.
+/// moves it. Of an output whose usual spread is NaN (frozen since the start) it is that of the quietest of
+/// the others.
 bool is_stuck(const DwellStatistics& statistics, const std::optional<Eigen::Vector3d>& usual_spread,
               double resolution);
 

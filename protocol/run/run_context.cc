@@ -5,6 +5,10 @@
 namespace abcal {
 
 std::string describe(const PlannedAngle& angle) {
+  if (angle.experiment == 0)
+    return fmt::format("{}X = {:.6g} deg, Z = {:.6g} deg",
+                       angle.check ? fmt::format("check pose {}, ", angle.n) : "", angle.x.deg(),
+                       angle.z.deg());
   return fmt::format("experiment {}, alpha = {} deg", angle.experiment, angle.alpha.deg());
 }
 

@@ -129,7 +129,7 @@ struct RunContext {
   const RunFile& file_;
 };
 
-/// "experiment 1, alpha = 5 deg".
+/// "experiment 1, alpha = 5 deg", "check pose 1, X = 54.7356 deg, Z = 45 deg".
 std::string describe(const PlannedAngle& angle);
 
 }  // namespace abcal

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/dwell.h"
@@ -15,6 +16,8 @@ namespace {
 /// Parts of the time for which outputs and temperature must be stable.
 constexpr double kStabilityWindows = 10.0;
 constexpr std::size_t kStoredSpreads = 15;
+/// Steps of the resolution: an output whose noise is smaller may well stand still while others move.
+constexpr double kFrozenBeside = 2.0;
 /// A short window sees less than a whole swing of a slow ring-down: the dwell that it lets begin must stay
 /// within spread_factor. Noise of the usual spread, and of twice that, still passes.
 constexpr double kQuietPart = 0.75;
@@ -36,21 +39,27 @@ std::size_t quiet_window_size(const ProtocolConfig& protocol, double rate_hz) {
   return static_cast<std::size_t>(std::clamp(readings_per_dwell(protocol, rate_hz) / 4, 10, 50));
 }
 
-void SpreadHistory::add(const Eigen::Vector3d& spread) {
-  if (spreads_.size() == kStoredSpreads) spreads_.erase(spreads_.begin());
-  spreads_.push_back(spread);
+void SpreadHistory::add(const Eigen::Vector3d& spread, double resolution) {
+  empty_ = false;
+  const bool others_move = spread.maxCoeff() > kFrozenBeside * resolution;
+  for (std::size_t j = 0; j < 3; ++j) {
+    const double of_output = spread[static_cast<Eigen::Index>(j)];
+    if (of_output == 0.0 && others_move) continue;
+    std::vector<double>& known = spreads_[j];
+    if (known.size() == kStoredSpreads) known.erase(known.begin());
+    known.push_back(of_output);
+  }
 }
 
 std::optional<Eigen::Vector3d> SpreadHistory::median() const {
-  if (spreads_.empty()) return std::nullopt;
-  Eigen::Vector3d median;
-  std::vector<double> values(spreads_.size());
-  for (int j = 0; j < 3; ++j) {
-    std::transform(spreads_.begin(), spreads_.end(), values.begin(),
-                   [j](const Eigen::Vector3d& spread) { return spread[j]; });
+  if (empty_) return std::nullopt;
+  Eigen::Vector3d median = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+  for (std::size_t j = 0; j < 3; ++j) {
+    std::vector<double> values = spreads_[j];
+    if (values.empty()) continue;
     const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
     std::nth_element(values.begin(), middle, values.end());
-    median[j] = *middle;
+    median[static_cast<Eigen::Index>(j)] = *middle;
   }
   return median;
 }
@@ -114,7 +123,8 @@ void Settling::learn_noise() {
     const Eigen::Vector3d later = sum_of_spreads(spreads, 0);
     const Eigen::Vector3d earlier = sum_of_spreads(spreads, kNoiseWindows);
     if ((later.array() >= kNoLongerFalling * earlier.array()).all() || context_.clock.now() >= last) {
-      spreads_.add(later / static_cast<double>(kNoiseWindows));
+      spreads_.add(later / static_cast<double>(kNoiseWindows),
+                   context_.accelerometer_info.resolution.value_or(0.0));
       break;
     }
   }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstddef>
 #include <optional>
 #include <vector>
@@ -16,12 +17,15 @@ std::size_t quiet_window_size(const ProtocolConfig& protocol, double rate_hz);
 /// The spreads (R, of one reading) of the latest dwells, and their median: what noise usually does.
 class SpreadHistory {
  public:
-  void add(const Eigen::Vector3d& spread);
-  /// Nothing before the first.
+  /// An output that did not change at all is left out where another one spreads by more than two steps of the
+  /// resolution (R; 0: not known): it is frozen, and says nothing of its noise.
+  void add(const Eigen::Vector3d& spread, double resolution);
+  /// Nothing before the first; NaN for an output that was frozen so far.
   std::optional<Eigen::Vector3d> median() const;
 
  private:
-  std::vector<Eigen::Vector3d> spreads_;
+  std::array<std::vector<double>, 3> spreads_;
+  bool empty_ = true;
 };
 
 /// Waits until the accelerometer is ready: warm and stable before the first angle, quiet after each move.

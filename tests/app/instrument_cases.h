@@ -78,7 +78,8 @@ inline std::string bench_text(const StageCase& stage, const AccelerometerCase& a
   };
   return "[bench]\ng_loc_mps2 = 9.81\n[item]\nsensitivity_tolerance = 0.05\n" + sections +
          "[accelerometer]\nport = \"" + accelerometer_port + "\"\n" + accelerometer.section +
-         "[protocol]\nsteps = 12\nstep_deg = 30.0\nsettle_s = 0.05\ndwell_readings = 10\n[simulation]\nseed "
+         "[protocol]\ncheck_poses = false\nsteps = 12\nstep_deg = 30.0\nsettle_s = 0.05\ndwell_readings = "
+         "10\n[simulation]\nseed "
          "= "
          "3\nsensitivity_matrix = [" +
          row(1.01, 0.02, -0.01) + ", " + row(-0.03, 0.98, 0.02) + ", " + row(0.01, -0.02, 1.0) +

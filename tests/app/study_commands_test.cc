@@ -160,7 +160,8 @@ TEST_F(StudyCommands, SystemErrorsThatAJointAnalysisMeasuredEnterTheTypeAEvaluat
   test::write_file(folder / "bench.toml",
                    "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"simulated\"\nport = "
                    "\"simulated\"\n[accelerometer]\ndriver = "
-                   "\"simulated\"\nport = \"simulated\"\nrate_hz = 200.0\n[protocol]\nsteps = 24\nstep_deg = "
+                   "\"simulated\"\nport = \"simulated\"\nrate_hz = 200.0\n[protocol]\ncheck_poses = "
+                   "false\nsteps = 24\nstep_deg = "
                    "15.0\nsettle_s = "
                    "0.05\ndwell_readings = 20\n[simulation]\nnoise = 1e-5\nxz = 2e-4\n");
   const ProgramResult run = abcal({"run", "bench.toml", "-o", "a.run"});

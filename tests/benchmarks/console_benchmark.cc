@@ -33,7 +33,8 @@ constexpr int kRuns = 3;  // each way, in turn
 const char* const kBench =
     "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"pi_gcs\"\nport = \"links/stage\"\n"
     "[accelerometer]\ndriver = \"microstrain_mip\"\nport = \"links/accelerometer\"\nrate_hz = 500.0\n"
-    "[protocol]\nsteps = 12\nstep_deg = 5.0\nsettle_s = 0.1\ndwell_readings = 100\nclosing_angle = false\n"
+    "[protocol]\nsteps = 12\nstep_deg = 5.0\nsettle_s = 0.1\ndwell_readings = 100\nclosing_angle = "
+    "false\ncheck_poses = false\n"
     "[simulation]\nnoise = 1e-4\n"
     "[simulation.x]\nspeed_deg_per_s = 100.0\nacceleration_deg_per_s2 = 2000.0\n"
     "[simulation.z]\nspeed_deg_per_s = 100.0\nacceleration_deg_per_s2 = 2000.0\n";

@@ -27,7 +27,8 @@ std::string bench_text(double rate_hz) {
   return fmt::format(
       "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"pi_gcs\"\nport = \"links/stage\"\n"
       "[accelerometer]\ndriver = \"microstrain_mip\"\nport = \"links/accelerometer\"\nrate_hz = {}\n"
-      "[protocol]\nsteps = 20\nstep_deg = {}\nsettle_s = {}\ndwell_readings = {}\nclosing_angle = false\n"
+      "[protocol]\nsteps = 20\nstep_deg = {}\nsettle_s = {}\ndwell_readings = {}\nclosing_angle = "
+      "false\ncheck_poses = false\n"
       "[simulation]\nnoise = 1e-4\n"
       "[simulation.x]\nspeed_deg_per_s = {}\nacceleration_deg_per_s2 = {}\n"
       "[simulation.z]\nspeed_deg_per_s = {}\nacceleration_deg_per_s2 = {}\n",

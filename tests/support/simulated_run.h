@@ -28,6 +28,7 @@ struct SimulatedRun {
     protocol.steps = 12;
     protocol.step = Angle::degrees(30.0);
     protocol.settle_s = 0.2;
+    protocol.check_poses = false;
     protocol.dwell_readings = 50;
     truth.noise = 1e-4;
     truth.quantisation = 1e-6;
@@ -41,6 +42,8 @@ struct SimulatedRun {
   std::string unit = "g";
   double g_loc_mps2 = 9.80101;
   std::array<int, 2> stage_sign{1, 1};  ///< -1: the axis counts the wrong way, and nobody said so.
+  /// Called before the run begins.
+  std::function<void(sim::SimBench& world, Clock::Instant now)> before_run;
   /// Called after each angle, with how many there are.
   std::function<void(sim::SimBench& world, Clock::Instant now, std::size_t dwells)> after_dwell;
 
@@ -69,6 +72,7 @@ struct SimulatedRun {
     {
       RunFile file = RunFile::create(path, header);
       Observer observer(*this, *world, clock);
+      if (before_run) before_run(*world, clock.now());
       run_experiments({stage, accelerometer, clock}, {plan, settings(), {}}, file, observer,
                       std::stop_source().get_token());
     }

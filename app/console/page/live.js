@@ -95,9 +95,12 @@ alignedLeft: true,
         this.dwells.set(message.dwell.position, message.dwell);
         this.lastDwell = message.dwell;
         this.settling();
-        this.fits[message.fit.experiment - 1] = message.fit.outputs;
         this.setProgress(message.progress);
-        this.dirty.add(message.fit.experiment - 1).add('table');
+        this.dirty.add('table');
+        if (message.fit.experiment > 0) {  // A check pose is of no experiment.
+          this.fits[message.fit.experiment - 1] = message.fit.outputs;
+          this.dirty.add(message.fit.experiment - 1);
+        }
         break;
       case 'log': this.log(message.line); break;
       case 'checks': this.checks(message.findings); break;
@@ -127,7 +130,8 @@ alignedLeft: true,
     const planned = this.run && this.phase ? this.run.plan[this.phase.position] : null;
     const held = this.phase && this.phase.phase === 'held';
     byId('angle').textContent = planned && what === 'running'
-      ? `${held ? 'next: ' : ''}experiment ${planned.experiment}, ${number(planned.alpha_deg, 1, 'degrees')}${planned.closing ? ' (closing angle)' : ''}` : DASH;
+      ? `${held ? 'next: ' : ''}${planned.check ? `check pose ${planned.n}`
+        : `experiment ${planned.experiment}, ${number(planned.alpha_deg, 1, 'degrees')}${planned.closing ? ' (closing angle)' : ''}`}` : DASH;
     this.settling();
   }
 
@@ -223,7 +227,8 @@ alignedLeft: true,
     const flagged = dwells.filter((d) => d.flags);
     const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
     byId('flagged').textContent = this.run ? `${flagged.length} of ${dwells.length}${flags && `: ${flags}`}` : DASH;
-    const rows = dwells.map((d) => [`${d.experiment}${d.closing ? ' (closing)' : ''}`, number(d.alpha_deg, 2),
+    const rows = dwells.map((d) => [d.experiment ? `${d.experiment}${d.closing ? ' (closing)' : ''}` : `check pose ${d.n}`,
+      d.experiment ? number(d.alpha_deg, 2) : DASH,
       ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
       number(d.temperature_degc, 2), d.flags || 'none']);
     byId('dwell-table').replaceChildren(table(`Means of the outputs and their standard uncertainty in ${unit}`,

@@ -42,6 +42,7 @@ rate_hz = 200.0
 temperature_degc = 23.0
 humidity_percent = 45.0
 [protocol]
+check_poses = false
 steps = 12
 step_deg = 30.0
 settle_s = 0.05

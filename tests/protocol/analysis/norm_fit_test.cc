@@ -141,6 +141,130 @@ TEST(NormFitTest, LeavesDisturbedPosesOut) {
   }
 }
 
+TEST(NormFitTest, ListsThePosesThatItLeavesOutWithTheirResidualsAndTheRule) {
+  std::vector<Pose> poses = poses_of(some_accelerometer(), 60, 1e-4, 7, false);
+  poses[40].reading *= 1.1;
+  poses[41].name = "the box on its side";
+  poses[41].reading *= 0.95;
+  const CalibrationResult result = analyse_norm(poses);
+  ASSERT_EQ(result.norm->left_out.size(), 2U);
+  EXPECT_EQ(result.norm->left_out[0].first, 41);
+  EXPECT_NEAR(result.norm->left_out[0].second, 0.1, 0.05);  // The offset is a part of the reading.
+  EXPECT_EQ(result.norm->left_out[1].first, 42);
+  EXPECT_LT(result.norm->left_out[1].second, -0.02);
+  EXPECT_THAT(result.diagnostics.notes,
+              testing::Contains(testing::AllOf(HasSubstr("2 of 60 poses left out"), HasSubstr("pose 41 (+"),
+                                               HasSubstr("the box on its side (-"),
+                                               HasSubstr("5 robust standard deviations"))));
+}
+
+TEST(NormFitTest, APoseWithinItsOwnUncertaintyIsNeverLeftOut) {
+  std::vector<Pose> poses = poses_of(some_accelerometer(), 60, 1e-5, 7, true);
+  for (Pose& pose : poses) *pose.u *= 10.0;  // Stated too large: the others agree far better.
+  poses[40].reading *= 1.0 + 3e-4;           // Three of its stated uncertainties.
+  EXPECT_EQ(analyse_norm(poses).norm->poses_left_out, 0);
+}
+
+/// Six poses, gravity along both directions of each of the axes of a case.
+std::vector<Pose> cardinal_poses(const AccelerometerModel& aut, double u) {
+  std::vector<Pose> poses;
+  for (int axis = 0; axis < 3; ++axis) {
+    for (const double sign : {1.0, -1.0}) {
+      Pose pose;
+      pose.reading = sign * aut.sensitivity_matrix.col(axis) + aut.offset;
+      if (u > 0.0) pose.u = Eigen::Vector3d::Constant(u);
+      poses.push_back(pose);
+    }
+  }
+  return poses;
+}
+
+TEST(NormFitTest, SixPosesNeedTheStatedAnglesBetweenTheAxesAndSaySo) {
+  AccelerometerModel aut;
+  aut.sensitivity_matrix << 1.02, 0.001, -0.002, 0.001, 0.98, 0.0015, 0.002, -0.001, 1.01;
+  aut.offset = {0.05, -0.03, 0.01};
+  const CalibrationResult refused = analyse_norm(cardinal_poses(aut, 1e-5));
+  EXPECT_EQ(refused.verdict, Verdict::kNotUsable);
+  EXPECT_THAT(refused.why, HasSubstr("[item_uncertainty] orthogonality_deg"));
+  EffectSizes sizes = linear_item();
+  sizes.orthogonality = Angle::degrees(0.3);
+  for (const double u : {1e-5, 0.0}) {
+    const CalibrationResult result = analyse_norm(cardinal_poses(aut, u), sizes);
+    EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
+    EXPECT_EQ(result.diagnostics.degrees_of_freedom, 0);
+    EXPECT_THAT(result.diagnostics.notes,
+                testing::Contains(testing::AllOf(HasSubstr("6 poses are fewer than the nine unknowns"),
+                                                 HasSubstr("0.3 degree"))));
+    const IntrinsicProperties truth = intrinsic_properties(aut.sensitivity_matrix);
+    for (std::size_t j = 0; j < 3; ++j) {
+      const auto at = static_cast<Eigen::Index>(j);
+      // Tilts of 2e-3 of the axes change a cosine by 2e-6 each.
+      EXPECT_NEAR(result.intrinsic_sensitivity[j].value, truth.sensitivity(at), 2e-5);
+      EXPECT_NEAR(result.offset[j].value, aut.offset(at), 2e-5);
+      EXPECT_NEAR(result.intrinsic_angle[j].value, truth.angle_deg(at), 4.0 * 0.3);
+      if (u == 0.0) {
+        EXPECT_TRUE(std::isnan(result.intrinsic_angle[j].standard_uncertainty));
+      } else {
+        EXPECT_NEAR(result.intrinsic_angle[j].standard_uncertainty, 0.3, 0.01);
+      }
+    }
+  }
+}
+
+TEST(NormFitTest, IntervalsHoldWhereTheOffsetsDriftAFifthOfTheirTolerance) {
+  AccelerometerModel aut = some_accelerometer();
+  const IntrinsicProperties truth = intrinsic_properties(aut.sensitivity_matrix);
+  constexpr int kRuns = 60;
+  int inside = 0, usable = 0;
+  for (unsigned seed = 1; seed <= kRuns; ++seed) {
+    std::mt19937_64 engine(seed);
+    std::normal_distribution<double> normal;
+    for (int j = 0; j < 3; ++j)
+      aut.drift(j) = 0.2 * 1e-4 * truth.sensitivity(j) * (seed % 2 == 0 ? 1.0 : -1.0);
+    RunRecord record = test::made_record(aut, {}, 36, Angle::degrees(10.0));
+    test::add_noise(record, 1e-5, engine);
+    const CalibrationResult result = analyse_norm(record);
+    usable += result.verdict == Verdict::kUsable;
+    for (std::size_t j = 0; j < 3; ++j) {
+      const auto at = static_cast<Eigen::Index>(j);
+      const auto holds = [](const Quantity& q, double expected) {
+        return std::abs(q.value - expected) <= 1.96 * q.standard_uncertainty ? 1 : 0;
+      };
+      inside += holds(result.intrinsic_sensitivity[j], truth.sensitivity(at)) +
+                holds(result.intrinsic_angle[j], truth.angle_deg(at)) +
+                holds(result.offset[j], aut.offset(at));
+    }
+  }
+  EXPECT_GE(usable, kRuns - 1);
+  std::printf("norm, drift of 2e-5: 95 %% intervals hold in %.3f\n", inside / (9.0 * kRuns));
+  EXPECT_GE(inside, 0.92 * 9.0 * kRuns);  // The least that is asked of every estimator.
+}
+
+TEST(NormFitTest, NonLinearityWithinItsStatementIsEstimatedAndTheLineResponseIsRight) {
+  AccelerometerModel aut = some_accelerometer();
+  aut.k3 = {3e-3, -2e-3, 4e-3};
+  aut.k2 = {1e-3, 2e-3, -1e-3};
+  std::mt19937_64 engine(5);
+  RunRecord record = test::made_record(aut, {});
+  test::add_noise(record, 1e-5, engine);
+  const CalibrationResult result = analyse_norm(record);
+  EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
+  const IntrinsicProperties truth = intrinsic_properties(aut.sensitivity_matrix);
+  for (std::size_t j = 0; j < 3; ++j) {
+    const auto at = static_cast<Eigen::Index>(j);
+    const double s = truth.sensitivity(at);
+    // The slope of a straight line over all directions of gravity: 3/5 of k3 |s|^2; the mean of k2 l^2 is a
+    // third.
+    EXPECT_NEAR(result.intrinsic_sensitivity[j].value, s * (1.0 + 0.6 * aut.k3(at) * s * s),
+                4.0 * result.intrinsic_sensitivity[j].standard_uncertainty);
+    EXPECT_NEAR(result.offset[j].value, aut.offset(at) + aut.k2(at) * s * s / 3.0,
+                4.0 * result.offset[j].standard_uncertainty);
+    EXPECT_LT(result.intrinsic_sensitivity[j].standard_uncertainty, 3e-5);  // 216 readings of 1e-5.
+  }
+  record.tolerances = linear_item(record.tolerances);
+  EXPECT_EQ(analyse_norm(record).verdict, Verdict::kDoubtful) << "stated as linear";
+}
+
 TEST(NormFitTest, SaysWhereTheSphereIsBare) {
   const AccelerometerModel aut = some_accelerometer();
   std::vector<Pose> upper;

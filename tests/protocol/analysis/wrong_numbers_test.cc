@@ -299,6 +299,35 @@ TEST_F(WrongNumbersTest, AnOutputThatIsStuckForAMomentIsMeasuredAgain) {
   EXPECT_EQ(analysed(record).front().verdict, Verdict::kUsable) << analysed(record).front().why;
 }
 
+TEST_F(WrongNumbersTest, AnOutputThatIsFrozenFromTheStartIsNamedAndSpoilsNoLaterAngle) {
+  SimulatedRun sound = healthy(7330);
+  const RunRecord unspoilt = measure(sound);
+  const auto seconds = [](const RunRecord& record) {
+    return *record.dwells.back().time_s - *record.dwells[3].time_s;
+  };
+  for (int output = 0; output < 3; ++output) {
+    SCOPED_TRACE(output);
+    SimulatedRun run = healthy(7330);
+    run.before_run = [output](sim::SimBench& world, Clock::Instant now) {
+      world.inject({.kind = sim::FaultKind::kStuckOutput, .at = now, .output = output});
+    };
+    run.after_dwell = [](sim::SimBench& world, Clock::Instant now, std::size_t dwells) {
+      if (dwells == 3) world.clear_faults(now);
+    };
+    const RunRecord record = measure(run);
+    for (std::size_t k = 0; k < record.dwells.size(); ++k)
+      EXPECT_EQ((record.dwells[k].flags & kFlagStuck) != 0U, k < 3) << k;
+    // No later angle is measured again.
+    EXPECT_NEAR(seconds(record), seconds(unspoilt), 1.0);
+    for (const auto& result : analysed(record)) {
+      // Three of twelve angles of an experiment: grossly wrong readings need not be solved.
+      EXPECT_NE(result.verdict, Verdict::kUsable);
+      EXPECT_THAT(result.why, HasSubstr(fmt::format("output {} was stuck", "uvw"[output])));
+      EXPECT_THAT(failed_checks(result), testing::Not(HasSubstr("axis Z")));
+    }
+  }
+}
+
 TEST_F(WrongNumbersTest, AnOutputThatKeepsItsOldMeanButIsNoisyIsFound) {
   // As a channel whose multiplexer did not switch: the readings are live, and those of the angle before.
   SimulatedRun run = healthy(7320);

@@ -15,8 +15,15 @@ Angle deg(double value) {
 
 constexpr std::array<AxisTravel, 2> kWide{};
 
+/// The plan of the paper.
+ProtocolConfig as_published() {
+  ProtocolConfig config;
+  config.check_poses = false;
+  return config;
+}
+
 TEST(RotationPlanTest, DrivesTheThreeExperimentsOfThePaperWithTheirInitialTurns) {
-  const auto plan = make_rotation_plan(ProtocolConfig{}, kWide);
+  const auto plan = make_rotation_plan(as_published(), kWide);
   ASSERT_EQ(plan.size(), 3U * 73U);
   EXPECT_EQ(plan.front().x, deg(0));
   EXPECT_EQ(plan.front().z, deg(0));
@@ -29,7 +36,7 @@ TEST(RotationPlanTest, DrivesTheThreeExperimentsOfThePaperWithTheirInitialTurns)
 }
 
 TEST(RotationPlanTest, EndsEachExperimentWithAClosingAngleOneTurnOn) {
-  const auto plan = make_rotation_plan(ProtocolConfig{}, kWide);
+  const auto plan = make_rotation_plan(as_published(), kWide);
   EXPECT_TRUE(plan[72].closing);
   EXPECT_EQ(plan[72].alpha, deg(360));
   EXPECT_EQ(plan[72].x, deg(360));
@@ -37,7 +44,7 @@ TEST(RotationPlanTest, EndsEachExperimentWithAClosingAngleOneTurnOn) {
 }
 
 TEST(RotationPlanTest, ReturnsToTheFirstAngleWhereTheTravelEndsBeforeAFullTurn) {
-  const auto plan = make_rotation_plan(ProtocolConfig{}, {AxisTravel{deg(-180), deg(180)}, AxisTravel{}});
+  const auto plan = make_rotation_plan(as_published(), {AxisTravel{deg(-180), deg(180)}, AxisTravel{}});
   EXPECT_TRUE(plan[72].closing);
   EXPECT_EQ(plan[72].x, plan[0].x);
   EXPECT_EQ(plan[72].n, plan[0].n);
@@ -45,7 +52,7 @@ TEST(RotationPlanTest, ReturnsToTheFirstAngleWhereTheTravelEndsBeforeAFullTurn) 
 
 TEST(RotationPlanTest, SweepsUpwardsInsideANarrowTravelWithRoomForTheApproach) {
   const AxisTravel narrow{deg(-180), deg(180)};
-  const auto plan = make_rotation_plan(ProtocolConfig{}, {narrow, narrow});
+  const auto plan = make_rotation_plan(as_published(), {narrow, narrow});
   std::set<int> seen;
   Angle previous = deg(-1e9);
   for (const PlannedAngle& angle : plan) {
@@ -61,7 +68,7 @@ TEST(RotationPlanTest, SweepsUpwardsInsideANarrowTravelWithRoomForTheApproach) {
 
 TEST(RotationPlanTest, NamesEveryAngleThatTheTravelCannotReachOnBothAxes) {
   try {
-    make_rotation_plan(ProtocolConfig{}, {AxisTravel{deg(-100), deg(100)}, AxisTravel{deg(0), deg(200)}});
+    make_rotation_plan(as_published(), {AxisTravel{deg(-100), deg(100)}, AxisTravel{deg(0), deg(200)}});
     FAIL();
   } catch (const PlanError& error) {
     EXPECT_EQ(error.problems().size(), 4U);  // X turning; Z turning; Z held at 0 (no room below) and at -90
@@ -83,7 +90,7 @@ TEST(RotationPlanTest, LetsTheDwellLastWholeMainsPeriods) {
 }
 
 TEST(RotationPlanTest, EstimatesTheDurationFromSpeedSettleAndDwell) {
-  ProtocolConfig config;
+  ProtocolConfig config = as_published();
   config.approach = deg(0);
   const auto plan = make_rotation_plan(config, kWide);
   const PlanDuration duration = estimate_duration(plan, config, {20.0, 20.0}, 100.0);
@@ -93,8 +100,44 @@ TEST(RotationPlanTest, EstimatesTheDurationFromSpeedSettleAndDwell) {
   EXPECT_DOUBLE_EQ(duration.moving_s, (360 + 360 + 90 + 360 + 450 + 90 + 360) / 20.0);
 }
 
+TEST(RotationPlanTest, CheckPosesStandAtTheStartBetweenTheExperimentsAndAtTheEnd) {
+  const ProtocolConfig config;
+  const auto plan = make_rotation_plan(config, kWide);
+  ASSERT_EQ(plan.size(), make_rotation_plan(as_published(), kWide).size() + 8);
+  for (const std::size_t visit : {0U, 75U, 150U, 225U}) {
+    for (int n = 1; n <= 2; ++n) {
+      const PlannedAngle& pose = plan[visit + static_cast<std::size_t>(n) - 1];
+      EXPECT_TRUE(pose.check);
+      EXPECT_EQ(pose.experiment, 0);
+      EXPECT_EQ(pose.n, n);
+      // Gravity in the frame of the platter: turned back about X, then about Z.
+      const SinCos x = sincos(pose.x), z = sincos(pose.z);
+      const double sign = n == 1 ? 1.0 : -1.0;
+      for (const double g : {x.sin * z.sin, x.sin * z.cos, x.cos})
+        EXPECT_NEAR(g, sign / std::sqrt(3.0), 4e-16);  // A few ulp.
+    }
+  }
+  for (const PlannedAngle& angle : plan) EXPECT_EQ(angle.check, angle.experiment == 0);
+}
+
+TEST(RotationPlanTest, CheckPosesCountForTheDurationAndKeepInsideTheTravel) {
+  ProtocolConfig config;
+  const auto seconds = [&](bool check) {
+    config.check_poses = check;
+    return estimate_duration(make_rotation_plan(config, kWide), config, {20.0, 20.0}, 100.0);
+  };
+  EXPECT_DOUBLE_EQ(seconds(true).dwelling_s - seconds(false).dwelling_s, 8 * 10.0);
+  EXPECT_DOUBLE_EQ(seconds(true).settling_s - seconds(false).settling_s, 8 * 5.0);
+  EXPECT_GT(seconds(true).moving_s, seconds(false).moving_s);
+  config.check_poses = true;
+  const AxisTravel narrow{deg(-185), deg(185)};
+  const auto plan = make_rotation_plan(config, {narrow, AxisTravel{}});
+  EXPECT_NEAR(plan[1].x.deg(), 234.7356 - 360.0, 1e-4);  // The digits that are written.
+}
+
 TEST(CableTwist, IsWhatTheWholePlanAndItsApproachesNeed) {
-  ProtocolConfig config;  // 72 angles of 5 degrees, the closing angle, from below by 1 degree
+  ProtocolConfig config =
+      as_published();  // 72 angles of 5 degrees, the closing angle, from below by 1 degree
   const auto twist = cable_twist(make_rotation_plan(config, {}), config);
   for (const AxisTravel& axis : twist) {
     EXPECT_EQ(axis.min.deg(), -91.0);  // The initial turn, come to from below.

@@ -179,6 +179,31 @@ TEST(ImportCsvTest, CommentsCarryWhatTheAnalysisNeedsBesideTheNumbers) {
                                     problem("g_loc.value_mps2", "98.1", "9 to 10.5")));
 }
 
+TEST(ImportCsvTest, ExperimentZeroIsACheckPoseInItsPlace) {
+  const std::string header = "experiment,n,alpha_deg,r_u,r_v,r_w\n";
+  std::string rows = "0,1,0,0.5,0.5,0.5\n0,2,0,-0.5,-0.5,-0.5\n";
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (int n = 1; n <= 4; ++n)
+      rows += std::to_string(experiment) + "," + std::to_string(n) + "," + std::to_string(90 * (n - 1)) +
+              ",1,2,3\n";
+    rows += "0,1,0,0.5,0.5,0.5\n0,2,0,-0.5,-0.5,-0.5\n";
+  }
+  std::istringstream in(header + rows);
+  const RunRecord record = import_csv(in, "made");
+  EXPECT_EQ(record.dwells.size(), 12U);
+  ASSERT_EQ(record.check_poses.size(), 8U);
+  EXPECT_EQ(record.check_poses[0].after, 0U);
+  EXPECT_EQ(record.check_poses[5].after, 8U);
+  EXPECT_NEAR(record.check_poses[5].dwell.commanded_x.deg(), 234.7356, 1e-4);  // The digits written.
+  std::istringstream wrong(header + rows + "0,3,0,1,2,3\n");
+  try {
+    import_csv(wrong, "made");
+    FAIL();
+  } catch (const CsvError& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("required: check pose 1 or 2"));
+  }
+}
+
 TEST(ImportCsvTest, MissingAnglesAreNoProblem) {
   std::string text = kHeader + good_rows();
   text.erase(text.find("2,3,180"), text.find("2,4,270") - text.find("2,3,180"));

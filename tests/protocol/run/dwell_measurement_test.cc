@@ -26,7 +26,7 @@ class DwellMeasurementTest : public test::RunPartsTest {
     Motion motion(context(), stage);
     ReadingSource readings(context(), accelerometer);
     Settling settling(context(), readings);
-    if (usual_spread > 0.0) settling.spreads().add(Eigen::Vector3d::Constant(usual_spread));
+    if (usual_spread > 0.0) settling.spreads().add(Eigen::Vector3d::Constant(usual_spread), 0.0);
     const PlausibilityCheck plausibility(context(), first_temperature_degc);
     DwellMeasurement measurement(context(), {motion, settling, readings, plausibility});
     return measurement.measure(7, angle);

@@ -67,6 +67,7 @@ class ExperimentRunTest : public testing::Test {
     protocol.settle_s = 0.5;
     protocol.dwell_readings = 40;
     protocol.motion_timeout_s = 10.0;
+    protocol.check_poses = false;
   }
 
   void build() {
@@ -215,6 +216,31 @@ TEST_F(ResumedRunTest, MeasuresTheLastAngleAgainAndGoesOn) {
   SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(database.value("select group_concat(position) from dwell where flag_words like '%repeated%'"),
             "4");
+}
+
+TEST_F(ResumedRunTest, GoesOnInTheMiddleOfTheCheckPoses) {
+  protocol.check_poses = true;
+  // After the first of the two poses of the visit between experiments 1 and 2.
+  const std::size_t before = [&] {
+    const auto planned = make_rotation_plan(protocol, {});
+    std::size_t at = 2;
+    while (!planned[at].check) ++at;
+    return at + 1;
+  }();
+  RunProgress so_far = interrupted_after(before);
+  StoredRun stored = RunFile::load(folder / "a.run");
+  ASSERT_EQ(stored.dwells.size(), before);
+  ASSERT_EQ(stored.record.check_poses.size(), 3U);
+  so_far.last->dwell = stored.dwells.back();
+  resume(so_far);
+  stored = RunFile::load(folder / "a.run");
+  EXPECT_EQ(stored.measured.size(), plan.size());
+  ASSERT_EQ(stored.record.check_poses.size(), 8U);
+  EXPECT_EQ(stored.record.dwells.size() + 8, plan.size());
+  EXPECT_EQ(stored.record.check_poses[2].after, stored.record.check_poses[3].after);
+  EXPECT_EQ(stored.record.check_poses[2].dwell.mean, so_far.last->dwell.mean) << "the first one counts";
+  SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
+  EXPECT_EQ(database.value("select count(*) from dwell where role = 'check'"), "9");
 }
 
 TEST_F(ResumedRunTest, ThePauseIsInTheTimesOfDwellsAndReadings) {

@@ -30,6 +30,16 @@ TEST(IsStuck, AnOutputWithoutAnyChangeIsStuckWhereItsNoiseIsKnown) {
   EXPECT_FALSE(is_stuck(spread_of({1e-4, 0.0, 1e-4}, 7), usual, 1e-5));
 }
 
+TEST(IsStuck, AnOutputThatIsFrozenFromTheStartIsJudgedByTheNoiseOfTheOthers) {
+  const double unknown = std::nan("");
+  EXPECT_TRUE(is_stuck(spread_of({0.0, 1e-4, 1e-4}, 20), Eigen::Vector3d(unknown, 1e-4, 2e-4), 1e-6));
+  // Noise below the resolution: the others show steps, and this one may well stand still.
+  EXPECT_FALSE(is_stuck(spread_of({0.0, 5e-4, 5e-4}, 20), Eigen::Vector3d(unknown, 5e-4, 5e-4), 1e-3));
+  LimitsConfig limits;
+  EXPECT_FALSE(
+      is_shaken(spread_of({1e-4, 1e-4, 1e-4}, 20), Eigen::Vector3d(unknown, 1e-4, 1e-4), 0.0, limits));
+}
+
 TEST(IsStuck, NoiseBelowTheResolutionMayLeaveAllReadingsAlike) {
   // Noise of a quarter of a step: in the middle of a step 95 % of the readings are alike.
   const double step = 1e-3, noise = 0.25 * step;

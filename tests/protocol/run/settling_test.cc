@@ -79,11 +79,24 @@ TEST_F(SettlingTest, StableOutputsBeginTheRunWithANotice) {
 
 TEST(SpreadHistoryTest, TheMedianForgetsOldDwellsAndIgnoresOneThatWasShaken) {
   SpreadHistory history;
-  for (int k = 0; k < 15; ++k) history.add(Eigen::Vector3d::Constant(1.0));
-  history.add(Eigen::Vector3d::Constant(100.0));
+  for (int k = 0; k < 15; ++k) history.add(Eigen::Vector3d::Constant(1.0), 0.0);
+  history.add(Eigen::Vector3d::Constant(100.0), 0.0);
   EXPECT_EQ(*history.median(), Eigen::Vector3d::Constant(1.0));
-  for (int k = 0; k < 15; ++k) history.add(Eigen::Vector3d::Constant(2.0));
+  for (int k = 0; k < 15; ++k) history.add(Eigen::Vector3d::Constant(2.0), 0.0);
   EXPECT_EQ(*history.median(), Eigen::Vector3d::Constant(2.0));
+}
+
+TEST(SpreadHistoryTest, AFrozenOutputSaysNothingOfItsNoise) {
+  SpreadHistory history;
+  history.add({0.0, 1e-4, 1e-4}, 1e-6);
+  EXPECT_TRUE(std::isnan((*history.median())[0]));
+  EXPECT_EQ((*history.median())[1], 1e-4);
+  history.add({2e-4, 1e-4, 1e-4}, 1e-6);
+  EXPECT_EQ((*history.median())[0], 2e-4);
+  // Noise of less than a step: an output that stands still is usual.
+  SpreadHistory coarse;
+  coarse.add({0.0, 5e-4, 0.0}, 1e-3);
+  EXPECT_EQ(*coarse.median(), Eigen::Vector3d(0.0, 5e-4, 0.0));
 }
 
 TEST(QuietWindowTest, IsAQuarterOfADwellWithinBounds) {
