@@ -2,7 +2,24 @@
 
 #include <hwy/targets.h>
 
+#if HWY_ARCH_X86
+#include <cpuid.h>
+#endif
+
 namespace abcal {
+namespace {
+
+#if HWY_ARCH_X86
+/// Clang's __builtin_cpu_supports() does not know these two.
+bool has_f16c_and_lzcnt() {
+  unsigned a = 0, b = 0, c = 0, d = 0;
+  const bool f16c = __get_cpuid(1, &a, &b, &c, &d) != 0 && (c & bit_F16C) != 0;
+  const bool lzcnt = __get_cpuid(0x80000001, &a, &b, &c, &d) != 0 && (c & bit_LZCNT) != 0;
+  return f16c && lzcnt;
+}
+#endif
+
+}  // namespace
 
 std::int64_t vector_targets() {
   std::int64_t targets = HWY_ENABLED_BASELINE;
@@ -18,8 +35,7 @@ std::int64_t vector_targets() {
                  __builtin_cpu_supports("aes") && __builtin_cpu_supports("pclmul"),
              HWY_SSE4) &&
          add(__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
-                 __builtin_cpu_supports("f16c") && __builtin_cpu_supports("lzcnt") &&
-                 __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2"),
+                 __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2") && has_f16c_and_lzcnt(),
              HWY_AVX2) &&
          add(__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
                  __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
