@@ -40,6 +40,7 @@ struct StageConfig {
   std::optional<int> baud;  ///< Absent: the driver's usual one.
   std::string address;
   std::string serial_number;  ///< If given, any other controller is refused.
+  std::string unit;           ///< Of the axes, where the controller does not tell it: "deg" or nothing.
   std::string
       level_file;  ///< Made by `abcal level`; empty: the alignment is known from [stage_uncertainty] only.
   StageAxisConfig x, z;
@@ -83,6 +84,13 @@ struct EnvironmentConfig {
 };
 
 /// A bench file (schema abcal.bench/2; abcal.bench/1 is read), with every default filled in.
+/// [emulator]: which instruments `abcal emulate` and simulated ports show, and how their lines behave.
+struct EmulatorConfig {
+  std::string line = "real";        ///< Of pseudo-terminals: "real" or "ideal".
+  std::string stage_model;          ///< Empty: the usual one of the driver.
+  std::string accelerometer_model;  ///< Empty: the usual one of the driver.
+};
+
 struct BenchConfig {
   std::string schema = "abcal.bench/2";
   std::string name;
@@ -99,6 +107,7 @@ struct BenchConfig {
   LimitsConfig limits;
   sim::BenchTruth simulation;
   sim::LinkTiming link;  ///< Of the simulated instruments.
+  EmulatorConfig emulator;
   std::vector<FaultConfig> faults;
   std::vector<ChangeConfig> changes;
 

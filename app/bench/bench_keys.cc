@@ -109,6 +109,7 @@ void visit_stage(KeyVisitor& keys, StageConfig& stage) {
   keys.integer("baud", stage.baud, 300, 4'000'000);
   keys.text("address", stage.address);
   keys.text("serial_number", stage.serial_number);
+  keys.text("unit", stage.unit, {"", "deg"});
   keys.text("level_file", stage.level_file);
   visit_stage_axis(keys, "stage.x", stage.x);
   visit_stage_axis(keys, "stage.z", stage.z);
@@ -212,6 +213,13 @@ void visit_link(KeyVisitor& keys, sim::LinkTiming& link) {
   link = {from_seconds(latency_s), from_seconds(jitter_s)};
 }
 
+void visit_emulator(KeyVisitor& keys, EmulatorConfig& emulator) {
+  keys.section("emulator");
+  keys.text("line", emulator.line, {"real", "ideal"});
+  keys.text("stage_model", emulator.stage_model);
+  keys.text("accelerometer_model", emulator.accelerometer_model);
+}
+
 }  // namespace
 
 std::vector<std::string> stage_driver_names() {
@@ -255,6 +263,7 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   visit_limits(keys, c.limits);
   visit_simulation(keys, c.simulation);
   visit_link(keys, c.link);
+  visit_emulator(keys, c.emulator);
 
   keys.section("");
   keys.list("fault", c.faults, FaultConfig{}, visit_fault);

@@ -65,6 +65,8 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"stage.AXIS.driver",
        {"Driver of this axis where each axis has its own controller; both axes or neither.", ""}},
       {"stage.AXIS.port", {"Port of this axis, with `driver`.", ""}},
+      {"stage.unit",
+       {"Unit in which the axes count, for a controller that does not tell it. Empty: it must tell.", ""}},
       {"stage.AXIS.baud", {"Baud rate of this axis's port. Absent: the driver's usual one.", "Bd"}},
       {"stage.AXIS.address", {"Address of this axis's controller in a daisy chain.", ""}},
       {"accelerometer.driver", {"Driver of the accelerometer.", ""}},
@@ -275,6 +277,17 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Estimator whose result is the result of the run; recorded before the first angle.", ""}},
       {"simulation.link.latency_s", {"What comes back comes later by this time.", ""}},
       {"simulation.link.jitter_s", {"And by up to this more, in order.", ""}},
+      {"emulator.line",
+       {"Serial lines of `abcal emulate` on pseudo-terminals. `real`: at the device's speed, and noise at "
+        "another "
+        "one; `ideal`: bytes are there at once, at any speed.",
+        ""}},
+      {"emulator.stage_model",
+       {"Model of the simulated controller ([emulate](emulate.md#models)). Empty: the usual one.", ""}},
+      {"emulator.accelerometer_model",
+       {"Model of the simulated accelerometer or voltmeter ([emulate](emulate.md#models)). Empty: the usual "
+        "one.",
+        ""}},
       {"fault.kind", {"What goes wrong; [emulate](emulate.md#faults) describes each kind.", ""}},
       {"fault.instrument",
        {"Faults of the wire: the instrument. `stage-x`, `accelerometer-u` and so on where each has its own "
@@ -332,6 +345,8 @@ const std::map<std::string, std::string>& section_texts() {
       {"simulation.x.wobble",
        "Given harmonics of the axis's wobble; may be repeated ([effects](effects.md))."},
       {"simulation.link", "Timing of the simulated links."},
+      {"emulator",
+       "What simulated and emulated instruments are, beyond their driver ([emulate](emulate.md))."},
       {"fault", "A fault that the simulation injects; may be repeated ([emulate](emulate.md#faults))."},
       {"change",
        "From `at_s` on the accelerometer and the room have these properties; may be repeated, in order of "

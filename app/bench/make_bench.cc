@@ -56,6 +56,7 @@ StageSettings stage_settings(const BenchConfig& config, const InstrumentPort& po
   settings.axis_names = port.axis_names(config.stage);
   settings.speed_deg_per_s = {config.stage.x.speed_deg_per_s, config.stage.z.speed_deg_per_s};
   settings.address = port.address;
+  settings.unit = config.stage.unit;
   return settings;
 }
 

@@ -1,8 +1,10 @@
 #include "app/bench/make_firmware.h"
 
+#include <array>
 #include <map>
 #include <sstream>
 #include <stdexcept>
+#include <string_view>
 #include <utility>
 
 #include "sim/firmware/mip_firmware.h"
@@ -29,10 +31,47 @@ Settings stage_firmware_settings(const StageConfig& stage, const InstrumentPort&
   return settings;
 }
 
+/// A model that a driver's firmware can be, and what it changes of the settings.
+template <class Settings>
+struct ModelProfile {
+  std::string_view name;
+  void (*apply)(Settings&);
+};
+
+/// Makes the settings those of `model`; empty: as they are.
+/// @throws std::invalid_argument for one that is not known
+template <class Settings, std::size_t kCount>
+void apply_model(Settings& settings, const std::string& model, std::string_view key,
+                 const std::array<ModelProfile<Settings>, kCount>& profiles) {
+  if (model.empty()) return;
+  std::string known;
+  for (const ModelProfile<Settings>& profile : profiles) {
+    if (profile.name == model) return profile.apply(settings);
+    known += (known.empty() ? "" : ", ") + std::string(profile.name);
+  }
+  throw std::invalid_argument("[emulator] " + std::string(key) + " is \"" + model + "\"; required: one of " +
+                              known + ", or nothing");
+}
+
 std::shared_ptr<sim::Firmware> pi_gcs_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                std::shared_ptr<sim::SimBench> world) {
   auto settings = stage_firmware_settings<sim::PiGcsSettings>(config.stage, port);
   if (!port.address.empty()) settings.address = std::stoi(port.address);
+  using Profile = ModelProfile<sim::PiGcsSettings>;
+  // Which commands each of them knows beyond these is [unverified against a device].
+  static const std::array kModels{Profile{"C-884", [](sim::PiGcsSettings&) {}},
+                                  Profile{"C-863",
+                                          [](sim::PiGcsSettings& s) {
+                                            s.model = "C-863.12";
+                                            s.has_enable = false;
+                                          }},
+                                  Profile{"E-861", [](sim::PiGcsSettings& s) {
+                                            s.model = "E-861";
+                                            s.firmware_version = "7.2.0";
+                                            s.has_enable = s.has_unit_query = false;
+                                            s.short_identity = true;
+                                          }}};
+  apply_model(settings, config.emulator.stage_model, "stage_model", kModels);
   return std::make_shared<sim::PiGcsFirmware>(std::move(world), settings);
 }
 
@@ -42,13 +81,34 @@ std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, const Ins
   if (!config.accelerometer.serial_number.empty())
     settings.serial_number = config.accelerometer.serial_number;
   if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  using Profile = ModelProfile<sim::MipSettings>;
+  static const std::array kModels{Profile{"3DM-GX5-AHRS",
+                                          [](sim::MipSettings& s) {
+                                            s.model_name = "3DM-GX5-AHRS";
+                                            s.modern_commands = false;
+                                          }},
+                                  Profile{"3DM-CV7-AHRS",
+                                          [](sim::MipSettings& s) {
+                                            s.model_name = "3DM-CV7-AHRS";
+                                            s.legacy_commands = false;
+                                          }},
+                                  Profile{"3DM-GV7-AR", [](sim::MipSettings& s) {
+                                            s.model_name = "3DM-GV7-AR";
+                                            s.legacy_commands = false;
+                                          }}};
+  apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
 }
 
 std::shared_ptr<sim::Firmware> newport_esp_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                     std::shared_ptr<sim::SimBench> world) {
-  return std::make_shared<sim::NewportEspFirmware>(
-      std::move(world), stage_firmware_settings<sim::NewportEspSettings>(config.stage, port));
+  auto settings = stage_firmware_settings<sim::NewportEspSettings>(config.stage, port);
+  using Profile = ModelProfile<sim::NewportEspSettings>;
+  static const std::array kModels{
+      Profile{"ESP301", [](sim::NewportEspSettings&) {}},
+      Profile{"ESP300", [](sim::NewportEspSettings& s) { s.version = "ESP300 Version 3.04 07/27/01"; }}};
+  apply_model(settings, config.emulator.stage_model, "stage_model", kModels);
+  return std::make_shared<sim::NewportEspFirmware>(std::move(world), settings);
 }
 
 std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config, const InstrumentPort&,
@@ -57,6 +117,11 @@ std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config, con
   if (!config.accelerometer.serial_number.empty())
     settings.serial_number = config.accelerometer.serial_number;
   if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  using Profile = ModelProfile<sim::VectorNavSettings>;
+  static const std::array kModels{
+      Profile{"VN-100", [](sim::VectorNavSettings&) {}},
+      Profile{"VN-200", [](sim::VectorNavSettings& s) { s.model = "VN-200T-CR"; }}};
+  apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
   return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
 }
 
@@ -83,16 +148,20 @@ std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config, con
 std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config, const InstrumentPort&,
                                                        std::shared_ptr<sim::SimBench> world) {
   sim::ScpiVoltmeterSettings settings;
+  if (!config.emulator.accelerometer_model.empty())
+    settings = sim::scpi_model(config.emulator.accelerometer_model);
   if (!config.accelerometer.serial_number.empty())
     settings.serial_number = config.accelerometer.serial_number;
   return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
 }
 
 /// Three voltmeters of one channel each.
-std::shared_ptr<sim::Firmware> scpi_single_firmware(const BenchConfig&, const InstrumentPort& port,
+std::shared_ptr<sim::Firmware> scpi_single_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                     std::shared_ptr<sim::SimBench> world) {
   sim::ScpiVoltmeterSettings settings;
   settings.family = sim::ScpiFamily::kKeysight34401a;
+  if (!config.emulator.accelerometer_model.empty())
+    settings = sim::scpi_model(config.emulator.accelerometer_model);
   settings.single_channel = port.part;
   settings.serial_number += "uvw"[port.part];
   return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
@@ -112,6 +181,13 @@ std::shared_ptr<sim::Firmware> xsens_mti_firmware(const BenchConfig& config, con
   sim::XsensMtiSettings settings;
   if (!config.accelerometer.serial_number.empty()) settings.device_id = config.accelerometer.serial_number;
   if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  using Profile = ModelProfile<sim::XsensMtiSettings>;
+  static const std::array kModels{
+      Profile{"MTi-3", [](sim::XsensMtiSettings& s) { s.product_code = "MTi-3-8A7G6"; }},
+      Profile{"MTi-30", [](sim::XsensMtiSettings&) {}},
+      Profile{"MTi-300", [](sim::XsensMtiSettings& s) { s.product_code = "MTi-300-2A8G4"; }},
+      Profile{"MTi-680", [](sim::XsensMtiSettings& s) { s.product_code = "MTi-680-8A1G6"; }}};
+  apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
   return std::make_shared<sim::XsensMtiFirmware>(std::move(world), settings);
 }
 
@@ -124,6 +200,10 @@ std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, c
     settings.z_serial_number = settings.serial_number.substr(slash + 1);
     settings.serial_number.resize(slash);
   }
+  using Profile = ModelProfile<sim::ZaberAsciiSettings>;
+  static const std::array kModels{Profile{"X-MCC2", [](sim::ZaberAsciiSettings&) {}},
+                                  Profile{"A-MCB2", [](sim::ZaberAsciiSettings& s) { s.version = "6.28"; }}};
+  apply_model(settings, config.emulator.stage_model, "stage_model", kModels);
   return std::make_shared<sim::ZaberAsciiFirmware>(std::move(world), settings);
 }
 

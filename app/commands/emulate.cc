@@ -74,9 +74,21 @@ sim::TcpPort listening_port(const std::string& port) {
 }
 
 /// Where an instrument is served: on the TCP port that the bench file names, else on a pseudo-terminal.
-sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links) {
+sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links, sim::LineModel line) {
   if (served.port.starts_with("tcp:")) return {served.firmware, listening_port(served.port)};
-  return {served.firmware, sim::PtyLink{links / served.name}};
+  return {served.firmware, sim::PtyLink{links / served.name, line}};
+}
+
+/// Each command that an instrument does not carry out is told when it comes for the first time.
+EmulatorControl::Unserved watch_unserved(const std::vector<Served>& all) {
+  EmulatorControl::Unserved unserved;
+  for (const Served& served : all) {
+    served.firmware->unserved().on_first([name = served.name](const sim::UnservedCommand& each) {
+      print_log("{}: host asked \"{}\": {}\n", name, each.command, each.reaction);
+    });
+    unserved[served.name] = &served.firmware->unserved();
+  }
+  return unserved;
 }
 
 /// Turns the world by the read-back of a real stage until it is destroyed.
@@ -162,14 +174,16 @@ void serve_instruments(const EmulateCommand& command) {
                                                      wire_faults(config.faults, port.name, world->start()),
                                                      config.simulation.seed, config.link)});
   }
+  const sim::LineModel line =
+      config.emulator.line == "ideal" ? sim::LineModel::kIdeal : sim::LineModel::kReal;
   std::vector<sim::Endpoint> endpoints;
   std::map<std::string, sim::FaultyStream*> links;
   for (const Served& served : all) {
-    endpoints.push_back(endpoint(served, command.link_dir));
+    endpoints.push_back(endpoint(served, command.link_dir, line));
     links[served.name] = &served.firmware->link();
   }
   sim::Emulator emulator(std::move(endpoints), clock, command.speed);
-  EmulatorControl control(*world, clock, std::move(links));
+  EmulatorControl control(*world, clock, std::move(links), watch_unserved(all));
   std::optional<ControlServer> control_server;
   if (command.control) control_server.emplace(control, *command.control);
   const std::vector<std::string> addresses = emulator.addresses();

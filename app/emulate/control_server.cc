@@ -31,8 +31,8 @@ Json axis_status(const sim::SimBench& world, StageAxis axis, Clock::Instant now)
 }  // namespace
 
 EmulatorControl::EmulatorControl(sim::SimBench& world, const Clock& clock,
-                                 std::map<std::string, sim::FaultyStream*> links)
-    : world_(world), clock_(clock), links_(std::move(links)) {}
+                                 std::map<std::string, sim::FaultyStream*> links, Unserved unserved)
+    : world_(world), clock_(clock), links_(std::move(links)), unserved_(std::move(unserved)) {}
 
 std::string EmulatorControl::answer(const std::string& line) {
   try {
@@ -62,6 +62,13 @@ std::string EmulatorControl::answer(const std::string& line) {
       for (const sim::WorldFault& fault : world_.faults_at(now)) add(fault.kind, "world");
       for (const auto& [name, link] : links_)
         for (const sim::FaultKind kind : link->active()) add(kind, name);
+      reply["unserved"] = Json::array();
+      for (const auto& [name, commands] : unserved_)
+        for (const sim::UnservedCommand& each : commands->all())
+          reply["unserved"].push_back({{"instrument", name},
+                                       {"command", each.command},
+                                       {"reaction", each.reaction},
+                                       {"count", each.count}});
     } else if (action == "fault") {
       const FaultConfig fault = parse_fault(request.dump());
       if (const auto of_the_world = world_fault(fault, world_.start())) {

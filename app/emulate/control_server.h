@@ -7,6 +7,7 @@
 
 #include "drivers/instrument/clock.h"
 #include "sim/faults.h"
+#include "sim/firmware/unserved_commands.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -14,8 +15,12 @@ namespace abcal {
 /// What `abcal emulate --control` understands: one line of JSON, one line back (docs/emulate.md).
 class EmulatorControl {
  public:
+  /// What hosts asked of an instrument and did not get, by the instrument's name.
+  using Unserved = std::map<std::string, const sim::UnservedCommands*>;
+
   /// `links` are the links of the instruments by name, as [[fault]] calls them; all must outlive this object.
-  EmulatorControl(sim::SimBench& world, const Clock& clock, std::map<std::string, sim::FaultyStream*> links);
+  EmulatorControl(sim::SimBench& world, const Clock& clock, std::map<std::string, sim::FaultyStream*> links,
+                  Unserved unserved = {});
 
   /// @return {"ok": true, ...} or {"ok": false, "error": "..."}; never throws because of a request.
   std::string answer(const std::string& line);
@@ -24,6 +29,7 @@ class EmulatorControl {
   sim::SimBench& world_;
   const Clock& clock_;
   std::map<std::string, sim::FaultyStream*> links_;
+  Unserved unserved_;
 };
 
 /// Serves an EmulatorControl on a TCP port of the loopback interface, in a thread of its own. Several
