@@ -83,8 +83,10 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
   }
   if (data.complete()) data.sha256 = sha256_of_file(path);
   data.results = analyse_all(data.record);
-  if (const CalibrationResult& abc = result_of(data.results, "abc"); abc.verdict != Verdict::kNotUsable)
-    data.budget = make_budget(data.record, abc);
+  data.estimator = declared_estimator(data.record).name;
+  if (const CalibrationResult& result = data.result();
+      result.verdict != Verdict::kNotUsable && result.sensitivity_matrix)
+    data.budget = make_budget(data.record, result);
   return data;
 }
 

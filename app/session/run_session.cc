@@ -73,8 +73,8 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
   FinishedEvent event;
   event.file = outcome.path.string();
   event.complete = true;
-  event.verdict = verdict_words(outcome.results.front().verdict);
-  event.reason = outcome.results.front().why;
+  event.verdict = verdict_words(outcome.result().verdict);
+  event.reason = outcome.result().why;
   event.measured = outcome.stored.measured.size();
   event.planned = outcome.stored.header.plan.size();
   event.measured_before = outcome.measured_before;
@@ -82,6 +82,10 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
 }
 
 }  // namespace
+
+const CalibrationResult& RunOutcome::result() const {
+  return result_of(results, declared_estimator(stored.record).name);
+}
 
 std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path) {
   std::error_code ignored;
@@ -91,7 +95,7 @@ std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path)
   // One that is not closed yet never had results.
   const auto making = RunFile::is_closed(path) ? ResultsFile::Making::kAgain : ResultsFile::Making::kFirst;
   const std::string sha256 = RunFile::finish_closing(path);
-  if (ResultsFile(path, sha256, making).analyses() >= kEstimators.size()) return std::nullopt;
+  if (ResultsFile(path, sha256, making).analyses() >= estimators().size()) return std::nullopt;
   RunOutcome outcome = analyse_complete_run(path);
   keep_analyses(outcome, sha256, format_utc(RealClock().utc_now()), making);
   outcome.measured_before = true;

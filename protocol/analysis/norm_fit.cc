@@ -11,13 +11,13 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -76,7 +76,7 @@ Unknowns start(const Scaled& poses) {
   Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(design);
   qr.setThreshold(kSingular);
   const auto undetermined = [&] {
-    return std::runtime_error(fmt::format(
+    return UnusableData(fmt::format(
         "norm fit: {} poses do not determine the nine unknowns; poses all over the sphere are required", n));
   };
   if (qr.rank() < kUnknowns) throw undetermined();
@@ -129,7 +129,7 @@ Fit fit_norm(const Scaled& poses, const Unknowns& from, double extra) {
     const auto r = qr.matrixR().topLeftCorner<kUnknowns, kUnknowns>().triangularView<Eigen::Upper>();
     fit.reciprocal_condition = std::abs(qr.matrixR()(kUnknowns - 1, kUnknowns - 1) / qr.matrixR()(0, 0));
     if (!(fit.reciprocal_condition > kSingular)) {
-      throw std::runtime_error(fmt::format(
+      throw UnusableData(fmt::format(
           "norm fit: {} poses do not determine the nine unknowns; poses all over the sphere are required",
           n));
     }
@@ -144,7 +144,7 @@ Fit fit_norm(const Scaled& poses, const Unknowns& from, double extra) {
                 (iteration > 3 && change.norm() <= 1e-11 * fit.x.norm());
   }
   if (!converged)
-    throw std::runtime_error("norm fit: did not converge; the readings are not those of gravity alone");
+    throw UnusableData("norm fit: did not converge; the readings are not those of gravity alone");
   return fit;
 }
 
@@ -189,7 +189,7 @@ void estimate(std::span<const Pose> poses, CalibrationResult& result) {
   double size = 0.0;
   for (const Pose& pose : poses) size += (pose.reading - centre).squaredNorm();
   size = std::sqrt(size / static_cast<double>(poses.size()));
-  if (!(size > 1e-12 * centre.norm())) throw std::runtime_error("norm fit: all poses read the same");
+  if (!(size > 1e-12 * centre.norm())) throw UnusableData("norm fit: all poses read the same");
 
   const bool u_known =
       std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.u.has_value(); });
@@ -345,20 +345,19 @@ void analyse_into(std::span<const Pose> poses, CalibrationResult& result) {
   for (std::size_t i = 0; i < poses.size(); ++i) {
     const Pose& pose = poses[i];
     if (!pose.reading.allFinite()) {
-      throw std::invalid_argument(
-          fmt::format("norm fit: pose {}: the reading is not a finite number", i + 1));
+      throw UnusableData(fmt::format("norm fit: pose {}: the reading is not a finite number", i + 1));
     }
     if (pose.u && (!pose.u->allFinite() || !(pose.u->minCoeff() > 0.0))) {
-      throw std::invalid_argument(
+      throw UnusableData(
           fmt::format("norm fit: pose {}: the uncertainty is not a finite number greater than zero", i + 1));
     }
   }
   try {
     if (poses.size() < kUnknowns) {
-      throw std::runtime_error(fmt::format("norm fit: {} poses; nine or more are required", poses.size()));
+      throw UnusableData(fmt::format("norm fit: {} poses; nine or more are required", poses.size()));
     }
     estimate(poses, result);
-  } catch (const std::runtime_error& error) {
+  } catch (const UnusableData& error) {
     result.verdict = Verdict::kNotUsable;
     result.why = error.what();
   }

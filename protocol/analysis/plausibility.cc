@@ -14,6 +14,7 @@
 #include <utility>
 
 #include "protocol/analysis/change_scan.h"
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -406,7 +407,7 @@ std::vector<Check> check_record(const RunRecord& record) {
     check_drift(record, scan, checks);
     // Without what a wrong angle or a slip did to it.
     check_full_scale(record, scan.sensitivity, scan.u_sensitivity, checks);
-  } catch (const std::exception& error) {
+  } catch (const UnusableData& error) {
     checks.push_back(
         {"changes during the run", std::numeric_limits<double>::quiet_NaN(),
          std::numeric_limits<double>::quiet_NaN(), "", true,

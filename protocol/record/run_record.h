@@ -98,11 +98,13 @@ struct RunRecord {
   LimitsConfig limits;
   ExpectedItem expected;
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
-  Angle step = Angle::degrees(5.0);      ///< Desired rotation step D.
-  int steps = 72;                        ///< N.
-  int continuations = 0;                 ///< How often the run was interrupted and went on.
-  int reconnections = 0;                 ///< How often a port vanished, came back, and the run went on.
-  std::vector<DwellRecord> dwells;       ///< In the order of measurement, closing angles included.
+  /// Whose result is the result of the run: chosen before the first angle ("joint"). Empty: not recorded.
+  std::string estimator;
+  Angle step = Angle::degrees(5.0);  ///< Desired rotation step D.
+  int steps = 72;                    ///< N.
+  int continuations = 0;             ///< How often the run was interrupted and went on.
+  int reconnections = 0;             ///< How often a port vanished, came back, and the run went on.
+  std::vector<DwellRecord> dwells;   ///< In the order of measurement, closing angles included.
 };
 
 }  // namespace abcal
