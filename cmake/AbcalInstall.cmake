@@ -128,7 +128,7 @@ another process, or simulated in the program.")
 set(CPACK_DEBIAN_DEV_PACKAGE_NAME libabcal-dev)
 set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS
-  "libeigen3-dev, libfmt-dev, libsqlite3-dev, libssl-dev")
+  "libeigen3-dev, libfmt-dev, libhwy-dev, libsqlite3-dev, libssl-dev, pkgconf")
 set(CPACK_COMPONENT_DEV_DESCRIPTION "estimators of accelerometer calibrations, for C++
 Static libraries, headers and a CMake package with the estimators of abcal:
 find_package(abcal) gives the target abcal::estimators, which computes

@@ -94,7 +94,7 @@ layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h FOREIGN Eigen/)
 layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
 layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
 layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ FOREIGN Eigen/ fmt/ boost/math/)
-layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ boost/math/ Random123/)
+layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ boost/math/ Random123/ hwy/)
 layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/ Random123/ hwy/)
 
 # --- sim -----------------------------------------------------------------------------------------------------------------

@@ -153,7 +153,7 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.section("protocol");
   keys.integer("steps", p.steps, 4, 7200);
   keys.angle("step_deg", p.step, {0.0, 180.0, true});
-  keys.text("estimator", p.estimator, {"abc", "joint", "norm"});
+  keys.text("estimator", p.estimator, {kEstimatorNames.begin(), kEstimatorNames.end()});
   keys.boolean("closing_angle", p.closing_angle);
   keys.boolean("check_poses", p.check_poses);
   keys.angle("approach_deg", p.approach, {0.0, 45.0});

@@ -80,7 +80,7 @@ std::string rounded(double value, double u) {
   if (!(u > 0.0) || !std::isfinite(u)) return fmt::format("{:.6g}", value);
   const int decimals = decimals_for(u);
   if (decimals > 15) return fmt::format("{:.6g}", value);
-  const std::string text = fmt::format("{:.{}f}", value, decimals);
+  const std::string text = with_decimals(value, decimals);
   return text.find_first_of("123456789") == std::string::npos && text.front() == '-' ? text.substr(1) : text;
 }
 

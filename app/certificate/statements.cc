@@ -7,7 +7,6 @@
 
 #include "app/units/dsi_unit.h"
 #include "app/xml/xml_tree.h"
-#include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
 namespace {
@@ -42,33 +41,12 @@ Statement traceability(const Certificate& certificate) {
   return statement;
 }
 
-/// Effects that the stated uncertainties do not cover, by the budget: sources without a line in it, and
-/// outputs for which it is larger, because it attributes harmonics to non-linearity.
+/// Effects that the stated uncertainties do not cover, by the budget: sources without a line in it.
 std::optional<Statement> not_covered(const Certificate& certificate) {
-  constexpr double kMore = 1.1;  // more than the effects of second order and rounding
   const ReportData& data = certificate.run.data;
   if (!data.budget || !certificate.run.has_numbers()) return std::nullopt;
-  const CalibrationResult& result = data.result();
-  const auto of = [&](int k) -> const Quantity& {
-    const auto at = [](int i) { return static_cast<std::size_t>(i); };
-    if (k < kFirstOffset) return (*result.sensitivity_matrix)[at(k / 3)][at(k % 3)];
-    if (k < kFirstIntrinsicSensitivity) return result.offset[at(k - kFirstOffset)];
-    if (k < kFirstIntrinsicAngle) return result.intrinsic_sensitivity[at(k - kFirstIntrinsicSensitivity)];
-    return result.intrinsic_angle[at(k - kFirstIntrinsicAngle)];
-  };
   std::string text =
       fmt::format("Not part of the stated uncertainties: {}.", fmt::join(data.budget->not_covered, "; "));
-  std::string larger;
-  for (int k = 0; k < kStudyOutputs; ++k) {
-    if (data.budget->combined(k) > kMore * of(k).standard_uncertainty)
-      larger += fmt::format("{}u({}) = {:.2g} {}", larger.empty() ? "" : ", ", output_symbol(k),
-                            data.budget->combined(k), of(k).unit);
-  }
-  if (!larger.empty())
-    text +=
-        " If what the harmonics show is taken as non-linearity of the accelerometer, standard uncertainties "
-        "are larger: " +
-        larger + ".";
   return plain("abc_notCovered", "What the uncertainties leave out", text);
 }
 

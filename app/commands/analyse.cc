@@ -63,8 +63,11 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
                    "run file, or CSV of averaged readings (norm: of poses, or a time series)")
       ->required();
   command
-      ->add_option("--estimator", options->estimator,
-                   fmt::format("{} (default: {}; the text shows all)", estimator_choice(), kDefaultEstimator))
+      ->add_option(
+          "--estimator", options->estimator,
+          fmt::format("{} (default: the one chosen before the run, {} where none was; the text shows "
+                      "all)",
+                      estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.result/1");
   command->add_option(
@@ -72,15 +75,16 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
       "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");
   command->callback([options, &exit_code] {
     const std::filesystem::path path = options->file;
-    const std::string estimator = options->estimator.empty() ? kDefaultEstimator : options->estimator;
     LoadedRecord loaded;
     std::error_code error;
-    if (!find_estimator(estimator).needs_angles && std::filesystem::is_regular_file(path, error) &&
-        has_no_angles(path)) {
+    if (!options->estimator.empty() && !find_estimator(options->estimator).needs_angles &&
+        std::filesystem::is_regular_file(path, error) && has_no_angles(path)) {
       loaded.record = import_poses(path).record;
     } else {
       loaded = load_record(path);
     }
+    const std::string estimator =
+        options->estimator.empty() ? declared_estimator(loaded.record).name : options->estimator;
     const CalibrationResult result = analyse(loaded.record, estimator);
     if (loaded.run) keep(path, result);
     exit_code = result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
@@ -96,7 +100,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
       print_result("{}", result_text(result, stdout));
       if (options->estimator.empty()) {
         print_result("\n{}\n{}", emphasised(stdout, Emphasis::kHeading, "Estimators side by side"),
-                     comparison_text(analyse_all(loaded.record)));
+                     comparison_text(analyse_all(loaded.record), estimator));
       }
     }
     if (!options->truth.empty()) {

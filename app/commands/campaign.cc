@@ -115,7 +115,7 @@ void measure_missing(const CampaignOptions& options, const BenchConfig& config,
                                                  .introduce = k == missing.front()});
       const RunOutcome outcome =
           session.start({write_bench(config), options.bench_file, paths[k].string(), false});
-      const CalibrationResult& result = outcome.results.front();
+      const CalibrationResult& result = outcome.result();
       print_log("Run {} of {}: {}: {} ({})\n", k + 1, paths.size(), paths[k].string(),
                 to_string(result.verdict), result.why);
     } catch (...) {
@@ -146,7 +146,8 @@ int run_campaign(const CampaignOptions& options) {
 
   CampaignReport report;
   for (const std::filesystem::path& path : paths) {
-    report.runs.push_back({path, analyse_all(RunFile::load(path).record)});
+    const RunRecord record = RunFile::load(path).record;
+    report.runs.push_back({path, analyse_all(record), declared_estimator(record).name});
   }
   if (options.json) {
     print_result("{}\n", campaign_json(report).dump(2));

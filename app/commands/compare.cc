@@ -13,7 +13,7 @@ namespace abcal {
 CLI::App* add_compare(CLI::App& parent, int& exit_code) {
   struct Options {
     std::vector<std::string> files;
-    std::string estimator = kDefaultEstimator;
+    std::string estimator{kPublishedEstimator};
     CompareOptions compare;
     bool json = false;
   };
@@ -27,7 +27,7 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
       ->expected(2, 10'000);
   command
       ->add_option("--estimator", options->estimator,
-                   fmt::format("of runs and CSVs: {} (default: {})", estimator_choice(), kDefaultEstimator))
+                   fmt::format("of runs and CSVs: {} (default: {})", estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--shared", options->compare.shared_stage,
                     "all were measured on one stage: subtract its common type B from the differences");

@@ -38,7 +38,7 @@ void print_warnings(const BenchConfig& config) {
 }
 
 int print_outcome(const RunOutcome& outcome, bool json) {
-  const CalibrationResult& result = outcome.results.front();
+  const CalibrationResult& result = outcome.result();
   const RunTiming& timing = outcome.stored.timing;
   if (json) {
     nlohmann::ordered_json output = result_json(result);
@@ -54,7 +54,7 @@ int print_outcome(const RunOutcome& outcome, bool json) {
   } else {
     print_result("{}\n{}\n", result_text(result, stdout),
                  emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
-    print_result("{}\n{}\n", comparison_text(outcome.results), timing_text(timing));
+    print_result("{}\n{}\n", comparison_text(outcome.results, result.estimator), timing_text(timing));
     print_result("Run file: {} ({})\n", outcome.path.string(),
                  outcome.sha256.empty() ? "not closed yet" : "SHA-256 " + outcome.sha256);
   }

@@ -190,7 +190,7 @@ Json RunLibrary::compare(const std::filesystem::path& first, const std::filesyst
                          bool shared_stage) {
   std::vector<ComparedResult> results;
   for (const std::filesystem::path& run : {first, second}) {
-    results.push_back(load_compared(run, kDefaultEstimator));
+    results.push_back(load_compared(run, std::string(kPublishedEstimator)));
     results.back().file = run.filename().string();  // A page refers to runs by name.
   }
   CompareOptions options;
@@ -209,7 +209,8 @@ Json RunLibrary::history(const std::string& serial_number) {
       Entry& known = entry(name);
       if (known.summary["item"] != serial_number || known.summary["state"] != "complete") continue;
       if (!known.intrinsic) {
-        const CalibrationResult result = analyse(RunFile::load(folder_ / name).record, kDefaultEstimator);
+        const CalibrationResult result =
+            analyse(RunFile::load(folder_ / name).record, std::string(kPublishedEstimator));
         known.intrinsic = Json{{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
       }
       Json point = {{"name", name}, {"created_utc", known.summary["created_utc"]}};

@@ -36,8 +36,8 @@ class RunLibrary {
   /// @throws as load_compared() and compare_results()
   static nlohmann::ordered_json compare(const std::filesystem::path& first,
                                         const std::filesystem::path& second, bool shared_stage);
-  /// The results of the default estimator of every complete run of one item, oldest first, with the limits of
-  /// a control chart of single values.
+  /// The results of the published protocol of every complete run of one item, oldest first, with the limits
+  /// of a control chart of single values.
   nlohmann::ordered_json history(const std::string& serial_number);
 
  private:

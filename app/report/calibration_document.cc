@@ -21,6 +21,8 @@ namespace {
 constexpr std::array<char, 3> kAccelerometers{'u', 'v', 'w'};
 constexpr const char* kNotStated = "not stated";
 constexpr const char* kNone = "-";
+/// A coverage factor that differs by less from the common one is printed as that.
+constexpr double kToldCoverageFactor = 0.005;
 
 std::string or_not_stated(const std::string& text) {
   return text.empty() ? kNotStated : text;
@@ -212,41 +214,28 @@ const char* group_of(const std::string& name) {
                           : "Intrinsic sensitivities";
 }
 
+/// Whether an output has so few degrees of freedom that its coverage factor is not the common one.
+bool own_coverage_factors(const CalibrationResult& result) {
+  const std::vector<NamedQuantity> all = outputs(result);
+  return std::any_of(all.begin(), all.end(), [](const NamedQuantity& output) {
+    return std::isfinite(output.quantity.standard_uncertainty) &&
+           std::abs(coverage_factor(output.quantity) - kCoverageFactor) > kToldCoverageFactor;
+  });
+}
+
 /// Value and expanded uncertainty to two digits of the latter (ILAC-P14).
 std::vector<std::string> result_row(const NamedQuantity& output) {
   const Quantity& q = output.quantity;
   if (!std::isfinite(q.value)) return {output.name, "not determined", kNone, kNone, kNone, kNone, q.unit};
-  const double expanded = kCoverageFactor * q.standard_uncertainty;
+  const double expanded = coverage_factor(q) * q.standard_uncertainty;
   const int decimals = decimals_for(expanded);
   return {output.name,
-          fmt::format("{:+.{}f}", q.value, decimals),
-          std::isfinite(expanded) ? fmt::format("{:.{}f}", expanded, decimals) : kNone,
+          with_decimals(q.value, decimals, true),
+          std::isfinite(expanded) ? with_decimals(expanded, decimals) : kNone,
           two_digits(q.standard_uncertainty),
           two_digits(q.type_a),
           two_digits(q.type_b),
           q.unit};
-}
-
-/// Where the budget gives a larger uncertainty than the result, in words; empty if nowhere.
-std::string larger_in_budget(const ReportData& data) {
-  constexpr double kMore = 1.1;  // more than the effects of second order and rounding
-  if (!data.budget) return {};
-  std::string list;
-  const std::vector<NamedQuantity> named = outputs(data.result());
-  for (int k = 0; k < kStudyOutputs; ++k) {
-    const auto found = std::find_if(named.begin(), named.end(),
-                                    [&](const NamedQuantity& q) { return q.name == output_symbol(k); });
-    const double u = found->quantity.standard_uncertainty;
-    if (data.budget->combined(k) > kMore * u)
-      list +=
-          fmt::format("{}u({}) = {:.1e}", list.empty() ? "" : ", ", found->name, data.budget->combined(k));
-  }
-  if (list.empty()) return {};
-  return "The uncertainties above cover the readings, the tolerances of the stage and the drift. The budget "
-         "below also attributes harmonics 2 and 3 to non-linearity of the accelerometer, although step "
-         "errors "
-         "of the stage cause harmonics as well. It then gives larger standard uncertainties: " +
-         list + ". Use these unless the linearity of the accelerometer is known from another measurement.";
 }
 
 Section result_section(const ReportData& data) {
@@ -267,21 +256,28 @@ Section result_section(const ReportData& data) {
                          {"type B", CellKind::kNumber},
                          {"unit", CellKind::kUnit}},
                         {}};
+    const bool own_factors = own_coverage_factors(result);
+    if (own_factors) {
+      table.columns[2].heading = "expanded unc. U";
+      table.columns.push_back({"k", CellKind::kNumber});
+    }
     std::string group;
     for (const NamedQuantity& output : outputs(result)) {
       if (group != group_of(output.name)) table.rows.push_back({group = group_of(output.name)});
       table.rows.push_back(result_row(output));
+      if (own_factors) table.rows.back().push_back(formatted(coverage_factor(output.quantity), "{:.2f}"));
     }
     section.blocks.push_back(std::move(table));
     section.blocks.push_back(Paragraph{fmt::format(
-        "The expanded uncertainty is U = k u with the coverage factor k = {:g}, which for a normal "
-        "distribution "
-        "corresponds to a coverage probability of approximately {:g} %. u: standard uncertainty, of type A "
-        "(from "
-        "the scatter of the readings) and type B (from the tolerances of the stage and the drift) combined.",
-        kCoverageFactor, 100.0 * kCoverageProbability)});
-    if (const std::string larger = larger_in_budget(data); !larger.empty())
-      section.blocks.push_back(Paragraph{larger});
+        "The expanded uncertainty is U = k u with {}. u: standard uncertainty, of type A (from the scatter "
+        "of "
+        "the readings) and type B (from what is stated of the stage and the item) combined.",
+        own_factors
+            ? fmt::format("the coverage factor k of Student's distribution with the degrees of freedom "
+                          "of each output, for a coverage probability of 95.45 %")
+            : fmt::format("the coverage factor k = {:g}, which for a normal distribution corresponds to "
+                          "a coverage probability of approximately {:g} %",
+                          kCoverageFactor, 100.0 * kCoverageProbability))});
   }
   if (!result.diagnostics.notes.empty()) section.blocks.push_back(BulletList{result.diagnostics.notes});
   return section;
@@ -403,7 +399,7 @@ Section plausibility_section(const Diagnostics& d) {
 }
 
 Section fits_section(const ReportData& data) {
-  const CalibrationResult& result = data.result();
+  const CalibrationResult& result = result_of(data.results, kPublishedEstimator);
   const std::string& unit = result.response_unit;
   DocumentTable table{
       fmt::format(
@@ -476,12 +472,13 @@ Section stage_section(const RunRecord& record, const JointResult& joint) {
 
 Section budget_section(const ReportData& data) {
   const Budget& budget = *data.budget;
-  Section section{"Uncertainty budget",
-                  {Paragraph{"To first order (JCGM 100), for the output with the largest uncertainty of each "
-                             "kind."}}};
+  Section section{
+      "Uncertainty budget",
+      {Paragraph{fmt::format("Of the {} estimator, to first order (JCGM 100), for the output with "
+                             "the largest uncertainty of each kind.",
+                             data.estimator)}}};
   const auto bare = [](double value) { return formatted(value, "{:.2e}"); };
-  constexpr double kRounding =
-      1e-9;  // of the combined uncertainty: smaller contributions are rounding errors
+  constexpr double kRounding = 1e-9;  // of the combined uncertainty: smaller contributions are rounding errors
   for (const int k : worst_of_each_kind(budget.combined)) {
     DocumentTable table{fmt::format("{} ({})", output_symbol(k), output_unit(k, data.record.response_unit)),
                         {{"input", CellKind::kSymbol},
@@ -585,9 +582,11 @@ Document calibration_document(const ReportData& data) {
   const CalibrationResult& result = data.result();
   if (result.verdict != Verdict::kNotUsable) {
     document.sections.push_back(estimators_section(data));
-    const Section closures = closures_section(result.diagnostics, result.response_unit);
+    // The fits of the published protocol show the stage, whichever estimator is reported.
+    const CalibrationResult& published = result_of(data.results, kPublishedEstimator);
+    const Section closures = closures_section(published.diagnostics, published.response_unit);
     if (!closures.blocks.empty()) document.sections.push_back(closures);
-    if (!result.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
+    if (!published.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
     for (const CalibrationResult& each : data.results) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
         document.sections.push_back(stage_section(data.record, *each.joint));

@@ -26,9 +26,13 @@ std::string digits(double value) {
 
 }  // namespace
 
+const CalibrationResult& CampaignReport::Run::result() const {
+  return result_of(results, estimator);
+}
+
 bool CampaignReport::usable() const {
   return std::all_of(runs.begin(), runs.end(),
-                     [](const Run& run) { return result_of(run.results).verdict != Verdict::kNotUsable; });
+                     [](const Run& run) { return run.result().verdict != Verdict::kNotUsable; });
 }
 
 std::vector<CampaignSummary> CampaignReport::summaries() const {
@@ -47,7 +51,7 @@ std::string campaign_text(const CampaignReport& report, std::FILE* stream) {
       emphasised(stream, Emphasis::kHeading, fmt::format("Campaign of {} runs", report.runs.size())) + "\n";
   for (std::size_t k = 0; k < report.runs.size(); ++k) {
     const CampaignReport::Run& run = report.runs[k];
-    const CalibrationResult& result = result_of(run.results);
+    const CalibrationResult& result = run.result();
     text += fmt::format("  {:>3}  {}: {} ({})\n", k + 1, run.path.string(), to_string(result.verdict),
                         result.why);
   }
@@ -80,7 +84,7 @@ std::string campaign_text(const CampaignReport& report, std::FILE* stream) {
 Json campaign_json(const CampaignReport& report) {
   Json runs = Json::array();
   for (const CampaignReport::Run& run : report.runs) {
-    const CalibrationResult& result = result_of(run.results);
+    const CalibrationResult& result = run.result();
     runs.push_back(
         {{"file", run.path.string()}, {"verdict", to_string(result.verdict)}, {"why", result.why}});
   }

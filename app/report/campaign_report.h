@@ -15,7 +15,9 @@ namespace abcal {
 struct CampaignReport {
   struct Run {
     std::filesystem::path path;
-    std::vector<CalibrationResult> results;
+    std::vector<CalibrationResult> results;  ///< The same estimators in the same order for every run.
+    std::string estimator;                   ///< Whose result is reported.
+    const CalibrationResult& result() const;
   };
   std::vector<Run> runs;
 

@@ -41,7 +41,7 @@ const FitDiagnostic* find_fit(const CalibrationResult& result, int experiment, i
 }  // namespace
 
 Figure response_figure(const ReportData& data, int experiment) {
-  const CalibrationResult& result = data.result();
+  const CalibrationResult& result = result_of(data.results, kPublishedEstimator);
   std::string readings, residuals;
   bool with_u = false;
   for (const DwellRecord& dwell : data.record.dwells) {

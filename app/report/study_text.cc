@@ -6,6 +6,8 @@
 #include <cmath>
 #include <optional>
 
+#include "app/results/result_text.h"
+
 namespace abcal {
 namespace {
 
@@ -222,11 +224,15 @@ std::string study_text(const RunUncertainty& study) {
       const CoverageInterval& symmetric = study.combined.coverage[static_cast<std::size_t>(k)].symmetric;
       interval = fmt::format("{} {}", study_number(symmetric.low), study_number(symmetric.high));
     }
-    text += fmt::format("  {:<8}{:>+16.8g} {:>10.2e} {:>10.2e} {:>10.2e}  {:<24}{}\n", output_symbol(k),
-                        to_vector(study.value)(k), b.standard_deviation(k), std::sqrt(readings(k)),
-                        study.standard_uncertainty(k), interval, output_unit(k, study.response_unit));
+    const int decimals = decimals_for(study.standard_uncertainty(k));
+    text += fmt::format("  {:<8}{:>16} {:>10.2e} {:>10.2e} {:>10.2e}  {:<24}{}\n", output_symbol(k),
+                        with_decimals(to_vector(study.value)(k), decimals, true), b.standard_deviation(k),
+                        std::sqrt(readings(k)), study.standard_uncertainty(k), interval,
+                        output_unit(k, study.response_unit));
   }
-  text += "  u others: readings, drift, resolution and non-linearity, to first order; combined: Monte Carlo";
+  text +=
+      "  u type B: alignment, turns, zeros and steps, by the published equations; u others: readings and all "
+      "other effects, to first order; combined: Monte Carlo";
   text += study.paper_preset ? " for the interval, the paper's bounds for u.\n" : " of the whole budget.\n";
   text += wrapped(study.combined.note, "  ");
 

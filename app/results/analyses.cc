@@ -5,12 +5,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
-#include <system_error>
 
 #include "app/results/effect_words.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/plausibility.h"
+#include "protocol/analysis/unusable_data.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -27,16 +26,11 @@ CalibrationResult refused(const RunRecord& record, const std::string& estimator,
   return result;
 }
 
-/// The analysis refuses a record with std::invalid_argument (what the record holds) or std::runtime_error
-/// (what it does not determine). A std::system_error and the other std::logic_errors are no refusals.
+/// A refusal of the record is a result; every other exception is a fault of the program.
 CalibrationResult estimate(const RunRecord& record, const Estimator& estimator) {
   try {
     return estimator.fit(record);
-  } catch (const std::system_error&) {
-    throw;
-  } catch (const std::invalid_argument& error) {
-    return refused(record, estimator.name, error.what());
-  } catch (const std::runtime_error& error) {
+  } catch (const UnusableData& error) {
     return refused(record, estimator.name, error.what());
   }
 }
@@ -94,8 +88,10 @@ CalibrationResult analyse(const RunRecord& record, const Estimator& estimator) {
 std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
   std::vector<CalibrationResult> results;
   const std::vector<Check> of_the_record = check_record(record);
+  const Estimator& declared = declared_estimator(record);
+  results.push_back(checked(record, declared, of_the_record));
   for (const Estimator& estimator : estimators()) {
-    results.push_back(checked(record, estimator, of_the_record));
+    if (&estimator != &declared) results.push_back(checked(record, estimator, of_the_record));
   }
   return results;
 }

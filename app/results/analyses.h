@@ -16,11 +16,8 @@ namespace abcal {
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator);
 CalibrationResult analyse(const RunRecord& record, const Estimator& estimator);
 
-/// Every estimator of the list: the independent check of every run.
+/// Every estimator of the list, the declared one first: the others are the independent check of every run.
 std::vector<CalibrationResult> analyse_all(const RunRecord& record);
-
-/// The names of all estimators.
-inline const std::vector<std::string>& kEstimators = estimator_names();
 
 /// Every output compared with the truth of a simulated bench: the difference in standard uncertainties.
 struct TruthComparison {

@@ -60,6 +60,10 @@ const Estimator& find_estimator(std::string_view name) {
   throw std::invalid_argument(fmt::format("estimator \"{}\"; required: {}", name, estimator_choice()));
 }
 
+const Estimator& declared_estimator(const RunRecord& record) {
+  return find_estimator(record.estimator.empty() ? kPublishedEstimator : std::string_view(record.estimator));
+}
+
 const CalibrationResult& result_of(const std::vector<CalibrationResult>& results,
                                    std::string_view estimator) {
   const auto found = std::find_if(results.begin(), results.end(), [&](const CalibrationResult& result) {

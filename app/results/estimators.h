@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "protocol/analysis/calibration_result.h"
+#include "protocol/plan/run_config.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {
@@ -34,11 +35,12 @@ std::string estimator_choice();
 /// @throws std::invalid_argument for a name that is not in the list
 const Estimator& find_estimator(std::string_view name);
 
-/// The estimator that is reported where none is asked for.
-inline constexpr const char* kDefaultEstimator = "abc";
+/// The estimator whose result is the result of the record: the one chosen before its first angle, and the
+/// published protocol where none was recorded.
+/// @throws std::invalid_argument for one that this program does not know
+const Estimator& declared_estimator(const RunRecord& record);
 
 /// The result of one estimator among those of a record. @throws std::logic_error if there is none
-const CalibrationResult& result_of(const std::vector<CalibrationResult>& results,
-                                   std::string_view estimator = kDefaultEstimator);
+const CalibrationResult& result_of(const std::vector<CalibrationResult>& results, std::string_view estimator);
 
 }  // namespace abcal

@@ -83,13 +83,15 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
   }
   if (data.complete()) data.sha256 = sha256_of_file(path);
   data.results = analyse_all(data.record);
+  data.estimator = declared_estimator(data.record).name;
   if (data.run) {
     for (IntegrityCheck& check :
          recompute(path, *data.run, data.bench ? &*data.bench : nullptr, data.results))
       data.integrity.push_back(std::move(check));
   }
-  if (const CalibrationResult& abc = result_of(data.results, "abc"); abc.verdict != Verdict::kNotUsable)
-    data.budget = make_budget(data.record, abc);
+  if (const CalibrationResult& result = data.result();
+      result.verdict != Verdict::kNotUsable && result.sensitivity_matrix)
+    data.budget = make_budget(data.record, result);
   return data;
 }
 

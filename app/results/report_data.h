@@ -23,14 +23,14 @@ inline constexpr double kCoverageProbability = 0.95;
 
 /// Everything known about one record, gathered once for the report, the certificate and the console.
 struct ReportData {
-  std::filesystem::path path;                 ///< The run file or CSV.
-  RunRecord record;                           ///< What was analysed.
-  std::optional<StoredRun> run;               ///< Absent for a CSV.
-  std::optional<BenchConfig> bench;           ///< As it was at the run. Absent for a CSV, and if unreadable.
-  std::string bench_unreadable;               ///< Why the bench file of a run cannot be read; empty: it can.
-  std::vector<CalibrationResult> results;     ///< One an estimator; a refusal is a result too.
-  std::string estimator = kDefaultEstimator;  ///< Whose result is reported; the others are its check.
-  std::optional<Budget> budget;               ///< Of the ABC result; absent where that is not usable.
+  std::filesystem::path path;                  ///< The run file or CSV.
+  RunRecord record;                            ///< What was analysed.
+  std::optional<StoredRun> run;                ///< Absent for a CSV.
+  std::optional<BenchConfig> bench;            ///< As it was at the run. Absent for a CSV, and if unreadable.
+  std::string bench_unreadable;                ///< Why the bench file of a run cannot be read; empty: it can.
+  std::vector<CalibrationResult> results;      ///< One an estimator; a refusal is a result too.
+  std::string estimator{kPublishedEstimator};  ///< Whose result is reported; the others are its check.
+  std::optional<Budget> budget;                ///< Of the reported result; absent where that has no matrix.
   /// SHA-256 of the raw data: of the closed run file, or of the CSV. Absent while a run is not closed, since
   /// its file still changes.
   std::optional<std::string> sha256;

@@ -15,10 +15,26 @@ Json quantity(const Quantity& q) {
           {"unit", q.unit}};
 }
 
+/// An output of the result: with its degrees of freedom (null: infinite) and the factor k of U = k u.
+Json output_quantity(const Quantity& q) {
+  Json json = quantity(q);
+  json["degrees_of_freedom"] = json_number(q.degrees_of_freedom);
+  json["coverage_factor"] =
+      std::isfinite(q.standard_uncertainty) ? json_number(coverage_factor(q)) : Json(nullptr);
+  return json;
+}
+
 template <class Range>
 Json quantities(const Range& range) {
   Json list = Json::array();
   for (const Quantity& q : range) list.push_back(quantity(q));
+  return list;
+}
+
+template <class Range>
+Json output_quantities(const Range& range) {
+  Json list = Json::array();
+  for (const Quantity& q : range) list.push_back(output_quantity(q));
   return list;
 }
 
@@ -113,14 +129,14 @@ Json result_json(const CalibrationResult& result) {
   json["g_loc"]["source"] = result.g_loc_source;
   if (result.sensitivity_matrix) {
     Json rows = Json::array();
-    for (const auto& row : *result.sensitivity_matrix) rows.push_back(quantities(row));
+    for (const auto& row : *result.sensitivity_matrix) rows.push_back(output_quantities(row));
     json["sensitivity_matrix"] = std::move(rows);
   } else {
     json["sensitivity_matrix"] = nullptr;
   }
-  json["offset"] = quantities(result.offset);
-  json["intrinsic_sensitivity"] = quantities(result.intrinsic_sensitivity);
-  json["intrinsic_angle"] = quantities(result.intrinsic_angle);
+  json["offset"] = output_quantities(result.offset);
+  json["intrinsic_sensitivity"] = output_quantities(result.intrinsic_sensitivity);
+  json["intrinsic_angle"] = output_quantities(result.intrinsic_angle);
   json["covariance"] = matrix(result.covariance);
   json["covariance_intrinsic"] = matrix(result.covariance_intrinsic);
   json["diagnostics"] = diagnostics(result.diagnostics);

@@ -15,7 +15,17 @@ namespace abcal {
 int decimals_for(double uncertainty) {
   if (!(uncertainty > 0.0) || !std::isfinite(uncertainty)) return 9;
   constexpr double kRoundedUp = 0.995;  // 9.95 and more are 10 in two digits
-  return std::clamp(1 - static_cast<int>(std::floor(std::log10(uncertainty / kRoundedUp))), 0, 17);
+  return std::clamp(1 - static_cast<int>(std::floor(std::log10(uncertainty / kRoundedUp))), -17, 17);
+}
+
+std::string with_decimals(double value, int decimals, bool with_sign) {
+  double shown = value;
+  if (decimals < 0) {
+    const double unit = std::pow(10.0, -decimals);
+    shown = std::round(value / unit) * unit;
+  }
+  return with_sign ? fmt::format("{:+.{}f}", shown, std::max(0, decimals))
+                   : fmt::format("{:.{}f}", shown, std::max(0, decimals));
 }
 
 namespace {
@@ -26,7 +36,7 @@ constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
 
 std::string uncertainty_text(const std::optional<double>& u, int decimals) {
   if (!u || !std::isfinite(*u)) return "-";
-  return fmt::format("{:.{}f}", *u, decimals);
+  return with_decimals(*u, decimals);
 }
 
 /// A part of an uncertainty with two significant digits: a small type A next to a large type B is not zero.
@@ -40,9 +50,9 @@ void row(std::string& text, const std::string& name, const Quantity& q) {
     return;
   }
   const int decimals = decimals_for(q.standard_uncertainty);
-  text += fmt::format("  {:<8} {:>+16.{}f} {:>14} {:>14} {:>14}  {}\n", name, q.value, decimals,
-                      uncertainty_text(q.standard_uncertainty, decimals), part_text(q.type_a),
-                      part_text(q.type_b), q.unit);
+  text += fmt::format(
+      "  {:<8} {:>16} {:>14} {:>14} {:>14}  {}\n", name, with_decimals(q.value, decimals, true),
+      uncertainty_text(q.standard_uncertainty, decimals), part_text(q.type_a), part_text(q.type_b), q.unit);
 }
 
 void stage_errors(std::string& text, const JointResult& joint) {
@@ -107,7 +117,8 @@ std::string verdict_words(Verdict verdict) {
 std::string value_with_uncertainty(const Quantity& q) {
   if (!std::isfinite(q.value)) return "not determined";
   const int decimals = decimals_for(q.standard_uncertainty);
-  return fmt::format("{:+.{}f} +- {}", q.value, decimals, uncertainty_text(q.standard_uncertainty, decimals));
+  return fmt::format("{} +- {}", with_decimals(q.value, decimals, true),
+                     uncertainty_text(q.standard_uncertainty, decimals));
 }
 
 namespace {

@@ -20,8 +20,11 @@ struct NamedQuantity {
 /// offsets. A value that an estimator does not give is NaN.
 std::vector<NamedQuantity> outputs(const CalibrationResult& result);
 
-/// Decimals that show two digits of the uncertainty.
+/// Decimals that show two digits of the uncertainty; negative from 99.5 on: -1 for tens.
 int decimals_for(double uncertainty);
+
+/// A number rounded to that place: 1234.5 with -2 decimals is "1200".
+std::string with_decimals(double value, int decimals, bool with_sign = false);
 
 /// "not usable", "doubtful", "usable".
 std::string verdict_words(Verdict verdict);
@@ -37,7 +40,6 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream);
 
 /// Several estimators of one run side by side, with their differences from the one that is reported in units
 /// of the combined standard uncertainty.
-std::string comparison_text(const std::vector<CalibrationResult>& results,
-                            std::string_view estimator = kDefaultEstimator);
+std::string comparison_text(const std::vector<CalibrationResult>& results, std::string_view estimator);
 
 }  // namespace abcal

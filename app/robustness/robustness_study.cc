@@ -18,8 +18,8 @@
 namespace abcal {
 namespace {
 
-constexpr std::size_t kOutputs = 18;             // s row by row, O, intrinsic s, phi
-constexpr double kNormal95 = 1.959963984540054;  // 97.5 % quantile of N(0, 1)
+constexpr std::size_t kOutputs = 18;  // s row by row, O, intrinsic s, phi
+constexpr double kNominal = 0.95;     // coverage probability of the intervals
 
 /// Errors and stated uncertainties of one result.
 struct RunOutcome {
@@ -36,7 +36,7 @@ std::size_t group_of(std::size_t output) {
 void add_output(RunOutcome& outcome, std::size_t output, const Quantity& found, double truth) {
   outcome.error[output] = found.value - truth;
   outcome.u[output] = found.standard_uncertainty;
-  outcome.half_width[output] = kNormal95 * found.standard_uncertainty;
+  outcome.half_width[output] = coverage_factor(found, kNominal) * found.standard_uncertainty;
 }
 
 RunOutcome outcome_of(const CalibrationResult& result, const sim::TrueLineResponse& truth) {

@@ -109,7 +109,7 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   label("item.filter", config.item.filter);
   label("item.firmware", config.item.firmware);
   label("item.supply", config.item.supply);
-  label("protocol.estimator", config.protocol.estimator);
+  label(std::string(kEstimatorLabel), config.protocol.estimator);
   header.instruments = {identity(identities.stage), identity(identities.accelerometer)};
   header.items = {item_of(config, identities.accelerometer)};
   header.response_unit = identities.accelerometer.output_unit;

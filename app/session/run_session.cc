@@ -104,8 +104,8 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
   event.file = outcome.path.string();
   event.complete = true;
   if (!outcome.results.empty()) {
-    event.verdict = verdict_words(outcome.results.front().verdict);
-    event.reason = outcome.results.front().why;
+    event.verdict = verdict_words(outcome.result().verdict);
+    event.reason = outcome.result().why;
   }
   event.measured = outcome.stored.measured.size();
   event.planned = outcome.stored.header.plan.size();
@@ -115,6 +115,10 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
 
 }  // namespace
 
+const CalibrationResult& RunOutcome::result() const {
+  return result_of(results, declared_estimator(stored.record).name);
+}
+
 std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path,
                                               const std::function<void(const RunOutcome&)>& result_listener) {
   std::error_code ignored;
@@ -122,7 +126,7 @@ std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path,
     return std::nullopt;
   }
   const bool was_closed = RunFile::is_closed(path);
-  if (was_closed && ResultsFile(path, RunFile::finish_closing(path)).analyses() >= kEstimators.size()) {
+  if (was_closed && ResultsFile(path, RunFile::finish_closing(path)).analyses() >= estimators().size()) {
     return std::nullopt;
   }
   RunOutcome outcome = load_complete_run(path);

@@ -24,9 +24,11 @@ struct RunOutcome {
   std::filesystem::path path;
   std::string sha256;  ///< Of the closed file; empty: readers keep the file open, it is closed later.
   StoredRun stored;
-  std::vector<CalibrationResult>
-      results;                   ///< One an estimator, in the order of kEstimators. Levelling: none.
-  bool measured_before = false;  ///< Nothing was measured now: only closed and analysed.
+  std::vector<CalibrationResult> results;  ///< One an estimator, the declared one first. Levelling: none.
+  bool measured_before = false;            ///< Nothing was measured now: only closed and analysed.
+
+  /// Of the estimator that was chosen before the first angle. Not for a levelling.
+  const CalibrationResult& result() const;
 };
 
 /// Owns the life of a run: opens the bench, identifies, plans, begins or resumes, measures, closes, analyses.

@@ -121,7 +121,8 @@ struct Estimate {
   FitTable fits;
   AbcCoefficients coefficients;
   std::array<std::optional<double>, 3>
-      reading_variance;  // from the residuals; absent where weighted or no redundancy
+      reading_variance;                  // from the residuals; absent where weighted or no redundancy
+  std::array<int, 3> reading_degrees{};  ///< Degrees of freedom of reading_variance.
   std::optional<Covariance27> covariance_a;
   Covariance27 covariance_b;
   std::vector<InputEffect> effects;            ///< All but k2 and k3.
@@ -139,8 +140,7 @@ std::string not_determined(const ReadingSeries& series, const char* reason) {
 }
 
 // Variance of a reading of each accelerometer from the residuals of its three fits together.
-std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits, const CurvatureFit& curvature) {
-  std::array<std::optional<double>, 3> variances;
+void pool_variances(const FitTable& fits, const CurvatureFit& curvature, Estimate& estimate) {
   for (std::size_t j = 0; j < 3; ++j) {
     double sum_squares = 0.0;
     int degrees_of_freedom = 0;
@@ -153,9 +153,9 @@ std::array<std::optional<double>, 3> pooled_variances(const FitTable& fits, cons
       const Eigen::Index k = 2 * static_cast<Eigen::Index>(j) + m;
       if (curvature.cofactor()(k, k) > 0.0) --degrees_of_freedom;
     }
-    if (degrees_of_freedom > 0) variances[j] = sum_squares / degrees_of_freedom;
+    estimate.reading_degrees[j] = std::max(0, degrees_of_freedom);
+    if (degrees_of_freedom > 0) estimate.reading_variance[j] = sum_squares / degrees_of_freedom;
   }
-  return variances;
 }
 
 // Type A covariance of one fit; absent where nothing tells the scatter of a reading.
@@ -259,6 +259,24 @@ Covariance27 type_b_of_coefficients(const Estimate& estimate, double resolution)
   return covariance;
 }
 
+/// Effective degrees of freedom (Welch-Satterthwaite, JCGM 100 G.4.1) of a linear combination of the twelve
+/// outputs: those of type A where it rests on the residuals, infinite those of type B and of stated noise.
+double effective_degrees(const Estimate& estimate, const Eigen::Matrix<double, 1, 12>& by_output,
+                         double variance) {
+  if (!estimate.output_covariance_a) return std::numeric_limits<double>::infinity();
+  double sum = 0.0;
+  for (int j = 0; j < 3; ++j) {
+    const auto nu = estimate.reading_degrees[static_cast<std::size_t>(j)];
+    if (nu == 0) continue;  // stated noise
+    Eigen::Matrix<double, 1, 12> own = Eigen::Matrix<double, 1, 12>::Zero();
+    own.segment<3>(3 * j) = by_output.segment<3>(3 * j);
+    own(offset_index(j)) = by_output(offset_index(j));
+    const double part = own.dot(*estimate.output_covariance_a * own.transpose());
+    sum += part * part / nu;
+  }
+  return sum > 0.0 ? variance * variance / sum : std::numeric_limits<double>::infinity();
+}
+
 void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
   result.covariance_type_a = estimate.output_covariance_a;
   result.covariance_type_b = estimate.output_covariance_b;
@@ -278,6 +296,11 @@ void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
                                 ? result.response_unit + "/g_loc"
                                 : "(" + result.response_unit + ")/g_loc";
   const IntrinsicProperties intrinsic = intrinsic_properties(s);
+  using Row = Eigen::Matrix<double, 1, 12>;
+  const auto set_degrees = [&](Quantity& quantity, const Row& by_output) {
+    quantity.degrees_of_freedom =
+        effective_degrees(estimate, by_output, quantity.standard_uncertainty * quantity.standard_uncertainty);
+  };
   result.sensitivity_matrix.emplace();
   for (int j = 0; j < 3; ++j) {
     const auto row = static_cast<std::size_t>(j);
@@ -285,6 +308,7 @@ void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
       const Eigen::Index i = s_index(j, k);
       (*result.sensitivity_matrix)[row][static_cast<std::size_t>(k)] = quantity(
           s(j, k), variance_at(result.covariance_type_a, i), variance_at(result.covariance_type_b, i), per_g);
+      set_degrees((*result.sensitivity_matrix)[row][static_cast<std::size_t>(k)], Row::Unit(i));
     }
     result.offset[row] =
         quantity(estimate.outputs(offset_index(j)), variance_at(result.covariance_type_a, offset_index(j)),
@@ -295,6 +319,9 @@ void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
     result.intrinsic_angle[row] =
         quantity(intrinsic.angle_deg(j), variance_at(result.covariance_intrinsic_type_a, 3 + j),
                  variance_at(result.covariance_intrinsic_type_b, 3 + j), "degree");
+    set_degrees(result.offset[row], Row::Unit(offset_index(j)));
+    set_degrees(result.intrinsic_sensitivity[row], jacobian.row(j));
+    set_degrees(result.intrinsic_angle[row], jacobian.row(3 + j));
   }
 }
 
@@ -677,8 +704,7 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
     const ReadingSeries& series = estimate.cleaned[i];
     estimate.cleaned_fits[i] = fit_harmonics(series.alpha, series.readings, series.u, 1);
   }
-  if (!selection.with_uncertainty)
-    estimate.reading_variance = pooled_variances(estimate.cleaned_fits, *estimate.curvature);
+  if (!selection.with_uncertainty) pool_variances(estimate.cleaned_fits, *estimate.curvature, estimate);
   estimate.covariance_a = type_a_of_coefficients(estimate.fits, estimate.reading_variance);
   std::string reason = dead_output(estimate);
   if (!reason.empty()) return reason;

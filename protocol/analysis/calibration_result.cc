@@ -1,17 +1,18 @@
 #include "protocol/analysis/calibration_result.h"
 
+#include <boost/math/distributions/normal.hpp>
 #include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <cstddef>
 
 namespace abcal {
 
-double coverage_factor(const Quantity& quantity) {
-  constexpr double kOutside = 0.0455002638963584;  // of two standard deviations of a normal distribution
+double coverage_factor(const Quantity& quantity, double probability) {
+  const double outside = 0.5 * (1.0 - probability);
   const double degrees = quantity.degrees_of_freedom;
   if (!(degrees >= 1.0)) return std::numeric_limits<double>::quiet_NaN();
-  if (degrees > 1e7) return 2.0;
-  return boost::math::quantile(boost::math::complement(boost::math::students_t(degrees), 0.5 * kOutside));
+  if (degrees > 1e7) return boost::math::quantile(boost::math::complement(boost::math::normal(), outside));
+  return boost::math::quantile(boost::math::complement(boost::math::students_t(degrees), outside));
 }
 
 std::string_view to_string(Verdict verdict) {

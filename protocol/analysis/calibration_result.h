@@ -24,9 +24,9 @@ struct Quantity {
   double degrees_of_freedom = std::numeric_limits<double>::infinity();
 };
 
-/// k of a coverage probability of 95.45 %: Student's t for the quantity's degrees of freedom, 2 where they
-/// are infinite. NaN below one degree of freedom.
-double coverage_factor(const Quantity& quantity);
+/// k of a coverage probability: Student's t for the quantity's degrees of freedom; for 95.45 % it is 2 where
+/// they are infinite. NaN below one degree of freedom.
+double coverage_factor(const Quantity& quantity, double probability = 0.9544997361036416);
 
 /// Whether the numbers may be used. Starts pessimistic.
 enum class Verdict {
@@ -127,6 +127,16 @@ struct EffectTest {
   int degrees_of_freedom = 0;  ///< 0: the run says nothing of this effect.
   double probability = 1.0;
   bool passed = true;
+  bool stated_zero = false;  ///< Left out of the fit: the test is of what its residuals show.
+};
+
+/// What the priors of one effect contribute to the uncertainty of the line response.
+struct EffectShare {
+  std::string effect;  ///< "wobble of X", "drift", "f_1" (step errors without memory of experiment 1)
+  std::string key;     ///< Of its size.
+  int unknowns = 0;
+  double prior_sd = 0.0;  ///< Of one unknown: radian, 1, or relative to S_j.
+  Covariance12 covariance = Covariance12::Zero();
 };
 
 /// The joint fit against the norm fit of the same readings. The norm fit is untouched by every error of the
@@ -157,7 +167,8 @@ struct JointResult {
   std::array<Quantity, 3> k3;        ///< 1/R^2
   bool nonlinearity_fitted = false;  ///< k2 and k3 were unknowns of the fit.
   int iterations = 0;
-  std::vector<EffectTest> effects;  ///< Every effect that was an unknown.
+  std::vector<EffectTest> effects;  ///< Every effect that was an unknown, and those stated as zero.
+  std::vector<EffectShare> shares;  ///< What covariance_type_b is made of.
   /// Noise from angle to angle: probability of a process beside the white part (1/2 beforehand), its standard
   /// deviation in units of the readings' u, its correlation length in angles.
   double process_probability = 0.0;

@@ -8,10 +8,10 @@
 #include <numbers>
 #include <numeric>
 #include <set>
-#include <stdexcept>
 #include <utility>
 
 #include "protocol/analysis/joint_data.h"
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -155,7 +155,7 @@ class LinearModel {
     const Eigen::VectorXd scale = normal.diagonal().cwiseSqrt().cwiseInverse();
     const Eigen::LLT<Eigen::MatrixXd> llt(scale.asDiagonal() * normal * scale.asDiagonal());
     if (llt.info() != Eigen::Success || !scale.allFinite()) {
-      throw std::runtime_error("the readings do not determine the model that changes are looked for with");
+      throw UnusableData("the readings do not determine the model that changes are looked for with");
     }
     inverse_ = llt.solve(Eigen::MatrixXd::Identity(unknowns, unknowns));
     inverse_ = scale.asDiagonal() * inverse_ * scale.asDiagonal();
@@ -354,7 +354,7 @@ double worth(const Change& change, double readings) {
 /// Readings in the order in which they were measured, with uncertainties that are not small by chance.
 std::vector<JointReading> readings_in_time(const RunRecord& record, ChangeScan& scan, bool& u_known) {
   const JointData data = collect_joint_data(record, false);
-  if (data.readings.size() < 5) throw std::runtime_error("fewer than 5 usable angles");
+  if (data.readings.size() < 5) throw UnusableData("fewer than 5 usable angles");
   std::vector<std::size_t> order(data.readings.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   std::stable_sort(order.begin(), order.end(),
@@ -366,7 +366,7 @@ std::vector<JointReading> readings_in_time(const RunRecord& record, ChangeScan& 
     readings.push_back(data.readings[i]);
     scan.dwells.push_back(data.dwells[i]);
   }
-  if (readings.size() < 5) throw std::runtime_error("fewer than 5 usable angles");
+  if (readings.size() < 5) throw UnusableData("fewer than 5 usable angles");
   u_known = data.u_known;
   if (!u_known) return readings;
   for (int j = 0; j < 3; ++j) {

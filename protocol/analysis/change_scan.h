@@ -69,7 +69,7 @@ struct ChangeScan {
 /// Found is what makes chi2 fall farther than a sound run does once in 1e6 runs, counted in units of the
 /// scatter that is left, and is larger than the limit of its kind (protocol/plan/limits.h). A smooth error of
 /// the stage (harmonics 1 to 3 of an experiment, each within the step tolerance) is not taken for a change.
-/// @throws std::invalid_argument, std::runtime_error as joint_fit does, and for fewer than 5 angles
+/// @throws UnusableData for fewer than 5 angles, and for what a joint fit cannot take
 ChangeScan scan_for_changes(const RunRecord& record);
 
 }  // namespace abcal

@@ -52,7 +52,9 @@ std::optional<RoughOutputs> rough_outputs(const RunRecord& record) {
   std::vector<Eigen::Vector3d> gravity, readings;
   std::array<std::vector<double>, 3> u;
   for (const DwellRecord& dwell : record.dwells) {
-    if (dwell.experiment < 1 || dwell.experiment > 3 || !dwell.mean.allFinite() || !dwell.u_mean) continue;
+    if (dwell.experiment < 1 || dwell.experiment > 3 || !dwell.mean.allFinite() || !dwell.u_mean ||
+        !std::isfinite(dwell.alpha.rad()))
+      continue;
     const SinCos alpha = sincos(dwell.alpha);
     gravity.push_back(
         gravity_at(StagePose::of(dwell.experiment, alpha.sin, alpha.cos), StageInputs::Zero()).g);

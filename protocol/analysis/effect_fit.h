@@ -56,7 +56,6 @@ struct NoiseFound {
 struct EffectFit {
   bool converged = false;
   int iterations = 0;
-  std::string undetermined;  ///< Why it did not converge, where that is known.
   std::vector<EffectUnknown> unknowns;
   Eigen::VectorXd value;                           ///< Of the unknowns, relative units.
   Eigen::MatrixXd covariance;                      ///< Of the unknowns.
@@ -66,13 +65,19 @@ struct EffectFit {
   Eigen::Matrix<double, 12, 1> line = Eigen::Matrix<double, 12, 1>::Zero();
   Covariance12 covariance_line = Covariance12::Zero();
   Covariance12 covariance_line_type_b = Covariance12::Zero();  ///< The part that comes from the priors.
+  std::vector<EffectShare> shares;                             ///< What covariance_line_type_b is made of.
   Eigen::Matrix<double, 12, 1> degrees_of_freedom =
       Eigen::Matrix<double, 12, 1>::Constant(std::numeric_limits<double>::infinity());
   /// Derivative of the line response (R) by every reading (R): 3 N x 12, rows u, v, w of each angle.
   ReadingRows gain;
   NoiseFound noise;
-  /// H = D D' is the share of the fit in the whitened readings: their residuals have the covariance I - H.
-  ReadingRows whitened_design;
+  /// With D = whitened_jacobian covariance_root, H = D D' is the share of the fit in the whitened readings:
+  /// their residuals have the covariance I - H. The root is upper triangular.
+  ReadingRows whitened_jacobian;
+  Eigen::MatrixXd covariance_root;
+  /// The unknowns of the effects that are stated as zero, and what each would add to the whitened readings.
+  std::vector<EffectUnknown> left_out;
+  ReadingRows left_out_design;
 
   double chi2 = std::numeric_limits<double>::quiet_NaN();  ///< Priors included.
   int chi2_degrees_of_freedom = 0;                         ///< Readings - 12.
@@ -87,9 +92,9 @@ struct EffectFit {
 /// linear solution at a perfect stage; step errors without memory are eliminated. An effect whose size is
 /// zero is left out. The noise process is averaged over a grid of (tau, rho) by its restricted likelihood,
 /// with a prior probability of 1/2 for no process; its mean over the run belongs to the offset.
-/// @throws std::invalid_argument no readings; a number that is not finite; u not > 0; a size that is not a
-/// finite number >= 0, or zero where the fit needs it (alignment, initial turn, zero, step)
-/// @throws std::runtime_error the readings do not determine the sensitivity matrix, or one output is dead
+/// @throws UnusableData the readings do not determine the sensitivity matrix, or the noise where it is asked
+/// for; an output is dead; a size or a measured value that is not a finite number >= 0
+/// @throws std::invalid_argument no readings; a reading that is not finite; u not > 0
 EffectFit effect_fit(std::span<const EffectReading> readings, const EffectFitOptions& options);
 
 }  // namespace abcal

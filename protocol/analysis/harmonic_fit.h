@@ -3,16 +3,16 @@
 #include <Eigen/Core>
 #include <limits>
 #include <span>
-#include <stdexcept>
 
 #include "drivers/instrument/angle.h"
+#include "protocol/analysis/unusable_data.h"
 
 namespace abcal {
 
 /// The angles do not determine the coefficients asked for. what() is one sentence: found, required.
-class UndeterminedFit : public std::runtime_error {
+class UndeterminedFit : public UnusableData {
  public:
-  using std::runtime_error::runtime_error;
+  using UnusableData::UnusableData;
 };
 
 /// constant + sum over k = 1..harmonics of S_k sin(k alpha) + C_k cos(k alpha), fitted by least squares.

@@ -6,11 +6,11 @@
 #include <cmath>
 #include <cstddef>
 #include <numeric>
-#include <stdexcept>
 #include <string>
 #include <utility>
 
 #include "protocol/analysis/run_time.h"
+#include "protocol/analysis/unusable_data.h"
 
 namespace abcal {
 namespace {
@@ -43,11 +43,11 @@ JointData collect_joint_data(const RunRecord& record, bool one_map_per_axis) {
     const std::string where =
         fmt::format("{}: experiment {}, n = {}", record.source, dwell.experiment, dwell.n);
     if (dwell.experiment < 1 || dwell.experiment > 3) {
-      throw std::invalid_argument(where + ": the joint estimator needs experiments 1, 2 and 3");
+      throw UnusableData(where + ": the joint estimator needs experiments 1, 2 and 3");
     }
     if (!dwell.mean.allFinite()) {
       if ((dwell.flags & kFlagNotFinite) == 0U) {
-        throw std::invalid_argument(where + ": the reading is not a finite number");
+        throw UnusableData(where + ": the reading is not a finite number");
       }
       ++data.not_finite;
       continue;
@@ -57,10 +57,10 @@ JointData collect_joint_data(const RunRecord& record, bool one_map_per_axis) {
       continue;
     }
     if (!std::isfinite(dwell.alpha.deg())) {
-      throw std::invalid_argument(where + ": the angle is not a finite number");
+      throw UnusableData(where + ": the angle is not a finite number");
     }
     if (dwell.u_mean && (!dwell.u_mean->allFinite() || dwell.u_mean->minCoeff() < 0.0)) {
-      throw std::invalid_argument(where + ": the uncertainty of the reading is not a finite number >= 0");
+      throw UnusableData(where + ": the uncertainty of the reading is not a finite number >= 0");
     }
     all_known = all_known && dwell.u_mean && dwell.u_mean->minCoeff() > 0.0;
     const SinCos alpha = sincos(dwell.alpha);
@@ -121,7 +121,7 @@ JointFit fit_with_unknown_noise(std::vector<JointReading>& readings, const Joint
     Eigen::Vector3d next;
     for (int j = 0; j < 3; ++j) {
       if (!(fit.redundancy(j) >= 1.0)) {
-        throw std::runtime_error(fmt::format(
+        throw UnusableData(fmt::format(
             "{} angles leave nothing to estimate the noise from; more angles or the uncertainties "
             "of the readings are required",
             readings.size()));

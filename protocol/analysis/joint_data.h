@@ -17,7 +17,7 @@ struct JointData {
 };
 
 /// @param one_map_per_axis  see JointOptions; else the readings are in the order of the record
-/// @throws std::invalid_argument an experiment that is not 1, 2 or 3; a number that is not finite
+/// @throws UnusableData an experiment that is not 1, 2 or 3; a number that is not finite
 JointData collect_joint_data(const RunRecord& record, bool one_map_per_axis);
 
 /// Noise of each accelerometer from the residuals: u is repeated until the weighted squares of the residuals

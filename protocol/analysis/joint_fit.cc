@@ -10,6 +10,7 @@
 #include <string>
 
 #include "protocol/analysis/known_acs_fit.h"
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/model/forward_model.h"
 
 namespace abcal {
@@ -21,6 +22,9 @@ constexpr int kFirstGeometry = 3 * kOwnUnknowns;
 /// uncertainties in all unknowns together.
 constexpr double kDecrement = 1e-8;
 constexpr int kMaxIterations = 25;
+/// Width of the prior of what is stated as exactly zero (radian, relative): far below what any reading shows,
+/// and far above round-off.
+constexpr double kKnownExactly = 1e-9;
 
 using GeometryVector = Eigen::Matrix<double, kGeometryUnknowns, 1>;
 
@@ -376,16 +380,118 @@ void add_residuals(const Problem& problem, const JointVector& value, const std::
   }
 }
 
+/// Checks the readings and numbers their step errors. @return the linear solution at a perfect stage
+KnownAcsFit start_of(Problem& problem) {
+  std::vector<Eigen::Vector3d> gravity;
+  std::vector<Eigen::Vector3d> values;
+  gravity.reserve(problem.readings.size());
+  values.reserve(problem.readings.size());
+  const std::array<Circle, 3> nominal = circles_of(GeometryVector::Zero());
+  int last_step = -1;
+  for (const JointReading& at : problem.readings) {
+    require(at.experiment >= 1 && at.experiment <= 3,
+            "experiment " + std::to_string(at.experiment) + "; 1, 2 or 3 is required");
+    require(at.value.allFinite() && std::isfinite(at.sin_alpha) && std::isfinite(at.cos_alpha) &&
+                std::isfinite(at.t),
+            "a reading, its angle or its time is not a finite number");
+    require(at.u.allFinite() && at.u.minCoeff() > 0.0,
+            "the standard uncertainty of a reading is not a finite number greater than zero");
+    require(at.step_error == last_step || at.step_error == last_step + 1,
+            "step errors are not numbered consecutively");
+    last_step = at.step_error;
+    const Circle& circle = nominal[static_cast<std::size_t>(at.experiment - 1)];
+    gravity.push_back(circle.centre + circle.cosine * at.cos_alpha + circle.sine * at.sin_alpha);
+    values.push_back(at.value);
+  }
+  problem.steps = static_cast<std::size_t>(last_step + 1);
+  return linear_fit_given_acs(gravity, values);
+}
+
+/// Readings and weights in units of S_j.
+void scale_readings(const KnownAcsFit& start, Problem& problem) {
+  problem.unit = start.sensitivity_matrix.rowwise().norm();
+  for (int j = 0; j < 3; ++j) {
+    // An output that never changes leaves a row of round-off: some ulp of what it reads.
+    if (!(problem.unit(j) > 1e-12 * std::abs(start.offset(j)))) {
+      throw UnusableData(std::string("joint fit: accelerometer ") + "uvw"[j] +
+                         " does not respond to gravity at all");
+    }
+  }
+  problem.value.reserve(problem.readings.size());
+  problem.weight.reserve(problem.readings.size());
+  for (const JointReading& at : problem.readings) {
+    problem.value.push_back(at.value.cwiseQuotient(problem.unit));
+    problem.weight.push_back(problem.unit.cwiseQuotient(at.u).cwiseAbs2());
+  }
+}
+
+/// Unknowns and step errors on their way to the solution.
+struct Iterate {
+  JointVector value;
+  std::vector<double> step;
+  Normal normal;  ///< Where the last step began.
+  JointMatrix covariance = JointMatrix::Zero();
+};
+
+/// Gauss-Newton. Leaves `fit` as not converged where there is no solution.
+void iterate(const Problem& problem, Iterate& at, JointFit& fit) {
+  while (fit.iterations < kMaxIterations) {
+    ++fit.iterations;
+    assemble(problem, at.value, at.step, at.normal);
+    if (!std::isfinite(at.normal.chi2) || !at.normal.right.allFinite()) return;
+    const ScaledCholesky cholesky(at.normal.matrix);
+    if (!cholesky.ok()) return;
+    const JointVector change = cholesky.solve(at.normal.right);
+    double decrement = at.normal.right.dot(change);
+    for (std::size_t i = 0; i < problem.steps; ++i) {
+      const Eliminated& eliminated = at.normal.eliminated[i];
+      decrement += eliminated.right * eliminated.right / eliminated.diagonal;
+      at.step[i] += (eliminated.right - eliminated.link.dot(change)) / eliminated.diagonal;
+    }
+    at.value += change;
+    if (!at.value.allFinite() || !(at.value.segment<2>(kZx).squaredNorm() < 1.0) ||
+        !(std::abs(at.value(kXz)) < 1.0)) {
+      return;
+    }
+    // The round-off of chi2 itself (u may be far below the readings' last digit) bounds what a step can show.
+    if (decrement < kDecrement + 1e-12 * at.normal.chi2) {
+      fit.converged = true;
+      fit.chi2 = std::max(0.0, at.normal.chi2 - decrement);
+      fit.reciprocal_condition = cholesky.reciprocal_condition();
+      at.covariance = cholesky.covariance();
+      return;
+    }
+  }
+}
+
+/// Step errors with their uncertainties. @return the information that the priors of all unknowns carry
+///
+/// The estimate is linear in the priors' means: each moves it by C (its row of the normal matrix). The sum of
+/// the squares is the part of the posterior variance that the priors carry.
+JointMatrix fill_step_errors(const Problem& problem, const Iterate& at, JointFit& fit) {
+  JointMatrix prior_information = problem.prior_weight.asDiagonal();
+  const double step_sd = problem.priors.step;
+  fit.step_error = at.step;
+  fit.u_step_error.resize(problem.steps);
+  for (std::size_t i = 0; i < problem.steps; ++i) {
+    const Eliminated& eliminated = at.normal.eliminated[i];
+    const double a = eliminated.diagonal;
+    const JointVector scaled = eliminated.link / a;
+    prior_information.selfadjointView<Eigen::Lower>().rankUpdate(scaled, 1.0 / (step_sd * step_sd));
+    fit.u_step_error[i] = std::sqrt(1.0 / a + scaled.dot(at.covariance * scaled));
+  }
+  return prior_information.selfadjointView<Eigen::Lower>();
+}
+
 }  // namespace
 
 JointPriors JointPriors::from(const Tolerances& tolerances, const MeasuredAlignment& measured) {
   const auto width = [](double value, const char* key, double found) {
-    if (!positive(found)) {
-      throw std::invalid_argument(
-          std::string("joint fit: tolerance ") + key + " is " + std::to_string(found) +
-          ", which gives a prior of no width; a finite value greater than zero is required");
+    if (!(std::isfinite(found) && found >= 0.0)) {
+      throw UnusableData(std::string("joint fit: ") + key + " is " + std::to_string(found) +
+                         "; a finite number not below zero is required");
     }
-    return value;
+    return std::max(value, kKnownExactly);
   };
   JointPriors out;
   const double alignment =
@@ -401,10 +507,10 @@ JointPriors JointPriors::from(const Tolerances& tolerances, const MeasuredAlignm
     if (!*values[i]) continue;
     const MeasuredValue& value = **values[i];
     if (!std::isfinite(value.value) || !positive(value.standard_uncertainty)) {
-      throw std::invalid_argument(std::string("joint fit: measured ") + kNames[i] + " = " +
-                                  std::to_string(value.value) + " with standard uncertainty " +
-                                  std::to_string(value.standard_uncertainty) +
-                                  "; a finite value and an uncertainty greater than zero are required");
+      throw UnusableData(std::string("joint fit: measured ") + kNames[i] + " = " +
+                         std::to_string(value.value) + " with standard uncertainty " +
+                         std::to_string(value.standard_uncertainty) +
+                         "; a finite value and an uncertainty greater than zero are required");
     }
     out.mean(i) = value.value;
     out.sd(i) = value.standard_uncertainty;
@@ -434,109 +540,31 @@ JointFit joint_fit(std::span<const JointReading> readings, const JointPriors& pr
   problem.readings = readings;
   problem.priors = priors;
   problem.model = model;
-  std::vector<Eigen::Vector3d> gravity;
-  std::vector<Eigen::Vector3d> values;
-  gravity.reserve(readings.size());
-  values.reserve(readings.size());
-  const std::array<Circle, 3> nominal = circles_of(GeometryVector::Zero());
-  int last_step = -1;
-  for (const JointReading& at : readings) {
-    require(at.experiment >= 1 && at.experiment <= 3,
-            "experiment " + std::to_string(at.experiment) + "; 1, 2 or 3 is required");
-    require(at.value.allFinite() && std::isfinite(at.sin_alpha) && std::isfinite(at.cos_alpha) &&
-                std::isfinite(at.t),
-            "a reading, its angle or its time is not a finite number");
-    require(at.u.allFinite() && at.u.minCoeff() > 0.0,
-            "the standard uncertainty of a reading is not a finite number greater than zero");
-    require(at.step_error == last_step || at.step_error == last_step + 1,
-            "step errors are not numbered consecutively");
-    last_step = at.step_error;
-    const Circle& circle = nominal[static_cast<std::size_t>(at.experiment - 1)];
-    gravity.push_back(circle.centre + circle.cosine * at.cos_alpha + circle.sine * at.sin_alpha);
-    values.push_back(at.value);
-  }
-  problem.steps = static_cast<std::size_t>(last_step + 1);
+  const KnownAcsFit start = start_of(problem);
   set_priors(problem);
+  scale_readings(start, problem);
 
-  const KnownAcsFit start = linear_fit_given_acs(gravity, values);
-  problem.unit = start.sensitivity_matrix.rowwise().norm();
+  Iterate at;
+  at.value = problem.prior_mean;
   for (int j = 0; j < 3; ++j) {
-    // An output that never changes leaves a row of round-off: some ulp of what it reads.
-    if (!(problem.unit(j) > 1e-12 * std::abs(start.offset(j)))) {
-      throw std::runtime_error(std::string("joint fit: accelerometer ") + "uvw"[j] +
-                               " does not respond to gravity at all");
-    }
+    at.value.segment<3>(kOwnUnknowns * j) = start.sensitivity_matrix.row(j).transpose() / problem.unit(j);
+    at.value(kOwnUnknowns * j + kOffsetIndex) = start.offset(j) / problem.unit(j);
   }
-  problem.value.resize(readings.size());
-  problem.weight.resize(readings.size());
-  for (std::size_t i = 0; i < readings.size(); ++i) {
-    problem.value[i] = readings[i].value.cwiseQuotient(problem.unit);
-    problem.weight[i] = problem.unit.cwiseQuotient(readings[i].u).cwiseAbs2();
-  }
-
-  JointVector value = problem.prior_mean;
-  for (int j = 0; j < 3; ++j) {
-    value.segment<3>(kOwnUnknowns * j) = start.sensitivity_matrix.row(j).transpose() / problem.unit(j);
-    value(kOwnUnknowns * j + kOffsetIndex) = start.offset(j) / problem.unit(j);
-  }
-  std::vector<double> step(problem.steps, 0.0);
-
+  at.step.assign(problem.steps, 0.0);
   JointFit fit;
   fit.degrees_of_freedom = 3 * static_cast<int>(readings.size()) - 12;
-  Normal normal;
-  JointMatrix covariance = JointMatrix::Zero();
-  while (fit.iterations < kMaxIterations) {
-    ++fit.iterations;
-    assemble(problem, value, step, normal);
-    if (!std::isfinite(normal.chi2) || !normal.right.allFinite()) return fit;
-    const ScaledCholesky cholesky(normal.matrix);
-    if (!cholesky.ok()) return fit;
-    const JointVector change = cholesky.solve(normal.right);
-    double decrement = normal.right.dot(change);
-    for (std::size_t i = 0; i < problem.steps; ++i) {
-      const Eliminated& eliminated = normal.eliminated[i];
-      decrement += eliminated.right * eliminated.right / eliminated.diagonal;
-      step[i] += (eliminated.right - eliminated.link.dot(change)) / eliminated.diagonal;
-    }
-    value += change;
-    if (!value.allFinite() || !(value.segment<2>(kZx).squaredNorm() < 1.0) || !(std::abs(value(kXz)) < 1.0)) {
-      return fit;
-    }
-    // The round-off of chi2 itself (u may be far below the readings' last digit) bounds what a step can show.
-    if (decrement < kDecrement + 1e-12 * normal.chi2) {
-      fit.converged = true;
-      fit.chi2 = std::max(0.0, normal.chi2 - decrement);
-      fit.reciprocal_condition = cholesky.reciprocal_condition();
-      covariance = cholesky.covariance();
-      break;
-    }
-  }
+  iterate(problem, at, fit);
   if (!fit.converged) return fit;
 
   for (int i = 0; i < kJointUnknowns; ++i) {
-    if (!problem.fixed[static_cast<std::size_t>(i)]) continue;
-    covariance(i, i) = 0.0;
+    if (problem.fixed[static_cast<std::size_t>(i)]) at.covariance(i, i) = 0.0;
   }
-  // The estimate is linear in the priors' means: each moves it by C (its row of the normal matrix). The sum
-  // of the squares is the part of the posterior variance that the priors carry.
-  JointMatrix prior_information = problem.prior_weight.asDiagonal();
-  const double step_sd = priors.step;
-  fit.step_error = step;
-  fit.u_step_error.resize(problem.steps);
-  for (std::size_t i = 0; i < problem.steps; ++i) {
-    const Eliminated& eliminated = normal.eliminated[i];
-    const double a = eliminated.diagonal;
-    const JointVector scaled = eliminated.link / a;
-    prior_information.selfadjointView<Eigen::Lower>().rankUpdate(scaled, 1.0 / (step_sd * step_sd));
-    fit.u_step_error[i] = std::sqrt(1.0 / a + scaled.dot(covariance * scaled));
-  }
-  prior_information = prior_information.selfadjointView<Eigen::Lower>();
-  const JointMatrix type_b = covariance * prior_information * covariance;
+  const JointMatrix type_b = at.covariance * fill_step_errors(problem, at, fit) * at.covariance;
   const JointVector units = unit_of_unknowns(problem.unit);
-  fit.value = value.cwiseProduct(units);
-  fit.covariance = units.asDiagonal() * covariance * units.asDiagonal();
+  fit.value = at.value.cwiseProduct(units);
+  fit.covariance = units.asDiagonal() * at.covariance * units.asDiagonal();
   fit.covariance_type_b = units.asDiagonal() * type_b * units.asDiagonal();
-  if (with_residuals) add_residuals(problem, value, step, covariance, normal, fit);
+  if (with_residuals) add_residuals(problem, at.value, at.step, at.covariance, at.normal, fit);
   return fit;
 }
 

@@ -85,6 +85,8 @@ struct JointPriors {
   double k2 = 1e-2;    ///< over S_j (docs/theory/joint_estimator.md, table of unknowns)
   double k3 = 1e-2;    ///< over S_j^2
 
+  /// What is stated as zero gets a prior of 1e-9: it is known exactly.
+  /// @throws UnusableData a size or a measured value that is not a finite number, or is below zero
   static JointPriors from(const Tolerances& tolerances, const MeasuredAlignment& measured = {});
 };
 
@@ -117,7 +119,7 @@ struct JointFit {
 /// diagonal, so that a result in LSB is the same result.
 /// @param with_residuals  also fill residuals, sum_weighted_squares and redundancy
 /// @throws std::invalid_argument no readings, a number that is not finite, u or a prior's sd not > 0
-/// @throws std::runtime_error the readings do not determine the sensitivity matrix, or one output is dead
+/// @throws UnusableData the readings do not determine the sensitivity matrix, or one output is dead
 JointFit joint_fit(std::span<const JointReading> readings, const JointPriors& priors, const JointModel& model,
                    bool with_residuals = false);
 

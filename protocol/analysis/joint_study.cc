@@ -291,8 +291,9 @@ void check(const JointStudyOptions& options) {
   size(options.drift, "drift", true);
   size(options.diagonal_sd, "spread of the diagonal", true);
   size(options.off_diagonal_sd, "spread of the off-diagonal elements", true);
-  // A wrong tolerance is found here, not in the middle of the first trial.
-  static_cast<void>(JointPriors::from(options.tolerances, options.joint.measured_alignment));
+  // A wrong size is found here, not in the middle of the first trial.
+  for (const EffectSizeKey& key : effect_size_keys())
+    size(key.get(options.tolerances), std::string(key.key).c_str(), true);
 }
 
 }  // namespace

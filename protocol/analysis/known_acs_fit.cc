@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "protocol/analysis/unusable_data.h"
+
 namespace abcal {
 
 KnownAcsFit linear_fit_given_acs(std::span<const Eigen::Vector3d> gravity,
@@ -42,10 +44,9 @@ KnownAcsFit linear_fit_given_acs(std::span<const Eigen::Vector3d> gravity,
   fit.reciprocal_condition = pivots.maxCoeff() > 0.0 ? pivots.minCoeff() / pivots.maxCoeff() : 0.0;
   // Pivots of a singular 4x4 matrix are round-off: a few ulp of the largest.
   if (!(fit.reciprocal_condition > 64.0 * std::numeric_limits<double>::epsilon())) {
-    throw std::runtime_error(
-        "fit with known stage errors: " + std::to_string(readings.size()) +
-        " readings do not determine sensitivity and offset; required: poses that turn gravity "
-        "out of one plane");
+    throw UnusableData("fit with known stage errors: " + std::to_string(readings.size()) +
+                       " readings do not determine sensitivity and offset; required: poses that turn gravity "
+                       "out of one plane");
   }
   const Eigen::Matrix<double, 4, 3> solution = ldlt.solve(right);
   fit.sensitivity_matrix = solution.topRows<3>().transpose();

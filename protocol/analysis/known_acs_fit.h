@@ -28,7 +28,7 @@ struct KnownAcsFit {
 /// @param readings  r_u, r_v, r_w (R) at the same angles
 /// @param weights   one a reading triple; empty: all 1
 /// @throws std::invalid_argument sizes differ; a number is not finite; a weight is negative
-/// @throws std::runtime_error the forces do not determine the four unknowns
+/// @throws UnusableData the forces do not determine the four unknowns
 KnownAcsFit linear_fit_given_acs(std::span<const Eigen::Vector3d> gravity,
                                  std::span<const Eigen::Vector3d> readings,
                                  std::span<const double> weights = {});

@@ -53,20 +53,28 @@ Quantity with_type_a(double value, double u, std::string unit) {
   return out;
 }
 
-}  // namespace
+constexpr const char* kTiltOfZ = "tilt of Z";
 
-TiltOfZ tilt_from_spin(std::span<const DwellRecord> dwells, const Eigen::Matrix3d& sensitivity_matrix) {
-  constexpr const char* kWhat = "tilt of Z";
-  check(sensitivity_matrix, kWhat);
+/// The linear equations of the tilt. Unknowns: Zx, Zy, three constants, three drifts where every dwell has
+/// its time. To first order in the tilt, gravity seen from the platter is (Zx, Zy, 1) + cos(theta) (-Zx, -Zy,
+/// 0)
+/// + sin(theta) (-Zy, Zx, 0); (Zx, Zy, 1) stays and joins the constant.
+struct SpinEquations {
+  Eigen::MatrixXd design;
+  Eigen::VectorXd right;
+  bool weighted = false;
+};
+
+SpinEquations spin_equations(std::span<const DwellRecord> dwells, const Eigen::Matrix3d& sensitivity_matrix) {
   double first = 0.0;
   double last = 0.0;
   bool timed = !dwells.empty();
   for (std::size_t i = 0; i < dwells.size(); ++i) {
     const DwellRecord& dwell = dwells[i];
-    check(dwell, kWhat);
+    check(dwell, kTiltOfZ);
     if (std::abs(from_full_turn(dwell.commanded_x)) > kPositionWindowDeg) {
       throw std::invalid_argument(
-          fmt::format("{}: X stands at {} degrees; 0 is required", kWhat, dwell.commanded_x.deg()));
+          fmt::format("{}: X stands at {} degrees; 0 is required", kTiltOfZ, dwell.commanded_x.deg()));
     }
     timed = timed && dwell.time_s && std::isfinite(*dwell.time_s);
     if (!timed) continue;
@@ -75,45 +83,51 @@ TiltOfZ tilt_from_spin(std::span<const DwellRecord> dwells, const Eigen::Matrix3
   }
   timed = timed && last > first && dwells.size() >= 4;
 
-  // Unknowns: Zx, Zy, three constants, three drifts. To first order in the tilt, gravity seen from the
-  // platter is (Zx, Zy, 1) + cos(theta) (-Zx, -Zy, 0) + sin(theta) (-Zy, Zx, 0); (Zx, Zy, 1) stays and joins
-  // the constant.
   const int unknowns = timed ? 8 : 5;
   const auto rows = static_cast<Eigen::Index>(3 * dwells.size());
   if (rows < unknowns) {
-    throw std::runtime_error(fmt::format("{}: {} angles; more are required", kWhat, dwells.size()));
+    throw std::runtime_error(fmt::format("{}: {} angles; more are required", kTiltOfZ, dwells.size()));
   }
-  const bool weighted = all_uncertain(dwells);
-  Eigen::MatrixXd design = Eigen::MatrixXd::Zero(rows, unknowns);
-  Eigen::VectorXd right(rows);
+  SpinEquations out{Eigen::MatrixXd::Zero(rows, unknowns), Eigen::VectorXd(rows), all_uncertain(dwells)};
   for (std::size_t i = 0; i < dwells.size(); ++i) {
     const DwellRecord& dwell = dwells[i];
     const SinCos theta = sincos(dwell.commanded_z);
     for (Eigen::Index j = 0; j < 3; ++j) {
       const Eigen::Index row = 3 * static_cast<Eigen::Index>(i) + j;
-      const double w = weighted ? 1.0 / (*dwell.u_mean)(j) : 1.0;
+      const double w = out.weighted ? 1.0 / (*dwell.u_mean)(j) : 1.0;
       const double sx = sensitivity_matrix(j, 0);
       const double sy = sensitivity_matrix(j, 1);
-      design(row, 0) = w * (-sx * theta.cos + sy * theta.sin);
-      design(row, 1) = w * (-sy * theta.cos - sx * theta.sin);
-      design(row, 2 + j) = w;
-      if (timed) design(row, 5 + j) = w * ((*dwell.time_s - first) / (last - first) - 0.5);
-      right(row) = w * dwell.mean(j);
+      out.design(row, 0) = w * (-sx * theta.cos + sy * theta.sin);
+      out.design(row, 1) = w * (-sy * theta.cos - sx * theta.sin);
+      out.design(row, 2 + j) = w;
+      if (timed) out.design(row, 5 + j) = w * ((*dwell.time_s - first) / (last - first) - 0.5);
+      out.right(row) = w * dwell.mean(j);
     }
   }
-  const Eigen::VectorXd scale = design.colwise().norm();
+  return out;
+}
+
+}  // namespace
+
+TiltOfZ tilt_from_spin(std::span<const DwellRecord> dwells, const Eigen::Matrix3d& sensitivity_matrix) {
+  check(sensitivity_matrix, kTiltOfZ);
+  const SpinEquations equations = spin_equations(dwells, sensitivity_matrix);
+  const Eigen::Index unknowns = equations.design.cols();
+  const bool weighted = equations.weighted;
+  const Eigen::VectorXd scale = equations.design.colwise().norm();
   if (!(scale.minCoeff() > 0.0)) {
-    throw std::runtime_error(std::string(kWhat) + ": the sensitivity matrix or the angles hide the harmonic");
+    throw std::runtime_error(std::string(kTiltOfZ) +
+                             ": the sensitivity matrix or the angles hide the harmonic");
   }
-  const Eigen::MatrixXd scaled = design * scale.cwiseInverse().asDiagonal();
+  const Eigen::MatrixXd scaled = equations.design * scale.cwiseInverse().asDiagonal();
   const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(scaled);
   if (!(std::abs(qr.matrixR()(unknowns - 1, unknowns - 1)) > kSingular * std::abs(qr.matrixR()(0, 0)))) {
     throw std::runtime_error(
-        fmt::format("{}: {} angles about Z hide the harmonic; angles around the circle are required", kWhat,
-                    dwells.size()));
+        fmt::format("{}: {} angles about Z hide the harmonic; angles around the circle are required",
+                    kTiltOfZ, dwells.size()));
   }
-  const Eigen::VectorXd solution = qr.solve(right);
-  const double squares = (right - scaled * solution).squaredNorm();
+  const Eigen::VectorXd solution = qr.solve(equations.right);
+  const double squares = (equations.right - scaled * solution).squaredNorm();
   const Eigen::MatrixXd r_inverse = qr.matrixR()
                                         .topLeftCorner(unknowns, unknowns)
                                         .triangularView<Eigen::Upper>()
@@ -121,7 +135,7 @@ TiltOfZ tilt_from_spin(std::span<const DwellRecord> dwells, const Eigen::Matrix3
   const Eigen::MatrixXd permuted = qr.colsPermutation() * r_inverse;
 
   TiltOfZ out;
-  out.degrees_of_freedom = static_cast<int>(rows) - unknowns;
+  out.degrees_of_freedom = static_cast<int>(equations.right.size() - unknowns);
   if (weighted) out.chi2 = squares;
   double factor = weighted ? 1.0 : std::numeric_limits<double>::quiet_NaN();
   if (out.degrees_of_freedom > 0) {

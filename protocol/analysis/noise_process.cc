@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include "protocol/analysis/reading_kernels.h"
+
 namespace abcal {
 
 NoiseWhitener::NoiseWhitener(const std::vector<NoiseAtAngle>& angles, double step,
@@ -13,7 +15,7 @@ NoiseWhitener::NoiseWhitener(const std::vector<NoiseAtAngle>& angles, double ste
   Eigen::Matrix3d state = variance.asDiagonal();
   for (std::size_t n = 0; n < angles.size(); ++n) {
     const NoiseAtAngle& angle = angles[n];
-    At& at = at_[n];
+    WhitenerStep& at = at_[n];
     const Eigen::Vector3d by_step = step * angle.by_step;
     Eigen::Matrix3d innovation = by_step * by_step.transpose();
     innovation.diagonal() += angle.white;
@@ -49,30 +51,14 @@ NoiseWhitener::NoiseWhitener(const std::vector<NoiseAtAngle>& angles, double ste
 }
 
 void NoiseWhitener::whiten(ReadingRows& rows) const {
-  ReadingRows mean;
-  ReadingRows innovation(3, rows.cols());
-  if (!white_) mean.setZero(3, rows.cols());
-  for (std::size_t n = 0; n < at_.size(); ++n) {
-    const At& at = at_[n];
-    auto three = rows.middleRows<3>(static_cast<Eigen::Index>(3 * n));
-    innovation = three;
-    if (!white_) {
-      innovation -= mean;
-      mean.noalias() += at.gain * innovation;
-      mean *= at.decay;
-    }
-    const Eigen::Matrix3d& l = at.lower_inverse;
-    three.row(0) = l(0, 0) * innovation.row(0);
-    three.row(1) = l(1, 0) * innovation.row(0) + l(1, 1) * innovation.row(1);
-    three.row(2) = l(2, 0) * innovation.row(0) + l(2, 1) * innovation.row(1) + l(2, 2) * innovation.row(2);
-  }
+  whiten_rows(at_, white_, rows);
 }
 
 void NoiseWhitener::whiten_transposed(ReadingRows& rows) const {
   ReadingRows later = ReadingRows::Zero(3, rows.cols());
   ReadingRows innovation(3, rows.cols());
   for (std::size_t n = at_.size(); n-- > 0;) {
-    const At& at = at_[n];
+    const WhitenerStep& at = at_[n];
     auto three = rows.middleRows<3>(static_cast<Eigen::Index>(3 * n));
     innovation.noalias() = at.lower_inverse.transpose() * three;
     if (!white_) {

@@ -20,6 +20,13 @@ struct NoiseAtAngle {
   double distance = 1.0;    ///< Angles since the one before.
 };
 
+/// One angle of the whitening filter.
+struct WhitenerStep {
+  Eigen::Matrix3d lower_inverse;                   ///< Of the innovation's covariance, Cholesky.
+  Eigen::Matrix3d gain = Eigen::Matrix3d::Zero();  ///< Of the process by the innovation.
+  double decay = 0.0;                              ///< Of the process to the next angle.
+};
+
 /// Rows: angle by angle u, v, w. Row-major, so that the three rows of an angle are read in one go.
 using ReadingRows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
@@ -43,12 +50,7 @@ class NoiseWhitener {
   Eigen::Vector3d mean_variance() const { return mean_variance_; }
 
  private:
-  struct At {
-    Eigen::Matrix3d lower_inverse;  ///< Of the innovation's covariance, Cholesky.
-    Eigen::Matrix3d gain;
-    double decay = 0.0;  ///< To the next angle.
-  };
-  std::vector<At> at_;
+  std::vector<WhitenerStep> at_;
   bool white_ = true;
   double log_determinant_ = 0.0;
   Eigen::Vector3d tau_;

@@ -8,7 +8,6 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -16,6 +15,7 @@
 #include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/norm_model.h"
 #include "protocol/analysis/run_time.h"
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -79,7 +79,7 @@ ScaledPoses scaled(std::span<const Pose> poses) {
   for (const Pose& pose : poses) out.centre += pose.reading / static_cast<double>(poses.size());
   for (const Pose& pose : poses) out.size += (pose.reading - out.centre).squaredNorm();
   out.size = std::sqrt(out.size / static_cast<double>(poses.size()));
-  if (!(out.size > 1e-12 * out.centre.norm())) throw std::runtime_error("norm fit: all poses read the same");
+  if (!(out.size > 1e-12 * out.centre.norm())) throw UnusableData("norm fit: all poses read the same");
   out.u_known = std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.u.has_value(); });
   const bool timed =
       std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.t.has_value(); });
@@ -352,7 +352,7 @@ void estimate(std::span<const Pose> poses, const EffectSizes& sizes, Calibration
 void require_enough(std::size_t poses, const EffectSizes& sizes) {
   if (poses >= kUnknowns) return;
   if (poses >= kFewestPoses && sizes.orthogonality.rad() > 0.0) return;
-  throw std::runtime_error(fmt::format(
+  throw UnusableData(fmt::format(
       "norm fit: {} poses; nine or more are required, or six or more with the angles between the axes stated "
       "([item_uncertainty] orthogonality_deg)",
       poses));
@@ -362,18 +362,17 @@ void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, Calibra
   for (std::size_t i = 0; i < poses.size(); ++i) {
     const Pose& pose = poses[i];
     if (!pose.reading.allFinite()) {
-      throw std::invalid_argument(
-          fmt::format("norm fit: pose {}: the reading is not a finite number", i + 1));
+      throw UnusableData(fmt::format("norm fit: pose {}: the reading is not a finite number", i + 1));
     }
     if (pose.u && (!pose.u->allFinite() || !(pose.u->minCoeff() > 0.0))) {
-      throw std::invalid_argument(
+      throw UnusableData(
           fmt::format("norm fit: pose {}: the uncertainty is not a finite number greater than zero", i + 1));
     }
   }
   try {
     require_enough(poses.size(), sizes);
     estimate(poses, sizes, result);
-  } catch (const std::runtime_error& error) {
+  } catch (const UnusableData& error) {
     result.verdict = Verdict::kNotUsable;
     result.why = error.what();
   }

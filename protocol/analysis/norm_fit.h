@@ -41,7 +41,7 @@ EffectSizes linear_item(EffectSizes sizes = {});
 /// Results are in R/g_loc. sphere_coverage is three times the smallest eigenvalue of the directions' scatter
 /// matrix (1: even); coverage_words names the largest cap without a pose where it is wider than 60 degrees in
 /// radius.
-/// @throws std::invalid_argument a reading or uncertainty that is not finite
+/// @throws UnusableData a reading or uncertainty that is not finite
 /// Too few poses, or poses that do not determine the unknowns, give Verdict::kNotUsable and the reason.
 CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes = linear_item());
 

@@ -10,9 +10,9 @@
 #include <cmath>
 #include <cstddef>
 #include <numbers>
-#include <stdexcept>
 
 #include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/analysis/unusable_data.h"
 
 namespace abcal {
 namespace {
@@ -26,8 +26,8 @@ constexpr std::array<Eigen::Index, 6> kColumn{0, 1, 2, 1, 2, 2};
 constexpr double kSingular = 1e-9;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
-std::runtime_error undetermined(std::size_t poses) {
-  return std::runtime_error(fmt::format(
+UnusableData undetermined(std::size_t poses) {
+  return UnusableData(fmt::format(
       "norm fit: {} poses do not determine the nine unknowns; poses all over the sphere are required",
       poses));
 }
@@ -108,7 +108,7 @@ class NormProblem {
                   (iteration > 3 && change.norm() <= 1e-11 * size);
     }
     if (!converged)
-      throw std::runtime_error("norm fit: did not converge; the readings are not those of gravity alone");
+      throw UnusableData("norm fit: did not converge; the readings are not those of gravity alone");
     finish(out);
     return out;
   }

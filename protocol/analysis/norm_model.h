@@ -56,7 +56,7 @@ struct NormSolution {
 /// (protocol/model/effects.h), by Gauss-Newton. Derivatives are exact but for products of two effects (a
 /// hundredth of a hundredth at k2 = k3 = 1e-2), the model is exact.
 /// @param from  unknowns of an earlier solution of the same poses or a part of them; empty: none
-/// @throws std::runtime_error the poses do not determine the unknowns, or the fit does not converge
+/// @throws UnusableData the poses do not determine the unknowns, or the fit does not converge
 NormSolution solve_norm(std::span<const NormPose> poses, const NormModel& model,
                         const Eigen::VectorXd& from = {});
 

@@ -15,6 +15,7 @@
 
 #include "protocol/analysis/change_scan.h"
 #include "protocol/analysis/check_poses.h"
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -437,7 +438,7 @@ bool tells_little(const RunRecord& record) {
 void check_the_check_poses(const RunRecord& record, std::vector<Check>& checks) {
   try {
     for (Check& check : check_pose_checks(record)) checks.push_back(std::move(check));
-  } catch (const std::exception& error) {
+  } catch (const UnusableData& error) {
     checks.push_back({"check poses", std::numeric_limits<double>::quiet_NaN(),
                       std::numeric_limits<double>::quiet_NaN(), "", true,
                       fmt::format("the check poses were not compared: {}", error.what())});
@@ -473,7 +474,7 @@ std::vector<Check> check_record(const RunRecord& record) {
     check_drift(record, scan, checks);
     // Without what a wrong angle or a slip did to it.
     check_full_scale(record, scan.sensitivity, scan.u_sensitivity, checks);
-  } catch (const std::exception& error) {
+  } catch (const UnusableData& error) {
     checks.push_back(
         {"changes during the run", std::numeric_limits<double>::quiet_NaN(),
          std::numeric_limits<double>::quiet_NaN(), "", true,

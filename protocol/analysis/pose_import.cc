@@ -200,6 +200,170 @@ void check(const TimeSeries& series, const StaticSearch& search) {
   }
 }
 
+/// Below this an output is at rest: a multiple of the tenth quietest of the running spreads.
+Eigen::Vector3d spread_limit(const TimeSeries& series, const std::vector<Eigen::Vector3d>& spread,
+                             double threshold) {
+  const std::size_t n = spread.size();
+  Eigen::Vector3d limit;
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    std::vector<double> sorted(n);
+    for (std::size_t i = 0; i < n; ++i) sorted[i] = spread[i](j);
+    const auto tenth = sorted.begin() + static_cast<std::ptrdiff_t>(n / 10);
+    std::nth_element(sorted.begin(), tenth, sorted.end());
+    // An output that hardly changes shows less than its resolution: a step is never motion.
+    double resolution = std::numeric_limits<double>::infinity();
+    for (std::size_t i = 1; i < n; ++i) {
+      const double step = std::abs(series.reading[i](j) - series.reading[i - 1](j));
+      if (step > 0.0) resolution = std::min(resolution, step);
+    }
+    if (!std::isfinite(resolution)) resolution = 0.0;
+    limit(j) = threshold * std::max(*tenth, resolution / std::sqrt(12.0));
+  }
+  return limit;
+}
+
+/// Gathers stretches, and joins the parts of a pose that a knock has cut.
+class StretchCollector {
+ public:
+  StretchCollector(const TimeSeries& series, const StaticSearch& search, const RunningSums& sums,
+                   const Eigen::Vector3d& limit)
+      : series_(series), search_(search), sums_(sums), limit_(limit) {}
+
+  /// Samples first .. last - 1 were quiet in the short window.
+  void add(std::size_t first, std::size_t last) {
+    const double start = series_.time_s[first] + search_.trim_s;
+    const double end = series_.time_s[last - 1] - search_.trim_s;
+    // A part of a pose may be shorter than a pose: knocks cut it, and the parts are joined.
+    if (end - start < 0.25 * search_.min_length_s) return;
+    StaticStretch stretch;
+    stretch.first = sample_at(start);
+    stretch.last = sample_at(end) + 1;
+    if (stretch.last - stretch.first < 8) return;
+    stretch.count = stretch.last - stretch.first;
+    stretch.spread = sums_.spread(stretch.first, stretch.last);
+    // Slow turning passes the short window but not the whole stretch.
+    if ((stretch.spread.array() > limit_.array()).any()) return;
+    stretch.mean = sums_.mean(stretch.first, stretch.last);
+    stretch.u_mean = batch_uncertainty(sums_, stretch.first, stretch.last);
+    stretch.start_s = series_.time_s[stretch.first];
+    stretch.end_s = series_.time_s[stretch.last - 1];
+    if (found_.empty() || !goes_on(found_.back(), stretch)) {
+      found_.push_back(stretch);
+    } else {
+      join(found_.back(), stretch);
+    }
+  }
+  std::vector<StaticStretch> take() { return std::move(found_); }
+
+ private:
+  std::size_t sample_at(double time) const {
+    return static_cast<std::size_t>(std::lower_bound(series_.time_s.begin(), series_.time_s.end(), time) -
+                                    series_.time_s.begin());
+  }
+  /// A knock in the middle of a pose: the same pose goes on. Half the scatter of one reading is far below any
+  /// turn by hand; short parts know their means no better than five of their uncertainties.
+  bool goes_on(const StaticStretch& before, const StaticStretch& stretch) const {
+    const Eigen::Vector3d u = (stretch.u_mean.cwiseAbs2() + before.u_mean.cwiseAbs2()).cwiseSqrt();
+    const Eigen::Vector3d allowed = (0.5 * limit_ / search_.threshold).cwiseMax(5.0 * u);
+    const bool same = ((stretch.mean - before.mean).array().abs() <= allowed.array()).all();
+    return same && stretch.start_s - before.end_s <= 2.0 * search_.window_s + 2.0 * search_.trim_s;
+  }
+  static void join(StaticStretch& before, const StaticStretch& stretch) {
+    const auto a = static_cast<double>(before.count);
+    const auto b = static_cast<double>(stretch.count);
+    before.mean = (a * before.mean + b * stretch.mean) / (a + b);
+    before.spread = ((a * before.spread.cwiseAbs2() + b * stretch.spread.cwiseAbs2()) / (a + b)).cwiseSqrt();
+    before.u_mean =
+        (a * a * before.u_mean.cwiseAbs2() + b * b * stretch.u_mean.cwiseAbs2()).cwiseSqrt() / (a + b);
+    before.count += stretch.count;
+    before.last = stretch.last;
+    before.end_s = stretch.end_s;
+  }
+
+  const TimeSeries& series_;
+  const StaticSearch& search_;
+  const RunningSums& sums_;
+  Eigen::Vector3d limit_;
+  std::vector<StaticStretch> found_;
+};
+
+/// Three numbers of a row, and where it stands.
+class TripleReader {
+ public:
+  TripleReader(const Table& table, const std::string& source) : table_(table), source_(source) {}
+  std::string place(std::size_t row) const { return fmt::format("{}, line {}", source_, table_.lines[row]); }
+  Eigen::Vector3d operator()(std::size_t row, const std::array<std::size_t, 3>& columns) const {
+    Eigen::Vector3d value;
+    for (std::size_t j = 0; j < 3; ++j) {
+      value(static_cast<Eigen::Index>(j)) = table_.rows[row][columns[j]];
+    }
+    if (!value.allFinite()) {
+      throw std::invalid_argument(fmt::format("{}: a number is missing or not finite", place(row)));
+    }
+    return value;
+  }
+
+ private:
+  const Table& table_;
+  const std::string& source_;
+};
+
+/// Which columns hold what; without a time the rows are poses.
+struct PoseColumns {
+  std::array<std::size_t, 3> reading{};
+  std::array<std::optional<std::size_t>, 3> uncertainty{};
+  std::optional<std::size_t> time;
+};
+
+PoseColumns columns_of(const Table& table, const std::string& source) {
+  PoseColumns out;
+  if (table.header.empty()) {
+    const std::size_t columns = table.rows.front().size();
+    if (columns == 3) {
+      out.reading = {0, 1, 2};
+    } else if (columns == 4) {
+      out.time = 0;
+      out.reading = {1, 2, 3};
+    } else {
+      throw std::invalid_argument(
+          fmt::format("{}: {} columns without a header; 3 (poses u, v, w) or 4 (t, u, v, w) are required",
+                      source, columns));
+    }
+  } else if (column_named(table, {"r_u"}) && column_named(table, {"r_v"}) && column_named(table, {"r_w"})) {
+    out.reading = {*column_named(table, {"r_u"}), *column_named(table, {"r_v"}),
+                   *column_named(table, {"r_w"})};
+    out.uncertainty = {column_named(table, {"u_u"}), column_named(table, {"u_v"}),
+                       column_named(table, {"u_w"})};
+    // With t the rows are samples; the column time_s belongs to averaged readings.
+    out.time = column_named(table, {"t"});
+  } else if (const auto t = column_named(table, {"t", "time", "time_s"}); t && table.header.size() == 4) {
+    out.time = t;
+    std::size_t next = 0;
+    for (std::size_t i = 0; i < 4; ++i) {
+      if (i != *t) out.reading[next++] = i;
+    }
+  } else {
+    throw std::invalid_argument(
+        fmt::format("{}: columns {}; r_u, r_v, r_w (poses), or t and three others (time series) are required",
+                    source, fmt::join(table.header, ", ")));
+  }
+  return out;
+}
+
+/// A row of the averaged readings of a pose.
+DwellRecord pose_of(const TripleReader& triple, const PoseColumns& columns, std::size_t row) {
+  const auto& [u, v, w] = columns.uncertainty;
+  DwellRecord dwell;
+  dwell.n = static_cast<int>(row) + 1;
+  dwell.mean = triple(row, columns.reading);
+  if (!u || !v || !w) return dwell;
+  dwell.u_mean = triple(row, {*u, *v, *w});
+  if (!(dwell.u_mean->minCoeff() >= 0.0)) {
+    throw std::invalid_argument(fmt::format("{}: a negative uncertainty", triple.place(row)));
+  }
+  return dwell;
+}
+
 }  // namespace
 
 std::vector<StaticStretch> static_stretches(const TimeSeries& series, const StaticSearch& search) {
@@ -219,75 +383,17 @@ std::vector<StaticStretch> static_stretches(const TimeSeries& series, const Stat
   for (std::size_t i = 0; i < n; ++i) {
     spread[i] = sums.spread(i < half ? 0 : i - half, std::min(n, i + half + 1));
   }
-  Eigen::Vector3d limit;
-  for (Eigen::Index j = 0; j < 3; ++j) {
-    std::vector<double> sorted(n);
-    for (std::size_t i = 0; i < n; ++i) sorted[i] = spread[i](j);
-    const auto tenth = sorted.begin() + static_cast<std::ptrdiff_t>(n / 10);
-    std::nth_element(sorted.begin(), tenth, sorted.end());
-    // An output that hardly changes shows less than its resolution: a step is never motion.
-    double resolution = std::numeric_limits<double>::infinity();
-    for (std::size_t i = 1; i < n; ++i) {
-      const double step = std::abs(series.reading[i](j) - series.reading[i - 1](j));
-      if (step > 0.0) resolution = std::min(resolution, step);
-    }
-    if (!std::isfinite(resolution)) resolution = 0.0;
-    limit(j) = search.threshold * std::max(*tenth, resolution / std::sqrt(12.0));
-  }
-
-  std::vector<StaticStretch> found;
-  const auto add = [&](std::size_t first, std::size_t last) {
-    const double start = series.time_s[first] + search.trim_s;
-    const double end = series.time_s[last - 1] - search.trim_s;
-    // A part of a pose may be shorter than a pose: knocks cut it, and the parts are joined below.
-    if (end - start < 0.25 * search.min_length_s) return;
-    const auto at = [&](double time) {
-      return static_cast<std::size_t>(std::lower_bound(series.time_s.begin(), series.time_s.end(), time) -
-                                      series.time_s.begin());
-    };
-    StaticStretch stretch;
-    stretch.first = at(start);
-    stretch.last = at(end) + 1;
-    if (stretch.last - stretch.first < 8) return;
-    stretch.count = stretch.last - stretch.first;
-    stretch.spread = sums.spread(stretch.first, stretch.last);
-    // Slow turning passes the short window but not the whole stretch.
-    if ((stretch.spread.array() > limit.array()).any()) return;
-    stretch.mean = sums.mean(stretch.first, stretch.last);
-    stretch.u_mean = batch_uncertainty(sums, stretch.first, stretch.last);
-    stretch.start_s = series.time_s[stretch.first];
-    stretch.end_s = series.time_s[stretch.last - 1];
-    if (!found.empty()) {
-      // A knock in the middle of a pose: the same pose goes on. Half the scatter of one reading is far below
-      // any turn by hand; short parts know their means no better than five of their uncertainties.
-      StaticStretch& before = found.back();
-      const Eigen::Vector3d u = (stretch.u_mean.cwiseAbs2() + before.u_mean.cwiseAbs2()).cwiseSqrt();
-      const Eigen::Vector3d allowed = (0.5 * limit / search.threshold).cwiseMax(5.0 * u);
-      const bool same = ((stretch.mean - before.mean).array().abs() <= allowed.array()).all();
-      if (same && stretch.start_s - before.end_s <= 2.0 * search.window_s + 2.0 * search.trim_s) {
-        const auto a = static_cast<double>(before.count);
-        const auto b = static_cast<double>(stretch.count);
-        before.mean = (a * before.mean + b * stretch.mean) / (a + b);
-        before.spread =
-            ((a * before.spread.cwiseAbs2() + b * stretch.spread.cwiseAbs2()) / (a + b)).cwiseSqrt();
-        before.u_mean =
-            (a * a * before.u_mean.cwiseAbs2() + b * b * stretch.u_mean.cwiseAbs2()).cwiseSqrt() / (a + b);
-        before.count += stretch.count;
-        before.last = stretch.last;
-        before.end_s = stretch.end_s;
-        return;
-      }
-    }
-    found.push_back(stretch);
-  };
+  const Eigen::Vector3d limit = spread_limit(series, spread, search.threshold);
+  StretchCollector collector(series, search, sums, limit);
   std::size_t first = 0;
   bool still = false;
   for (std::size_t i = 0; i <= n; ++i) {
     const bool now = i < n && (spread[i].array() <= limit.array()).all();
     if (now && !still) first = i;
-    if (!now && still) add(first, i);
+    if (!now && still) collector.add(first, i);
     still = now;
   }
+  std::vector<StaticStretch> found = collector.take();
   std::erase_if(found, [&](const StaticStretch& stretch) {
     return static_cast<double>(stretch.count) * period < search.min_length_s;
   });
@@ -297,75 +403,22 @@ std::vector<StaticStretch> static_stretches(const TimeSeries& series, const Stat
 
 ImportedPoses import_poses(std::istream& in, const std::string& source, const StaticSearch& search) {
   const Table table = read_table(in, source);
+  const PoseColumns columns = columns_of(table, source);
+  const TripleReader triple(table, source);
   ImportedPoses out;
   out.record.source = source;
   out.record.tolerances = stated_sizes(table, source);
-  std::array<std::size_t, 3> reading{};
-  std::array<std::optional<std::size_t>, 3> uncertainty{};
-  std::optional<std::size_t> time;
-  if (table.header.empty()) {
-    const std::size_t columns = table.rows.front().size();
-    if (columns == 3) {
-      reading = {0, 1, 2};
-    } else if (columns == 4) {
-      time = 0;
-      reading = {1, 2, 3};
-    } else {
-      throw std::invalid_argument(
-          fmt::format("{}: {} columns without a header; 3 (poses u, v, w) or 4 (t, u, v, w) are required",
-                      source, columns));
-    }
-  } else if (column_named(table, {"r_u"}) && column_named(table, {"r_v"}) && column_named(table, {"r_w"})) {
-    reading = {*column_named(table, {"r_u"}), *column_named(table, {"r_v"}), *column_named(table, {"r_w"})};
-    uncertainty = {column_named(table, {"u_u"}), column_named(table, {"u_v"}), column_named(table, {"u_w"})};
-    // With t the rows are samples; the column time_s belongs to averaged readings.
-    time = column_named(table, {"t"});
-  } else if (const auto t = column_named(table, {"t", "time", "time_s"}); t && table.header.size() == 4) {
-    time = t;
-    std::size_t next = 0;
-    for (std::size_t i = 0; i < 4; ++i) {
-      if (i != *t) reading[next++] = i;
-    }
-  } else {
-    throw std::invalid_argument(
-        fmt::format("{}: columns {}; r_u, r_v, r_w (poses), or t and three others (time series) are required",
-                    source, fmt::join(table.header, ", ")));
-  }
-
-  const auto triple = [&](std::size_t row, const std::array<std::size_t, 3>& columns) {
-    Eigen::Vector3d value;
-    for (std::size_t j = 0; j < 3; ++j) {
-      value(static_cast<Eigen::Index>(j)) = table.rows[row][columns[j]];
-    }
-    if (!value.allFinite()) {
-      throw std::invalid_argument(
-          fmt::format("{}, line {}: a number is missing or not finite", source, table.lines[row]));
-    }
-    return value;
-  };
-  if (!time) {
-    const bool with_u = uncertainty[0] && uncertainty[1] && uncertainty[2];
-    for (std::size_t row = 0; row < table.rows.size(); ++row) {
-      DwellRecord dwell;
-      dwell.n = static_cast<int>(row) + 1;
-      dwell.mean = triple(row, reading);
-      if (with_u) {
-        dwell.u_mean = triple(row, {*uncertainty[0], *uncertainty[1], *uncertainty[2]});
-        if (!(dwell.u_mean->minCoeff() >= 0.0)) {
-          throw std::invalid_argument(
-              fmt::format("{}, line {}: a negative uncertainty", source, table.lines[row]));
-        }
-      }
-      out.record.dwells.push_back(std::move(dwell));
-    }
+  if (!columns.time) {
+    for (std::size_t row = 0; row < table.rows.size(); ++row)
+      out.record.dwells.push_back(pose_of(triple, columns, row));
     return out;
   }
 
   out.from_time_series = true;
   TimeSeries series;
   for (std::size_t row = 0; row < table.rows.size(); ++row) {
-    series.time_s.push_back(table.rows[row][*time]);
-    series.reading.push_back(triple(row, reading));
+    series.time_s.push_back(table.rows[row][*columns.time]);
+    series.reading.push_back(triple(row, columns.reading));
   }
   out.samples = table.rows.size();
   out.stretches = static_stretches(series, search);

@@ -11,12 +11,12 @@
 #include <cstddef>
 #include <limits>
 #include <map>
-#include <stdexcept>
 #include <vector>
 
 #include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/norm_model.h"
+#include "protocol/analysis/unusable_data.h"
 
 namespace abcal {
 namespace {
@@ -210,7 +210,7 @@ SpecificationTest compare_norm_with_joint(std::span<const EffectReading> reading
                             .orthogonality = 0.0,
                             .common_variance = 0.0};
     norm = solve_norm(model.poses(centre, size), assumed);
-  } catch (const std::runtime_error& error) {
+  } catch (const UnusableData& error) {
     out.why_not = error.what();
     return out;
   }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -19,8 +20,14 @@ struct Problem {
 /// "line 12, [protocol] steps: found 2; required: 3 to 3600".
 std::string to_string(const Problem& problem);
 
+/// The estimators by name; the program has one entry for each (app/results/estimators).
+inline constexpr std::array<std::string_view, 3> kEstimatorNames{"abc", "joint", "norm"};
+/// What a run file and a CSV call the choice.
+inline constexpr std::string_view kEstimatorLabel = "protocol.estimator";
 /// The estimator whose result is the result of a run, unless `[protocol] estimator` names another.
-inline constexpr std::string_view kDefaultProtocolEstimator = "abc";
+inline constexpr std::string_view kDefaultEstimator = "joint";
+/// The published protocol: of records that do not say which estimator was chosen.
+inline constexpr std::string_view kPublishedEstimator = "abc";
 
 /// How the three rotation experiments are measured (`[protocol]` of a bench file). Times in seconds.
 struct ProtocolConfig {
@@ -29,7 +36,7 @@ struct ProtocolConfig {
   bool closing_angle = true;         ///< Measure the first angle again, at alpha + 360 degrees.
   bool check_poses = true;           ///< Measure two poses at the start, between experiments and at the end.
   /// "abc", "joint", "norm": chosen before the first angle, so that nobody chooses by the result.
-  std::string estimator{kDefaultProtocolEstimator};
+  std::string estimator{kDefaultEstimator};
   Angle approach = Angle::degrees(1.0);  ///< Every angle is reached from below, by this much; 0: either side.
   Angle position_window = Angle::degrees(0.01);  ///< Largest distance of the encoder from the command.
   int window_polls = 3;                          ///< So many polls in a row must find it stopped and inside.

@@ -23,6 +23,7 @@
 
 #include "drivers/text/text.h"
 #include "protocol/plan/rotation_plan.h"
+#include "protocol/plan/run_config.h"
 #include "protocol/record/limits_entries.h"
 
 namespace abcal {
@@ -63,8 +64,12 @@ char separator_of(std::string_view text, std::size_t header) {
 
 /// The lines that are not empty and not comments, split into fields (RFC 4180), and the comments.
 struct Table {
+  struct Comment {
+    int line = 0;
+    std::string text;
+  };
   std::vector<Row> rows;
-  std::vector<std::string> comments;
+  std::vector<Comment> comments;
   bool decimal_comma = false;
   std::optional<int> open_quote_line;
 };
@@ -78,7 +83,7 @@ Table split(std::string_view text) {
     const std::size_t end_of_line = std::min(text.find('\n', at), text.size());
     const std::string_view whole = trimmed(text.substr(at, end_of_line - at));
     if (whole.empty() || whole.front() == '#') {
-      if (!whole.empty()) table.comments.emplace_back(whole.substr(1));
+      if (!whole.empty()) table.comments.push_back({line, std::string(whole.substr(1))});
       at = end_of_line + 1;
       ++line;
       continue;
@@ -179,12 +184,14 @@ class Importer {
   // What `abcal report --csv` writes above the header, so that the analysis of the copy gives the same
   // numbers.
   void read_comments() {
-    for (const std::string& comment : table_.comments) {
+    for (const auto& [line, comment] : table_.comments) {
       const std::size_t colon = comment.find(':');
       if (colon == std::string::npos) continue;
       const std::string key(trimmed(std::string_view(comment).substr(0, colon)));
       const std::string_view value = trimmed(std::string_view(comment).substr(colon + 1));
-      if (!value.empty()) metadata_[key] = value;
+      if (value.empty()) continue;
+      metadata_[key] = value;
+      metadata_line_[key] = line;
     }
     if (const auto unit = metadata_.find("response_unit"); unit != metadata_.end())
       record_.response_unit = unit->second;
@@ -194,8 +201,10 @@ class Importer {
     };
     read_effect_sizes([&](const std::string& key, double most) { return metadata_number(key, 0.0, most); },
                       comment_text, record_.tolerances);
+    check_effect_keys();
     read_limits_entries([&](const std::string& key) { return metadata_number(key, -1e9); }, comment_text,
                         record_.limits, record_.expected);
+    if (const auto chosen = comment_text(std::string(kEstimatorLabel))) read_estimator(*chosen);
     record_.continuations = static_cast<int>(metadata_number("continuations", 0.0, 1e6).value_or(0.0));
     MeasuredAlignment& alignment = record_.measured_alignment;
     for (const auto& [name, measured] :
@@ -216,14 +225,60 @@ class Importer {
     }
   }
 
+  std::string place_of(const std::string& key) const {
+    return fmt::format("line {}, comment \"{}\"", metadata_line_.at(key), key);
+  }
+
+  /// " degree": the unit of a number in the comments; empty where it has none.
+  static std::string unit_of(const std::string& key) {
+    for (const EffectSizeKey& of : effect_size_keys()) {
+      if (of.unit != "1" && key.ends_with(fmt::format(".{}", of.key))) return fmt::format(" {}", of.unit);
+    }
+    return {};
+  }
+
+  /// A misspelt key would leave a default in force that nobody wants.
+  void check_effect_keys() {
+    for (const auto& [key, value] : metadata_) {
+      const std::string section = key.substr(0, key.find('.'));
+      if (section != "stage_uncertainty" && section != "item_uncertainty") continue;
+      constexpr std::string_view kSource = ".source";
+      const bool of_source = key.ends_with(kSource);
+      const std::string of = of_source ? key.substr(0, key.size() - kSource.size()) : key;
+      std::string known;
+      bool found = false;
+      for (const EffectSizeKey& each : effect_size_keys()) {
+        if (each.section != section) continue;
+        found = found || of == fmt::format("{}.{}", each.section, each.key);
+        known += fmt::format("{}{}", known.empty() ? "" : ", ", each.key);
+      }
+      if (!found) {
+        problem(place_of(key), "an effect of this name", fmt::format("one of {}", known));
+      } else if (of_source && !metadata_.contains(of)) {
+        problem(place_of(key), "a source without a value",
+                fmt::format("a comment \"{}\" with a number{}", of,
+                            unit_of(of).empty() ? "" : fmt::format(" ({})", unit_of(of).substr(1))));
+      }
+    }
+  }
+
+  void read_estimator(const std::string& chosen) {
+    if (std::find(kEstimatorNames.begin(), kEstimatorNames.end(), chosen) != kEstimatorNames.end()) {
+      record_.estimator = chosen;
+    } else {
+      problem(place_of(std::string(kEstimatorLabel)), as_quoted(chosen),
+              fmt::format("one of {}", fmt::join(kEstimatorNames, ", ")));
+    }
+  }
+
   /// The number behind a key in the comments; nothing, and a problem if something else stands there.
   std::optional<double> metadata_number(const std::string& key, double lowest = 0.0, double highest = 1e9) {
     const auto found = metadata_.find(key);
     if (found == metadata_.end()) return std::nullopt;
     const std::optional<double> value = number_in(found->second, false);
     if (value && *value >= lowest && *value <= highest) return value;
-    problem(fmt::format("comment \"{}\"", key), as_quoted(found->second),
-            fmt::format("a number from {:g} to {:g}", lowest, highest));
+    problem(place_of(key), as_quoted(found->second),
+            fmt::format("a number from {:g} to {:g}{}", lowest, highest, unit_of(key)));
     return std::nullopt;
   }
 
@@ -441,6 +496,7 @@ class Importer {
   Table table_;
   std::map<std::string, std::size_t> columns_;
   std::map<std::string, std::string> metadata_;  // of the comments
+  std::map<std::string, int> metadata_line_;
   std::map<std::tuple<int, int, bool>, int> line_of_;
   bool with_u_ = false;
   std::vector<Problem> problems_;

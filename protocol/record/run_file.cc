@@ -15,6 +15,7 @@
 #include <system_error>
 #include <utility>
 
+#include "protocol/plan/run_config.h"
 #include "protocol/record/clock_watch.h"
 #include "protocol/record/dwell_rows.h"
 #include "protocol/record/run_header.h"
@@ -497,6 +498,8 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
   record.limits = header.limits;
   record.expected = header.expected;
   record.measured_alignment = header.measured_alignment;
+  if (const auto chosen = header.labels.find(std::string(kEstimatorLabel)); chosen != header.labels.end())
+    record.estimator = chosen->second;
   record.step = header.step;
   record.steps = header.steps;
   read_counting_dwells(database, [&](std::size_t position, DwellRecord dwell) {

@@ -106,6 +106,8 @@ struct RunRecord {
   LimitsConfig limits;
   ExpectedItem expected;
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
+  /// Whose result is the result of the run: chosen before the first angle ("joint"). Empty: not recorded.
+  std::string estimator;
   Angle step = Angle::degrees(5.0);      ///< Desired rotation step D.
   int steps = 72;                        ///< N.
   int continuations = 0;                 ///< How often the run was interrupted and went on.

@@ -1,10 +1,13 @@
 #include "protocol/uncertainty/budget.h"
 
+#include <fmt/format.h>
+
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <map>
+#include <numbers>
 #include <span>
 #include <stdexcept>
 #include <string_view>
@@ -33,6 +36,86 @@ Eigen::Index position(Eigen::Index j, Eigen::Index component) {
   return component < 3 ? 3 * j + component : 9 + j;
 }
 
+/// What no budget of this program has a line for.
+std::vector<std::string> sources_without_a_line(bool resolution_given) {
+  std::vector<std::string> out{"nutation of the stage's axes beyond its stated wobble",
+                               "stress-induced distortion of the stage",
+                               "temperature and remounting of the accelerometer"};
+  if (!resolution_given) out.emplace_back("resolution of the accelerometer's output (not given)");
+  return out;
+}
+
+/// g_loc: results are per g_loc, so it contributes nothing.
+void add_gravity_to(const RunRecord& record, Budget& budget) {
+  BudgetLine line;
+  line.input = "g_loc";
+  line.unit = "m/s2";
+  line.distribution = "normal";
+  if (record.g_loc_known && record.g_loc.coverage_factor > 0.0) {
+    line.value = std::to_string(record.g_loc.value_mps2);
+    line.standard_uncertainty = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
+    budget.notes.push_back(
+        "Results are per g_loc, so g_loc contributes nothing here; sensitivities per m/s2 carry "
+        "its relative standard uncertainty besides, angles and offsets do not.");
+  } else {
+    line.value = "not known";
+    line.standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
+    budget.notes.emplace_back("g_loc is not known: results are per g_loc.");
+  }
+  budget.lines.push_back(line);
+}
+
+OutputVector contributions(const OutputJacobian& jacobian, const Covariance12& covariance) {
+  return (jacobian * covariance * jacobian.transpose()).diagonal().cwiseMax(0.0).cwiseSqrt();
+}
+
+/// What a budget shows the size of a joint fit's effect in, and how large that is in its unit.
+std::pair<std::string, double> shown_size(const EffectShare& share) {
+  constexpr double kDegree = std::numbers::pi / 180.0;
+  if (share.key == "wobble_urad") return {"urad", 1e-6};
+  if (share.key == "alignment_deg") return {"1", 1.0};
+  if (share.key.ends_with("_deg")) return {"degree", kDegree};
+  return {"of S", 1.0};
+}
+
+/// The budget of a joint fit: the priors of each effect, and the readings with their noise process. What the
+/// readings tell of an effect has made its line smaller already.
+Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
+  Budget budget;
+  const OutputJacobian jacobian = jacobian_of(result.sensitivity_values());
+  Covariance12 readings = *result.covariance;
+  for (const EffectShare& share : result.joint->shares) {
+    const auto [unit, size] = shown_size(share);
+    BudgetLine line;
+    line.input = share.effect;
+    if (share.unknowns > 1) line.input += fmt::format(", {} unknowns", share.unknowns);
+    line.value = "estimated";
+    line.unit = unit;
+    line.distribution = "normal";
+    line.standard_uncertainty = share.prior_sd / size;
+    line.contribution = contributions(jacobian, share.covariance);
+    line.sensitivity = line.contribution / line.standard_uncertainty;
+    readings -= share.covariance;
+    budget.lines.push_back(std::move(line));
+  }
+  BudgetLine line;
+  line.input = "readings (noise, and its process from angle to angle)";
+  line.value = "measured";
+  line.unit = record.response_unit;
+  line.distribution = "normal";
+  line.type_a = true;
+  line.standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
+  line.contribution = contributions(jacobian, readings);
+  line.sensitivity = OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
+  budget.lines.push_back(std::move(line));
+  add_gravity_to(record, budget);
+  budget.covariance = jacobian * *result.covariance * jacobian.transpose();
+  for (const BudgetLine& each : budget.lines) budget.combined += each.contribution.cwiseAbs2();
+  budget.combined = budget.combined.cwiseSqrt();
+  budget.not_covered = sources_without_a_line(false);
+  return budget;
+}
+
 class BudgetMaker {
  public:
   BudgetMaker(const RunRecord& record, const CalibrationResult& result)
@@ -53,21 +136,14 @@ class BudgetMaker {
     add_effects();
     add_readings();
     if (resolution) add_resolution(*resolution);
-    add_gravity();
-    // The correction adds; where it takes away (by less than a tenth), nothing is taken from the draws.
-    const Eigen::SelfAdjointEigenSolver<Covariance12> eigen(by_correction_);
-    budget_.added_covariance = budget_.other_covariance + eigen.eigenvectors() *
-                                                              eigen.eigenvalues().cwiseMax(0.0).asDiagonal() *
-                                                              eigen.eigenvectors().transpose();
+    add_gravity_to(record_, budget_);
+    split_correction();
     budget_.covariance =
         budget_.type_b_covariance + jacobian_ * budget_.other_covariance * jacobian_.transpose();
     OutputVector variance = OutputVector::Zero();
     for (const BudgetLine& line : budget_.lines) variance += line.contribution.cwiseAbs2();
     budget_.combined = variance.cwiseSqrt();
-    budget_.not_covered = {"nutation of the stage's axes beyond its stated wobble",
-                           "stress-induced distortion of the stage",
-                           "temperature and remounting of the accelerometer"};
-    if (!resolution) budget_.not_covered.emplace_back("resolution of the accelerometer's output (not given)");
+    budget_.not_covered = sources_without_a_line(resolution.has_value());
     return budget_;
   }
 
@@ -90,10 +166,10 @@ class BudgetMaker {
       line.contribution += contribution.cwiseAbs2();
       if (drawn_by_monte_carlo(input)) {
         budget_.type_b_covariance += contribution * contribution.transpose();
-        const OutputVector published = jacobian_ * input.published_change;
-        budget_.published_type_b_covariance += published * published.transpose();
-        by_correction_ += input.change * input.change.transpose() -
-                          input.published_change * input.published_change.transpose();
+        const Eigen::Matrix<double, 12, 1> corrected = input.change - input.published_change;
+        published_ += input.published_change * input.published_change.transpose();
+        corrected_with_published_ += corrected * input.published_change.transpose();
+        corrected_ += corrected * corrected.transpose();
       } else {
         budget_.other_covariance += input.change * input.change.transpose();
       }
@@ -110,6 +186,20 @@ class BudgetMaker {
       if (group == "drift") line.input = "drift over the run, u v w";
       budget_.lines.push_back(line);
     }
+  }
+
+  // The correction of the drawn inputs is linear in them, and so are the published errors: regression of one
+  // on the other leaves a rest that is independent of them.
+  void split_correction() {
+    constexpr double kRoundOff = 1e-12;
+    const Eigen::SelfAdjointEigenSolver<Covariance12> eigen(published_);
+    const double least = kRoundOff * eigen.eigenvalues().cwiseAbs().maxCoeff();
+    const Eigen::Matrix<double, 12, 1> inverse =
+        eigen.eigenvalues().unaryExpr([&](double value) { return value > least ? 1.0 / value : 0.0; });
+    budget_.by_correction = corrected_with_published_ * eigen.eigenvectors() * inverse.asDiagonal() *
+                            eigen.eigenvectors().transpose();
+    budget_.added_covariance =
+        budget_.other_covariance + corrected_ - budget_.by_correction * corrected_with_published_.transpose();
   }
 
   // The inputs of the published protocol are drawn trial by trial; all others are added as normal.
@@ -178,25 +268,6 @@ class BudgetMaker {
     budget_.lines.push_back(line);
   }
 
-  void add_gravity() {
-    BudgetLine line;
-    line.input = "g_loc";
-    line.unit = "m/s2";
-    line.distribution = "normal";
-    if (record_.g_loc_known && record_.g_loc.coverage_factor > 0.0) {
-      line.value = std::to_string(record_.g_loc.value_mps2);
-      line.standard_uncertainty = record_.g_loc.expanded_uncertainty_mps2 / record_.g_loc.coverage_factor;
-      budget_.notes.push_back(
-          "Results are per g_loc, so g_loc contributes nothing here; sensitivities per m/s2 carry "
-          "its relative standard uncertainty besides, angles and offsets do not.");
-    } else {
-      line.value = "not known";
-      line.standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
-      budget_.notes.emplace_back("g_loc is not known: results are per g_loc.");
-    }
-    budget_.lines.push_back(line);
-  }
-
   const RunRecord& record_;
   const CalibrationResult& result_;
   AbcDesign design_;
@@ -204,7 +275,11 @@ class BudgetMaker {
   std::vector<const DwellRecord*> dwells_;
   std::vector<Eigen::Vector4d> shares_;
   std::map<std::string, OutputVector> signed_;
-  Covariance12 by_correction_ = Covariance12::Zero();
+  /// Of the drawn inputs, to first order: by the published equations, what the correction for k2 and k3 adds,
+  /// and both together.
+  Covariance12 published_ = Covariance12::Zero();
+  Covariance12 corrected_ = Covariance12::Zero();
+  Covariance12 corrected_with_published_ = Covariance12::Zero();
   Budget budget_;
 };
 
@@ -221,6 +296,7 @@ Budget make_budget(const RunRecord& record, const CalibrationResult& result,
       !result.offset_values().allFinite()) {
     throw std::invalid_argument(record.source + ": no result, so no budget: " + result.why);
   }
+  if (result.joint) return joint_budget(record, result);
   return BudgetMaker(record, result).make(resolution);
 }
 

@@ -31,13 +31,14 @@ struct Budget {
   OutputVector combined = OutputVector::Zero();  ///< Root of the sum of squares of the contributions.
   OutputCovariance type_b_covariance = OutputCovariance::Zero();  ///< Of the inputs that Monte Carlo draws.
   OutputCovariance covariance = OutputCovariance::Zero();         ///< Of all lines.
-  /// Of the same inputs, by the ABC equations alone: what a Monte Carlo of the published protocol finds.
-  OutputCovariance published_type_b_covariance = OutputCovariance::Zero();
   /// Covariance of s row by row and O due to everything but the inputs that Monte Carlo draws (alignment,
   /// turns, zeros, steps): readings, resolution, all other effects.
   Covariance12 other_covariance = Covariance12::Zero();
-  /// What a Monte Carlo of the whole budget adds to the published protocol's: other_covariance, and what the
-  /// correction for k2 and k3 makes of the inputs that are drawn.
+  /// How a Monte Carlo of the published protocol becomes one of the whole budget: its errors of s and O (e)
+  /// become (1 + by_correction) e plus normal errors with added_covariance. by_correction is the part of the
+  /// correction for k2 and k3 that goes with e, added_covariance all that does not: the rest of that
+  /// correction, and other_covariance.
+  Covariance12 by_correction = Covariance12::Zero();
   Covariance12 added_covariance = Covariance12::Zero();
   std::vector<std::string> not_covered;  ///< What no line stands for; part of every budget.
   std::vector<std::string> notes;
@@ -45,10 +46,11 @@ struct Budget {
   double share(const BudgetLine& line, int output) const;  ///< Of the variance of an output, 0..1.
 };
 
-/// The budget of an ABC result.
+/// The budget of an ABC or a joint result. Its combined uncertainty is that of the result. The covariances
+/// for Monte Carlo are filled for ABC alone.
 /// @param record      with the tolerances to be used
-/// @param result      analyse_abc of this record
-/// @param resolution  smallest step of the output (R), if known
+/// @param result      analyse_abc or analyse_joint of this record
+/// @param resolution  smallest step of the output (R), if known; of an ABC result
 /// @throws std::invalid_argument for a result without numbers, a record without enough angles
 Budget make_budget(const RunRecord& record, const CalibrationResult& result,
                    std::optional<double> resolution = {});

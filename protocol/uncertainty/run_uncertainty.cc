@@ -14,35 +14,38 @@ namespace abcal {
 
 namespace {
 
-/// The square root by eigenvalues: the covariance may be singular (no noise, no drift), and negative in a
-/// direction in which the correction for k2 and k3 makes the drawn errors smaller.
-Covariance12 root_of_positive_part(const Covariance12& covariance) {
+/// The square root by eigenvalues: the covariance may be singular (no noise, no drift), so that round-off
+/// makes some of them negative.
+Covariance12 root_of(const Covariance12& covariance) {
   const Eigen::SelfAdjointEigenSolver<Covariance12> eigen(covariance);
   return eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal();
 }
 
-// Type B errors of the stage and, besides, normal errors of s and O with the covariance of the rest of the
-// budget.
-TrialBlock whole_budget(const TypeBSampler& sampler, const Covariance12& other, std::uint64_t seed) {
-  const Covariance12 root = root_of_positive_part(other);
+/// Errors of the whole budget: the published protocol's own, drawn through its equations, as the correction
+/// for k2 and k3 changes them, and besides normal errors of s and O by all that is not drawn so
+/// (docs/effects.md).
+TrialBlock whole_budget(const TypeBSampler& sampler, const Budget& budget, std::uint64_t seed) {
+  const Covariance12 root = root_of(budget.added_covariance);
+  const Covariance12 corrected = Covariance12::Identity() + budget.by_correction;
   const AccelerometerUnderTest accelerometer = sampler.study().accelerometer;
   const OutputVector truth = to_vector(outputs_of(accelerometer.sensitivity_matrix, accelerometer.offset));
-  return [&sampler, root, accelerometer, truth, seed](std::uint64_t first, std::size_t count, double* out) {
+  return [&sampler, root, corrected, accelerometer, truth, seed](std::uint64_t first, std::size_t count,
+                                                                 double* out) {
     sampler(first, count, out);
-    for (std::size_t t = 0; t < count; ++t) {
-      RandomStream stream(seed, StreamPurpose::kReadings, first + t);
-      Eigen::Matrix<double, 12, 1> normals;
-      for (double& normal : normals) normal = stream.normal();
-      const Eigen::Matrix<double, 12, 1> other_errors = root * normals;
+    // Outputs stand in columns; the first twelve are s row by row and O.
+    Eigen::Map<Eigen::MatrixXd> errors(out, static_cast<Eigen::Index>(count), kStudyOutputs);
+    Eigen::MatrixXd normals(static_cast<Eigen::Index>(count), 12);
+    for (Eigen::Index t = 0; t < normals.rows(); ++t) {
+      RandomStream stream(seed, StreamPurpose::kReadings, first + static_cast<std::uint64_t>(t));
+      for (Eigen::Index k = 0; k < 12; ++k) normals(t, k) = stream.normal();
+    }
+    const Eigen::MatrixXd changed =
+        errors.leftCols<12>() * corrected.transpose() + normals * root.transpose();
+    for (Eigen::Index t = 0; t < changed.rows(); ++t) {
       Eigen::Matrix3d s = accelerometer.sensitivity_matrix;
       Eigen::Vector3d offset = accelerometer.offset;
-      for (Eigen::Index k = 0; k < 12; ++k) {
-        const double error = out[static_cast<std::size_t>(k) * count + t] + other_errors(k);
-        (k < 9 ? s(k / 3, k % 3) : offset(k - 9)) += error;
-      }
-      const OutputVector errors = to_vector(outputs_of(s, offset)) - truth;
-      for (Eigen::Index k = 0; k < kStudyOutputs; ++k)
-        out[static_cast<std::size_t>(k) * count + t] = errors(k);
+      for (Eigen::Index k = 0; k < 12; ++k) (k < 9 ? s(k / 3, k % 3) : offset(k - 9)) += changed(t, k);
+      errors.row(t) = (to_vector(outputs_of(s, offset)) - truth).transpose();
     }
   };
 }
@@ -96,8 +99,8 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
   };
   study.type_b = run_monte_carlo(kStudyOutputs, type_b_block, engine());
   study.budget = make_budget(record, study.result, options.resolution);
-  study.combined = run_monte_carlo(
-      kStudyOutputs, whole_budget(sampler, study.budget.added_covariance, options.seed), engine());
+  study.combined =
+      run_monte_carlo(kStudyOutputs, whole_budget(sampler, study.budget, options.seed), engine());
   study.acs_measured = options.measured.has_value();
   study.type_a = run_type_a(record, options.measured.value_or(MeasuredAcs::not_measured(record)),
                             options.seed, engine());
@@ -119,17 +122,11 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
     }
   }
   if (study.combined.interval_method != IntervalMethod::kNone) {
-    // First order of what is drawn, so that the equations are judged and not the part that is cut off.
-    const Covariance12 root = root_of_positive_part(study.budget.added_covariance);
-    const auto first_order = [&](int k) {
-      if (k >= 12) return study.budget.combined(k);
-      return std::sqrt(study.budget.published_type_b_covariance(k, k) + root.row(k).squaredNorm());
-    };
     for (int k = 0; k < kStudyOutputs; ++k) {
-      study.validation.push_back(
-          validate_gum(0.0, first_order(k), study.combined.coverage[static_cast<std::size_t>(k)].symmetric,
-                       static_cast<double>(study.combined.trials), study.combined.coverage_probability,
-                       options.validation_digits));
+      study.validation.push_back(validate_gum(
+          0.0, study.budget.combined(k), study.combined.coverage[static_cast<std::size_t>(k)].symmetric,
+          static_cast<double>(study.combined.trials), study.combined.coverage_probability,
+          options.validation_digits));
     }
   }
   return study;

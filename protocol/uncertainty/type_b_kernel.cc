@@ -157,6 +157,31 @@ HWY_INLINE V angle_error(D d, const Vector3<D>& a_found, const Vector3<D>& b_fou
   return hn::Mul(angle_of(d, sine, cosine), hn::Set(d, 57.29577951308232));
 }
 
+// Rows of the sensitivity matrix: those of the plan, or drawn around them.
+template <class D, class VU, class V = hn::Vec<D>>
+HWY_INLINE void accelerometer_rows(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& keys, VU trial,
+                                   Vector3<D> (&row)[3]) {
+  for (int j = 0; j < 3; ++j) {
+    row[j] = {hn::Set(d, plan.accelerometer[static_cast<std::size_t>(3 * j)]),
+              hn::Set(d, plan.accelerometer[static_cast<std::size_t>(3 * j + 1)]),
+              hn::Set(d, plan.accelerometer[static_cast<std::size_t>(3 * j + 2)])};
+  }
+  if (plan.spread > 0.0) {
+    // 9 elements of s, row by row. The offset would follow; no error depends on it.
+    constexpr auto kAccelerometers = static_cast<std::uint32_t>(StreamPurpose::kAccelerometers);
+    const V spread = hn::Set(d, plan.spread);
+    V normals[10];
+    for (std::uint32_t i = 0; i < 5; ++i) {
+      normal_pair(d, keys, trial, i, kAccelerometers, normals[2 * i], normals[2 * i + 1]);
+    }
+    for (int j = 0; j < 3; ++j) {
+      row[j].x = hn::Add(row[j].x, hn::Mul(spread, normals[3 * j]));
+      row[j].y = hn::Add(row[j].y, hn::Mul(spread, normals[3 * j + 1]));
+      row[j].z = hn::Add(row[j].z, hn::Mul(spread, normals[3 * j + 2]));
+    }
+  }
+}
+
 // One simulated calibration in each lane.
 template <class D, class VU, class V = hn::Vec<D>>
 HWY_INLINE void trials(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& keys, VU trial,
@@ -214,25 +239,7 @@ HWY_INLINE void trials(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& ke
   gz.z = hn::Sub(gz.z, one);
 
   Vector3<D> row[3];
-  for (int j = 0; j < 3; ++j) {
-    row[j] = {hn::Set(d, plan.accelerometer[static_cast<std::size_t>(3 * j)]),
-              hn::Set(d, plan.accelerometer[static_cast<std::size_t>(3 * j + 1)]),
-              hn::Set(d, plan.accelerometer[static_cast<std::size_t>(3 * j + 2)])};
-  }
-  if (plan.spread > 0.0) {
-    // 9 elements of s, row by row. The offset would follow; no error depends on it.
-    constexpr auto kAccelerometers = static_cast<std::uint32_t>(StreamPurpose::kAccelerometers);
-    const V spread = hn::Set(d, plan.spread);
-    V normals[10];
-    for (std::uint32_t i = 0; i < 5; ++i) {
-      normal_pair(d, keys, trial, i, kAccelerometers, normals[2 * i], normals[2 * i + 1]);
-    }
-    for (int j = 0; j < 3; ++j) {
-      row[j].x = hn::Add(row[j].x, hn::Mul(spread, normals[3 * j]));
-      row[j].y = hn::Add(row[j].y, hn::Mul(spread, normals[3 * j + 1]));
-      row[j].z = hn::Add(row[j].z, hn::Mul(spread, normals[3 * j + 2]));
-    }
-  }
+  accelerometer_rows(d, plan, keys, trial, row);
   // The platter tilts with Z: RRF(s_j, E, Theta_E) with E sin Theta_E = z x Z, cos Theta_E = Z_z.
   const Vector3<D> tilt = {hn::Neg(zy), zx, zero};
   const V tilt_factor = hn::Div(one, hn::Add(one, z_axis.z));  // (1 - cos) / sin^2

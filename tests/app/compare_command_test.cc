@@ -262,7 +262,8 @@ TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
       abcal({"issue", "a.run", "--laboratory", (examples / "laboratory.toml").string(), "--dcc", "a.xml"});
   ASSERT_EQ(written.exit_code, 0) << written.err;
   for (const std::vector<std::string>& files :
-       {std::vector<std::string>{"a.run", "a.xml"}, std::vector<std::string>{"a.xml", "a.run"}}) {
+       {std::vector<std::string>{"a.run", "a.xml", "--estimator", "joint"},
+        std::vector<std::string>{"a.xml", "a.run", "--estimator", "joint"}}) {
     const Json json = json_of(files);
     const Json& pair = json["pairs"][0];
     EXPECT_EQ(pair["degrees_of_freedom"], 9);

@@ -225,8 +225,8 @@ wobble_urad = 1e6
 }
 
 TEST(EffectKeysTest, TheEstimatorIsChosenBeforeTheFirstAngle) {
-  EXPECT_EQ(bench_with("").protocol.estimator, kDefaultProtocolEstimator);
-  EXPECT_EQ(bench_with("[protocol]\nestimator = \"joint\"\n").protocol.estimator, "joint");
+  EXPECT_EQ(bench_with("").protocol.estimator, kDefaultEstimator);
+  EXPECT_EQ(bench_with("[protocol]\nestimator = \"abc\"\n").protocol.estimator, "abc");
   EXPECT_THAT(
       refusal_of("[protocol]\nestimator = \"best\"\n"),
       HasSubstr("[protocol] estimator: found \"best\"; required: one of \"abc\", \"joint\", \"norm\""));

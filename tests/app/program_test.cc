@@ -72,7 +72,7 @@ TEST_F(ProgramTest, AnAnalysisIsKeptBesideTheRunOnce) {
   ASSERT_EQ(abcal({"analyse", "a.run", "--json"}).exit_code, 0);
   EXPECT_EQ(sha256_of_file(folder / "a.run"), before);
   SqliteDatabase results(folder / "a.run.results", SqliteDatabase::Mode::kReadOnly);
-  EXPECT_EQ(results.value("select count(*) from analysis where estimator='abc'"), "1");
+  EXPECT_EQ(results.value("select count(*) from analysis where estimator='joint'"), "1");
   EXPECT_EQ(results.value("select sha256 from run"), before);
 }
 

@@ -10,7 +10,9 @@
 #include <string>
 #include <thread>
 
+#include "app/results/analyses.h"
 #include "app/robustness/robustness_text.h"
+#include "protocol/uncertainty/budget.h"
 
 namespace abcal {
 namespace {
@@ -67,6 +69,31 @@ TEST(RobustnessTest, TheTruthIsTheMeanLineOfTheRun) {
               5e-5 * (1.0 - std::exp(-6.0)) / 6.0, 2e-7);
 }
 
+// The budget of a joint result combines to the stated uncertainty: there is no second one. (That of ABC:
+// RunUncertaintyTest.)
+TEST(RobustnessTest, TheJointBudgetIsThatOfTheStatedUncertaintyInAHundredRandomRuns) {
+  const auto& all = robustness_scenarios();
+  for (const char* name : {"everything-24", "sound-12"}) {
+    const Scenario& scenario =
+        *std::find_if(all.begin(), all.end(), [&](const Scenario& s) { return s.name == name; });
+    for (std::uint64_t bench = 0; bench < 50; ++bench) {
+      const RunRecord record = simulate_run(draw_bench(scenario, 7, bench)).record;
+      const CalibrationResult result = analyse(record, "joint");
+      ASSERT_TRUE(result.sensitivity_matrix) << result.why;
+      const Budget budget = make_budget(record, result);
+      for (int k = 0; k < kStudyOutputs; ++k) {
+        const auto i = static_cast<std::size_t>(k);
+        const Quantity& stated = k < 9    ? (*result.sensitivity_matrix)[i / 3][i % 3]
+                                 : k < 12 ? result.offset[i - 9]
+                                 : k < 15 ? result.intrinsic_sensitivity[i - 12]
+                                          : result.intrinsic_angle[i - 15];
+        EXPECT_NEAR(budget.combined(k) / stated.standard_uncertainty, 1.0, 1e-9)
+            << output_symbol(k) << " of " << name << " " << bench;
+      }
+    }
+  }
+}
+
 TEST(RobustnessTest, AnUnknownScenarioIsNamedWithThoseThatAreKnown) {
   try {
     study_of({"wobbel-20"}, 1);
@@ -93,21 +120,22 @@ TEST(RobustnessTest, ShortfallsFollowTheKindOfTheScenario) {
   EXPECT_TRUE(outcome.shortfalls().empty()) << "five usable runs say nothing of their intervals";
 }
 
-/// The table of docs/effects.md, "before": a bound, not a goal. The same seed gives the same benches, so a
-/// larger count is a step back; lower the numbers when an estimator has learnt more.
+/// The table of docs/effects.md with fewer benches. The same seed gives the same benches, so a larger count
+/// is a step back; lower the numbers when an estimator has learnt more.
 TEST(LongRobustness, NoMoreFallsShortThanBefore) {
   constexpr int kShortGroups = 135;
   constexpr int kWrongVerdicts = 24;
   RobustnessOptions options;
   options.benches = 24;
   options.threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  const RobustnessStudy study = run_robustness_study(options);
   int groups = 0;
   int verdicts = 0;
-  for (const ScenarioOutcome& outcome : run_robustness_study(options).outcomes) {
+  for (const ScenarioOutcome& outcome : study.outcomes) {
     for (const std::string& one : outcome.shortfalls()) ++(one.starts_with("usable") ? verdicts : groups);
   }
-  EXPECT_LE(groups, kShortGroups);
-  EXPECT_LE(verdicts, kWrongVerdicts);
+  EXPECT_LE(groups, kShortGroups) << robustness_text(study);
+  EXPECT_LE(verdicts, kWrongVerdicts) << robustness_text(study);
 }
 
 }  // namespace

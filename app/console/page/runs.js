@@ -103,14 +103,15 @@ export async function showRun(name) {
     return say('run-detail', error);
   }
   const {run, results} = data;
-  const abc = results[0], joint = results.find((r) => r.estimator === 'joint');
+  // The first is the estimator that was chosen for the run; the fits of the published protocol show the stage.
+  const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
   detail.replaceChildren(
     element('p', {}, element('a', {href: '#runs'}, 'All runs')),
     element('h3', {id: 'run-name'}, run.name),
-    verdict(abc, run),
+    verdict(reported, run),
     downloads(data.downloads, run),
-    card('Checks of the result', checks(abc, data.meanings)),
-    ...(abc.diagnostics.flags.length ? [card('Flagged angles', flagged(abc, data.meanings))] : []),
+    card('Checks of the result', checks(reported, data.meanings)),
+    ...(reported.diagnostics.flags.length ? [card('Flagged angles', flagged(reported, data.meanings))] : []),
     card('Estimators side by side', estimators(results)),
     card('Other estimators in words', element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. ${r.why}`)))),
     card('Facts', facts(data)));

@@ -8,8 +8,8 @@
 #include <limits>
 #include <numbers>
 #include <random>
-#include <stdexcept>
 
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/model/forward_model.h"
 #include "tests/protocol/analysis/made_record.h"
 
@@ -355,14 +355,17 @@ TEST(JointFitTest, ChiSquareRefusesAnAccelerometerThatTheModelDoesNotKnow) {
     const double l = dwell.mean(0) - 0.05;
     dwell.mean(0) += 3e-4 * l * l * l * l * l;  // a fifth-order term
   }
-  // With the noise process in the fit a term that is stated as zero reads as slow noise: chi2 then says
-  // nothing.
   JointOptions options;
   options.noise_process = false;
-  const CalibrationResult result = analyse_joint(record, options);
+  CalibrationResult result = analyse_joint(record, options);
   EXPECT_EQ(result.verdict, Verdict::kDoubtful);
   EXPECT_THAT(result.why, HasSubstr("chi2"));
   EXPECT_LT(*result.diagnostics.chi2_probability, 1e-3);
+  // With the noise process in the fit a term that is stated as zero reads as slow noise, of which chi2 says
+  // nothing. The residuals still have the shape of the term.
+  result = analyse_joint(record);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful) << result.why;
+  EXPECT_THAT(result.why, HasSubstr("k5 of u is stated as zero, and is not (nonlinearity"));
 }
 
 // docs/theory/joint_estimator.md: "k2 = 1e-4 gives chi2/dof 3.3 and 7e-5 in s_uz, s_wx, O; k3 = 1e-4
@@ -457,32 +460,72 @@ TEST(JointFitTest, StageOutsideItsToleranceMakesTheResultDoubtful) {
   EXPECT_THAT(result.why, HasSubstr("Xz"));
 }
 
-TEST(JointFitTest, PriorsOfZeroWidthAreRefusedByName) {
+TEST(JointFitTest, SizesThatAreNoSizesAreRefusedByName) {
   RunRecord record = noisy_record(some_accelerometer(), 43, 1e-5);
   const auto refused = [&](const std::string& key) {
-    try {
-      analyse_joint(record);
-      ADD_FAILURE() << key << " was accepted";
-    } catch (const std::invalid_argument& error) {
-      EXPECT_THAT(error.what(), HasSubstr(key));
-    }
+    const CalibrationResult result = analyse_joint(record);
+    EXPECT_EQ(result.verdict, Verdict::kNotUsable) << key;
+    EXPECT_THAT(result.why, HasSubstr(key));
+    EXPECT_FALSE(result.sensitivity_matrix);
     record.tolerances = without_further_effects({});
   };
-  record.tolerances.alignment = Angle::degrees(0.0);
-  refused("alignment_deg");
   record.tolerances.step = Angle::degrees(-0.008);
-  refused("step_deg");
+  refused("step_deg is -0.008");
   record.tolerances.initial_turn = Angle::degrees(std::numeric_limits<double>::quiet_NaN());
-  refused("initial_turn_deg");
-  record.tolerances.zero = Angle::degrees(0.0);
-  refused("zero_deg");
+  refused("initial_turn_deg is nan");
   record.tolerances.drift = -1e-4;
-  refused("drift");
+  refused("drift is -0.0001");
   record.tolerances.wobble_urad = std::numeric_limits<double>::infinity();
-  refused("wobble_urad");
+  refused("wobble_urad is inf");
   JointOptions options;
   options.measured_alignment.zx = MeasuredValue{0.0, 0.0};
-  EXPECT_THROW(analyse_joint(record, options), std::invalid_argument);
+  EXPECT_THAT(analyse_joint(record, options).why, HasSubstr("measured Zx = 0 with standard uncertainty 0"));
+}
+
+// What is stated as exactly zero is known exactly, as on a stage without that error.
+TEST(JointFitTest, SizesOfZeroAreKnownExactly) {
+  const AccelerometerModel aut = some_accelerometer();
+  AcsErrors acs;
+  acs.alignment = {1e-4, -5e-5, 8e-5};
+  std::mt19937_64 engine(61);
+  RunRecord perfect = test::made_record(aut, {});
+  RunRecord tilted = test::made_record(aut, acs);
+  test::add_noise(perfect, 1e-5, engine);
+  test::add_noise(tilted, 1e-5, engine);
+  for (RunRecord* record : {&perfect, &tilted}) {
+    record->tolerances.step = record->tolerances.alignment = Angle::degrees(0.0);
+    record->tolerances.zero = record->tolerances.initial_turn = Angle::degrees(0.0);
+  }
+  CalibrationResult result = analyse_joint(perfect);
+  EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
+  // Without F_X nothing hides the orientation about X: that of 144 readings with noise of 1e-5, and drifts.
+  EXPECT_LT((*result.sensitivity_matrix)[1][2].standard_uncertainty, 1e-5);
+  EXPECT_NEAR((*result.sensitivity_matrix)[1][2].value, aut.sensitivity_matrix(1, 2), 5e-6);
+  EXPECT_TRUE(std::isnan(result.joint->alignment[0].value));
+  // Alignment that is not zero contradicts the statement, and is named.
+  result = analyse_joint(tilted);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(result.why, HasSubstr("Xz is stated as zero, and is not (alignment_deg"));
+  // One that was measured otherwise is an unknown with that prior.
+  JointOptions options;
+  options.measured_alignment = {MeasuredValue{1e-4, 1e-6}, MeasuredValue{-5e-5, 1e-6},
+                                MeasuredValue{8e-5, 1e-6}};
+  result = analyse_joint(tilted, options);
+  EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
+  EXPECT_NEAR(result.joint->alignment[2].value, 8e-5, 5e-6);
+}
+
+TEST(JointFitTest, AnOutputThatTheAnglesDoNotDetermineIsToldWithWhatToAdd) {
+  RunRecord record = noisy_record(some_accelerometer(), 67, 1e-5);
+  std::erase_if(record.dwells, [](const DwellRecord& dwell) { return (dwell.n - 1) % 18 != 0; });  // 4 of 72
+  const CalibrationResult result = analyse_joint(record);
+  ASSERT_TRUE(result.sensitivity_matrix) << result.why;
+  EXPECT_THAT(result.diagnostics.notes,
+              testing::Contains(testing::AllOf(HasSubstr("s_ux, s_vy, s_wz are known to"),
+                                               HasSubstr("state a smaller [item_uncertainty] k3"))));
+  // 72 angles determine everything.
+  const CalibrationResult whole = analyse_joint(noisy_record(some_accelerometer(), 67, 1e-5));
+  EXPECT_THAT(whole.diagnostics.notes, testing::Not(testing::Contains(HasSubstr("do not determine"))));
 }
 
 TEST(JointFitTest, RunsThatDoNotDetermineTheMatrixGiveNoNumbers) {
@@ -513,14 +556,14 @@ TEST(JointFitTest, OutputThatNeverChangesGivesNoNumbers) {
 TEST(JointFitTest, ReadingsThatAreNotFiniteAreRefusedUnlessFlagged) {
   RunRecord record = noisy_record(some_accelerometer(), 53, 1e-5);
   record.dwells[5].mean(1) = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_THROW(analyse_joint(record), std::invalid_argument);
+  EXPECT_THROW(analyse_joint(record), UnusableData);
   record.dwells[5].flags = kFlagNotFinite;
   record.dwells[6].flags = kFlagClipped;
   const CalibrationResult result = analyse_joint(record);
   EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
   EXPECT_EQ(result.diagnostics.angles_used, 214);
   record.dwells[7].experiment = 4;
-  EXPECT_THROW(analyse_joint(record), std::invalid_argument);
+  EXPECT_THROW(analyse_joint(record), UnusableData);
 }
 
 }  // namespace

@@ -225,7 +225,7 @@ TEST(JointStudyTest, RefusesWhatCannotBeSimulated) {
   refuses([](JointStudyOptions& o) { o.noise = 0.0; });
   refuses([](JointStudyOptions& o) { o.k = -1e-3; });
   refuses([](JointStudyOptions& o) { o.drift = std::numeric_limits<double>::quiet_NaN(); });
-  refuses([](JointStudyOptions& o) { o.tolerances.step = Angle::degrees(0.0); });
+  refuses([](JointStudyOptions& o) { o.tolerances.step = Angle::degrees(-0.001); });
 }
 
 }  // namespace

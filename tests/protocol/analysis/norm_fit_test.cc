@@ -6,12 +6,12 @@
 #include <cmath>
 #include <limits>
 #include <random>
-#include <stdexcept>
 #include <vector>
 
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/pose_import.h"
+#include "protocol/analysis/unusable_data.h"
 #include "tests/protocol/analysis/made_record.h"
 #include "tests/support/test_data.h"
 
@@ -298,7 +298,7 @@ TEST(NormFitTest, PosesThatDetermineNothingGiveNoNumbers) {
   not_usable(planar, "do not determine");
   not_usable(std::vector<Pose>(20, planar[0]), "read the same");
   planar[3].reading(0) = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_THROW(analyse_norm(planar), std::invalid_argument);
+  EXPECT_THROW(analyse_norm(planar), UnusableData);
 }
 
 // Reference: README of the shared data, "an independent norm fit on the static means".

@@ -239,6 +239,38 @@ TEST(ImportCsvTest, EveryProblemIsReportedAtOnceWithItsLine) {
   }
 }
 
+TEST(ImportCsvTest, EveryMistakeInAnEffectIsReportedAtOnceWithLineRangeAndUnit) {
+  const auto problems = problems_of(
+      "# stage_uncertainty.wobble_urad: 1e6\n"
+      "# stage_uncertainty.step_deg: -0.1\n"
+      "# stage_uncertainty.zero_deg: nan\n"
+      "# stage_uncertainty.step_smoth_deg: 0.004\n"
+      "# stage_uncertainty.alignment_deg.source: a certificate\n"
+      "# item_uncertainty.hysteresis: small\n"
+      "# protocol.estimator: best\n" +
+      (kHeader + good_rows()));
+  EXPECT_THAT(
+      problems,
+      testing::UnorderedElementsAre(
+          problem("line 1, comment \"stage_uncertainty.wobble_urad\"", "\"1e6\"",
+                  "a number from 0 to 10000 urad"),
+          problem("line 2, comment \"stage_uncertainty.step_deg\"", "\"-0.1\"",
+                  "a number from 0 to 10 degree"),
+          problem("line 3, comment \"stage_uncertainty.zero_deg\"", "\"nan\"",
+                  "a number from 0 to 10 degree"),
+          problem("line 4, comment \"stage_uncertainty.step_smoth_deg\"", "an effect of this name",
+                  "step_smooth_deg"),
+          problem("line 5, comment \"stage_uncertainty.alignment_deg.source\"", "a source without a value",
+                  "a number (degree)"),
+          problem("line 6, comment \"item_uncertainty.hysteresis\"", "\"small\"", "a number from 0 to 0.1"),
+          problem("line 7, comment \"protocol.estimator\"", "\"best\"", "one of abc, joint, norm")));
+}
+
+TEST(ImportCsvTest, TheEstimatorThatWasChosenBeforeTheRunIsKept) {
+  EXPECT_EQ(imported(kHeader + good_rows()).estimator, "");
+  EXPECT_EQ(imported("# protocol.estimator: joint\n" + (kHeader + good_rows())).estimator, "joint");
+}
+
 TEST(ImportCsvTest, HeaderProblemsNameTheColumn) {
   EXPECT_THAT(problems_of("experiment,n,alpha_deg,r_u,r_w\n1,1,0,1,1\n"),
               Contains(problem("header", "", "column r_v")));

@@ -1,0 +1,19 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+
+#include "protocol/analysis/noise_process.h"
+
+namespace abcal {
+
+// The two loops in which a fit with a noise process spends its time, on the widest vectors of this machine.
+// Sums run in the order of the rows and no operation is fused, so every processor gives the same bits.
+
+/// Rows of three readings at a time, in place: the whitening filter of noise_process.h.
+void whiten_rows(std::span<const WhitenerStep> steps, bool white, ReadingRows& rows);
+
+/// X' X, both triangles.
+Eigen::MatrixXd products_of_columns(const ReadingRows& rows);
+
+}  // namespace abcal
