@@ -106,6 +106,13 @@ Json series_of(const PropertySeries& series, const std::string& unit) {
                       {"degrees_of_freedom", s->runs - 1},
                       {"chi2_probability", s->chi2_probability}};
   }
+  json["random_effects"] = nullptr;
+  if (const auto& r = series.random_effects) {
+    json["random_effects"] = {{"mean", r->mean},
+                              {"standard_uncertainty", r->standard_uncertainty},
+                              {"between", r->between},
+                              {"e_n", r->normalised_error}};
+  }
   if (const auto& a = series.anova) {
     json["anova"] = {{"mean", a->mean},
                      {"mean_standard_uncertainty", a->mean_standard_uncertainty},

@@ -152,6 +152,43 @@ void find_groups(const std::string& group_by, ResultsComparison& comparison) {
   }
 }
 
+/// What two results of one property have in common. On one stage it is its type B: as --shared computes it
+/// where both are records, else all of the smaller one.
+double common_variance(const ComparedResult& first, const ComparedResult& second, Eigen::Index property) {
+  if (first.stage.empty() || first.stage != second.stage) return 0.0;
+  if (first.record && second.record && first.what == "abc estimator" && second.what == "abc estimator" &&
+      first.matrix && second.matrix) {
+    const Covariance12 shared = shared_covariance(first, second);
+    return (intrinsic_jacobian(*first.matrix) * shared * intrinsic_jacobian(*second.matrix).transpose())(
+        property, property);
+  }
+  const auto type_b_variance = [&](const ComparedResult& result) {
+    const double type_a = result.type_a ? (*result.type_a)(property) : 0.0;
+    return std::max(0.0, result.covariance(property, property) - type_a * type_a);
+  };
+  return std::min(type_b_variance(first), type_b_variance(second));
+}
+
+/// The mean with type B, correlated where results share a stage; nothing where an uncertainty is not given.
+std::optional<RandomEffectsMean> mean_with_type_b(const ResultsComparison& comparison,
+                                                  const std::vector<double>& values, Eigen::Index property) {
+  const auto n = static_cast<Eigen::Index>(values.size());
+  Eigen::MatrixXd covariance(n, n);
+  const auto result = [&](Eigen::Index i) -> const ComparedResult& {
+    return comparison.results[comparison.order[static_cast<std::size_t>(i)]];
+  };
+  for (Eigen::Index i = 0; i < n; ++i) {
+    for (Eigen::Index j = 0; j < n; ++j)
+      covariance(i, j) = i == j ? result(i).covariance(property, property)
+                                : common_variance(result(std::min(i, j)), result(std::max(i, j)), property);
+  }
+  try {
+    return random_effects_mean(values, covariance);
+  } catch (const std::exception&) {
+    return std::nullopt;  // Without uncertainties there is no weighted mean.
+  }
+}
+
 PropertySeries series_of(const ResultsComparison& comparison, Eigen::Index property, double ewma_weight) {
   PropertySeries series;
   std::vector<double> type_a;
@@ -164,6 +201,7 @@ PropertySeries series_of(const ResultsComparison& comparison, Eigen::Index prope
   }
   if (!all_given) return series;
   if (type_a.size() == series.values.size()) series.spread = spread_between_runs(series.values, type_a);
+  series.random_effects = mean_with_type_b(comparison, series.values, property);
   series.individuals = individuals_chart(series.values);
   series.ewma = ewma_chart(series.values, series.individuals->centre, series.individuals->standard_deviation,
                            ewma_weight);

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/compare/compared_result.h"
+#include "app/compare/random_effects.h"
 #include "protocol/analysis/comparison.h"
 #include "protocol/uncertainty/analysis_of_variance.h"
 #include "protocol/uncertainty/control_chart.h"
@@ -32,6 +33,7 @@ struct PairComparison {
 struct PropertySeries {
   std::vector<double> values;  ///< In the order of `order`.
   std::optional<RunSpread> spread;
+  std::optional<RandomEffectsMean> random_effects;  ///< In the order of `order`; type B included.
   std::optional<OneWayAnova> anova;
   std::optional<ControlChart> individuals, means, ewma;
 };

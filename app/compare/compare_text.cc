@@ -123,6 +123,26 @@ void spread_table(const ResultsComparison& comparison, std::FILE* stream, std::s
       "  between: what the scatter of the readings (type A) does not explain of the scatter of the results\n";
 }
 
+void random_effects_table(const ResultsComparison& comparison, std::FILE* stream, std::string& text) {
+  text += heading(stream, "Mean with type B (random effects)");
+  text +=
+      fmt::format("  {:<7} {:>28} {:>11}  {:<10} {}\n", "", "mean", "between", "unit", "E_n of each result");
+  for (std::size_t i = 0; i < 9; ++i) {
+    const auto& r = (*comparison.series)[i].random_effects;
+    if (!r) continue;
+    std::string errors;
+    for (std::size_t k = 0; k < r->normalised_error.size(); ++k)
+      errors +=
+          fmt::format("{}{}: {:+.2f}", k == 0 ? "" : ", ", comparison.order[k] + 1, r->normalised_error[k]);
+    text += fmt::format("  {:<7} {:>28} {:>11}  {:<10} {}\n", kIntrinsicNames[i],
+                        with_u(r->mean, r->standard_uncertainty), digits(r->between), comparison.units[i],
+                        errors);
+  }
+  text +=
+      "  between: what the stated uncertainties do not explain; what one stage does to all is not averaged "
+      "down\n";
+}
+
 void anova_table(const ResultsComparison& comparison, std::FILE* stream, std::string& text) {
   if (comparison.groups.empty()) return;
   text += heading(stream, fmt::format("{} groups", comparison.groups.size()));
@@ -189,6 +209,7 @@ std::string compare_text(const ResultsComparison& comparison, std::FILE* stream)
   }
   if (comparison.series) {
     spread_table(comparison, stream, text);
+    random_effects_table(comparison, stream, text);
     anova_table(comparison, stream, text);
     chart_table(comparison, stream, text);
   }

@@ -80,9 +80,11 @@ std::string averaged_csv(const ReportData& data) {
     const auto degrees = [](const std::optional<Angle>& angle) {
       return angle ? csv_number(angle->deg()) : std::string();
     };
-    rows += fmt::format(
-        ",{},{},{},{},{},{}\n", csv_number(dwell.time_s), dwell.count > 0 ? std::to_string(dwell.count) : "",
-        csv_number(dwell.temperature_degc), dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z));
+    rows +=
+        fmt::format(",{},{},{},{},{},{},{},{},{}\n", csv_number(dwell.time_s),
+                    dwell.count > 0 ? std::to_string(dwell.count) : "", csv_number(dwell.temperature_degc),
+                    dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z),
+                    csv_number(dwell.spread[0]), csv_number(dwell.spread[1]), csv_number(dwell.spread[2]));
   }
   std::string flags;
   for (std::uint32_t bit = 1; bit <= kAllFlags; bit *= 2)
@@ -92,10 +94,11 @@ std::string averaged_csv(const ReportData& data) {
   if (left_out > 0) text += comment("left_out", fmt::format("{} angles without a finite mean", left_out));
   if (!data.record.check_poses.empty())
     text += comment("experiment 0", "a check pose, n = 1 or 2: gravity along (1, 1, 1) or against it");
-  return text + comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_* response_unit; time_s s") +
+  return text +
+         comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_*, spread_* response_unit; time_s s") +
          comment("flags", "sum of " + flags) +
          "experiment,n,closing,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,"
-         "encoder_x_deg,encoder_z_deg\n" +
+         "encoder_x_deg,encoder_z_deg,spread_u,spread_v,spread_w\n" +
          rows;
 }
 

@@ -26,19 +26,29 @@ bool same_direction(Angle a, Angle b) {
   return std::abs(turns - std::round(turns)) * 360.0 <= kAngleRoundingDeg;
 }
 
+bool is_check_pose(const PlannedAngle& angle) {
+  if (angle.n < 1 || angle.n > kCheckPoses) return false;
+  const CheckPose pose = check_poses()[static_cast<std::size_t>(angle.n - 1)];
+  return same_direction(angle.x, pose.x) && same_direction(angle.z, pose.z);
+}
+
 /// What of the stored plan is not what the bench file gives; empty: all is. Which whole turns and which
 /// order, depends on the travel of the stage, which is not in the bench file.
 std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const BenchConfig& bench) {
   constexpr AxisTravel kAny{Angle::degrees(-1080.0), Angle::degrees(1080.0)};
   std::map<std::pair<int, int>, PlannedAngle> expected;
-  // Runs of before version 0.2 have no check poses, whatever is the rule for a bench file that says nothing.
   ProtocolConfig protocol = bench.protocol;
   protocol.check_poses =
-      std::any_of(stored.begin(), stored.end(), [](const auto& angle) { return angle.check; });
+      false;  // Runs of before version 0.2 have none, whatever the bench file says by default.
   for (const PlannedAngle& angle : make_rotation_plan(protocol, {kAny, kAny}))
     if (!angle.closing) expected[{angle.experiment, angle.n}] = angle;
   std::set<std::pair<int, int>> seen;
   for (const PlannedAngle& angle : stored) {
+    if (angle.experiment == 0) {
+      if (!is_check_pose(angle))
+        return fmt::format("pose {} is neither of an experiment nor a check pose", angle.n);
+      continue;
+    }
     const auto found = expected.find({angle.experiment, angle.n});
     if (found == expected.end())
       return fmt::format("experiment {}, angle {} is not in the plan of the bench file", angle.experiment,
@@ -61,7 +71,7 @@ std::string difference_from_plan(const StoredRun& stored, const BenchConfig* ben
   std::set<std::size_t> measured;
   for (std::size_t k = 0; k < stored.measured.size(); ++k) {
     const std::size_t position = stored.measured[k];
-    const DwellRecord& dwell = stored.record.dwells[k];
+    const DwellRecord& dwell = stored.dwells[k];
     if (position >= plan.size())
       return fmt::format("a dwell is of position {}, which is not planned", position);
     measured.insert(position);

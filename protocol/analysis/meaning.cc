@@ -19,22 +19,33 @@ std::string_view look_up(const std::array<Meaning, n>& meanings, std::string_vie
 }  // namespace
 
 std::string_view meaning_of_check(std::string_view check) {
-  static constexpr std::array<Meaning, 13> kMeanings{{
+  static constexpr std::array<Meaning, 19> kMeanings{{
       {"mounting slip", "Did the accelerometer turn on the platter between two angles, and stay so?"},
       {"missed step of axis X", "Was axis X off from some angle on, without its encoder seeing it?"},
       {"missed step of axis Z", "Was axis Z off from some angle on, without its encoder seeing it?"},
       {"jump of an output", "Did one output change by a constant from some angle on?"},
+      {"change of a gain", "Did the gain of one output change from some angle on?"},
       {"single angle", "Do the readings of one angle belong to another angle?"},
       {"single output", "Was one output disturbed or stuck at one angle?"},
       {"single readings", "Were the outputs disturbed or stuck at one angle?"},
       {"drift", "Did this output drift over the run by more than its tolerance and its noise explain?"},
+      {"gain", "Did the gain of this output change between the visits to the check poses?"},
+      {"offset", "Did the offset of this output change between the visits to the check poses?"},
+      {"turn at the check poses",
+       "Did the accelerometer turn on the platter between visits to the check poses?"},
+      {"check poses", "Were the readings at the check poses compared between their visits?"},
+      {"stuck output", "Did this output change at all during the dwells?"},
       {"temperature", "How far was the temperature from that of the first angle?"},
       {"full scale", "How far are the sensitivities from the nominal one: unit, full scale, scale factor?"},
       {"directions of the outputs", "How far do the outputs point from the axes that the mounting names?"},
       {"joint fit", "Do the readings follow the model of the three experiments at all?"},
       {"changes during the run", "Were slips, missed steps and disturbed angles looked for?"},
   }};
-  return look_up(kMeanings, check.starts_with("drift of ") ? "drift" : check);
+  // The names of these end with an output.
+  for (const std::string_view of_an_output : {"drift", "gain", "offset", "stuck output"})
+    if (check.starts_with(of_an_output) && look_up(kMeanings, check).empty())
+      return look_up(kMeanings, of_an_output);
+  return look_up(kMeanings, check);
 }
 
 std::string_view meaning_of_flag(std::string_view flag) {

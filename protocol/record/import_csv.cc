@@ -35,9 +35,11 @@ constexpr std::size_t kFewestAngles = 3;  // A, B and C of one experiment
 constexpr std::array<std::string_view, 6> kRequired{"experiment", "n", "alpha_deg", "r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kReadingColumns{"r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kUncertaintyColumns{"u_u", "u_v", "u_w"};
-constexpr std::array<std::string_view, 14> kKnown{
-    "experiment", "n",   "alpha_deg", "r_u",   "r_v",   "r_w",     "u_u",
-    "u_v",        "u_w", "time_s",    "count", "flags", "closing", "temperature_degc"};
+constexpr std::array<std::string_view, 3> kSpreadColumns{"spread_u", "spread_v", "spread_w"};
+constexpr std::array<std::string_view, 17> kKnown{
+    "experiment", "n",        "alpha_deg", "r_u",   "r_v",   "r_w",     "u_u",
+    "u_v",        "u_w",      "time_s",    "count", "flags", "closing", "temperature_degc",
+    "spread_u",   "spread_v", "spread_w"};
 
 struct Row {
   int line = 0;
@@ -368,6 +370,9 @@ class Importer {
     read_uncertainty(row, dwell);
     dwell.time_s = optional_number(row, "time_s");
     dwell.temperature_degc = optional_number(row, "temperature_degc");
+    for (std::size_t j = 0; j < 3; ++j)
+      if (has(kSpreadColumns[j]))
+        dwell.spread(static_cast<Eigen::Index>(j)) = optional_number(row, kSpreadColumns[j]).value_or(0.0);
     if (has("count") && !trimmed(field(row, "count")).empty()) {
       dwell.count = whole_number(row, "count", 1, 1e15, "a whole number from 1 on").value_or(0);
     }

@@ -214,6 +214,29 @@ TEST_F(CompareCommand, SeveralRunsGiveSpreadAndCharts) {
   EXPECT_LT(s_u["spread"]["chi2_probability"], 1e-6);
   EXPECT_NEAR(s_u["spread"]["between_runs"], std::sqrt(squares), 0.1 * std::sqrt(squares));
   EXPECT_GT(several["properties"]["s_v"]["spread"]["chi2_probability"], 1e-6);
+  // The mean with type B, as its two equations say: no stage is named, so nothing is common.
+  const Json& random = s_u["random_effects"];
+  const double tau = random["between"];
+  double weights = 0.0, weighted = 0.0, chi2 = 0.0;
+  const auto weight_of = [&](const Json& result) {
+    const double u = result["properties"]["s_u"]["standard_uncertainty"];
+    return 1.0 / (u * u + tau * tau);
+  };
+  for (const Json& result : json["results"]) {
+    weights += weight_of(result);
+    weighted += weight_of(result) * result["properties"]["s_u"]["value"].get<double>();
+  }
+  for (const Json& result : json["results"])
+    chi2 += weight_of(result) *
+            std::pow(result["properties"]["s_u"]["value"].get<double>() - weighted / weights, 2);
+  EXPECT_NEAR(random["mean"], weighted / weights, 1e-12);
+  EXPECT_NEAR(random["standard_uncertainty"], 1.0 / std::sqrt(weights), 1e-9 / std::sqrt(weights));
+  if (tau > 0.0) {
+    EXPECT_NEAR(chi2, 4.0, 1e-6);
+  } else {
+    EXPECT_LE(chi2, 4.0);
+  }
+  EXPECT_EQ(random["e_n"].size(), 5U);
   EXPECT_EQ(s_u["individuals_chart"]["points"].size(), 5U);
   EXPECT_EQ(s_u["ewma_chart"]["points"].size(), 5U);
   EXPECT_TRUE(s_u["anova"].is_null());
@@ -235,6 +258,12 @@ TEST_F(CompareCommand, GroupsAreJudgedByAnalysisOfVariance) {
   const Json several = json_of_any(grouped)["several"];
   ASSERT_EQ(several["groups"].size(), 2U);
   EXPECT_EQ(several["groups"][0]["files"].size(), 2U);
+  // One stage made all four: its part of the uncertainty is not averaged down, so that the mean is hardly
+  // more certain than one result. Independent results would halve it.
+  const Json& s_v = several["properties"]["s_v"]["random_effects"];
+  EXPECT_GT(
+      s_v["standard_uncertainty"].get<double>(),
+      0.75 * json_of_any(files)["results"][0]["properties"]["s_v"]["standard_uncertainty"].get<double>());
   const Json& anova = several["properties"]["O_u"]["anova"];
   EXPECT_EQ(anova["between_degrees_of_freedom"], 1);
   EXPECT_EQ(anova["within_degrees_of_freedom"], 2);

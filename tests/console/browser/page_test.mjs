@@ -46,7 +46,7 @@ step_error_deg = 0.006
 speed_deg_per_s = 60.0
 step_error_deg = 0.006
 `;
-export const ANGLES = 39;
+export const ANGLES = 47;  // With eight visits to check poses.
 export const served = new ServedPage();
 const {folder} = served;
 const pictures = process.env.ABCAL_SCREENSHOTS || folder;

@@ -49,7 +49,7 @@ step('starts a run, and points appear', async (page) => {
   await confirmDialog();
   await served.pressAt(8, 'do-hold');
   await page.waitForFunction(() => /^about (\d+ min )?\d+ s$/.test(document.getElementById('left').textContent));
-  await served.measuredAtLeast(3);
+  await served.measuredAtLeast(5);  // Two check poses come first.
   runName = await text('#run-file');
   assert.match(runName, /^bench-\d{8}T\d{6}Z\.run$/);
   const drawn = await page.evaluate(() => {
