@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <map>
 
+#include "app/results/estimators.h"
 #include "app/results/result_json.h"
 #include "protocol/record/verify.h"
 #include "tests/app/in_process_run.h"
@@ -41,7 +42,7 @@ class FailingDiskTest : public testing::Test {
     for (const Failure how : {Failure::kFull, Failure::kShortWrite, Failure::kInputOutput})
       calls[how] = disk.calls(how);
     ASSERT_TRUE(whole.finished());
-    expected = numbers(result_json(whole.finished()->results.front()).dump());
+    expected = numbers(result_json(result_of(whole.finished()->results, "abc")).dump());
     expected_bits = measured_bits(whole.path());
   }
 
@@ -123,7 +124,7 @@ class FailingDiskTest : public testing::Test {
     EXPECT_EQ(RunFile::load(run.path()).state, RunState::kComplete);
     EXPECT_EQ(measured_bits(run.path()), expected_bits);
     if (run.finished()) {
-      EXPECT_TRUE(numbers(result_json(run.finished()->results.front()).dump()) == expected);
+      EXPECT_TRUE(numbers(result_json(result_of(run.finished()->results, "abc")).dump()) == expected);
     }
     for (const IntegrityCheck& check : verify_run(run.path()))
       EXPECT_TRUE(check.good) << check.what << ": " << check.found;

@@ -42,9 +42,9 @@ inline std::vector<std::string> measured_bits(const std::filesystem::path& run) 
   return bits;
 }
 
-/// The numbers of a result that an interruption must not change: the estimates and the part of their
+/// The numbers of a result of ABC that an interruption must not change: the estimates and the part of their
 /// uncertainty that comes from noise. The part that comes from drift depends on when each angle was measured,
-/// pauses included.
+/// pauses included; so do all numbers of the joint estimator, which fits the drift.
 inline nlohmann::json numbers(const std::string& analysis) {
   const nlohmann::json all = nlohmann::json::parse(analysis);
   nlohmann::json kept;

@@ -27,7 +27,7 @@ class SurvivalTest : public ProgramTest {
     const ProgramResult undisturbed = abcal({"run", "bench.toml", "-o", "whole.run"});
     const auto whole = std::chrono::steady_clock::now() - begin;
     ASSERT_EQ(undisturbed.exit_code, 0) << undisturbed.err;
-    const nlohmann::json expected = numbers(abcal({"analyse", "whole.run", "--json"}).out);
+    const nlohmann::json expected = numbers(abcal({"analyse", "whole.run", "--estimator", "abc", "--json"}).out);
     const std::vector<std::string> expected_bits = measured_bits(folder / "whole.run");
 
     std::mt19937_64 random(20261121);
@@ -75,7 +75,7 @@ class SurvivalTest : public ProgramTest {
       const std::vector<std::string> bits = measured_bits(path);
       for (std::size_t k = 0; k < bits.size(); ++k)
         EXPECT_EQ(bits[k], expected_bits.at(k)) << "angle " << k << " of those kept at the kill: " << kept;
-      EXPECT_TRUE(numbers(abcal({"analyse", name, "--json"}).out) == expected);
+      EXPECT_TRUE(numbers(abcal({"analyse", name, "--estimator", "abc", "--json"}).out) == expected);
       const ProgramResult verified = abcal({"verify", name});
       EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
       for (const auto& entry : std::filesystem::directory_iterator(folder.path()))

@@ -168,11 +168,11 @@ TEST_F(MakeCertificateTest, AFailedVerdictGivesNoCertificateAndADraftWithoutNumb
 
 TEST_F(MakeCertificateTest, TheReportedEstimatorIsFoundByName) {
   CertificateRequest asked = request();
-  const CalibrationResult abc = result_of(asked.run.results, "abc");
+  const CalibrationResult joint = result_of(asked.run.results, "joint");
   std::reverse(asked.run.results.begin(), asked.run.results.end());
   const Certificate certificate = make_certificate(asked);
-  EXPECT_EQ(certificate.run.data.result().estimator, "abc");
-  EXPECT_EQ(certificate.run.data.result().offset[0].value, abc.offset[0].value);
+  EXPECT_EQ(certificate.run.data.result().estimator, "joint");
+  EXPECT_EQ(certificate.run.data.result().offset[0].value, joint.offset[0].value);
 }
 
 TEST_F(MakeCertificateTest, AnEstimatorWithoutAMatrixGivesNotEvenADraft) {
