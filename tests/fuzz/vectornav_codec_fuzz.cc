@@ -72,6 +72,12 @@ void confirm_line(std::string_view text) {
   }
 }
 
+/// '$', the text, '*', the checksum and the end of the line.
+std::size_t size_on_the_wire(const vectornav::TextMessage& message) {
+  const std::size_t digits = message.checksum == vectornav::Checksum::kXor8 ? 2 : 4;
+  return message.text.size() + digits + (message.carriage_return ? 4 : 3);
+}
+
 }  // namespace
 
 // The first byte says how the rest is split.
@@ -92,7 +98,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       require(used + parser.skipped_bytes() == other.offset, "place");
       if (const auto* text = std::get_if<vectornav::TextMessage>(&*message)) {
         require(!other.binary && text->text == other.content, "text");
-        used += text->text.size() + (text->checksum == vectornav::Checksum::kXor8 ? 6 : 8);
+        used += size_on_the_wire(*text);
         confirm_line(text->text);
       } else {
         const auto& binary = std::get<vectornav::BinaryMessage>(*message);
@@ -124,8 +130,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   std::size_t whole = used;
   while (const auto message = parser.next_behind_partial()) {
     const auto* text = std::get_if<vectornav::TextMessage>(&*message);
-    whole += text != nullptr ? text->text.size() + (text->checksum == vectornav::Checksum::kXor8 ? 6 : 8)
-                             : *vectornav::binary_size(std::get<vectornav::BinaryMessage>(*message).fields);
+    if (text == nullptr) {
+      whole += *vectornav::binary_size(std::get<vectornav::BinaryMessage>(*message).fields);
+    } else {
+      whole += size_on_the_wire(*text);
+    }
   }
   require(whole + parser.skipped_bytes() <= bytes.size(), "bytes given twice");
   // Any text at all may be shown to the decoder of lines.
