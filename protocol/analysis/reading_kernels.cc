@@ -8,7 +8,7 @@
 #include <hwy/foreach_target.h>  // must come before highway.h
 #include <hwy/highway.h>
 
-#include <hwy/aligned_allocator.h>
+#include <vector>
 
 HWY_BEFORE_NAMESPACE();
 namespace abcal {
@@ -110,21 +110,31 @@ void whiten_rows(std::span<const WhitenerStep> steps, bool white, ReadingRows& r
   (steps.data(), steps.size(), white, rows.data(), static_cast<std::size_t>(rows.cols()));
 }
 
+namespace {
+
+/// As many numbers as the widest vector holds, where it may be loaded from; zero at first.
+constexpr std::size_t kAligned = 8;
+struct alignas(kAligned * sizeof(double)) AlignedDoubles {
+  double value[kAligned] = {};
+};
+
+}  // namespace
+
 Eigen::MatrixXd products_of_columns(const ReadingRows& rows) {
   constexpr std::size_t kWidth = 16;  // the kernels' kPad
   const auto columns = static_cast<std::size_t>(rows.cols());
   const auto count = static_cast<std::size_t>(rows.rows());
   const std::size_t width = (columns + kWidth - 1) / kWidth * kWidth;
   constexpr std::size_t kRows = 32;  // are multiplied while they are in the first cache
-  const auto chunk = hwy::AllocateAligned<double>(kRows * width);
-  const auto sums = hwy::AllocateAligned<double>(width * width);
-  std::fill_n(chunk.get(), kRows * width, 0.0);
-  std::fill_n(sums.get(), width * width, 0.0);
+  std::vector<AlignedDoubles> chunk_memory(kRows * width / kAligned);
+  std::vector<AlignedDoubles> sums_memory(width * width / kAligned);
+  double* const chunk = chunk_memory.data()->value;
+  double* const sums = sums_memory.data()->value;
   for (std::size_t first = 0; first < count; first += kRows) {
     const std::size_t many = std::min(kRows, count - first);
     for (std::size_t r = 0; r < many; ++r)
-      std::copy_n(rows.data() + (first + r) * columns, columns, chunk.get() + r * width);
-    HWY_DYNAMIC_DISPATCH(AddProducts)(chunk.get(), many, width, sums.get());
+      std::copy_n(rows.data() + (first + r) * columns, columns, chunk + r * width);
+    HWY_DYNAMIC_DISPATCH(AddProducts)(chunk, many, width, sums);
   }
   Eigen::MatrixXd out(rows.cols(), rows.cols());
   for (std::size_t a = 0; a < columns; ++a) {
