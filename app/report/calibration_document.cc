@@ -478,7 +478,8 @@ Section budget_section(const ReportData& data) {
                              "the largest uncertainty of each kind.",
                              data.estimator)}}};
   const auto bare = [](double value) { return formatted(value, "{:.2e}"); };
-  constexpr double kRounding = 1e-9;  // of the combined uncertainty: smaller contributions are rounding errors
+  constexpr double kRounding =
+      1e-9;  // of the combined uncertainty: smaller contributions are rounding errors
   for (const int k : worst_of_each_kind(budget.combined)) {
     DocumentTable table{fmt::format("{} ({})", output_symbol(k), output_unit(k, data.record.response_unit)),
                         {{"input", CellKind::kSymbol},

@@ -108,12 +108,12 @@ struct RunRecord {
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
   /// Whose result is the result of the run: chosen before the first angle ("joint"). Empty: not recorded.
   std::string estimator;
-  Angle step = Angle::degrees(5.0);      ///< Desired rotation step D.
-  int steps = 72;                        ///< N.
-  int continuations = 0;                 ///< How often the run was interrupted and went on.
-  int reconnections = 0;                 ///< How often a port vanished, came back, and the run went on.
-  std::vector<DwellRecord> dwells;       ///< In the order of measurement, closing angles included.
-  std::vector<CheckDwell> check_poses;   ///< In the order of measurement; empty where none were planned.
+  Angle step = Angle::degrees(5.0);     ///< Desired rotation step D.
+  int steps = 72;                       ///< N.
+  int continuations = 0;                ///< How often the run was interrupted and went on.
+  int reconnections = 0;                ///< How often a port vanished, came back, and the run went on.
+  std::vector<DwellRecord> dwells;      ///< In the order of measurement, closing angles included.
+  std::vector<CheckDwell> check_poses;  ///< In the order of measurement; empty where none were planned.
 };
 
 /// The dwells of a record with those at its check poses, in the order of measurement; they live in it.

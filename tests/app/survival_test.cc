@@ -27,7 +27,8 @@ class SurvivalTest : public ProgramTest {
     const ProgramResult undisturbed = abcal({"run", "bench.toml", "-o", "whole.run"});
     const auto whole = std::chrono::steady_clock::now() - begin;
     ASSERT_EQ(undisturbed.exit_code, 0) << undisturbed.err;
-    const nlohmann::json expected = numbers(abcal({"analyse", "whole.run", "--estimator", "abc", "--json"}).out);
+    const nlohmann::json expected =
+        numbers(abcal({"analyse", "whole.run", "--estimator", "abc", "--json"}).out);
     const std::vector<std::string> expected_bits = measured_bits(folder / "whole.run");
 
     std::mt19937_64 random(20261121);

@@ -102,7 +102,8 @@ inline Frame text_frame(std::string_view rest) {
     const std::string_view sum = rest.substr(end - digits, digits);
     if (sum.find_first_not_of("0123456789ABCDEF") != std::string_view::npos) continue;
     const std::string_view text = rest.substr(1, end - digits - 2);
-    return {Kind::kWhole, end + line_end, sum == (digits == 2 ? hex(exclusive_or(text), 2) : hex(crc(text), 4))};
+    return {Kind::kWhole, end + line_end,
+            sum == (digits == 2 ? hex(exclusive_or(text), 2) : hex(crc(text), 4))};
   }
   return {};
 }
