@@ -38,6 +38,11 @@ void print_warnings(const BenchConfig& config) {
 }
 
 int print_outcome(const RunOutcome& outcome, bool json) {
+  if (outcome.is_levelling()) {
+    print_log("A levelling, measured to its end. For its level file: abcal level --from {}\n",
+              outcome.path.string());
+    return kExitDone;
+  }
   const CalibrationResult& result = outcome.result();
   const RunTiming& timing = outcome.stored.timing;
   if (json) {

@@ -38,8 +38,7 @@ std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const B
   constexpr AxisTravel kAny{Angle::degrees(-1080.0), Angle::degrees(1080.0)};
   std::map<std::pair<int, int>, PlannedAngle> expected;
   ProtocolConfig protocol = bench.protocol;
-  protocol.check_poses =
-      false;  // Runs of before version 0.2 have none, whatever the bench file says by default.
+  protocol.check_poses = false;  // Runs of version 0.1 have none, and a bench file does not say so.
   for (const PlannedAngle& angle : make_rotation_plan(protocol, {kAny, kAny}))
     if (!angle.closing) expected[{angle.experiment, angle.n}] = angle;
   std::set<std::pair<int, int>> seen;

@@ -199,11 +199,8 @@ std::map<std::string, std::string> VectorNavAccelerometer::correction_registers(
        {std::pair{25, "acceleration compensation (25)"}, std::pair{26, "reference frame rotation (26)"}}) {
     const std::string command = fmt::format("VNRRG,{:02}", number);
     const wire::PacketAnswer answer = try_exchange(command);
-    if (!answer.error) {
-      registers[name] = answer.data;
-    } else if (*answer.error != kInvalidRegister) {
-      refuse(command, *answer.error);
-    }
+    if (answer.error && *answer.error != kInvalidRegister) refuse(command, *answer.error);
+    registers[name] = answer.error ? "not in this device" : answer.data;
   }
   return registers;
 }
