@@ -44,7 +44,7 @@ BenchStreams Transcript::streams() {
 }
 
 void Transcript::keep_in(RunFile& file) {
-  file.keep_transcript(start_.value().utc, [this] { return take(); });
+  file.keep_transcript(start_.value().utc, [this] { return remove_rows(); });
 }
 
 void Transcript::note(std::string_view role, WireEvent&& event) {
@@ -60,7 +60,7 @@ void Transcript::note(std::string_view role, WireEvent&& event) {
       {std::string(role), time_ns, arrival_ns, static_cast<char>(event.kind), std::move(event.bytes)});
 }
 
-std::vector<WireRow> Transcript::take() {
+std::vector<WireRow> Transcript::remove_rows() {
   const std::lock_guard lock(mutex_);
   return std::exchange(rows_, {});
 }

@@ -222,17 +222,17 @@ std::string ManualStage::read_line() {
 }
 
 Angle ManualStage::ask(StageAxis axis, const std::string& question, Angle expected) {
-  at_[index(axis)].reset();  // From here on it may be turned.
+  known_angle_[index(axis)].reset();  // From here on it may be turned.
   out_ << question << " Press Enter when it is there, or type the angle read off: " << std::flush;
   for (;;) {
     const std::string line = read_line();
     if (trimmed(line).empty()) {
-      at_[index(axis)] = expected;
+      known_angle_[index(axis)] = expected;
       return expected;
     }
     const auto angle = parse_typed_angle(line);
     if (angle && std::abs((*angle - expected).deg()) <= kPlausibleDeg) {
-      at_[index(axis)] = angle;
+      known_angle_[index(axis)] = angle;
       return *angle;
     }
     if (angle) {
@@ -270,9 +270,9 @@ MotionState ManualStage::motion_state(StageAxis axis) {
 
 Angle ManualStage::encoder_angle(StageAxis axis) {
   const std::string name = name_of(axis);
-  if (!at_[index(axis)])
+  if (!known_angle_[index(axis)])
     throw failure(Fault::kNotReady, fmt::format("where the {} stands has not been confirmed", name));
-  return *at_[index(axis)];
+  return *known_angle_[index(axis)];
 }
 
 bool ManualStage::halt() noexcept {

@@ -29,10 +29,10 @@ std::string shown(std::string_view bytes) {
 }  // namespace
 
 Meter::Meter(std::unique_ptr<wire::ByteStream> stream, Clock& clock)
-    : stream_(std::move(stream)), clock_(clock), who_("voltmeter on " + stream_->name()) {}
+    : stream_(std::move(stream)), clock_(clock), instrument_("voltmeter on " + stream_->name()) {}
 
 void Meter::fail(Fault fault, std::string_view detail) const {
-  throw InstrumentError(who_, fault, detail);
+  throw InstrumentError(instrument_, fault, detail);
 }
 
 void Meter::send(std::string_view command) {
@@ -90,8 +90,8 @@ Identity Meter::identify() {
       const std::string_view text = text_of(*reply);
       if (auto identity = parse_identity(text)) {
         identity_text_ = text;
-        who_ = fmt::format("voltmeter {} (SN {}) on {}", identity->model, identity->serial_number,
-                           stream_->name());
+        instrument_ = fmt::format("voltmeter {} (SN {}) on {}", identity->model, identity->serial_number,
+                                  stream_->name());
         return *std::move(identity);
       }
       heard += *reply;
@@ -154,7 +154,7 @@ void Meter::begin_scan() {
 std::optional<ScanOutcome> Meter::await_scan(Clock::Instant deadline) {
   while (stage_ != Stage::kIdle) {
     if (const auto reply = take_reply(std::min(deadline, give_up_at_)))
-      if (auto outcome = take(*reply)) return outcome;
+      if (auto outcome = interpret(*reply)) return outcome;
     if (check_reply(received_).check == wire::FrameCheck::kComplete) continue;
     const Clock::Instant now = clock_.now();
     if (now >= give_up_at_) run_out_of_time();
@@ -223,7 +223,7 @@ void Meter::run_out_of_time() {
   }
 }
 
-std::optional<ScanOutcome> Meter::take(const std::string& reply) {
+std::optional<ScanOutcome> Meter::interpret(const std::string& reply) {
   const std::string_view text = text_of(reply);
   switch (stage_) {
     case Stage::kIdle:

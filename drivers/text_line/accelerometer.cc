@@ -50,12 +50,12 @@ TextLineAccelerometer::TextLineAccelerometer(std::unique_ptr<wire::ByteStream> s
     : stream_(stream ? std::move(stream) : throw std::invalid_argument("TextLineAccelerometer: no stream")),
       clock_(clock),
       settings_(checked(settings)),
-      who_(fmt::format("accelerometer text_line on {}", stream_->name())),
+      instrument_(fmt::format("accelerometer text_line on {}", stream_->name())),
       format_{.columns = {settings.columns.begin(), settings.columns.end()},
               .separator = settings.separator,
               .comment = settings.comment},
       readings_(*stream_, LineReader(format_), [this](const text_line::NumberLine& line) {
-        return wire::DecodedFrame{.reading = take(line)};
+        return wire::DecodedFrame{.reading = reading_of(line)};
       }) {}
 
 AccelerometerInfo TextLineAccelerometer::identify() {
@@ -89,7 +89,7 @@ void TextLineAccelerometer::discard_pending() {
 }
 
 void TextLineAccelerometer::fail(Fault fault, std::string_view detail) const {
-  throw InstrumentError(who_, fault, detail);
+  throw InstrumentError(instrument_, fault, detail);
 }
 
 void TextLineAccelerometer::fail_without_lines(Clock::Duration waited) const {
@@ -135,7 +135,7 @@ AccelerometerInfo TextLineAccelerometer::interrogate() {
   };
 }
 
-Reading TextLineAccelerometer::take(const text_line::NumberLine& line) {
+Reading TextLineAccelerometer::reading_of(const text_line::NumberLine& line) {
   like_lines_ = line.words == words_ ? like_lines_ + 1 : 1;
   words_ = line.words;
   decimal_commas_ = line.decimal_commas;

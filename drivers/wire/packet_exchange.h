@@ -56,12 +56,16 @@ class PacketExchange {
   /// All must outlive this. Sends nothing.
   PacketExchange(ByteStream& stream, ReadingStream<Parser>& packets, Clock& clock, std::string who,
                  Manner manner)
-      : stream_(stream), packets_(packets), clock_(clock), who_(std::move(who)), manner_(std::move(manner)) {}
+      : stream_(stream),
+        packets_(packets),
+        clock_(clock),
+        instrument_(std::move(who)),
+        manner_(std::move(manner)) {}
 
-  void rename(std::string who) { who_ = std::move(who); }
+  void rename(std::string who) { instrument_ = std::move(who); }
 
   [[noreturn]] void fail(Fault fault, std::string_view detail) const {
-    throw InstrumentError(who_, fault, detail);
+    throw InstrumentError(instrument_, fault, detail);
   }
 
   /// Ends the stream and throws away what has come; `parser` is for what comes.
@@ -195,7 +199,7 @@ class PacketExchange {
   ByteStream& stream_;
   ReadingStream<Parser>& packets_;
   Clock& clock_;
-  std::string who_;
+  std::string instrument_;
   Manner manner_;
   bool outstanding_ = false;  ///< A command went unanswered: its answer may still come.
   bool fresh_ = true;  ///< Nothing was answered since restart(): an error may be of an earlier command.

@@ -38,7 +38,7 @@ WitMotionAccelerometer::WitMotionAccelerometer(std::unique_ptr<wire::ByteStream>
     : stream_(stream ? std::move(stream) : throw std::invalid_argument("WitMotionAccelerometer: no stream")),
       clock_(clock),
       settings_(settings),
-      who_(fmt::format("accelerometer witmotion on {}", stream_->name())),
+      instrument_(fmt::format("accelerometer witmotion on {}", stream_->name())),
       readings_(*stream_, FrameParser(),
                 [this](const Frame& frame) { return wire::DecodedFrame{.reading = take(frame)}; }) {
   if (!(settings_.rate_hz > 0.0) || !std::isfinite(settings_.rate_hz)) {
@@ -74,7 +74,7 @@ void WitMotionAccelerometer::discard_pending() {
 }
 
 void WitMotionAccelerometer::fail(Fault fault, std::string_view detail) const {
-  throw InstrumentError(who_, fault, detail);
+  throw InstrumentError(instrument_, fault, detail);
 }
 
 void WitMotionAccelerometer::fail_without_frames(Clock::Duration waited) const {

@@ -64,7 +64,7 @@ class WitMotionAccelerometer final : public Accelerometer {
   std::unique_ptr<wire::ByteStream> stream_;
   Clock& clock_;
   AccelerometerSettings settings_;
-  std::string who_;  ///< For messages.
+  std::string instrument_;  ///< For messages.
   wire::ReadingStream<witmotion::FrameParser> readings_;
 
   std::optional<std::uint16_t> version_;
