@@ -12,6 +12,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_run(app, exit_code);
   add_resume(app, exit_code);
   add_replay(app, exit_code);
+  add_record(app, exit_code);
   add_plan(app, exit_code);
   add_check(app, exit_code);
   add_analyse(app, exit_code);
@@ -23,6 +24,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_verify(app, exit_code);
   add_level(app, exit_code);
   add_emulate(app, exit_code);
+  add_export(app, exit_code);
   add_compare(app, exit_code);
   add_gravity(app, exit_code);
   add_serve(app, exit_code);
