@@ -64,11 +64,11 @@ sim::TcpPort listening_port(const std::string& port) {
   const char* const end = port.data() + port.size();
   const auto [stopped, error] = std::from_chars(port.data() + colon + 1, end, where.port);
   if (error != std::errc() || stopped != end) {
-    throw std::invalid_argument(
-        fmt::format("port \"{}\": \"{}\" is no port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
-                    "(listens on the "
-                    "loopback), PORT from 0 (any free one) to 65535",
-                    port, port.substr(colon + 1)));
+    throw std::invalid_argument(fmt::format(
+        "port \"{}\": \"{}\" is not a port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
+        "(listens on the "
+        "loopback), PORT from 0 (any free one) to 65535",
+        port, port.substr(colon + 1)));
   }
   return where;
 }
@@ -148,7 +148,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
   add(environment_ports(config.environment));
   if (ports.empty())
     throw std::invalid_argument(
-        "nothing on this bench has bytes to serve: choose drivers of real instruments");
+        "no instrument of this bench communicates by bytes: choose other drivers than \"simulated\"");
   return ports;
 }
 
@@ -189,7 +189,7 @@ void serve_instruments(const EmulateCommand& command) {
   const std::vector<std::string> addresses = emulator.addresses();
   for (std::size_t i = 0; i < all.size(); ++i)
     print_result("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
-  if (follower) print_result("The accelerometer follows the stage's read-back.\n");
+  if (follower) print_result("The accelerometer follows the encoders of the stage.\n");
   if (control_server) print_result("control: tcp:127.0.0.1:{}\n", control_server->port());
   print_result("Serving until interrupted (Ctrl-C).\n");
   emulator.run(end.get_token());
@@ -205,17 +205,19 @@ void serve_instruments(const EmulateCommand& command) {
 CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<EmulateCommand>();
   CLI::App* command = parent.add_subcommand(
-      "emulate", "Serve the bench's instruments, simulated, on pseudo-terminals or TCP until interrupted");
-  command->add_option("BENCH", options->bench_file, "bench file (TOML); [simulation] is the truth")
+      "emulate", "Serve simulated instruments on pseudo-terminals or TCP ports until interrupted");
+  command
+      ->add_option("BENCH", options->bench_file,
+                   "bench file (TOML); its [simulation] describes the simulated bench")
       ->required();
   command->add_option("--link-dir", options->link_dir, "folder for the links `stage` and `accelerometer`");
-  CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time runs faster")
+  CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time passes faster")
                            ->check(CLI::PositiveNumber);
   command->add_option("--control", options->control,
                       "loopback port for faults and changes during the run, one line of JSON each; 0: any");
   command
       ->add_flag("--follow-stage", options->follow_stage,
-                 "the bench's stage is real: serve the accelerometer only, and let it follow the stage")
+                 "the stage is real: serve only the accelerometer, which follows the encoders of the stage")
       ->excludes(speed);
   command->callback([options, &exit_code] {
     serve_instruments(*options);
