@@ -140,7 +140,7 @@ VoltmeterAccelerometer::Family VoltmeterAccelerometer::family_of(const Meter& me
     if (keithley && is_model(identity, {"2001"})) return Family::kKeithley2001;
   }
   meter.fail(Fault::kWrongIdentity,
-             fmt::format("it says that it is model \"{}\" of \"{}\"; {}", identity.model, identity.maker,
+             fmt::format("it reports model \"{}\" of \"{}\"; {}", identity.model, identity.maker,
                          wiring_ == Wiring::kOneScanner ? kKnownScanners : kKnownSingles));
 }
 
@@ -251,7 +251,7 @@ void VoltmeterAccelerometer::start() {
       std::sort(found.begin(), found.end());
       std::sort(wanted.begin(), wanted.end());
       if (found != wanted) {
-        meter.fail(Fault::kImplausible, fmt::format("it says that it scans {}; required: {}",
+        meter.fail(Fault::kImplausible, fmt::format("it reports that it scans {}; required: {}",
                                                     scpi::channel_list(found), scpi::channel_list(wanted)));
       }
     }

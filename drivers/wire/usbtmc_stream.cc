@@ -53,8 +53,8 @@ class DeviceFile final : public UsbtmcDevice {
     ::ioctl(file_.get(), USBTMC_IOCTL_SET_TIMEOUT, &timeout_ms);
     if (const int status = status_byte(); status < 0) {
       cannot_open(path,
-                  fmt::format("a device, but no USBTMC instrument, or one that does not say whether a reply "
-                              "waits (USB488 status byte; Linux 4.6 or newer is needed): {}",
+                  fmt::format("a device, but not a USBTMC instrument, or one that does not report whether a "
+                              "reply is waiting (USB488 status byte; requires Linux 4.6 or newer): {}",
                               std::strerror(-status)));
     }
     lock_device(file_, path);
