@@ -79,7 +79,7 @@ sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links,
   return {served.firmware, sim::PtyLink{links / served.name, line}};
 }
 
-/// Each command that an instrument does not carry out is told when it comes for the first time.
+/// Reports each command that an instrument does not carry out when it arrives for the first time.
 EmulatorControl::Unserved watch_unserved(const std::vector<Served>& all) {
   EmulatorControl::Unserved unserved;
   for (const Served& served : all) {

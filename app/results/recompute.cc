@@ -160,7 +160,7 @@ Distance distance_between(const nlohmann::json& stored, const nlohmann::json& no
 IntegrityCheck check_results(const std::filesystem::path& run,
                              const std::vector<CalibrationResult>& results) {
   // The same program gives the same numbers but for rounding. Another one may have better methods: its
-  // analyses are a history, and are told, not judged. Reports and certificates never use them.
+  // analyses are a history: they are reported, not judged. Reports and certificates never use them.
   constexpr double kRounding = 1e-6;
   std::size_t same = 0, other = 0;
   double largest_of_other = 0.0;

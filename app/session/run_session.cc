@@ -268,7 +268,7 @@ Identities RunSession::identify_instruments(const StartRequest& request) {
 RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner, Analyses analyses) {
   const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
   RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now());
-  (void)read_signing_key();  // A key that cannot be read is told before the first move.
+  (void)read_signing_key();  // A key that cannot be read is reported before the first move.
   (void)identify_instruments(request);
   opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());

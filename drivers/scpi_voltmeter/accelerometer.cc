@@ -268,7 +268,8 @@ void VoltmeterAccelerometer::start() {
 void VoltmeterAccelerometer::take_trial_scan() {
   const Clock::Instant begin = clock_.now();
   begin_scans();
-  while (!collect(clock_.now() + kScanMargin)) continue;  // Each meter gives up in time, and says why.
+  while (!collect(clock_.now() + kScanMargin))
+    continue;  // Each meter has a deadline and reports why it failed.
   Clock::Instant end = begin;
   for (std::size_t i = 0; i < meters_.size(); ++i) {
     const scpi::ScanOutcome& outcome = *outcomes_[i];

@@ -192,7 +192,7 @@ std::optional<std::vector<ChannelReading>> Meter::decode_scan(std::string_view t
   return ordered;
 }
 
-/// The scan under way is lost. From here on everything is thrown away up to the answer to *IDN?.
+/// The scan under way is lost. From here on everything up to the answer to *IDN? is discarded.
 void Meter::resynchronise(Fault fault, std::string complaint) {
   fault_ = fault;
   complaint_ = std::move(complaint);

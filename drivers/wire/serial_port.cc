@@ -37,7 +37,7 @@ bool is_pseudo_terminal(const struct stat& status) {
   return major(status.st_rdev) >= 136 && major(status.st_rdev) <= 143;
 }
 
-/// Opens and locks, before any setting of the port is touched: it might be somebody else's.
+/// Opens and locks, before any setting of the port is touched: another program may be using it.
 Descriptor open_and_lock(const std::string& path) {
   Descriptor port = open_device(path, O_NONBLOCK | O_NOCTTY, {"a serial port", what_there_is});
   termios ignored{};
@@ -101,7 +101,7 @@ struct SerialPort::Impl {
         serial_port::flow_control(settings.rts_cts ? serial_port::flow_control::hardware
                                                    : serial_port::flow_control::none),
         path, settings.rts_cts ? "RTS/CTS flow control" : "no flow control");
-    ::tcflush(fd, TCIFLUSH);  // What waited in the kernel was meant for whoever had the port before.
+    ::tcflush(fd, TCIFLUSH);  // What waited in the kernel was meant for the previous program.
     link.start();
   }
 

@@ -19,7 +19,7 @@ using witmotion::FrameParser;
 
 // A device answers within milliseconds, between the frames that it streams [unverified against a device].
 constexpr seconds kAnswerTime{1};
-// One that streams once in 5 s, the slowest that a device may be left at, is heard.
+// Long enough for a device that streams once in 5 s, the slowest stored setting.
 constexpr seconds kFirstFrameTime{6};
 // [unverified against a device] The maker's own library waits a millisecond between unlock and write; more
 // than enough at 9600 baud.

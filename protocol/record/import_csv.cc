@@ -389,7 +389,7 @@ class Importer {
       read_check_pose(row, std::move(dwell));
       return;
     }
-    // A closing angle may carry the n of the angle that it repeats: it is told by its alpha.
+    // A closing angle may have the n of the angle that it repeats: its alpha distinguishes it.
     const auto [first, is_new] =
         line_of_.emplace(std::make_tuple(dwell.experiment, dwell.n, *alpha >= 360.0), row.line);
     if (!is_new) {
