@@ -14,7 +14,7 @@ namespace abcal {
 const std::vector<Estimator>& estimators() {
   static const std::vector<Estimator> kAll{
       {.name = "abc",
-       .words = " as published",
+       .words = " as published, corrected for non-linearity (k2, k3)",
        .certifiable = true,
        .fit = [](const RunRecord& record) { return analyse_abc(record); }},
       {.name = "joint",
