@@ -39,6 +39,6 @@ int main(int argc, char** argv) {
       argc, argv,
       {"abcal",
        "abcal calibrates triaxial accelerometers with gravity on a two-axis rotation stage (ABC protocol).\n"
-       "A software halt is no emergency stop: keep the stage's own switch within reach.",
+       "A software halt is not an emergency stop: keep the stage's own switch within reach.",
        add_commands});
 }

@@ -1,4 +1,4 @@
-# Layers point one way: each folder may include only what stands here (docs/architecture.md, "Who may include whom").
+# Layers point one way: each folder may include only what stands here (docs/architecture.md).
 # Every folder of app, drivers, protocol and sim that has sources is listed; one that is not fails.
 # Run by ctest:  cmake -DSOURCE_DIR=... -P layering_check.cmake
 # For the test of the test:  ABCAL_EXTRA_FILE=FOLDER=PATH is a file to check as well, as one of FOLDER;

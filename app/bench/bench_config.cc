@@ -24,7 +24,7 @@ BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
 BenchConfig parse_bench(std::string_view text, const std::string& source) {
   std::vector<Problem> unreadable;
   const toml::table root =
-      parse_toml(text, source, "a bench file; docs/examples holds commented ones", unreadable);
+      parse_toml(text, source, "a bench file; commented examples are in docs/examples", unreadable);
   if (!unreadable.empty()) throw BenchError(source, std::move(unreadable));
   BenchConfig config;
   TomlReader reader(root);

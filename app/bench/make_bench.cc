@@ -317,8 +317,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
     bench.world = std::make_shared<sim::SimBench>(config.simulation, bench.clock->now());
     schedule(config.faults, config.changes, *bench.world);
   } else if (!config.changes.empty()) {
-    throw std::invalid_argument(
-        "[[change]]: nothing on this bench is simulated, so that nothing would change");
+    throw std::invalid_argument("[[change]]: nothing on this bench is simulated, so a change has no effect");
   }
 
   const auto opener = std::make_shared<Opener>(config, std::move(streams), bench.world, *bench.clock);

@@ -68,10 +68,9 @@ std::vector<WireRow> Transcript::remove_rows() {
 RecordedWire::RecordedWire(const std::filesystem::path& run) {
   std::optional<WireTranscript> transcript = RunFile::load_transcript(run);
   if (!transcript) {
-    throw RunFileError(
-        run.string() +
-        ": was measured without a recording of its wires, so it cannot be replayed; required: a "
-        "run made with `abcal run BENCH --record`");
+    throw RunFileError(run.string() +
+                       ": was measured without a recording, so it cannot be replayed; required: a run made "
+                       "with `abcal run BENCH --record`");
   }
   start_ = transcript->start;
   for (WireRow& row : transcript->rows) {
@@ -81,9 +80,8 @@ RecordedWire::RecordedWire(const std::filesystem::path& run) {
     }
     if (!is_known(row.kind)) {
       throw RunFileError(
-          fmt::format("{}: its recording has a row of the kind {:?}, which this program does not "
-                      "know; update abcal",
-                      run.string(), std::string_view(&row.kind, 1)));
+          fmt::format("{}: its recording contains a row of the unknown kind {:?}; update abcal", run.string(),
+                      std::string_view(&row.kind, 1)));
     }
     const auto instant = [](std::int64_t ns) { return Clock::Instant(Clock::Duration(ns)); };
     events_[row.role].push_back({static_cast<WireEvent::Kind>(row.kind), instant(row.time_ns),

@@ -65,7 +65,7 @@ sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links,
   return {served.firmware, sim::PtyLink{links / served.name, line}};
 }
 
-/// Each command that an instrument does not carry out is told when it comes for the first time.
+/// Reports each command that an instrument does not carry out when it arrives for the first time.
 EmulatorControl::Unserved watch_unserved(const std::vector<Served>& all) {
   EmulatorControl::Unserved unserved;
   for (const Served& served : all) {
@@ -137,7 +137,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
   add(environment_ports(config.environment));
   if (ports.empty())
     throw std::invalid_argument(
-        "nothing on this bench has bytes to serve: choose drivers of real instruments");
+        "no instrument of this bench communicates by bytes: choose other drivers than \"simulated\"");
   return ports;
 }
 
@@ -178,7 +178,7 @@ void serve_instruments(const EmulateCommand& command) {
   const std::vector<std::string> addresses = emulator.addresses();
   for (std::size_t i = 0; i < all.size(); ++i)
     print_result("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
-  if (follower) print_result("The accelerometer follows the stage's read-back.\n");
+  if (follower) print_result("The accelerometer follows the encoders of the stage.\n");
   if (control_server) print_result("control: tcp:127.0.0.1:{}\n", control_server->port());
   print_result("Serving until interrupted (Ctrl-C).\n");
   emulator.run(end.get_token());
@@ -257,17 +257,19 @@ bool compare_with_log(const EmulateCommand& command) {
 CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<EmulateCommand>();
   CLI::App* command = parent.add_subcommand(
-      "emulate", "Serve the bench's instruments, simulated, on pseudo-terminals or TCP until interrupted");
-  command->add_option("BENCH", options->bench_file, "bench file (TOML); [simulation] is the truth")
+      "emulate", "Serve simulated instruments on pseudo-terminals or TCP ports until interrupted");
+  command
+      ->add_option("BENCH", options->bench_file,
+                   "bench file (TOML); its [simulation] describes the simulated bench")
       ->required();
   command->add_option("--link-dir", options->link_dir, "folder for the links `stage` and `accelerometer`");
-  CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time runs faster")
+  CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time passes faster")
                            ->check(CLI::PositiveNumber);
   command->add_option("--control", options->control,
                       "loopback port for faults and changes during the run, one line of JSON each; 0: any");
   command
       ->add_flag("--follow-stage", options->follow_stage,
-                 "the bench's stage is real: serve the accelerometer only, and let it follow the stage")
+                 "the stage is real: serve only the accelerometer, which follows the encoders of the stage")
       ->excludes(speed);
   CLI::Option* compare = command->add_option("--compare", options->compare,
                                              "serve nothing: give the simulated instrument the host's bytes "

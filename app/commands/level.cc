@@ -91,8 +91,8 @@ void print_levelling(const Levelling& levelling, std::size_t angles, const std::
   row("Zx + Xz", levelling.x_zero.zx_plus_xz, "");
   row("X zero", levelling.x_zero.error, "actual minus commanded angle of X at 0");
   print_result(
-      "Stored in {} (readings in {}). Under [stage] of a bench file, level_file = \"{}\" gives Zx, Zy "
-      "and Xz to\nthe joint estimator as data.\n",
+      "Stored in {} (readings in {}). Under [stage] of a bench file, level_file = \"{}\" gives Zx, Zy and "
+      "Xz\nto the joint estimator as data.\n",
       output.string(), run.string(), output.string());
 }
 

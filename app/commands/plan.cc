@@ -113,7 +113,7 @@ void print_duration(const ShownPlan& plan) {
                  describe_duration(duration.moving_s), settling, reading);
   } else {
     print_result(
-        "About {} and the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n", total,
+        "About {} plus the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n", total,
         settling, reading);
   }
 }
@@ -124,14 +124,14 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config) {
                readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
   print_duration(plan);
   print_result(
-      "Cables wind from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, counted from zero; the "
-      "stage is parked at zero. If they are too short, set travel_min_deg and travel_max_deg.\n",
+      "The cables are wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, relative to "
+      "zero, where the stage is parked. If they are too short, set travel_min_deg and travel_max_deg.\n",
       plan.twist[0].min.deg(), plan.twist[0].max.deg(), plan.twist[1].min.deg(), plan.twist[1].max.deg());
-  print_result("The result will be that of the {} estimator.\n", config.protocol.estimator);
+  print_result("The result of the run will be that of the {} estimator.\n", config.protocol.estimator);
   if (const std::string words = default_effects_words(config.tolerances); !words.empty())
     print_result("Note: {}.\n", words);
   if (plan.travel_assumed) {
-    print_result("Where the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");
+    print_result("If the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");
   }
 }
 
@@ -146,7 +146,7 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
-      parent.add_subcommand("plan", "Show the sequence, its duration, and every problem of the bench file");
+      parent.add_subcommand("plan", "Show the sequence and its duration, or every problem of the bench file");
   CLI::Option* bench = command->add_option("BENCH", options->bench_file, "bench file (TOML)");
   command->add_flag("--json", options->json, "print one JSON object");
   command->add_flag("--keys", options->keys, "print the reference of all keys of a bench file (Markdown)")

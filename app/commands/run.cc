@@ -102,17 +102,18 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
                         "keep every byte to and from the instruments in the run file, for `abcal replay`");
   CLI::Option* repeat =
       command
-          ->add_option("--repeat", options->campaign.repeat,
-                       "a campaign of this many runs, OUTPUT-1.run and so on, and their spread")
+          ->add_option(
+              "--repeat", options->campaign.repeat,
+              "measure a campaign of this many runs, OUTPUT-1.run and so on, and report their spread")
           ->check(CLI::Range(2, 1000))
           ->excludes(record);
   command
       ->add_flag("--remount", options->campaign.remount,
-                 "between the runs, wait until a person has remounted the accelerometer")
+                 "before each further run, wait until a person has remounted the accelerometer")
       ->needs(repeat);
   command
       ->add_flag("--go-on", options->campaign.keep_complete_runs,
-                 "keep the runs of the campaign that are complete already")
+                 "keep the complete runs of this campaign and measure only the missing ones")
       ->needs(repeat);
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {

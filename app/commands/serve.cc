@@ -22,8 +22,9 @@ bool choose_access(console::ServerOptions& server, const std::filesystem::path& 
   boost::system::error_code error;
   const auto address = boost::asio::ip::make_address(server.address, error);
   if (error)
-    throw std::invalid_argument(fmt::format(
-        "--listen {}: this is no address; required: e.g. 127.0.0.1, 0.0.0.0 or ::1", server.address));
+    throw std::invalid_argument(
+        fmt::format("--listen {}: this is not an address; required: for example 127.0.0.1, 0.0.0.0 or ::1",
+                    server.address));
   if (!address.is_loopback()) server.access.hosts.push_back(boost::asio::ip::host_name());
   if (!token_file.empty()) {
     server.access.token = console::read_token(token_file);
@@ -51,7 +52,7 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   options->bench.pace = 60.0;
-  CLI::App* command = parent.add_subcommand("serve", "Watch and steer the bench in a browser");
+  CLI::App* command = parent.add_subcommand("serve", "Monitor and control the bench in a browser");
   command->add_option("BENCH", options->bench.bench_file, "bench file (TOML)")->required();
   command->add_option("--runs", options->bench.runs, "folder of the run files (default: the bench file's)");
   command
@@ -62,7 +63,7 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
       ->capture_default_str();
   command
       ->add_option("--pace", options->bench.pace,
-                   "if all instruments are simulated: factor by which time runs faster")
+                   "if all instruments are simulated: factor by which time passes faster")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   command->add_option("--token-file", options->token_file,
@@ -79,9 +80,9 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
     print_result("Console: http://{}:{}/{}\n", name_to_call(options->server.address), server.port(),
                  made ? "?token=" + token : "");
     print_result(
-        "{}A stop by the console is no emergency stop: keep the stage's own switch within reach.\n"
+        "{}A stop by the console is not an emergency stop: keep the stage's own switch within reach.\n"
         "Serving until interrupted (Ctrl-C).\n",
-        token.empty() ? "Whoever has an account on this computer can use it.\n" : "");
+        token.empty() ? "Anyone with an account on this computer can use it.\n" : "");
     exit_code = server.serve(interrupt_token()) ? kExitInterrupted : kExitDone;
   });
   return command;

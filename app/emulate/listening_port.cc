@@ -16,11 +16,11 @@ sim::TcpPort listening_port(const std::string& port) {
   const char* const end = port.data() + port.size();
   const auto [stopped, error] = std::from_chars(port.data() + colon + 1, end, where.port);
   if (error != std::errc() || stopped != end) {
-    throw std::invalid_argument(
-        fmt::format("port \"{}\": \"{}\" is no port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
-                    "(listens on the "
-                    "loopback), PORT from 0 (any free one) to 65535",
-                    port, port.substr(colon + 1)));
+    throw std::invalid_argument(fmt::format(
+        "port \"{}\": \"{}\" is not a port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
+        "(listens on the "
+        "loopback), PORT from 0 (any free one) to 65535",
+        port, port.substr(colon + 1)));
   }
   return where;
 }

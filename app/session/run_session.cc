@@ -273,7 +273,7 @@ Identities RunSession::identify_instruments(const StartRequest& request) {
 RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
   RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now());
-  (void)read_signing_key();  // A key that cannot be read is told before the first move.
+  (void)read_signing_key();  // A key that cannot be read is reported before the first move.
   (void)identify_instruments(request);
   opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
@@ -288,7 +288,7 @@ void RunSession::open_and_identify(const StartRequest& request, const BenchConfi
   OpenedBench& opened = open(config, transcript_ ? transcript_->streams() : BenchStreams{});
   if (transcript_ && !transcript_->has_streams()) {
     throw std::invalid_argument(
-        "--record: nothing on this bench has bytes to record, its drivers are simulated without a wire; "
+        "--record: nothing on this bench has bytes to record, because both drivers are \"simulated\"; "
         "required: at least one other driver (its port may be \"simulated\")");
   }
   opened.identities = identify_or_keep_recording(request, opened);
@@ -431,8 +431,8 @@ void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::st
   const auto sha256 = file.close(teller.before_waiting());
   if (!sha256) {
     warn("closing",
-         fmt::format("another program keeps {} open, so that it cannot be closed; its result is not kept "
-                     "yet: end that program, then close the run with: abcal resume {}",
+         fmt::format("{} cannot be closed because another program keeps the file open; its result is not "
+                     "stored yet: end that program, then close the run with: abcal resume {}",
                      path, path));
     return;
   }
@@ -547,7 +547,7 @@ void RunSession::close_ended_replay(const StoredRun& recorded, const std::filesy
   try {
     tell_comparison(recorded, path);
     RunFile::open_for_append(path).set_state(
-        RunState::kAbandoned, format_utc(opened_->bench.clock->utc_now()), "a replay ends where it ends");
+        RunState::kAbandoned, format_utc(opened_->bench.clock->utc_now()), "the replay ends here as well");
   } catch (const RunFileError& error) {
     warn("replay", error.what());
   }

@@ -83,7 +83,7 @@ int wait_for_end(pid_t child, const Tool& tool) {
       throw std::runtime_error(fmt::format("waiting for {}: {}", tool.program, std::strerror(errno)));
   }
   if (interrupt_token().stop_requested())
-    throw RunInterrupted(fmt::format("interrupted while {} was at work", tool.program));
+    throw RunInterrupted(fmt::format("interrupted while {} was running", tool.program));
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }
 

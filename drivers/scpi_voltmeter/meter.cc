@@ -74,7 +74,7 @@ auto Meter::query(std::string_view command, Parse parse) {
   heard += received_;
   const std::string asked = fmt::format("no answer to \"{}\" within {} s", command, kAnswerTime.count());
   if (heard.empty()) fail(Fault::kNoReply, asked);
-  fail(Fault::kBadFrame, fmt::format("{}; what came was \"{}\"", asked, shown(heard)));
+  fail(Fault::kBadFrame, fmt::format("{}; what arrived was \"{}\"", asked, shown(heard)));
 }
 
 Identity Meter::identify() {
@@ -103,12 +103,13 @@ Identity Meter::identify() {
       fmt::format("no answer to \"*IDN?\" within {:g} s, asked twice", to_seconds(kAnswerTime + busy));
   if (heard.empty()) {
     fail(Fault::kNoReply, asked +
-                              ", not one byte came: is it switched on and set to this interface, and is the "
-                              "baud rate the one of the instrument?");
+                              ", and not one byte arrived: is it switched on and set to this interface, and "
+                              "is the baud rate that of the instrument?");
   }
   fail(Fault::kWrongIdentity,
-       fmt::format("{}; what came was \"{}\": another instrument is on this port, or the baud rate is wrong",
-                   asked, shown(heard)));
+       fmt::format(
+           "{}; what arrived was \"{}\": another instrument is on this port, or the baud rate is wrong",
+           asked, shown(heard)));
 }
 
 /// Reads the errors until there is none.
@@ -168,12 +169,12 @@ std::optional<ScanOutcome> Meter::await_scan(Clock::Instant deadline) {
 std::optional<std::vector<ChannelReading>> Meter::decode_scan(std::string_view text,
                                                               std::string& complaint) const {
   const auto complain = [&](std::string_view what) {
-    complaint = fmt::format("\"{}\" came in answer to \"READ?\", {}", shown(text), what);
+    complaint = fmt::format("\"{}\" arrived in answer to \"READ?\", {}", shown(text), what);
     return std::nullopt;
   };
   const bool with_channels = !plan_.channels.empty();
   auto readings = parse_readings(text, with_channels);
-  if (!readings) return complain("which is no list of readings");
+  if (!readings) return complain("which is not a list of readings");
   const std::size_t wanted = with_channels ? plan_.channels.size() : 1;
   if (readings->size() != wanted)
     return complain(fmt::format("{} readings; required: {}", readings->size(), wanted));
@@ -191,7 +192,7 @@ std::optional<std::vector<ChannelReading>> Meter::decode_scan(std::string_view t
   return ordered;
 }
 
-/// The scan under way is lost. From here on everything is thrown away up to the answer to *IDN?.
+/// The scan under way is lost. From here on everything up to the answer to *IDN? is discarded.
 void Meter::resynchronise(Fault fault, std::string complaint) {
   fault_ = fault;
   complaint_ = std::move(complaint);

@@ -33,13 +33,13 @@ struct ScanOutcome {
 ///
 /// A reply names neither its query nor its scan. So there is never more than one query under way, and after
 /// one that had no answer, or a damaged one, nothing is measured before the voltmeter has answered *IDN? with
-/// the identity that is known: it answers in order, so what comes before that is late, and is thrown away.
+/// the identity that is known: it answers in order, so what comes before that is late and is discarded.
 /// One thread.
 class Meter {
  public:
   Meter(std::unique_ptr<wire::ByteStream> stream, Clock& clock);
 
-  /// Asks what it is, twice if need be. What came before is thrown away.
+  /// Queries the identity, twice if necessary. What arrived before is discarded.
   /// @throws InstrumentError kNoReply, kWrongIdentity (what came is no identity; says what).
   Identity identify();
 

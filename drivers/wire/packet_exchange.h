@@ -97,7 +97,7 @@ class PacketExchange {
     }
     // The late answer to an earlier try would pass for that to the next command like this one.
     if (outstanding_ && !settle())
-      fail(Fault::kNoReply, fmt::format("it answered {} late, and nothing after that", command.shown));
+      fail(Fault::kNoReply, fmt::format("it answered {} late, and then did not answer again", command.shown));
     return *std::move(answer);
   }
 
@@ -180,19 +180,19 @@ class PacketExchange {
         fmt::format("no answer to {} within {:.1f} s", command.shown, to_seconds(waited));
     if (evidence.bytes == 0) {
       fail(Fault::kNoReply,
-           asked + ", not one byte came: is it switched on, and is the baud rate the one of the device?");
+           asked + ", and not one byte arrived: is it switched on, and is the baud rate that of the device?");
     }
     if (evidence.packets > 0) {
-      fail(Fault::kNoReply, fmt::format("{}, though {} other {}s came in ({} {})", asked, evidence.packets,
+      fail(Fault::kNoReply, fmt::format("{}, although {} other {}s arrived ({} {})", asked, evidence.packets,
                                         manner_.packet, evidence.damaged, manner_.damaged));
     }
     if (evidence.damaged > 0) {
-      fail(Fault::kBadFrame, fmt::format("{}; {} bytes came with {} {}s, every one {}", asked, evidence.bytes,
-                                         evidence.damaged, manner_.packet, manner_.damaged));
+      fail(Fault::kBadFrame, fmt::format("{}; {} bytes arrived with {} {}s, every one {}", asked,
+                                         evidence.bytes, evidence.damaged, manner_.packet, manner_.damaged));
     }
     fail(Fault::kWrongIdentity,
-         fmt::format("{}; {} bytes came that are no {}, beginning {}: another instrument is on this port, or "
-                     "the baud rate is wrong",
+         fmt::format("{}; {} bytes arrived that are no {}, beginning {}: another instrument is on this port, "
+                     "or the baud rate is wrong",
                      asked, evidence.bytes, manner_.packet, manner_.show(evidence.first_bytes)));
   }
 

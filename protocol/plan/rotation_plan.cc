@@ -78,7 +78,7 @@ std::vector<SweepAngle> sweep(const ProtocolConfig& config, const AxisTravel& tr
 
 PlanError::PlanError(std::vector<Problem> problems)
     : std::runtime_error([&] {
-        std::string text = "the rotation plan cannot be carried out";
+        std::string text = "the rotation plan cannot be executed";
         for (const Problem& problem : problems) text += "\n  " + to_string(problem);
         return text;
       }()),
@@ -103,7 +103,7 @@ std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
     const auto at = held(angle, travel[axis], config.approach);
     if (!at) {
       problems.push_back({axis == kX ? "axis X" : "axis Z", "travel " + describe(travel[axis]),
-                          "a travel that holds the axis at " + number(angle.deg()) + " deg"});
+                          "a travel that includes the axis angle " + number(angle.deg()) + " deg"});
     }
     return at.value_or(Angle{});
   };

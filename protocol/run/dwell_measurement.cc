@@ -122,8 +122,8 @@ void DwellMeasurement::wait_for_temperature(std::size_t position, std::optional<
   const StoppableClock& clock = context_.clock;
   const Clock::Instant begin = clock.now();
   const auto excess = [&] { return parts_.plausibility.temperature_excess(temperature_degc); };
-  journal.notify("temperature",
-                 fmt::format("{}: {}; waiting for it to be back", journal.activity(), excess().value_or("")));
+  journal.notify("temperature", fmt::format("{}: {}; waiting for the temperature to come back",
+                                            journal.activity(), excess().value_or("")));
   journal.phase(position, RunPhase::kTemperature);
   while (const auto why = excess()) {
     if (clock.now() >= deadline) {
@@ -137,7 +137,7 @@ void DwellMeasurement::wait_for_temperature(std::size_t position, std::optional<
     temperature_degc = dwell_statistics(window, context_.accelerometer_info).temperature_degc;
   }
   journal.notify("temperature",
-                 fmt::format("the temperature is back after {:.0f} s", to_seconds(clock.now() - begin)));
+                 fmt::format("the temperature came back after {:.0f} s", to_seconds(clock.now() - begin)));
   context_.stopwatch.add_settling(clock.now() - begin);
 }
 

@@ -74,7 +74,7 @@ TEST(RotationPlanTest, NamesEveryAngleThatTheTravelCannotReachOnBothAxes) {
     EXPECT_EQ(error.problems().size(), 4U);  // X turning; Z turning; Z held at 0 (no room below) and at -90
     EXPECT_THAT(error.what(), testing::HasSubstr("axis X"));
     EXPECT_THAT(error.what(), testing::HasSubstr("105"));
-    EXPECT_THAT(error.what(), testing::HasSubstr("holds the axis at -90"));
+    EXPECT_THAT(error.what(), testing::HasSubstr("includes the axis angle -90"));
   }
 }
 
