@@ -1,7 +1,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
+#include <random>
 #include <stdexcept>
 #include <string>
 
@@ -9,6 +12,8 @@
 #include "app/planner/wanted.h"
 #include "app/planner/write_plan.h"
 #include "app/results/analyses.h"
+#include "app/robustness/robustness_study.h"
+#include "app/robustness/scenario.h"
 #include "sim/counter_noise.h"
 #include "sim/sim_bench.h"
 
@@ -114,6 +119,63 @@ TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
   EXPECT_NEAR(s / prediction.u[0], 1.0, 0.1);
   EXPECT_NEAR(O / prediction.u[2], 1.0, 0.1);
   EXPECT_NEAR(phi / prediction.u[3], 1.0, 0.1);
+}
+
+/// The worst u of each group of a result, relative to a near-unit item.
+PlannedValues stated(const CalibrationResult& result) {
+  PlannedValues u{};
+  const auto worst = [&](PlannedOutput output, const Quantity& quantity) {
+    double& place = u[static_cast<std::size_t>(output)];
+    place = std::max(place, quantity.standard_uncertainty);
+  };
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      worst(j == k ? PlannedOutput::kSensitivity : PlannedOutput::kOffDiagonal,
+            result.sensitivity_matrix.value()[j][k]);
+    }
+    worst(PlannedOutput::kOffset, result.offset[j]);
+    worst(PlannedOutput::kAngle, result.intrinsic_angle[j]);
+  }
+  return u;
+}
+
+TEST(PlanPredictionTest, HoldsOnRandomBenches) {
+  std::vector<const Scenario*> within;
+  for (const Scenario& scenario : robustness_scenarios())
+    if (scenario.kind == ScenarioKind::kWithin) within.push_back(&scenario);
+  std::mt19937_64 random(20261122);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::array<std::vector<double>, kPlannedOutputs> ratios;
+  for (std::uint64_t k = 0; k < 40; ++k) {
+    ScenarioBench drawn = draw_bench(*within[k % within.size()], 1, k);
+    drawn.steps = kTriedSteps[static_cast<std::size_t>(uniform(random) * kTriedSteps.size())];
+    drawn.noise = drawn.stated_noise = 3e-6 * std::pow(30.0, uniform(random));
+    const sim::BenchTruth& truth = drawn.truth;
+    const bool white =
+        truth.random_walk == 0.0 && truth.flicker_noise == 0.0 && truth.correlated_noise == 0.0;
+    if (drawn.scale != 1.0 || !white) continue;  // Other units, and noise that the prediction does not know.
+    const CalibrationResult result = analyse(simulate_run(drawn).record, "joint");
+    if (!result.sensitivity_matrix) continue;
+
+    PlanningBench planned = bench(10.0 * drawn.stated_noise);
+    planned.config.tolerances = drawn.stated;
+    ProtocolConfig protocol = planned.config.protocol;
+    protocol.steps = drawn.steps;
+    protocol.step = Angle::degrees(360.0 / drawn.steps);
+    protocol.dwell_readings = 100;
+    const PlannedValues predicted = predict_plan(planned, protocol).u;
+    const PlannedValues found = stated(result);
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group)
+      ratios[group].push_back(found[group] / predicted[group]);
+  }
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    std::vector<double>& all = ratios[group];
+    ASSERT_GE(all.size(), 30U);
+    std::ranges::sort(all);
+    const auto symbol = symbol_of(static_cast<PlannedOutput>(group));
+    RecordProperty("median_" + std::string(symbol), std::to_string(all[all.size() / 2]));
+    EXPECT_NEAR(all[all.size() / 2], 1.0, 0.05) << symbol << ": " << testing::PrintToString(all);
+  }
 }
 
 TEST(PlanSearchTest, TheShortestPlanReachesWhatIsWantedAndAShorterDwellDoesNot) {
