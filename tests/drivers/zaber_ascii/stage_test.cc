@@ -235,7 +235,7 @@ TEST_F(ZaberAsciiStageTest, AnAxisThatDoesNotRotateIsRefused) {
   connect();
   const InstrumentError error = error_of([&] { stage_->identify(); });
   EXPECT_EQ(error.fault(), Fault::kWrongIdentity);
-  EXPECT_THAT(error.what(), HasSubstr("does not rotate"));
+  EXPECT_THAT(error.what(), HasSubstr("not a rotary axis"));
 }
 
 TEST_F(ZaberAsciiStageTest, SettingsThatCannotBeMeantAreRefused) {
