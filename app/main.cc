@@ -1,3 +1,4 @@
+#include "app/commands/bench.h"
 #include "app/commands/commands.h"
 #include "app/commands/manual.h"
 #include "app/commands/run_program.h"
@@ -28,6 +29,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_compare(app, exit_code);
   add_gravity(app, exit_code);
   add_serve(app, exit_code);
+  add_bench(app, exit_code);
   add_instruments(app, exit_code);
   add_manual_option(app, std::string("abcal ") + program_version());
 }

@@ -142,6 +142,9 @@ void SerialPort::discard_input() {
 std::size_t SerialPort::dropped_bytes() const {
   return impl_->link.queue().dropped();
 }
+int SerialPort::descriptor() const {
+  return impl_->link.port().native_handle();
+}
 std::string SerialPort::name() const {
   return impl_->link.queue().name();
 }

@@ -80,6 +80,9 @@ void TcpStream::discard_input() {
 std::size_t TcpStream::dropped_bytes() const {
   return impl_->link.queue().dropped();
 }
+int TcpStream::descriptor() const {
+  return impl_->link.port().native_handle();
+}
 std::string TcpStream::name() const {
   return impl_->link.queue().name();
 }

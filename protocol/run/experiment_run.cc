@@ -132,6 +132,8 @@ class ExperimentRun {
     }
     context_.journal.check_system_clock();
     file_.append_dwell(position, dwell, measured.readings, context_.stopwatch.timing());
+    for (const StageEvent& event : instruments_.stage.take_events())
+      context_.journal.notify(event.kind, event.text);
     if (dwell.flags != kFlagNone) {
       context_.journal.notify(
           kFlagEvent, fmt::format("{}: {}", context_.journal.activity(), describe_flags(dwell.flags)));
