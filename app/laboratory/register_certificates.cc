@@ -45,6 +45,7 @@ std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& re
         "{} measured the run and cannot approve its certificate; required: another person", by.name()));
   DatabaseTransaction transaction(database_);
   lock_audit();
+  require_not_blocked(request);
   for (const CertificateRecord& one : certificates_of(request.run_sha256)) {
     if (one.state == "reserved" && one.replaces == request.replaces)
       return one.number;  // Its program ended too early.

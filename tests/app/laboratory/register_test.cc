@@ -18,17 +18,6 @@ using testing::Not;
 class RegisterTest : public OnDatabase {};
 ABCAL_ON_BOTH_DATABASES(RegisterTest);
 
-/// The words of what a call throws; empty: nothing.
-template <class Call>
-std::string refusal(const Call& call) {
-  try {
-    call();
-  } catch (const RegisterError& error) {
-    return error.what();
-  }
-  return {};
-}
-
 NumberRequest request_for(const std::string& run) {
   return {sha256_of(run), "Maker M-3 SN-42", "Operator N. N.", {}, {}};
 }
