@@ -10,11 +10,13 @@
 #include <thread>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/bench/make_bench.h"
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
 #include "app/emulate/control_server.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -154,7 +156,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
 
 /// Serves until interrupted.
 void serve_instruments(const EmulateCommand& command) {
-  const BenchConfig config = read_bench(command.bench_file);
+  const BenchConfig config = read_bench(command.bench_file, register_records());
   if (!std::isfinite(command.speed)) throw CLI::ValidationError("--speed", "must be a finite number");
   ScaledClock clock(command.speed);
   const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());

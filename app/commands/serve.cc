@@ -8,8 +8,10 @@
 #include <string>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/commands/commands.h"
 #include "app/console/server.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -70,7 +72,8 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
   command->add_option("--host", options->server.access.hosts,
                       "further name[:port] by which pages call the console, e.g. behind a proxy");
   command->callback([options, &exit_code] {
-    read_bench(options->bench.bench_file);  // Its problems are reported at once, not to the first page.
+    read_bench(options->bench.bench_file,
+               register_records());  // Its problems are reported at once, not to the first page.
     if (options->bench.runs.empty()) options->bench.runs = options->bench.bench_file.parent_path();
     if (options->bench.runs.empty()) options->bench.runs = ".";
     const bool made = choose_access(options->server, options->token_file);
