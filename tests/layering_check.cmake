@@ -118,7 +118,7 @@ layer(app/certificate MAY app/laboratory/ app/results/ app/document/ app/system/
   Eigen/ unsupported/Eigen/ boost/math/ libxml/ nlohmann/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
 layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
-  FOREIGN Eigen/ nlohmann/ fmt/)
+  FOREIGN Eigen/ boost/ nlohmann/ fmt/)
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/)
 set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/laboratory/ app/report/ app/results/ app/robustness/
   app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
