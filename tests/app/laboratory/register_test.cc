@@ -179,6 +179,17 @@ TEST_P(RegisterTest, FindsWhatWasChangedBehindItsBack) {
   }
 }
 
+TEST_P(RegisterTest, ANumberIsNotGivenTwiceThoughItsRowIsDeletedAndTheCounterSetBack) {
+  Register made = with_people();
+  const LoggedIn approver = login(made, "Approver N. N.");
+  ASSERT_EQ(made.reserve_number(approver, request_for("a"), at(3)), "EX-2026-0001");
+  Database(location).execute("delete from certificate");
+  Database(location).execute("update counter set last = 0");
+  EXPECT_THAT(refusal([&] { made.reserve_number(approver, request_for("b"), at(4)); }),
+              HasSubstr("was given before"));
+  EXPECT_TRUE(made.certificates().empty());  // Nothing was written.
+}
+
 TEST_P(RegisterTest, AnIssuedCertificateIsComparedWithTheRun) {
   const CertificateRecord issued{"EX-1", "issued", "run", "hash", "", "", "A", "", "", "", "", ""};
   const auto words = [](const std::vector<RegisterFinding>& findings) {
