@@ -119,9 +119,11 @@ layer(app/certificate MAY app/laboratory/ app/results/ app/document/ app/system/
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
 layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
   FOREIGN Eigen/ boost/ nlohmann/ fmt/)
+layer(app/self_test MAY app/bench/ app/document/ app/laboratory/ app/results/ app/session/ app/system/ app/xml/ drivers/instrument/clock.h protocol/
+  FOREIGN libxml/ openssl/ sqlite3.h fmt/)
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/)
 set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/laboratory/ app/report/ app/results/ app/robustness/
-  app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
+  app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
 layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)
 layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ hwy/)

@@ -202,7 +202,8 @@ TEST_F(RecordCommands, EveryRecordThatCannotBeUsedIsNamedWithItsLineAndDates) {
               "calibration EX-OLD of STAGE-1 by Example institute, performed 2020-01-01, due 2021-01-01; "
               "required: a calibration that holds today, 20"),
           HasSubstr("which has no value \"zero_deg\"; required: name = one of wobble_urad"),
-          HasSubstr("in urad; required: the unit degree"),
+          HasSubstr("alignment_deg: found a value in urad: calibration EX-ANGLE-0815"),
+            HasSubstr("required: the unit degree"),
           HasSubstr("step_smooth_deg.value: found a key of this name")));
   registered_->log_in("Approver N. N.");
   registered_->lab({"retire", "equipment", "STAGE-1", "--reason", "sold"});
