@@ -31,6 +31,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_serve(app, exit_code);
   add_bench(app, exit_code);
   add_instruments(app, exit_code);
+  add_self_test(app, exit_code);
   add_manual_option(app, std::string("abcal ") + program_version());
 }
 

@@ -111,7 +111,7 @@ layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/recor
   FOREIGN toml++/ Eigen/ nlohmann/ fmt/ boost/)
 layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/export MAY protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
-layer(app/planner MAY app/bench/ app/results/ drivers/instrument/ drivers/text/ protocol/ sim/ FOREIGN toml++/ Eigen/ fmt/)
+layer(app/planner MAY app/bench/ app/results/ app/toml/ drivers/instrument/ drivers/text/ protocol/ sim/ FOREIGN toml++/ Eigen/ fmt/)
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
 layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
@@ -119,11 +119,13 @@ layer(app/laboratory MAY app/system/ drivers/instrument/clock.h protocol/record/
 layer(app/certificate MAY app/laboratory/ app/results/ app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
   Eigen/ unsupported/Eigen/ boost/math/ libxml/ nlohmann/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
-layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ drivers/instrument/ drivers/wire/ protocol/ sim/
-  FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
+  FOREIGN Eigen/ boost/ nlohmann/ fmt/)
+layer(app/self_test MAY app/bench/ app/document/ app/laboratory/ app/results/ app/session/ app/system/ app/xml/ drivers/instrument/clock.h protocol/
+  FOREIGN libxml/ openssl/ sqlite3.h fmt/)
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ drivers/wire/ sim/ FOREIGN boost/ nlohmann/ fmt/)
 set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/export/ app/laboratory/ app/planner/ app/report/ app/results/ app/robustness/
-  app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
+  app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
 layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)
 layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ hwy/)

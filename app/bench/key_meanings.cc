@@ -14,7 +14,10 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"schema", {"Version of the format. `abcal.bench/1` is also read.", ""}},
       {"bench.name", {"Name of the bench, for the report.", ""}},
       {"bench.g_loc_mps2",
-       {"Local gravity. Required unless `latitude_deg` and `height_m` are given.", "", true}},
+       {"Local gravity. Required unless `latitude_deg` and `height_m` are given. Or `{ from = \"RECORD\" }`: "
+        "a "
+        "calibration in the register, which then gives U, k and source, too.",
+        "", true}},
       {"bench.g_loc_expanded_uncertainty_mps2", {"Expanded uncertainty U = k u of `g_loc_mps2`.", ""}},
       {"bench.g_loc_k", {"Coverage factor k of that uncertainty.", "1"}},
       {"bench.g_loc_source",

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "app/certificate/decision.h"
+#include "app/certificate/scope.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal {
@@ -82,6 +83,7 @@ struct LaboratoryFile {
   std::vector<Equipment> equipment;
   std::optional<DecisionRule> decision;
   std::vector<SpecificationLimit> limits;
+  std::vector<ScopeLimit> scope;   ///< No smaller uncertainty is stated.
   std::vector<std::string> units;  ///< Of sensitivity, in addition to those of the certificate: "mV/g".
 };
 

@@ -13,10 +13,12 @@
 #include <vector>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
 #include "app/report/campaign_report.h"
 #include "app/results/analyses.h"
+#include "app/session/register_records.h"
 #include "app/session/run_bench.h"
 #include "app/session/run_session.h"
 #include "app/system/exit_code.h"
@@ -134,7 +136,7 @@ int run_campaign(const CampaignOptions& options) {
         "--remount: a person must confirm that the accelerometer was remounted, but standard input is not a "
         "terminal; required: a terminal, or no --remount");
   }
-  const BenchConfig config = read_bench(options.bench_file);
+  const BenchConfig config = read_bench(options.bench_file, register_records());
   print_warnings(config);
   const std::vector<std::filesystem::path> paths = paths_of(options);
   std::vector<std::size_t> missing;

@@ -2,9 +2,11 @@
 
 #include <nlohmann/json.hpp>
 
+#include "app/bench/bench_records.h"
 #include "app/commands/commands.h"
 #include "app/commands/terminal_listener.h"
 #include "app/session/bench_check.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -41,7 +43,7 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   command->add_flag("--no-motion", options->no_motion, "move nothing");
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] {
-    const BenchConfig config = read_bench(options->bench_file);
+    const BenchConfig config = read_bench(options->bench_file, register_records());
     Bench bench = make_bench(config);
     TerminalListener terminal(
         {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});

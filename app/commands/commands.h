@@ -25,5 +25,6 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code);
 CLI::App* add_gravity(CLI::App& parent, int& exit_code);
 CLI::App* add_serve(CLI::App& parent, int& exit_code);
 CLI::App* add_instruments(CLI::App& parent, int& exit_code);
+CLI::App* add_self_test(CLI::App& parent, int& exit_code);
 
 }  // namespace abcal

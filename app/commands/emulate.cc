@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/bench/make_bench.h"
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
@@ -20,6 +21,7 @@
 #include "app/emulate/compare_firmware.h"
 #include "app/emulate/control_server.h"
 #include "app/emulate/listening_port.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -143,7 +145,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
 
 /// Serves until interrupted.
 void serve_instruments(const EmulateCommand& command) {
-  const BenchConfig config = read_bench(command.bench_file);
+  const BenchConfig config = read_bench(command.bench_file, register_records());
   if (!std::isfinite(command.speed)) throw CLI::ValidationError("--speed", "must be a finite number");
   ScaledClock clock(command.speed);
   const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
@@ -238,7 +240,7 @@ void print_comparison(const std::vector<ComparedExchange>& exchanges) {
 
 /// @return whether all answers agree.
 bool compare_with_log(const EmulateCommand& command) {
-  const BenchConfig config = read_bench(command.bench_file);
+  const BenchConfig config = read_bench(command.bench_file, register_records());
   const WireLog log = read_wire_log(command.compare);
   sim::SimClock clock;
   const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());

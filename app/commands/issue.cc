@@ -8,7 +8,9 @@
 #include "app/certificate/issue.h"
 #include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
+#include "app/compare/check_chart.h"
 #include "app/laboratory/login.h"
+#include "app/session/time_stamp_authority.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
@@ -80,6 +82,15 @@ std::vector<Person> persons_of(lab::Register& opened) {
   return persons;
 }
 
+/// The scope of the register takes the place of that of the laboratory file.
+std::vector<ScopeLimit> scope_of(lab::Register& opened) {
+  std::vector<ScopeLimit> scope;
+  for (const lab::ScopeEntry& entry : opened.scope())
+    if (entry.retired.empty())
+      scope.push_back({entry.quantity, entry.unit, entry.from, entry.to, entry.cmc, entry.relative, 0});
+  return scope;
+}
+
 void use_register(Registered& registered, CertificateRequest& request) {
   IssueFacts& facts = *request.issue;
   facts.number = "as the register gives it";
@@ -87,6 +98,7 @@ void use_register(Registered& registered, CertificateRequest& request) {
   facts.register_identity = registered.opened.facts().identity;
   facts.training = registered.opened.facts().training;
   request.laboratory.file.persons = persons_of(registered.opened);
+  request.laboratory.file.scope = scope_of(registered.opened);
 }
 
 /// The program ended after the certificate was kept with the run and before the register knew: it is told
@@ -113,6 +125,9 @@ void take_number(Registered& registered, Certificate& certificate, Clock::UtcTim
   request.item = fmt::format("{} {} {}", data.label("item.maker"), data.label("item.model"),
                              data.label("item.serial_number"));
   request.measured_by = certificate.measured_by();
+  const BenchIdentity bench = bench_of(*data.run);
+  request.stage = bench.stage;
+  request.bench = bench.name;
   if (const auto& replaced = certificate.issue->replaces) {
     request.replaces = replaced->number;
     request.reason = replaced->reason;
@@ -140,6 +155,8 @@ void issue(const IssueOptions& options) {
     require_writable({{"--dcc", options.dcc}}, {options.run, options.certificate.laboratory}, options.force);
   std::optional<Registered> registered = open_registered(options, now);
   if (registered && record_kept_certificate(*registered, options, now)) return;
+  if (RunFile::is_closed(options.run))
+    if (const auto why = stamp_if_configured(options.run)) print_warning(*why);
   CertificateRequest request;
   request.laboratory = read_laboratory_file(options.certificate.laboratory);
   request.run = gather_report(options.run, now);

@@ -112,6 +112,26 @@ void add_add_item(CLI::App& add, const std::shared_ptr<LabOptions>& shared, int&
   });
 }
 
+void add_add_scope(CLI::App& add, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
+  auto entry = std::make_shared<lab::ScopeEntry>();
+  CLI::App* command = add.add_subcommand(
+      "scope", "Add a CMC: the smallest expanded uncertainty that issue may state in a range");
+  command->add_option("NAME", entry->identity, "its name in the register")->required();
+  command->add_option("--quantity", entry->quantity, "sensitivity, angle or offset")->required();
+  command->add_option("--unit", entry->unit, "as in results: V/g_loc, degree, V")->required();
+  command->add_option("--from", entry->from, "range of the value's size")->required();
+  command->add_option("--to", entry->to, "its end")->required();
+  command->add_option("--cmc", entry->cmc, "expanded uncertainty, k = 2")->required();
+  command->add_flag("--relative", entry->relative, "the CMC is a part of the value");
+  command->callback([shared, entry, &exit_code] {
+    lab::Register opened = open_register(*shared);
+    const auto now = RealClock().utc_now();
+    opened.add_scope(lab::require_login(opened, now), *entry, now);
+    print_result("scope added: {}\n", entry->identity);
+    exit_code = kExitDone;
+  });
+}
+
 void add_key(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
   struct Options {
     std::string owner, file, kind = "bench";
@@ -187,6 +207,7 @@ void add_lab_records(CLI::App& parent, const std::shared_ptr<LabOptions>& shared
   add_add_equipment(*add, shared, exit_code);
   add_add_calibration(*add, shared, exit_code);
   add_add_item(*add, shared, exit_code);
+  add_add_scope(*add, shared, exit_code);
   add_key(parent, shared, exit_code);
   add_list(parent, shared, exit_code);
 }

@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/bench/level_file.h"
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
@@ -11,6 +12,7 @@
 #include "app/results/load_record.h"
 #include "app/results/result_text.h"
 #include "app/session/level_plan.h"
+#include "app/session/register_records.h"
 #include "app/session/run_session.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
@@ -104,7 +106,7 @@ struct MeasuredLevelling {
 };
 
 MeasuredLevelling measure(const LevelOptions& options) {
-  const BenchConfig config = read_bench(options.bench_file);
+  const BenchConfig config = read_bench(options.bench_file, register_records());
   print_warnings(config);
   const std::filesystem::path run_file = output_path(options.run_output, options.bench_file, ".level.run");
   const StartRequest request{write_bench(config), options.bench_file, run_file.string(), false};

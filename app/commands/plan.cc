@@ -3,10 +3,12 @@
 #include <nlohmann/json.hpp>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/bench/key_reference.h"
 #include "app/commands/commands.h"
 #include "app/commands/plan_reach.h"
 #include "app/results/effect_words.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/progress.h"
@@ -77,7 +79,10 @@ nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& confi
       {"travel_assumed", plan.travel_assumed},
       {"estimator", config.protocol.estimator},
       {"default_effects", unstated_effects(config.tolerances)},
+      {"g_loc", {{"value_mps2", config.g_loc.value_mps2}, {"source", config.g_loc.source}}},
+      {"effect_sources", nlohmann::ordered_json::object()},
       {"cable_twist_deg", {{"x", range(plan.twist[0])}, {"z", range(plan.twist[1])}}}};
+  for (const auto& [key, source] : config.tolerances.sources) json["effect_sources"][key] = source;
   for (const PlannedAngle& angle : plan.angles) {
     json["angles"].push_back({{"experiment", angle.experiment},
                               {"n", angle.n},
@@ -118,6 +123,17 @@ void print_duration(const ShownPlan& plan) {
   }
 }
 
+/// Local gravity and effects that come from records of the register, or are stated.
+void print_sources(const BenchConfig& config) {
+  if (!config.g_loc.source.empty())
+    print_result("Local gravity {:.9g} m/s2: {}\n", config.g_loc.value_mps2, config.g_loc.source);
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    const auto source = config.tolerances.sources.find(key.key);
+    if (source == config.tolerances.sources.end() || source->second == "stated") continue;
+    print_result("{}: u = {:.4g} {}: {}\n", key.key, key.get(config.tolerances), key.unit, source->second);
+  }
+}
+
 void print_plan(const ShownPlan& plan, const BenchConfig& config) {
   print_angles(plan.angles);
   print_result("{} angles; {} readings at each\n", plan.angles.size(),
@@ -130,6 +146,7 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config) {
   print_result("The result of the run will be that of the {} estimator.\n", config.protocol.estimator);
   if (const std::string words = default_effects_words(config.tolerances); !words.empty())
     print_result("Note: {}.\n", words);
+  print_sources(config);
   if (plan.travel_assumed) {
     print_result("If the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");
   }
@@ -159,7 +176,7 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
       return;
     }
     if (options->bench_file.empty()) throw CLI::RequiredError("BENCH");
-    const BenchConfig config = read_bench(options->bench_file);
+    const BenchConfig config = read_bench(options->bench_file, register_records());
     for (const std::string& warning : config.warnings) print_warning(warning);
     if (options->reach.has_details() && !options->reach.asked())
       throw CLI::ValidationError("--noise, --estimator, --plot and --write go with --reach or --time");

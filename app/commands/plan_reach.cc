@@ -18,6 +18,7 @@
 #include "app/planner/write_plan.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
@@ -174,7 +175,8 @@ void plot_curve(const std::string& path, const std::vector<PlanPrediction>& plan
 void write_into_bench_file(const ReachOptions& options, const PlanPrediction& plan) {
   std::ifstream file(options.bench_file, std::ios::binary);
   const std::string text{std::istreambuf_iterator<char>(file), {}};
-  OutputFile(options.bench_file).write(with_protocol(text, plan.protocol, options.bench_file));
+  OutputFile(options.bench_file)
+      .write(with_protocol(text, plan.protocol, options.bench_file, register_records()));
   print_log("{} has the plan now\n", options.bench_file);
 }
 

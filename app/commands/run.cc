@@ -4,12 +4,14 @@
 #include <memory>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/commands/campaign.h"
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
+#include "app/session/register_records.h"
 #include "app/session/run_bench.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
@@ -124,7 +126,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
       exit_code = run_campaign(options->campaign);
       return;
     }
-    const BenchConfig config = read_bench(options->bench_file);
+    const BenchConfig config = read_bench(options->bench_file, register_records());
     print_warnings(config);
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
     RunSession session(printing_session_options(terminal, options->json, exit_code));

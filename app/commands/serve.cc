@@ -9,10 +9,12 @@
 #include <string>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
 #include "app/commands/bench.h"
 #include "app/commands/commands.h"
 #include "app/console/bench_service.h"
 #include "app/console/server.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/last_signal.h"
@@ -117,7 +119,8 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
   command->add_option("--host", options->server.access.hosts,
                       "further name[:port] by which pages call the console, e.g. behind a proxy");
   command->callback([options, &exit_code] {
-    read_bench(options->bench.bench_file);  // Its problems are reported at once, not to the first page.
+    read_bench(options->bench.bench_file,
+               register_records());  // Its problems are reported at once, not to the first page.
     choose_folder(options->bench);
     const bool made = choose_access(options->server, options->token_file);
     console::Server server(options->server, options->bench);

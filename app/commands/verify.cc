@@ -1,9 +1,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <fstream>
 #include <nlohmann/json.hpp>
-#include <sstream>
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
@@ -12,6 +10,7 @@
 #include "app/results/recompute.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
+#include "app/system/read_file.h"
 #include "app/system/terminal.h"
 #include "protocol/record/attestation.h"
 #include "protocol/record/results_file.h"
@@ -30,18 +29,10 @@ struct VerifyOptions {
   }
 };
 
-std::string read_pem(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::invalid_argument(path + ": no such file, or it cannot be read; required: PEM");
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
-
 Trust trust_of(const VerifyOptions& options, lab::Register* opened) {
   Trust trust;
-  for (const std::string& key : options.keys) trust.keys.push_back({key, read_pem(key)});
-  for (const std::string& authority : options.authorities) trust.authorities_pem += read_pem(authority);
+  for (const std::string& key : options.keys) trust.keys.push_back({key, read_file(key)});
+  for (const std::string& authority : options.authorities) trust.authorities_pem += read_file(authority);
   if (opened != nullptr)
     for (const lab::SigningKey& key : opened->keys())
       if (key.kind == "bench" && key.valid_to.empty()) trust.keys.push_back({key.owner, key.public_pem});

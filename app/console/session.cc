@@ -7,10 +7,12 @@
 #include <chrono>
 #include <utility>
 
+#include "app/bench/bench_records.h"
 #include "app/bench/guarded_stage.h"
 #include "app/bench/real_clock.h"
 #include "app/console/jog.h"
 #include "app/console/paced_clock.h"
+#include "app/session/register_records.h"
 #include "app/session/run_bench.h"
 #include "drivers/instrument/instrument_error.h"
 
@@ -307,7 +309,7 @@ void Session::show(const SessionEvent& event) {
 }
 
 void Session::do_check(bool with_motion) {
-  const BenchConfig config = read_bench(options_.bench_file);
+  const BenchConfig config = read_bench(options_.bench_file, register_records());
   Bench bench = open(config);
   std::vector<Finding> findings = check_bench(
       bench, config, {!with_motion, [this](const SessionEvent& event) { show(event); }, stop_.get_token()});
@@ -321,7 +323,7 @@ void Session::do_check(bool with_motion) {
 }
 
 void Session::do_start(const std::string& name) {
-  const BenchConfig config = read_bench(options_.bench_file);
+  const BenchConfig config = read_bench(options_.bench_file, register_records());
   for (const std::string& warning : config.warnings) tell_(LogLine{LogLine::Grade::kWarning, warning});
   run_->start({write_bench(config), options_.bench_file.string(), (options_.runs / name).string(), false});
 }
@@ -332,7 +334,7 @@ void Session::do_resume(const std::filesystem::path& path) {
 
 void Session::do_jog(const Jog& jog) {
   if (!jog_bench_) {
-    BenchConfig config = read_bench(options_.bench_file);
+    BenchConfig config = read_bench(options_.bench_file, register_records());
     Bench bench = open(config);
     jog_bench_.emplace(JogBench{std::move(config), std::move(bench)});
   }

@@ -37,7 +37,7 @@ void set_value(std::vector<std::string>& lines, const toml::table& protocol, con
 }  // namespace
 
 std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& protocol,
-                          const std::string& source) {
+                          const std::string& source, const RecordLookup& lookup) {
   const std::vector<std::pair<std::string, std::string>> values{
       {"steps", std::to_string(protocol.steps)},
       {"step_deg", fmt::format("{}", protocol.step.deg())},
@@ -53,13 +53,13 @@ std::string with_protocol(const std::string& bench_toml, const ProtocolConfig& p
   std::string changed;
   for (const std::string& line : lines) changed += line + "\n";
 
-  BenchConfig wanted = parse_bench(bench_toml, source);
+  BenchConfig wanted = parse_bench(bench_toml, source, lookup);
   wanted.protocol.steps = protocol.steps;
   wanted.protocol.step = protocol.step;
   wanted.protocol.dwell_readings = protocol.dwell_readings;
   bool as_meant = false;
   try {
-    as_meant = write_bench(parse_bench(changed, source)) == write_bench(wanted);
+    as_meant = write_bench(parse_bench(changed, source, lookup)) == write_bench(wanted);
   } catch (const std::exception&) {
     as_meant = false;  // Said below.
   }

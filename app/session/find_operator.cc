@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "app/laboratory/login.h"
+#include "app/system/private_file.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
@@ -66,7 +67,14 @@ RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now) {
 
 std::string read_signing_key() {
   const char* file = std::getenv("ABCAL_SIGNING_KEY");
-  return file == nullptr || *file == '\0' ? std::string() : read_private_key(file);
+  if (file == nullptr || *file == '\0') return {};
+  std::string pem = read_private_file(file, "key");
+  try {
+    require_private_key(pem);
+  } catch (const std::invalid_argument& problem) {
+    throw std::invalid_argument(fmt::format("key {}: {}", file, problem.what()));
+  }
+  return pem;
 }
 
 }  // namespace abcal

@@ -16,6 +16,7 @@
 #include "app/session/level_plan.h"
 #include "app/session/replay_comparison.h"
 #include "app/session/session_observer.h"
+#include "app/session/time_stamp_authority.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/replay_stream.h"
@@ -440,6 +441,7 @@ void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::st
   if (teller.is_told()) warn("closing", fmt::format("{} is closed now: SHA-256 {}", path, *sha256));
   teller.tell();
   keep_analyses(outcome, utc, true);
+  if (const auto why = stamp_if_configured(outcome.path)) warn("time stamp", *why);
 }
 
 RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far) {

@@ -9,4 +9,9 @@ namespace abcal {
 /// @throws std::runtime_error
 void write_private_file(const std::filesystem::path& path, const std::string& content);
 
+/// The content of a file with a secret, which nobody but its owner may read or change.
+/// @param kind  "key", "password": what messages call it
+/// @throws std::invalid_argument
+std::string read_private_file(const std::filesystem::path& path, const std::string& kind);
+
 }  // namespace abcal

@@ -23,6 +23,8 @@ constexpr std::size_t kLargestTomlFile = 16U << 20U;  // bytes
 // tables without end would exhaust the stack.
 constexpr std::size_t kDeepestToml = 16;
 
+constexpr std::string_view kFrom = "from", kName = "name";  // Of a record.
+
 Problem shown_problem(const std::string& where, const std::string& found, const std::string& required) {
   return {shortened_text(where, kLongestShown), shortened_text(found, kLongestShown),
           shortened_text(required, kLongestRequired)};
@@ -251,13 +253,78 @@ void TomlReader::uncertainty(const std::string& key, StatedUncertainty& stated, 
   if (node == nullptr) return;
   const Range range{0.0, most};
   const std::string in_unit = unit.empty() || unit == "1" ? "" : " " + unit;
-  if (const toml::table* table = node->as_table()) {
+  if (const toml::table* table = node->as_table(); table != nullptr && table->contains(kFrom)) {
+    const auto found = recorded(*table, key, unit);
+    if (!found) return;
+    // What was found to be off is not corrected, so that it counts as well (GUM F.2.4.5).
+    const double u = std::hypot(found->value, found->expanded_uncertainty / found->coverage_factor);
+    if (range.contains(u)) {
+      stated = {u, found->source};
+    } else {
+      problem(*node, name(key),
+              fmt::format("a standard uncertainty of {:g}{} ({})", u, in_unit, found->source),
+              range.words() + in_unit);
+    }
+  } else if (table != nullptr) {
     read_uncertainty_table(*table, name(key), stated, range, in_unit);
   } else if (const auto found = number_of(*node); found && std::isfinite(*found) && range.contains(*found)) {
     stated = {*found, "stated"};
   } else {
     problem(*node, name(key), words_of(*node) + (found ? in_unit : ""),
             fmt::format("a standard uncertainty, {}{}, or a table with its source", range.words(), in_unit));
+  }
+}
+
+void TomlReader::calibrated(const std::string& key, CalibratedNumber& number_of_key, Range range,
+                            const std::string& unit) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const toml::table* table = node->as_table();
+  if (table == nullptr || !table->contains(kFrom)) {
+    number(key, number_of_key.value, range);
+    return;
+  }
+  const auto found = recorded(*table, key, unit);
+  if (!found) return;
+  if (range.contains(found->value)) {
+    number_of_key = {found->value, found->expanded_uncertainty, found->coverage_factor, found->source};
+  } else {
+    problem(*node, name(key), fmt::format("{:g} {} ({})", found->value, unit, found->source), range.words());
+  }
+}
+
+/// The value that `{ from = "RECORD" }` or `{ from = "RECORD", name = "VALUE" }` names; it is called as its
+/// key unless it has a name.
+std::optional<RecordedValue> TomlReader::recorded(const toml::table& table, const std::string& key,
+                                                  const std::string& unit) {
+  const std::size_t problems_before = found_.size();
+  const std::string where = name(key);
+  std::string record, value = key;
+  for (const auto& [word, node] : table) {
+    const bool known = word.str() == kFrom || word.str() == kName;
+    const auto* text = node.as_string();
+    if (!known) {
+      problem(node, where + "." + std::string(word.str()), "a key of this name",
+              "from, the number of a calibration in the register, and name, that of the value in it");
+    } else if (text == nullptr || text->get().empty()) {
+      problem(node, where + "." + std::string(word.str()), words_of(node), "text in quotes");
+    } else {
+      (word.str() == kFrom ? record : value) = text->get();
+    }
+  }
+  if (found_.size() != problems_before) return std::nullopt;
+  try {
+    if (!lookup_)
+      throw RecordProblem(fmt::format("record \"{}\", but no register is configured", record),
+                          "a register that has it, named by ABCAL_REGISTER");
+    RecordedValue found = lookup_(record, value);
+    const bool same = found.unit == unit || (unit == "degree" && found.unit == "deg") ||
+                      (unit == "1" && found.unit.empty());
+    if (!same) throw RecordProblem(fmt::format("a value in {}: {}", found.unit, found.source), "the unit " + unit);
+    return found;
+  } catch (const RecordProblem& error) {
+    problem(table, where, error.what(), error.required());
+    return std::nullopt;
   }
 }
 

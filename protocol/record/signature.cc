@@ -5,8 +5,6 @@
 #include <openssl/x509.h>
 
 #include <array>
-#include <fstream>
-#include <sstream>
 #include <stdexcept>
 
 #include "protocol/record/openssl_parts.h"
@@ -84,22 +82,8 @@ bool is_signature(std::string_view message, std::string_view signature, const st
                           message.size()) == 1;
 }
 
-std::string read_private_key(const std::filesystem::path& file) {
-  namespace fs = std::filesystem;
-  std::error_code error;
-  const fs::perms mode = fs::status(file, error).permissions();
-  if (error) throw std::invalid_argument(fmt::format("key {}: {}", file.string(), error.message()));
-  if ((mode & (fs::perms::group_all | fs::perms::others_all)) != fs::perms::none)
-    throw std::invalid_argument(fmt::format("key {}: others may read or change it; required: chmod 600 {}",
-                                            file.string(), file.string()));
-  std::ostringstream pem;
-  pem << std::ifstream(file, std::ios::binary).rdbuf();
-  try {
-    (void)private_key(pem.str());
-  } catch (const std::invalid_argument& problem) {
-    throw std::invalid_argument(fmt::format("key {}: {}", file.string(), problem.what()));
-  }
-  return pem.str();
+void require_private_key(const std::string& private_pem) {
+  (void)private_key(private_pem);
 }
 
 std::string statement_of_run(std::string_view run_sha256) {
