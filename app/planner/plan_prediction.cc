@@ -7,6 +7,7 @@
 
 #include "app/bench/level_file.h"
 #include "app/results/analyses.h"
+#include "protocol/record/planned_dwell.h"
 #include "protocol/uncertainty/budget.h"
 #include "sim/sim_bench.h"
 
@@ -33,13 +34,7 @@ RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protoco
   sim::SimBench world{sim::BenchTruth{}};
   for (std::size_t i = 0; i < plan.size(); ++i) {
     const PlannedAngle& angle = plan[i];
-    DwellRecord dwell;
-    dwell.experiment = angle.experiment;
-    dwell.n = angle.n;
-    dwell.closing = angle.closing;
-    dwell.alpha = angle.alpha;
-    dwell.commanded_x = angle.x;
-    dwell.commanded_z = angle.z;
+    DwellRecord dwell = planned_dwell(angle);
     dwell.count = readings;
     dwell.time_s = static_cast<double>(i) * angle_s;
     const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
@@ -50,7 +45,6 @@ RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protoco
     if (!angle.check) {
       record.dwells.push_back(std::move(dwell));
     } else {
-      dwell.role = DwellRole::kCheck;
       record.check_poses.push_back({std::move(dwell), record.dwells.size()});
     }
   }

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/planned_dwell.h"
 #include "protocol/run/dwell.h"
 
 namespace abcal {
@@ -89,14 +90,7 @@ MeasuredDwell DwellMeasurement::measure_once(std::size_t position, const Planned
 
 DwellRecord DwellMeasurement::dwell_record(const PlannedAngle& angle, const DwellStatistics& statistics,
                                            const Window& window) {
-  DwellRecord dwell;
-  dwell.experiment = angle.experiment;
-  dwell.n = angle.n;
-  dwell.closing = angle.closing;
-  if (angle.check) dwell.role = DwellRole::kCheck;
-  dwell.alpha = angle.alpha;
-  dwell.commanded_x = angle.x;
-  dwell.commanded_z = angle.z;
+  DwellRecord dwell = planned_dwell(angle);
   dwell.encoder_x = parts_.motion.encoder_angle(StageAxis::kX);
   dwell.encoder_z = parts_.motion.encoder_angle(StageAxis::kZ);
   dwell.time_s = context_.time_s(window.begin + (window.end - window.begin) / 2);

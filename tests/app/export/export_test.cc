@@ -15,6 +15,7 @@
 #include "app/export/formats.h"
 #include "app/export/reading_noise.h"
 #include "app/results/analyses.h"
+#include "protocol/record/planned_dwell.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -50,13 +51,7 @@ RunRecord run_of(const sim::BenchTruth& truth, const std::string& unit) {
   sim::SimBench world(truth);
   std::uint64_t i = 0;
   for (const PlannedAngle& angle : make_rotation_plan(protocol, {})) {
-    DwellRecord dwell;
-    dwell.experiment = angle.experiment;
-    dwell.n = angle.n;
-    dwell.closing = angle.closing;
-    dwell.alpha = angle.alpha;
-    dwell.commanded_x = angle.x;
-    dwell.commanded_z = angle.z;
+    DwellRecord dwell = planned_dwell(angle);
     dwell.time_s = 5.0 * static_cast<double>(i);
     const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
     world.place(StageAxis::kX, angle.x, t);

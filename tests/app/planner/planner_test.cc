@@ -15,6 +15,7 @@
 #include "app/robustness/robustness_study.h"
 #include "app/robustness/scenario.h"
 #include "sim/counter_noise.h"
+#include "protocol/record/planned_dwell.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -91,13 +92,7 @@ TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
   std::uint64_t i = 0;
   for (const PlannedAngle& angle : make_rotation_plan(protocol, planned.travel)) {
     if (angle.check) continue;
-    DwellRecord dwell;
-    dwell.experiment = angle.experiment;
-    dwell.n = angle.n;
-    dwell.closing = angle.closing;
-    dwell.alpha = angle.alpha;
-    dwell.commanded_x = angle.x;
-    dwell.commanded_z = angle.z;
+    DwellRecord dwell = planned_dwell(angle);
     dwell.count = 100;
     dwell.time_s = 5.0 * static_cast<double>(i);
     const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
