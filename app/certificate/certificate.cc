@@ -86,8 +86,9 @@ class Inspection {
         of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
                             quoted(limit.unit), "one of " + offered});
       } else if (laboratory_.decision) {
-        run.decisions.push_back(
-            decide(*laboratory_.decision, limit, quantity->value, quantity->standard_uncertainty));
+        run.decisions.push_back(decide(*laboratory_.decision, limit, quantity->value,
+                                       quantity->standard_uncertainty, coverage_factor(*quantity)));
+        run.decisions.back().degrees_of_freedom = quantity->degrees_of_freedom;
       }
     }
   }
@@ -316,6 +317,7 @@ Certificate make_certificate(CertificateRequest request) {
   ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
   certificate.laboratory = std::move(read.file);
+  certificate.words = Words(certificate.laboratory.language);
   // What the register said when the run began, rather than what a file says now.
   if (auto registered = equipment_of_run(request.run); !registered.empty())
     certificate.laboratory.equipment = std::move(registered);

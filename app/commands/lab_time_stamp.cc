@@ -5,12 +5,11 @@
 #include <boost/beast/http.hpp>
 #include <boost/url/parse.hpp>
 #include <chrono>
-#include <fstream>
-#include <sstream>
 #include <stdexcept>
 
 #include "app/commands/lab.h"
 #include "app/system/exit_code.h"
+#include "app/system/input_file.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "protocol/record/results_file.h"
@@ -67,14 +66,6 @@ std::string ask_authority(const std::string& address, const std::string& request
   if (answer.result() != http::status::ok)
     throw std::runtime_error(fmt::format("time stamp: {} answers {}", address, answer.result_int()));
   return answer.body();
-}
-
-std::string bytes_of_file(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::invalid_argument(path + ": no such file, or it cannot be read");
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
 }
 
 struct StampOptions {
