@@ -7,8 +7,8 @@
 
 #include "app/certificate/xml_signature.h"
 #include "app/commands/run_program.h"
-#include "app/system/input_file.h"
 #include "app/system/output_file.h"
+#include "app/system/read_file.h"
 
 namespace {
 
@@ -24,8 +24,8 @@ void add_sign(CLI::App& parent) {
   command->add_option("OUTPUT", options->output, "file to write")->required();
   command->callback([options] {
     abcal::OutputFile(options->output)
-        .write(abcal::add_xml_signature(abcal::bytes_of_file(options->xml),
-                                        {options->key, options->certificate}));
+        .write(
+            abcal::add_xml_signature(abcal::read_file(options->xml), {options->key, options->certificate}));
   });
 }
 
@@ -38,7 +38,7 @@ void add_verify(CLI::App& parent) {
   command->add_option("XML", options->xml, "signed document")->required();
   command->add_option("CERTIFICATE", options->certificate, "X.509 certificate of its key (PEM)")->required();
   command->callback([options] {
-    if (!abcal::has_good_signature(abcal::bytes_of_file(options->xml), options->certificate))
+    if (!abcal::has_good_signature(abcal::read_file(options->xml), options->certificate))
       throw std::runtime_error(options->xml + ": the signature does not verify");
   });
 }

@@ -8,6 +8,7 @@
 
 #include "app/bench/bench_consistency.h"
 #include "app/bench/bench_keys.h"
+#include "app/bench/bench_records.h"
 #include "app/toml/toml_reader.h"
 #include "app/toml/toml_writer.h"
 
@@ -22,12 +23,16 @@ BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
       problems_(std::move(problems)) {}
 
 BenchConfig parse_bench(std::string_view text, const std::string& source) {
+  return parse_bench(text, source, {});
+}
+
+BenchConfig parse_bench(std::string_view text, const std::string& source, const RecordLookup& lookup) {
   std::vector<Problem> unreadable;
   const toml::table root =
-      parse_toml(text, source, "a bench file; docs/examples holds commented ones", unreadable);
+      parse_toml(text, source, "a bench file; commented examples are in docs/examples", unreadable);
   if (!unreadable.empty()) throw BenchError(source, std::move(unreadable));
   BenchConfig config;
-  TomlReader reader(root);
+  TomlReader reader(root, lookup);
   visit_bench_file(reader, config);
   check_together(reader, root, config);
   reader.report_unknown();
@@ -37,10 +42,14 @@ BenchConfig parse_bench(std::string_view text, const std::string& source) {
 }
 
 BenchConfig read_bench(const std::filesystem::path& path) {
+  return read_bench(path, {});
+}
+
+BenchConfig read_bench(const std::filesystem::path& path, const RecordLookup& lookup) {
   std::vector<Problem> unreadable;
   const std::string text = read_text_file(path.string(), "bench file", unreadable);
   if (!unreadable.empty()) throw BenchError(path.string(), std::move(unreadable));
-  return parse_bench(text, path.string());
+  return parse_bench(text, path.string(), lookup);
 }
 
 namespace {

@@ -28,7 +28,7 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
     for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
       if (!axis->port.empty())
         reader.add_problem(std::string(section) + ".port", "\"" + axis->port + "\"",
-                           "a driver beside it, and both for the other axis, or neither");
+                           "driver and port for both axes, or for neither");
     }
     return;
   }
@@ -45,6 +45,12 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
 }
 
 void check_gravity(TomlReader& reader, const toml::table& root, BenchConfig& c) {
+  if (root.at_path("bench.g_loc_mps2").is_table()) {
+    for (const char* key : {"g_loc_expanded_uncertainty_mps2", "g_loc_k", "g_loc_source"})
+      if (root["bench"].as_table()->contains(key))
+        reader.add_problem(std::string("bench.") + key, "a value beside the record of g_loc_mps2",
+                           "nothing: the record gives it");
+  }
   const bool value_given = root.at_path("bench.g_loc_mps2").node() != nullptr;
   if (!value_given && !(c.latitude_deg && c.height_m)) {
     reader.add_problem("bench.g_loc_mps2", "neither g_loc_mps2 nor latitude_deg and height_m",

@@ -77,7 +77,10 @@ void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
 void visit_bench(KeyVisitor& keys, BenchConfig& c) {
   keys.section("bench");
   keys.text("name", c.name);
-  keys.number("g_loc_mps2", c.g_loc.value_mps2, {9.5, 10.0});
+  CalibratedNumber gravity{c.g_loc.value_mps2, c.g_loc.expanded_uncertainty_mps2, c.g_loc.coverage_factor,
+                           c.g_loc.source};
+  keys.calibrated("g_loc_mps2", gravity, {9.5, 10.0}, "m/s2");
+  c.g_loc = {gravity.value, gravity.expanded_uncertainty, gravity.coverage_factor, gravity.source};
   keys.number("g_loc_expanded_uncertainty_mps2", c.g_loc.expanded_uncertainty_mps2, kNotNegative);
   keys.number("g_loc_k", c.g_loc.coverage_factor, kPositive);
   keys.text("g_loc_source", c.g_loc.source);

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "app/certificate/dsi_list.h"
+#include "app/certificate/scope.h"
 #include "app/certificate/traceability.h"
 
 namespace abcal {
@@ -91,6 +93,20 @@ class Inspection {
         run.decisions.back().degrees_of_freedom = quantity->degrees_of_freedom;
       }
     }
+  }
+
+  /// k of the stated U, which is never below that of the scope.
+  double stated_factor(const SpecificationLimit& limit, const Quantity& quantity) const {
+    const std::string& name = limit.quantity;
+    const std::string kind = name.starts_with("offset_")            ? "offset"
+                             : name.starts_with("intrinsic_angle_") ? "angle"
+                                                                    : "sensitivity";
+    const bool in_scope = kind != "sensitivity" || name.starts_with("sensitivity_") ||
+                          name.starts_with("intrinsic_sensitivity_");
+    const double u = quantity.standard_uncertainty, factor = coverage_factor(quantity);
+    if (!in_scope || !(u > 0.0)) return factor;
+    const auto cmc = smallest_uncertainty(laboratory_.scope, kind, quantity.value, limit.unit);
+    return certified_uncertainty(factor * u, cmc).expanded / u;
   }
 
   void add_of_run(const std::vector<Problem>& problems) {

@@ -14,6 +14,7 @@
 #include "app/certificate/dcc_conditions.h"
 #include "app/certificate/dcc_text.h"
 #include "app/certificate/dsi_list.h"
+#include "app/certificate/scope.h"
 #include "app/units/dsi_unit.h"
 #include "protocol/analysis/intrinsic_properties.h"
 
@@ -151,32 +152,72 @@ const DerivedList& group_of(const CertifiedRun& run, const std::string& name) {
   return found->quantities;
 }
 
+using Scope = std::vector<ScopeLimit>;
+
+/// A unit in which the scope has its entries, and how many of it are one of the list's.
+struct OtherUnit {
+  std::string unit;
+  double factor = 1.0;
+};
+
+/// The list with the smallest uncertainties that the scope allows for its values.
+ValueList within(const Scope& scope, const std::string& quantity, ValueList list,
+                 const std::optional<OtherUnit>& other = {}) {
+  for (Eigen::Index i = 0; i < list.values.size(); ++i) {
+    std::optional<double> cmc = smallest_uncertainty(scope, quantity, list.values[i], list.unit);
+    if (!cmc && other) {
+      cmc = smallest_uncertainty(scope, quantity, list.values[i] * other->factor, other->unit);
+      if (cmc) *cmc /= other->factor;
+    }
+    list.cmc.push_back(cmc);
+  }
+  return list;
+}
+
+/// The same for sensitivities with the offsets behind them.
+ValueList all_within(const Scope& scope, ValueList list, const std::string& unit_of_offsets) {
+  list = within(scope, "sensitivity", std::move(list));
+  for (Eigen::Index i = 9; i < list.values.size(); ++i)
+    list.cmc[static_cast<std::size_t>(i)] =
+        smallest_uncertainty(scope, "offset", list.values[i], unit_of_offsets);
+  return list;
+}
+
 /// In SI units: sensitivities per m/s2, to which the uncertainty of local gravity belongs.
-void add_si(XmlElement& results, const Words& words, const CertifiedRun& run) {
+void add_si(XmlElement& results, const Words& words, const Scope& scope, const CertifiedRun& run) {
   const CalibrationResult& result = run.data.result();
   const DerivedList &sensitivity = group_of(run, "sensitivity"),
                     &intrinsic = group_of(run, "intrinsic_sensitivity");
+  // The scope is per local gravity, as results are.
+  const OtherUnit per_gravity{(*result.sensitivity_matrix)[0][0].unit, result.g_loc.value};
   XmlElement matrix =
       add_result(results, "abc_sensitivityMatrix", words("Sensitivity matrix"),
                  words("Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up."));
   add_rows(matrix, words, [&](std::size_t j) {
     const auto first = sensitivity.begin() + static_cast<std::ptrdiff_t>(3 * j);
     const DerivedList row(first, first + 3);
-    return list_of(row_labels("s", j), values_of(row), covariance_of(result, row));
+    return within(scope, "sensitivity",
+                  list_of(row_labels("s", j), values_of(row), covariance_of(result, row)), per_gravity);
   });
-  add_values(results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
-             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic)));
+  add_values(
+      results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
+      within(scope, "sensitivity",
+             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic)),
+             per_gravity));
   const Eigen::MatrixXd nine = *result.covariance_intrinsic;
   add_values(results, words, "abc_intrinsicAngles",
              words("Intrinsic angles between the sensitive directions"),
-             list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3)));
+             within(scope, "angle",
+                    list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
   add_values(results, words, "abc_offsets", words("Zero-acceleration offsets"),
-             list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6)));
+             within(scope, "offset",
+                    list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
 }
 
 /// As the analysis has them: the change of the output for one g_loc. Local gravity's uncertainty is not in
 /// them.
-void add_per_gravity(XmlElement& results, const Words& words, const CalibrationResult& result) {
+void add_per_gravity(XmlElement& results, const Words& words, const Scope& scope,
+                     const CalibrationResult& result) {
   const std::string s = "g_loc*s";
   XmlElement matrix =
       add_result(results, "abc_sensitivityMatrixPerGravity", words("Sensitivity matrix per local gravity"),
@@ -187,17 +228,19 @@ void add_per_gravity(XmlElement& results, const Words& words, const CalibrationR
   add_rows(matrix, words, [&](std::size_t j) {
     const auto& row = (*result.sensitivity_matrix)[j];
     twelve.insert(twelve.end(), row.begin(), row.end());
-    return list_of(row_labels(s, j), {row.begin(), row.end()},
-                   block(*result.covariance, static_cast<Eigen::Index>(3 * j)));
+    return within(scope, "sensitivity",
+                  list_of(row_labels(s, j), {row.begin(), row.end()},
+                          block(*result.covariance, static_cast<Eigen::Index>(3 * j))));
   });
   add_values(results, words, "abc_intrinsicSensitivitiesPerGravity",
              words("Intrinsic sensitivities per local gravity"),
-             list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
-                     block(*result.covariance_intrinsic, 0)));
+             within(scope, "sensitivity",
+                    list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+                            block(*result.covariance_intrinsic, 0))));
   twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
   add_values(results, words, "abc_allOutputsPerGravity",
              words("Sensitivity matrix per local gravity row by row and offsets, with their covariance"),
-             list_of(output_labels(s), twelve, *result.covariance));
+             all_within(scope, list_of(output_labels(s), twelve, *result.covariance), result.offset[0].unit));
 }
 
 /// Coefficients of correlation, row by row. Lists of several units draw warnings of the Schematron, so that a
@@ -298,9 +341,10 @@ void add_decision(XmlElement& data, const Words& words, const Decision& decision
   XmlElement quantity = add_quantity(data, "basic_measuredValue", {limit.quantity, {}});
   Quantity value;
   value.value = decision.value;
-  value.standard_uncertainty = decision.standard_uncertainty;
   value.unit = limit.unit;
   value.degrees_of_freedom = decision.degrees_of_freedom;
+  // U as decided with, also where the scope raised it.
+  value.standard_uncertainty = decision.expanded_uncertainty / coverage_factor(value);
   add_value(quantity, value, limit.quantity);
   XmlElement metadata = quantity.add("dcc:measurementMetaData");
   XmlElement conformity =
@@ -348,7 +392,7 @@ void add_shifts(XmlElement& results, const Words& words, const std::vector<Shift
   }
 }
 
-void add_results(XmlElement& measurement, const Words& words, const CertifiedRun& run,
+void add_results(XmlElement& measurement, const Words& words, const Scope& scope, const CertifiedRun& run,
                  const std::vector<Shift>& shifts) {
   XmlElement results = measurement.add("dcc:results");
   const CalibrationResult& result = run.data.result();
@@ -358,8 +402,8 @@ void add_results(XmlElement& measurement, const Words& words, const CertifiedRun
               words("No numbers are given, since the run gave none that may be used: {}", result.why));
     return;
   }
-  add_si(results, words, run);
-  add_per_gravity(results, words, result);
+  add_si(results, words, scope, run);
+  add_per_gravity(results, words, scope, result);
   int unit = 0;
   for (const DerivedGroup& group : run.derived) {
     if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;
@@ -394,7 +438,7 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
   add_used_software(measurement, certificate, run.data);
   add_equipment(measurement, certificate, run.data);
   add_conditions(measurement, certificate, run.data, state);
-  add_results(measurement, words, run, shifts);
+  add_results(measurement, words, certificate.laboratory.scope, run, shifts);
   add_metadata(measurement, certificate, run.data);
 }
 

@@ -164,6 +164,25 @@ void read_decision(TomlReader& keys, LaboratoryFile& file) {
     keys.add_problem("decision.rule", "nothing, though limits are given", "one of " + joined(kRules));
 }
 
+void read_scope(TomlReader& keys, std::vector<ScopeLimit>& scope) {
+  keys.section("");
+  keys.tables("scope", 0, [&](std::size_t) {
+    ScopeLimit& limit = scope.emplace_back();
+    limit.line = keys.line();
+    keys.required_text("quantity", limit.quantity, scope_quantities());
+    keys.required_text("unit", limit.unit);
+    keys.number("from", limit.from, kNotNegative);
+    keys.number("to", limit.to, kNotNegative);
+    keys.number("cmc", limit.cmc, kPositive);
+    keys.boolean("relative", limit.relative);
+    if (!keys.has("cmc")) keys.add_missing("cmc", "the smallest expanded uncertainty, k = 2");
+    if (!keys.has("to")) keys.add_missing("to", "the end of the range");
+    if (limit.to < limit.from)
+      keys.add_problem_at(limit.line, "scope.to", fmt::format("{} to {}", limit.from, limit.to),
+                          "from <= to");
+  });
+}
+
 }  // namespace
 
 std::string format_date(Date date) {
@@ -211,6 +230,7 @@ ReadLaboratoryFile parse_laboratory_file(std::string_view toml, const std::strin
   read_persons(keys, file.persons);
   read_equipment(keys, file.equipment);
   read_decision(keys, file);
+  read_scope(keys, file.scope);
   keys.section("units");
   keys.texts("sensitivity", file.units);
   keys.report_unknown();

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "app/certificate/decision.h"
+#include "app/certificate/scope.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal {
@@ -83,6 +84,7 @@ struct LaboratoryFile {
   std::optional<DecisionRule> decision;
   std::vector<SpecificationLimit> limits;
   std::string language = "en";     ///< Of the certificate (ISO 639-1).
+  std::vector<ScopeLimit> scope;   ///< No smaller uncertainty is stated.
   std::vector<std::string> units;  ///< Of sensitivity, in addition to those of the certificate: "mV/g".
 };
 

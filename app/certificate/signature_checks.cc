@@ -8,7 +8,7 @@
 #include "app/certificate/sign.h"
 #include "app/certificate/signing_certificate.h"
 #include "app/document/weasyprint.h"
-#include "app/system/input_file.h"
+#include "app/system/read_file.h"
 #include "app/xml/xml_query.h"
 #include "app/xml/xml_tree.h"
 #include "protocol/record/signature.h"
@@ -77,8 +77,7 @@ std::vector<IntegrityCheck> check_printed_certificate(const std::filesystem::pat
   const bool is_same = attachment_of_pdf(pdf) == current.xml;
   checks.push_back({name + ", XML inside", is_same,
                     is_same ? "is certificate " + current.number : "is not certificate " + current.number});
-  const DetachedSignature signature =
-      check_detached(bytes_of_file(pdf), bytes_of_file(signature_path_of(pdf)));
+  const DetachedSignature signature = check_detached(read_file(pdf), read_file(signature_path_of(pdf)));
   const std::string what = signature_path_of(pdf).filename().string();
   checks.push_back(signature.good ? judged(what, signature.certificate_pem, current.approved_by, keys)
                                   : IntegrityCheck{what, false, signature.why_not});

@@ -2,9 +2,11 @@
 
 #include <nlohmann/json.hpp>
 
+#include "app/bench/bench_records.h"
 #include "app/commands/commands.h"
 #include "app/commands/terminal_listener.h"
 #include "app/session/bench_check.h"
+#include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -36,12 +38,12 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "check", "Identify both instruments, turn the stage a little, and report what is wrong");
+      "check", "Identify both instruments, turn both axes by 30 degrees, and report problems");
   command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
   command->add_flag("--no-motion", options->no_motion, "move nothing");
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] {
-    const BenchConfig config = read_bench(options->bench_file);
+    const BenchConfig config = read_bench(options->bench_file, register_records());
     Bench bench = make_bench(config);
     TerminalListener terminal(
         {.title = "Turning both axes by 30 degrees", .introduce = false, .tell_what_is_kept = false});

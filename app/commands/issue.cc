@@ -11,13 +11,15 @@
 #include "app/certificate/signing_certificate.h"
 #include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
+#include "app/compare/check_chart.h"
 #include "app/document/document_html.h"
 #include "app/document/weasyprint.h"
 #include "app/laboratory/login.h"
+#include "app/session/time_stamp_authority.h"
 #include "app/system/exit_code.h"
-#include "app/system/input_file.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
+#include "app/system/read_file.h"
 #include "app/system/temporary_folder.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/signature.h"
@@ -88,6 +90,15 @@ std::vector<Person> persons_of(lab::Register& opened) {
   return persons;
 }
 
+/// The scope of the register takes the place of that of the laboratory file.
+std::vector<ScopeLimit> scope_of(lab::Register& opened) {
+  std::vector<ScopeLimit> scope;
+  for (const lab::ScopeEntry& entry : opened.scope())
+    if (entry.retired.empty())
+      scope.push_back({entry.quantity, entry.unit, entry.from, entry.to, entry.cmc, entry.relative, 0});
+  return scope;
+}
+
 void use_register(Registered& registered, CertificateRequest& request) {
   IssueFacts& facts = *request.issue;
   facts.number = "as the register gives it";
@@ -95,6 +106,7 @@ void use_register(Registered& registered, CertificateRequest& request) {
   facts.register_identity = registered.opened.facts().identity;
   facts.training = registered.opened.facts().training;
   request.laboratory.file.persons = persons_of(registered.opened);
+  request.laboratory.file.scope = scope_of(registered.opened);
 }
 
 /// The program ended after the certificate was kept with the run and before the register knew: it is told
@@ -121,6 +133,9 @@ void take_number(Registered& registered, Certificate& certificate, Clock::UtcTim
   request.item = fmt::format("{} {} {}", data.label("item.maker"), data.label("item.model"),
                              data.label("item.serial_number"));
   request.measured_by = certificate.measured_by();
+  const BenchIdentity bench = bench_of(*data.run);
+  request.stage = bench.stage;
+  request.bench = bench.name;
   if (const auto& replaced = certificate.issue->replaces) {
     request.replaces = replaced->number;
     request.reason = replaced->reason;
@@ -131,7 +146,7 @@ void take_number(Registered& registered, Certificate& certificate, Clock::UtcTim
 
 /// With a register, an approver signs with a key of their own that the register knows.
 void require_own_key(Registered& registered, const std::string& certificate_file) {
-  const CertificateSubject subject = subject_of(bytes_of_file(certificate_file));
+  const CertificateSubject subject = subject_of(read_file(certificate_file));
   const std::string fingerprint = fingerprint_of(subject.public_pem);
   const std::string& approver = registered.approver.name();
   for (const lab::SigningKey& key : registered.opened.keys())
@@ -155,8 +170,8 @@ void write_printed(const IssueOptions& options, const std::string& xml) {
   pdf.commit();
   if (options.key.empty()) return;
   OutputFile(signature_path_of(options.pdf))
-      .write(sign_detached(bytes_of_file(options.pdf),
-                           {bytes_of_file(options.key), bytes_of_file(options.key_certificate)}));
+      .write(sign_detached(read_file(options.pdf),
+                           {read_file(options.key), read_file(options.key_certificate)}));
 }
 
 /// Reports all that can be foreseen before a number is given.
@@ -189,6 +204,8 @@ void issue(const IssueOptions& options) {
   check_outputs(options);
   std::optional<Registered> registered = open_registered(options, now);
   if (registered && record_kept_certificate(*registered, options, now)) return;
+  if (RunFile::is_closed(options.run))
+    if (const auto why = stamp_if_configured(options.run)) print_warning(*why);
   CertificateRequest request;
   request.laboratory = read_laboratory_file(options.certificate.laboratory);
   if (!options.certificate.language.empty()) request.laboratory.file.language = options.certificate.language;

@@ -102,6 +102,7 @@ CLI::App* add_lab(CLI::App& parent, int& exit_code) {
   add_init(*command, shared, exit_code);
   add_lab_people(*command, shared, exit_code);
   add_lab_records(*command, shared, exit_code);
+  add_lab_charts(*command, shared, exit_code);
   add_lab_copies(*command, shared, exit_code);
   add_verify_register(*command, shared, exit_code);
   add_lab_time_stamp(*command, exit_code);

@@ -1,8 +1,7 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <filesystem>
-#include <fstream>
-#include <sstream>
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
@@ -12,17 +11,10 @@
 #include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/private_file.h"
+#include "app/system/read_file.h"
 
 namespace abcal {
 namespace {
-
-std::string text_of_file(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::invalid_argument(path + ": no such file, or it cannot be read");
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
 
 void add_backup(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
   auto file = std::make_shared<std::string>();
@@ -46,8 +38,7 @@ void add_restore(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, in
     const std::string location = lab::register_location(shared->location);
     if (location.empty())
       throw std::invalid_argument("--register is missing: where the register is to be made");
-    const lab::Register restored =
-        lab::Register::restore(location, text_of_file(*file), RealClock().utc_now());
+    const lab::Register restored = lab::Register::restore(location, read_file(*file), RealClock().utc_now());
     print_result("register of {} restored: {}\n", restored.facts().name, lab::without_password(location));
     exit_code = kExitDone;
   });
@@ -86,6 +77,25 @@ void add_export(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int
   });
 }
 
+/// Entries of the scope that the register does not have yet.
+std::size_t import_scope(lab::Register& opened, const lab::LoggedIn& by, const LaboratoryFile& file,
+                         Clock::UtcTime now) {
+  std::size_t added = 0;
+  const std::vector<lab::ScopeEntry> known = opened.scope();
+  for (const ScopeLimit& limit : file.scope) {
+    const std::string identity =
+        fmt::format("{} {} {} to {}", limit.quantity, limit.unit, limit.from, limit.to);
+    const bool is_known = std::any_of(known.begin(), known.end(),
+                                      [&](const lab::ScopeEntry& one) { return one.identity == identity; });
+    if (is_known) continue;
+    opened.add_scope(
+        by, {identity, limit.quantity, limit.unit, limit.from, limit.to, limit.cmc, limit.relative, {}, {}},
+        now);
+    ++added;
+  }
+  return added;
+}
+
 /// What a laboratory file names and the register does not know yet. @return how many records were added
 std::size_t import_file(lab::Register& opened, const lab::LoggedIn& by, const LaboratoryFile& file,
                         Clock::UtcTime now) {
@@ -112,13 +122,13 @@ std::size_t import_file(lab::Register& opened, const lab::LoggedIn& by, const La
         "`abcal lab add calibration` adds it\n",
         one.certificate, identity);
   }
-  return added;
+  return added + import_scope(opened, by, file, now);
 }
 
 void add_import(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
   auto file = std::make_shared<std::string>();
   CLI::App* command = parent.add_subcommand(
-      "import", "Take over persons (without passwords) and equipment of a laboratory file");
+      "import", "Take over persons (without passwords), equipment and scope of a laboratory file");
   command->add_option("LAB.toml", *file, "laboratory file")->required();
   command->callback([shared, file, &exit_code] {
     const ReadLaboratoryFile read = read_laboratory_file(*file);

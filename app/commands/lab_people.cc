@@ -156,6 +156,8 @@ void add_lab_people(CLI::App& parent, const std::shared_ptr<LabOptions>& shared,
   add_retire(*retire, shared, exit_code, "person", &lab::Register::retire_person);
   add_retire(*retire, shared, exit_code, "equipment", &lab::Register::retire_equipment);
   add_retire(*retire, shared, exit_code, "key", &lab::Register::retire_key);
+  add_retire(*retire, shared, exit_code, "chart", &lab::Register::retire_check_standard);
+  add_retire(*retire, shared, exit_code, "scope", &lab::Register::retire_scope);
 }
 
 }  // namespace abcal

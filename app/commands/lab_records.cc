@@ -10,10 +10,10 @@
 #include "app/certificate/signing_certificate.h"
 #include "app/commands/lab.h"
 #include "app/system/exit_code.h"
-#include "app/system/input_file.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/private_file.h"
+#include "app/system/read_file.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
@@ -24,7 +24,7 @@ double number_of(const std::string& text, const std::string& whole) {
   const char* end = text.data() + text.size();
   if (text.empty() || std::from_chars(text.data(), end, value).ptr != end)
     throw std::invalid_argument(
-        fmt::format("--value {}: \"{}\" is no number; required: NAME=VALUE,U,K,UNIT", whole, text));
+        fmt::format("--value {}: \"{}\" is not a number; required: NAME=VALUE,U,K,UNIT", whole, text));
   return value;
 }
 
@@ -115,6 +115,26 @@ void add_add_item(CLI::App& add, const std::shared_ptr<LabOptions>& shared, int&
   });
 }
 
+void add_add_scope(CLI::App& add, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
+  auto entry = std::make_shared<lab::ScopeEntry>();
+  CLI::App* command = add.add_subcommand(
+      "scope", "Add a CMC: the smallest expanded uncertainty that issue may state in a range");
+  command->add_option("NAME", entry->identity, "its name in the register")->required();
+  command->add_option("--quantity", entry->quantity, "sensitivity, angle or offset")->required();
+  command->add_option("--unit", entry->unit, "as in results: V/g_loc, degree, V")->required();
+  command->add_option("--from", entry->from, "range of the value's size")->required();
+  command->add_option("--to", entry->to, "its end")->required();
+  command->add_option("--cmc", entry->cmc, "expanded uncertainty, k = 2")->required();
+  command->add_flag("--relative", entry->relative, "the CMC is a part of the value");
+  command->callback([shared, entry, &exit_code] {
+    lab::Register opened = open_register(*shared);
+    const auto now = RealClock().utc_now();
+    opened.add_scope(lab::require_login(opened, now), *entry, now);
+    print_result("scope added: {}\n", entry->identity);
+    exit_code = kExitDone;
+  });
+}
+
 struct KeyOptions {
   std::string owner, file, kind = "bench", certificate;
 };
@@ -129,7 +149,7 @@ std::string public_key_for(const KeyOptions& options, const lab::Register& opene
         "--kind person: required: --certificate FILE, the person's X.509 certificate");
   if (options.file.empty()) {
     if (!of_person) throw std::invalid_argument("required: --output FILE for the private key");
-    return subject_of(bytes_of_file(options.certificate)).public_pem;
+    return subject_of(read_file(options.certificate)).public_pem;
   }
   if (!of_person) {
     const std::string key = make_private_key();
@@ -220,6 +240,7 @@ void add_lab_records(CLI::App& parent, const std::shared_ptr<LabOptions>& shared
   add_add_equipment(*add, shared, exit_code);
   add_add_calibration(*add, shared, exit_code);
   add_add_item(*add, shared, exit_code);
+  add_add_scope(*add, shared, exit_code);
   add_key(parent, shared, exit_code);
   add_list(parent, shared, exit_code);
 }

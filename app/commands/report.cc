@@ -135,7 +135,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       "a draft; docs/certificate.md");
   add_certificate_options(*command, options->certificate);
   command->add_flag("--draft", options->draft,
-                    "make a draft of a certificate in spite of problems of the run or its equipment");
+                    "make a draft of the certificate even if the run or its equipment has problems");
   CLI::Option* record = command->add_flag(
       "--record", options->record,
       "the laboratory's own record of the run, with figures, also where there is a certificate");

@@ -1,9 +1,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <fstream>
 #include <nlohmann/json.hpp>
-#include <sstream>
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
@@ -13,6 +11,7 @@
 #include "app/results/recompute.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
+#include "app/system/read_file.h"
 #include "app/system/terminal.h"
 #include "protocol/record/attestation.h"
 #include "protocol/record/results_file.h"
@@ -31,27 +30,19 @@ struct VerifyOptions {
   }
 };
 
-std::string read_pem(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::invalid_argument(path + ": no such file, or it cannot be read; required: PEM");
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
-
 Trust trust_of(const VerifyOptions& options, lab::Register* opened) {
   Trust trust;
-  for (const std::string& key : options.keys) trust.keys.push_back({key, read_pem(key)});
-  for (const std::string& authority : options.authorities) trust.authorities_pem += read_pem(authority);
+  for (const std::string& key : options.keys) trust.keys.push_back({key, read_file(key)});
+  for (const std::string& authority : options.authorities) trust.authorities_pem += read_file(authority);
   if (opened != nullptr)
     for (const lab::SigningKey& key : opened->keys())
       if (key.kind == "bench" && key.valid_to.empty()) trust.keys.push_back({key.owner, key.public_pem});
   if (options.requires_("signed") && trust.keys.empty())
     throw std::invalid_argument(
-        "--require signed: required: whose signature, by --key PUBLIC.pem or a register with keys");
+        "--require signed: found no trusted key; required: --key PUBLIC.pem, or a register with keys");
   if (options.requires_("timestamped") && trust.authorities_pem.empty())
     throw std::invalid_argument(
-        "--require timestamped: required: whose time stamp, by --authority CERTIFICATE.pem");
+        "--require timestamped: found no trusted authority; required: --authority CERTIFICATE.pem");
   return trust;
 }
 
@@ -101,10 +92,10 @@ int verify(const VerifyOptions& options) {
   checks.insert(checks.end(), attestation.checks.begin(), attestation.checks.end());
   if (options.requires_("signed") && !attestation.is_signed)
     checks.push_back(
-        {"signed", false, "there is no signature by a trusted key; --require signed asks for one"});
+        {"signed", false, "there is no signature by a trusted key, which --require signed requires"});
   if (options.requires_("timestamped") && !attestation.is_stamped)
     checks.push_back({"timestamped", false,
-                      "there is no time stamp by a trusted authority; --require timestamped asks for one"});
+                      "there is no time stamp by a trusted authority, which --require timestamped requires"});
   const std::vector<IntegrityCheck> signatures = check_signatures(options, opened ? &*opened : nullptr);
   checks.insert(checks.end(), signatures.begin(), signatures.end());
   if (opened) compare_with_register(options, *opened, checks);
@@ -137,16 +128,17 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
   command->add_option("--require", options->require, "signed or timestamped, repeatable: fail without it")
       ->check(CLI::IsMember({"signed", "timestamped"}))
       ->allow_extra_args(false);
-  command->add_option("--key", options->keys, "public key (PEM) of a bench that is trusted, repeatable")
+  command->add_option("--key", options->keys, "public key (PEM) of a trusted bench, repeatable")
       ->allow_extra_args(false);
   command
       ->add_option("--authority", options->authorities,
-                   "certificate (PEM) of a time-stamping authority that is trusted, repeatable")
+                   "certificate (PEM) of a trusted time-stamping authority, repeatable")
       ->allow_extra_args(false);
   command->add_option("--pdf", options->pdf,
                       "printed certificate of the run: check its signature (FILE.p7s) and the XML inside");
-  command->add_option("--register", options->register_location,
-                      "register: its keys are trusted, its certificates compared (default: ABCAL_REGISTER)");
+  command->add_option(
+      "--register", options->register_location,
+      "register whose keys are trusted and whose certificates are compared (default: ABCAL_REGISTER)");
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] { exit_code = verify(*options); });
   return command;

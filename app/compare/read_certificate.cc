@@ -6,26 +6,20 @@
 #include <charconv>
 #include <cmath>
 #include <fstream>
-#include <sstream>
 #include <stdexcept>
 
+#include "app/system/read_file.h"
 #include "app/units/dsi_unit.h"
 #include "app/xml/xml_query.h"
+#include "app/xml/xml_tree.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/sensitivity_matrix.h"
 
 namespace abcal {
 namespace {
 
+constexpr std::size_t kMostProblems = 20;  // Nobody reads more.
 constexpr double kRadToDeg = 180.0 / 3.14159265358979323846;
-
-std::string bytes_of_certificate(const std::filesystem::path& path) {
-  std::ifstream file(path, std::ios::binary);
-  std::ostringstream text;
-  text << file.rdbuf();
-  if (!file) throw std::runtime_error(path.string() + ": cannot be read");
-  return text.str();
-}
 
 /// A number of the certificate with its standard uncertainty, in base units.
 struct Number {
@@ -82,7 +76,9 @@ class ListReader {
   }
 
  private:
-  void problem(const std::string& what) { problems_.push_back(where_ + ": " + what); }
+  void problem(const std::string& what) {
+    if (problems_.size() < kMostProblems) problems_.push_back(where_ + ": " + what);
+  }
 
   /// The requested number of entries: in D-SI one entry may stand for all. Empty, with a problem, otherwise.
   template <class T>
@@ -99,8 +95,8 @@ class ListReader {
       double value = 0.0;
       const char* begin = word.data() + (word.starts_with('+') ? 1 : 0);  // from_chars takes no plus
       const auto [stop, error] = std::from_chars(begin, word.data() + word.size(), value);
-      if (error != std::errc() || stop != word.data() + word.size()) {
-        problem(fmt::format("{}: \"{}\" is not a number", path, word));
+      if (error != std::errc() || stop != word.data() + word.size() || !std::isfinite(value)) {
+        problem(fmt::format("{}: \"{}\" is not a number; required: a finite one", path, word));
         return {};
       }
       values.push_back(value);
@@ -139,8 +135,14 @@ class ListReader {
     }
     constexpr const char* kStandard =
         "si:measurementUncertaintyUnivariateXMLList/*/si:valueStandardMUXMLList";
-    return certificate_.nodes(kStandard, list).empty() ? std::vector<double>{}
-                                                       : real_list(kStandard, list, size);
+    if (certificate_.nodes(kStandard, list).empty()) return {};
+    std::vector<double> u = real_list(kStandard, list, size);
+    for (const double each : u) {
+      if (each > 0.0) continue;
+      problem(fmt::format("standard uncertainty {}; required: greater than 0", each));
+      return {};
+    }
+    return u;
   }
 
   void read_covariance(xmlNode* list, const std::vector<std::string>& labels, Numbers& numbers) {
@@ -163,6 +165,10 @@ class ListReader {
         const auto row = static_cast<std::size_t>(i);
         covariance.matrix(i, j) = values[row] * units[row].factor;
       }
+    }
+    if (!(covariance.matrix.diagonal().array() > 0.0).all()) {
+      problem("its covariance matrix has a variance that is not greater than 0");
+      return;
     }
     const double asymmetry = (covariance.matrix - covariance.matrix.transpose()).norm();
     if (!(asymmetry <= 1e-6 * covariance.matrix.norm())) {
@@ -375,7 +381,7 @@ bool looks_like_xml(const std::filesystem::path& path) {
 }
 
 ComparedResult read_certificate(const std::filesystem::path& path) {
-  const XmlDocument document = parse_xml(bytes_of_certificate(path), path.string());
+  const XmlDocument document = parse_xml(read_file(path, kLargestXml), path.string());
   const XmlQuery certificate(document.get());
   ComparedResult result;
   result.file = path.string();

@@ -8,8 +8,9 @@
 #include <algorithm>
 #include <array>
 #include <boost/algorithm/string/predicate.hpp>
-#include <fstream>
 #include <stdexcept>
+
+#include "app/system/private_file.h"
 
 namespace abcal::console {
 namespace {
@@ -69,16 +70,8 @@ std::string make_token() {
 }
 
 std::string read_token(const std::filesystem::path& file) {
-  namespace fs = std::filesystem;
-  std::error_code error;
-  const fs::perms mode = fs::status(file, error).permissions();
-  if (error) throw std::invalid_argument(fmt::format("{}: {}", file.string(), error.message()));
-  if ((mode & (fs::perms::group_all | fs::perms::others_all)) != fs::perms::none)
-    throw std::invalid_argument(fmt::format("{}: others may read or change it; required: chmod 600 {}",
-                                            file.string(), file.string()));
-  std::ifstream stream(file);
-  std::string token;
-  std::getline(stream, token);
+  const std::string text = read_private_file(file, "token");
+  std::string token = text.substr(0, text.find('\n'));
   const auto allowed = [](char c) {
     return (c >= '0' && c <= '9') || (c >= 'A' && c <= 'Z') || (c >= 'a' && c <= 'z') || c == '-' || c == '_';
   };

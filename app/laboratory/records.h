@@ -87,6 +87,51 @@ struct CertificateRecord {
   std::string approval;  ///< SHA-256 of what was approved, and by which login.
 };
 
+/// An item that is measured again and again to watch a bench, with the baseline by which later runs are
+/// judged. The baseline is the business of whoever judges; the register keeps it as it was approved.
+struct CheckStandard {
+  std::string name;  ///< Of the chart.
+  std::string item;  ///< Identity.
+  std::string baseline_json;
+  std::string approved_by, approved_utc;
+  std::string retired;
+};
+
+/// A later run of a check standard, as it was judged.
+struct CheckPoint {
+  std::string identity;  ///< "NAME/1"
+  std::string check_standard;
+  std::string run_sha256;
+  std::string date;  ///< Of the run, UTC.
+  std::string values_json;
+  bool outside = false;
+  std::string found;         ///< What is outside, in words; empty where nothing is.
+  bool begins_anew = false;  ///< Average and sums begin with it, since a block was lifted before it.
+  std::string added_by, utc;
+};
+
+/// No certificate is issued for what was measured on a bench, until a person lifts it.
+struct BenchBlock {
+  std::string identity;  ///< "NAME/1": the point that set it.
+  std::string check_standard;
+  std::string stage, bench;  ///< Identity of the stage, and name of the bench; either is enough.
+  std::string found, set_utc;
+  std::string lifted_by, lifted_utc, reason;
+
+  bool holds() const { return lifted_utc.empty(); }
+};
+
+/// What the laboratory is accredited for, or claims: no smaller uncertainty is stated in this range.
+struct ScopeEntry {
+  std::string identity;
+  std::string quantity;  ///< "sensitivity", "angle", "offset"
+  std::string unit;      ///< Of the range; that of the CMC unless it is relative.
+  double from = 0.0, to = 0.0;
+  double cmc = 0.0;       ///< Expanded uncertainty, k = 2.
+  bool relative = false;  ///< The CMC is a part of the value.
+  std::string valid_from, retired;
+};
+
 /// One change: who, when, what, before, after.
 struct AuditEntry {
   std::size_t entry = 0;

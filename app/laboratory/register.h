@@ -43,7 +43,8 @@ struct NumberRequest {
   std::string run_sha256;
   std::string item;
   std::string measured_by;
-  std::string replaces, reason;  ///< Empty: the first certificate of its run.
+  std::string replaces, reason;        ///< Empty: the first certificate of its run.
+  std::string stage = {}, bench = {};  ///< What it was measured on; a block of either refuses the number.
 };
 
 /// What was found in a register or between it and a run.
@@ -100,10 +101,36 @@ class Register {
   std::vector<Item> items();
   std::vector<SigningKey> keys();
 
+  // ---- Check standards, blocks, scope
+  /// Keeps a baseline as it was approved. @throws RegisterError if the item is not in the register
+  void add_check_standard(const LoggedIn& by, const CheckStandard& standard, Clock::UtcTime now);
+  void retire_check_standard(const LoggedIn& by, const std::string& name, const std::string& reason,
+                             Clock::UtcTime now);
+  std::vector<CheckStandard> check_standards();
+  /// @throws RegisterError if there is none of that name
+  CheckStandard check_standard(const std::string& name);
+  /// Keeps a point, whose identity, person and time are set here; one that is outside blocks its bench in the
+  /// same transaction, unless the chart blocks it already.
+  /// @param points_before  how many points it was judged after: another may have been added meanwhile
+  /// @return the point as it is kept
+  CheckPoint add_check_point(const LoggedIn& by, CheckPoint point, std::size_t points_before,
+                             const BenchBlock& block, Clock::UtcTime now);
+  std::vector<CheckPoint> check_points(const std::string& check_standard);
+  std::vector<BenchBlock> blocks();
+  /// Lifts the block of a chart. @throws RegisterError if there is none
+  void lift_block(const LoggedIn& by, const std::string& check_standard, const std::string& reason,
+                  Clock::UtcTime now);
+  /// Adds an entry; all its problems are told at once.
+  void add_scope(const LoggedIn& by, const ScopeEntry& entry, Clock::UtcTime now);
+  void retire_scope(const LoggedIn& by, const std::string& identity, const std::string& reason,
+                    Clock::UtcTime now);
+  std::vector<ScopeEntry> scope();
+
   // ---- Certificates
   /// Gives a certificate its number, once and for all: "EX-2026-0001". A run whose certificate got a number
   /// but was not issued (the program ended in between) gets the same one again.
-  /// @throws RegisterError if the run has a certificate and the request does not replace it
+  /// @throws RegisterError if the run has a certificate and the request does not replace it, or the bench is
+  ///         blocked
   std::string reserve_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now);
   /// The certificate is approved and issued. The approval names the hashes of run and XML.
   void record_issued(const LoggedIn& by, const std::string& number, const std::string& xml_sha256,
@@ -147,6 +174,7 @@ class Register {
   void require(const LoggedIn& by, Right right) const;
   void require_new(const std::string& table, const std::string& key);
   void require_known(const std::string& table, const std::string& key);
+  void require_not_blocked(const NumberRequest& request);
   void read_facts();
   /// A change in a transaction of its own.
   void change_alone(const Change& change, Clock::UtcTime now, const std::function<void()>& write);

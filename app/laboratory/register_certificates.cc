@@ -45,6 +45,7 @@ std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& re
         "{} measured the run and cannot approve its certificate; required: another person", by.name()));
   DatabaseTransaction transaction(database_);
   lock_audit();
+  require_not_blocked(request);
   for (const CertificateRecord& one : certificates_of(request.run_sha256)) {
     if (one.state == "reserved" && one.replaces == request.replaces)
       return one.number;  // Its program ended too early.
@@ -69,6 +70,15 @@ std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& re
   const std::string utc = format_utc(now);
   const std::string number =
       fmt::format("{}{}-{:04}", facts_.number_prefix, utc.substr(0, 4), std::stoul(last[0][0]));
+  // The counter alone can be set back by someone who may write the database.
+  if (!database_
+           .query(1, "select entry from audit where subject = :subject",
+                  {{"subject", "certificate/" + number}})
+           .empty())
+    throw RegisterError(
+        fmt::format("register {}: certificate {} was given before, though its counter says otherwise: it was "
+                    "changed; required: `abcal lab verify`, and a backup that is whole",
+                    without_password(location()), number));
   change({by.name(), "number given", "certificate", number, {}}, now, [&] {
     database_.execute(
         fmt::format(

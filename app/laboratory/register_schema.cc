@@ -51,6 +51,21 @@ constexpr std::array kStep1{
     "create index certificate_of_run on certificate(run_sha256)",
 };
 
+// Charts of check standards, what they block, and what the laboratory is accredited for.
+constexpr std::array kStep2{
+    "create table check_point(identity text primary key, check_standard text not null references "
+    "check_standard,"
+    " run_sha256 text not null, date text not null, values_json text not null, state text not null,"
+    " found text not null, begins text not null, added_by text not null, utc text not null)",
+    "create table bench_block(identity text primary key, check_standard text not null references "
+    "check_standard,"
+    " stage text not null, bench text not null, found text not null, set_utc text not null,"
+    " lifted_by text not null, lifted_utc text not null, reason text not null)",
+    "create table scope(identity text primary key, quantity text not null, unit text not null,"
+    " range_from text not null, range_to text not null, cmc text not null, kind text not null,"
+    " valid_from text not null, retired text not null)",
+};
+
 constexpr std::array<std::string_view, 3> kSchemaStep{"step", "utc", "program_version"};
 constexpr std::array<std::string_view, 6> kLaboratory{"id",   "identity",      "name",
                                                       "kind", "number_prefix", "created_utc"};
@@ -75,6 +90,14 @@ constexpr std::array<std::string_view, 12> kCertificate{
     "number",      "state",      "run_sha256", "xml_sha256", "item", "measured_by",
     "approved_by", "issue_date", "replaces",   "reason",     "utc",  "approval"};
 
+constexpr std::array<std::string_view, 10> kCheckPoint{
+    "identity", "check_standard", "run_sha256", "date",     "values_json",
+    "state",    "found",          "begins",     "added_by", "utc"};
+constexpr std::array<std::string_view, 9> kBenchBlock{
+    "identity", "check_standard", "stage", "bench", "found", "set_utc", "lifted_by", "lifted_utc", "reason"};
+constexpr std::array<std::string_view, 9> kScope{
+    "identity", "quantity", "unit", "range_from", "range_to", "cmc", "kind", "valid_from", "retired"};
+
 // In an order in which rows that refer to others follow them.
 constexpr std::array kTables{
     TableDescription{"schema_step", kSchemaStep, "step"},
@@ -90,6 +113,9 @@ constexpr std::array kTables{
     TableDescription{"item", kItem, "identity"},
     TableDescription{"check_standard", kCheckStandard, "name"},
     TableDescription{"certificate", kCertificate, "number"},
+    TableDescription{"check_point", kCheckPoint, "check_standard, length(identity), identity", 2},
+    TableDescription{"bench_block", kBenchBlock, "set_utc, identity", 2},
+    TableDescription{"scope", kScope, "identity", 2},
 };
 
 void note_step(Database& database, int step, const std::string& utc) {
@@ -119,10 +145,14 @@ std::string insert_all(const TableDescription& table) {
   return fmt::format("insert into {}({}) values({})", table.name, columns, parameters);
 }
 
-void apply_schema_steps(Database& database, int database_step, const std::string& utc) {
+void apply_schema_steps(Database& database, int database_step, const std::string& utc, int to_step) {
   if (database_step < 1) {
     for (const char* statement : kStep1) database.execute(statement);
     note_step(database, 1, utc);
+  }
+  if (database_step < 2 && to_step >= 2) {
+    for (const char* statement : kStep2) database.execute(statement);
+    note_step(database, 2, utc);
   }
 }
 

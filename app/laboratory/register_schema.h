@@ -13,10 +13,11 @@ struct TableDescription {
   std::string_view name;
   std::span<const std::string_view> columns;
   std::string_view order;  ///< What its rows are ordered by.
+  int since_step = 1;      ///< The schema step that made it.
 };
 
 /// The newest schema step: registers of an older one are brought to it when they are opened.
-inline constexpr int kNewestSchemaStep = 1;
+inline constexpr int kNewestSchemaStep = 2;
 
 /// Every table of the newest schema.
 std::span<const TableDescription> register_tables();
@@ -29,7 +30,9 @@ std::string insert_all(const TableDescription& table);
 
 /// Makes the tables, step by step, from where the database is. Within a transaction.
 /// @param database_step  0: an empty database
-void apply_schema_steps(Database& database, int database_step, const std::string& utc);
+/// @param to_step        the last step to be made
+void apply_schema_steps(Database& database, int database_step, const std::string& utc,
+                        int to_step = kNewestSchemaStep);
 
 /// The schema step of a register. @throws RegisterError if it is newer than this program
 int schema_step(Database& database);

@@ -80,20 +80,23 @@ std::string Register::backup() {
 
 Register Register::restore(const std::string& location, const std::string& backup, Clock::UtcTime now) {
   const nlohmann::json json = parse_backup(backup);
-  if (json.value("step", 0) != kNewestSchemaStep)
-    throw RegisterError(fmt::format("the backup has schema step {}; this program restores {}",
-                                    json.value("step", 0), kNewestSchemaStep));
+  const int step = json.value("step", 0);
+  if (step < 1 || step > kNewestSchemaStep)
+    throw RegisterError(
+        fmt::format("the backup has schema step {}; this program restores 1 to {}", step, kNewestSchemaStep));
   Register restored{make_empty(location)};
   Database& database = restored.database_;
   DatabaseTransaction transaction(database);
-  apply_schema_steps(database, 0, format_utc(now));
+  apply_schema_steps(database, 0, format_utc(now), step);
   database.execute("delete from schema_step");
   for (const TableDescription& table : register_tables()) {
+    if (table.since_step > step) continue;
     const std::string name(table.name);
     if (!json["tables"].contains(name))
       throw RegisterError(fmt::format("the backup lacks the table {}", name));
     insert_rows(database, table, json["tables"][name]);
   }
+  apply_schema_steps(database, step, format_utc(now));
   transaction.commit();
   restored.read_facts();
   for (const RegisterFinding& finding : restored.verify())

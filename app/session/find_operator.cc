@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "app/laboratory/login.h"
+#include "app/system/private_file.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
@@ -56,7 +57,7 @@ RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now) {
   const lab::LoggedIn person = lab::require_login(opened, now);
   if (!person.person().may(lab::Right::kMeasure))
     throw std::invalid_argument(fmt::format(
-        "{} is logged in and may not measure; required: a person with the right to measure", person.name()));
+        "{} is logged in but may not measure; required: a person with the right to measure", person.name()));
   if (!stated.empty() && stated != person.name())
     throw std::invalid_argument(fmt::format(
         "[operator] name is \"{}\", but {} is logged in; required: the person who is logged in, or no name",
@@ -66,7 +67,14 @@ RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now) {
 
 std::string read_signing_key() {
   const char* file = std::getenv("ABCAL_SIGNING_KEY");
-  return file == nullptr || *file == '\0' ? std::string() : read_private_key(file);
+  if (file == nullptr || *file == '\0') return {};
+  std::string pem = read_private_file(file, "key");
+  try {
+    require_private_key(pem);
+  } catch (const std::invalid_argument& problem) {
+    throw std::invalid_argument(fmt::format("key {}: {}", file, problem.what()));
+  }
+  return pem;
 }
 
 }  // namespace abcal

@@ -8,6 +8,8 @@
 #include <cstring>
 #include <stdexcept>
 
+#include "app/system/read_file.h"
+
 namespace abcal {
 
 void write_private_file(const std::filesystem::path& path, const std::string& content) {
@@ -27,6 +29,17 @@ void write_private_file(const std::filesystem::path& path, const std::string& co
   if (good) return;
   ::unlink(path.c_str());
   throw std::runtime_error(fmt::format("{}: cannot be stored: {}", path.string(), std::strerror(error)));
+}
+
+std::string read_private_file(const std::filesystem::path& path, const std::string& kind) {
+  namespace fs = std::filesystem;
+  std::error_code error;
+  const fs::perms mode = fs::status(path, error).permissions();
+  if (error) throw std::invalid_argument(fmt::format("{} {}: {}", kind, path.string(), error.message()));
+  if ((mode & (fs::perms::group_all | fs::perms::others_all)) != fs::perms::none)
+    throw std::invalid_argument(fmt::format("{} {}: others may read or change it; required: chmod 600 {}",
+                                            kind, path.string(), path.string()));
+  return read_file(path);
 }
 
 }  // namespace abcal

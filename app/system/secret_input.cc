@@ -1,15 +1,13 @@
 #include "app/system/secret_input.h"
 
-#include <fmt/format.h>
-#include <sys/stat.h>
 #include <termios.h>
 #include <unistd.h>
 
-#include <fstream>
 #include <iostream>
 #include <stdexcept>
 
 #include "app/system/output.h"
+#include "app/system/private_file.h"
 
 namespace abcal {
 namespace {
@@ -35,14 +33,8 @@ class NoEcho {
 };
 
 std::string secret_of_file(const std::string& path) {
-  struct stat facts {};
-  if (::stat(path.c_str(), &facts) != 0) throw std::invalid_argument(path + ": no such file");
-  if ((facts.st_mode & (S_IRWXG | S_IRWXO)) != 0U)
-    throw std::invalid_argument(
-        fmt::format("{}: others may read or change it; required: chmod 600 {}", path, path));
-  std::ifstream file(path);
-  std::string secret;
-  std::getline(file, secret);
+  const std::string text = read_private_file(path, "password");
+  std::string secret = text.substr(0, text.find('\n'));
   if (secret.empty()) throw std::invalid_argument(path + ": its first line is empty; required: the password");
   return secret;
 }

@@ -45,6 +45,14 @@ struct StatedUncertainty {
   std::string source;
 };
 
+/// A value with its uncertainty and source, as a record of the laboratory gives them.
+struct CalibratedNumber {
+  double value = 0.0;
+  double expanded_uncertainty = 0.0;
+  double coverage_factor = 2.0;
+  std::string source;
+};
+
 /// What visits the keys of a file. Each key is named once; reading, writing and the list of known keys all
 /// follow from it.
 class KeyVisitor {
@@ -69,6 +77,12 @@ class KeyVisitor {
   virtual void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
                            const std::string&) {
     number(key, stated.value, {0.0, most});
+  }
+  /// A number, or the record of the laboratory that has it in this unit: then the record gives the others,
+  /// too.
+  virtual void calibrated(const std::string& key, CalibratedNumber& number_of_key, Range range,
+                          const std::string&) {
+    number(key, number_of_key.value, range);
   }
   /// Whether keys that are only read, as files of an older schema have them, are to be left out.
   virtual bool writes() const { return false; }

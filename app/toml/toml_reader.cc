@@ -23,6 +23,8 @@ constexpr std::size_t kLargestTomlFile = 16U << 20U;  // bytes
 // tables without end would exhaust the stack.
 constexpr std::size_t kDeepestToml = 16;
 
+constexpr std::string_view kFrom = "from", kName = "name";  // Of a record.
+
 Problem shown_problem(const std::string& where, const std::string& found, const std::string& required) {
   return {shortened_text(where, kLongestShown), shortened_text(found, kLongestShown),
           shortened_text(required, kLongestRequired)};
@@ -251,13 +253,78 @@ void TomlReader::uncertainty(const std::string& key, StatedUncertainty& stated, 
   if (node == nullptr) return;
   const Range range{0.0, most};
   const std::string in_unit = unit.empty() || unit == "1" ? "" : " " + unit;
-  if (const toml::table* table = node->as_table()) {
+  if (const toml::table* table = node->as_table(); table != nullptr && table->contains(kFrom)) {
+    const auto found = recorded(*table, key, unit);
+    if (!found) return;
+    // What was found to be off is not corrected, so that it counts as well (GUM F.2.4.5).
+    const double u = std::hypot(found->value, found->expanded_uncertainty / found->coverage_factor);
+    if (range.contains(u)) {
+      stated = {u, found->source};
+    } else {
+      problem(*node, name(key),
+              fmt::format("a standard uncertainty of {:g}{} ({})", u, in_unit, found->source),
+              range.words() + in_unit);
+    }
+  } else if (table != nullptr) {
     read_uncertainty_table(*table, name(key), stated, range, in_unit);
   } else if (const auto found = number_of(*node); found && std::isfinite(*found) && range.contains(*found)) {
     stated = {*found, "stated"};
   } else {
     problem(*node, name(key), words_of(*node) + (found ? in_unit : ""),
             fmt::format("a standard uncertainty, {}{}, or a table with its source", range.words(), in_unit));
+  }
+}
+
+void TomlReader::calibrated(const std::string& key, CalibratedNumber& number_of_key, Range range,
+                            const std::string& unit) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const toml::table* table = node->as_table();
+  if (table == nullptr || !table->contains(kFrom)) {
+    number(key, number_of_key.value, range);
+    return;
+  }
+  const auto found = recorded(*table, key, unit);
+  if (!found) return;
+  if (range.contains(found->value)) {
+    number_of_key = {found->value, found->expanded_uncertainty, found->coverage_factor, found->source};
+  } else {
+    problem(*node, name(key), fmt::format("{:g} {} ({})", found->value, unit, found->source), range.words());
+  }
+}
+
+/// The value that `{ from = "RECORD" }` or `{ from = "RECORD", name = "VALUE" }` names; it is called as its
+/// key unless it has a name.
+std::optional<RecordedValue> TomlReader::recorded(const toml::table& table, const std::string& key,
+                                                  const std::string& unit) {
+  const std::size_t problems_before = found_.size();
+  const std::string where = name(key);
+  std::string record, value = key;
+  for (const auto& [word, node] : table) {
+    const bool known = word.str() == kFrom || word.str() == kName;
+    const auto* text = node.as_string();
+    if (!known) {
+      problem(node, where + "." + std::string(word.str()), "a key of this name",
+              "from, the number of a calibration in the register, and name, that of the value in it");
+    } else if (text == nullptr || text->get().empty()) {
+      problem(node, where + "." + std::string(word.str()), words_of(node), "text in quotes");
+    } else {
+      (word.str() == kFrom ? record : value) = text->get();
+    }
+  }
+  if (found_.size() != problems_before) return std::nullopt;
+  try {
+    if (!lookup_)
+      throw RecordProblem(fmt::format("record \"{}\", but no register is configured", record),
+                          "a register that has it, named by ABCAL_REGISTER");
+    RecordedValue found = lookup_(record, value);
+    const bool same = found.unit == unit || (unit == "degree" && found.unit == "deg") ||
+                      (unit == "1" && found.unit.empty());
+    if (!same) throw RecordProblem(fmt::format("a value in {}: {}", found.unit, found.source), "the unit " + unit);
+    return found;
+  } catch (const RecordProblem& error) {
+    problem(table, where, error.what(), error.required());
+    return std::nullopt;
   }
 }
 
@@ -288,7 +355,7 @@ void TomlReader::read_uncertainty_table(const toml::table& table, const std::str
     problem(*node, where + "." + key, words_of(*node), required);
     return {};
   };
-  std::string source = word_of("source", "where the value comes from, text in quotes");
+  std::string source = word_of("source", "the source of the value, as text in quotes");
   const std::string distribution = word_of("distribution", "\"rectangular\", \"triangular\" or \"u-shaped\"");
   const int given = (table.contains("value") ? 1 : 0) + (table.contains("half_width") ? 1 : 0) +
                     (table.contains("expanded_uncertainty") ? 1 : 0);
@@ -452,7 +519,7 @@ std::vector<Problem> TomlReader::take_problems() {
   for (auto& [line, problem] : found_) {
     if (problems.size() == kMostProblems) {
       problems.push_back({"the file", fmt::format("{} further problems", found_.size() - kMostProblems),
-                          "that these are mended first"});
+                          "the problems above corrected first"});
       break;
     }
     problems.push_back(std::move(problem));
@@ -534,7 +601,7 @@ void TomlReader::report_unknown(const toml::table& table, const std::string& pat
     const bool close = nearest != known.end() && edit_distance(start, *nearest) <= 2 + start.size() / 5;
     problem(node, path.empty() ? word : path + "." + word,
             node.is_table() ? "a section of this name" : "a key of this name",
-            close ? "a known one: did you mean \"" + *nearest + "\"?"
+            close ? "a known key: did you mean \"" + *nearest + "\"?"
                   : "one of " + joined({known.begin(), known.end()}));
   }
 }
@@ -546,9 +613,9 @@ toml::table parse_toml(std::string_view text, const std::string& source, const s
     return {};
   }
   if (const auto line = NestingCheck(text).line_too_deep()) {
-    problems.push_back({fmt::format("line {}", *line), "tables or lists nested too deeply",
-                        fmt::format("at most {} parts of a key and {} brackets within each other",
-                                    kDeepestToml, kDeepestToml)});
+    problems.push_back(
+        {fmt::format("line {}", *line), "tables or lists nested too deeply",
+         fmt::format("at most {} parts of a key and {} nested brackets", kDeepestToml, kDeepestToml)});
     return {};
   }
   try {

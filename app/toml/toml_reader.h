@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "app/toml/key_visitor.h"
+#include "app/toml/record_lookup.h"
 #include "protocol/plan/run_config.h"
 
 namespace abcal {
@@ -23,7 +24,9 @@ std::string joined(const std::vector<std::string>& words);
 /// absent, or wrong, leaves the value as it was.
 class TomlReader final : public KeyVisitor {
  public:
-  explicit TomlReader(const toml::table& root) : root_(root) {}
+  /// @param lookup  of `{ from = "RECORD" }`; empty: no register is configured
+  explicit TomlReader(const toml::table& root, RecordLookup lookup = {})
+      : root_(root), lookup_(std::move(lookup)) {}
 
   void section(const std::string& path) override;
   void text(const std::string& key, std::string& value,
@@ -40,6 +43,8 @@ class TomlReader final : public KeyVisitor {
   void vector_in(const std::string& key, Eigen::Vector3d& value, Range range) override;
   void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
                    const std::string& unit) override;
+  void calibrated(const std::string& key, CalibratedNumber& number_of_key, Range range,
+                  const std::string& unit) override;
   void matrix(const std::string& key, Eigen::Matrix3d& value) override;
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override;
   void tables(const std::string& key, std::size_t size,
@@ -78,12 +83,15 @@ class TomlReader final : public KeyVisitor {
                  bool required);
   void read_uncertainty_table(const toml::table& table, const std::string& where, StatedUncertainty& stated,
                               const Range& range, const std::string& unit);
+  std::optional<RecordedValue> recorded(const toml::table& table, const std::string& key,
+                                        const std::string& unit);
   std::optional<double> number_in_table(const toml::table& table, const std::string& where,
                                         const std::string& key, const Range& range, const std::string& words);
   void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value);
   void report_unknown(const toml::table& table, const std::string& path);
 
   const toml::table& root_;
+  RecordLookup lookup_;
   const toml::table* table_ = nullptr;
   std::string path_;
   std::map<std::string, std::set<std::string>> known_;
@@ -93,7 +101,7 @@ class TomlReader final : public KeyVisitor {
 };
 
 /// A TOML file that cannot be parsed at all, or is empty, as a problem; else its table.
-/// @param kind  "a bench file; docs/examples holds commented ones": what should stand there
+/// @param kind  "a bench file; commented examples are in docs/examples": what should stand there
 toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
                        std::vector<Problem>& problems);
 

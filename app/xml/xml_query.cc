@@ -1,5 +1,6 @@
 #include "app/xml/xml_query.h"
 
+#include <fmt/format.h>
 #include <libxml/xpathInternals.h>
 
 #include <new>
@@ -9,6 +10,11 @@
 #include "drivers/text/text.h"
 
 namespace abcal {
+namespace {
+
+constexpr std::size_t kLongestList = 1u << 20;  // Bytes: some 100 000 numbers.
+
+}  // namespace
 
 std::string owned_text(xmlChar* text) {
   if (text == nullptr) return {};
@@ -55,7 +61,11 @@ std::string XmlQuery::text(const std::string& path, xmlNode* from) const {
 }
 
 std::vector<std::string> XmlQuery::words(const std::string& path, xmlNode* from) const {
-  return xml_words(text(path, from));
+  const std::string list = text(path, from);
+  if (list.size() > kLongestList)
+    throw std::runtime_error(
+        fmt::format("{}: a list of {} bytes; required: at most {}", path, list.size(), kLongestList));
+  return xml_words(list);
 }
 
 }  // namespace abcal

@@ -34,7 +34,7 @@ class XmlQuery {
   std::vector<std::string> texts(const std::string& path, xmlNode* from = nullptr) const;
   /// Text of the first node, without white space at its ends; empty if there is none.
   std::string text(const std::string& path, xmlNode* from = nullptr) const;
-  /// Words of the first node, which is a list.
+  /// Words of the first node, which is a list. @throws std::runtime_error for a list of more than 1 MiB
   std::vector<std::string> words(const std::string& path, xmlNode* from = nullptr) const;
 
  private:

@@ -6,6 +6,7 @@
 #include <libxml/parserInternals.h>
 #include <libxml/xmlstring.h>
 
+#include <algorithm>
 #include <stdexcept>
 
 namespace abcal {
@@ -94,6 +95,9 @@ std::string xml_text(const XmlDocument& document) {
 
 namespace {
 
+/// Each attribute has one; a certificate has some thousand.
+constexpr std::size_t kMostEqualsSigns = 20'000;
+
 /// What the parser may make of the bytes of others.
 struct Allowance {
   /// Elements and attributes: each takes some 250 bytes of memory.
@@ -133,6 +137,10 @@ XmlDocument parse_xml(std::string_view text, const std::string& source) {
     throw std::runtime_error(
         fmt::format("{}: {} bytes; required: at most {}", source, text.size(), kLargestXml));
   }
+  // libxml2 compares each attribute of an element with all others before it tells of the element.
+  if (static_cast<std::size_t>(std::count(text.begin(), text.end(), '=')) > kMostEqualsSigns)
+    throw std::runtime_error(fmt::format("{}: has more than {} attributes; required: at most that many",
+                                         source, kMostEqualsSigns));
   const std::unique_ptr<xmlParserCtxt, FreeParser> parser(xmlNewParserCtxt());
   if (!parser) throw std::bad_alloc();
   Allowance allowance;

@@ -5,8 +5,6 @@
 #include <openssl/x509.h>
 
 #include <array>
-#include <fstream>
-#include <sstream>
 #include <stdexcept>
 
 #include "protocol/record/openssl_parts.h"
@@ -26,7 +24,7 @@ OpensslKey private_key(const std::string& pem) {
   OpensslKey key(PEM_read_bio_PrivateKey(readable(pem).get(), nullptr, no_passphrase, nullptr));
   if (!key || EVP_PKEY_get_id(key.get()) != EVP_PKEY_ED25519)
     throw std::invalid_argument(
-        "no private Ed25519 key; required: PEM, not encrypted, as `abcal lab key` makes it");
+        "found no private Ed25519 key; required: an unencrypted PEM file, as `abcal lab key` makes");
   return key;
 }
 
@@ -41,7 +39,7 @@ std::string make_private_key() {
   const OpensslBio pem = writable();
   if (!key || PEM_write_bio_PKCS8PrivateKey(pem.get(), key.get(), nullptr, nullptr, 0, nullptr, nullptr) != 1)
     throw std::runtime_error(
-        "no key could be made: OpenSSL offers no Ed25519, or the system no random numbers");
+        "the key could not be made: OpenSSL has no Ed25519, or the system gave no random numbers");
   return written(pem);
 }
 
@@ -84,22 +82,8 @@ bool is_signature(std::string_view message, std::string_view signature, const st
                           message.size()) == 1;
 }
 
-std::string read_private_key(const std::filesystem::path& file) {
-  namespace fs = std::filesystem;
-  std::error_code error;
-  const fs::perms mode = fs::status(file, error).permissions();
-  if (error) throw std::invalid_argument(fmt::format("key {}: {}", file.string(), error.message()));
-  if ((mode & (fs::perms::group_all | fs::perms::others_all)) != fs::perms::none)
-    throw std::invalid_argument(fmt::format("key {}: others may read or change it; required: chmod 600 {}",
-                                            file.string(), file.string()));
-  std::ostringstream pem;
-  pem << std::ifstream(file, std::ios::binary).rdbuf();
-  try {
-    (void)private_key(pem.str());
-  } catch (const std::invalid_argument& problem) {
-    throw std::invalid_argument(fmt::format("key {}: {}", file.string(), problem.what()));
-  }
-  return pem.str();
+void require_private_key(const std::string& private_pem) {
+  (void)private_key(private_pem);
 }
 
 std::string statement_of_run(std::string_view run_sha256) {

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <filesystem>
 #include <string>
 #include <string_view>
 
@@ -24,9 +23,8 @@ std::string sign(std::string_view message, const std::string& private_pem);
 /// Whether a signature is that of a message by the owner of a public key. False for what is no key.
 bool is_signature(std::string_view message, std::string_view signature, const std::string& public_pem);
 
-/// The private key in a file that only its owner can read.
-/// @throws std::invalid_argument that says found and required
-std::string read_private_key(const std::filesystem::path& file);
+/// @throws std::invalid_argument if the PEM is no private Ed25519 key
+void require_private_key(const std::string& private_pem);
 
 /// What a bench signs of a closed run: a text that names the SHA-256 of its bytes, so that the signature
 /// serves for nothing else.

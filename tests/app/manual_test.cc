@@ -57,7 +57,9 @@ TEST_F(ManualTest, EveryCommandHasAPageWithItsOptions) {
     const std::string name = line.substr(2, line.find(' ', 2) - 2);
     ++commands;
     const std::string troff = page("abcal-" + name + ".1");
-    EXPECT_THAT(main_page, HasSubstr("abcal\\-" + name)) << name;
+    std::string escaped_name = name;
+    if (const std::size_t dash = name.find('-'); dash != std::string::npos) escaped_name.insert(dash, "\\");
+    EXPECT_THAT(main_page, HasSubstr("abcal\\-" + escaped_name)) << name;
     // Every long option of the command's own help is in its page.
     std::istringstream words(abcal({name, "--help"}).out);
     for (std::string word; words >> word;) {

@@ -47,7 +47,7 @@ class ReadCertificateTest : public testing::Test {
   std::string refusal(const std::string& text) {
     try {
       read(text);
-    } catch (const std::runtime_error& error) {
+    } catch (const std::exception& error) {
       return error.what();
     }
     return "read without a word";
@@ -133,6 +133,44 @@ TEST_F(ReadCertificateTest, NamesEveryProblemAtOnce) {
       list_of("phi_uv phi_vw phi_wu", "90 90 90", "\\furlong", "2")));
   EXPECT_THAT(words, AllOf(HasSubstr("has 2 entries; required: 1 or 3"),
                            HasSubstr("\"zwei\" is not a number"), HasSubstr("\\furlong")));
+}
+
+TEST_F(ReadCertificateTest, RefusesWhatCannotBeAnUncertainty) {
+  const auto standard = [](const std::string& u) {
+    return "<si:measurementUncertaintyUnivariateXMLList><si:standardMUXMLList><si:valueStandardMUXMLList>" +
+           u +
+           "</si:valueStandardMUXMLList></si:standardMUXMLList></si:measurementUncertaintyUnivariateXMLList>";
+  };
+  const auto stated = [&](const std::string& u) {
+    return refusal(
+        certificate_with("<si:realListXMLList><si:labelXMLList>s_u</si:labelXMLList><si:valueXMLList>1"
+                         "</si:valueXMLList><si:unitXMLList>\\one</si:unitXMLList>" +
+                         standard(u) + "</si:realListXMLList>"));
+  };
+  EXPECT_THAT(stated("0"), HasSubstr("standard uncertainty 0; required: greater than 0"));
+  EXPECT_THAT(stated("-1e-3"), HasSubstr("required: greater than 0"));
+  EXPECT_THAT(stated("nan"), HasSubstr("a finite one"));
+  EXPECT_THAT(refusal(certificate_with(list_of("s_u", "1", "\\one", "0"))), HasSubstr("both greater than 0"));
+  EXPECT_THAT(refusal(certificate_with(list_of("s_u", "1", "\\one", "-2"))),
+              HasSubstr("both greater than 0"));
+  EXPECT_THAT(refusal(certificate_with(list_of("s_u", "inf", "\\one", "2"))), HasSubstr("a finite one"));
+}
+
+TEST_F(ReadCertificateTest, RefusesWhatIsMadeToExhaustTheReader) {
+  std::string attributes = "<a";
+  for (int k = 0; k < 30'000; ++k) attributes += " a" + std::to_string(k) + "=''";
+  EXPECT_THAT(refusal(certificate_with(attributes + "/>")), HasSubstr("more than 20000 attributes"));
+  std::string elements;
+  for (int k = 0; k < 150'000; ++k) elements += "<a/>";
+  EXPECT_THAT(refusal(certificate_with(elements)), HasSubstr("more than 100000 elements"));
+  EXPECT_THAT(refusal(certificate_with("<a>" + std::string(13u << 20, 'x') + "</a>")),
+              HasSubstr("required: at most that"));
+  std::string labels;
+  for (int k = 0; k < 300'000; ++k) labels += "s_u ";
+  EXPECT_THAT(refusal(certificate_with(list_of(labels, "1", "\\one", "2"))), HasSubstr("a list of"));
+  std::string deep;
+  for (int k = 0; k < 2000; ++k) deep += "<a>";
+  EXPECT_THAT(refusal(certificate_with(deep)), HasSubstr("Excessive depth"));
 }
 
 TEST_F(ReadCertificateTest, RefusesUnitsThatDoNotGoTogether) {

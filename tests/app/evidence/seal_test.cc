@@ -1,8 +1,13 @@
 // Runs that are signed by their bench and stamped by an authority.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/socket.h>
 
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/beast/core.hpp>
+#include <boost/beast/http.hpp>
 #include <cstdlib>
+#include <thread>
 
 #include "protocol/record/attestation.h"
 #include "protocol/record/run_seal.h"
@@ -56,6 +61,52 @@ extendedKeyUsage = critical,timeStamping
     more.insert(more.begin(), {"verify", path.filename().string()});
     return abcal(more);
   }
+
+  /// That authority on a port of this machine, for as long as this lives.
+  class Server {
+   public:
+    explicit Server(const SealTest& test)
+        : acceptor_(context_, {boost::asio::ip::make_address("127.0.0.1"), 0}),
+          thread_([this, &test] { serve(test); }) {}
+    Server(const Server&) = delete;
+    Server& operator=(const Server&) = delete;
+    ~Server() {
+      ::shutdown(acceptor_.native_handle(), SHUT_RDWR);  // Wakes the thread that waits in accept().
+      thread_.join();
+    }
+    std::string address() const {
+      return "http://127.0.0.1:" + std::to_string(acceptor_.local_endpoint().port()) + "/tsr";
+    }
+
+   private:
+    void serve(const SealTest& test) {
+      namespace http = boost::beast::http;
+      for (;;) {
+        boost::system::error_code error;
+        boost::asio::ip::tcp::socket socket(context_);
+        acceptor_.accept(socket, error);
+        if (error) return;
+        boost::beast::flat_buffer buffer;
+        http::request<http::string_body> request;
+        http::read(socket, buffer, request, error);
+        if (error) continue;
+        test::write_file(test.folder / "http.tsq", request.body());
+        const bool made =
+            std::system(("cd '" + test.folder.path().string() +
+                         "' && openssl ts -reply -config tsa.cnf -section one -queryfile http.tsq "
+                         "-out http.tsr 2> http.log")
+                            .c_str()) == 0;
+        http::response<http::string_body> answer(
+            made ? http::status::ok : http::status::internal_server_error, 11,
+            test::read_file(test.folder / "http.tsr"));
+        answer.prepare_payload();
+        http::write(socket, answer, error);
+      }
+    }
+    boost::asio::io_context context_;
+    boost::asio::ip::tcp::acceptor acceptor_;
+    std::thread thread_;
+  };
 
   const std::string key = make_private_key();
   Trust trust() const { return {{{"bench 1", public_key_of(key)}}, {}}; }
@@ -124,7 +175,7 @@ TEST_F(SealTest, WhatWasForgedByHandIsSelfConsistentButNotSigned) {
   sign_run(path, "bench 1", make_private_key());
   const auto other = verify({"--require", "signed", "--key", "bench.pub"});
   EXPECT_EQ(other.exit_code, 1);
-  EXPECT_THAT(other.out, HasSubstr("none of the trusted keys"));
+  EXPECT_THAT(other.out, HasSubstr("not one of the trusted keys"));
 }
 
 TEST_F(SealTest, ATimeStampHoldsForTheBytesThatWereStamped) {
@@ -142,11 +193,11 @@ TEST_F(SealTest, ATimeStampHoldsForTheBytesThatWereStamped) {
   const auto verified = verify({"--require", "timestamped", "--authority", "ca.pem"});
   EXPECT_EQ(verified.exit_code, 0) << verified.out;
   EXPECT_THAT(verified.out, HasSubstr("unchanged since 20"));
-  EXPECT_THAT(verify({}).out, HasSubstr("whether that authority is one, is not checked"));
+  EXPECT_THAT(verify({}).out, HasSubstr("the authority was not checked"));
 
   forge(kLargerU);
   EXPECT_EQ(verify({"--require", "timestamped", "--authority", "ca.pem"}).exit_code, 1);
-  EXPECT_THAT(verify({}).out, HasSubstr("it is not for the run as it is"));
+  EXPECT_THAT(verify({}).out, HasSubstr("it is not for the present content of the run"));
 }
 
 TEST_F(SealTest, AnAnswerThatIsNotForTheRequestIsRefused) {
@@ -158,7 +209,7 @@ TEST_F(SealTest, AnAnswerThatIsNotForTheRequestIsRefused) {
   ASSERT_TRUE(shell("openssl ts -reply -config tsa.cnf -section one -queryfile other.tsq -out a.tsr"));
   const auto refused = abcal({"lab", "timestamp", run, "--query", "q.tsq", "--answer", "a.tsr"});
   EXPECT_EQ(refused.exit_code, 1);
-  EXPECT_THAT(refused.err, HasSubstr("not for what was asked"));
+  EXPECT_THAT(refused.err, HasSubstr("does not belong to the request"));
   test::write_file(folder / "a.tsr", "no answer");
   EXPECT_THAT(abcal({"lab", "timestamp", run, "--query", "q.tsq", "--answer", "a.tsr"}).err,
               HasSubstr("RFC 3161"));
@@ -173,6 +224,34 @@ TEST_F(SealTest, AnAuthorityThatDoesNotAnswerLosesNothing) {
   EXPECT_THAT(unanswered.err, HasSubstr("does not answer"));
   EXPECT_EQ(sha256_of_file(results()), before);
   EXPECT_EQ(abcal({"lab", "timestamp", path.filename().string(), "--authority", "ftp://x"}).exit_code, 2);
+}
+
+TEST_F(SealTest, ARunAsksForItsTimeStampAndIsNotLostWithoutOne) {
+  if (!shell("command -v openssl")) GTEST_SKIP() << "openssl is not installed";
+  make_authority();
+  test::write_file(folder / "bench.toml", certificate_bench());
+  const std::vector<std::string> require{"--require", "timestamped", "--authority", "ca.pem"};
+  const auto is_stamped = [&](const std::string& run) {
+    return abcal({"verify", run, require[0], require[1], require[2], require[3]}).exit_code == 0;
+  };
+  ::setenv("ABCAL_TIME_STAMP_AUTHORITY", "http://127.0.0.1:1/tsr", 1);
+  const auto late = abcal({"run", "bench.toml", "-o", "late.run"});
+  EXPECT_EQ(late.exit_code, 0) << late.err;
+  EXPECT_THAT(late.err, AllOf(HasSubstr("late.run has no time stamp yet"), HasSubstr("does not answer"),
+                              HasSubstr("abcal lab timestamp late.run")));
+  EXPECT_FALSE(is_stamped("late.run"));
+  {
+    const Server server(*this);
+    ::setenv("ABCAL_TIME_STAMP_AUTHORITY", server.address().c_str(), 1);
+    const auto made = abcal({"run", "bench.toml", "-o", "stamped.run"});
+    EXPECT_EQ(made.exit_code, 0) << made.err;
+    EXPECT_TRUE(is_stamped("stamped.run")) << made.err;
+    const auto again = abcal({"lab", "timestamp", "late.run"});
+    EXPECT_EQ(again.exit_code, 0) << again.err;
+    EXPECT_THAT(again.out, HasSubstr("Authority of the test"));
+  }
+  ::unsetenv("ABCAL_TIME_STAMP_AUTHORITY");
+  EXPECT_TRUE(is_stamped("late.run"));
 }
 
 }  // namespace

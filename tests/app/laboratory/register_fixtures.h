@@ -27,6 +27,17 @@ inline Clock::UtcTime at(int seconds) {
                         std::chrono::seconds(seconds));
 }
 
+/// The words of what a call throws; empty: nothing.
+template <class Call>
+std::string refusal(const Call& call) {
+  try {
+    call();
+  } catch (const RegisterError& error) {
+    return error.what();
+  }
+  return {};
+}
+
 /// A test on an empty database of either kind. One server serves all tests of a program.
 class OnDatabase : public testing::TestWithParam<Kind> {
  protected:

@@ -18,17 +18,6 @@ using testing::Not;
 class RegisterTest : public OnDatabase {};
 ABCAL_ON_BOTH_DATABASES(RegisterTest);
 
-/// The words of what a call throws; empty: nothing.
-template <class Call>
-std::string refusal(const Call& call) {
-  try {
-    call();
-  } catch (const RegisterError& error) {
-    return error.what();
-  }
-  return {};
-}
-
 NumberRequest request_for(const std::string& run) {
   return {sha256_of(run), "Maker M-3 SN-42", "Operator N. N.", {}, {}};
 }
@@ -188,6 +177,17 @@ TEST_P(RegisterTest, FindsWhatWasChangedBehindItsBack) {
     Database(copy.location()).execute(sql);
     EXPECT_THAT(bad(copy), HasSubstr(words)) << sql;
   }
+}
+
+TEST_P(RegisterTest, ANumberIsNotGivenTwiceThoughItsRowIsDeletedAndTheCounterSetBack) {
+  Register made = with_people();
+  const LoggedIn approver = login(made, "Approver N. N.");
+  ASSERT_EQ(made.reserve_number(approver, request_for("a"), at(3)), "EX-2026-0001");
+  Database(location).execute("delete from certificate");
+  Database(location).execute("update counter set last = 0");
+  EXPECT_THAT(refusal([&] { made.reserve_number(approver, request_for("b"), at(4)); }),
+              HasSubstr("was given before"));
+  EXPECT_TRUE(made.certificates().empty());  // Nothing was written.
 }
 
 TEST_P(RegisterTest, AnIssuedCertificateIsComparedWithTheRun) {

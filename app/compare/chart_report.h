@@ -1,0 +1,41 @@
+#pragma once
+
+#include <cstdio>
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <vector>
+
+#include "app/compare/check_chart.h"
+
+namespace abcal {
+
+/// A chart with its points and blocks, to be shown.
+struct ShownChart {
+  struct Point {
+    std::string identity, run_sha256, date, found, added_by;
+    bool outside = false;  ///< As it was judged when it was added.
+    ChartValue value;
+  };
+  struct Block {
+    std::string found, set_utc, lifted_by, lifted_utc, reason;
+    bool holds = false;
+  };
+  std::string name, approved_by, approved_utc, retired;
+  CheckBaseline baseline;
+  std::vector<Point> points;
+  std::vector<Block> blocks;
+
+  bool blocked() const;
+  std::vector<JudgedPoint> judged() const;
+};
+
+/// @param stream  where it is printed, for colours
+std::string chart_text(const ShownChart& chart, std::FILE* stream);
+
+/// Schema abcal.chart/1.
+nlohmann::ordered_json chart_json(const ShownChart& chart);
+
+/// The nine properties with their limits, for gnuplot, without terminal and output.
+std::string chart_script(const ShownChart& chart);
+
+}  // namespace abcal
