@@ -1,5 +1,11 @@
 # Writes a C++ file with the bytes of others: cmake -DOUTPUT=x.cc "-DFILES=/index.html=path;..." -P embed_files.cmake
-# Each becomes an abcal::console::Asset, served under the path before the "=".
+# Each becomes an abcal::console::Asset, served under the path before the "="; or a TYPE of NAMESPACE and HEADER, in FUNCTION.
+if(NOT DEFINED HEADER)
+  set(HEADER app/console/asset.h)
+  set(NAMESPACE abcal::console)
+  set(TYPE Asset)
+  set(FUNCTION assets)
+endif()
 string(REPLACE "," ";" FILES "${FILES}")
 set(bytes "")
 set(table "")
@@ -16,17 +22,17 @@ foreach(entry IN LISTS FILES)
 endforeach()
 file(WRITE "${OUTPUT}"
 "// Made by cmake/embed_files.cmake.
-#include \"app/console/asset.h\"
+#include \"${HEADER}\"
 
-namespace abcal::console {
+namespace ${NAMESPACE} {
 namespace {
 ${bytes}}  // namespace
 
-const std::vector<Asset>& assets() {
-  static const std::vector<Asset> all{
+const std::vector<${TYPE}>& ${FUNCTION}() {
+  static const std::vector<${TYPE}> all{
 ${table}  };
   return all;
 }
 
-}  // namespace abcal::console
+}  // namespace ${NAMESPACE}
 ")

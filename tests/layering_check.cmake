@@ -113,11 +113,11 @@ layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ 
 layer(app/export MAY protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/planner MAY app/bench/ app/results/ app/toml/ drivers/instrument/ drivers/text/ protocol/ sim/ FOREIGN toml++/ Eigen/ fmt/)
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
-layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
+layer(app/document MAY app/system/ app/xml/ FOREIGN lcms2.h libxml/ nlohmann/ qpdf/ fmt/)
 layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
 layer(app/laboratory MAY app/system/ drivers/instrument/clock.h protocol/record/ FOREIGN soci/ sodium.h nlohmann/ fmt/)
-layer(app/certificate MAY app/laboratory/ app/results/ app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
-  Eigen/ unsupported/Eigen/ boost/math/ libxml/ nlohmann/ xmlsec/ fmt/)
+layer(app/certificate MAY app/laboratory/ app/results/ drivers/instrument/clock.h app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
+  Eigen/ unsupported/Eigen/ boost/math/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
 layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
   FOREIGN Eigen/ boost/ nlohmann/ fmt/)

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "app/certificate/dsi_list.h"
+#include "app/certificate/scope.h"
 #include "app/certificate/traceability.h"
 
 namespace abcal {
@@ -86,10 +88,25 @@ class Inspection {
         of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
                             quoted(limit.unit), "one of " + offered});
       } else if (laboratory_.decision) {
-        run.decisions.push_back(
-            decide(*laboratory_.decision, limit, quantity->value, quantity->standard_uncertainty));
+        run.decisions.push_back(decide(*laboratory_.decision, limit, quantity->value,
+                                       quantity->standard_uncertainty, coverage_factor(*quantity)));
+        run.decisions.back().degrees_of_freedom = quantity->degrees_of_freedom;
       }
     }
+  }
+
+  /// k of the stated U, which is never below that of the scope.
+  double stated_factor(const SpecificationLimit& limit, const Quantity& quantity) const {
+    const std::string& name = limit.quantity;
+    const std::string kind = name.starts_with("offset_")            ? "offset"
+                             : name.starts_with("intrinsic_angle_") ? "angle"
+                                                                    : "sensitivity";
+    const bool in_scope = kind != "sensitivity" || name.starts_with("sensitivity_") ||
+                          name.starts_with("intrinsic_sensitivity_");
+    const double u = quantity.standard_uncertainty, factor = coverage_factor(quantity);
+    if (!in_scope || !(u > 0.0)) return factor;
+    const auto cmc = smallest_uncertainty(laboratory_.scope, kind, quantity.value, limit.unit);
+    return certified_uncertainty(factor * u, cmc).expanded / u;
   }
 
   void add_of_run(const std::vector<Problem>& problems) {
@@ -316,6 +333,7 @@ Certificate make_certificate(CertificateRequest request) {
   ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
   certificate.laboratory = std::move(read.file);
+  certificate.words = Words(certificate.laboratory.language);
   // What the register said when the run began, rather than what a file says now.
   if (auto registered = equipment_of_run(request.run); !registered.empty())
     certificate.laboratory.equipment = std::move(registered);

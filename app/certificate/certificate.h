@@ -8,6 +8,7 @@
 #include "app/certificate/decision.h"
 #include "app/certificate/derived.h"
 #include "app/certificate/laboratory_file.h"
+#include "app/certificate/words.h"
 #include "app/results/report_data.h"
 #include "protocol/record/run_operator.h"
 
@@ -61,6 +62,7 @@ struct Certificate {
   std::vector<std::string>
       not_traceable;  ///< Every reason why the results are not called traceable; empty: they are.
   std::string program_version;
+  Words words;  ///< In the language of the laboratory file.
 
   bool draft() const { return !issue; }
   bool training() const { return issue && issue->training; }

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "app/certificate/country_name.h"
 #include "app/certificate/dcc_text.h"
 #include "app/certificate/dsi_list.h"
 #include "app/certificate/statements.h"
@@ -26,7 +27,7 @@ void add_coordinates(XmlElement& location, const Laboratory& laboratory) {
   if (laboratory.height_m) coordinate("dcc:positionCoordinate3", *laboratory.height_m, "\\metre");
 }
 
-XmlElement add_contact_lines(XmlElement& contact, const Contact& from) {
+XmlElement add_contact_lines(XmlElement& contact, const Words& words, const Contact& from) {
   add_name(contact, "dcc:name", from.name);
   add_line(contact, "dcc:eMail", from.email);
   add_line(contact, "dcc:phone", from.phone);
@@ -36,6 +37,8 @@ XmlElement add_contact_lines(XmlElement& contact, const Contact& from) {
   add_line(location, "dcc:city", from.city);
   add_line(location, "dcc:state", from.state);
   add_line(location, "dcc:countryCode", from.country_code);
+  if (const std::string name = country_name(from.country_code, words.language()); !name.empty())
+    add_words(location, "dcc:further", words.as_given(name));
   return location;
 }
 
@@ -53,12 +56,12 @@ void add_core_data(XmlElement& administrative, const Certificate& certificate) {
   const LaboratoryFile& laboratory = certificate.laboratory;
   XmlElement core = administrative.add("dcc:coreData");
   core.add("dcc:countryCodeISO3166_1", laboratory.laboratory.contact.country_code);
-  core.add("dcc:usedLangCodeISO639_1", kLanguage);
-  core.add("dcc:mandatoryLangCodeISO639_1", kLanguage);
+  core.add("dcc:usedLangCodeISO639_1", certificate.words.language());
+  core.add("dcc:mandatoryLangCodeISO639_1", certificate.words.language());
   add_line(core, "dcc:uniqueIdentifier", certificate.number);
   if (const std::string order = one_line(laboratory.job.order); !order.empty()) {
     XmlElement identifications = core.add("dcc:identifications");
-    add_identification(identifications, "customer", order, "Order");
+    add_identification(identifications, "customer", order, certificate.words("Order"));
   }
   if (laboratory.job.received) core.add("dcc:receiptDate", format_date(*laboratory.job.received));
   const auto [begin, end] = performed(certificate);
@@ -72,37 +75,39 @@ void add_core_data(XmlElement& administrative, const Certificate& certificate) {
     change.add("dcc:typeOfChange", "amended");
     add_line(change, "dcc:replacedUniqueIdentifier", replaced->number);
     if (!replaced->sha256.empty())
-      add_hash(core, "dcc:previousReport", "The certificate that this one replaces", replaced->number,
-               replaced->sha256);
+      add_hash(core, "dcc:previousReport", certificate.words("The certificate that this one replaces"),
+               replaced->number, replaced->sha256);
   }
 }
 
 void add_items(XmlElement& administrative, const Certificate& certificate) {
   const ReportData& data = certificate.run.data;
   const Job& job = certificate.laboratory.job;
+  const Words& words = certificate.words;
   XmlElement item = administrative.add("dcc:items").add("dcc:item");
   add_name(item, "dcc:name", job.item_name);
-  add_words(item, "dcc:description", "Condition on receipt: " + one_line(job.condition));
+  add_words(item, "dcc:description", words("Condition on receipt: {}", one_line(job.condition)));
   if (const std::string maker = one_line(data.label("item.maker")); !maker.empty()) {
     XmlElement manufacturer = item.add("dcc:manufacturer");
     add_name(manufacturer, "dcc:name", maker);
   }
   add_line(item, "dcc:model", data.label("item.model"));
   XmlElement identifications = item.add("dcc:identifications");
-  add_identification(identifications, "manufacturer", data.label("item.serial_number"), "Serial number");
+  add_identification(identifications, "manufacturer", data.label("item.serial_number"),
+                     words("Serial number"));
   if (!one_line(job.owner_id).empty())
-    add_identification(identifications, "customer", job.owner_id, "Number of the owner");
+    add_identification(identifications, "customer", job.owner_id, words("Number of the owner"));
 
   XmlElement settings;
-  for (const auto& [key, words] : {std::pair{"item.range", "Range"},
-                                   {"item.filter", "Filter"},
-                                   {"item.firmware", "Firmware"},
-                                   {"item.supply", "Supply"}}) {
+  for (const auto& [key, name] : {std::pair{"item.range", words("Range")},
+                                  {"item.filter", words("Filter")},
+                                  {"item.firmware", words("Firmware")},
+                                  {"item.supply", words("Supply")}}) {
     const std::string text = one_line(data.label(key));
     if (text.empty()) continue;
     if (settings.node() == nullptr) settings = item.add("dcc:itemQuantities");
     XmlElement quantity = settings.add("dcc:itemQuantity");
-    add_words(quantity, "dcc:name", words);
+    add_words(quantity, "dcc:name", name);
     XmlElement value = quantity.add("dcc:noQuantity");
     value.add("dcc:content", text);
   }
@@ -123,15 +128,18 @@ void add_person(XmlElement& persons, const LaboratoryFile& laboratory, const std
 }
 
 void add_persons(XmlElement& administrative, const Certificate& certificate) {
+  const Words& words = certificate.words;
   XmlElement persons = administrative.add("dcc:respPersons");
   for (const RunOperator& who : certificate.operators)
     add_person(persons, certificate.laboratory, who.name,
-               who.verified() ? "measured by" : fmt::format("measured by ({})", kNotVerified), false);
+               words(who.verified() ? "measured by" : "measured by (stated, not verified)").text, false);
   if (certificate.issue)
-    add_person(persons, certificate.laboratory, certificate.issue->approved_by, "approved by", true);
+    add_person(persons, certificate.laboratory, certificate.issue->approved_by, words("approved by").text,
+               true);
 }
 
-void add_statement(XmlElement& statements, const Statement& from, const Contact& customer) {
+void add_statement(XmlElement& statements, const Words& words, const Statement& from,
+                   const Contact& customer) {
   XmlElement statement = statements.add("dcc:statement");
   statement.attribute("refType", from.ref_type);
   add_words(statement, "dcc:name", from.title);
@@ -142,7 +150,7 @@ void add_statement(XmlElement& statements, const Statement& from, const Contact&
   if (from.date) statement.add("dcc:date", format_date(*from.date));
   if (from.of_customer) {
     XmlElement authority = statement.add("dcc:respAuthority");
-    add_contact_lines(authority, customer);
+    add_contact_lines(authority, words, customer);
   }
   add_line(statement, "dcc:nonSIDefinition", from.non_si_definition);
   add_line(statement, "dcc:nonSIUnit", from.non_si_unit);
@@ -153,11 +161,11 @@ void add_statement(XmlElement& statements, const Statement& from, const Contact&
 void add_administrative_data(XmlElement& root, const Certificate& certificate) {
   XmlElement administrative = root.add("dcc:administrativeData");
   XmlElement software = administrative.add("dcc:dccSoftware");
-  add_software(software, "abcal", certificate.program_version);
+  add_software(software, certificate.words, "abcal", certificate.program_version);
 
   XmlElement definition = administrative.add("dcc:refTypeDefinitions").add("dcc:refTypeDefinition");
   add_words(definition, "dcc:name",
-            "Triaxial accelerometers calibrated by rotations in gravity (ABC protocol)");
+            certificate.words("Triaxial accelerometers calibrated by rotations in gravity (ABC protocol)"));
   definition.add("dcc:namespace", "abc");
   definition.add("dcc:link", "https://doi.org/10.6028/jres.126.038");
 
@@ -168,15 +176,15 @@ void add_administrative_data(XmlElement& root, const Certificate& certificate) {
   XmlElement laboratory = administrative.add("dcc:calibrationLaboratory");
   add_line(laboratory, "dcc:calibrationLaboratoryCode", from.accreditation);
   XmlElement contact = laboratory.add("dcc:contact");
-  XmlElement location = add_contact_lines(contact, from.contact);
+  XmlElement location = add_contact_lines(contact, certificate.words, from.contact);
   add_coordinates(location, from);
 
   add_persons(administrative, certificate);
   XmlElement customer = administrative.add("dcc:customer");
-  add_contact_lines(customer, certificate.laboratory.customer);
+  add_contact_lines(customer, certificate.words, certificate.laboratory.customer);
   XmlElement statements = administrative.add("dcc:statements");
   for (const Statement& statement : statements_of(certificate))
-    add_statement(statements, statement, certificate.laboratory.customer);
+    add_statement(statements, certificate.words, statement, certificate.laboratory.customer);
 }
 
 }  // namespace abcal

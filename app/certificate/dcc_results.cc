@@ -1,15 +1,21 @@
 #include "app/certificate/dcc_results.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <array>
+#include <cctype>
+#include <charconv>
 #include <cmath>
 #include <functional>
 
+#include "app/certificate/dcc_budget.h"
 #include "app/certificate/dcc_conditions.h"
 #include "app/certificate/dcc_text.h"
 #include "app/certificate/dsi_list.h"
+#include "app/certificate/scope.h"
+#include "app/units/dsi_unit.h"
 #include "protocol/analysis/intrinsic_properties.h"
 
 namespace abcal {
@@ -29,31 +35,68 @@ std::vector<std::string> row_labels(const std::string& symbol, std::size_t row) 
   return list;
 }
 
-XmlElement add_result(XmlElement& results, const std::string& ref_type, const std::string& name,
-                      const std::string& description = {}) {
+XmlElement add_result(XmlElement& results, const std::string& ref_type, const Wording& name,
+                      const Wording& description = {}) {
   XmlElement result = results.add("dcc:result");
   result.attribute("refType", ref_type);
   add_words(result, "dcc:name", name);
-  if (!description.empty()) add_words(result, "dcc:description", description);
+  if (!description.text.empty()) add_words(result, "dcc:description", description);
   return result.add("dcc:data");
 }
 
-XmlElement add_quantity(XmlElement& parent, const std::string& ref_type, const std::string& name) {
+XmlElement add_quantity(XmlElement& parent, const std::string& ref_type, const Wording& name) {
   XmlElement quantity = parent.add("dcc:quantity");
   quantity.attribute("refType", ref_type);
   add_words(quantity, "dcc:name", name);
   return quantity;
 }
 
-void add_rows(XmlElement& data, const std::string& ref_type,
-              const std::function<ValueList(std::size_t)>& row) {
-  XmlElement list = data.add("dcc:list");
-  list.attribute("refType", ref_type);
-  for (std::size_t j = 0; j < 3; ++j) {
-    XmlElement quantity =
-        add_quantity(list, "basic_measuredValue", std::string("row of accelerometer ") + kAccelerometers[j]);
-    add_value_list(quantity, row(j));
+/// Degrees of freedom below this are stated; k of more is that of a normal distribution to all its digits.
+constexpr double kManyDegrees = 1000.0;
+
+/// Degrees of freedom of each output, and which uncertainties were raised to the scope's.
+void add_list_metadata(XmlElement& quantity, const Words& words, const ValueList& list) {
+  std::vector<std::string> labels, degrees, raised;
+  std::vector<std::string> calculated;
+  for (Eigen::Index i = 0; i < list.values.size(); ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    if (list.degrees_of_freedom[i] < kManyDegrees) {
+      labels.push_back("nu(" + list.labels[at] + ")");
+      degrees.push_back(fmt::format("{:.0f}", std::floor(list.degrees_of_freedom[i])));
+    }
+    const double own = list.coverage_factor[i] * list.standard_uncertainty[i];
+    if (!list.cmc.empty() && certified_uncertainty(own, list.cmc[at]).raised) {
+      raised.push_back("U(" + list.labels[at] + ")");
+      calculated.push_back(rounded_value(0.0, own, list.labels[at]).expanded);
+    }
   }
+  if (labels.empty() && raised.empty()) return;
+  XmlElement metadata = quantity.add("dcc:measurementMetaData");
+  if (!labels.empty()) {
+    XmlElement metadatum =
+        add_metadatum(metadata, "abc_degreesOfFreedom", words("Effective degrees of freedom"));
+    XmlElement data = metadatum.add("dcc:data");
+    XmlElement of = add_quantity(data, "abc_degreesOfFreedom", words("Effective degrees of freedom"));
+    add_number_list(of, labels, degrees, "\\one");
+  }
+  if (raised.empty()) return;
+  XmlElement metadatum = add_metadatum(metadata, "abc_raisedToScope",
+                                       words("U raised to the smallest of the laboratory's scope (CMC)"));
+  add_text(metadatum, words("As computed, in {}: {}", list.unit,
+                            fmt::format("{} = {}", fmt::join(raised, ", "), fmt::join(calculated, ", "))));
+}
+
+void add_list(XmlElement& parent, const Words& words, const Wording& name, const ValueList& list) {
+  XmlElement quantity = add_quantity(parent, "basic_measuredValue", name);
+  add_value_list(quantity, list);
+  add_list_metadata(quantity, words, list);
+}
+
+void add_rows(XmlElement& data, const Words& words, const std::function<ValueList(std::size_t)>& row) {
+  XmlElement list = data.add("dcc:list");
+  list.attribute("refType", "abc_matrix3x3");
+  for (std::size_t j = 0; j < 3; ++j)
+    add_list(list, words, words("row of accelerometer {}", kAccelerometers[j]), row(j));
 }
 
 std::vector<Quantity> as_vector(const Triple& triple) {
@@ -61,11 +104,10 @@ std::vector<Quantity> as_vector(const Triple& triple) {
 }
 
 /// Values with their covariance, so that a customer can propagate it.
-void add_values(XmlElement& results, const std::string& ref_type, const std::string& name,
+void add_values(XmlElement& results, const Words& words, const std::string& ref_type, const Wording& name,
                 const ValueList& values) {
   XmlElement data = add_result(results, ref_type, name);
-  XmlElement quantity = add_quantity(data, "basic_measuredValue", name);
-  add_value_list(quantity, values);
+  add_list(data, words, name, values);
 }
 
 Eigen::MatrixXd block(const Eigen::MatrixXd& covariance, Eigen::Index first) {
@@ -110,95 +152,156 @@ const DerivedList& group_of(const CertifiedRun& run, const std::string& name) {
   return found->quantities;
 }
 
-DerivedList offsets_of(const CalibrationResult& result) {
-  DerivedList list;
-  for (std::size_t j = 0; j < 3; ++j) {
-    DerivedQuantity& offset = list.emplace_back();
-    offset.value = result.offset[j];
-    offset.gradient[9 + static_cast<Eigen::Index>(j)] = 1.0;
+using Scope = std::vector<ScopeLimit>;
+
+/// A unit in which the scope has its entries, and how many of it are one of the list's.
+struct OtherUnit {
+  std::string unit;
+  double factor = 1.0;
+};
+
+/// The list with the smallest uncertainties that the scope allows for its values.
+ValueList within(const Scope& scope, const std::string& quantity, ValueList list,
+                 const std::optional<OtherUnit>& other = {}) {
+  for (Eigen::Index i = 0; i < list.values.size(); ++i) {
+    std::optional<double> cmc = smallest_uncertainty(scope, quantity, list.values[i], list.unit);
+    if (!cmc && other) {
+      cmc = smallest_uncertainty(scope, quantity, list.values[i] * other->factor, other->unit);
+      if (cmc) *cmc /= other->factor;
+    }
+    list.cmc.push_back(cmc);
   }
   return list;
 }
 
-DerivedList angles_of(const CalibrationResult& result) {
-  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
-  DerivedList list;
-  for (std::size_t j = 0; j < 3; ++j) {
-    DerivedQuantity& angle = list.emplace_back();
-    angle.value = result.intrinsic_angle[j];
-    angle.gradient.head<12>() = jacobian.row(3 + static_cast<Eigen::Index>(j)).transpose();
-  }
-  return list;
-}
-
-DerivedList joined(DerivedList list, const DerivedList& more) {
-  list.insert(list.end(), more.begin(), more.end());
+/// The same for sensitivities with the offsets behind them.
+ValueList all_within(const Scope& scope, ValueList list, const std::string& unit_of_offsets) {
+  list = within(scope, "sensitivity", std::move(list));
+  for (Eigen::Index i = 9; i < list.values.size(); ++i)
+    list.cmc[static_cast<std::size_t>(i)] =
+        smallest_uncertainty(scope, "offset", list.values[i], unit_of_offsets);
   return list;
 }
 
 /// In SI units: sensitivities per m/s2, to which the uncertainty of local gravity belongs.
-void add_si(XmlElement& results, const CertifiedRun& run) {
+void add_si(XmlElement& results, const Words& words, const Scope& scope, const CertifiedRun& run) {
   const CalibrationResult& result = run.data.result();
   const DerivedList &sensitivity = group_of(run, "sensitivity"),
                     &intrinsic = group_of(run, "intrinsic_sensitivity");
-  const std::string frame = "Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up.";
-  XmlElement matrix = add_result(results, "abc_sensitivityMatrix", "Sensitivity matrix", frame);
-  add_rows(matrix, "abc_matrix3x3", [&](std::size_t j) {
+  // The scope is per local gravity, as results are.
+  const OtherUnit per_gravity{(*result.sensitivity_matrix)[0][0].unit, result.g_loc.value};
+  XmlElement matrix =
+      add_result(results, "abc_sensitivityMatrix", words("Sensitivity matrix"),
+                 words("Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up."));
+  add_rows(matrix, words, [&](std::size_t j) {
     const auto first = sensitivity.begin() + static_cast<std::ptrdiff_t>(3 * j);
     const DerivedList row(first, first + 3);
-    return list_of(row_labels("s", j), values_of(row), covariance_of(result, row));
+    return within(scope, "sensitivity",
+                  list_of(row_labels("s", j), values_of(row), covariance_of(result, row)), per_gravity);
   });
-  add_values(results, "abc_intrinsicSensitivities", "Intrinsic sensitivities",
-             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic)));
-  const Eigen::MatrixXd nine = *result.covariance_intrinsic;
-  add_values(results, "abc_intrinsicAngles", "Intrinsic angles between the sensitive directions",
-             list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3)));
-  add_values(results, "abc_offsets", "Zero-acceleration offsets",
-             list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6)));
-  const DerivedList outputs = joined(sensitivity, offsets_of(result));
-  add_values(results, "abc_allOutputs", "Sensitivity matrix row by row and offsets, with their covariance",
-             list_of(output_labels("s"), values_of(outputs), covariance_of(result, outputs)));
-  const DerivedList intrinsics = joined(joined(intrinsic, angles_of(result)), offsets_of(result));
   add_values(
-      results, "abc_allIntrinsic",
-      "Intrinsic sensitivities, intrinsic angles and offsets, with their covariance: what does not depend on "
-      "the mounting",
-      list_of(intrinsic_labels("s"), values_of(intrinsics), covariance_of(result, intrinsics)));
+      results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
+      within(scope, "sensitivity",
+             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic)),
+             per_gravity));
+  const Eigen::MatrixXd nine = *result.covariance_intrinsic;
+  add_values(results, words, "abc_intrinsicAngles",
+             words("Intrinsic angles between the sensitive directions"),
+             within(scope, "angle",
+                    list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
+  add_values(results, words, "abc_offsets", words("Zero-acceleration offsets"),
+             within(scope, "offset",
+                    list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
 }
 
 /// As the analysis has them: the change of the output for one g_loc. Local gravity's uncertainty is not in
 /// them.
-void add_per_gravity(XmlElement& results, const CalibrationResult& result) {
+void add_per_gravity(XmlElement& results, const Words& words, const Scope& scope,
+                     const CalibrationResult& result) {
   const std::string s = "g_loc*s";
-  const std::string what =
-      "Change of the output for an acceleration of one local gravity g_loc, which is among the conditions; "
-      "its "
-      "uncertainty does not enter.";
   XmlElement matrix =
-      add_result(results, "abc_sensitivityMatrixPerGravity", "Sensitivity matrix per local gravity", what);
+      add_result(results, "abc_sensitivityMatrixPerGravity", words("Sensitivity matrix per local gravity"),
+                 words("Change of the output for an acceleration of one local gravity g_loc, which is among "
+                       "the conditions; "
+                       "its uncertainty does not enter."));
   std::vector<Quantity> twelve;
-  add_rows(matrix, "abc_matrix3x3", [&](std::size_t j) {
+  add_rows(matrix, words, [&](std::size_t j) {
     const auto& row = (*result.sensitivity_matrix)[j];
     twelve.insert(twelve.end(), row.begin(), row.end());
-    return list_of(row_labels(s, j), {row.begin(), row.end()},
-                   block(*result.covariance, static_cast<Eigen::Index>(3 * j)));
+    return within(scope, "sensitivity",
+                  list_of(row_labels(s, j), {row.begin(), row.end()},
+                          block(*result.covariance, static_cast<Eigen::Index>(3 * j))));
   });
-  add_values(results, "abc_intrinsicSensitivitiesPerGravity", "Intrinsic sensitivities per local gravity",
-             list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
-                     block(*result.covariance_intrinsic, 0)));
+  add_values(results, words, "abc_intrinsicSensitivitiesPerGravity",
+             words("Intrinsic sensitivities per local gravity"),
+             within(scope, "sensitivity",
+                    list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+                            block(*result.covariance_intrinsic, 0))));
   twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
-  add_values(results, "abc_allOutputsPerGravity",
-             "Sensitivity matrix per local gravity row by row and offsets, with their covariance",
-             list_of(output_labels(s), twelve, *result.covariance));
-  std::vector<Quantity> nine = as_vector(result.intrinsic_sensitivity);
-  for (const Triple* triple : {&result.intrinsic_angle, &result.offset})
-    nine.insert(nine.end(), triple->begin(), triple->end());
-  add_values(results, "abc_allIntrinsicPerGravity",
-             "Intrinsic sensitivities per local gravity, intrinsic angles and offsets, with their covariance",
-             list_of(intrinsic_labels(s), nine, *result.covariance_intrinsic));
+  add_values(results, words, "abc_allOutputsPerGravity",
+             words("Sensitivity matrix per local gravity row by row and offsets, with their covariance"),
+             all_within(scope, list_of(output_labels(s), twelve, *result.covariance), result.offset[0].unit));
 }
 
-void add_derived_group(XmlElement& results, const DerivedGroup& group) {
+/// Coefficients of correlation, row by row. Lists of several units draw warnings of the Schematron, so that a
+/// covariance of sensitivities, angles and offsets together is given in this form.
+void add_correlation(XmlElement& data, const std::string& ref_type, const Wording& name,
+                     const std::vector<std::string>& labels, const Eigen::MatrixXd& covariance) {
+  XmlElement list = data.add("dcc:list");
+  list.attribute("refType", ref_type);
+  add_words(list, "dcc:name", name);
+  for (Eigen::Index i = 0; i < covariance.rows(); ++i) {
+    XmlElement row = add_quantity(list, "abc_correlation", {labels[static_cast<std::size_t>(i)], {}});
+    std::vector<std::string> numbers;
+    for (Eigen::Index j = 0; j < covariance.cols(); ++j) {
+      const double scale = std::sqrt(covariance(i, i)) * std::sqrt(covariance(j, j));
+      const double of = i == j ? 1.0 : scale > 0.0 ? covariance(i, j) / scale : 0.0;
+      numbers.push_back(
+          dsi_number(std::round(of * 1e4) / 1e4, "correlation of " + labels[static_cast<std::size_t>(i)]));
+    }
+    add_number_list(row, labels, numbers, "\\one");
+  }
+}
+
+void add_correlations(XmlElement& results, const Words& words, const CertifiedRun& run) {
+  const CalibrationResult& result = run.data.result();
+  // Of quantities per m/s2: what local gravity has in common is in it.
+  DerivedList all = group_of(run, "sensitivity");
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
+  const auto add_output = [&](DerivedList& list, const auto& gradient) {
+    list.emplace_back().gradient.template head<12>() = gradient;
+  };
+  DerivedList nine = group_of(run, "intrinsic_sensitivity");
+  for (Eigen::Index row = 3; row < 6; ++row) add_output(nine, jacobian.row(row).transpose());
+  for (DerivedList* list : {&all, &nine})
+    for (Eigen::Index j = 9; j < 12; ++j) add_output(*list, Eigen::Matrix<double, 12, 1>::Unit(j));
+  XmlElement data = add_result(
+      results, "abc_correlations", words("Coefficients of correlation"),
+      words("With the standard uncertainties U/k they give the covariance of all outputs together."));
+  add_correlation(data, "abc_correlationOutputs", words("Sensitivity matrix row by row and offsets"),
+                  output_labels("s"), covariance_of(result, all));
+  add_correlation(data, "abc_correlationIntrinsic",
+                  words("Intrinsic sensitivities, intrinsic angles and offsets"), intrinsic_labels("s"),
+                  covariance_of(result, nine));
+}
+
+/// "transverse_sensitivity" as "abc_transverseSensitivity".
+std::string ref_type_of(const std::string& group) {
+  std::string name = "abc_";
+  bool upper = false;
+  for (const char c : group) {
+    if (c == '_') {
+      upper = true;
+      continue;
+    }
+    name += upper ? static_cast<char>(std::toupper(static_cast<unsigned char>(c))) : c;
+    upper = false;
+  }
+  return name;
+}
+
+void add_derived_group(XmlElement& results, const Words& words, const std::string& ref_type,
+                       const DerivedGroup& group, const Wording& name) {
   std::vector<Quantity> values;
   std::vector<std::string> names;
   for (const DerivedQuantity& quantity : group.quantities) {
@@ -207,105 +310,136 @@ void add_derived_group(XmlElement& results, const DerivedGroup& group) {
     names.push_back(quantity.name);
   }
   if (values.empty()) return;
-  const std::string missing = values.size() == group.quantities.size()
-                                  ? ""
-                                  : "Left out where the transverse sensitivity does not exceed its expanded "
-                                    "uncertainty, so that it has no direction.";
-  XmlElement data = add_result(results, "abc_derived", group.words, missing);
-  XmlElement quantity = add_quantity(data, "basic_measuredValue", group.words);
-  add_value_list(quantity, list_of(names, values));
+  XmlElement data =
+      add_result(results, ref_type, name,
+                 values.size() == group.quantities.size()
+                     ? Wording{}
+                     : words("Left out where the transverse sensitivity does not exceed its expanded "
+                             "uncertainty, so that it has no direction."));
+  add_list(data, words, name, list_of(names, values));
 }
 
-void add_metadata_quantity(XmlElement& data, const std::string& ref_type, const std::string& name,
-                           double value, const std::string& unit) {
+void add_number(XmlElement& data, const std::string& ref_type, const Wording& name, const std::string& number,
+                const std::string& unit) {
   XmlElement quantity = add_quantity(data, ref_type, name);
-  Quantity bare;
-  bare.value = value;
-  bare.unit = unit;
-  add_value(quantity, bare, name);
+  const auto add_real = [&](XmlElement& parent, const std::string& text, const DsiUnit& of) {
+    XmlElement real = parent.add("si:real");
+    real.add("si:value", text);
+    real.add("si:unit", of.text());
+  };
+  const UnitInDsi in = unit_in_dsi(unit);
+  if (!in.own) return add_real(quantity, number, in.unit);
+  XmlElement both = quantity.add("si:hybrid");
+  double value = 0.0;
+  std::from_chars(number.data(), number.data() + number.size(), value);
+  add_real(both, dsi_number(value * in.factor, name.text), in.unit);
+  add_real(both, number, *in.own);
 }
 
-void add_decision(XmlElement& data, const Decision& decision) {
+void add_decision(XmlElement& data, const Words& words, const Decision& decision) {
   const SpecificationLimit& limit = decision.limit;
-  XmlElement quantity = add_quantity(data, "basic_measuredValue", limit.quantity);
+  XmlElement quantity = add_quantity(data, "basic_measuredValue", {limit.quantity, {}});
   Quantity value;
   value.value = decision.value;
-  value.standard_uncertainty = decision.standard_uncertainty;
   value.unit = limit.unit;
+  value.degrees_of_freedom = decision.degrees_of_freedom;
+  // U as decided with, also where the scope raised it.
+  value.standard_uncertainty = decision.expanded_uncertainty / coverage_factor(value);
   add_value(quantity, value, limit.quantity);
-  XmlElement conformity = quantity.add("dcc:measurementMetaData").add("dcc:metaData");
-  conformity.attribute("refType", "basic_conformity");
-  add_words(conformity, "dcc:name", "Conformity of " + limit.quantity);
+  XmlElement metadata = quantity.add("dcc:measurementMetaData");
+  XmlElement conformity =
+      add_metadatum(metadata, "basic_conformity", words("Conformity of {}", limit.quantity));
   add_line(conformity, "dcc:reference", limit.source);
   conformity.add("dcc:conformity", to_string(decision.conformity));
   XmlElement facts = conformity.add("dcc:data");
-  const auto add = [&](const std::string& ref_type, const std::string& name,
-                       const std::optional<double>& of) {
-    if (of) add_metadata_quantity(facts, ref_type, name, *of, limit.unit);
+  const auto add_limit = [&](const std::string& ref_type, const Wording& name,
+                             const std::optional<double>& of) {
+    if (of) add_number(facts, ref_type, name, dsi_number(*of, limit.quantity), limit.unit);
   };
-  add("basic_toleranceLimitLower", "lower tolerance limit", limit.lower);
-  add("basic_toleranceLimitUpper", "upper tolerance limit", limit.upper);
-  add("basic_acceptanceLimitLower", "lower acceptance limit", decision.lower_acceptance);
-  add("basic_acceptanceLimitUpper", "upper acceptance limit", decision.upper_acceptance);
-  add("abc_guardBand", "guard band", decision.guard_band);
-  add_metadata_quantity(facts, "abc_conformanceProbability",
-                        "probability that the true value lies inside the tolerance limits",
-                        decision.conformance_probability, "1");
+  add_limit("basic_toleranceLimitLower", words("lower tolerance limit"), limit.lower);
+  add_limit("basic_toleranceLimitUpper", words("upper tolerance limit"), limit.upper);
+  // What follows from U has the digits of U.
+  const auto add_rounded = [&](const std::string& ref_type, const Wording& name,
+                               const std::optional<double>& of) {
+    if (of)
+      add_number(facts, ref_type, name,
+                 rounded_value(*of, decision.expanded_uncertainty, limit.quantity).value, limit.unit);
+  };
+  add_rounded("basic_acceptanceLimitLower", words("lower acceptance limit"), decision.lower_acceptance);
+  add_rounded("basic_acceptanceLimitUpper", words("upper acceptance limit"), decision.upper_acceptance);
+  add_rounded("abc_guardBand", words("guard band"), decision.guard_band);
+  constexpr double kDigits = 1e6;
+  add_number(facts, "abc_conformanceProbability",
+             words("probability that the true value lies inside the tolerance limits"),
+             dsi_number(std::round(decision.conformance_probability * kDigits) / kDigits, limit.quantity),
+             "1");
 }
 
-void add_shifts(XmlElement& results, const std::vector<Shift>& shifts) {
+void add_shifts(XmlElement& results, const Words& words, const std::vector<Shift>& shifts) {
   if (shifts.empty()) return;
-  XmlElement data =
-      add_result(results, "abc_shift", "As left minus as found",
-                 "Uncertainties take both calibrations as independent, an upper bound where they "
-                 "were made on the same stage.");
+  XmlElement data = add_result(
+      results, "abc_shift", words("As left minus as found"),
+      words("Uncertainties take both calibrations as independent, an upper bound where they were made "
+            "on the same stage."));
   for (const Shift& shift : shifts) {
-    XmlElement quantity = add_quantity(data, "abc_difference", shift.name);
+    XmlElement quantity = add_quantity(data, "abc_difference", {shift.name, {}});
     add_value(quantity, shift.difference, "shift of " + shift.name);
-    XmlElement error = quantity.add("dcc:measurementMetaData").add("dcc:metaData");
-    error.attribute("refType", "abc_normalisedError");
+    XmlElement metadata = quantity.add("dcc:measurementMetaData");
+    const Wording name = words("E_n, difference divided by its expanded uncertainty");
+    XmlElement error = add_metadatum(metadata, "abc_normalisedError", name);
     XmlElement facts = error.add("dcc:data");
-    add_metadata_quantity(facts, "abc_normalisedError", "E_n, difference divided by its expanded uncertainty",
-                          shift.normalised_error, "1");
+    add_number(facts, "abc_normalisedError", name, fmt::format("{:.2f}", shift.normalised_error), "1");
   }
 }
 
-void add_results(XmlElement& measurement, const CertifiedRun& run, const std::vector<Shift>& shifts) {
+void add_results(XmlElement& measurement, const Words& words, const Scope& scope, const CertifiedRun& run,
+                 const std::vector<Shift>& shifts) {
   XmlElement results = measurement.add("dcc:results");
   const CalibrationResult& result = run.data.result();
   if (!run.has_numbers()) {
-    XmlElement data = add_result(results, "abc_noResult", "No result");
+    XmlElement data = add_result(results, "abc_noResult", words("No result"));
     add_words(data, "dcc:text",
-              "No numbers are given, since the run gave none that may be used: " + result.why);
+              words("No numbers are given, since the run gave none that may be used: {}", result.why));
     return;
   }
-  add_si(results, run);
-  add_per_gravity(results, result);
+  add_si(results, words, scope, run);
+  add_per_gravity(results, words, scope, result);
+  int unit = 0;
   for (const DerivedGroup& group : run.derived) {
-    const bool done = group.name == "sensitivity" || group.name == "intrinsic_sensitivity";
-    if (!done) add_derived_group(results, group);
+    if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;
+    if (!group.name.starts_with("sensitivity [")) {
+      add_derived_group(results, words, ref_type_of(group.name), group, words(group.words));
+      continue;
+    }
+    const std::string& own = group.quantities.front().value.unit;
+    add_derived_group(results, words, fmt::format("abc_sensitivityInUnit{}", ++unit), group,
+                      own.ends_with("/g") ? words("Sensitivity in {}, with standard gravity", own)
+                                          : words("Sensitivity in {}", own));
   }
   if (!run.decisions.empty()) {
-    XmlElement data = add_result(results, "abc_conformity", "Conformity with specification");
-    for (const Decision& decision : run.decisions) add_decision(data, decision);
+    XmlElement data = add_result(results, "abc_conformity", words("Conformity with specification"));
+    for (const Decision& decision : run.decisions) add_decision(data, words, decision);
   }
-  add_shifts(results, shifts);
+  add_shifts(results, words, shifts);
+  add_correlations(results, words, run);
+  if (run.data.budget) add_budget(results, words, run.data);
 }
 
 void add_measurement(XmlElement& measurements, const Certificate& certificate, const CertifiedRun& run,
                      const ItemState& state, const std::vector<Shift>& shifts) {
+  const Words& words = certificate.words;
   XmlElement measurement = measurements.add("dcc:measurementResult");
   measurement.attribute("refType", "abc_calibration");
-  std::string name = "Calibration by rotations in gravity (ABC protocol)";
-  if (!state.words.empty()) name += ", " + state.words;
-  if (certificate.draft()) name = "DRAFT: " + name;
-  add_words(measurement, "dcc:name", name);
+  std::string name = words("Calibration by rotations in gravity (ABC protocol)").text;
+  if (!state.words.empty()) name += ", " + words.known(state.words);
+  if (certificate.draft()) name = words("DRAFT").text + ": " + name;
+  add_words(measurement, "dcc:name", words.as_given(name));
   add_methods(measurement, certificate, run.data);
   add_used_software(measurement, certificate, run.data);
   add_equipment(measurement, certificate, run.data);
   add_conditions(measurement, certificate, run.data, state);
-  add_results(measurement, run, shifts);
-  add_metadata(measurement, run.data);
+  add_results(measurement, words, certificate.laboratory.scope, run, shifts);
+  add_metadata(measurement, certificate, run.data);
 }
 
 }  // namespace

@@ -13,10 +13,23 @@ std::string line_or_not_stated(std::string_view text) {
 
 }  // namespace
 
-XmlElement add_words(XmlElement& parent, std::string_view element, std::string_view words) {
+XmlElement add_words(XmlElement& parent, std::string_view element, const Wording& words) {
   XmlElement child = parent.add(element);
-  child.add("dcc:content", line_or_not_stated(words)).attribute("lang", kLanguage);
+  XmlElement content = child.add("dcc:content", line_or_not_stated(words.text));
+  if (!words.language.empty()) content.attribute("lang", words.language);
   return child;
+}
+
+void add_text(XmlElement& parent, const Wording& words) {
+  XmlElement data = parent.add("dcc:data");
+  add_words(data, "dcc:text", words);
+}
+
+XmlElement add_metadatum(XmlElement& list, std::string_view ref_type, const Wording& name) {
+  XmlElement metadatum = list.add("dcc:metaData");
+  metadatum.attribute("refType", ref_type);
+  add_words(metadatum, "dcc:name", name);
+  return metadatum;
 }
 
 XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name) {
@@ -33,24 +46,23 @@ std::string release_of(const std::string& program_version) {
   return "v" + program_version.substr(0, program_version.find(' '));
 }
 
-void add_software(XmlElement& list, std::string_view name, const std::string& version,
-                  std::string_view type) {
+void add_software(XmlElement& list, const Words& words, std::string_view name, const std::string& version) {
   XmlElement software = list.add("dcc:software");
   add_name(software, "dcc:name", name);
   software.add("dcc:release", release_of(version));
-  software.add("dcc:type", type);
-  add_words(software, "dcc:description", "version and commit: " + one_line(version));
+  software.add("dcc:type", "application");
+  add_words(software, "dcc:description", words("version and commit: {}", one_line(version)));
 }
 
 void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
-                        std::string_view name) {
+                        const Wording& name) {
   XmlElement identification = list.add("dcc:identification");
   identification.add("dcc:issuer", issuer);
   identification.add("dcc:value", line_or_not_stated(value));
   add_words(identification, "dcc:name", name);
 }
 
-void add_hash(XmlElement& parent, std::string_view element, std::string_view words, std::string_view id,
+void add_hash(XmlElement& parent, std::string_view element, const Wording& words, std::string_view id,
               std::string_view sha256) {
   XmlElement hash = parent.add(element);
   add_words(hash, "dcc:referral", words);

@@ -3,15 +3,19 @@
 #include <string>
 #include <string_view>
 
+#include "app/certificate/words.h"
 #include "app/xml/xml_tree.h"
 
 namespace abcal {
 
-/// The language of the program's own sentences; names of persons, places and things have none.
-inline constexpr const char* kLanguage = "en";
+/// Adds an element of a sentence or name of ours, in its language.
+XmlElement add_words(XmlElement& parent, std::string_view element, const Wording& words);
 
-/// Adds an element of a sentence or name of ours, in the language of the certificate.
-XmlElement add_words(XmlElement& parent, std::string_view element, std::string_view words);
+/// Adds the same as text within dcc:data.
+void add_text(XmlElement& parent, const Wording& words);
+
+/// Adds a dcc:metaData with its name.
+XmlElement add_metadatum(XmlElement& list, std::string_view ref_type, const Wording& name);
 
 /// Adds an element with a name that belongs to no language.
 XmlElement add_name(XmlElement& parent, std::string_view element, std::string_view name);
@@ -20,15 +24,14 @@ XmlElement add_name(XmlElement& parent, std::string_view element, std::string_vi
 void add_line(XmlElement& parent, std::string_view element, std::string_view text);
 
 /// Adds software with its release as the business rules require it ("v0.2.0") and its version in full.
-void add_software(XmlElement& list, std::string_view name, const std::string& version,
-                  std::string_view type = "application");
+void add_software(XmlElement& list, const Words& words, std::string_view name, const std::string& version);
 
 /// Adds an identification: issuer, value and name.
 void add_identification(XmlElement& list, std::string_view issuer, std::string_view value,
-                        std::string_view name);
+                        const Wording& name);
 
 /// Adds a referral to another document by the hash of its file.
-void add_hash(XmlElement& parent, std::string_view element, std::string_view words, std::string_view id,
+void add_hash(XmlElement& parent, std::string_view element, const Wording& words, std::string_view id,
               std::string_view sha256);
 
 }  // namespace abcal

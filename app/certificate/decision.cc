@@ -53,41 +53,45 @@ std::string_view to_string(Conformity conformity) {
   return "fail";
 }
 
-std::string describe(const DecisionRule& rule) {
+Wording describe(const DecisionRule& rule, const Words& words) {
   // A value right at an acceptance limit, of which the limit that matters is r U = 2 r u away.
-  const double worst = 100.0 * normal_below(-kCoverageFactor * rule.guard_factor);
-  const std::string band =
-      fmt::format("acceptance limits inside the tolerance limits by the guard band w = {:.4g} U (k = 2)",
-                  rule.guard_factor);
+  const auto in_language = [&](std::string number) {
+    if (const std::size_t point = number.find('.'); point != std::string::npos)
+      number.replace(point, 1, words.known("."));
+    return number;
+  };
+  const std::string worst =
+      in_language(fmt::format("{:.2g}", 100.0 * normal_below(-kCoverageFactor * rule.guard_factor)));
+  const std::string factor = in_language(fmt::format("{:.4g}", rule.guard_factor));
   switch (rule.kind) {
     case DecisionKind::kSimple:
-      return "Simple acceptance: the acceptance limits are the tolerance limits (guard band w = 0); pass or "
-             "fail. "
-             "A value at a limit is accepted with a probability of up to 50 % that the true value is "
-             "outside.";
+      return words(
+          "Simple acceptance: the acceptance limits are the tolerance limits (guard band w = 0); pass or "
+          "fail. "
+          "A value at a limit is accepted with a probability of up to 50 % that the true value is outside.");
     case DecisionKind::kGuardBand:
-      return fmt::format(
-          "Binary decision with {}; pass or fail. An accepted value lies outside with a probability of "
-          "at most {:.2g} %.",
-          band, worst);
+      return words(
+          "Binary decision with acceptance limits inside the tolerance limits by the guard band w = {} U; "
+          "pass or "
+          "fail. An accepted value lies outside with a probability of at most {} %.",
+          factor, worst);
     case DecisionKind::kNonBinary:
-      return fmt::format(
-          "Non-binary decision with {}: pass inside the acceptance limits, conditionalPass between "
-          "acceptance "
-          "and tolerance limit, conditionalFail up to w outside the tolerance limit, fail beyond. A value "
-          "that "
-          "passes lies outside with a probability of at most {:.2g} %, one that passes conditionally of at "
-          "most "
-          "50 %.",
-          band, worst);
+      return words(
+          "Non-binary decision with acceptance limits inside the tolerance limits by the guard band w = {} "
+          "U: pass "
+          "inside the acceptance limits, conditional pass between acceptance and tolerance limit, "
+          "conditional fail "
+          "up to w outside the tolerance limit, fail beyond. A value that passes lies outside with a "
+          "probability "
+          "of at most {} %, one that passes conditionally of at most 50 %.",
+          factor, worst);
     case DecisionKind::kTestUncertaintyRatio:
       break;
   }
-  return "Binary decision with a guard band from the ratio TUR of tolerance to U (k = 2), w = U max(0, 1.04 "
-         "- "
-         "exp(0.38 ln TUR - 0.54)); pass or fail. At most 2 % of items are accepted falsely, however the "
-         "items "
-         "scatter.";
+  return words(
+      "Binary decision with a guard band from the ratio TUR of tolerance to U, w = U max(0, 1.04 - exp(0.38 "
+      "ln "
+      "TUR - 0.54)); pass or fail. At most 2 % of items are accepted falsely, however the items scatter.");
 }
 
 double guard_band(const DecisionRule& rule, const SpecificationLimit& limit, double expanded_uncertainty) {
@@ -114,7 +118,7 @@ double conformance_probability(double value, double standard_uncertainty, const 
 }
 
 Decision decide(const DecisionRule& rule, const SpecificationLimit& limit, double value,
-                double standard_uncertainty) {
+                double standard_uncertainty, double factor) {
   if (!std::isfinite(value) || !(standard_uncertainty >= 0.0) || !std::isfinite(standard_uncertainty))
     throw std::invalid_argument("no decision on " + limit.quantity + ": it has no value with an uncertainty");
   if (!limit.lower && !limit.upper)
@@ -123,7 +127,8 @@ Decision decide(const DecisionRule& rule, const SpecificationLimit& limit, doubl
   decision.limit = limit;
   decision.value = value;
   decision.standard_uncertainty = standard_uncertainty;
-  decision.expanded_uncertainty = kCoverageFactor * standard_uncertainty;
+  decision.coverage_factor = factor;
+  decision.expanded_uncertainty = factor * standard_uncertainty;
   const double guard = guard_band(rule, limit, decision.expanded_uncertainty);
   decision.guard_band = guard;
   if (limit.lower) decision.lower_acceptance = *limit.lower + guard;

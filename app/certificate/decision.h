@@ -1,9 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <string>
 #include <string_view>
+
+#include "app/certificate/words.h"
 
 namespace abcal {
 
@@ -27,7 +30,7 @@ struct DecisionRule {
 };
 
 /// The rule and its level of risk, in one sentence for the certificate.
-std::string describe(const DecisionRule& rule);
+Wording describe(const DecisionRule& rule, const Words& words);
 
 /// What a quantity must keep to. At least one of the two is there.
 struct SpecificationLimit {
@@ -43,14 +46,16 @@ struct Decision {
   SpecificationLimit limit;
   double value = 0.0;
   double standard_uncertainty = 0.0;
-  double expanded_uncertainty = 0.0;  ///< k = 2
+  double coverage_factor = 2.0;
+  double degrees_of_freedom = std::numeric_limits<double>::infinity();
+  double expanded_uncertainty = 0.0;  ///< U = k u
   double guard_band = 0.0;            ///< w
   std::optional<double> lower_acceptance, upper_acceptance;
   double conformance_probability = 0.0;  ///< JCGM 106: that the true value lies inside the limits.
   Conformity conformity = Conformity::kFail;
 };
 
-/// Guard band for limits, for a value with expanded uncertainty U (k = 2).
+/// Guard band for limits, for a value with expanded uncertainty U.
 /// @throws std::invalid_argument  kTestUncertaintyRatio without both limits
 double guard_band(const DecisionRule& rule, const SpecificationLimit& limit, double expanded_uncertainty);
 
@@ -60,8 +65,9 @@ double conformance_probability(double value, double standard_uncertainty, const 
                                const std::optional<double>& upper);
 
 /// @param value, standard_uncertainty in the limit's unit
+/// @param factor  k of U = k u
 /// @throws std::invalid_argument  value or uncertainty not finite, uncertainty negative, no limit at all
 Decision decide(const DecisionRule& rule, const SpecificationLimit& limit, double value,
-                double standard_uncertainty);
+                double standard_uncertainty, double factor = 2.0);
 
 }  // namespace abcal

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <functional>
+#include <limits>
 #include <map>
 #include <numbers>
 #include <stdexcept>
@@ -71,6 +72,7 @@ class Deriver {
     if (const auto b = propagated(result_.covariance_type_b))
       derived.value.type_b = std::sqrt(*b + by_gravity);
     derived.value.standard_uncertainty = std::sqrt(*propagated(result_.covariance) + by_gravity);
+    derived.value.degrees_of_freedom = least_degrees(derived);
     return derived;
   }
 
@@ -85,6 +87,21 @@ class Deriver {
   }
 
  private:
+  /// A derived quantity has the degrees of freedom of the least known output that it is made of, as the
+  /// intrinsic properties have.
+  double least_degrees(const DerivedQuantity& derived) const {
+    constexpr double kShare = 0.05;
+    double least = std::numeric_limits<double>::infinity();
+    const double variance = std::pow(derived.value.standard_uncertainty, 2);
+    for (Eigen::Index i = 0; i < 12; ++i) {
+      const auto at = static_cast<std::size_t>(i);
+      const Quantity& output = i < 9 ? (*result_.sensitivity_matrix)[at / 3][at % 3] : result_.offset[at - 9];
+      const double share = std::pow(derived.gradient[i], 2) * (*result_.covariance)(i, i);
+      if (share > kShare * variance) least = std::min(least, output.degrees_of_freedom);
+    }
+    return least;
+  }
+
   const CalibrationResult& result_;
   Inputs inputs_;
 };

@@ -10,7 +10,8 @@
 
 namespace abcal {
 
-/// The XML of a certificate, checked by the business rules, and by the schema if there is one.
+/// The XML of a certificate, checked by the business rules and by the schema.
+/// @param schema  null: by the rules only, for tests
 /// @throws CertificateRefused  with every violation: nothing is written then
 std::string checked_xml(const Certificate& certificate, const DccSchema* schema);
 

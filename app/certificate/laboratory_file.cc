@@ -7,6 +7,7 @@
 
 #include "app/certificate/derived.h"
 #include "app/certificate/iso_codes.h"
+#include "app/certificate/words.h"
 #include "app/toml/toml_reader.h"
 
 namespace abcal {
@@ -30,11 +31,12 @@ void read_contact(TomlReader& keys, Contact& contact) {
   }
 }
 
-void read_laboratory(TomlReader& keys, Laboratory& laboratory) {
+void read_laboratory(TomlReader& keys, Laboratory& laboratory, std::string& language) {
   keys.section("laboratory");
   read_contact(keys, laboratory.contact);
   if (laboratory.contact.street.empty())
     keys.add_missing("street", "its address: a street and number, or a post office box");
+  keys.text("language", language, Words::languages());
   keys.text("accreditation", laboratory.accreditation);
   keys.text("performance_location", laboratory.performance_location,
             {"laboratory", "customer", "laboratoryBranch", "customerBranch", "other"});
@@ -222,7 +224,7 @@ ReadLaboratoryFile parse_laboratory_file(std::string_view toml, const std::strin
   std::string schema = "abcal.laboratory/1";
   keys.section("");
   keys.text("schema", schema, {"abcal.laboratory/1"});
-  read_laboratory(keys, file.laboratory);
+  read_laboratory(keys, file.laboratory, file.language);
   read_customer(keys, file.customer);
   read_job(keys, file.job);
   read_persons(keys, file.persons);

@@ -83,6 +83,7 @@ struct LaboratoryFile {
   std::vector<Equipment> equipment;
   std::optional<DecisionRule> decision;
   std::vector<SpecificationLimit> limits;
+  std::string language = "en";     ///< Of the certificate (ISO 639-1).
   std::vector<ScopeLimit> scope;   ///< No smaller uncertainty is stated.
   std::vector<std::string> units;  ///< Of sensitivity, in addition to those of the certificate: "mV/g".
 };

@@ -13,29 +13,21 @@ namespace abcal {
 struct CertificateFiles {
   std::string laboratory;  ///< Laboratory file.
   std::string as_found;    ///< Run of the item before it was adjusted.
-  std::string schemas;     ///< Folder with the schemas of the certificate.
+  std::string schemas;     ///< Folder with schemas to be used instead of the program's.
+  std::string language;    ///< Instead of the laboratory file's.
 };
 
-/// The note where no schemas are given.
-inline constexpr const char* kNotValidated =
-    "the certificate follows the business rules; --schemas DIR validates it as well";
+/// The schemas that every certificate is checked with: those of the files, or else those of the program.
+/// @throws std::invalid_argument as DccSchema
+DccSchema schema_of(const CertificateFiles& files);
 
-/// The schemas of the files, if there are any. @throws std::invalid_argument as DccSchema
-std::optional<DccSchema> schema_of(const CertificateFiles& files);
-
-/// A certificate for a report of a run: its content and its XML.
-struct ReportedCertificate {
-  Certificate certificate;
-  std::string xml;   ///< As issued, byte for byte; for a draft, made now.
-  std::string note;  ///< What was not checked; empty: nothing.
-};
-
-/// The certificate of a run: the one that was issued, or else a draft from the laboratory file.
+/// The XML of a run's certificate: of the one that was issued, byte for byte, or else of a draft from the
+/// laboratory file.
 /// @param data   the run; it is copied into the certificate
 /// @param draft  make a draft in spite of any problem of the run
 /// @param now    for as-found data
 /// @throws LaboratoryFileError, CertificateRefused, RunFileError, std::invalid_argument (no laboratory file)
-ReportedCertificate certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,
-                                           Clock::UtcTime now);
+std::string certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,
+                                   Clock::UtcTime now);
 
 }  // namespace abcal

@@ -7,6 +7,8 @@
 
 #include <stdexcept>
 
+#include "app/system/helper_program.h"
+
 namespace abcal {
 namespace {
 
@@ -72,6 +74,10 @@ std::vector<DccProblem> DccSchema::check(const XmlDocument& document) const {
   if (xmlSchemaValidateDoc(validation.get(), document.get()) != 0 && problems.empty())
     problems.push_back({"the certificate", "could not be validated"});
   return problems;
+}
+
+std::filesystem::path program_schemas() {
+  return program_data("schemas");
 }
 
 }  // namespace abcal

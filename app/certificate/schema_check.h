@@ -28,4 +28,7 @@ class DccSchema {
   std::unique_ptr<Impl> impl_;
 };
 
+/// The folder of the schemas that come with the program: beside it, or installed in ../share/abcal/schemas.
+std::filesystem::path program_schemas();
+
 }  // namespace abcal

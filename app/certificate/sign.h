@@ -19,4 +19,8 @@ struct SigningKey {
 /// @throws std::invalid_argument  if key or certificate cannot be read, or do not belong together
 std::string sign_xml(const std::string& xml, const SigningKey& with);
 
+/// Why the XML signature of a document does not verify with a certificate (PEM); empty: it does.
+/// @throws ProgramMissing, RunInterrupted, std::runtime_error
+std::string why_signature_fails(const std::string& xml, const std::string& certificate_pem);
+
 }  // namespace abcal

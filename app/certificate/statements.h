@@ -11,8 +11,8 @@ namespace abcal {
 /// A sentence that a certificate must or may contain, for the XML and for pages.
 struct Statement {
   std::string ref_type;  ///< "abc_traceability"
-  std::string title;
-  std::string text;
+  Wording title;
+  Wording text;
   std::vector<std::string> norms, references;
   bool traceable = false;
   std::optional<Date> date;

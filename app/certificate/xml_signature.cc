@@ -86,7 +86,10 @@ std::string unformatted(xmlDoc* document) {
   return text;
 }
 
-bool verifies(const std::string& xml, const std::filesystem::path& certificate) {
+}  // namespace
+
+bool has_good_signature(const std::string& xml, const std::filesystem::path& certificate) {
+  start_xmlsec();
   const XmlDocument document = parse_xml(xml, "the signed certificate");
   xmlNode* signature =
       xmlSecFindNode(xmlDocGetRootElement(document.get()), xmlSecNodeSignature, xmlSecDSigNs);
@@ -94,8 +97,6 @@ bool verifies(const std::string& xml, const std::filesystem::path& certificate) 
   return signature != nullptr && xmlSecDSigCtxVerify(context.get(), signature) >= 0 &&
          context->status == xmlSecDSigStatusSucceeded;
 }
-
-}  // namespace
 
 std::string add_xml_signature(const std::string& xml, const SigningKey& with) {
   start_xmlsec();
@@ -111,7 +112,7 @@ std::string add_xml_signature(const std::string& xml, const SigningKey& with) {
   if (xmlSecDSigCtxSign(context.get(), signature) < 0)
     throw std::runtime_error(with.key.string() + ": the certificate could not be signed with it");
   std::string signed_xml = unformatted(document.get());
-  if (!verifies(signed_xml, with.certificate)) {
+  if (!has_good_signature(signed_xml, with.certificate)) {
     throw std::invalid_argument(with.certificate.string() + ": does not belong to the key " +
                                 with.key.string() + ", the signature does not verify with it");
   }

@@ -1,6 +1,6 @@
 #include "app/commands/certificate_options.h"
 
-#include "app/system/output.h"
+#include "app/certificate/words.h"
 
 namespace abcal {
 
@@ -10,11 +10,11 @@ void add_certificate_options(CLI::App& command, CertificateFiles& files) {
       "laboratory file (docs/examples/laboratory.toml): laboratory, customer, equipment, limits");
   command.add_option("--as-found", files.as_found, "run of the same item before its adjustment");
   command.add_option("--schemas", files.schemas,
-                     "folder with the schemas of the certificate (v3.3.0/dcc.xsd): validate it");
-}
-
-void print_note(const std::string& note) {
-  if (!note.empty()) print_log("note: {}\n", note);
+                     "folder with schemas (v3.3.0/dcc.xsd) to be used instead of the program's own");
+  command
+      .add_option("--language", files.language,
+                  "language of the certificate (default: the laboratory file's)")
+      ->check(CLI::IsMember(Words::languages()));
 }
 
 }  // namespace abcal

@@ -5,22 +5,30 @@
 #include <optional>
 
 #include "app/bench/real_clock.h"
+#include "app/certificate/certificate_page.h"
 #include "app/certificate/issue.h"
+#include "app/certificate/signature_checks.h"
+#include "app/certificate/signing_certificate.h"
 #include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
 #include "app/compare/check_chart.h"
+#include "app/document/document_html.h"
+#include "app/document/weasyprint.h"
 #include "app/laboratory/login.h"
 #include "app/session/time_stamp_authority.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
+#include "app/system/read_file.h"
+#include "app/system/temporary_folder.h"
 #include "protocol/record/sha256.h"
+#include "protocol/record/signature.h"
 
 namespace abcal {
 namespace {
 
 struct IssueOptions {
-  std::string run, number, measured_by, approved_by, date, replaces, reason, dcc, key, key_certificate,
+  std::string run, number, measured_by, approved_by, date, replaces, reason, dcc, pdf, key, key_certificate,
       register_location;
   bool force = false;
   CertificateFiles certificate;
@@ -136,6 +144,48 @@ void take_number(Registered& registered, Certificate& certificate, Clock::UtcTim
       registered.opened.reserve_number(registered.approver, request, now);
 }
 
+/// With a register, an approver signs with a key of their own that the register knows.
+void require_own_key(Registered& registered, const std::string& certificate_file) {
+  const CertificateSubject subject = subject_of(read_file(certificate_file));
+  const std::string fingerprint = fingerprint_of(subject.public_pem);
+  const std::string& approver = registered.approver.name();
+  for (const lab::SigningKey& key : registered.opened.keys())
+    if (key.fingerprint == fingerprint && key.kind == "person" && key.owner == approver &&
+        key.valid_to.empty())
+      return;
+  throw std::invalid_argument(fmt::format(
+      "--certificate {}: the key of \"{}\", which is none of {}'s in the register; required: a key of the "
+      "approver's own (abcal lab key \"{}\" --kind person --certificate FILE)",
+      certificate_file, subject.name, approver, approver));
+}
+
+/// The printed certificate, and beside it its detached signature where there is a key.
+void write_printed(const IssueOptions& options, const std::string& xml) {
+  const HtmlPage page = document_html(certificate_page(xml));
+  const TemporaryFolder folder;
+  const Attachment attachment{folder / "certificate.xml", AttachmentKind::kData};
+  OutputFile(attachment.file).write(xml);
+  OutputFile pdf(options.pdf);
+  print_pdf(page.html, pdf.temporary(), attachment);
+  pdf.commit();
+  if (options.key.empty()) return;
+  OutputFile(signature_path_of(options.pdf))
+      .write(sign_detached(read_file(options.pdf),
+                           {read_file(options.key), read_file(options.key_certificate)}));
+}
+
+/// Reports all that can be foreseen before a number is given.
+void check_outputs(const IssueOptions& options) {
+  std::vector<RequestedOutput> requested;
+  if (!options.dcc.empty()) requested.push_back({"--dcc", options.dcc});
+  if (!options.pdf.empty()) {
+    require_installed(kWeasyPrint);
+    requested.push_back({"--pdf", options.pdf});
+    if (!options.key.empty()) requested.push_back({"--pdf, signature", signature_path_of(options.pdf)});
+  }
+  require_writable(requested, {options.run, options.certificate.laboratory}, options.force);
+}
+
 void print_issued(const IssueOptions& options, const Certificate& certificate,
                   const IssuedCertificate& issued, bool is_signed) {
   if (certificate.training()) print_result("TRAINING: this certificate certifies nothing\n");
@@ -151,14 +201,14 @@ void issue(const IssueOptions& options) {
   const Clock::UtcTime now = RealClock().utc_now();
   if (options.key.empty() != options.key_certificate.empty())
     throw std::invalid_argument("--sign KEY.pem and --certificate CERT.pem go together");
-  if (!options.dcc.empty())
-    require_writable({{"--dcc", options.dcc}}, {options.run, options.certificate.laboratory}, options.force);
+  check_outputs(options);
   std::optional<Registered> registered = open_registered(options, now);
   if (registered && record_kept_certificate(*registered, options, now)) return;
   if (RunFile::is_closed(options.run))
     if (const auto why = stamp_if_configured(options.run)) print_warning(*why);
   CertificateRequest request;
   request.laboratory = read_laboratory_file(options.certificate.laboratory);
+  if (!options.certificate.language.empty()) request.laboratory.file.language = options.certificate.language;
   request.run = gather_report(options.run, now);
   if (!options.certificate.as_found.empty())
     request.as_found = gather_report(options.certificate.as_found, now);
@@ -166,17 +216,19 @@ void issue(const IssueOptions& options) {
   if (registered) use_register(*registered, request);
   Certificate certificate = make_certificate(std::move(request));
 
-  const std::optional<DccSchema> schema = schema_of(options.certificate);
-  if (!schema) print_note(kNotValidated);
+  const DccSchema schema = schema_of(options.certificate);
   std::optional<SigningKey> key;
-  if (!options.key.empty()) key = SigningKey{options.key, options.key_certificate};
+  if (!options.key.empty()) {
+    key = SigningKey{options.key, options.key_certificate};
+    if (registered) require_own_key(*registered, options.key_certificate);
+  }
   if (registered) take_number(*registered, certificate, now);
-  const IssuedCertificate issued =
-      issue_certificate(certificate, schema ? &*schema : nullptr, key, format_utc(now));
+  const IssuedCertificate issued = issue_certificate(certificate, &schema, key, format_utc(now));
   if (registered)
     registered->opened.record_issued(registered->approver, issued.number, sha256_of(issued.xml), issued.date,
                                      now);
   if (!options.dcc.empty()) OutputFile(options.dcc).write(issued.xml);
+  if (!options.pdf.empty()) write_printed(options, issued.xml);
   print_issued(options, certificate, issued, key.has_value());
 }
 
@@ -201,9 +253,12 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code) {
   command->add_option("--date", options->date, "date of issue, 2026-03-01 (default: today, UTC)");
   command->add_option("--replaces", options->replaces, "number of the certificate that this one amends");
   command->add_option("--reason", options->reason, "why it is amended");
-  command->add_option("--sign", options->key, "private key (PEM): sign the XML");
+  command->add_option("--sign", options->key, "private key of the approver (PEM): sign the XML, and the PDF");
   command->add_option("--certificate", options->key_certificate, "X.509 certificate of that key (PEM)");
   command->add_option("--dcc", options->dcc, "write the XML to this file as well");
+  command->add_option("--pdf", options->pdf,
+                      "write the printed certificate to this file as well; with --sign also its detached "
+                      "signature, FILE.p7s");
   command->add_flag("--force", options->force, "overwrite a file that exists");
   command->callback([options, &exit_code] {
     issue(*options);

@@ -7,10 +7,13 @@
 #include <vector>
 
 #include "app/bench/real_clock.h"
+#include "app/certificate/signing_certificate.h"
 #include "app/commands/lab.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
+#include "app/system/output_file.h"
 #include "app/system/private_file.h"
+#include "app/system/read_file.h"
 #include "protocol/record/signature.h"
 
 namespace abcal {
@@ -132,28 +135,58 @@ void add_add_scope(CLI::App& add, const std::shared_ptr<LabOptions>& shared, int
   });
 }
 
+struct KeyOptions {
+  std::string owner, file, kind = "bench", certificate;
+};
+
+/// Makes a key, or takes the certificate of one that was made elsewhere. @return its public part
+std::string public_key_for(const KeyOptions& options, const lab::Register& opened, Clock::UtcTime now) {
+  const bool of_person = options.kind == "person";
+  if (!of_person && !options.certificate.empty())
+    throw std::invalid_argument("--certificate: a bench has a key alone; required: --kind person");
+  if (of_person && options.certificate.empty())
+    throw std::invalid_argument(
+        "--kind person: required: --certificate FILE, the person's X.509 certificate");
+  if (options.file.empty()) {
+    if (!of_person) throw std::invalid_argument("required: --output FILE for the private key");
+    return subject_of(read_file(options.certificate)).public_pem;
+  }
+  if (!of_person) {
+    const std::string key = make_private_key();
+    write_private_file(options.file, key);
+    return public_key_of(key);
+  }
+  const SigningIdentity made = make_signing_identity(options.owner, opened.facts().name, now);
+  require_writable({{"--certificate", options.certificate}}, {}, false);
+  write_private_file(options.file, made.private_pem);
+  OutputFile(options.certificate).write(made.certificate_pem);
+  return subject_of(made.certificate_pem).public_pem;
+}
+
 void add_key(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
-  struct Options {
-    std::string owner, file, kind = "bench";
-  };
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<KeyOptions>();
   CLI::App* command = parent.add_subcommand(
-      "key", "Make a key (Ed25519) with which a bench signs its runs; the register keeps the public part");
+      "key",
+      "Make a key with which a bench signs its runs (Ed25519) or a person certificates (ECDSA P-256); the "
+      "register keeps the public part");
   command->add_option("OWNER", options->owner, "name of the bench or person")->required();
-  command->add_option("-o,--output", options->file, "file for the private key, made with mode 0600")
-      ->required();
+  command->add_option("-o,--output", options->file, "file for the private key, made with mode 0600");
   command->add_option("--kind", options->kind, "bench or person (default: bench)")
       ->check(CLI::IsMember({"bench", "person"}));
+  command->add_option(
+      "--certificate", options->certificate,
+      "of a person: file for the X.509 certificate; without --output, the certificate of a key "
+      "that was made elsewhere");
   command->callback([shared, options, &exit_code] {
     lab::Register opened = open_register(*shared);
     const auto now = RealClock().utc_now();
     const lab::LoggedIn by = lab::require_login(opened, now);
-    const std::string key = make_private_key();
-    const std::string public_pem = public_key_of(key);
-    write_private_file(options->file, key);
+    const std::string public_pem = public_key_for(*options, opened, now);
     opened.add_key(by, {fingerprint_of(public_pem), options->owner, options->kind, public_pem, {}, {}}, now);
-    print_result("key of {} {}: {}\nits private part is in {}: keep it on the bench only\n", options->kind,
-                 options->owner, fingerprint_of(public_pem), options->file);
+    print_result("key of {} {}: {}\n", options->kind, options->owner, fingerprint_of(public_pem));
+    if (!options->file.empty())
+      print_result("its private part is in {}: keep it {} only\n", options->file,
+                   options->kind == "bench" ? "on the bench" : "where its owner alone can read it");
     exit_code = kExitDone;
   });
 }

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_sections.h"
+#include "app/certificate/certificate_page.h"
 #include "app/certificate/issue.h"
 #include "app/commands/certificate_options.h"
 #include "app/commands/commands.h"
@@ -35,7 +35,7 @@ struct ReportOptions {
   std::string html, pdf, csv, csv_raw, hdf5;
   std::string attachment, dcc;
   CertificateFiles certificate;
-  bool draft = false, json = false, force = false;
+  bool draft = false, record = false, json = false, force = false;
 };
 
 /// A requested file, and the function that writes it.
@@ -50,23 +50,22 @@ void print_warnings(const HtmlPage& page) {
 
 /// The PDF of a certificate contains its XML, unless another attachment is requested.
 void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attached,
-               const ReportedCertificate* certificate) {
+               const std::string& certificate_xml) {
   const TemporaryFolder folder;
-  std::optional<std::filesystem::path> attachment;
+  std::optional<Attachment> attachment;
   if (!attached.empty()) {
-    attachment = attached;
-  } else if (certificate != nullptr) {
-    attachment = folder / "certificate.xml";
-    OutputFile(*attachment).write(certificate->xml);
+    attachment = {attached, AttachmentKind::kSupplement};
+  } else if (!certificate_xml.empty()) {
+    attachment = {folder / "certificate.xml", AttachmentKind::kData};
+    OutputFile(attachment->file).write(certificate_xml);
   }
-  OutputFile html(folder / "report.html");
-  html.write(page.html);
-  print_pdf(html.path(), file.temporary(), attachment);
+  print_pdf(page.html, file.temporary(), attachment);
   file.commit();
 }
 
 /// Whether the report is that of a certificate: one is requested, or was issued for this run.
 bool of_certificate(const ReportOptions& options, const ReportData& data) {
+  if (options.record) return false;
   if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
   const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
                                                  [](const IntegrityCheck& check) { return check.good; });
@@ -75,17 +74,17 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
 
 /// The requested outputs. `page` makes the HTML page, once.
 std::vector<Output> outputs_of(const ReportOptions& options, const ReportData& data,
-                               const ReportedCertificate* certificate,
+                               const std::string& certificate_xml,
                                const std::function<const HtmlPage&()>& page) {
   std::vector<Output> outputs;
   const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
     if (!path.empty()) outputs.push_back({{option, path}, std::move(write)});
   };
   add("--html", options.html, [page](OutputFile& file) { file.write(page().html); });
-  add("--pdf", options.pdf, [page, &options, certificate](OutputFile& file) {
-    write_pdf(page(), file, options.attachment, certificate);
+  add("--pdf", options.pdf, [page, &options, &certificate_xml](OutputFile& file) {
+    write_pdf(page(), file, options.attachment, certificate_xml);
   });
-  add("--dcc", options.dcc, [certificate](OutputFile& file) { file.write(certificate->xml); });
+  add("--dcc", options.dcc, [&certificate_xml](OutputFile& file) { file.write(certificate_xml); });
   add("--csv", options.csv, [&data](OutputFile& file) { file.write(averaged_csv(data)); });
   add("--csv-raw", options.csv_raw, [&data](OutputFile& file) {
     write_raw_csv(data, file.temporary());
@@ -137,17 +136,21 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   add_certificate_options(*command, options->certificate);
   command->add_flag("--draft", options->draft,
                     "make a draft of the certificate even if the run or its equipment has problems");
+  CLI::Option* record = command->add_flag(
+      "--record", options->record,
+      "the laboratory's own record of the run, with figures, also where there is a certificate");
+  for (const char* of_certificate : {"--dcc", "--draft"})
+    record->excludes(command->get_option(of_certificate));
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {
     const ReportData data = gather_report(options->file, RealClock().utc_now());
-    Document document = calibration_document(data);
-    std::optional<ReportedCertificate> certificate;
-    if (of_certificate(*options, data)) {
-      certificate = certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
-      print_note(certificate->note);
-      add_certificate_sections(document, certificate->certificate);
-    }
+    std::string certificate_xml;
+    if (of_certificate(*options, data))
+      certificate_xml =
+          certificate_for_report(data, options->certificate, options->draft, RealClock().utc_now());
+    const Document document =
+        certificate_xml.empty() ? calibration_document(data) : certificate_page(certificate_xml);
     std::optional<HtmlPage> made;
     const auto page = [&]() -> const HtmlPage& {
       if (!made) {
@@ -156,8 +159,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       }
       return *made;
     };
-    const std::vector<Output> outputs =
-        outputs_of(*options, data, certificate ? &*certificate : nullptr, page);
+    const std::vector<Output> outputs = outputs_of(*options, data, certificate_xml, page);
     check(*options, data, outputs);
     for (const Output& output : outputs) {
       OutputFile file(output.requested.path);

@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
+#include "app/certificate/signature_checks.h"
 #include "app/commands/commands.h"
 #include "app/laboratory/login.h"
 #include "app/results/recompute.h"
@@ -20,7 +21,7 @@ namespace abcal {
 namespace {
 
 struct VerifyOptions {
-  std::string run_file, register_location;
+  std::string run_file, register_location, pdf;
   std::vector<std::string> require, keys, authorities;
   bool json = false;
 
@@ -58,6 +59,20 @@ void compare_with_register(const VerifyOptions& options, lab::Register& opened,
     checks.push_back({"register, " + finding.what, finding.good, finding.found});
 }
 
+/// The signatures of the run's certificates, and of a printed one.
+std::vector<IntegrityCheck> check_signatures(const VerifyOptions& options, lab::Register* opened) {
+  std::vector<PersonKey> keys;
+  if (opened != nullptr)
+    for (const lab::SigningKey& key : opened->keys())
+      if (key.kind == "person") keys.push_back({key.fingerprint, key.owner});
+  const std::vector<IssuedCertificate> certificates = ResultsFile::certificates(options.run_file);
+  std::vector<IntegrityCheck> checks = check_certificate_signatures(certificates, keys);
+  if (options.pdf.empty()) return checks;
+  for (IntegrityCheck& check : check_printed_certificate(options.pdf, certificates, keys))
+    checks.push_back(std::move(check));
+  return checks;
+}
+
 void print_checks(const std::vector<IntegrityCheck>& checks) {
   for (const IntegrityCheck& check : checks) {
     print_result(
@@ -81,6 +96,8 @@ int verify(const VerifyOptions& options) {
   if (options.requires_("timestamped") && !attestation.is_stamped)
     checks.push_back({"timestamped", false,
                       "there is no time stamp by a trusted authority, which --require timestamped requires"});
+  const std::vector<IntegrityCheck> signatures = check_signatures(options, opened ? &*opened : nullptr);
+  checks.insert(checks.end(), signatures.begin(), signatures.end());
   if (opened) compare_with_register(options, *opened, checks);
 
   const bool good =
@@ -117,6 +134,8 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
       ->add_option("--authority", options->authorities,
                    "certificate (PEM) of a trusted time-stamping authority, repeatable")
       ->allow_extra_args(false);
+  command->add_option("--pdf", options->pdf,
+                      "printed certificate of the run: check its signature (FILE.p7s) and the XML inside");
   command->add_option(
       "--register", options->register_location,
       "register whose keys are trusted and whose certificates are compared (default: ABCAL_REGISTER)");

@@ -183,6 +183,33 @@ class ListReader {
   std::string where_;
 };
 
+/// Covariance from coefficients of correlation and the uncertainties of the values: how our certificates give
+/// it for outputs of different units. A list that is not complete is left out.
+void read_correlations(const XmlQuery& certificate, xmlNode* measurement, Numbers& numbers) {
+  for (xmlNode* list : certificate.nodes(
+           "dcc:results//dcc:list[starts-with(@refType, 'abc_correlation')][dcc:quantity]", measurement)) {
+    const std::vector<xmlNode*> rows = certificate.nodes("dcc:quantity/si:realListXMLList", list);
+    CovarianceList covariance{certificate.words("si:labelXMLList", rows.front()), {}};
+    const auto n = static_cast<Eigen::Index>(covariance.labels.size());
+    covariance.matrix.setConstant(n, n, std::nan(""));
+    for (Eigen::Index i = 0; i < n && rows.size() == covariance.labels.size(); ++i) {
+      const std::vector<std::string> words =
+          certificate.words("si:valueXMLList", rows[static_cast<std::size_t>(i)]);
+      for (Eigen::Index j = 0; j < n && words.size() == covariance.labels.size(); ++j) {
+        const auto u = [&](Eigen::Index k) {
+          const auto found = numbers.by_label.find(covariance.labels[static_cast<std::size_t>(k)]);
+          return found == numbers.by_label.end() ? std::nan("") : found->second.standard_uncertainty;
+        };
+        const std::string& word = words[static_cast<std::size_t>(j)];
+        double correlation = std::nan("");
+        std::from_chars(word.data(), word.data() + word.size(), correlation);
+        if (std::abs(correlation) <= 1.0) covariance.matrix(i, j) = correlation * u(i) * u(j);
+      }
+    }
+    if (covariance.matrix.allFinite()) numbers.covariances.push_back(std::move(covariance));
+  }
+}
+
 /// Covariance of these labels from one list that holds all of them; nothing if there is no such list.
 template <std::size_t N>
 std::optional<Eigen::MatrixXd> covariance_of(const Numbers& numbers,
@@ -377,8 +404,11 @@ ComparedResult read_certificate(const std::filesystem::path& path) {
                                          certificate.text("dcc:name/dcc:content", measurement)));
     }
     ListReader reader(certificate, problems);
-    for (xmlNode* list : certificate.nodes("dcc:results//si:realListXMLList", measurement))
-      reader.read(list, numbers);
+    constexpr const char* kValues =
+        "dcc:results//si:realListXMLList[not(ancestor::dcc:metaData)]"
+        "[not(ancestor::dcc:list[starts-with(@refType, 'abc_correlation') or @refType = 'abc_budgetLine'])]";
+    for (xmlNode* list : certificate.nodes(kValues, measurement)) reader.read(list, numbers);
+    read_correlations(certificate, measurement, numbers);
     fill_gravity(certificate, measurement, result);
   }
   if (numbers.by_label.empty() && problems.empty()) {

@@ -5,7 +5,7 @@
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
-#include "app/certificate/certificate_sections.h"
+#include "app/certificate/certificate_page.h"
 #include "app/certificate/issue.h"
 #include "app/certificate/report_certificate.h"
 #include "app/document/document_html.h"
@@ -47,25 +47,31 @@ std::string certificate(const Path& run) {
   return issued->xml;
 }
 
-/// As `abcal report`: with the certificate where one was issued.
-std::string report(const Path& run) {
+/// What `abcal report` shows of a run: its certificate where one was issued.
+struct Shown {
+  std::string html;
+  std::string certificate_xml;  ///< Empty: there is none.
+};
+
+Shown shown(const Path& run) {
   const ReportData data = data_of(run);
-  Document document = calibration_document(data);
-  if (is_certified(run)) {
-    add_certificate_sections(
-        document, certificate_for_report(data, {}, /*draft=*/false, RealClock().utc_now()).certificate);
-  }
-  return document_html(document).html;
+  if (!is_certified(run)) return {document_html(calibration_document(data)).html, {}};
+  std::string xml = certificate_for_report(data, {}, /*draft=*/false, RealClock().utc_now());
+  return {document_html(certificate_page(xml)).html, std::move(xml)};
+}
+
+std::string report(const Path& run) {
+  return shown(run).html;
 }
 
 std::string printed_report(const Path& run) {
   return bytes_of([&](const Path& file) {
+    const Shown page = shown(run);
+    if (page.certificate_xml.empty()) return print_pdf(page.html, file, std::nullopt);
     const TemporaryFolder folder;
-    const Path page = folder / "report.html", attachment = folder / "certificate.xml";
-    std::ofstream(page, std::ios::binary) << report(run);
-    if (!is_certified(run)) return print_pdf(page, file, std::nullopt);
-    std::ofstream(attachment, std::ios::binary) << certificate(run);
-    print_pdf(page, file, attachment);
+    const Path attachment = folder / "certificate.xml";
+    std::ofstream(attachment, std::ios::binary) << page.certificate_xml;
+    print_pdf(page.html, file, Attachment{attachment, AttachmentKind::kData});
   });
 }
 

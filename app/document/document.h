@@ -25,6 +25,11 @@ struct FactList {
   std::vector<std::pair<std::string, std::string>> facts;
 };
 
+/// Two lists of facts next to each other. Pages only: one after the other as text.
+struct SideBySide {
+  FactList left, right;
+};
+
 /// How the cells of a column are set.
 enum class CellKind {
   kText,
@@ -45,6 +50,7 @@ struct DocumentTable {
   std::vector<std::vector<std::string>> rows;
   CellKind caption_kind = CellKind::kText;
   bool may_break = false;  ///< Over two pages, though it would fit on one: leaves no half page empty.
+  bool dense = false;      ///< Many narrow columns: little room between them.
 };
 
 /// A figure, drawn by gnuplot from a script without terminal and output. Pages only.
@@ -54,15 +60,18 @@ struct Figure {
   int height = 300;  ///< Of a picture that is 800 wide.
 };
 
-using Block = std::variant<Paragraph, BulletList, FactList, DocumentTable, Figure>;
+using Block = std::variant<Paragraph, BulletList, FactList, SideBySide, DocumentTable, Figure>;
 
 struct Section {
-  std::string title;
+  std::string title;  ///< Empty: it belongs to the title of the document.
   std::vector<Block> blocks;
+  bool on_new_page = false;
 };
 
 /// What a page or a terminal shows.
 struct Document {
+  std::string language = "en";  ///< ISO 639-1.
+  std::string page_words = "page {} of {}";
   std::string title;
   std::string subtitle;
   std::string identification;  ///< Of run and item; on every page.

@@ -7,8 +7,11 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstdio>
 #include <cstring>
 #include <memory>
+#include <numbers>
+#include <optional>
 #include <set>
 #include <stdexcept>
 #include <string_view>
@@ -43,55 +46,82 @@ std::string css_string(const std::string& text) {
 }
 
 constexpr const char* kStyle = R"(
-html { font-family: "DejaVu Sans", "Liberation Sans", Arial, sans-serif; font-size: 8.5pt; line-height: 1.4;
+html { font-family: "DejaVu Sans", "Liberation Sans", Arial, sans-serif; font-size: 8.6pt; line-height: 1.4;
        color: #1a1a1a; }
 body { margin: 0 auto; max-width: 180mm; }
 h1 { font-size: 17pt; font-weight: 600; line-height: 1.2; margin: 0 0 1mm 0; color: #10324e; }
-h2 { font-size: 11.5pt; font-weight: 600; margin: 6mm 0 2mm 0; padding-bottom: 0.7mm; color: #10324e;
+h2 { font-size: 11.5pt; font-weight: 600; margin: 4.5mm 0 1.5mm 0; padding-bottom: 0.7mm; color: #10324e;
      border-bottom: 0.4mm solid #10324e; break-after: avoid; }
 p { margin: 1.5mm 0; }
-h2 + p, h2 + table.facts:not(:last-child) { break-after: avoid; break-inside: avoid; }
+h2 + p { break-after: avoid; break-inside: avoid; }
 p.subtitle { color: #505050; margin: 0 0 4mm 0; }
-p.caution { border: 0.8mm solid #b00020; color: #b00020; background: #fff4f4; font-size: 13pt; font-weight: 700;
-            line-height: 1.3; padding: 2.5mm 3mm; margin: 2mm 0; overflow-wrap: anywhere; }
+p.caution { border: 0.8mm solid #b00020; color: #b00020; background: #fff4f4; font-size: 10pt; font-weight: 700;
+            line-height: 1.3; padding: 1.5mm 3mm; margin: 1.5mm 0; overflow-wrap: anywhere; }
 p.missing { border: 0.3mm dashed #808080; padding: 2mm; color: #505050; }
 ul { margin: 1.5mm 0; padding-left: 5mm; }
-table { border-collapse: collapse; width: 100%; margin: 2mm 0 3mm 0; font-size: 7.8pt; line-height: 1.3; }
+table { border-collapse: collapse; width: 100%; margin: 2mm 0 3mm 0; font-size: 8.2pt; line-height: 1.3; }
 caption { text-align: left; padding-bottom: 1mm; break-after: avoid; color: #303030; }
 thead { display: table-header-group; }
 tr { break-inside: avoid; }
 th { text-align: left; font-weight: 600; background: #e8eef3; border-bottom: 0.3mm solid #10324e;
      padding: 0.9mm 1.6mm; vertical-align: bottom; }
-td { border-bottom: 0.15mm solid #d4d9de; padding: 0.45mm 1.6mm; vertical-align: top; overflow-wrap: break-word; }
+td { border-bottom: 0.15mm solid #d4d9de; padding: 0.3mm 1.6mm; vertical-align: top; }
 td.long { overflow-wrap: anywhere; }
 table.whole { break-inside: avoid; }
 td.number, th.number { text-align: right; }
-td.number { white-space: nowrap; font-variant-numeric: tabular-nums; overflow-wrap: normal; }
+td.number { white-space: nowrap; font-variant-numeric: tabular-nums; }
 td.symbol { white-space: nowrap; }
 td.unit { white-space: nowrap; }
 th.group { background: none; border-bottom: 0.2mm solid #8a9aa8; padding-top: 2mm; color: #10324e;
            break-after: avoid; }
+table.facts { table-layout: fixed; }
 table.facts td { border-bottom: 0.15mm solid #e4e8eb; }
-table.facts td.name { width: 42mm; color: #505050; }
-sub { font-size: 70%; line-height: 1; }
+table.facts td.name { width: 56mm; color: #505050; }
+sub { font-size: 8pt; line-height: 0; vertical-align: -1.5pt; }
+tbody tr:first-child { break-after: avoid; }
+tbody tr:last-child { break-before: avoid; }
 figure { margin: 3mm 0 4mm 0; break-inside: avoid; }
 figure svg { width: 100%; height: auto; display: block; }
-figcaption { color: #303030; font-size: 7.8pt; margin-top: 1mm; }
+figcaption { color: #303030; font-size: 8.2pt; margin-top: 1mm; }
+section.new-page { break-before: page; }
+div.both { display: table; table-layout: fixed; width: 100%; }
+div.left, div.right { display: table-cell; width: 50%; vertical-align: top; }
+div.left { padding-right: 3mm; }
+div.both table.facts { margin: 0 0 1mm 0; }
+div.both table.facts td.name { width: 33mm; }
+table.dense th, table.dense td { padding-left: 0.5mm; padding-right: 0.5mm; font-size: 8pt; }
+table.dense td:not(.number):not(.symbol), table.dense th:not(.number) { padding-left: 2mm; }
+tr.group { break-after: avoid; }
+p, li { orphans: 3; widows: 3; }
 div.mark { position: fixed; top: 95mm; left: 0; width: 100%; text-align: center; font-size: 90pt; font-weight: 700;
            color: #b00020; opacity: 0.13; transform: rotate(-35deg); }
 @media screen { body { padding: 8mm; } }
 )";
 
+/// "page {} of {}" with counters.
+std::string page_number(const std::string& words) {
+  std::string content;
+  std::string_view rest = words;
+  for (const char* counter : {"counter(page)", "counter(pages)"}) {
+    const std::size_t at = std::min(rest.find("{}"), rest.size());
+    content += css_string(std::string(rest.substr(0, at))) + " " + counter + " ";
+    rest.remove_prefix(std::min(at + 2, rest.size()));
+  }
+  return content + css_string(std::string(rest));
+}
+
 std::string page_style(const Document& document) {
   // The text before the colon of each caution: "Not complete".
   std::string cautions = document.page_mark;
-  for (const std::string& caution : document.cautions)
-    cautions += (cautions.empty() ? "" : " · ") + caution.substr(0, caution.find(':'));
+  for (const std::string& caution : document.cautions) {
+    const std::string word = caution.substr(0, caution.find(':'));
+    if (word != document.page_mark) cautions += (cautions.empty() ? "" : " · ") + word;
+  }
   std::transform(cautions.begin(), cautions.end(), cautions.begin(),
                  [](unsigned char c) { return static_cast<char>(std::toupper(c)); });
   const auto box = [](const char* place, const std::string& content, const char* more) {
     return fmt::format(
-        "  @{} {{ content: {}; font-family: \"DejaVu Sans\", sans-serif; font-size: 7pt; {} }}\n", place,
+        "  @{} {{ content: {}; font-family: \"DejaVu Sans\", sans-serif; font-size: 8pt; {} }}\n", place,
         content, more);
   };
   constexpr const char* kGrey = "color: #505050;";
@@ -99,7 +129,7 @@ std::string page_style(const Document& document) {
          box("top-left", css_string(document.identification), kGrey) +
          box("top-right", css_string(cautions), "color: #b00020; font-weight: 700;") +
          box("bottom-left", css_string(document.origin), kGrey) +
-         box("bottom-right", "\"page \" counter(page) \" of \" counter(pages)", kGrey) + "}\n";
+         box("bottom-right", page_number(document.page_words), kGrey) + "}\n";
 }
 
 // --- Pictures ----------------------------------------------------------------------------------------------
@@ -158,6 +188,92 @@ class MarkColours {
   std::set<std::string> filled_;  // The definitions precede their use.
 };
 
+/// Where and how large a mark is drawn: "translate(12.5,7) scale(1.65)".
+struct Placed {
+  double x = 0.0, y = 0.0, scale = 0.0;
+};
+
+std::optional<Placed> placed(const std::string& transform) {
+  Placed at;
+  char rest = '\0';
+  if (std::sscanf(transform.c_str(), "translate(%lf,%lf) scale(%lf%c", &at.x, &at.y, &at.scale, &rest) != 4 ||
+      rest != ')')
+    return std::nullopt;
+  return at;
+}
+
+/// The outline of a mark of gnuplot as a path; nothing for one that the figures do not use.
+std::optional<std::string> outline(std::string_view mark, const Placed& at) {
+  const auto& [x, y, s] = at;
+  if (mark == "gpPt5" || mark == "gpPt6")
+    return fmt::format("M{0:.2f},{1:.2f}a{2:.2f},{2:.2f} 0 1 0 {3:.2f},0a{2:.2f},{2:.2f} 0 1 0 {4:.2f},0z",
+                       x - s, y, s, 2.0 * s, -2.0 * s);
+  if (mark == "gpPt8")
+    return fmt::format("M{:.2f},{:.2f}l{:.2f},{:.2f}h{:.2f}z", x, y - 1.33 * s, -1.33 * s, 2.0 * s, 2.66 * s);
+  if (mark == "gpPt12") {
+    const double half = std::numbers::sqrt2 * s;
+    return fmt::format("M{:.2f},{:.2f}l{:.2f},{:.2f}l{:.2f},{:.2f}l{:.2f},{:.2f}z", x, y - half, half, half,
+                       -half, half, -half, -half);
+  }
+  return std::nullopt;
+}
+
+/// Every mark is an element of its own, and WeasyPrint takes a millisecond for each: marks that follow one
+/// another become one path.
+void join_marks(xmlNode* first) {
+  const std::string href = value_of(first, "href"), colour = value_of(first, "color");
+  const std::string mark = href.substr(std::min(href.size(), href.rfind('_') + 1));
+  std::string path;
+  std::vector<xmlNode*> joined;
+  for (xmlNode* node = first; is(node, "use"); node = node->next) {
+    const auto at = placed(value_of(node, "transform"));
+    if (!at || value_of(node, "href") != href || value_of(node, "color") != colour) break;
+    const auto one = outline(mark, *at);
+    if (!one) return;
+    path += *one;
+    joined.push_back(node);
+  }
+  if (joined.size() < 2) return;
+  const bool open = mark == "gpPt5";
+  xmlNode* drawn = xmlNewDocNode(first->doc, first->ns, as_xml("path"), nullptr);
+  xmlNewProp(drawn, as_xml("d"), as_xml(path.c_str()));
+  xmlNewProp(drawn, as_xml("stroke"), as_xml(open ? colour.c_str() : "none"));
+  xmlNewProp(drawn, as_xml("fill"), as_xml(open ? "none" : colour.c_str()));
+  if (open) xmlNewProp(drawn, as_xml("stroke-width"), as_xml("0.4"));
+  xmlAddPrevSibling(first, drawn);
+  for (xmlNode* node : joined) {
+    xmlUnlinkNode(node);
+    xmlFreeNode(node);
+  }
+}
+
+/// In all of a picture: marks of one plot stand next to each other.
+void join_all_marks(xmlNode* node) {
+  for (xmlNode* child = node->children; child != nullptr;) {
+    xmlNode* before = child->prev;
+    if (is(child, "use") && !value_of(child, "color").empty()) join_marks(child);
+    // The child may be gone; what took its place follows what was before it.
+    xmlNode* now = before != nullptr ? before->next : node->children;
+    if (now->type == XML_ELEMENT_NODE && !is(now, "use")) join_all_marks(now);
+    child = now->next;
+  }
+}
+
+/// gnuplot leaves hundreds of groups without anything in them.
+void remove_empty_groups(xmlNode* node) {
+  for (xmlNode* child = node->children; child != nullptr;) {
+    xmlNode* next = child->next;
+    if (child->type == XML_ELEMENT_NODE) {
+      remove_empty_groups(child);
+      if (is(child, "g") && xmlChildElementCount(child) == 0) {
+        xmlUnlinkNode(child);
+        xmlFreeNode(child);
+      }
+    }
+    child = next;
+  }
+}
+
 void prepare_picture(xmlNode* node, const std::string& prefix, MarkColours& marks) {
   for (; node != nullptr; node = node->next) {
     if (node->type != XML_ELEMENT_NODE) continue;
@@ -183,7 +299,8 @@ const char* css_class(CellKind kind) {
   return nullptr;
 }
 
-/// A word that may be broken anywhere, since it could be wider than the page.
+/// A word that may be broken anywhere, since it could be wider than the page. For other cells the style does
+/// not allow it: WeasyPrint would need half as long again.
 bool has_long_word(const std::string& text) {
   constexpr std::size_t kLong = 24;
   std::size_t length = 0;
@@ -205,7 +322,7 @@ class PageBuilder {
   HtmlPage build() {
     xmlNode* html = xmlNewDocNode(document_.get(), nullptr, as_xml("html"), nullptr);
     xmlDocSetRootElement(document_.get(), html);
-    attribute(html, "lang", "en");
+    attribute(html, "lang", content_.language);
     head(html);
     xmlNode* body = add(html, "body");
     if (!content_.page_mark.empty()) add(body, "div", "mark", content_.page_mark);
@@ -213,8 +330,8 @@ class PageBuilder {
     if (!content_.subtitle.empty()) add(body, "p", "subtitle", content_.subtitle);
     for (const std::string& caution : content_.cautions) add(body, "p", "caution", caution);
     for (const Section& section : content_.sections) {
-      xmlNode* part = add(body, "section");
-      add(part, "h2", nullptr, section.title);
+      xmlNode* part = add(body, "section", section.on_new_page ? "new-page" : nullptr);
+      if (!section.title.empty()) add(part, "h2", nullptr, section.title);
       for (const Block& block : section.blocks)
         std::visit([&](const auto& each) { this->block(part, each); }, block);
     }
@@ -268,18 +385,33 @@ class PageBuilder {
     }
   }
 
+  void block(xmlNode* part, const SideBySide& lists) {
+    xmlNode* both = add(part, "div", "both");
+    block(add(both, "div", "left"), lists.left);
+    block(add(both, "div", "right"), lists.right);
+  }
+
   void block(xmlNode* part, const DocumentTable& content) {
     constexpr std::size_t kFitsOnAPage = 30;
-    xmlNode* table =
-        add(part, "table", !content.may_break && content.rows.size() <= kFitsOnAPage ? "whole" : nullptr);
+    const bool whole = !content.may_break && content.rows.size() <= kFitsOnAPage;
+    xmlNode* table = add(part, "table",
+                         whole           ? content.dense ? "whole dense" : "whole"
+                         : content.dense ? "dense"
+                                         : nullptr);
     if (!content.caption.empty()) cell_text(add(table, "caption"), content.caption, content.caption_kind);
     xmlNode* heading = add(add(table, "thead"), "tr");
-    for (const Column& column : content.columns)
-      add(heading, "th", column.kind == CellKind::kNumber ? "number" : nullptr, column.heading);
+    for (const Column& column : content.columns) {
+      // "s_ux" above a column of numbers.
+      const bool is_symbol =
+          column.heading.find('_') != std::string::npos && column.heading.find(' ') == std::string::npos;
+      cell_text(add(heading, "th", column.kind == CellKind::kNumber ? "number" : nullptr), column.heading,
+                is_symbol ? CellKind::kSymbol : CellKind::kText);
+    }
     xmlNode* body = add(table, "tbody");
     for (const auto& cells : content.rows) {
       xmlNode* row = add(body, "tr");
       if (cells.size() == 1) {
+        attribute(row, "class", "group");
         xmlNode* group = add(row, "th", "group", cells.front());
         attribute(group, "colspan", std::to_string(content.columns.size()));
         continue;
@@ -312,6 +444,8 @@ class PageBuilder {
     if (root == nullptr) throw std::runtime_error("gnuplot drew no picture: \"" + figure.caption + "\"");
     MarkColours marks;
     prepare_picture(root, fmt::format("f{}_", figures_ + 1), marks);
+    join_all_marks(root);
+    remove_empty_groups(root);
     xmlSetProp(root, as_xml("role"), as_xml("img"));
     xmlSetProp(root, as_xml("aria-label"), as_xml(valid_text(figure.caption).c_str()));
     xmlNode* copy = xmlDocCopyNode(root, document_.get(), 1);

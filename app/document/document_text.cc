@@ -79,6 +79,12 @@ struct TextOf {
     return text;
   }
 
+  std::string operator()(const SideBySide& lists) const {
+    FactList all = lists.left;
+    all.facts.insert(all.facts.end(), lists.right.facts.begin(), lists.right.facts.end());
+    return (*this)(all);
+  }
+
   std::string operator()(const DocumentTable& table) const {
     std::vector<std::size_t> widths;
     for (const Column& column : table.columns) widths.push_back(width_of(column.heading));
@@ -135,7 +141,8 @@ std::string document_text(const Document& document, std::FILE* stream) {
   }
   for (const Section& section : document.sections) {
     if (!has_text(section)) continue;
-    text += "\n" + emphasised(stream, Emphasis::kHeading, section.title) + "\n";
+    text += "\n";
+    if (!section.title.empty()) text += emphasised(stream, Emphasis::kHeading, section.title) + "\n";
     bool first = true;
     for (const Block& block : section.blocks) {
       const std::string part = std::visit(TextOf{stream}, block);

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <chrono>
 #include <fstream>
 #include <sstream>
 #include <stdexcept>
@@ -11,6 +12,14 @@
 namespace abcal {
 
 const Tool kGnuplot{"gnuplot", "figures need", "gnuplot-nox"};
+
+namespace {
+
+/// ~/.gnuplot is a program: whoever can write it must not draw our figures.
+constexpr const char* kNoStartupFiles = "-d";
+constexpr std::chrono::seconds kLongestDrawing{120};
+
+}  // namespace
 
 std::string gnuplot_quoted(const std::string& text) {
   std::string result = "'";
@@ -25,7 +34,7 @@ std::string gnuplot_quoted(const std::string& text) {
 }
 
 void run_gnuplot(const std::filesystem::path& script) {
-  if (run_tool(kGnuplot, {script.string()}) != 0)
+  if (run_tool(kGnuplot, {kNoStartupFiles, script.string()}, ToolOutput::kShown, kLongestDrawing) != 0)
     throw std::runtime_error(fmt::format("gnuplot failed on {} (the script is kept)", script.string()));
 }
 
@@ -35,12 +44,12 @@ std::string draw_svg(const Figure& figure) {
   {
     std::ofstream file(script);
     file << fmt::format(
-        "set terminal svg size 800,{} font 'DejaVu Sans,11' noenhanced background 'white'\nset output {}\n",
+        "set terminal svg size 800,{} font 'DejaVu Sans,13' noenhanced background 'white'\nset output {}\n",
         figure.height, gnuplot_quoted(picture.string()));
     file << figure.script << "\nunset output\n";
     if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", script.string()));
   }
-  if (run_tool(kGnuplot, {script.string()}) != 0)
+  if (run_tool(kGnuplot, {kNoStartupFiles, script.string()}, ToolOutput::kShown, kLongestDrawing) != 0)
     throw std::runtime_error(fmt::format("gnuplot failed to draw \"{}\"", figure.caption));
   std::ifstream file(picture, std::ios::binary);
   std::ostringstream svg;

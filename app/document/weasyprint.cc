@@ -1,32 +1,49 @@
 #include "app/document/weasyprint.h"
 
+#include <fmt/format.h>
+
+#include <chrono>
+#include <fstream>
+#include <sstream>
 #include <stdexcept>
-#include <string>
 #include <vector>
+
+#include "app/system/helper_program.h"
+#include "app/system/temporary_folder.h"
 
 namespace abcal {
 
 const Tool kWeasyPrint{"weasyprint", "a PDF needs", "weasyprint"};
 
-namespace {
-
-/// WeasyPrint makes PDF/A from version 56 on; its help does not mention it before.
-bool makes_pdf_a() {
-  return run_tool(kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/a-3b", "--version"}, ToolOutput::kHidden) ==
-         0;
+void print_pdf(const std::string& html, const std::filesystem::path& pdf,
+               const std::optional<Attachment>& attachment) {
+  const TemporaryFolder folder;
+  const std::filesystem::path page = folder / "page.html", tagged = folder / "tagged.pdf";
+  std::ofstream file(page, std::ios::binary);
+  file << html;
+  file.close();
+  if (!file) throw std::runtime_error(page.string() + ": cannot be written (is the disk full?)");
+  // A page of thousands of rows takes tens of seconds.
+  constexpr std::chrono::minutes kLongest{5};
+  if (const ToolResult result = run_tool_for_words(
+          kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/ua-1", page.string(), tagged.string()}, kLongest);
+      result.exit_code != 0)
+    throw std::runtime_error(
+        fmt::format("weasyprint failed with exit code {}: {}", result.exit_code, result.words));
+  std::vector<std::string> arguments{"finish", tagged.string(), pdf.string()};
+  if (attachment)
+    arguments.insert(arguments.end(), {attachment->kind == AttachmentKind::kData ? "--data" : "--supplement",
+                                       std::filesystem::absolute(attachment->file).string()});
+  run_helper("abcal-pdf", "a PDF is finished by", arguments);
 }
 
-}  // namespace
-
-void print_pdf(const std::filesystem::path& html, const std::filesystem::path& pdf,
-               const std::optional<std::filesystem::path>& attachment) {
-  std::vector<std::string> arguments{"--quiet"};
-  if (attachment) arguments.insert(arguments.end(), {"--attachment", attachment->string()});
-  if (makes_pdf_a()) arguments.insert(arguments.end(), {"--pdf-variant", "pdf/a-3b"});
-  arguments.insert(arguments.end(), {html.string(), pdf.string()});
-  if (const int code = run_tool(kWeasyPrint, arguments); code != 0)
-    throw std::runtime_error("weasyprint failed with exit code " + std::to_string(code) +
-                             "; its messages are above");
+std::string attachment_of_pdf(const std::filesystem::path& pdf) {
+  const TemporaryFolder folder;
+  const std::filesystem::path attached = folder / "attached";
+  run_helper("abcal-pdf", "a PDF is read by", {"detach", "--", pdf.string(), attached.string()});
+  std::ostringstream bytes;
+  bytes << std::ifstream(attached, std::ios::binary).rdbuf();
+  return bytes.str();
 }
 
 }  // namespace abcal

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <optional>
+#include <string>
 
 #include "app/system/child_process.h"
 
@@ -10,10 +11,27 @@ namespace abcal {
 /// WeasyPrint, for require_installed() before anything is written.
 extern const Tool kWeasyPrint;
 
-/// Makes a PDF of a page; with `attachment`, a file inside the PDF. PDF/A-3 (ISO 19005-3), which allows
-/// attachments, where the installed WeasyPrint can make it.
-/// @throws ProgramMissing, std::runtime_error
-void print_pdf(const std::filesystem::path& html, const std::filesystem::path& pdf,
-               const std::optional<std::filesystem::path>& attachment);
+/// What an attached file is to the page (AFRelationship of ISO 19005-3).
+enum class AttachmentKind {
+  kData,        ///< What the page was made of.
+  kSupplement,  ///< Something beside it.
+};
+
+/// A file inside a PDF.
+struct Attachment {
+  std::filesystem::path file;
+  AttachmentKind kind = AttachmentKind::kSupplement;
+};
+
+/// Makes a PDF of a page: tagged (as PDF/UA-1 asks for, by WeasyPrint), and with the structure of PDF/A-3
+/// (output intent, metadata, attachments with their relation; by the helper program abcal-pdf). Whether it
+/// conforms to either is for a validator to say.
+/// @throws ProgramMissing, RunInterrupted, std::runtime_error
+void print_pdf(const std::string& html, const std::filesystem::path& pdf,
+               const std::optional<Attachment>& attachment);
+
+/// The data file inside a PDF of print_pdf(); empty: it has none.
+/// @throws ProgramMissing, RunInterrupted, std::runtime_error (no PDF)
+std::string attachment_of_pdf(const std::filesystem::path& pdf);
 
 }  // namespace abcal

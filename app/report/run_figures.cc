@@ -31,6 +31,12 @@ std::string experiment_title(int experiment) {
   return fmt::format("Experiment {}: {}", experiment, kTurns[static_cast<std::size_t>(experiment - 1)]);
 }
 
+/// A plot of the bars y - u to y + u, u in the column behind y; more plots follow.
+std::string bars(const std::string& data, std::size_t x, std::size_t y, const std::string& colour) {
+  return fmt::format("{0} using {1}:(${2}-${3}):(0):(2*${3}) with vectors nohead lc rgb '{4}' notitle, ",
+                     data, x, y, y + 1, colour);
+}
+
 const FitDiagnostic* find_fit(const CalibrationResult& result, int experiment, int accelerometer) {
   for (const FitDiagnostic& fit : result.diagnostics.fits) {
     if (fit.experiment == experiment && fit.accelerometer == accelerometer) return &fit;
@@ -82,10 +88,10 @@ Figure response_figure(const ReportData& data, int experiment) {
                         gnuplot_quoted(fmt::format("reading - fit ({})", result.response_unit)));
   for (std::size_t j = 0; j < 3; ++j) {
     const Style& style = kStyles[j];
-    script += fmt::format("$d using 1:{}{} pt {} ps 0.35 lc rgb '{}' title '{}'{}",
-                          with_u ? fmt::format("{}:{}", 2 * j + 2, 2 * j + 3) : std::to_string(2 * j + 2),
-                          with_u ? " with yerrorbars" : " with points", style.point, style.colour, style.name,
-                          j < 2 ? ", " : "\n");
+    // Bars and marks apart: gnuplot draws the bars as one path then.
+    if (with_u) script += bars("$d", 1, 2 * j + 2, style.colour);
+    script += fmt::format("$d using 1:{} with points pt {} ps 0.35 lc rgb '{}' title '{}'{}", 2 * j + 2,
+                          style.point, style.colour, style.name, j < 2 ? ", " : "\n");
   }
   script += "unset multiplot\n";
   return {fmt::format("{}. Left: averaged readings and fitted curves; right: readings minus fit{}.",
@@ -117,9 +123,10 @@ Figure harmonics_figure(const CalibrationResult& result) {
     }
     plots += fmt::format("set title 'Experiment {}' offset 0,-0.5\nplot ", experiment);
     for (std::size_t j = 0; j < 3; ++j) {
-      plots +=
-          fmt::format("$h{}{} using 1:2:3 with yerrorbars pt {} ps 0.6 lc rgb '{}' title '{}'{}", experiment,
-                      j, kStyles[j].point, kStyles[j].colour, kStyles[j].name, j < 2 ? ", " : "\n");
+      const std::string data_name = fmt::format("$h{}{}", experiment, j);
+      plots += bars(data_name, 1, 2, kStyles[j].colour);
+      plots += fmt::format("{} using 1:2 with points pt {} ps 0.6 lc rgb '{}' title '{}'{}", data_name,
+                           kStyles[j].point, kStyles[j].colour, kStyles[j].name, j < 2 ? ", " : "\n");
     }
   }
   std::string script = data + kFrame;
@@ -147,10 +154,10 @@ Figure step_error_figure(const RunRecord& record, const JointResult& joint) {
     }
     data += "EOD\n";
     plots += fmt::format(
-        "set title 'Experiment {0}'\nplot 0 with lines lc rgb '#808080', $f{0} using 1:2:3 with yerrorbars "
-        "pt 6 "
-        "ps 0.3 lc rgb '#0072B2'\n",
-        i + 1);
+        "set title 'Experiment {0}'\nplot 0 with lines lc rgb '#808080', {1}$f{0} using 1:2 with points pt 6 "
+        "ps 0.3 "
+        "lc rgb '#0072B2'\n",
+        i + 1, bars(fmt::format("$f{}", i + 1), 1, 2, "#0072B2"));
   }
   std::string script = data + kFrame;
   script +=

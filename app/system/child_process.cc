@@ -1,10 +1,11 @@
 #include "app/system/child_process.h"
-#include "app/system/detached_process.h"
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <poll.h>
 #include <signal.h>
-#include <spawn.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -14,6 +15,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
+#include <optional>
 #include <sstream>
 #include <utility>
 
@@ -25,109 +27,138 @@ extern char** environ;
 namespace abcal {
 namespace {
 
-/// How the child begins: signals have their default handling, so that Ctrl-C ends it too, and no
-/// descriptor of this program but the standard ones. Standard output goes to standard error.
-class SpawnSettings {
- public:
-  SpawnSettings() {
-    ::posix_spawnattr_init(&attributes_);
-    ::posix_spawn_file_actions_init(&actions_);
-    sigset_t none, all;
-    ::sigemptyset(&none);
-    ::sigfillset(&all);
-    ::posix_spawnattr_setsigmask(&attributes_, &none);
-    ::posix_spawnattr_setsigdefault(&attributes_, &all);
-    ::posix_spawnattr_setflags(&attributes_, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
-  }
-  SpawnSettings(const SpawnSettings&) = delete;
-  SpawnSettings& operator=(const SpawnSettings&) = delete;
-  ~SpawnSettings() {
-    ::posix_spawn_file_actions_destroy(&actions_);
-    ::posix_spawnattr_destroy(&attributes_);
-  }
-  void hide_words() {
-    ::posix_spawn_file_actions_addopen(&actions_, STDERR_FILENO, "/dev/null", O_WRONLY, 0);
-  }
-  void send_words_to(int descriptor) {
-    ::posix_spawn_file_actions_adddup2(&actions_, descriptor, STDERR_FILENO);
-  }
+using std::chrono::steady_clock;
 
-  void detach() {
-    ::posix_spawnattr_setflags(&attributes_,
-                               POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETSID);
-    ::posix_spawn_file_actions_addopen(&actions_, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
-  }
-  /// The child has it as the first descriptor after the standard ones.
-  void keep(int descriptor) {
-    ::posix_spawn_file_actions_adddup2(&actions_, descriptor, kKept);
-    first_closed_ = kKept + 1;
-  }
-
-  /// @throws ProgramMissing, std::runtime_error
-  pid_t start(const Tool& tool, const std::vector<std::string>& arguments) {
-    require_installed(tool);
-    ::posix_spawn_file_actions_adddup2(&actions_, STDERR_FILENO, STDOUT_FILENO);
-    ::posix_spawn_file_actions_addclosefrom_np(&actions_, first_closed_);
-    std::vector<std::string> words{tool.program};
-    words.insert(words.end(), arguments.begin(), arguments.end());
-    std::vector<char*> argv;
-    for (std::string& word : words) argv.push_back(word.data());
-    argv.push_back(nullptr);
-    pid_t child = 0;
-    const int error =
-        ::posix_spawnp(&child, tool.program.c_str(), &actions_, &attributes_, argv.data(), environ);
-    if (error != 0)
-      throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(error)));
-    return child;
-  }
-
- private:
-  static constexpr int kKept = STDERR_FILENO + 1;
-  posix_spawnattr_t attributes_{};
-  posix_spawn_file_actions_t actions_{};
-  int first_closed_ = kKept;
-};
-
-/// @returns the exit code; 128 + signal if a signal ended it
-/// @throws RunInterrupted (Ctrl-C meanwhile), std::runtime_error
-int wait_for_end(pid_t child, const Tool& tool) {
-  int status = 0;
-  while (::waitpid(child, &status, 0) < 0) {
-    if (errno != EINTR)
-      throw std::runtime_error(fmt::format("waiting for {}: {}", tool.program, std::strerror(errno)));
-  }
-  if (interrupt_token().stop_requested())
-    throw RunInterrupted(fmt::format("interrupted while {} was running", tool.program));
-  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-}
-
-/// All bytes until the writer is gone; those beyond 64 kB are not kept.
-std::string read_words(int descriptor) {
-  constexpr std::size_t kMost = 65'536;
-  std::string words;
-  std::array<char, 4096> chunk{};
-  for (;;) {
-    const ssize_t count = ::read(descriptor, chunk.data(), chunk.size());
-    if (count == 0 || (count < 0 && errno != EINTR)) break;
-    if (count > 0)
-      words.append(chunk.data(), std::min(static_cast<std::size_t>(count), kMost - words.size()));
-  }
-  while (words.ends_with('\n')) words.pop_back();
-  return words;
-}
-
-}  // namespace
-
-bool is_installed(const Tool& tool) {
-  if (tool.program.find('/') != std::string::npos) return ::access(tool.program.c_str(), X_OK) == 0;
+std::optional<std::string> find_program(const Tool& tool) {
+  const auto runs = [](const std::filesystem::path& file) {
+    std::error_code ignored;
+    return std::filesystem::is_regular_file(file, ignored) && ::access(file.c_str(), X_OK) == 0;
+  };
+  if (tool.program.find('/') != std::string::npos)
+    return runs(tool.program) ? std::optional(tool.program) : std::nullopt;
   const char* path = std::getenv("PATH");
   std::istringstream folders(path != nullptr ? path : "/usr/local/bin:/usr/bin:/bin");
   for (std::string folder; std::getline(folders, folder, ':');) {
     const std::filesystem::path file = std::filesystem::path(folder.empty() ? "." : folder) / tool.program;
-    std::error_code ignored;
-    if (std::filesystem::is_regular_file(file, ignored) && ::access(file.c_str(), X_OK) == 0) return true;
+    if (runs(file)) return file.string();
   }
-  return false;
+  return std::nullopt;
+}
+
+/// A descriptor that is closed.
+class Descriptor {
+ public:
+  explicit Descriptor(int number = -1) : number_(number) {}
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  ~Descriptor() { close(); }
+  int number() const { return number_; }
+  void close() {
+    if (number_ >= 0) ::close(number_);
+    number_ = -1;
+  }
+
+ private:
+  int number_;
+};
+
+/// Between fork and exec, in the child: only calls that are safe there. Signals have their default handling;
+/// both outputs go to `words`.
+[[noreturn]] void become(const char* program, char* const* argv, int words, pid_t parent) {
+  ::setpgid(0, 0);
+  // Whoever kills abcal leaves nothing behind.
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (::getppid() != parent) ::_exit(127);
+  for (int number = 1; number < NSIG; ++number) ::signal(number, SIG_DFL);
+  sigset_t none;
+  ::sigemptyset(&none);
+  ::sigprocmask(SIG_SETMASK, &none, nullptr);
+  if (::dup2(words, STDERR_FILENO) < 0 || ::dup2(words, STDOUT_FILENO) < 0) ::_exit(127);
+  ::close_range(STDERR_FILENO + 1, ~0U, 0);
+  ::execve(program, argv, environ);
+  ::_exit(127);
+}
+
+/// A running program; it does not outlive this.
+class Child {
+ public:
+  /// @param words  descriptor for its outputs
+  Child(const Tool& tool, const std::vector<std::string>& arguments, int words) : tool_(tool) {
+    require_installed(tool);
+    const std::string program = find_program(tool).value();
+    std::vector<std::string> strings{tool.program};
+    strings.insert(strings.end(), arguments.begin(), arguments.end());
+    std::vector<char*> argv;
+    for (std::string& word : strings) argv.push_back(word.data());
+    argv.push_back(nullptr);
+    const pid_t parent = ::getpid();
+    pid_ = ::fork();
+    if (pid_ < 0)
+      throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
+    if (pid_ == 0) become(program.c_str(), argv.data(), words, parent);
+    ::setpgid(pid_, pid_);  // Whichever is first.
+  }
+  Child(const Child&) = delete;
+  Child& operator=(const Child&) = delete;
+  ~Child() { stop(); }
+
+  /// Waits for the end, and reads what comes from `words` meanwhile (-1: nothing).
+  ToolResult wait(int words, std::chrono::seconds longest) {
+    // The header of glibc 2.36 declares pidfd_open() for C alone.
+    const Descriptor ended(static_cast<int>(::syscall(SYS_pidfd_open, pid_, 0)));
+    if (ended.number() < 0)
+      throw std::runtime_error(fmt::format("waiting for {}: {}", tool_.program, std::strerror(errno)));
+    constexpr int kLookMs = 100;  // for Ctrl-C
+    const auto deadline = steady_clock::now() + longest;
+    std::array<pollfd, 2> wanted{pollfd{ended.number(), POLLIN, 0}, pollfd{words, POLLIN, 0}};
+    ToolResult result;
+    while ((wanted[0].revents & POLLIN) == 0) {
+      ::poll(wanted.data(), wanted.size(), kLookMs);
+      if (wanted[1].revents != 0 && !read_some(words, result.words)) wanted[1].fd = -1;
+      if (interrupt_token().stop_requested())
+        throw RunInterrupted(fmt::format("interrupted while {} was at work", tool_.program));
+      if (steady_clock::now() > deadline)
+        throw std::runtime_error(
+            fmt::format("{} took longer than {} s and was ended", tool_.program, longest.count()));
+    }
+    const int status = stop();
+    while (words >= 0 && read_some(words, result.words)) {
+    }
+    while (result.words.ends_with('\n')) result.words.pop_back();
+    result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+    return result;
+  }
+
+ private:
+  /// Ends it and what it started. @return its status
+  int stop() {
+    if (pid_ <= 0) return 0;
+    ::kill(-pid_, SIGKILL);
+    int status = 0;
+    while (::waitpid(pid_, &status, 0) < 0 && errno == EINTR) {
+    }
+    pid_ = -1;
+    return status;
+  }
+
+  /// Keeps the first 64 kB. @return false at the end, or where there is nothing now
+  static bool read_some(int words, std::string& kept) {
+    constexpr std::size_t kMost = 65'536;
+    std::array<char, 4096> chunk{};
+    const ssize_t count = ::read(words, chunk.data(), chunk.size());
+    if (count <= 0) return count < 0 && errno == EINTR;
+    kept.append(chunk.data(), std::min(static_cast<std::size_t>(count), kMost - kept.size()));
+    return true;
+  }
+
+  Tool tool_;
+  pid_t pid_ = -1;
+};
+
+}  // namespace
+
+bool is_installed(const Tool& tool) {
+  return find_program(tool).has_value();
 }
 
 void require_installed(const Tool& tool) {
@@ -136,37 +167,25 @@ void require_installed(const Tool& tool) {
                                    tool.program, tool.package));
 }
 
-pid_t start_detached(const Tool& tool, const std::vector<std::string>& arguments, int descriptor) {
-  SpawnSettings settings;
-  settings.detach();
-  if (descriptor >= 0) settings.keep(descriptor);
-  return settings.start(tool, arguments);
+int run_tool(const Tool& tool, const std::vector<std::string>& arguments, ToolOutput output,
+             std::chrono::seconds longest) {
+  const Descriptor nowhere(output == ToolOutput::kHidden ? ::open("/dev/null", O_WRONLY | O_CLOEXEC) : -1);
+  Child child(tool, arguments, nowhere.number() >= 0 ? nowhere.number() : STDERR_FILENO);
+  return child.wait(-1, longest).exit_code;
 }
 
-int run_tool(const Tool& tool, const std::vector<std::string>& arguments, ToolOutput output) {
-  SpawnSettings settings;
-  if (output == ToolOutput::kHidden) settings.hide_words();
-  return wait_for_end(settings.start(tool, arguments), tool);
-}
-
-ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments) {
+ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments,
+                              std::chrono::seconds longest) {
   std::array<int, 2> ends{};
-  if (::pipe2(ends.data(), O_CLOEXEC) != 0)
+  if (::pipe2(ends.data(), O_CLOEXEC | O_NONBLOCK) != 0)
     throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
-  SpawnSettings settings;
-  settings.send_words_to(ends[1]);
-  pid_t child = 0;
-  try {
-    child = settings.start(tool, arguments);
-  } catch (...) {
-    ::close(ends[0]);
-    ::close(ends[1]);
-    throw;
-  }
-  ::close(ends[1]);
-  std::string words = read_words(ends[0]);
-  ::close(ends[0]);
-  return {wait_for_end(child, tool), std::move(words)};
+  const Descriptor reading(ends[0]);
+  Descriptor writing(ends[1]);
+  // Only our end must not block.
+  ::fcntl(writing.number(), F_SETFL, 0);
+  Child child(tool, arguments, writing.number());
+  writing.close();
+  return child.wait(reading.number(), longest);
 }
 
 }  // namespace abcal

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -31,11 +32,16 @@ enum class ToolOutput {
   kHidden,  ///< Of a question whose answer is the exit code.
 };
 
-/// Runs a program to its end, without a shell: arguments may hold any character.
+/// How long another program may take unless its caller knows better.
+inline constexpr std::chrono::seconds kLongestTool{600};
+
+/// Runs a program to its end, without a shell: arguments may hold any character. It has a process group of
+/// its own and no descriptor of this program but the standard ones; it ends with this program, also where
+/// that is killed, at Ctrl-C, and at the time limit.
 /// @returns its exit code; 128 + signal if a signal ended it
-/// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error
+/// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error (also at the time limit)
 int run_tool(const Tool& tool, const std::vector<std::string>& arguments,
-             ToolOutput output = ToolOutput::kShown);
+             ToolOutput output = ToolOutput::kShown, std::chrono::seconds longest = kLongestTool);
 
 /// How a program ended, and what it printed on either stream.
 struct ToolResult {
@@ -45,6 +51,7 @@ struct ToolResult {
 
 /// The same for a program whose output becomes the message of its failure.
 /// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error
-ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments);
+ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments,
+                              std::chrono::seconds longest = kLongestTool);
 
 }  // namespace abcal

@@ -41,6 +41,13 @@ void run_helper(const std::string& name, const std::string& needed_by,
   throw std::runtime_error(why);
 }
 
+std::filesystem::path program_data(const std::string& name) {
+  std::error_code ignored;
+  const std::filesystem::path beside = helper_folder() / name;
+  return std::filesystem::exists(beside, ignored) ? beside
+                                                  : helper_folder().parent_path() / "share/abcal" / name;
+}
+
 void set_helper_folder(std::filesystem::path folder) {
   helper_folder() = std::move(folder);
 }

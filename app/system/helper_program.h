@@ -18,6 +18,10 @@ Tool helper_program(const std::string& name, const std::string& needed_by);
 void run_helper(const std::string& name, const std::string& needed_by,
                 const std::vector<std::string>& arguments);
 
+/// A folder of data that belongs to abcal: in the folder of the running program, or installed in
+/// ../share/abcal from there.
+std::filesystem::path program_data(const std::string& name);
+
 /// The folder of the helper programs for tests, whose own programs are elsewhere.
 void set_helper_folder(std::filesystem::path folder);
 

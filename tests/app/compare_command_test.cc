@@ -282,7 +282,9 @@ TEST_F(CompareCommand, GroupsAreJudgedByAnalysisOfVariance) {
   EXPECT_THAT(unknown.err, AllOf(HasSubstr("item.colour"), HasSubstr("operator.name")));
 }
 
-// The run is per g_loc and in g, its certificate per m/s2 and in m/s2: nothing may get lost on the way.
+// The run is per g_loc and in g, its certificate per m/s2 and in m/s2: nothing may get lost on the way but
+// what rounding takes. With two digits of U, half of the last one is up to 0.05 U; and U itself is off by as
+// much.
 TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
   const std::filesystem::path examples = test::source_folder() / "docs/examples";
   ASSERT_EQ(abcal({"run", (examples / "simulated.toml").string(), "-o", "a.run"}).exit_code, 0);
@@ -297,12 +299,13 @@ TEST_F(CompareCommand, ARunAgreesWithItsOwnCertificate) {
     const Json& pair = json["pairs"][0];
     EXPECT_EQ(pair["degrees_of_freedom"], 9);
     for (const auto& [name, property] : pair["properties"].items()) {
-      EXPECT_NEAR(property["e_n"], 0.0, 1e-6) << name;
+      EXPECT_NEAR(property["e_n"], 0.0, 0.05) << name;
       const double u_run = json["results"][0]["properties"][name]["standard_uncertainty"];
       const double u_certificate = json["results"][1]["properties"][name]["standard_uncertainty"];
-      EXPECT_NEAR(u_certificate, u_run, 1e-6 * u_run) << name;
+      EXPECT_NEAR(u_certificate, u_run, 0.055 * u_run) << name;  // and k has two decimals
     }
-    EXPECT_NEAR(pair["rotation"]["angle"]["value"], 0.0, 1e-6);
+    const Json& angle = pair["rotation"]["angle"];
+    EXPECT_LT(angle["value"], 0.1 * angle["standard_uncertainty"].get<double>());
     EXPECT_EQ(json["results"][1]["item"], json["results"][0]["item"]);
     EXPECT_TRUE(json["results"][1]["covariances_known"]);
   }

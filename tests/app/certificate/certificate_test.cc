@@ -7,6 +7,7 @@
 
 #include "app/certificate/dcc_xml.h"
 #include "app/certificate/issue.h"
+#include "app/results/analyses.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 
@@ -175,6 +176,47 @@ TEST_F(MakeCertificateTest, TheReportedEstimatorIsFoundByName) {
   EXPECT_EQ(certificate.run.data.result().offset[0].value, joint.offset[0].value);
 }
 
+// ILAC-P14: no uncertainty below the laboratory's capability, neither stated nor in a decision.
+TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScope) {
+  const std::string scope =
+      "[[scope]]\nquantity = \"sensitivity\"\nunit = \"g/g_loc\"\nfrom = 0.5\nto = 2.0\ncmc = "
+      "0.01\n\n[decision]";
+  const Certificate made = make_certificate(request(replaced(example_laboratory(), "[decision]", scope)));
+  const CertificateXml xml(checked_xml(made, nullptr));
+  for (const std::string result : {"abc_intrinsicSensitivitiesPerGravity", "abc_intrinsicSensitivities"}) {
+    const std::string at = "//dcc:result[@refType='" + result + "']";
+    // In g per g_loc, and in m/s2 per m/s2.
+    const double least = result == "abc_intrinsicSensitivities" ? 0.01 * 9.80665 / 9.80101 : 0.01 * 9.80665;
+    for (const double expanded : xml.numbers(at + "//si:realListXMLList[1]//si:valueExpandedMUXMLList"))
+      EXPECT_NEAR(expanded, least, 0.05 * least) << result;
+    EXPECT_FALSE(xml.texts(at + "//dcc:metaData[@refType='abc_raisedToScope']").empty());
+  }
+  // Outside its range, and of other quantities: as computed.
+  EXPECT_LT(
+      xml.numbers("//dcc:result[@refType='abc_offsets']//si:realListXMLList[1]//si:valueExpandedMUXMLList")
+          .at(0),
+      0.01);
+  EXPECT_TRUE(
+      xml.texts("//dcc:result[@refType='abc_offsets']//dcc:metaData[@refType='abc_raisedToScope']").empty());
+  EXPECT_NEAR(made.run.decisions[0].expanded_uncertainty, 0.01, 1e-12);
+}
+
+// The turn about X is what the run alone does not hold: `abcal level` measures it.
+TEST_F(MakeCertificateTest, ALevellingReducesTheCertifiedUncertainty) {
+  const auto expanded = [](const Certificate& certificate) {
+    return CertificateXml(checked_xml(certificate, nullptr))
+        .numbers(
+            "//dcc:result[@refType='abc_sensitivityMatrix']//dcc:quantity[2]"
+            "//si:realListXMLList[1]//si:valueExpandedMUXMLList")
+        .at(2);  // s_vz
+  };
+  CertificateRequest levelled = request();
+  levelled.run.record.measured_alignment.zy = MeasuredValue{0.0, 5e-6};
+  levelled.run.results = analyse_all(levelled.run.record);
+  levelled.draft = true;
+  EXPECT_LT(expanded(make_certificate(std::move(levelled))), 0.5 * expanded(make_certificate(request())));
+}
+
 TEST_F(MakeCertificateTest, AnEstimatorWithoutAMatrixGivesNotEvenADraft) {
   CertificateRequest asked = request();
   asked.run.estimator = "norm";
@@ -229,7 +271,7 @@ TEST_F(MakeCertificateTest, DecisionsAreThoseOfTheLimits) {
   EXPECT_EQ(xml.text("//dcc:metaData[@refType='basic_conformity']/dcc:conformity"), "fail");
   const auto probability =
       xml.numbers("//dcc:quantity[@refType='abc_conformanceProbability']/si:real/si:value");
-  EXPECT_EQ(probability.at(0), tight.run.decisions[0].conformance_probability);
+  EXPECT_NEAR(probability.at(0), tight.run.decisions[0].conformance_probability, 5.1e-7);  // Six decimals.
 }
 
 }  // namespace

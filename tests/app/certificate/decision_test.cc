@@ -123,11 +123,11 @@ TEST(DecisionTest, NothingIsDecidedWithoutANumber) {
 
 TEST(DecisionTest, TheRuleSaysItsRisk) {
   DecisionRule rule;
-  EXPECT_THAT(describe(rule), HasSubstr("at most 2.3 %"));
+  EXPECT_THAT(describe(rule, Words()).text, HasSubstr("at most 2.3 %"));
   rule.guard_factor = 0.83;
-  EXPECT_THAT(describe(rule), HasSubstr("at most 4.8 %"));
+  EXPECT_THAT(describe(rule, Words()).text, HasSubstr("at most 4.8 %"));
   rule.kind = DecisionKind::kSimple;
-  EXPECT_THAT(describe(rule), HasSubstr("50 %"));
+  EXPECT_THAT(describe(rule, Words()).text, HasSubstr("50 %"));
 }
 
 }  // namespace

@@ -1,11 +1,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <cfloat>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <locale>
+#include <random>
+#include <string>
 
 #include "app/certificate/dsi_list.h"
 #include "app/units/dsi_unit.h"
@@ -50,17 +50,66 @@ class CommaPoint : public std::numpunct<char> {
   std::string do_grouping() const override { return "\3"; }
 };
 
-TEST(DsiNumberTest, AllDigitsInAnyLocale) {
+TEST(DsiNumberTest, TwelveDigitsInAnyLocale) {
   const std::locale before = std::locale::global(std::locale(std::locale::classic(), new CommaPoint));
-  for (const double value :
-       {0.1, 1.0 / 3.0, -9.80101, 1e300, DBL_MAX, -DBL_TRUE_MIN, DBL_EPSILON, 123456789.0, 0.0}) {
-    const std::string digits = dsi_number(value, "x");
-    double read = 1.0;
-    std::from_chars(digits.data(), digits.data() + digits.size(), read);
-    EXPECT_EQ(read, value);
-  }
+  EXPECT_EQ(dsi_number(0.1, "x"), "0.1");
+  EXPECT_EQ(dsi_number(23.15 + 273.0, "x"), "296.15");  // 296.15 to the last bit is 296.14999999999998
+  EXPECT_EQ(dsi_number(-9.80101, "x"), "-9.80101");
+  EXPECT_EQ(dsi_number(1.0 / 3.0, "x"), "0.333333333333");
   EXPECT_EQ(dsi_number(1234567.5, "x"), "1234567.5");
+  EXPECT_EQ(dsi_number(-0.0, "x"), "0");
+  EXPECT_EQ(rounded_value(1234.5678, 0.125, "x").value, "1234.57");
   std::locale::global(before);
+}
+
+// Two significant digits of U, the value to the same place (ILAC-P14); zeros at the end are digits.
+TEST(RoundedValueTest, TheValueHasThePlaceOfTheUncertainty) {
+  const auto expect = [](double value, double expanded, const std::string& text, const std::string& u,
+                         int place) {
+    const RoundedValue rounded = rounded_value(value, expanded, "x");
+    EXPECT_EQ(rounded.value, text);
+    EXPECT_EQ(rounded.expanded, u);
+    EXPECT_EQ(rounded.place, place);
+  };
+  expect(1.002119, 0.00012345, "1.00212", "0.00012", -5);
+  expect(10.002782999999999, 0.0014, "10.0028", "0.0014", -4);
+  expect(1.0020001, 0.00020, "1.00200", "0.00020", -5);
+  expect(-0.0000001, 0.0012, "0.0000", "0.0012", -4);
+  expect(90.0012, 0.0996, "90.00", "0.10", -2);  // 0.0996 is 0.10 in two digits
+  expect(1.23456e-5, 4.5e-7, "1.235e-05", "4.5e-07", -8);
+  expect(-1.5e-8, 3.0e-6, "0", "3.0e-06", -7);
+  expect(9.9996e-6, 1.0e-8, "1.0000e-05", "1.0e-08", -9);
+  expect(123456.0, 1234.0, "1.235e+05", "1.2e+03", 2);
+}
+
+TEST(RoundedValueTest, WithoutUncertaintyThereIsNoPlace) {
+  EXPECT_EQ(rounded_value(1.5, 0.0, "x").value, "1.5");
+  EXPECT_FALSE(rounded_value(1.5, 0.0, "x").place);
+  EXPECT_THROW(rounded_value(1.0, -1.0, "x"), std::invalid_argument);
+}
+
+// Whatever the sizes: the text is within half of the last digit.
+TEST(RoundedValueTest, RoundingIsWithinHalfOfTheLastDigit) {
+  std::mt19937_64 random(7);
+  std::uniform_real_distribution<double> mantissa(1.0, 10.0), exponent(-30.0, 30.0), sign(-1.0, 1.0);
+  for (int i = 0; i < 20'000; ++i) {
+    const double expanded = mantissa(random) * std::pow(10.0, std::floor(exponent(random)));
+    const double value = sign(random) * expanded * std::pow(10.0, 5.0 * std::abs(sign(random)));
+    const RoundedValue rounded = rounded_value(value, expanded, "x");
+    const double half = 0.5 * std::pow(10.0, *rounded.place) * (1.0 + 1e-9);
+    EXPECT_LE(std::abs(std::stod(rounded.value) - value), half) << value << " " << rounded.value;
+    EXPECT_LE(std::abs(std::stod(rounded.expanded) - expanded), half) << expanded << " " << rounded.expanded;
+  }
+}
+
+// ILAC-P14: no uncertainty below the laboratory's capability.
+TEST(CertifiedUncertaintyTest, IsNeverBelowTheScope) {
+  EXPECT_EQ(certified_uncertainty(2e-4, {}).expanded, 2e-4);
+  EXPECT_FALSE(certified_uncertainty(2e-4, {}).raised);
+  EXPECT_EQ(certified_uncertainty(2e-4, 1e-4).expanded, 2e-4);
+  EXPECT_FALSE(certified_uncertainty(2e-4, 2e-4).raised);
+  EXPECT_EQ(certified_uncertainty(2e-4, 3e-4).expanded, 3e-4);
+  EXPECT_TRUE(certified_uncertainty(2e-4, 3e-4).raised);
 }
 
 TEST(DsiNumberTest, WhatIsNotFiniteIsNamed) {

@@ -227,12 +227,11 @@ TEST_F(IssueTest, ASignatureIsVerifiedByXmlsec1) {
   ASSERT_EQ(shell("openssl req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -keyout ec.pem -out ec-cert.pem " +
                   subject),
             0);
-  std::vector<std::string> schema;
-  if (const auto schemas = test::shared_data("dcc/xsd")) schema = {"--schemas", schemas->string()};
+  for (const char* certificate : {"cert.pem", "ec-cert.pem"})
+    registered->lab({"key", "Approver N. N.", "--kind", "person", "--certificate", certificate});
   const auto signing = [&](const std::string& key, const std::string& certificate,
                            std::vector<std::string> more) {
     more.insert(more.end(), {"--sign", key, "--certificate", certificate, "--dcc", key + ".xml"});
-    more.insert(more.end(), schema.begin(), schema.end());
     return more;
   };
 

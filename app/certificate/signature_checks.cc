@@ -1,0 +1,87 @@
+#include "app/certificate/signature_checks.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "app/certificate/sign.h"
+#include "app/certificate/signing_certificate.h"
+#include "app/document/weasyprint.h"
+#include "app/system/read_file.h"
+#include "app/xml/xml_query.h"
+#include "app/xml/xml_tree.h"
+#include "protocol/record/signature.h"
+
+namespace abcal {
+namespace {
+
+/// The certificate that an XML signature carries, as PEM; empty: the XML is not signed.
+std::string certificate_in(const std::string& xml) {
+  const XmlDocument document = parse_xml(xml, "certificate");
+  std::string base64;
+  for (const std::string& word : XmlQuery(document.get()).words("ds:Signature//ds:X509Certificate"))
+    base64 += word;
+  if (base64.empty()) return {};
+  constexpr std::size_t kLine = 64;
+  std::string pem = "-----BEGIN CERTIFICATE-----\n";
+  for (std::size_t at = 0; at < base64.size(); at += kLine) pem += base64.substr(at, kLine) + "\n";
+  return pem + "-----END CERTIFICATE-----\n";
+}
+
+/// Whose the key of a signature is; bad where the approver's keys are known and it is none of them.
+IntegrityCheck judged(const std::string& what, const std::string& certificate_pem,
+                      const std::string& approver, const std::vector<PersonKey>& keys) {
+  const CertificateSubject subject = subject_of(certificate_pem);
+  const std::string fingerprint = fingerprint_of(subject.public_pem);
+  const auto known = std::find_if(keys.begin(), keys.end(),
+                                  [&](const PersonKey& key) { return key.fingerprint == fingerprint; });
+  if (known != keys.end())
+    return {what, known->owner == approver,
+            fmt::format("verifies by a key of {}{}", known->owner,
+                        known->owner == approver ? "" : ", but " + approver + " approved")};
+  const bool has_keys =
+      std::any_of(keys.begin(), keys.end(), [&](const PersonKey& key) { return key.owner == approver; });
+  return {what, !has_keys,
+          fmt::format("verifies by the key of \"{}\", {}", subject.name,
+                      has_keys ? "which is none of " + approver + "'s" : "which no register names")};
+}
+
+}  // namespace
+
+std::vector<IntegrityCheck> check_certificate_signatures(const std::vector<IssuedCertificate>& certificates,
+                                                         const std::vector<PersonKey>& keys) {
+  std::vector<IntegrityCheck> checks;
+  for (const IssuedCertificate& one : certificates) {
+    const std::string what = "signature of certificate " + one.number;
+    const std::string pem = certificate_in(one.xml);
+    if (pem.empty()) continue;
+    const std::string why_not = why_signature_fails(one.xml, pem);
+    checks.push_back(why_not.empty() ? judged(what, pem, one.approved_by, keys)
+                                     : IntegrityCheck{what, false, why_not});
+  }
+  return checks;
+}
+
+std::filesystem::path signature_path_of(const std::filesystem::path& file) {
+  return file.string() + ".p7s";
+}
+
+std::vector<IntegrityCheck> check_printed_certificate(const std::filesystem::path& pdf,
+                                                      const std::vector<IssuedCertificate>& certificates,
+                                                      const std::vector<PersonKey>& keys) {
+  std::vector<IntegrityCheck> checks;
+  const std::string name = pdf.filename().string();
+  if (certificates.empty()) return {{name, false, "no certificate has been issued for this run"}};
+  const IssuedCertificate& current = certificates.back();
+  const bool is_same = attachment_of_pdf(pdf) == current.xml;
+  checks.push_back({name + ", XML inside", is_same,
+                    is_same ? "is certificate " + current.number : "is not certificate " + current.number});
+  const DetachedSignature signature = check_detached(read_file(pdf), read_file(signature_path_of(pdf)));
+  const std::string what = signature_path_of(pdf).filename().string();
+  checks.push_back(signature.good ? judged(what, signature.certificate_pem, current.approved_by, keys)
+                                  : IntegrityCheck{what, false, signature.why_not});
+  return checks;
+}
+
+}  // namespace abcal

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <fmt/format.h>
+
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+namespace abcal {
+
+/// A text of a certificate, and in which language it is (ISO 639-1); empty: in none, a name or a number.
+struct Wording {
+  std::string text;
+  std::string language;
+};
+
+/// The program's own sentences in the language of a certificate. In the code they stand in English; a further
+/// language is one file, app/certificate/languages/CODE.json, which has each of them.
+class Words {
+ public:
+  /// @throws std::invalid_argument  for a language without a file, with those that there are
+  explicit Words(std::string_view language = "en");
+
+  const std::string& language() const { return language_; }
+
+  /// A sentence of the program, with values for its {}.
+  template <class... Values>
+  Wording operator()(std::string_view english, const Values&... values) const {
+    if constexpr (sizeof...(values) == 0) return {known(english), language_};
+    return {fmt::format(fmt::runtime(known(english)), values...), language_};
+  }
+  /// A text of the laboratory, which writes in the language of its certificate.
+  Wording as_given(std::string_view text) const { return {std::string(text), language_}; }
+  /// A text of the analysis, which is not translated.
+  static Wording untranslated(std::string_view text) { return {std::string(text), {}}; }
+
+  /// The sentence in the language; itself where the file does not have it.
+  std::string known(std::string_view english) const;
+
+  /// Codes of the languages that there are: "en" and those with a file.
+  static std::vector<std::string> languages();
+
+ private:
+  std::string language_;
+  const std::unordered_map<std::string, std::string>* table_ = nullptr;  ///< Null: English.
+};
+
+/// Which of the sentences a language's file lacks, or has with another number of {}.
+std::vector<std::string> missing_in_language(const std::string& language,
+                                             const std::vector<std::string>& sentences);
+
+}  // namespace abcal
