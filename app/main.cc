@@ -1,3 +1,4 @@
+#include "app/commands/bench.h"
 #include "app/commands/commands.h"
 #include "app/commands/manual.h"
 #include "app/commands/run_program.h"
@@ -12,6 +13,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_run(app, exit_code);
   add_resume(app, exit_code);
   add_replay(app, exit_code);
+  add_record(app, exit_code);
   add_plan(app, exit_code);
   add_check(app, exit_code);
   add_analyse(app, exit_code);
@@ -23,9 +25,11 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_verify(app, exit_code);
   add_level(app, exit_code);
   add_emulate(app, exit_code);
+  add_export(app, exit_code);
   add_compare(app, exit_code);
   add_gravity(app, exit_code);
   add_serve(app, exit_code);
+  add_bench(app, exit_code);
   add_instruments(app, exit_code);
   add_self_test(app, exit_code);
   add_manual_option(app, std::string("abcal ") + program_version());
@@ -38,6 +42,6 @@ int main(int argc, char** argv) {
       argc, argv,
       {"abcal",
        "abcal calibrates triaxial accelerometers with gravity on a two-axis rotation stage (ABC protocol).\n"
-       "A software halt is no emergency stop: keep the stage's own switch within reach.",
+       "A software halt is not an emergency stop: keep the stage's own switch within reach.",
        add_commands});
 }

@@ -17,7 +17,7 @@ endif()
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
 # Where abcal looks for them (app/system/helper_program.cc).
-install(TARGETS abcal-hdf5 abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
+install(TARGETS abcal-guard abcal-hdf5 abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
 if(TARGET abcal-mpi)
   install(TARGETS abcal-mpi RUNTIME COMPONENT abcal)
 endif()
@@ -44,12 +44,16 @@ install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR
   FILES_MATCHING PATTERN "*.md" PATTERN "images/*.png" PATTERN "changelog.md" EXCLUDE
   PATTERN "decisions" EXCLUDE PATTERN "examples" EXCLUDE PATTERN "udev" EXCLUDE)
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
-# The service names the program by its path, which only the installation knows (cmake --install --prefix).
+# The services name the program by its path, which only the installation knows (cmake --install --prefix).
 install(CODE "
   set(ABCAL_PROGRAM_PATH \"\${CMAKE_INSTALL_PREFIX}/${CMAKE_INSTALL_BINDIR}/abcal\")
-  configure_file(\"${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-console.service.in\"
-    \"${PROJECT_BINARY_DIR}/packaging/abcal-console.service\" @ONLY)" COMPONENT abcal)
-install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-console.service DESTINATION lib/systemd/system COMPONENT abcal)
+  file(READ \"${PROJECT_SOURCE_DIR}/cmake/packaging/hardening.conf\" ABCAL_SERVICE_HARDENING)
+  foreach(service abcal-bench abcal-console)
+    configure_file(\"${PROJECT_SOURCE_DIR}/cmake/packaging/\${service}.service.in\"
+      \"${PROJECT_BINARY_DIR}/packaging/\${service}.service\" @ONLY)
+  endforeach()" COMPONENT abcal)
+install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-bench.service ${PROJECT_BINARY_DIR}/packaging/abcal-console.service
+  DESTINATION lib/systemd/system COMPONENT abcal)
 
 # --- the estimators as a library -------------------------------------------------------------------------------------
 set(library_targets abcal_instrument abcal_plan abcal_model abcal_record abcal_analysis abcal_estimators)

@@ -29,7 +29,7 @@
 namespace abcal::sim {
 namespace {
 
-// What a client may leave unread before the oldest is lost, besides what the system holds.
+// What a client may leave unread before the oldest is lost, in addition to the system's own buffer.
 constexpr std::size_t kOutputCapacity = 65536;
 constexpr std::size_t kReadSize = 4096;
 // What a device holds that its serial line has not carried yet.

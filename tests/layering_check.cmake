@@ -1,4 +1,4 @@
-# Layers point one way: each folder may include only what stands here (docs/architecture.md, "Who may include whom").
+# Layers point one way: each folder may include only what stands here (docs/architecture.md).
 # Every folder of app, drivers, protocol and sim that has sources is listed; one that is not fails.
 # Run by ctest:  cmake -DSOURCE_DIR=... -P layering_check.cmake
 # For the test of the test:  ABCAL_EXTRA_FILE=FOLDER=PATH is a file to check as well, as one of FOLDER;
@@ -110,6 +110,8 @@ layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ hwy/ spdlog/
 layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
   FOREIGN toml++/ Eigen/ nlohmann/ fmt/ boost/)
 layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/export MAY protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/planner MAY app/bench/ app/results/ app/toml/ drivers/instrument/ drivers/text/ protocol/ sim/ FOREIGN toml++/ Eigen/ fmt/)
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/document MAY app/system/ app/xml/ FOREIGN libxml/ nlohmann/ fmt/)
 layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
@@ -121,8 +123,8 @@ layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ app/to
   FOREIGN Eigen/ boost/ nlohmann/ fmt/)
 layer(app/self_test MAY app/bench/ app/document/ app/laboratory/ app/results/ app/session/ app/system/ app/xml/ drivers/instrument/clock.h protocol/
   FOREIGN libxml/ openssl/ sqlite3.h fmt/)
-layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ sim/ FOREIGN boost/ nlohmann/ fmt/)
-set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/laboratory/ app/report/ app/results/ app/robustness/
+layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ drivers/wire/ sim/ FOREIGN boost/ nlohmann/ fmt/)
+set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/export/ app/laboratory/ app/planner/ app/report/ app/results/ app/robustness/
   app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
 layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)

@@ -29,7 +29,7 @@ BenchConfig parse_bench(std::string_view text, const std::string& source) {
 BenchConfig parse_bench(std::string_view text, const std::string& source, const RecordLookup& lookup) {
   std::vector<Problem> unreadable;
   const toml::table root =
-      parse_toml(text, source, "a bench file; docs/examples holds commented ones", unreadable);
+      parse_toml(text, source, "a bench file; commented examples are in docs/examples", unreadable);
   if (!unreadable.empty()) throw BenchError(source, std::move(unreadable));
   BenchConfig config;
   TomlReader reader(root, lookup);

@@ -28,7 +28,7 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
     for (const auto& [section, axis] : {std::pair{"stage.x", &stage.x}, std::pair{"stage.z", &stage.z}}) {
       if (!axis->port.empty())
         reader.add_problem(std::string(section) + ".port", "\"" + axis->port + "\"",
-                           "a driver beside it, and both for the other axis, or neither");
+                           "driver and port for both axes, or for neither");
     }
     return;
   }

@@ -29,10 +29,10 @@ void read_old_tolerances(KeyVisitor& keys, BenchConfig& config) {
     moved.push_back(fmt::format("[{}] {}", key.section, key.key));
   }
   if (moved.empty()) return;
-  config.warnings.push_back(fmt::format(
-      "[tolerances] is the section of abcal.bench/1; it is read, but what it states now stands in {} "
-      "(abcal.bench/2, docs/effects.md)",
-      fmt::join(moved, ", ")));
+  config.warnings.push_back(
+      fmt::format("[tolerances] belongs to the older schema abcal.bench/1; it is read, but use {} instead "
+                  "(abcal.bench/2, docs/effects.md)",
+                  fmt::join(moved, ", ")));
 }
 
 }  // namespace

@@ -179,27 +179,19 @@ bool second_axis(const std::string& section) {
 }
 
 constexpr const char* kPageTop =
-    "# The bench file: every key\n"
-    "\n"
-    "A bench file (TOML, schema `abcal.bench/2`) describes stage, accelerometer, environment, local gravity "
-    "and "
-    "the\n"
-    "measurement. This page is made from the program's own table of keys: `abcal plan --keys` prints it. Do "
-    "not "
-    "edit\n"
-    "it. Commented examples: `docs/examples`. `abcal plan BENCH` reports every mistake of a file, with its "
-    "line.\n"
-    "\n"
-    "- *Default*: the value where the key is absent, as TOML. `-`: no value; the meaning says what happens "
-    "then.\n"
-    "- *Range*: empty where any value of the type is accepted. Numbers must be finite.\n"
-    "- *uncertainty*: a standard uncertainty as a number, or a table with its source "
-    "([effects](effects.md)).\n"
-    "- R is the response unit of the accelerometer (V, g, m/s2, LSB ...); other symbols: "
-    "[notation](notation.md).\n"
-    "- Type *uncertainty*: a standard uncertainty as a number, or a table with its source\n"
-    "  ([effects](effects.md#how-sizes-are-stated)).\n"
-    "- Unknown keys and sections are mistakes.\n";
+    R"(# The bench file: every key
+
+A bench file (TOML, schema `abcal.bench/2`) describes stage, accelerometer, environment, local gravity and the
+measurement. `abcal plan --keys` generates this page from the program's own table of keys; do not edit it. Commented
+examples are in `docs/examples`. `abcal plan BENCH` reports every mistake in a file with its line number.
+
+- *Default*: the value if the key is absent, as TOML. `-`: no value; the meaning states what happens then.
+- *Range*: empty if any value of the type is accepted. Numbers must be finite.
+- Type *uncertainty*: a standard uncertainty as a number, or a table with its source
+  ([effects](effects.md#how-sizes-are-stated)). "6/rev" means 6 periods per revolution.
+- R is the response unit of the accelerometer (V, g, m/s2, LSB ...); other symbols: [notation](notation.md).
+- Unknown keys and sections are mistakes.
+)";
 
 }  // namespace
 

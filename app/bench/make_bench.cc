@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "app/bench/guarded_stage.h"
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
 #include "app/bench/stage_watchdog.h"
@@ -134,6 +135,9 @@ class Opener {
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
       const StageDriver& driver = find_driver(stage_drivers(), port.driver);
       parts.push_back(driver.make(open(port, driver.serial), clock_, stage_settings(config_, port)));
+      if (wire::ReopenableStream* real = opened_.at(port.name).port)
+        parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), guard_, port.name,
+                                                      [real] { return real->descriptor(); });
       const std::lock_guard lock(halt_mutex_);
       halt_ports_[port.name] = {opened_.at(port.name).stream, parts.back()->halt_recipes()};
     }
@@ -242,6 +246,8 @@ class Opener {
   const BenchStreams streams_;
   std::shared_ptr<sim::SimBench> world_;
   Clock& clock_;
+  /// Before the ports: it lets go of them when they are closed here.
+  std::shared_ptr<HaltGuard> guard_ = std::make_shared<HaltGuard>();
   std::map<std::string, Opened, std::less<>> opened_;  ///< By InstrumentPort::name.
 
   struct HaltPort {
@@ -317,8 +323,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
     bench.world = std::make_shared<sim::SimBench>(config.simulation, bench.clock->now());
     schedule(config.faults, config.changes, *bench.world);
   } else if (!config.changes.empty()) {
-    throw std::invalid_argument(
-        "[[change]]: nothing on this bench is simulated, so that nothing would change");
+    throw std::invalid_argument("[[change]]: nothing on this bench is simulated, so a change has no effect");
   }
 
   const auto opener = std::make_shared<Opener>(config, std::move(streams), bench.world, *bench.clock);

@@ -14,7 +14,7 @@ namespace {
 
 using std::chrono::milliseconds;
 
-// What streams is heard in this time, before anything is asked.
+// An instrument that streams is recognised in this time, before anything is sent.
 constexpr Clock::Duration kListens = milliseconds(100);
 // An instrument that is at rest answers within 100 ms, and a line of 60 characters takes 60 ms at 9600 Bd.
 constexpr Clock::Duration kAnswers = milliseconds(350);
@@ -85,7 +85,7 @@ ProbeAnswer from_identity(const Candidate& candidate, std::string_view heard) {
   return found;
 }
 
-/// The first whole line of letters in what was heard; empty if there is none.
+/// The first complete line of text in the received bytes; empty if there is none.
 std::string first_words(std::string_view heard) {
   for (const std::string_view line : pieces::split(heard, '\n')) {
     const std::string_view text = pieces::trimmed(line);

@@ -44,8 +44,8 @@ void StageWatchdog::watch(const std::stop_token& stop) {
     if (!motion_.overdue(clock_.now())) continue;
     motion_.forget();
     halted_because_ = fmt::format(
-        "the watchdog halted it: it may have been moving, and its controller had not answered for {:g} s, or "
-        "this program had not asked",
+        "the watchdog halted the stage: it may have been moving, and its controller had not answered for "
+        "{:g} s, or this program had not polled it",
         to_seconds(patience_));
     const auto note = [this](const std::string& text) {
       events_.push_back({clock_.now(), "watchdog halt", text});

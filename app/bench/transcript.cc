@@ -44,7 +44,7 @@ BenchStreams Transcript::streams() {
 }
 
 void Transcript::keep_in(RunFile& file) {
-  file.keep_transcript(start_.value().utc, [this] { return take(); });
+  file.keep_transcript(start_.value().utc, [this] { return remove_rows(); });
 }
 
 void Transcript::note(std::string_view role, WireEvent&& event) {
@@ -60,7 +60,7 @@ void Transcript::note(std::string_view role, WireEvent&& event) {
       {std::string(role), time_ns, arrival_ns, static_cast<char>(event.kind), std::move(event.bytes)});
 }
 
-std::vector<WireRow> Transcript::take() {
+std::vector<WireRow> Transcript::remove_rows() {
   const std::lock_guard lock(mutex_);
   return std::exchange(rows_, {});
 }
@@ -68,10 +68,9 @@ std::vector<WireRow> Transcript::take() {
 RecordedWire::RecordedWire(const std::filesystem::path& run) {
   std::optional<WireTranscript> transcript = RunFile::load_transcript(run);
   if (!transcript) {
-    throw RunFileError(
-        run.string() +
-        ": was measured without a recording of its wires, so it cannot be replayed; required: a "
-        "run made with `abcal run BENCH --record`");
+    throw RunFileError(run.string() +
+                       ": was measured without a recording, so it cannot be replayed; required: a run made "
+                       "with `abcal run BENCH --record`");
   }
   start_ = transcript->start;
   for (WireRow& row : transcript->rows) {
@@ -81,9 +80,8 @@ RecordedWire::RecordedWire(const std::filesystem::path& run) {
     }
     if (!is_known(row.kind)) {
       throw RunFileError(
-          fmt::format("{}: its recording has a row of the kind {:?}, which this program does not "
-                      "know; update abcal",
-                      run.string(), std::string_view(&row.kind, 1)));
+          fmt::format("{}: its recording contains a row of the unknown kind {:?}; update abcal", run.string(),
+                      std::string_view(&row.kind, 1)));
     }
     const auto instant = [](std::int64_t ns) { return Clock::Instant(Clock::Duration(ns)); };
     events_[row.role].push_back({static_cast<WireEvent::Kind>(row.kind), instant(row.time_ns),

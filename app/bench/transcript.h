@@ -33,7 +33,7 @@ class Transcript {
 
  private:
   void note(std::string_view role, wire::WireEvent&& event);
-  std::vector<WireRow> take();
+  std::vector<WireRow> remove_rows();
 
   struct Start {
     Clock::Instant instant;

@@ -26,7 +26,7 @@ AccelerometerUnderTest from_json(const std::string& text) {
   if (rows.size() != 3 || offset.size() != 3) throw std::invalid_argument("3 rows and 3 offsets are needed");
   AccelerometerUnderTest accelerometer;
   for (std::size_t j = 0; j < 3; ++j) {
-    if (rows.at(j).size() != 3) throw std::invalid_argument("a row has not 3 elements");
+    if (rows.at(j).size() != 3) throw std::invalid_argument("a row does not have 3 elements");
     const auto row = static_cast<Eigen::Index>(j);
     for (std::size_t k = 0; k < 3; ++k) {
       accelerometer.sensitivity_matrix(row, static_cast<Eigen::Index>(k)) = plain_number(rows.at(j).at(k));
@@ -55,7 +55,7 @@ std::vector<double> numbers_in(std::string text) {
     } catch (const std::exception&) {
       used = 0;
     }
-    if (used != word.size()) throw std::invalid_argument(fmt::format("\"{}\" is no number", word));
+    if (used != word.size()) throw std::invalid_argument(fmt::format("\"{}\" is not a number", word));
   }
   return numbers;
 }

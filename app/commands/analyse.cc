@@ -36,13 +36,13 @@ void keep(const std::filesystem::path& path, const CalibrationResult& result) {
   try {
     ResultsFile results(path, sha256_of_file(path));
     if (results.made_again()) {
-      print_log("{} was missing and is made again; earlier analyses are not known\n",
+      print_log("{} was missing and is created again; earlier analyses are unknown\n",
                 ResultsFile::path_beside(path).string());
     }
     results.add_analysis(format_utc(RealClock().utc_now()), program_version(), result.estimator,
                          result_json(result).dump());
   } catch (const RunFileError& error) {
-    print_log("warning: the analysis was not kept: {}\n", error.what());
+    print_log("warning: the analysis was not stored: {}\n", error.what());
   }
 }
 
@@ -63,11 +63,10 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
                    "run file, or CSV of averaged readings (norm: of poses, or a time series)")
       ->required();
   command
-      ->add_option(
-          "--estimator", options->estimator,
-          fmt::format("{} (default: the one chosen before the run, {} where none was; the text shows "
-                      "all)",
-                      estimator_choice(), kPublishedEstimator))
+      ->add_option("--estimator", options->estimator,
+                   fmt::format("{} (default: the estimator chosen before the run, {} if none was chosen; the "
+                               "text output shows all)",
+                               estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.result/1");
   command->add_option(

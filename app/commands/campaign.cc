@@ -58,8 +58,8 @@ bool is_measured(const std::filesystem::path& path, const CampaignOptions& optio
   }
   const StoredRun stored = RunFile::load(path);
   if (stored.header.bench_toml != write_bench(config)) {
-    throw std::invalid_argument(path.string() + ": was measured with another bench file than " +
-                                options.bench_file + "; a campaign has one");
+    throw std::invalid_argument(path.string() + ": was measured with a bench file other than " +
+                                options.bench_file + "; all runs of a campaign have the same bench file");
   }
   if (stored.state != RunState::kComplete) {
     throw std::invalid_argument(fmt::format("{}: is {}; finish it first: abcal resume {}", path.string(),
@@ -72,7 +72,7 @@ bool is_measured(const std::filesystem::path& path, const CampaignOptions& optio
 void ask_to_remount(int run, int runs) {
   print_log(
       "\nRun {} of {}: the stage is at its zeros. Take the accelerometer off, mount it again, and "
-      "press Enter when nobody touches the stage (Ctrl-C ends the campaign): ",
+      "press Enter when nobody is touching the stage (Ctrl-C ends the campaign): ",
       run, runs);
   std::array<char, 256> line{};
   for (;;) {
@@ -81,7 +81,8 @@ void ask_to_remount(int run, int runs) {
     const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
     if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
     if (::read(STDIN_FILENO, line.data(), line.size()) > 0) return;
-    throw std::runtime_error("the terminal is gone, so nobody can confirm that the accelerometer is mounted");
+    throw std::runtime_error(
+        "the terminal was closed, so nobody can confirm that the accelerometer is mounted");
   }
 }
 
@@ -95,7 +96,7 @@ void tell_how_to_continue(const CampaignOptions& options, const std::vector<std:
   }
   std::error_code ignored;
   const bool begun = std::filesystem::exists(paths[failed], ignored);
-  print_log("The campaign ended in run {} of {}. Complete and kept: {}. Continue with: {}{}\n", failed + 1,
+  print_log("The campaign ended in run {} of {}. Complete runs: {}. Continue with: {}{}\n", failed + 1,
             paths.size(), complete.empty() ? "none" : fmt::format("{}", fmt::join(complete, ", ")),
             begun ? fmt::format("abcal resume {}, then ", paths[failed].string()) : "",
             command_to_continue(options, paths.front()));
@@ -132,9 +133,8 @@ void measure_missing(const CampaignOptions& options, const BenchConfig& config,
 int run_campaign(const CampaignOptions& options) {
   if (options.remount && ::isatty(STDIN_FILENO) == 0) {
     throw std::invalid_argument(
-        "--remount: between the runs a person must mount the accelerometer again and say so, but standard "
-        "input "
-        "is no terminal; required: a terminal, or no --remount");
+        "--remount: a person must confirm that the accelerometer was remounted, but standard input is not a "
+        "terminal; required: a terminal, or no --remount");
   }
   const BenchConfig config = read_bench(options.bench_file, register_records());
   print_warnings(config);

@@ -38,7 +38,7 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "check", "Identify both instruments, turn the stage a little, and report what is wrong");
+      "check", "Identify both instruments, turn both axes by 30 degrees, and report problems");
   command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
   command->add_flag("--no-motion", options->no_motion, "move nothing");
   command->add_flag("--json", options->json, "print one JSON object");

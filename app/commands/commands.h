@@ -9,6 +9,7 @@ namespace abcal {
 
 CLI::App* add_run(CLI::App& parent, int& exit_code);
 CLI::App* add_resume(CLI::App& parent, int& exit_code);
+CLI::App* add_record(CLI::App& parent, int& exit_code);
 CLI::App* add_replay(CLI::App& parent, int& exit_code);
 CLI::App* add_plan(CLI::App& parent, int& exit_code);
 CLI::App* add_check(CLI::App& parent, int& exit_code);
@@ -18,6 +19,7 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code);
 CLI::App* add_lab(CLI::App& parent, int& exit_code);
 CLI::App* add_verify(CLI::App& parent, int& exit_code);
 CLI::App* add_level(CLI::App& parent, int& exit_code);
+CLI::App* add_export(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);
 CLI::App* add_compare(CLI::App& parent, int& exit_code);
 CLI::App* add_gravity(CLI::App& parent, int& exit_code);

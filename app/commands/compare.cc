@@ -30,7 +30,8 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
                    fmt::format("of runs and CSVs: {} (default: {})", estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--shared", options->compare.shared_stage,
-                    "all were measured on one stage: subtract its common type B from the differences");
+                    "all were measured on one stage: subtract the effect of its common errors from the "
+                    "uncertainty of the differences");
   command->add_flag("--any-item", options->compare.any_item, "compare results of different items");
   command->add_option("--group-by", options->compare.group_by,
                       "analysis of variance between groups: day, stage, or a label such as operator.name");

@@ -1,11 +1,14 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
-#include <charconv>
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <map>
+#include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <stdexcept>
 #include <thread>
 
@@ -15,15 +18,19 @@
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
+#include "app/emulate/compare_firmware.h"
 #include "app/emulate/control_server.h"
+#include "app/emulate/listening_port.h"
 #include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "drivers/wire/port_list.h"
+#include "drivers/wire/readable_bytes.h"
 #include "sim/emulator.h"
 #include "sim/firmware/faulty_port.h"
 #include "sim/followed_stage.h"
+#include "sim/sim_clock.h"
 
 namespace abcal {
 namespace {
@@ -54,34 +61,13 @@ struct Served {
   std::shared_ptr<sim::FaultyPort> firmware;
 };
 
-/// Where to listen for "tcp:HOST:PORT". Port 0 is any free one, which is then printed. Without a host
-/// ("tcp:PORT", "tcp::PORT") on the loopback only; another address (0.0.0.0) must be given.
-/// @throws std::invalid_argument
-sim::TcpPort listening_port(const std::string& port) {
-  const std::size_t colon = port.rfind(':');  // at least that of "tcp:"
-  std::string host = colon < 4 ? "" : port.substr(4, colon - 4);
-  if (host.size() >= 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
-  sim::TcpPort where;
-  if (!host.empty()) where.host = host;
-  const char* const end = port.data() + port.size();
-  const auto [stopped, error] = std::from_chars(port.data() + colon + 1, end, where.port);
-  if (error != std::errc() || stopped != end) {
-    throw std::invalid_argument(
-        fmt::format("port \"{}\": \"{}\" is no port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
-                    "(listens on the "
-                    "loopback), PORT from 0 (any free one) to 65535",
-                    port, port.substr(colon + 1)));
-  }
-  return where;
-}
-
 /// Where an instrument is served: on the TCP port that the bench file names, else on a pseudo-terminal.
 sim::Endpoint endpoint(const Served& served, const std::filesystem::path& links, sim::LineModel line) {
   if (served.port.starts_with("tcp:")) return {served.firmware, listening_port(served.port)};
   return {served.firmware, sim::PtyLink{links / served.name, line}};
 }
 
-/// Each command that an instrument does not carry out is told when it comes for the first time.
+/// Reports each command that an instrument does not carry out when it arrives for the first time.
 EmulatorControl::Unserved watch_unserved(const std::vector<Served>& all) {
   EmulatorControl::Unserved unserved;
   for (const Served& served : all) {
@@ -136,6 +122,9 @@ struct EmulateCommand {
   double speed = 1.0;
   std::optional<std::uint16_t> control;
   bool follow_stage = false;
+  std::string compare;     ///< Log to compare with; nothing is served then.
+  std::string instrument;  ///< Which port of the bench it is of; may be empty where there is only one.
+  bool json = false;
 };
 
 /// The ports of a bench that have bytes to serve.
@@ -150,7 +139,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
   add(environment_ports(config.environment));
   if (ports.empty())
     throw std::invalid_argument(
-        "nothing on this bench has bytes to serve: choose drivers of real instruments");
+        "no instrument of this bench communicates by bytes: choose other drivers than \"simulated\"");
   return ports;
 }
 
@@ -191,7 +180,7 @@ void serve_instruments(const EmulateCommand& command) {
   const std::vector<std::string> addresses = emulator.addresses();
   for (std::size_t i = 0; i < all.size(); ++i)
     print_result("{}: {} on {}\n", all[i].name, all[i].driver, addresses[i]);
-  if (follower) print_result("The accelerometer follows the stage's read-back.\n");
+  if (follower) print_result("The accelerometer follows the encoders of the stage.\n");
   if (control_server) print_result("control: tcp:127.0.0.1:{}\n", control_server->port());
   print_result("Serving until interrupted (Ctrl-C).\n");
   emulator.run(end.get_token());
@@ -202,24 +191,100 @@ void serve_instruments(const EmulateCommand& command) {
   }
 }
 
+/// The port of the bench that a log is of.
+/// @throws std::invalid_argument
+InstrumentPort port_of_log(const BenchConfig& config, const std::string& instrument) {
+  const std::vector<InstrumentPort> ports = ports_to_serve(config, true);
+  std::vector<std::string> names;
+  for (const InstrumentPort& port : ports) {
+    if (port.name == instrument || (instrument.empty() && ports.size() == 1)) return port;
+    names.push_back(port.name);
+  }
+  throw std::invalid_argument(fmt::format("--instrument {}: required: one of {}",
+                                          instrument.empty() ? "is missing" : instrument,
+                                          fmt::join(names, ", ")));
+}
+
+nlohmann::ordered_json comparison_json(const std::vector<ComparedExchange>& exchanges) {
+  nlohmann::ordered_json rows = nlohmann::ordered_json::array();
+  for (const ComparedExchange& each : exchanges) {
+    rows.push_back({{"t_s", each.t_s},
+                    {"asked", wire::bytes_as_text(each.asked)},
+                    {"real", wire::bytes_as_text(each.real)},
+                    {"simulated", wire::bytes_as_text(each.simulated)},
+                    {"likeness", to_string(each.likeness)}});
+  }
+  return {{"schema", "abcal.firmware_comparison/1"}, {"exchanges", rows}};
+}
+
+bool agrees(Likeness likeness) {
+  return likeness == Likeness::kEqual || likeness == Likeness::kNumbersDiffer ||
+         likeness == Likeness::kSameLength;
+}
+
+/// How many exchanges agree in which way, and each request whose answers do not, once.
+void print_comparison(const std::vector<ComparedExchange>& exchanges) {
+  std::map<Likeness, std::size_t> counts;
+  std::set<std::string> told;
+  for (const ComparedExchange& each : exchanges) {
+    ++counts[each.likeness];
+    if (agrees(each.likeness) || !told.insert(each.asked).second) continue;
+    print_result("{:.3f} s: \"{}\": {}\n  real:      \"{}\"\n  simulated: \"{}\"\n", each.t_s,
+                 wire::printable(each.asked), to_string(each.likeness), wire::printable(each.real),
+                 wire::printable(each.simulated));
+  }
+  print_result("{} exchanges", exchanges.size());
+  for (const auto& [likeness, count] : counts) print_result("; {}: {}", to_string(likeness), count);
+  print_result("\n");
+}
+
+/// @return whether all answers agree.
+bool compare_with_log(const EmulateCommand& command) {
+  const BenchConfig config = read_bench(command.bench_file, register_records());
+  const WireLog log = read_wire_log(command.compare);
+  sim::SimClock clock;
+  const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
+  const auto firmware = make_firmware(config, port_of_log(config, command.instrument), world);
+  const std::vector<ComparedExchange> exchanges = compare_firmware(log, *firmware, clock.now());
+  if (command.json) {
+    print_result("{}\n", comparison_json(exchanges).dump(2));
+  } else {
+    print_comparison(exchanges);
+  }
+  return std::ranges::all_of(exchanges, agrees, &ComparedExchange::likeness);
+}
+
 }  // namespace
 
 CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<EmulateCommand>();
   CLI::App* command = parent.add_subcommand(
-      "emulate", "Serve the bench's instruments, simulated, on pseudo-terminals or TCP until interrupted");
-  command->add_option("BENCH", options->bench_file, "bench file (TOML); [simulation] is the truth")
+      "emulate", "Serve simulated instruments on pseudo-terminals or TCP ports until interrupted");
+  command
+      ->add_option("BENCH", options->bench_file,
+                   "bench file (TOML); its [simulation] describes the simulated bench")
       ->required();
   command->add_option("--link-dir", options->link_dir, "folder for the links `stage` and `accelerometer`");
-  CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time runs faster")
+  CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time passes faster")
                            ->check(CLI::PositiveNumber);
   command->add_option("--control", options->control,
                       "loopback port for faults and changes during the run, one line of JSON each; 0: any");
   command
       ->add_flag("--follow-stage", options->follow_stage,
-                 "the bench's stage is real: serve the accelerometer only, and let it follow the stage")
+                 "the stage is real: serve only the accelerometer, which follows the encoders of the stage")
       ->excludes(speed);
+  CLI::Option* compare = command->add_option("--compare", options->compare,
+                                             "serve nothing: give the simulated instrument the host's bytes "
+                                             "of this file (`abcal record`) and show where "
+                                             "its answers differ from the real one's");
+  command->add_option("--instrument", options->instrument, "the port of the bench that the file is of")
+      ->needs(compare);
+  command->add_flag("--json", options->json, "print the comparison as one JSON object")->needs(compare);
   command->callback([options, &exit_code] {
+    if (!options->compare.empty()) {
+      exit_code = compare_with_log(*options) ? kExitDone : kExitFailed;
+      return;
+    }
     serve_instruments(*options);
     exit_code = kExitDone;
   });

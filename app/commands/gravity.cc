@@ -55,7 +55,7 @@ CLI::App* add_gravity(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand(
-      "gravity", "Local gravity by formula, with its uncertainty, for a site without survey");
+      "gravity", "Local gravity by formula, with its uncertainty, for a site without a survey");
   command->add_option("--latitude", options->latitude_deg, "geodetic latitude in degrees, south negative")
       ->required();
   command->add_option("--height", options->height_m, "height above sea level in metres")->required();

@@ -26,9 +26,9 @@ struct Probed {
 
   std::string words() const {
     if (!failure.empty()) return failure;
-    if (!answer) return "no instrument that a driver knows answered";
+    if (!answer) return "no instrument that a driver recognises answered";
     if (answer->driver.empty())
-      return fmt::format("no driver fits the instrument that says \"{}\"", answer->said);
+      return fmt::format("no driver recognises the instrument that answers \"{}\"", answer->said);
     const std::string others =
         answer->ports > 1 ? fmt::format(", with {} more of its kind", answer->ports - 1) : std::string();
     return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]{}", answer->maker, answer->model,
@@ -129,8 +129,7 @@ void print_port(const wire::PortInfo& port) {
   if (!port.holder.empty()) print_result("    in use by {}\n", port.holder);
   if (port.latency_timer_ms && *port.latency_timer_ms > 2) {
     print_result(
-        "    its adapter waits {} ms before it passes a short reply on; setserial {} low_latency makes "
-        "it 1 ms\n",
+        "    its adapter delays short replies by {} ms; `setserial {} low_latency` reduces this to 1 ms\n",
         *port.latency_timer_ms, port.path);
   }
 }
@@ -143,7 +142,7 @@ void print_as_text(const std::vector<wire::PortInfo>& ports,
   for (const wire::PortInfo& port : ports) print_port(port);
   if (probed) {
     print_result("Asked:\n");
-    if (probed->empty()) print_result("  no port that is free and permitted\n");
+    if (probed->empty()) print_result("  no port is free and accessible to this user\n");
     for (const Probed& one : *probed) print_result("  {}: {}\n", one.port, one.words());
   }
   print_result("Stage drivers:\n");
@@ -152,8 +151,8 @@ void print_as_text(const std::vector<wire::PortInfo>& ports,
   for (const auto& driver : accelerometer_drivers())
     print_result("  {:<18} {}\n", driver.name, driver.description);
   print_result(
-      "Both: \"simulated\" as driver (no bytes), or as the port of a driver above (its bytes, in this "
-      "program).\n");
+      "For both: driver = \"simulated\" (without bytes), or port = \"simulated\" with a driver above (its "
+      "bytes, in this program).\n");
 }
 
 }  // namespace

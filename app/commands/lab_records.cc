@@ -21,7 +21,7 @@ double number_of(const std::string& text, const std::string& whole) {
   const char* end = text.data() + text.size();
   if (text.empty() || std::from_chars(text.data(), end, value).ptr != end)
     throw std::invalid_argument(
-        fmt::format("--value {}: \"{}\" is no number; required: NAME=VALUE,U,K,UNIT", whole, text));
+        fmt::format("--value {}: \"{}\" is not a number; required: NAME=VALUE,U,K,UNIT", whole, text));
   return value;
 }
 

@@ -25,6 +25,7 @@ namespace {
 
 struct LevelOptions {
   std::string bench_file;
+  std::string measured_run;  ///< Evaluated instead of measuring.
   std::string output;
   std::string run_output;
   std::string sensitivity;
@@ -60,14 +61,16 @@ Levelling evaluate(const StoredRun& run, const Eigen::Matrix3d& sensitivity) {
           x_zero_from_reversal({spin_end, dwells.end()}, sensitivity, run.record.tolerances)};
 }
 
-LevelFile level_file_of(const Levelling& levelling, const StoredRun& run, const StageInfo& stage) {
+LevelFile level_file_of(const Levelling& levelling, const StoredRun& run) {
   const auto stored = [](const Quantity& q) { return MeasuredValue{q.value, q.standard_uncertainty}; };
   const TiltOfZ& tilt = levelling.tilt;
   const XZero& x_zero = levelling.x_zero;
   LevelFile level;
   level.utc = run.events.back().utc;
   level.program_version = program_version();
-  level.stage_serial_number = stage.serial_number;
+  for (const InstrumentIdentity& instrument : run.header.instruments) {
+    if (instrument.role == "stage") level.stage_serial_number = instrument.serial_number;
+  }
   level.alignment.zx = stored(tilt.zx);
   level.alignment.zy = stored(tilt.zy);
   level.alignment.xz = {x_zero.zx_plus_xz.value - tilt.zx.value,
@@ -90,33 +93,62 @@ void print_levelling(const Levelling& levelling, std::size_t angles, const std::
   row("Zx + Xz", levelling.x_zero.zx_plus_xz, "");
   row("X zero", levelling.x_zero.error, "actual minus commanded angle of X at 0");
   print_result(
-      "Stored in {} (readings in {}). Under [stage] of a bench file, level_file = \"{}\" gives Zx, Zy "
-      "and Xz to\nthe joint estimator as data.\n",
+      "Stored in {} (readings in {}). Under [stage] of a bench file, level_file = \"{}\" gives Zx, Zy and "
+      "Xz\nto the joint estimator as data.\n",
       output.string(), run.string(), output.string());
 }
 
-void run_level(const LevelOptions& options) {
+/// A levelling and the sensitivity in R per g_loc by which it is evaluated.
+struct MeasuredLevelling {
+  std::filesystem::path run_file;
+  StoredRun run;
+  Eigen::Matrix3d sensitivity;
+};
+
+MeasuredLevelling measure(const LevelOptions& options) {
   const BenchConfig config = read_bench(options.bench_file, register_records());
   print_warnings(config);
-  const std::filesystem::path output = output_path(options.output, options.bench_file, ".level.json");
-  if (std::filesystem::exists(output)) {
-    throw std::invalid_argument(output.string() + ": exists already; choose another name with -o");
-  }
   const std::filesystem::path run_file = output_path(options.run_output, options.bench_file, ".level.run");
   const StartRequest request{write_bench(config), options.bench_file, run_file.string(), false};
-  TerminalListener terminal({.title = "Levelling", .introduce = false});
+  TerminalListener terminal({.title = "Levelling", .introduce = false, .tell_how_to_resume = true});
   RunSession session(session_options(terminal));
   const Identities identities = session.identify_instruments(request);
   const Eigen::Matrix3d sensitivity =
       sensitivity_for(options, identities.accelerometer.output_unit, config.g_loc.value_mps2);
-  const RunOutcome run = session.level(request);
-  const Levelling levelling = evaluate(run.stored, sensitivity);
-  const LevelFile level = level_file_of(levelling, run.stored, identities.stage);
+  RunOutcome outcome = session.level(request);
+  return {outcome.path, std::move(outcome.stored), sensitivity};
+}
+
+MeasuredLevelling load_levelling(const LevelOptions& options) {
+  StoredRun run = RunFile::load(options.measured_run);
+  const auto refuse = [&](const std::string& why) {
+    throw std::invalid_argument(options.measured_run + ": " + why);
+  };
+  if (has_experiments(run.header.plan)) refuse("a calibration; required: a levelling, made by `abcal level`");
+  if (run.state != RunState::kComplete) {
+    refuse(fmt::format("{} of {} angles are measured; measure the others with: abcal resume {}",
+                       run.measured.size(), run.header.plan.size(), options.measured_run));
+  }
+  const Eigen::Matrix3d sensitivity =
+      sensitivity_for(options, run.header.response_unit, run.header.g_loc.value_mps2);
+  return {options.measured_run, std::move(run), sensitivity};
+}
+
+void run_level(const LevelOptions& options) {
+  const bool is_measured = !options.measured_run.empty();
+  const std::filesystem::path output =
+      output_path(options.output, is_measured ? options.measured_run : options.bench_file, ".level.json");
+  if (std::filesystem::exists(output)) {
+    throw std::invalid_argument(output.string() + ": exists already; choose another name with -o");
+  }
+  const MeasuredLevelling measured = is_measured ? load_levelling(options) : measure(options);
+  const Levelling levelling = evaluate(measured.run, measured.sensitivity);
+  const LevelFile level = level_file_of(levelling, measured.run);
   write_level_file(output, level);
   if (options.json) {
     print_result("{}\n", level_json(level).dump(2));
   } else {
-    print_levelling(levelling, run.stored.record.dwells.size(), output, run.path);
+    print_levelling(levelling, measured.run.record.dwells.size(), output, measured.run_file);
   }
 }
 
@@ -127,12 +159,19 @@ CLI::App* add_level(CLI::App& parent, int& exit_code) {
   CLI::App* command = parent.add_subcommand(
       "level",
       "Measure the tilt of the Z axis and the zero of the X axis; store them with their uncertainty");
-  command->add_option("BENCH", options->bench_file, "bench file (TOML)")->required();
+  CLI::Option_group* source = command->add_option_group("what is evaluated");
+  CLI::Option* bench = source->add_option("BENCH", options->bench_file, "bench file (TOML)");
+  CLI::Option* from = source->add_option(
+      "--from", options->measured_run,
+      "complete readings of a levelling, such as one that was continued by `abcal resume`; nothing moves");
+  source->require_option(1);
   command->add_option(
       "-o,--output", options->output,
       "level file to write, for `level_file` under [stage] (default: BENCH-UTC.level.json here)");
-  command->add_option("--run", options->run_output,
-                      "file for the readings (default: BENCH-UTC.level.run here)");
+  command
+      ->add_option("--run", options->run_output, "file for the readings (default: BENCH-UTC.level.run here)")
+      ->needs(bench)
+      ->excludes(from);
   command->add_option(
       "--sensitivity", options->sensitivity,
       "run or CSV whose ABC result gives the sensitivity matrix (default: 1 in g, g_loc in m/s2)");

@@ -156,7 +156,7 @@ constexpr const char* kExitStatus =
     ".TP\n130\ninterrupted\n";
 
 constexpr const char* kSafety =
-    ".SH SAFETY\nA software halt is no emergency stop. A computer can hang: keep the stage's own switch "
+    ".SH SAFETY\nA software halt is not an emergency stop. A computer can hang: keep the stage's own switch "
     "within reach.\n";
 
 std::string page(const std::string& name, const std::string& one_line, const std::string& body,

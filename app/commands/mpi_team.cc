@@ -89,13 +89,13 @@ class Numbers {
   }
 
   explicit Numbers(std::vector<double> numbers = {}) : numbers_(std::move(numbers)) {}
-  double take() { return numbers_.at(next_++); }
+  double next() { return numbers_.at(next_++); }
   template <class Matrix>
   void take_all(Matrix& m) {
-    const auto rows = static_cast<Eigen::Index>(take());
-    const auto cols = static_cast<Eigen::Index>(take());
+    const auto rows = static_cast<Eigen::Index>(next());
+    const auto cols = static_cast<Eigen::Index>(next());
     m.resize(rows, cols);
-    for (double& x : m.reshaped()) x = take();
+    for (double& x : m.reshaped()) x = next();
   }
   const std::vector<double>& all() const { return numbers_; }
 
@@ -127,20 +127,20 @@ Numbers write(const MonteCarloResult& result) {
 
 MonteCarloResult read(Numbers numbers, std::string note) {
   MonteCarloResult result;
-  result.trials = static_cast<std::uint64_t>(numbers.take());
-  result.interrupted = numbers.take() != 0.0;
-  result.adaptive = numbers.take() != 0.0;
-  result.converged = numbers.take() != 0.0;
-  result.coverage_probability = numbers.take();
-  result.interval_method = static_cast<IntervalMethod>(static_cast<int>(numbers.take()));
+  result.trials = static_cast<std::uint64_t>(numbers.next());
+  result.interrupted = numbers.next() != 0.0;
+  result.adaptive = numbers.next() != 0.0;
+  result.converged = numbers.next() != 0.0;
+  result.coverage_probability = numbers.next();
+  result.interval_method = static_cast<IntervalMethod>(static_cast<int>(numbers.next()));
   numbers.take_all(result.mean);
   numbers.take_all(result.standard_deviation);
   numbers.take_all(result.covariance);
   numbers.take_all(result.reached);
-  result.coverage.resize(static_cast<std::size_t>(numbers.take()));
+  result.coverage.resize(static_cast<std::size_t>(numbers.next()));
   for (Coverage& c : result.coverage) {
     for (double* x : {&c.symmetric.low, &c.symmetric.high, &c.shortest.low, &c.shortest.high})
-      *x = numbers.take();
+      *x = numbers.next();
   }
   result.note = std::move(note);
   return result;

@@ -6,6 +6,7 @@
 #include "app/bench/bench_records.h"
 #include "app/bench/key_reference.h"
 #include "app/commands/commands.h"
+#include "app/commands/plan_reach.h"
 #include "app/results/effect_words.h"
 #include "app/session/register_records.h"
 #include "app/system/exit_code.h"
@@ -19,7 +20,7 @@ namespace {
 /// What is known of an axis without asking the stage.
 struct KnownAxis {
   AxisTravel travel;
-  double speed_deg_per_s = 0.0;
+  AxisSpeed speed;
   bool travel_assumed = false;
 };
 
@@ -28,13 +29,13 @@ KnownAxis known_axis(const StageConfig& stage, const StageAxisConfig& axis, cons
   const bool simulated = stage.port == "simulated";
   if (simulated) {
     known.travel = {truth.travel_min, truth.travel_max};
-    known.speed_deg_per_s = truth.speed_deg_per_s;
+    known.speed = {truth.speed_deg_per_s, truth.acceleration_deg_per_s2};
   }
   if (axis.travel_min_deg)
     known.travel.min = std::max(known.travel.min, Angle::degrees(*axis.travel_min_deg));
   if (axis.travel_max_deg)
     known.travel.max = std::min(known.travel.max, Angle::degrees(*axis.travel_max_deg));
-  if (axis.speed_deg_per_s) known.speed_deg_per_s = *axis.speed_deg_per_s;
+  if (axis.speed_deg_per_s) known.speed.deg_per_s = *axis.speed_deg_per_s;
   known.travel_assumed = !simulated && !(axis.travel_min_deg && axis.travel_max_deg);
   return known;
 }
@@ -48,15 +49,19 @@ struct ShownPlan {
   bool travel_assumed = false;
 };
 
+std::array<KnownAxis, 2> known_axes(const BenchConfig& config) {
+  return {known_axis(config.stage, config.stage.x, config.simulation.x),
+          known_axis(config.stage, config.stage.z, config.simulation.z)};
+}
+
 ShownPlan make_shown_plan(const BenchConfig& config) {
-  const KnownAxis x = known_axis(config.stage, config.stage.x, config.simulation.x);
-  const KnownAxis z = known_axis(config.stage, config.stage.z, config.simulation.z);
+  const auto [x, z] = known_axes(config);
   ShownPlan plan;
   plan.angles = make_rotation_plan(config.protocol, {x.travel, z.travel});
-  plan.duration = estimate_duration(plan.angles, config.protocol, {x.speed_deg_per_s, z.speed_deg_per_s},
-                                    config.accelerometer.rate_hz);
+  plan.duration =
+      estimate_duration(plan.angles, config.protocol, {x.speed, z.speed}, config.accelerometer.rate_hz);
   plan.twist = cable_twist(plan.angles, config.protocol);
-  plan.speeds_known = x.speed_deg_per_s > 0.0 && z.speed_deg_per_s > 0.0;
+  plan.speeds_known = x.speed.deg_per_s > 0.0 && z.speed.deg_per_s > 0.0;
   plan.travel_assumed = x.travel_assumed || z.travel_assumed;
   return plan;
 }
@@ -113,7 +118,7 @@ void print_duration(const ShownPlan& plan) {
                  describe_duration(duration.moving_s), settling, reading);
   } else {
     print_result(
-        "About {} and the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n", total,
+        "About {} plus the moves (the bench file gives no speed_deg_per_s): settling {}, reading {}\n", total,
         settling, reading);
   }
 }
@@ -135,15 +140,15 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config) {
                readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
   print_duration(plan);
   print_result(
-      "Cables wind from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, counted from zero; the "
-      "stage is parked at zero. If they are too short, set travel_min_deg and travel_max_deg.\n",
+      "The cables are wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, relative to "
+      "zero, where the stage is parked. If they are too short, set travel_min_deg and travel_max_deg.\n",
       plan.twist[0].min.deg(), plan.twist[0].max.deg(), plan.twist[1].min.deg(), plan.twist[1].max.deg());
-  print_result("The result will be that of the {} estimator.\n", config.protocol.estimator);
+  print_result("The result of the run will be that of the {} estimator.\n", config.protocol.estimator);
   if (const std::string words = default_effects_words(config.tolerances); !words.empty())
     print_result("Note: {}.\n", words);
   print_sources(config);
   if (plan.travel_assumed) {
-    print_result("Where the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");
+    print_result("If the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");
   }
 }
 
@@ -154,14 +159,16 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
     std::string bench_file;
     bool json = false;
     bool keys = false;
+    ReachOptions reach;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
-      parent.add_subcommand("plan", "Show the sequence, its duration, and every problem of the bench file");
+      parent.add_subcommand("plan", "Show the sequence and its duration, or every problem of the bench file");
   CLI::Option* bench = command->add_option("BENCH", options->bench_file, "bench file (TOML)");
   command->add_flag("--json", options->json, "print one JSON object");
   command->add_flag("--keys", options->keys, "print the reference of all keys of a bench file (Markdown)")
       ->excludes(bench);
+  add_reach_options(*command, options->reach);
   command->callback([options, &exit_code] {
     exit_code = kExitDone;
     if (options->keys) {
@@ -171,6 +178,15 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
     if (options->bench_file.empty()) throw CLI::RequiredError("BENCH");
     const BenchConfig config = read_bench(options->bench_file, register_records());
     for (const std::string& warning : config.warnings) print_warning(warning);
+    if (options->reach.has_details() && !options->reach.asked())
+      throw CLI::ValidationError("--noise, --estimator, --plot and --write go with --reach or --time");
+    if (options->reach.asked()) {
+      options->reach.bench_file = options->bench_file;
+      options->reach.json = options->json;
+      const auto [x, z] = known_axes(config);
+      exit_code = run_reach(options->reach, {config, {x.travel, z.travel}, {x.speed, z.speed}});
+      return;
+    }
     const ShownPlan plan = make_shown_plan(config);
     if (options->json) {
       print_result("{}\n", plan_json(plan, config).dump(2));

@@ -16,7 +16,7 @@ CLI::App* add_replay(CLI::App& parent, int& exit_code) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command =
-      parent.add_subcommand("replay", "Repeat a recorded run from its own bytes; no instrument is used");
+      parent.add_subcommand("replay", "Repeat a recorded run from its recorded bytes, without instruments");
   command->add_option("RUN", options->run_file, "run file made with `abcal run BENCH --record`")->required();
   command->add_option("-o,--output", options->output,
                       "run file to create (default: RUN-replay.run in the folder of RUN)");

@@ -136,7 +136,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       "a draft; docs/certificate.md");
   add_certificate_options(*command, options->certificate);
   command->add_flag("--draft", options->draft,
-                    "make a draft of a certificate in spite of problems of the run or its equipment");
+                    "make a draft of the certificate even if the run or its equipment has problems");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {

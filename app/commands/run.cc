@@ -40,6 +40,11 @@ void print_warnings(const BenchConfig& config) {
 }
 
 int print_outcome(const RunOutcome& outcome, bool json) {
+  if (outcome.is_levelling()) {
+    print_log("A levelling, measured to its end. For its level file: abcal level --from {}\n",
+              outcome.path.string());
+    return kExitDone;
+  }
   const CalibrationResult& result = outcome.result();
   const RunTiming& timing = outcome.stored.timing;
   if (json) {
@@ -99,17 +104,18 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
                         "keep every byte to and from the instruments in the run file, for `abcal replay`");
   CLI::Option* repeat =
       command
-          ->add_option("--repeat", options->campaign.repeat,
-                       "a campaign of this many runs, OUTPUT-1.run and so on, and their spread")
+          ->add_option(
+              "--repeat", options->campaign.repeat,
+              "measure a campaign of this many runs, OUTPUT-1.run and so on, and report their spread")
           ->check(CLI::Range(2, 1000))
           ->excludes(record);
   command
       ->add_flag("--remount", options->campaign.remount,
-                 "between the runs, wait until a person has remounted the accelerometer")
+                 "before each further run, wait until a person has remounted the accelerometer")
       ->needs(repeat);
   command
       ->add_flag("--go-on", options->campaign.keep_complete_runs,
-                 "keep the runs of the campaign that are complete already")
+                 "keep the complete runs of this campaign and measure only the missing ones")
       ->needs(repeat);
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {

@@ -34,7 +34,9 @@ void write_file(const std::filesystem::path& path, const std::string& text) {
 }  // namespace
 
 std::uint64_t not_negative(const char* option, std::int64_t value) {
-  if (value < 0) throw std::invalid_argument(fmt::format("{} = {}, it must not be negative", option, value));
+  if (value < 0)
+    throw std::invalid_argument(
+        fmt::format("{} = {}; required: a number that is not negative", option, value));
   return static_cast<std::uint64_t>(value);
 }
 
@@ -78,7 +80,7 @@ void add_common_options(CLI::App& command, SimulateOptions& options) {
   command.add_option("--initial-turn", options.initial_turn,
                      "error of the initial -90 degree turns, degrees (abc1)");
   command.add_option("--zero", options.zero, "mean step error, degrees (abc1)");
-  command.add_flag("--scale", options.scale, "sets 3 to 6: also at a tenth and ten times the misalignment");
+  command.add_flag("--scale", options.scale, "sets 3 to 6: also with a tenth and ten times the misalignment");
   command.add_flag("--resolution", options.resolution,
                    "the stage's resolution of 0.001 degrees instead of its accuracy of 0.008 degrees");
   command.add_flag("--json", options.json, "print one JSON object, schema abcal.study/1");
@@ -100,7 +102,7 @@ void add_joint_options(CLI::App& command, SimulateOptions& options) {
       ->capture_default_str();
   command
       .add_flag("--without-mean-step", options.without_mean_step,
-                "leave the mean step errors out of the fit: must fail")
+                "leave the mean step errors out of the fit, to show that coverage then fails")
       ->group("joint study");
 }
 

@@ -64,10 +64,10 @@ int simulate_joint(const JointStudyOptions& given, bool json) {
   print_result("Joint estimator: {} simulated runs of 3 x {} angles, seed {}\n", study.trials, options.steps,
                options.seed);
   print_result(
-      "reading noise {:g} R, k2 and k3 {:g}, drift {:g} R, response times {:g}; angles from their "
-      "tolerances{}\n\n",
+      "reading noise {:g} R, k2 and k3 {:g}, drift {:g} R, response times {:g}; angles from their standard "
+      "uncertainties{}\n\n",
       options.noise, options.k, options.drift, options.scale,
-      options.joint.mean_step ? "" : "; the fit leaves the mean step errors out");
+      options.joint.mean_step ? "" : "; the fit omits the mean step errors");
   print_result("{:<8} {:>9} {:>12} {:>16} {:>7} {:>16}\n", "output", "coverage", "rms error",
                "rms uncertainty", "ratio", "plain ABC rms");
   for (const JointStudyOutput& o : study.outputs) {

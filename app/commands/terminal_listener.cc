@@ -70,13 +70,13 @@ void TerminalListener::show(const ReplayComparedEvent& event) {
   print_log("Replay: {} of {} angles are exactly as recorded; {}\n", event.same, event.replayed,
             event.ended_alike
                 ? "it ended as the recorded run did"
-                : "it did not end as the recorded run did, which reports: " + event.recorded_end);
+                : "it did not end as the recorded run did, which reported: " + event.recorded_end);
 }
 
 void TerminalListener::show(const FinishedEvent& event) {
   finish();
   if (event.complete || !options_.tell_what_is_kept) return;
-  print_log("{} of {} angles are measured and kept in {}{}\n", event.measured, event.planned, event.file,
+  print_log("{} of {} angles are measured and stored in {}{}\n", event.measured, event.planned, event.file,
             options_.tell_how_to_resume ? "; continue with: abcal resume " + event.file : "");
 }
 

@@ -134,8 +134,7 @@ StudyProcesses one_process() {
     if (std::getenv("OMPI_COMM_WORLD_SIZE") == nullptr && std::getenv("PMIX_RANK") == nullptr) return nullptr;
     throw std::runtime_error(
         "under mpirun each process of abcal would do the whole study; found: mpirun; required: mpirun "
-        "abcal-mpi "
-        "uncertainty (made where libopenmpi-dev is installed), or abcal without mpirun");
+        "abcal-mpi uncertainty (built if libopenmpi-dev is installed), or abcal without mpirun");
   };
   return {join, [](MonteCarloTeam*, const char*, int) {}};
 }
@@ -147,15 +146,19 @@ CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses proce
   command->add_option("FILE", options->file, "run file, or CSV of averaged readings")->required();
   CLI::Option* trials =
       command->add_option("--trials", options->trials, "Monte Carlo trials (default 200000)");
-  command->add_option("--digits", options->digits, "adaptive: as many trials as 1 or 2 digits of u need")
+  command
+      ->add_option("--digits", options->digits,
+                   "adaptive: as many trials as 1 or 2 significant digits of u require")
       ->excludes(trials);
   command->add_option("--seed", options->seed, "seed of the random numbers")->capture_default_str();
-  command->add_option("--threads", options->threads, "threads; 0: as many as the machine has (same result)");
-  command->add_option("--alignment", options->alignment, "tolerance of the axes' alignment, degrees");
-  command->add_option("--step", options->step, "tolerance of each rotation step, degrees");
+  command->add_option("--threads", options->threads, "threads; 0: one per processor (same result)");
+  command->add_option("--alignment", options->alignment,
+                      "standard uncertainty of the alignment of the axes, degrees");
+  command->add_option("--step", options->step, "standard uncertainty of each rotation step, degrees");
   command->add_option("--initial-turn", options->initial_turn,
-                      "tolerance of the initial -90 degree turns, degrees");
-  command->add_option("--zero", options->zero, "tolerance of the mean step error (axis zeros), degrees");
+                      "standard uncertainty of the initial -90 degree turns, degrees");
+  command->add_option("--zero", options->zero,
+                      "standard uncertainty of the mean step errors (axis zeros), degrees");
   command->add_option("--resolution", options->resolution,
                       "smallest step of the output, in the unit of the readings");
   command

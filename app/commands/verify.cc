@@ -38,10 +38,10 @@ Trust trust_of(const VerifyOptions& options, lab::Register* opened) {
       if (key.kind == "bench" && key.valid_to.empty()) trust.keys.push_back({key.owner, key.public_pem});
   if (options.requires_("signed") && trust.keys.empty())
     throw std::invalid_argument(
-        "--require signed: required: whose signature, by --key PUBLIC.pem or a register with keys");
+        "--require signed: found no trusted key; required: --key PUBLIC.pem, or a register with keys");
   if (options.requires_("timestamped") && trust.authorities_pem.empty())
     throw std::invalid_argument(
-        "--require timestamped: required: whose time stamp, by --authority CERTIFICATE.pem");
+        "--require timestamped: found no trusted authority; required: --authority CERTIFICATE.pem");
   return trust;
 }
 
@@ -77,10 +77,10 @@ int verify(const VerifyOptions& options) {
   checks.insert(checks.end(), attestation.checks.begin(), attestation.checks.end());
   if (options.requires_("signed") && !attestation.is_signed)
     checks.push_back(
-        {"signed", false, "there is no signature by a trusted key; --require signed asks for one"});
+        {"signed", false, "there is no signature by a trusted key, which --require signed requires"});
   if (options.requires_("timestamped") && !attestation.is_stamped)
     checks.push_back({"timestamped", false,
-                      "there is no time stamp by a trusted authority; --require timestamped asks for one"});
+                      "there is no time stamp by a trusted authority, which --require timestamped requires"});
   if (opened) compare_with_register(options, *opened, checks);
 
   const bool good =
@@ -111,14 +111,15 @@ CLI::App* add_verify(CLI::App& parent, int& exit_code) {
   command->add_option("--require", options->require, "signed or timestamped, repeatable: fail without it")
       ->check(CLI::IsMember({"signed", "timestamped"}))
       ->allow_extra_args(false);
-  command->add_option("--key", options->keys, "public key (PEM) of a bench that is trusted, repeatable")
+  command->add_option("--key", options->keys, "public key (PEM) of a trusted bench, repeatable")
       ->allow_extra_args(false);
   command
       ->add_option("--authority", options->authorities,
-                   "certificate (PEM) of a time-stamping authority that is trusted, repeatable")
+                   "certificate (PEM) of a trusted time-stamping authority, repeatable")
       ->allow_extra_args(false);
-  command->add_option("--register", options->register_location,
-                      "register: its keys are trusted, its certificates compared (default: ABCAL_REGISTER)");
+  command->add_option(
+      "--register", options->register_location,
+      "register whose keys are trusted and whose certificates are compared (default: ABCAL_REGISTER)");
   command->add_flag("--json", options->json, "print one JSON object");
   command->callback([options, &exit_code] { exit_code = verify(*options); });
   return command;

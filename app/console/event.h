@@ -7,6 +7,7 @@
 #include <variant>
 #include <vector>
 
+#include "app/console/interrupted_run.h"
 #include "app/console/watched.h"
 #include "app/session/bench_check.h"
 #include "drivers/instrument/clock.h"
@@ -33,13 +34,38 @@ struct RunBegan {
   std::vector<PlannedAngle> plan;
   std::vector<std::pair<std::size_t, DwellRecord>> measured;  ///< Before an interruption.
   double estimated_s = 0.0;                                   ///< Of real time, for the whole plan.
+  std::string simulated;             ///< Which instruments are: "stage, accelerometer"; empty: none.
   std::optional<double> pace;        ///< If everything is simulated: simulated time over real time.
   std::string stage, accelerometer;  ///< Who they are, in words.
+};
+
+/// How long a phase may last before the run gives up.
+struct TimeLimit {
+  double seconds = 0.0;  ///< Real time.
+  std::string words;     ///< What happens then, or what it is beyond: "beyond the time that its speed needs".
 };
 
 struct PhaseSeen {
   std::size_t position = 0;
   RunPhase phase = RunPhase::kHoming;
+  std::optional<TimeLimit> limit;
+};
+
+/// An instrument failed, which ended what was in progress.
+struct FaultSeen {
+  std::string instrument;  ///< As it names itself in messages.
+  std::string fault;       ///< to_string(Fault)
+  std::string words;
+};
+
+/// Whether another process halts the stage if this one dies.
+struct GuardSeen {
+  std::string words;
+};
+
+/// A run that a person may go on with, or nothing.
+struct InterruptedSeen {
+  std::optional<InterruptedRun> run;
 };
 
 struct DwellSeen {
@@ -65,6 +91,6 @@ struct RunEnded {
 };
 
 using Event = std::variant<ActivitySeen, RunBegan, PhaseSeen, DwellSeen, StageSeen, StripSeen, LogLine,
-                           ChecksSeen, RunEnded>;
+                           ChecksSeen, RunEnded, HaltSeen, FaultSeen, GuardSeen, InterruptedSeen>;
 
 }  // namespace abcal::console

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 #include <utility>
 
 #include "app/results/result_json.h"
@@ -115,6 +116,27 @@ Json activity_json(const ActivitySeen& seen) {
       {"activity", name(seen.activity)}, {"hold_asked", seen.hold_asked}, {"stop_asked", seen.stop_asked}};
 }
 
+Json halt_json(const HaltSeen& seen) {
+  const auto word = [&](StageAxis axis) {
+    return seen.report.axes[index(axis)] == AxisHalt::kHalted ? "halted" : "unreachable";
+  };
+  return {{"axes", {{"x", word(StageAxis::kX)}, {"z", word(StageAxis::kZ)}}},
+          {"took_s", json_number(seen.took_s)},
+          {"since", format_utc(seen.since)}};
+}
+
+Json fault_json(const FaultSeen& seen) {
+  return {{"instrument", seen.instrument}, {"fault", seen.fault}, {"words", seen.words}};
+}
+
+Json interrupted_json(const InterruptedRun& run) {
+  return {{"file", run.file},
+          {"words", run.words},
+          {"measured", run.measured},
+          {"planned", run.planned},
+          {"angle", run.angle}};
+}
+
 /// What instruments say of themselves need not be UTF-8.
 std::string text_of(const Json& message) {
   return message.dump(-1, ' ', false, Json::error_handler_t::replace);
@@ -135,6 +157,11 @@ std::string LiveView::apply(const Event& event) {
 Json LiveView::on(const ActivitySeen& seen) {
   // The readings begin again, and their time with them.
   if (seen.activity == Activity::kChecking && activity_.activity != Activity::kChecking) strip_.clear();
+  if (activity_.activity == Activity::kIdle && seen.activity != Activity::kIdle) {
+    fault_.reset();
+    halt_.reset();
+    interrupted_.reset();
+  }
   activity_ = seen;
   if (seen.activity == Activity::kIdle) phase_.reset();
   Json message = activity_json(seen);
@@ -156,7 +183,9 @@ void LiveView::begin(const RunBegan& began) {
 Json LiveView::on(const PhaseSeen& seen) {
   phase_ = seen;
   if (seen.phase == RunPhase::kHolding) last_dwell_.reset();
-  return {{"type", "phase"}, {"position", seen.position}, {"phase", to_string(seen.phase)}};
+  Json message = phase_json();
+  message["type"] = "phase";
+  return message;
 }
 
 void LiveView::store(std::size_t position, const DwellRecord& dwell) {
@@ -234,7 +263,10 @@ Json LiveView::on(const StageSeen& seen) {
 }
 
 Json LiveView::on(const StripSeen& seen) {
+  // The readings have begun again, and their time with them.
+  if (!strip_.empty() && strip_.back()["stream"] != seen.stream) strip_.clear();
   const Json group = {
+      {"stream", seen.stream},
       {"time_s", json_number(seen.time_s)},
       {"mean", vector(seen.mean)},
       {"lowest", vector(seen.lowest)},
@@ -262,9 +294,47 @@ Json LiveView::on(const ChecksSeen& seen) {
 
 Json LiveView::on(const RunEnded& ended) {
   ended_ = ended;
+  if (!ended.complete && run_) {
+    std::set<std::size_t> measured;
+    for (const auto& [position, dwell] : dwells_) measured.insert(position);
+    interrupted_ = describe_interrupted(ended.file, ended.words, run_->plan, measured);
+  }
   Json message = ended_json(ended);
   message["type"] = "ended";
+  message["interrupted"] = interrupted_ ? interrupted_json(*interrupted_) : Json(nullptr);
   return message;
+}
+
+Json LiveView::on(const HaltSeen& seen) {
+  halt_ = seen;
+  Json message = halt_json(seen);
+  message["type"] = "halt";
+  return message;
+}
+
+Json LiveView::on(const FaultSeen& seen) {
+  fault_ = seen;
+  Json message = fault_json(seen);
+  message["type"] = "fault";
+  return message;
+}
+
+Json LiveView::on(const GuardSeen& seen) {
+  guard_ = seen.words;
+  return {{"type", "guard"}, {"words", guard_}};
+}
+
+Json LiveView::on(const InterruptedSeen& seen) {
+  interrupted_ = seen.run;
+  return {{"type", "interrupted"}, {"run", interrupted_ ? interrupted_json(*interrupted_) : Json(nullptr)}};
+}
+
+Json LiveView::phase_json() const {
+  if (!phase_) return nullptr;
+  Json json = {{"position", phase_->position}, {"phase", to_string(phase_->phase)}};
+  json["limit_s"] = phase_->limit ? json_number(phase_->limit->seconds) : Json(nullptr);
+  json["limit_words"] = phase_->limit ? Json(phase_->limit->words) : Json(nullptr);
+  return json;
 }
 
 std::string LiveView::snapshot() const {
@@ -280,6 +350,7 @@ std::string LiveView::snapshot() const {
                    {"item", run_->item},
                    {"operator", run_->operator_name},
                    {"unit", run_->unit},
+                   {"simulated", run_->simulated},
                    {"pace", run_->pace ? Json(*run_->pace) : Json(nullptr)},
                    {"stage", run_->stage},
                    {"accelerometer", run_->accelerometer},
@@ -289,8 +360,11 @@ std::string LiveView::snapshot() const {
                    {"progress", progress()},
                    {"ended", ended_ ? ended_json(*ended_) : Json(nullptr)}};
   }
-  json["phase"] =
-      phase_ ? Json{{"position", phase_->position}, {"phase", to_string(phase_->phase)}} : Json(nullptr);
+  json["phase"] = phase_json();
+  json["halt"] = halt_ ? halt_json(*halt_) : Json(nullptr);
+  json["fault"] = fault_ ? fault_json(*fault_) : Json(nullptr);
+  json["guard"] = guard_;
+  json["interrupted"] = interrupted_ ? interrupted_json(*interrupted_) : Json(nullptr);
   json["stage"] = {{"x", stage_json(stage_[0])}, {"z", stage_json(stage_[1])}};
   json["strip"] = strip_;
   json["log"] = log_;

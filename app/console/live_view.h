@@ -41,6 +41,11 @@ class LiveView {
   Json on(const LogLine& line);
   Json on(const ChecksSeen& seen);
   Json on(const RunEnded& ended);
+  Json on(const HaltSeen& seen);
+  Json on(const FaultSeen& seen);
+  Json on(const GuardSeen& seen);
+  Json on(const InterruptedSeen& seen);
+  Json phase_json() const;
 
   void store(std::size_t position, const DwellRecord& dwell);
   Json fit_of(int experiment) const;
@@ -53,6 +58,10 @@ class LiveView {
   std::map<std::size_t, DwellRecord> dwells_;  ///< By position in the plan.
   std::optional<PhaseSeen> phase_;
   std::optional<RunEnded> ended_;
+  std::optional<HaltSeen> halt_;  ///< The last of the current or last activity.
+  std::optional<FaultSeen> fault_;
+  std::string guard_;
+  std::optional<InterruptedRun> interrupted_;
   std::optional<ChecksSeen> checks_;
   std::array<StageSeen, 2> stage_{StageSeen{StageAxis::kX, {}, {}}, StageSeen{StageAxis::kZ, {}, {}}};
   std::deque<Json> strip_;

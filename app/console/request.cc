@@ -87,6 +87,7 @@ std::string note_of(std::string text) {
 }
 
 Command command_of(const std::string& what, Keys& keys) {
+  if (what == "beat") return Beat{};
   if (what == "control") {
     if (keys.flag("release")) return ReleaseControl{};
     return TakeControl{keys.flag("from_another")};
@@ -115,7 +116,7 @@ Command command_of(const std::string& what, Keys& keys) {
     return Jog{axis_of(keys.text("axis")), turn_of(keys.number("by_deg"))};
   }
   if (what == "note") return Note{note_of(keys.text("text"))};
-  throw RequestError("\"do\" must be control, check, start, hold, continue, stop, resume, jog or note");
+  throw RequestError("\"do\" must be beat, control, check, start, hold, continue, stop, resume, jog or note");
 }
 
 }  // namespace

@@ -19,6 +19,8 @@ constexpr std::size_t kLongestRequest = 4096;
 /// The longest note, in bytes of UTF-8.
 constexpr std::size_t kLongestNote = 1000;
 
+/// The page is there; each second, not answered.
+struct Beat {};
 struct TakeControl {
   bool from_another = false;  ///< Even if another page has it.
 };
@@ -41,8 +43,8 @@ struct Note {
   std::string text;
 };
 
-using Command = std::variant<TakeControl, ReleaseControl, CheckBench, StartRun, HoldRun, ContinueRun, Stop,
-                             ResumeRun, Jog, Note>;
+using Command = std::variant<Beat, TakeControl, ReleaseControl, CheckBench, StartRun, HoldRun, ContinueRun,
+                             Stop, ResumeRun, Jog, Note>;
 
 struct Request {
   std::int64_t id = 0;  ///< Comes back with the answer.

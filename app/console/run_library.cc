@@ -1,16 +1,23 @@
 #include "app/console/run_library.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <fstream>
 #include <utility>
 
+#include "app/bench/bench_config.h"
+#include "app/bench/make_bench.h"
 #include "app/compare/compare_json.h"
 #include "app/compare/compare_results.h"
 #include "app/console/download.h"
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
+#include "app/system/output_file.h"
+#include "app/system/version.h"
 #include "protocol/analysis/meaning.h"
 #include "protocol/uncertainty/control_chart.h"
 
@@ -33,6 +40,15 @@ std::string serial_number_of(const RunHeader& header) {
   return "";
 }
 
+/// Which instruments of a run were simulated, as its bench file says: "stage, accelerometer"; empty: none.
+std::string simulated_of(const RunHeader& header) {
+  try {
+    return fmt::format("{}", fmt::join(simulated_instruments(parse_bench(header.bench_toml, "run")), ", "));
+  } catch (const std::exception&) {
+    return "";  // An imported run has no bench file.
+  }
+}
+
 Json summary_of(const std::string& name, const StoredRun& run) {
   const RunHeader& header = run.header;
   Json json = {{"name", name},
@@ -46,7 +62,8 @@ Json summary_of(const std::string& name, const StoredRun& run) {
                {"unit", header.response_unit},
                {"measured", run.measured.size()},
                {"planned", header.plan.size()},
-               {"duration_s", run.timing.total_s()}};
+               {"duration_s", run.timing.total_s()},
+               {"simulated", simulated_of(header)}};
   return json;
 }
 
@@ -90,6 +107,54 @@ Json limits_of(const Json& runs) {
 
 }  // namespace
 
+RunLibrary::RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)) {
+  read_summaries();
+}
+
+/// What is kept is only a copy: what cannot be read is made again.
+void RunLibrary::read_summaries() {
+  std::ifstream file(folder_ / kSummaries);
+  const Json json = Json::parse(file, nullptr, /*allow_exceptions=*/false);
+  if (!json.is_object() || json.value("program", "") != program_version()) return;
+  try {
+    for (const auto& [name, kept] : json.at("runs").items()) {
+      Entry entry;
+      entry.time = std::filesystem::file_time_type(
+          std::filesystem::file_time_type::duration(kept.at("time").get<std::int64_t>()));
+      entry.size = kept.at("size").get<std::uintmax_t>();
+      entry.summary = kept.at("summary");
+      entry.closed = true;
+      known_[name] = std::move(entry);
+    }
+  } catch (const Json::exception&) {
+    known_.clear();
+  }
+}
+
+void RunLibrary::keep_summaries() {
+  if (!std::exchange(have_new_, false)) return;
+  Json runs = Json::object();
+  for (const auto& [name, entry] : known_) {
+    if (entry.closed)
+      runs[name] = {
+          {"time", entry.time.time_since_epoch().count()}, {"size", entry.size}, {"summary", entry.summary}};
+  }
+  const Json json = {{"program", program_version()}, {"runs", std::move(runs)}};
+  try {
+    OutputFile(folder_ / kSummaries).write(json.dump(-1, ' ', false, Json::error_handler_t::replace));
+  } catch (const std::exception&) {
+    return;  // The next console reads the runs again: slower, and no worse.
+  }
+}
+
+bool RunLibrary::is_known(const std::string& name) const {
+  const auto known = known_.find(name);
+  std::error_code ignored;
+  return known != known_.end() && known->second.closed &&
+         known->second.time == std::filesystem::last_write_time(folder_ / name, ignored) &&
+         known->second.size == std::filesystem::file_size(folder_ / name, ignored);
+}
+
 std::vector<std::string> RunLibrary::names() const {
   std::vector<std::pair<std::filesystem::file_time_type, std::string>> found;
   std::error_code error;
@@ -126,14 +191,20 @@ RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
   const StoredRun run = RunFile::load(path);
   const bool closed = run.state == RunState::kComplete || run.state == RunState::kAbandoned;
   known = {time, size, summary_of(name, run), closed, std::nullopt};
+  have_new_ = have_new_ || closed;
   return known;
 }
 
-Json RunLibrary::list() {
+Json RunLibrary::list(std::chrono::milliseconds patience) {
   const std::lock_guard lock(mutex_);
   Json list = Json::array();
   const std::vector<std::string> all = names();
+  const auto deadline = std::chrono::steady_clock::now() + patience;
   for (const std::string& name : all) {
+    if (std::chrono::steady_clock::now() > deadline && !is_known(name)) {
+      list.push_back({{"name", name}, {"state", "not read yet"}});
+      continue;
+    }
     try {
       Json summary = entry(name).summary;
       // Not so where the program ended in between; resuming the run analyses it.
@@ -144,8 +215,12 @@ Json RunLibrary::list() {
     }
   }
   // What was deleted is forgotten.
-  std::erase_if(
-      known_, [&](const auto& known) { return std::find(all.begin(), all.end(), known.first) == all.end(); });
+  std::vector<std::string> sorted = all;
+  std::sort(sorted.begin(), sorted.end());
+  std::erase_if(known_, [&](const auto& known) {
+    return !std::binary_search(sorted.begin(), sorted.end(), known.first);
+  });
+  keep_summaries();
   return list;
 }
 
@@ -213,7 +288,9 @@ Json RunLibrary::history(const std::string& serial_number) {
             analyse(RunFile::load(folder_ / name).record, std::string(kPublishedEstimator));
         known.intrinsic = Json{{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
       }
-      Json point = {{"name", name}, {"created_utc", known.summary["created_utc"]}};
+      Json point = {{"name", name},
+                    {"created_utc", known.summary["created_utc"]},
+                    {"simulated", known.summary["simulated"]}};
       point.update(*known.intrinsic);
       list.push_back(std::move(point));
     } catch (const RunFileError&) {

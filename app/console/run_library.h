@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <filesystem>
 #include <map>
 #include <mutex>
@@ -17,7 +18,10 @@ namespace abcal::console {
 /// not for the thread that serves the pages. Safe to use from several threads.
 class RunLibrary {
  public:
-  explicit RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)) {}
+  /// Summaries of closed runs are kept beside them (kSummaries), so that a list of many is read quickly.
+  explicit RunLibrary(std::filesystem::path folder);
+
+  static constexpr const char* kSummaries = ".abcal-summaries.json";
 
   /// The file of this name, if it is one of the runs.
   std::optional<std::filesystem::path> find(const std::string& name) const;
@@ -26,8 +30,8 @@ class RunLibrary {
   // goes.
 
   /// All runs, newest first, with their state and progress. A file that cannot be read is listed with the
-  /// reason.
-  nlohmann::ordered_json list();
+  /// reason; one that `patience` left no time for, as "not read yet": ask again.
+  nlohmann::ordered_json list(std::chrono::milliseconds patience = std::chrono::milliseconds(500));
   /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
   /// @throws RunFileError
   nlohmann::ordered_json result(const std::filesystem::path& run);
@@ -51,10 +55,14 @@ class RunLibrary {
 
   std::vector<std::string> names() const;
   Entry& entry(const std::string& name);
+  bool is_known(const std::string& name) const;
+  void read_summaries();
+  void keep_summaries();
 
   std::filesystem::path folder_;
   std::mutex mutex_;
   std::map<std::string, Entry> known_;  ///< By name; of closed runs, which are read once.
+  bool have_new_ = false;               ///< Summaries that are not kept yet.
 };
 
 }  // namespace abcal::console

@@ -5,7 +5,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <atomic>
 #include <boost/asio/bind_executor.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/post.hpp>
@@ -16,6 +15,7 @@
 #include <boost/beast/websocket.hpp>
 #include <deque>
 #include <future>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <stdexcept>
@@ -24,8 +24,9 @@
 
 #include "app/bench/real_clock.h"
 #include "app/console/asset.h"
+#include "app/console/bench_link.h"
+#include "app/console/bench_service.h"
 #include "app/console/download.h"
-#include "app/console/live_view.h"
 #include "app/console/request.h"
 #include "app/console/run_library.h"
 #include "app/console/target.h"
@@ -51,8 +52,9 @@ constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
 /// What the system may buffer for one page.
 constexpr int kSendBuffer = 128 * 1024;
-/// Most events that may wait for the server's thread; strips beyond it are dropped.
-constexpr int kMostPending = 500;
+constexpr std::chrono::seconds kBeat{1};
+/// After this time without an answer to a beat nothing is known of the other end.
+constexpr std::chrono::seconds kSilent{3};
 
 std::string_view view(beast::string_view text) {
   return {text.data(), text.size()};
@@ -160,20 +162,24 @@ struct Server::Impl {
   class Page;
   class HttpConnection;
 
-  Impl(ServerOptions the_options, Session::Options bench);
+  Impl(ServerOptions the_options, Session::Options bench_options);
   ~Impl();
 
   void accept();
-  void pass_on(Event event);
-  void broadcast(std::string message);
-  Text snapshot();
+  void broadcast(Text text);
   void send_snapshot(Page& page);
+  void have_snapshot(std::string_view json);
+  void bench_is(BenchState state, const std::string& words);
+  void answered(const Json& reply);
   void arrived(const std::shared_ptr<Page>& page);
   void left(Page& page);
   void received(Page& page, std::string_view text);
-  Session::Refusal carry_out(Page& page, const Command& command);
+  Session::Refusal take_control(Page& page, const TakeControl& take);
   void give_control(Page* page);
+  void look_at_controller();
   std::string control_message() const;
+  std::string bench_message() const;
+  bool end(bool leave_running);
   HttpResponse answer(const Peer& peer, const HttpRequest& request, std::function<HttpResponse()>& later);
   std::function<HttpResponse()> library_job(const std::vector<std::string>& words,
                                             const HttpRequest& request);
@@ -182,17 +188,28 @@ struct Server::Impl {
   RealClock clock;
   RefusalLog log_refusal{clock};
   RunLibrary library;
-  LiveView live;
-  Text snapshot_now;  ///< Shared until the next event; null: to be made.
   std::size_t connections = 0;
   asio::io_context io;
   tcp::acceptor acceptor{io};
   asio::steady_timer accept_again{io};
-  std::atomic<int> pending = 0;
+  asio::steady_timer next_look{io};
+  std::unique_ptr<BenchLink> bench;
+  BenchState bench_state = BenchState::kStarting;
+  std::string bench_words = "The process that holds the bench is being started.";
+  /// Requests that were passed on, and who waits for the reply.
+  struct Asked {
+    std::weak_ptr<Page> page;
+    std::int64_t id = 0;
+    std::string text;
+  };
+  std::map<std::uint64_t, Asked> asked;
+  std::uint64_t asked_so_far = 0;
+  std::promise<bool> bench_closed;
+  bool bench_is_closed = false;
   std::set<std::shared_ptr<Page>> pages;
   Page* controller = nullptr;
+  bool controller_silent = false;
   std::int64_t pages_so_far = 0;
-  std::unique_ptr<Session> session;
   asio::thread_pool reader{1};  ///< Reads and analyses runs.
   std::jthread thread;
 };
@@ -207,7 +224,10 @@ class Server::Impl::Page : public std::enable_shared_from_this<Page> {
   Page& operator=(const Page&) = delete;
 
   const Peer& peer() const { return peer_; }
+  std::string in_words() const { return fmt::format("page {} at {}", number, peer_.remote); }
   std::int64_t number = 0;
+  Clock::Instant heard{};           ///< Its last message.
+  bool waits_for_snapshot = false;  ///< Nothing else makes sense before.
 
   void open(const HttpRequest& request) {
     websocket::stream_base::timeout limits{};
@@ -419,13 +439,8 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
   bool handed_over_ = false;
 };
 
-Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
-    : options(std::move(the_options)),
-      library(bench.runs),
-      live({{"program", std::string("abcal ") + program_version()},
-            {"bench_file", bench.bench_file.filename().string()},
-            {"pace", bench.pace}},
-           clock) {
+Server::Impl::Impl(ServerOptions the_options, Session::Options bench_options)
+    : options(std::move(the_options)), library(bench_options.runs) {
   try {
     const tcp::endpoint endpoint(asio::ip::make_address(options.address), options.port);
     acceptor.open(endpoint.protocol());
@@ -436,7 +451,20 @@ Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
     throw std::runtime_error(fmt::format("the console cannot listen on {}, port {}: {}", options.address,
                                          options.port, error.code().message()));
   }
-  session = std::make_unique<Session>(std::move(bench), [this](Event event) { pass_on(std::move(event)); });
+  const auto text = [](std::string_view json) { return std::make_shared<const std::string>(json); };
+  BenchLink::Listener listener;
+  listener.message = [this, text](std::string_view json) { broadcast(text(json)); };
+  listener.snapshot = [this](std::string_view json) { have_snapshot(json); };
+  listener.reply = [this](const Json& reply) { answered(reply); };
+  listener.state = [this](BenchState state, const std::string& words) { bench_is(state, words); };
+  listener.end = [this](bool was_on) {
+    if (!std::exchange(bench_is_closed, true)) bench_closed.set_value(was_on);
+  };
+  const bool is_service = !options.bench_socket.empty();
+  const std::filesystem::path socket =
+      is_service ? options.bench_socket : default_bench_socket(bench_options);
+  bench = std::make_unique<BenchLink>(io, BenchLink::Options{std::move(bench_options), socket, !is_service},
+                                      std::move(listener));
   options.access.cookie = fmt::format("abcal_token_{}", acceptor.local_endpoint().port());
   asio::post(reader, [] {
     // Reading an old run leaves the processor to the current run.
@@ -444,11 +472,12 @@ Server::Impl::Impl(ServerOptions the_options, Session::Options bench)
     ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kLessThanMeasuring);
   });
   accept();
+  look_at_controller();
+  bench->begin();
   thread = std::jthread([this] { io.run(); });
 }
 
 Server::Impl::~Impl() {
-  session->close();
   io.stop();
   thread = {};
   reader.stop();
@@ -473,45 +502,80 @@ void Server::Impl::accept() {
   });
 }
 
-/// In the measuring thread: hands the event over and returns.
-void Server::Impl::pass_on(Event event) {
-  const bool can_be_missed = std::holds_alternative<StripSeen>(event);
-  if (can_be_missed && pending > kMostPending) return;
-  ++pending;
-  asio::post(io, [this, event = std::move(event)] {
-    --pending;
-    std::string message = live.apply(event);
-    snapshot_now.reset();
-    broadcast(std::move(message));
+/// Each second: whether the page that steers still answers the beats.
+void Server::Impl::look_at_controller() {
+  next_look.expires_after(kBeat);
+  next_look.async_wait([this](beast::error_code cancelled) {
+    if (cancelled) return;
+    const bool silent = controller != nullptr && clock.now() - controller->heard > kSilent;
+    if (std::exchange(controller_silent, silent) != silent)
+      broadcast(std::make_shared<const std::string>(control_message()));
+    look_at_controller();
   });
 }
 
-void Server::Impl::broadcast(std::string message) {
-  const Text text = std::make_shared<const std::string>(std::move(message));
-  for (const std::shared_ptr<Page>& page : pages) page->send(text);
+void Server::Impl::broadcast(Text text) {
+  for (const std::shared_ptr<Page>& page : pages)
+    if (!page->waits_for_snapshot) page->send(text);
 }
 
-Text Server::Impl::snapshot() {
-  if (!snapshot_now) snapshot_now = std::make_shared<const std::string>(live.snapshot());
-  return snapshot_now;
+void Server::Impl::have_snapshot(std::string_view json) {
+  const Text text = std::make_shared<const std::string>(json);
+  const Text control = std::make_shared<const std::string>(control_message());
+  for (const std::shared_ptr<Page>& page : pages) {
+    if (!std::exchange(page->waits_for_snapshot, false)) continue;
+    page->send(text);
+    page->send(control);
+  }
+}
+
+std::string Server::Impl::bench_message() const {
+  return Json{{"type", "bench"}, {"state", to_string(bench_state)}, {"words", bench_words}}.dump();
+}
+
+/// The process that holds the bench has come or gone.
+void Server::Impl::bench_is(BenchState state, const std::string& words) {
+  bench_state = state;
+  bench_words = words;
+  const Text text = std::make_shared<const std::string>(bench_message());
+  for (const std::shared_ptr<Page>& page : pages) page->send(text);
+  if (state == BenchState::kGone) {
+    for (const auto& [number, request] : std::exchange(asked, {})) {
+      if (const std::shared_ptr<Page> page = request.page.lock())
+        page->reply(Json{{"type", "reply"}, {"id", request.id}, {"ok", false}, {"lost", true}, {"why", words}}
+                        .dump());
+    }
+  }
+  if (state != BenchState::kOn) return;
+  for (const std::shared_ptr<Page>& page : pages) page->waits_for_snapshot = true;
+  bench->ask_snapshot();
 }
 
 void Server::Impl::arrived(const std::shared_ptr<Page>& page) {
   page->number = ++pages_so_far;
+  page->heard = clock.now();
   pages.insert(page);
   page->send(std::make_shared<const std::string>(Json{{"type", "you"}, {"number", page->number}}.dump()));
+  if (bench_state != BenchState::kOn) page->send(std::make_shared<const std::string>(bench_message()));
   send_snapshot(*page);
 }
 
 /// The whole state, for a page that begins or has missed messages.
 void Server::Impl::send_snapshot(Page& page) {
-  page.send(snapshot());
-  page.send(std::make_shared<const std::string>(control_message()));
+  const bool is_asked =
+      std::any_of(pages.begin(), pages.end(), [](const auto& other) { return other->waits_for_snapshot; });
+  page.waits_for_snapshot = true;
+  if (!is_asked) bench->ask_snapshot();
 }
 
 std::string Server::Impl::control_message() const {
-  return Json{{"type", "control"}, {"page", controller != nullptr ? Json(controller->number) : Json(nullptr)}}
-      .dump();
+  Json message = {{"type", "control"}, {"page", nullptr}};
+  if (controller != nullptr) {
+    message["page"] = controller->number;
+    message["who"] = controller->in_words();
+    message["silent"] = controller_silent;
+  }
+  return message.dump();
 }
 
 void Server::Impl::left(Page& page) {
@@ -521,15 +585,32 @@ void Server::Impl::left(Page& page) {
 
 void Server::Impl::give_control(Page* page) {
   controller = page;
-  broadcast(control_message());
+  controller_silent = false;
+  broadcast(std::make_shared<const std::string>(control_message()));
 }
 
 void Server::Impl::received(Page& page, std::string_view text) {
   Json reply = {{"type", "reply"}, {"id", 0}, {"ok", false}};
+  page.heard = clock.now();
   try {
     const Request request = parse_request(text);
+    if (std::holds_alternative<Beat>(request.command)) return;
     reply["id"] = request.id;
-    if (const Session::Refusal refusal = carry_out(page, request.command)) throw RequestError(*refusal);
+    Session::Refusal refusal;
+    if (const auto* take = std::get_if<TakeControl>(&request.command)) {
+      refusal = take_control(page, *take);
+    } else if (controller != &page && !std::holds_alternative<Stop>(request.command)) {
+      // Who sees that something goes wrong stops it, with control or without.
+      refusal = "this page only watches; take control first";
+    } else if (std::holds_alternative<ReleaseControl>(request.command)) {
+      give_control(nullptr);
+    } else if (!bench->is_on()) {
+      refusal = "the process that holds the bench is not there";
+    } else {
+      asked[++asked_so_far] = {page.weak_from_this(), request.id, std::string(text)};
+      return bench->request(asked_so_far, page.in_words(), text);
+    }
+    if (refusal) throw RequestError(*refusal);
     reply["ok"] = true;
   } catch (const RequestError& error) {
     log_refusal(page.peer(), text, error.what());
@@ -538,40 +619,43 @@ void Server::Impl::received(Page& page, std::string_view text) {
   page.reply(reply.dump(-1, ' ', false, Json::error_handler_t::replace));
 }
 
-Session::Refusal Server::Impl::carry_out(Page& page, const Command& command) {
-  if (const auto* take = std::get_if<TakeControl>(&command)) {
-    if (controller != nullptr && controller != &page && !take->from_another)
-      return fmt::format("page {} steers; take control from it first", controller->number);
-    give_control(&page);
-    return std::nullopt;
+/// The bench has answered a request that was passed on.
+void Server::Impl::answered(const Json& reply) {
+  const auto found = asked.find(reply.at("id").get<std::uint64_t>());
+  if (found == asked.end()) return;
+  const Asked request = std::move(found->second);
+  asked.erase(found);
+  const std::shared_ptr<Page> page = request.page.lock();
+  if (!page) return;
+  Json message = {{"type", "reply"}, {"id", request.id}, {"ok", reply.at("ok")}};
+  if (!reply.at("ok").get<bool>()) {
+    message["why"] = reply.at("why");
+    log_refusal(page->peer(), request.text, reply.at("why").get<std::string>());
   }
-  if (controller != &page) return "this page only watches; take control first";
-  struct Do {
-    Server::Impl& impl;
-    Page& page;
-    Session::Refusal operator()(const TakeControl&) const { return std::nullopt; }
-    Session::Refusal operator()(const ReleaseControl&) const {
-      impl.give_control(nullptr);
-      return std::nullopt;
-    }
-    Session::Refusal operator()(const CheckBench& check) const {
-      return impl.session->check(check.with_motion);
-    }
-    Session::Refusal operator()(const StartRun&) const { return impl.session->start(); }
-    Session::Refusal operator()(const HoldRun&) const { return impl.session->hold(); }
-    Session::Refusal operator()(const ContinueRun&) const { return impl.session->continue_run(); }
-    Session::Refusal operator()(const Stop&) const { return impl.session->stop(); }
-    Session::Refusal operator()(const ResumeRun& resume) const {
-      const auto path = impl.library.find(resume.run);
-      if (!path) return "there is no such run in the run folder";
-      return impl.session->resume(*path);
-    }
-    Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog); }
-    Session::Refusal operator()(const Note& note) const {
-      return impl.session->note(note.text, fmt::format("page {} at {}", page.number, page.peer().remote));
-    }
-  };
-  return std::visit(Do{*this, page}, command);
+  page->reply(message.dump(-1, ' ', false, Json::error_handler_t::replace));
+}
+
+Session::Refusal Server::Impl::take_control(Page& page, const TakeControl& take) {
+  if (controller != nullptr && controller != &page && !take.from_another)
+    return fmt::format("{} steers; take control from it first", controller->in_words());
+  give_control(&page);
+  return std::nullopt;
+}
+
+/// In the thread of whoever serves: ends the bench, or leaves it alone. @return whether something was on
+bool Server::Impl::end(bool leave_running) {
+  asio::post(io, [this, leave_running] {
+    if (leave_running) bench->leave();
+    const bool waits = !leave_running && bench->close_bench();
+    if (!waits && !std::exchange(bench_is_closed, true)) bench_closed.set_value(false);
+  });
+  // The longest halt that a driver waits for, twice.
+  constexpr std::chrono::seconds kLongestEnd{60};
+  std::future<bool> closed = bench_closed.get_future();
+  if (closed.wait_for(kLongestEnd) == std::future_status::ready) return closed.get();
+  print_error(
+      "the process that holds the bench does not answer: the stage may be moving, stop it by its own switch");
+  return true;
 }
 
 /// The answer to a request. `later` is set if the answer takes long: call it in the reading
@@ -685,15 +769,14 @@ std::uint16_t Server::port() const {
   return impl_->acceptor.local_endpoint().port();
 }
 
-bool Server::serve(const std::stop_token& stop) {
+bool Server::serve(const std::stop_token& stop, const std::function<bool()>& leaves_bench) {
   std::promise<void> stopped;
   {
     const std::stop_callback on_stop(stop, [&stopped] { stopped.set_value(); });
     stopped.get_future().wait();
   }
-  const bool something_was_on = !impl_->session->stop();
-  impl_->session->close();  // The pages still see how it ends.
-  return something_was_on;
+  // The pages still see how it ends.
+  return impl_->end(!impl_->options.bench_socket.empty() || (leaves_bench && leaves_bench()));
 }
 
 }  // namespace abcal::console

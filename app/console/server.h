@@ -2,6 +2,8 @@
 
 #include <chrono>
 #include <cstdint>
+#include <filesystem>
+#include <functional>
 #include <memory>
 #include <stop_token>
 #include <string>
@@ -15,6 +17,8 @@ struct ServerOptions {
   std::string address = "127.0.0.1";
   std::uint16_t port = 8474;  ///< 0: any free one.
   AccessRules access;
+  /// Where the process that holds the bench listens, if another program starts it; empty: the console does.
+  std::filesystem::path bench_socket;
   std::size_t most_connections = 100;
   /// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead. Replies
   /// are never dropped: no more is read from a page that leaves as many of them waiting.
@@ -25,7 +29,8 @@ struct ServerOptions {
 
 /// The web console: one page over HTTP, and a WebSocket on the same port by which it watches and steers
 /// (docs/console.md). All connections live in one thread, which never waits for any of them, nor for the
-/// bench; what the bench tells is put into a bounded queue for each.
+/// bench; what the bench tells is put into a bounded queue for each. The bench itself is held by a process of
+/// its own (BenchService), which is found or started, and goes on if this one dies.
 class Server {
  public:
   /// Listens from here on.
@@ -35,9 +40,10 @@ class Server {
 
   std::uint16_t port() const;
 
-  /// Serves until `stop`; a run that is on is stopped then, its stage halted.
+  /// Serves until `stop`. What is in progress at the bench is stopped then and its stage halted, unless
+  /// `leaves_bench` says that it goes on without a console; the process that holds the bench ends with it.
   /// @return whether something was stopped so.
-  bool serve(const std::stop_token& stop);
+  bool serve(const std::stop_token& stop, const std::function<bool()>& leaves_bench = {});
 
  private:
   struct Impl;

@@ -1,12 +1,14 @@
 #include "app/console/session.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <chrono>
 #include <utility>
 
 #include "app/bench/bench_records.h"
+#include "app/bench/guarded_stage.h"
 #include "app/bench/real_clock.h"
 #include "app/console/jog.h"
 #include "app/console/paced_clock.h"
@@ -44,7 +46,7 @@ void Session::close() {
     const std::lock_guard lock(mutex_);
     if (std::exchange(closing_, true)) return;
   }
-  stop();
+  stop("the end of the program");
   worker_.request_stop();
   worker_.join();
 }
@@ -81,9 +83,13 @@ void Session::carry_out(const std::function<void()>& job) {
     job();
   } catch (const RunInterrupted& error) {
     tell_(LogLine{LogLine::Grade::kWarning, error.what()});
+  } catch (const InstrumentError& error) {
+    problem(error.what());
+    tell_(FaultSeen{error.instrument(), std::string(to_string(error.fault())), error.what()});
+    jog_bench_.reset();  // After a fault the instruments are opened and asked again.
   } catch (const std::exception& error) {
     problem(error.what());
-    jog_bench_.reset();  // After a fault the instruments are opened and asked again.
+    jog_bench_.reset();
   }
   std::shared_ptr<RunSession> ended;
   {
@@ -169,7 +175,7 @@ Session::Refusal Session::continue_run() {
   return std::nullopt;
 }
 
-Session::Refusal Session::stop() {
+Session::Refusal Session::stop(const std::string& by) {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ == Activity::kIdle) return "nothing is in progress that could be stopped";
@@ -178,7 +184,8 @@ Session::Refusal Session::stop() {
     // Requesting the stop sends the halt to the stage and waits for its answer: not in the caller's thread.
     stopper_ = std::jthread([source = stop_]() mutable { source.request_stop(); });
   }
-  tell_(LogLine{LogLine::Grade::kWarning, "Stop: the halt is sent to the stage."});
+  tell_(LogLine{LogLine::Grade::kWarning,
+                fmt::format("Stop, asked for by {}: the halt is sent to the stage.", by)});
   return std::nullopt;
 }
 
@@ -194,8 +201,11 @@ Bench Session::open(const BenchConfig& config) {
   jog_bench_.reset();  // Or its ports would be in the way.
   const Clock::UtcTime utc = RealClock().utc_now();
   Bench bench = make_bench(config, {}, std::make_unique<PacedClock>(options_.pace, utc));
+  protocol_ = config.protocol;
+  simulated_ = fmt::format("{}", fmt::join(simulated_instruments(config), ", "));
+  hurry_ = bench.simulated_time ? options_.pace : 1.0;
   const auto see = [this](const auto& seen) { tell_(seen); };
-  bench.stage = std::make_unique<WatchedStage>(std::move(bench.stage), see);
+  bench.stage = std::make_unique<WatchedStage>(std::move(bench.stage), see, see);
   bench.accelerometer = std::make_unique<WatchedAccelerometer>(std::move(bench.accelerometer), see);
   return bench;
 }
@@ -208,6 +218,7 @@ RunBegan Session::describe(const RunBeganEvent& event) const {
   began.item = event.item;
   began.operator_name = event.operator_name;
   began.unit = event.unit;
+  began.simulated = simulated_;
   began.plan = event.plan;
   for (const DwellDoneEvent& each : event.measured) began.measured.emplace_back(each.position, each.dwell);
   began.estimated_s = event.estimated_s / began.pace.value_or(1.0);
@@ -215,6 +226,30 @@ RunBegan Session::describe(const RunBeganEvent& event) const {
   began.accelerometer =
       fmt::format("{}, {:g} readings/s in {}", in_words(event.accelerometer), event.rate_hz, event.unit);
   return began;
+}
+
+std::optional<TimeLimit> Session::limit_of(RunPhase phase) const {
+  const auto limit = [this](double seconds, const char* words) { return TimeLimit{seconds / hurry_, words}; };
+  switch (phase) {
+    case RunPhase::kHoming:
+      return limit(protocol_.homing_timeout_s, "for each axis");
+    case RunPhase::kMoving:
+    case RunPhase::kParking:
+      return limit(protocol_.motion_timeout_s, "beyond the time that the speed of the stage needs");
+    case RunPhase::kSettling:
+      return limit(protocol_.settle_s + protocol_.quiet_timeout_s, "then the angle is flagged");
+    case RunPhase::kDwelling:
+      return limit(protocol_.reading_timeout_s, "without any reading");
+    case RunPhase::kReconnecting:
+      return limit(protocol_.replug_timeout_s, "then the run ends and can be resumed");
+    case RunPhase::kWarmingUp:
+      return limit(protocol_.warm_up_s, "of warming up");
+    case RunPhase::kTemperature:
+      return limit(protocol_.stability_timeout_s, "for outputs and temperature to be stable");
+    case RunPhase::kHolding:
+      return std::nullopt;
+  }
+  return std::nullopt;
 }
 
 void Session::show(const SessionEvent& event) {
@@ -228,14 +263,20 @@ void Session::show(const SessionEvent& event) {
                                     began.measured.size(), began.plan.size())
                       : fmt::format("Run {} begins: {} angles.", file_name(began.file), began.plan.size()));
     }
-    void operator()(const PhaseEvent& phase) const { session.tell_(PhaseSeen{phase.position, phase.phase}); }
+    void operator()(const PhaseEvent& phase) const {
+      session.tell_(PhaseSeen{phase.position, phase.phase, session.limit_of(phase.phase)});
+    }
     void operator()(const DwellDoneEvent& done) const {
       session.tell_(DwellSeen{done.position, done.dwell, RealClock().utc_now()});
     }
     void operator()(const FlagEvent& flag) const { warn(flag.text); }
     void operator()(const PortLostEvent& lost) const { warn(lost.text); }
     void operator()(const PortBackEvent& back) const { warn(back.text); }
-    void operator()(const NoticeEvent& notice) const { warn(notice.text); }
+    void operator()(const NoticeEvent& notice) const {
+      if (notice.kind != kGuardEvent) return warn(notice.text);
+      session.tell_(GuardSeen{notice.text});
+      session.log(notice.text);
+    }
     void operator()(const NoteStoredEvent& note) const {
       session.log(fmt::format("Note, stored in the event log: {}", note.text));
     }

@@ -47,8 +47,8 @@ class Session {
   Refusal jog(const Jog& jog);
   /// Into the event log of the current run; `by` names the person.
   Refusal note(std::string text, std::string by);
-  /// Halts the stage at once and ends the current activity.
-  Refusal stop();
+  /// Halts the stage at once and ends the current activity. `by` names who asked, for the log.
+  Refusal stop(const std::string& by);
 
  private:
   Refusal begin(Activity activity, std::function<void()> job);
@@ -61,6 +61,8 @@ class Session {
   RunBegan describe(const RunBeganEvent& event) const;
 
   Bench open(const BenchConfig& config);
+  /// How long a phase may last, in real time.
+  std::optional<TimeLimit> limit_of(RunPhase phase) const;
   void do_check(bool with_motion);
   void do_start(const std::string& name);
   void do_resume(const std::filesystem::path& run);
@@ -83,6 +85,10 @@ class Session {
     Bench bench;
   };
   std::optional<JogBench> jog_bench_;
+  /// Of the bench that was opened last, and how much faster its time passes; of the measuring thread alone.
+  ProtocolConfig protocol_;
+  std::string simulated_;
+  double hurry_ = 1.0;
 
   std::jthread stopper_;  ///< Sends the halt, so that no other thread waits for it.
   std::jthread worker_;

@@ -9,8 +9,20 @@ constexpr Clock::Duration kGroup = std::chrono::milliseconds(50);
 
 }  // namespace
 
-WatchedStage::WatchedStage(std::unique_ptr<RotationStage> stage, std::function<void(const StageSeen&)> see)
-    : stage_(std::move(stage)), see_(std::move(see)) {}
+WatchedStage::WatchedStage(std::unique_ptr<RotationStage> stage, std::function<void(const StageSeen&)> see,
+                           std::function<void(const HaltSeen&)> see_halt)
+    : stage_(std::move(stage)), see_(std::move(see)), see_halt_(std::move(see_halt)) {}
+
+HaltReport WatchedStage::halt_axes() noexcept {
+  const RealClock real;
+  const Clock::Instant asked = real.now();
+  const HaltReport report = stage_->halt_axes();
+  try {
+    see_halt_({report, to_seconds(real.now() - asked), real.utc_now()});
+  } catch (const std::exception&) {  // That a page is not told is no reason to stop halting.
+  }
+  return report;
+}
 
 void WatchedStage::move_to(StageAxis axis, Angle target) {
   stage_->move_to(axis, target);
@@ -35,6 +47,7 @@ AccelerometerInfo WatchedAccelerometer::identify() {
 
 void WatchedAccelerometer::start() {
   accelerometer_->start();
+  ++streams_;
   first_arrival_.reset();
   group_ = {};
 }
@@ -61,6 +74,7 @@ void WatchedAccelerometer::note(const Reading& reading) {
   if (now - last_seen_ < kGroup) return;
   last_seen_ = now;
   group_.unit = unit_;
+  group_.stream = streams_;
   group_.time_s = to_seconds(reading.arrival - *first_arrival_);
   see_(group_);
   group_ = {};

@@ -19,9 +19,17 @@ struct StageSeen {
   std::optional<Angle> target;   ///< As the run commanded it.
 };
 
+/// The stage was told to halt, by whomever.
+struct HaltSeen {
+  HaltReport report;
+  double took_s = 0.0;   ///< Real time until the last axis had answered, or was given up.
+  Clock::UtcTime since;  ///< Real time.
+};
+
 /// The readings of a short while of real time.
 struct StripSeen {
-  double time_s = 0.0;  ///< Of the last of them, in the bench's time from the start of the stream.
+  std::size_t stream = 0;  ///< Grows with each start of the stream: the times of two streams do not compare.
+  double time_s = 0.0;     ///< Of the last of them, in the bench's time from the start of the stream.
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   Eigen::Vector3d lowest = Eigen::Vector3d::Zero();
   Eigen::Vector3d highest = Eigen::Vector3d::Zero();  ///< R, all three.
@@ -34,16 +42,17 @@ struct StripSeen {
 /// same bytes as an unwatched one.
 class WatchedStage final : public RotationStage {
  public:
-  /// `see` must return at once.
-  WatchedStage(std::unique_ptr<RotationStage> stage, std::function<void(const StageSeen&)> see);
+  /// `see` and `see_halt` must return at once; halts are seen from any thread.
+  WatchedStage(std::unique_ptr<RotationStage> stage, std::function<void(const StageSeen&)> see,
+               std::function<void(const HaltSeen&)> see_halt);
 
   StageInfo identify() override { return stage_->identify(); }
   void home(StageAxis axis) override { stage_->home(axis); }
   void move_to(StageAxis axis, Angle target) override;
   MotionState motion_state(StageAxis axis) override { return stage_->motion_state(axis); }
   Angle encoder_angle(StageAxis axis) override;
-  bool halt() noexcept override { return stage_->halt(); }
-  HaltReport halt_axes() noexcept override { return stage_->halt_axes(); }
+  bool halt() noexcept override { return halt_axes().all_halted(); }
+  HaltReport halt_axes() noexcept override;
   std::vector<HaltRecipe> halt_recipes() override { return stage_->halt_recipes(); }
   Clock::Duration reply_deadline() const override { return stage_->reply_deadline(); }
   std::vector<StageEvent> take_events() override { return stage_->take_events(); }
@@ -51,6 +60,7 @@ class WatchedStage final : public RotationStage {
  private:
   std::unique_ptr<RotationStage> stage_;
   std::function<void(const StageSeen&)> see_;
+  std::function<void(const HaltSeen&)> see_halt_;
 };
 
 /// An accelerometer whose readings are also passed on, in at most 20 groups a second.
@@ -77,6 +87,7 @@ class WatchedAccelerometer final : public Accelerometer {
   std::optional<Clock::Instant> first_arrival_;
   std::string unit_;
   StripSeen group_;
+  std::size_t streams_ = 0;
 };
 
 }  // namespace abcal::console

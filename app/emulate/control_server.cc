@@ -161,7 +161,7 @@ ControlServer::ControlServer(EmulatorControl& control, std::uint16_t port) try
     : impl_(std::make_unique<Impl>(control, port)) {
 } catch (const boost::system::system_error& error) {
   throw std::runtime_error(
-      fmt::format("--control {}: the port cannot be had: {}", port, error.code().message()));
+      fmt::format("--control {}: the port cannot be opened: {}", port, error.code().message()));
 }
 
 ControlServer::~ControlServer() {

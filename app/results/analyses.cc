@@ -61,16 +61,16 @@ CalibrationResult checked(const RunRecord& record, const Estimator& estimator,
   if (std::string words = default_effects_words(record.tolerances); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
   if (record.continuations > 0) {
-    result.diagnostics.notes.push_back(fmt::format(
-        "the run was interrupted and resumed {}; each time the axes were homed again, and the last "
-        "angle was measured again and agreed",
-        times(record.continuations)));
+    result.diagnostics.notes.push_back(
+        fmt::format("the run was interrupted and resumed {}; each time the axes were homed again, and the "
+                    "repeated last angle agreed",
+                    times(record.continuations)));
   }
   if (record.reconnections > 0) {
-    result.diagnostics.notes.push_back(fmt::format(
-        "the port of an instrument vanished and came back {}; each time it was the same instrument "
-        "and the last angle was measured again and agreed",
-        times(record.reconnections)));
+    result.diagnostics.notes.push_back(
+        fmt::format("the port of an instrument vanished and came back {}; each time it was the same "
+                    "instrument, and the repeated last angle agreed",
+                    times(record.reconnections)));
   }
   return result;
 }

@@ -14,7 +14,7 @@ namespace abcal {
 const std::vector<Estimator>& estimators() {
   static const std::vector<Estimator> kAll{
       {.name = "abc",
-       .words = " as published",
+       .words = " as published, corrected for non-linearity (k2, k3)",
        .certifiable = true,
        .fit = [](const RunRecord& record) { return analyse_abc(record); }},
       {.name = "joint",
@@ -28,7 +28,7 @@ const std::vector<Estimator>& estimators() {
              return analyse_joint(record, options);
            }},
       {.name = "norm",
-       .words = ", which uses the magnitude of gravity alone and no angles, and so gives no matrix",
+       .words = ", which uses only the magnitude of gravity and no angles, and therefore gives no matrix",
        .needs_angles = false,
        .fits_stage_errors = true,
        .fit = [](const RunRecord& record) { return analyse_norm(record); }},

@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// A run file or a CSV of averaged readings, told apart by their content.
+/// A run file or a CSV of averaged readings, distinguished by their content.
 struct LoadedRecord {
   RunRecord record;
   std::optional<StoredRun> run;  ///< Absent for a CSV.

@@ -38,8 +38,7 @@ std::string difference_of_plans(const std::vector<PlannedAngle>& stored, const B
   constexpr AxisTravel kAny{Angle::degrees(-1080.0), Angle::degrees(1080.0)};
   std::map<std::pair<int, int>, PlannedAngle> expected;
   ProtocolConfig protocol = bench.protocol;
-  protocol.check_poses =
-      false;  // Runs of before version 0.2 have none, whatever the bench file says by default.
+  protocol.check_poses = false;  // Runs of version 0.1 have none, and a bench file does not say so.
   for (const PlannedAngle& angle : make_rotation_plan(protocol, {kAny, kAny}))
     if (!angle.closing) expected[{angle.experiment, angle.n}] = angle;
   std::set<std::pair<int, int>> seen;
@@ -73,7 +72,7 @@ std::string difference_from_plan(const StoredRun& stored, const BenchConfig* ben
     const std::size_t position = stored.measured[k];
     const DwellRecord& dwell = stored.dwells[k];
     if (position >= plan.size())
-      return fmt::format("a dwell is of position {}, which is not planned", position);
+      return fmt::format("a dwell has the position {}, which is not planned", position);
     measured.insert(position);
     const PlannedAngle& planned = plan[position];
     const std::string where = fmt::format("experiment {}, angle {}", planned.experiment, planned.n);
@@ -87,7 +86,7 @@ std::string difference_from_plan(const StoredRun& stored, const BenchConfig* ben
          {std::pair{dwell.encoder_x, dwell.commanded_x}, std::pair{dwell.encoder_z, dwell.commanded_z}}) {
       // Twice the window: the encoder may be read at another moment than the window was checked.
       if (encoder && std::abs(encoder->deg() - commanded.deg()) > 2.0 * bench->protocol.position_window.deg())
-        return where + ": the encoder is outside the position window, and no flag says so";
+        return where + ": the encoder is outside the position window, but no flag is set";
     }
   }
   if (stored.state == RunState::kComplete && measured.size() != plan.size())
@@ -160,7 +159,7 @@ Distance distance_between(const nlohmann::json& stored, const nlohmann::json& no
 IntegrityCheck check_results(const std::filesystem::path& run,
                              const std::vector<CalibrationResult>& results) {
   // The same program gives the same numbers but for rounding. Another one may have better methods: its
-  // analyses are a history, and are told, not judged. Reports and certificates never use them.
+  // analyses are a history: they are reported, not judged. Reports and certificates never use them.
   constexpr double kRounding = 1e-6;
   std::size_t same = 0, other = 0;
   double largest_of_other = 0.0;

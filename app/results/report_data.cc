@@ -30,8 +30,9 @@ std::vector<std::string> cautions(const ReportData& data) {
   std::vector<std::string> list;
   if (!data.complete()) {
     // After a kill or on a full disk the state of a run remains "running".
-    const std::string state = data.run->state == RunState::kRunning ? "running, or ended without storing why"
-                                                                    : std::string(to_string(data.run->state));
+    const std::string state = data.run->state == RunState::kRunning
+                                  ? "running, or ended without storing a reason"
+                                  : std::string(to_string(data.run->state));
     list.push_back(fmt::format("Not complete: this run is {}, {} of {} angles are measured", state,
                                data.run->measured.size(), data.run->header.plan.size()));
   }

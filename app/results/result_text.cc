@@ -185,8 +185,8 @@ void add_chi2(std::string& text, const Diagnostics& d, bool fits_stage_errors) {
           ? fmt::format("chi2 = {:.1f} for {} degrees of freedom{}\n", *d.chi2, d.degrees_of_freedom,
                         d.chi2_probability ? fmt::format(", probability {:.3g}", *d.chi2_probability) : "")
           : fmt::format(
-                "Residuals are {:.1f} times what the readings' noise alone would leave (the stage's "
-                "step errors are in them)\n",
+                "Residuals are {:.1f} times those expected from the noise of the readings alone (they "
+                "include the step errors of the stage)\n",
                 std::sqrt(*d.chi2 / d.degrees_of_freedom));
 }
 

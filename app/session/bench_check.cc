@@ -100,9 +100,9 @@ class Checker {
     if (accelerometer) attempt("readings at rest", [&] { check_at_rest(); });
     bench_.accelerometer->stop();
     if (options_.no_motion) {
-      add(Grade::kLeftOut, "signs and axes", "nothing was moved (--no-motion)");
+      add(Grade::kLeftOut, "signs and axes", "not checked: nothing was moved (--no-motion)");
     } else if (!stage || !accelerometer || failed_) {
-      add(Grade::kLeftOut, "signs and axes", "nothing was moved, because of the problems above");
+      add(Grade::kLeftOut, "signs and axes", "not checked: nothing was moved because of the problems above");
     } else {
       attempt("signs and axes", [&] { turn(); });
     }
@@ -145,7 +145,7 @@ class Checker {
       add(Grade::kGood, name,
           fmt::format("travel {:g} to {:g} deg, speed {:g} deg/s, resolution {:g} deg, {}",
                       a.travel_min.deg(), a.travel_max.deg(), a.speed_deg_per_s, a.resolution.deg(),
-                      a.referenced ? "homed" : "not homed: a run homes it first"));
+                      a.referenced ? "homed" : "not homed yet: a run homes it first"));
       if (a.resolution > config_.protocol.position_window)
         add(Grade::kProblem, name,
             fmt::format("its resolution of {:g} deg is coarser than position_window_deg = {:g}",
@@ -153,7 +153,7 @@ class Checker {
             "set position_window_deg to the resolution or more");
     }
     const auto plan = make_rotation_plan(config_.protocol, identities_.travel());
-    add(Grade::kGood, "travel", fmt::format("all {} angles of the plan are inside", plan.size()));
+    add(Grade::kGood, "travel", fmt::format("all {} angles of the plan are within the travel", plan.size()));
   }
 
   void check_accelerometer() {
@@ -217,9 +217,9 @@ class Checker {
         fmt::format("mean {}, standard deviation {}, of the mean of {} readings {}",
                     in_words(at_rest.mean, unit), in_words(at_rest.spread, unit), at_rest.count,
                     in_words(at_rest.u_mean, unit)),
-        silent
-            ? "an output that does not change at all may be stuck: touch the bench and see whether it changes"
-            : "");
+        silent ? "an output that does not change at all may be stuck: touch the bench and check whether it "
+                 "changes"
+               : "");
     if (const auto gravity = nominal_response({}, unit, config_.g_loc.value_mps2)) {
       const double norm = at_rest.mean.norm();
       const bool plausible = std::abs(norm / *gravity - 1.0) <= kNormTolerance;
@@ -294,7 +294,7 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
   if (!(largest_change > 0.05 * poses.front().mean.norm())) {
     finding.grade = Grade::kProblem;
     finding.found = fmt::format("turning both axes changes the readings by only {:.2g}", largest_change);
-    finding.advice = "check that the accelerometer is bolted to this stage, and the port of each";
+    finding.advice = "check that the accelerometer is fixed to this stage, and check both ports";
     return finding;
   }
   std::vector<Hypothesis> all = hypotheses();
@@ -313,10 +313,10 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
   // from it by gravity alone, and gives a wrong matrix: a person must look.
   finding.grade = Grade::kProblem;
   finding.found = reasons.empty()
-                      ? "the readings do not change as gravity requires, and no simple reason explains it"
-                      : "the readings do not change as gravity requires of the bench file";
+                      ? "the readings do not change as gravity requires, and no simple cause explains this"
+                      : "the readings do not change as gravity and the bench file require";
   finding.advice = reasons.empty() ? "check cables, mounting and the names of the axes"
-                                   : "look at the bench; possible reasons: " + reasons;
+                                   : "inspect the bench; possible causes: " + reasons;
   return finding;
 }
 

@@ -57,7 +57,7 @@ RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now) {
   const lab::LoggedIn person = lab::require_login(opened, now);
   if (!person.person().may(lab::Right::kMeasure))
     throw std::invalid_argument(fmt::format(
-        "{} is logged in and may not measure; required: a person with the right to measure", person.name()));
+        "{} is logged in but may not measure; required: a person with the right to measure", person.name()));
   if (!stated.empty() && stated != person.name())
     throw std::invalid_argument(fmt::format(
         "[operator] name is \"{}\", but {} is logged in; required: the person who is logged in, or no name",

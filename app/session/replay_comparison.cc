@@ -18,7 +18,7 @@ std::string end_of_run(const StoredRun& run) {
       if (event.kind == to_string(state)) return event.text;
     }
   }
-  return "its program ended without a word (killed, or without power)";
+  return "its program ended without a message (killed, or power lost)";
 }
 
 ReplayComparedEvent compare_replay(const StoredRun& recorded, const StoredRun& replayed) {

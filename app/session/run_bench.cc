@@ -34,7 +34,8 @@ InstrumentIdentity identity(const AccelerometerInfo& info) {
 }
 
 /// The accelerometer on the stage, as the bench file and itself name it.
-RunItem item_of(const BenchConfig& config, const AccelerometerInfo& info) {
+RunItem item_of(const BenchConfig& config, const Identities& identities) {
+  const AccelerometerInfo& info = identities.accelerometer;
   const auto either = [](const std::string& stated, const std::string& found) {
     return stated.empty() ? found : stated;
   };
@@ -49,6 +50,7 @@ RunItem item_of(const BenchConfig& config, const AccelerometerInfo& info) {
   item.rate_hz = info.rate_hz;
   item.full_scale = info.full_scale;
   item.resolution = info.resolution;
+  item.registers = identities.corrections;
   return item;
 }
 
@@ -75,8 +77,9 @@ void require_serial_number(const std::string& role, const std::string& model, co
                   found.empty() ? "not reported" : found, required));
 }
 
-Identities identify(Bench& bench, const BenchConfig& config) {
-  Identities identities{bench.stage->identify(), bench.accelerometer->identify()};
+Identities identify(Bench& bench, const BenchConfig& config, bool ask_corrections) {
+  Identities identities{bench.stage->identify(), bench.accelerometer->identify(), {}};
+  if (ask_corrections) identities.corrections = bench.accelerometer->correction_registers();
   require_serial_number("stage", identities.stage.model, identities.stage.serial_number,
                         config.stage.serial_number);
   require_serial_number("accelerometer", identities.accelerometer.model,
@@ -111,7 +114,7 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   label("item.supply", config.item.supply);
   label(std::string(kEstimatorLabel), config.protocol.estimator);
   header.instruments = {identity(identities.stage), identity(identities.accelerometer)};
-  header.items = {item_of(config, identities.accelerometer)};
+  header.items = {item_of(config, identities)};
   header.response_unit = identities.accelerometer.output_unit;
   header.g_loc = config.g_loc;
   header.tolerances = config.tolerances;
@@ -140,10 +143,10 @@ std::filesystem::path output_path(const std::string& given, const std::string& b
 
 PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const BenchConfig& config,
                                const Identities& identities) {
-  return estimate_duration(
-      plan, config.protocol,
-      {identities.stage.axes[0].speed_deg_per_s, identities.stage.axes[1].speed_deg_per_s},
-      identities.accelerometer.rate_hz);
+  return estimate_duration(plan, config.protocol,
+                           {AxisSpeed{identities.stage.axes[0].speed_deg_per_s},
+                            AxisSpeed{identities.stage.axes[1].speed_deg_per_s}},
+                           identities.accelerometer.rate_hz);
 }
 
 std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <stop_token>
 #include <string>
@@ -23,13 +24,16 @@ namespace abcal {
 struct Identities {
   StageInfo stage;
   AccelerometerInfo accelerometer;
+  /// What the accelerometer itself corrects (Accelerometer::correction_registers()).
+  std::map<std::string, std::string> corrections;
 
   std::array<AxisTravel, 2> travel() const;
 };
 
 /// Identifies both instruments and compares them with what the bench file requires.
+/// @param ask_corrections  false: for the replay of a recording in which nobody asked
 /// @throws InstrumentError kWrongIdentity
-Identities identify(Bench& bench, const BenchConfig& config);
+Identities identify(Bench& bench, const BenchConfig& config, bool ask_corrections = true);
 
 /// Refuses an instrument whose serial number is not `required` (empty: any will do).
 /// @throws InstrumentError kWrongIdentity

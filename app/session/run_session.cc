@@ -28,11 +28,12 @@ namespace {
 /// Most notes that wait to be stored.
 constexpr std::size_t kMostNotes = 20;
 
-/// A run that is complete, closed or not.
-RunOutcome load_complete_run(const std::filesystem::path& path) {
+/// A run that is complete, closed or not. A levelling has no calibration's results.
+RunOutcome analysed_outcome(const std::filesystem::path& path, StoredRun stored) {
   RunOutcome outcome;
   outcome.path = path;
-  outcome.stored = RunFile::load(path);
+  outcome.stored = std::move(stored);
+  if (!outcome.is_levelling()) outcome.results = analyse_all(outcome.stored.record);
   return outcome;
 }
 
@@ -116,6 +117,10 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
 
 }  // namespace
 
+bool RunOutcome::is_levelling() const {
+  return !has_experiments(stored.header.plan);
+}
+
 const CalibrationResult& RunOutcome::result() const {
   return result_of(results, declared_estimator(stored.record).name);
 }
@@ -123,15 +128,15 @@ const CalibrationResult& RunOutcome::result() const {
 std::optional<RunOutcome> finish_measured_run(const std::filesystem::path& path,
                                               const std::function<void(const RunOutcome&)>& result_listener) {
   std::error_code ignored;
-  if (!std::filesystem::exists(path, ignored) || RunFile::load(path).state != RunState::kComplete) {
-    return std::nullopt;
-  }
+  if (!std::filesystem::exists(path, ignored)) return std::nullopt;
+  StoredRun stored = RunFile::load(path);
+  if (stored.state != RunState::kComplete) return std::nullopt;
   const bool was_closed = RunFile::is_closed(path);
-  if (was_closed && ResultsFile(path, RunFile::finish_closing(path)).analyses() >= estimators().size()) {
+  const std::size_t expected = has_experiments(stored.header.plan) ? estimators().size() : 0;
+  if (was_closed && ResultsFile(path, RunFile::finish_closing(path)).analyses() >= expected) {
     return std::nullopt;
   }
-  RunOutcome outcome = load_complete_run(path);
-  outcome.results = analyse_all(outcome.stored.record);
+  RunOutcome outcome = analysed_outcome(path, std::move(stored));
   outcome.measured_before = true;
   ResultTeller teller(outcome, result_listener);
   outcome.sha256 = RunFile::finish_closing(path, teller.before_waiting());
@@ -251,11 +256,11 @@ RunSession::OpenedBench& RunSession::open(const BenchConfig& config, BenchStream
 }
 
 RunOutcome RunSession::start(const StartRequest& request) {
-  return run_plan(request, make_rotation_plan, Analyses::kAll);
+  return run_plan(request, make_rotation_plan);
 }
 
 RunOutcome RunSession::level(const StartRequest& request) {
-  return run_plan(request, level_plan, Analyses::kNone);
+  return run_plan(request, level_plan);
 }
 
 Identities RunSession::identify_instruments(const StartRequest& request) {
@@ -266,16 +271,16 @@ Identities RunSession::identify_instruments(const StartRequest& request) {
   return opened_->identities;
 }
 
-RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner, Analyses analyses) {
+RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
   RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now());
-  (void)read_signing_key();  // A key that cannot be read is told before the first move.
+  (void)read_signing_key();  // A key that cannot be read is reported before the first move.
   (void)identify_instruments(request);
   opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
   RunFile file = create_file(*opened_, request);
   tell_begun(*opened_, request.run_file, nullptr);
-  return measure_and_finish(std::move(file), {}, analyses);
+  return measure_and_finish(std::move(file), {});
 }
 
 void RunSession::open_and_identify(const StartRequest& request, const BenchConfig& config) {
@@ -284,7 +289,7 @@ void RunSession::open_and_identify(const StartRequest& request, const BenchConfi
   OpenedBench& opened = open(config, transcript_ ? transcript_->streams() : BenchStreams{});
   if (transcript_ && !transcript_->has_streams()) {
     throw std::invalid_argument(
-        "--record: nothing on this bench has bytes to record, its drivers are simulated without a wire; "
+        "--record: nothing on this bench has bytes to record, because both drivers are \"simulated\"; "
         "required: at least one other driver (its port may be \"simulated\")");
   }
   opened.identities = identify_or_keep_recording(request, opened);
@@ -406,6 +411,17 @@ void RunSession::require_same_instruments(const Identities& now, const StoredRun
       require_serial_number(before.role, before.model, now.accelerometer.serial_number, before.serial_number);
     }
   }
+  if (stored.header.items.empty()) return;
+  for (const auto& [name, before] : stored.header.items.front().registers) {
+    const auto found = now.corrections.find(name);
+    const std::string now_in_force = found == now.corrections.end() ? "not reported" : found->second;
+    if (now_in_force == before) continue;
+    throw InstrumentError(
+        "accelerometer " + now.accelerometer.model, Fault::kWrongIdentity,
+        fmt::format("its {} was {} when the run began and is {}; required: the same, since what is "
+                    "calibrated is the instrument with its own corrections. Set it back, or begin a new run",
+                    name, before, now_in_force));
+  }
 }
 
 // ---- Measure, close, analyse
@@ -416,8 +432,8 @@ void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::st
   const auto sha256 = file.close(teller.before_waiting());
   if (!sha256) {
     warn("closing",
-         fmt::format("another program keeps {} open, so that it cannot be closed; its result is not kept "
-                     "yet: end that program, then close the run with: abcal resume {}",
+         fmt::format("{} cannot be closed because another program keeps the file open; its result is not "
+                     "stored yet: end that program, then close the run with: abcal resume {}",
                      path, path));
     return;
   }
@@ -428,7 +444,7 @@ void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::st
   if (const auto why = stamp_if_configured(outcome.path)) warn("time stamp", *why);
 }
 
-RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far, Analyses analyses) {
+RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far) {
   OpenedBench& opened = *opened_;
   Bench& bench = opened.bench;
   const std::filesystem::path path = file.path();
@@ -456,8 +472,7 @@ RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_fa
       warn("environment not read", *warning);
     }
     file.complete(utc, timing);
-    RunOutcome outcome = load_complete_run(path);
-    if (analyses == Analyses::kAll) outcome.results = analyse_all(outcome.stored.record);
+    RunOutcome outcome = analysed_outcome(path, RunFile::load(path));
     close_and_keep(std::move(file), outcome, utc);
     tell(finished_event(outcome));
     return outcome;
@@ -479,7 +494,11 @@ RunOutcome RunSession::replay(const ReplayRequest& request) {
   recorded_wire_ = std::make_unique<RecordedWire>(recorded_path);
   OpenedBench& opened =
       open(parse_bench(recorded.header.bench_toml, recorded_path.string()), recorded_wire_->streams());
-  opened.identities = identify(opened.bench, opened.config);
+  const std::vector<RunItem>& items = recorded.header.items;
+  // Programs before version 1.0 did not ask. A recording that ends before its first angle may end there.
+  const bool asked_corrections =
+      recorded.header.plan.empty() || (!items.empty() && !items.front().registers.empty());
+  opened.identities = identify(opened.bench, opened.config, asked_corrections);
   if (recorded.header.plan.empty()) {
     throw std::runtime_error(fmt::format(
         "the recorded run ended before its first angle ({}), but in the replay both instruments "
@@ -530,7 +549,7 @@ void RunSession::close_ended_replay(const StoredRun& recorded, const std::filesy
   try {
     tell_comparison(recorded, path);
     RunFile::open_for_append(path).set_state(
-        RunState::kAbandoned, format_utc(opened_->bench.clock->utc_now()), "a replay ends where it ends");
+        RunState::kAbandoned, format_utc(opened_->bench.clock->utc_now()), "the replay ends here as well");
   } catch (const RunFileError& error) {
     warn("replay", error.what());
   }

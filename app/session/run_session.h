@@ -27,6 +27,7 @@ struct RunOutcome {
   std::vector<CalibrationResult> results;  ///< One an estimator, the declared one first. Levelling: none.
   bool measured_before = false;            ///< Nothing was measured now: only closed and analysed.
 
+  bool is_levelling() const;
   /// Of the estimator that was chosen before the first angle. Not for a levelling.
   const CalibrationResult& result() const;
 };
@@ -101,17 +102,15 @@ class RunSession {
   struct OpenedBench;
   /// How the angles follow from the bench file and the travel of the stage.
   using Planner = std::vector<PlannedAngle> (*)(const ProtocolConfig&, const std::array<AxisTravel, 2>&);
-  /// What a complete run is analysed with.
-  enum class Analyses { kAll, kNone };
   OpenedBench& open(const BenchConfig& config, BenchStreams streams);
-  RunOutcome run_plan(const StartRequest& request, Planner planner, Analyses analyses);
+  RunOutcome run_plan(const StartRequest& request, Planner planner);
   void open_and_identify(const StartRequest& request, const BenchConfig& config);
   Identities identify_or_keep_recording(const StartRequest& request, const OpenedBench& opened);
   RunFile create_file(const OpenedBench& opened, const StartRequest& request);
   void require_disk_space(const OpenedBench& opened, const StartRequest& request);
   void require_same_instruments(const Identities& now, const StoredRun& stored) const;
   void tell_begun(const OpenedBench& opened, const std::filesystem::path& path, const StoredRun* resumed);
-  RunOutcome measure_and_finish(RunFile file, const RunProgress& so_far, Analyses analyses = Analyses::kAll);
+  RunOutcome measure_and_finish(RunFile file, const RunProgress& so_far);
   void close_and_keep(RunFile file, RunOutcome& outcome, const std::string& utc) const;
   RunOutcome replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request);
   void tell_comparison(const StoredRun& recorded, const std::filesystem::path& replayed);

@@ -1,4 +1,5 @@
 #include "app/system/child_process.h"
+#include "app/system/detached_process.h"
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -51,11 +52,22 @@ class SpawnSettings {
     ::posix_spawn_file_actions_adddup2(&actions_, descriptor, STDERR_FILENO);
   }
 
+  void detach() {
+    ::posix_spawnattr_setflags(&attributes_,
+                               POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETSID);
+    ::posix_spawn_file_actions_addopen(&actions_, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
+  }
+  /// The child has it as the first descriptor after the standard ones.
+  void keep(int descriptor) {
+    ::posix_spawn_file_actions_adddup2(&actions_, descriptor, kKept);
+    first_closed_ = kKept + 1;
+  }
+
   /// @throws ProgramMissing, std::runtime_error
   pid_t start(const Tool& tool, const std::vector<std::string>& arguments) {
     require_installed(tool);
     ::posix_spawn_file_actions_adddup2(&actions_, STDERR_FILENO, STDOUT_FILENO);
-    ::posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 1);
+    ::posix_spawn_file_actions_addclosefrom_np(&actions_, first_closed_);
     std::vector<std::string> words{tool.program};
     words.insert(words.end(), arguments.begin(), arguments.end());
     std::vector<char*> argv;
@@ -70,8 +82,10 @@ class SpawnSettings {
   }
 
  private:
+  static constexpr int kKept = STDERR_FILENO + 1;
   posix_spawnattr_t attributes_{};
   posix_spawn_file_actions_t actions_{};
+  int first_closed_ = kKept;
 };
 
 /// @returns the exit code; 128 + signal if a signal ended it
@@ -83,7 +97,7 @@ int wait_for_end(pid_t child, const Tool& tool) {
       throw std::runtime_error(fmt::format("waiting for {}: {}", tool.program, std::strerror(errno)));
   }
   if (interrupt_token().stop_requested())
-    throw RunInterrupted(fmt::format("interrupted while {} was at work", tool.program));
+    throw RunInterrupted(fmt::format("interrupted while {} was running", tool.program));
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }
 
@@ -120,6 +134,13 @@ void require_installed(const Tool& tool) {
   if (is_installed(tool)) return;
   throw ProgramMissing(fmt::format("{} {}, which is not installed (Debian: apt install {})", tool.needed_by,
                                    tool.program, tool.package));
+}
+
+pid_t start_detached(const Tool& tool, const std::vector<std::string>& arguments, int descriptor) {
+  SpawnSettings settings;
+  settings.detach();
+  if (descriptor >= 0) settings.keep(descriptor);
+  return settings.start(tool, arguments);
 }
 
 int run_tool(const Tool& tool, const std::vector<std::string>& arguments, ToolOutput output) {

@@ -36,7 +36,7 @@ void run_helper(const std::string& name, const std::string& needed_by,
   constexpr std::string_view kPrefix = "abcal: ";  // The caller that shows the message adds it again.
   std::string why = result.words;
   if (why.starts_with(kPrefix)) why.erase(0, kPrefix.size());
-  if (why.empty()) why = fmt::format("{} ended with {} and without a word", name, result.exit_code);
+  if (why.empty()) why = fmt::format("{} ended with {} and without a message", name, result.exit_code);
   if (result.exit_code == kExitUsage) throw std::invalid_argument(why);
   throw std::runtime_error(why);
 }

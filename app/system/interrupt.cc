@@ -1,5 +1,8 @@
 #include "app/system/interrupt.h"
 
+#include "app/system/last_signal.h"
+
+#include <atomic>
 #include <csignal>
 #include <thread>
 
@@ -9,6 +12,11 @@ namespace {
 std::stop_source& source() {
   static std::stop_source instance;
   return instance;
+}
+
+std::atomic<int>& last_signal() {
+  static std::atomic<int> number = 0;
+  return number;
 }
 
 sigset_t watched_signals() {
@@ -32,8 +40,15 @@ void watch_for_signals() {
   source();
   std::thread([signals] {
     int number = 0;
-    while (sigwait(&signals, &number) == 0) source().request_stop();
+    while (sigwait(&signals, &number) == 0) {
+      last_signal() = number;
+      source().request_stop();
+    }
   }).detach();
+}
+
+int last_interrupt_signal() {
+  return last_signal();
 }
 
 std::stop_token interrupt_token() {

@@ -188,7 +188,7 @@ spdlog::logger& logger() {
   return instance;
 }
 
-constexpr std::string_view kNoWords = "abcal: a message could not be put into words (out of memory?)\n";
+constexpr std::string_view kNoWords = "abcal: a message could not be formatted (out of memory?)\n";
 
 }  // namespace
 
@@ -252,7 +252,7 @@ int finish_output(int exit_code) noexcept {
   const int error = streams().result_error;
   if (error == 0) return exit_code;
   print_log("abcal: the result could not be written to standard output, or not all of it: {}\n",
-            error == EAGAIN ? "interrupted while its reader did not read" : std::strerror(error));
+            error == EAGAIN ? "interrupted because the reading program did not read" : std::strerror(error));
   return exit_code == kExitDone ? static_cast<int>(kExitFailed) : exit_code;
 }
 

@@ -88,7 +88,7 @@ void require_writable(const std::vector<RequestedOutput>& outputs,
       is_input = is_input || std::filesystem::equivalent(path, input, ignored);
     }
     if (is_input) {
-      problem("is what the report is made from, and is never overwritten");
+      problem("is the source of the report and is never overwritten");
     } else if (std::filesystem::is_directory(path, ignored)) {
       problem("is a folder; required: the name of a file");
     } else if (std::filesystem::exists(path, ignored) && !force) {

@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// Makes a file that only its owner can read, and brings it to the disk. It must not exist.
+/// Makes a file that only its owner can read, and flushes it to the disk. It must not exist.
 /// @throws std::runtime_error
 void write_private_file(const std::filesystem::path& path, const std::string& content);
 

@@ -355,7 +355,7 @@ void TomlReader::read_uncertainty_table(const toml::table& table, const std::str
     problem(*node, where + "." + key, words_of(*node), required);
     return {};
   };
-  std::string source = word_of("source", "where the value comes from, text in quotes");
+  std::string source = word_of("source", "the source of the value, as text in quotes");
   const std::string distribution = word_of("distribution", "\"rectangular\", \"triangular\" or \"u-shaped\"");
   const int given = (table.contains("value") ? 1 : 0) + (table.contains("half_width") ? 1 : 0) +
                     (table.contains("expanded_uncertainty") ? 1 : 0);
@@ -519,7 +519,7 @@ std::vector<Problem> TomlReader::take_problems() {
   for (auto& [line, problem] : found_) {
     if (problems.size() == kMostProblems) {
       problems.push_back({"the file", fmt::format("{} further problems", found_.size() - kMostProblems),
-                          "that these are mended first"});
+                          "the problems above corrected first"});
       break;
     }
     problems.push_back(std::move(problem));
@@ -601,7 +601,7 @@ void TomlReader::report_unknown(const toml::table& table, const std::string& pat
     const bool close = nearest != known.end() && edit_distance(start, *nearest) <= 2 + start.size() / 5;
     problem(node, path.empty() ? word : path + "." + word,
             node.is_table() ? "a section of this name" : "a key of this name",
-            close ? "a known one: did you mean \"" + *nearest + "\"?"
+            close ? "a known key: did you mean \"" + *nearest + "\"?"
                   : "one of " + joined({known.begin(), known.end()}));
   }
 }
@@ -613,9 +613,9 @@ toml::table parse_toml(std::string_view text, const std::string& source, const s
     return {};
   }
   if (const auto line = NestingCheck(text).line_too_deep()) {
-    problems.push_back({fmt::format("line {}", *line), "tables or lists nested too deeply",
-                        fmt::format("at most {} parts of a key and {} brackets within each other",
-                                    kDeepestToml, kDeepestToml)});
+    problems.push_back(
+        {fmt::format("line {}", *line), "tables or lists nested too deeply",
+         fmt::format("at most {} parts of a key and {} nested brackets", kDeepestToml, kDeepestToml)});
     return {};
   }
   try {

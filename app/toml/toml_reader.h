@@ -101,7 +101,7 @@ class TomlReader final : public KeyVisitor {
 };
 
 /// A TOML file that cannot be parsed at all, or is empty, as a problem; else its table.
-/// @param kind  "a bench file; docs/examples holds commented ones": what should stand there
+/// @param kind  "a bench file; commented examples are in docs/examples": what should stand there
 toml::table parse_toml(std::string_view text, const std::string& source, const std::string& kind,
                        std::vector<Problem>& problems);
 

@@ -166,7 +166,7 @@ UnitMeaning meaning_of_d_si(std::string_view text) {
       prefix = 1.0;
       power_may_follow = true;
     } else {
-      refuse(fmt::format("\\{} is not a unit that outputs of accelerometers have", word));
+      refuse(fmt::format("\\{} is not a unit of an accelerometer output", word));
     }
   }
   if (prefix != 1.0) refuse("a prefix without a unit after it");

@@ -53,8 +53,8 @@ class Accelerometer {
   virtual AccelerometerInfo identify() = 0;
 
   /// The corrections that the instrument itself applies to its output, as they are now, by name and in its
-  /// own words: what is calibrated is the item with them. Empty if it has none or does not tell. To be asked
-  /// after identify() and before start().
+  /// own words: what is calibrated is the item with them. Empty if nothing was asked, because it has none.
+  /// To be asked after identify() and before start().
   virtual std::map<std::string, std::string> correction_registers() { return {}; }
 
   /// Configures the output and starts it.

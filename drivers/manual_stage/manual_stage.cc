@@ -48,7 +48,7 @@ class WakePipe {
  public:
   WakePipe() {
     if (::pipe2(ends_.data(), O_CLOEXEC | O_NONBLOCK) != 0)
-      throw failure(Fault::kCannotOpen, "no pipe to be had from the system");
+      throw failure(Fault::kCannotOpen, "the system gave no pipe");
   }
   ~WakePipe() {
     ::close(ends_[0]);
@@ -178,11 +178,13 @@ ManualStage::ManualStage(std::istream& in, std::ostream& out, const StageSetting
                          std::function<void()> wake)
     : in_(in), out_(out), settings_(settings), wake_(std::move(wake)) {
   if (settings.axis_names[0].empty() && settings.axis_names[1].empty())
-    throw std::invalid_argument("manual stage: no axis is named; required is a name for X, Z or both");
+    throw std::invalid_argument("manual stage: no axis is named; required: a name for X, Z or both");
   if (settings.speed_deg_per_s[0] || settings.speed_deg_per_s[1])
-    throw std::invalid_argument("manual stage: a speed is given, but a person has none to set");
+    throw std::invalid_argument(
+        "manual stage: found a speed; required: none, because a person turns the stage");
   if (!settings.address.empty())
-    throw std::invalid_argument("manual stage: an address is given, but there is no controller");
+    throw std::invalid_argument(
+        "manual stage: found an address; required: none, because there is no controller");
 }
 
 StageInfo ManualStage::identify() {
@@ -215,32 +217,35 @@ std::string ManualStage::read_line() {
   const bool read = !halted_ && static_cast<bool>(std::getline(in_, line));
   if (halted_) {
     out_ << std::endl;
-    throw failure(Fault::kNotReady, "the question was ended by a halt; where the axis stands is not known");
+    throw failure(Fault::kNotReady, "the question was ended by a halt; the angle of the axis is unknown");
   }
-  if (!read) throw failure(Fault::kLinkLost, "the input has ended, so nobody can confirm");
+  if (!read) throw failure(Fault::kLinkLost, "the input has ended, so nobody can confirm the angle");
   return line;
 }
 
 Angle ManualStage::ask(StageAxis axis, const std::string& question, Angle expected) {
-  at_[index(axis)].reset();  // From here on it may be turned.
-  out_ << question << " Press Enter when it is there, or type the angle read off: " << std::flush;
+  known_angle_[index(axis)].reset();  // From here on it may be turned.
+  out_ << question << " Press Enter when it is there, or type the angle that the scale shows: " << std::flush;
   for (;;) {
     const std::string line = read_line();
     if (trimmed(line).empty()) {
-      at_[index(axis)] = expected;
+      known_angle_[index(axis)] = expected;
       return expected;
     }
     const auto angle = parse_typed_angle(line);
     if (angle && std::abs((*angle - expected).deg()) <= kPlausibleDeg) {
-      at_[index(axis)] = angle;
+      known_angle_[index(axis)] = angle;
       return *angle;
     }
     if (angle) {
-      out_ << fmt::format("{} deg is more than {} deg from {} deg. Turn it there, then Enter or the angle: ",
-                          angle->deg(), kPlausibleDeg, expected.deg())
+      out_ << fmt::format(
+                  "{} deg differs by more than {} deg from {} deg. Turn it there, then press Enter or type "
+                  "the angle: ",
+                  angle->deg(), kPlausibleDeg, expected.deg())
            << std::flush;
     } else {
-      out_ << fmt::format("\"{}\" is no angle; Enter, or e.g. 89.98, or 89 58 48: ", trimmed(line))
+      out_ << fmt::format("\"{}\" is not an angle; press Enter, or type for example 89.98 or 89 58 48: ",
+                          trimmed(line))
            << std::flush;
     }
   }
@@ -270,9 +275,9 @@ MotionState ManualStage::motion_state(StageAxis axis) {
 
 Angle ManualStage::encoder_angle(StageAxis axis) {
   const std::string name = name_of(axis);
-  if (!at_[index(axis)])
-    throw failure(Fault::kNotReady, fmt::format("where the {} stands has not been confirmed", name));
-  return *at_[index(axis)];
+  if (!known_angle_[index(axis)])
+    throw failure(Fault::kNotReady, fmt::format("the angle of the {} has not been confirmed", name));
+  return *known_angle_[index(axis)];
 }
 
 bool ManualStage::halt() noexcept {
@@ -287,10 +292,9 @@ bool ManualStage::halt() noexcept {
 std::unique_ptr<RotationStage> at_terminal(const StageSettings& settings,
                                            std::function<void(std::string_view)> show) {
   if (::isatty(STDIN_FILENO) != 1 || ::isatty(STDERR_FILENO) != 1) {
-    throw failure(
-        Fault::kCannotOpen,
-        "a stage that is turned by hand needs a person at a terminal, and standard input or standard "
-        "error is none");
+    throw failure(Fault::kCannotOpen,
+                  "a stage that is turned by hand needs a person at a terminal, but standard input or "
+                  "standard error is not a terminal");
   }
   return std::make_unique<TerminalStage>(settings, std::move(show));
 }

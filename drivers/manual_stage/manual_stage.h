@@ -65,7 +65,7 @@ class ManualStage final : public RotationStage {
   std::ostream& out_;
   StageSettings settings_;
   std::function<void()> wake_;
-  std::array<std::optional<Angle>, 2> at_;  ///< Nothing: not known.
+  std::array<std::optional<Angle>, 2> known_angle_;  ///< Nothing: not known.
   std::array<bool, 2> referenced_{};
   std::atomic<bool> halted_ = false;
 };

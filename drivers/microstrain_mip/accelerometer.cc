@@ -175,7 +175,7 @@ std::map<std::string, std::string> MipAccelerometer::correction_registers() {
   const std::string data = ask(exchange_, {mip::k3dmSet, kAccelerometerBias, mip::u8(kReadFunction),
                                            "accelerometer bias", std::uint8_t{0x9A}});
   const auto bias = mip::decode_scaled_accelerometer(data);
-  if (!bias) fail(Fault::kBadFrame, "the answer to \"accelerometer bias\" has not 12 bytes");
+  if (!bias) fail(Fault::kBadFrame, "the answer to \"accelerometer bias\" does not have 12 bytes");
   return {{"accelerometer bias (0C,37)",
            fmt::format("{:.9g}, {:.9g}, {:.9g} g", bias->x(), bias->y(), bias->z())}};
 }
@@ -190,7 +190,7 @@ AccelerometerInfo MipAccelerometer::interrogate() {
 
   const auto info = mip::decode_device_info(
       ask(exchange_, {mip::kBaseSet, kDeviceInfo, {}, "device info", std::uint8_t{0x81}}));
-  if (!info) fail(Fault::kBadFrame, "the answer to \"device info\" has not 82 bytes");
+  if (!info) fail(Fault::kBadFrame, "the answer to \"device info\" does not have 82 bytes");
   name_it(info->model_name, info->serial_number);
 
   auto offered = mip::decode_descriptors(
@@ -240,7 +240,7 @@ AccelerometerInfo MipAccelerometer::interrogate() {
     base_rate_hz = mip::decode_u16(
         ask(exchange_, {mip::k3dmSet, kLegacyBaseRate, {}, "base rate (legacy)", std::uint8_t{0x83}}));
   }
-  if (base_rate_hz.value_or(0) == 0) fail(Fault::kBadFrame, "the answer to \"base rate\" holds no rate");
+  if (base_rate_hz.value_or(0) == 0) fail(Fault::kBadFrame, "the answer to \"base rate\" contains no rate");
   abilities.base_rate_hz = *base_rate_hz;
   abilities.decimation = nearest_decimation(abilities.base_rate_hz, settings_.rate_hz);
   abilities_ = abilities;
@@ -283,10 +283,11 @@ std::vector<mip::FormatEntry> MipAccelerometer::wanted_format() const {
 void MipAccelerometer::check_rate_and_link(const std::vector<mip::FormatEntry>& format) const {
   const double rate = rate_hz();
   if (!(std::abs(rate - settings_.rate_hz) <= kRateTolerance * settings_.rate_hz)) {
-    fail(Fault::kRefused,
-         fmt::format(
-             "rate_hz is {}; it makes {} readings a second divided by a whole number, the nearest is {:.6g}",
-             settings_.rate_hz, abilities_.base_rate_hz, rate));
+    fail(
+        Fault::kRefused,
+        fmt::format(
+            "rate_hz is {}; it makes {} readings per second divided by a whole number, the nearest is {:.6g}",
+            settings_.rate_hz, abilities_.base_rate_hz, rate));
   }
   double needed = rate * static_cast<double>(mip::kPacketOverhead);
   for (const mip::FormatEntry& entry : format) {

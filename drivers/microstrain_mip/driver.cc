@@ -16,7 +16,7 @@ bool has_a_frame(std::string_view received) {
 void register_microstrain_mip(DriverList& drivers) {
   drivers.accelerometers.push_back(
       {.name = "microstrain_mip",
-       .description = "MicroStrain 3DM, CV, CX, GX and GV sensors that speak MIP, output in g",
+       .description = "MicroStrain 3DM, CV, CX, GX and GV sensors with the MIP protocol, output in g",
        .serial = {115200, false},
        .make = make_accelerometer_of<MipAccelerometer>,
        .output_unit = "g",

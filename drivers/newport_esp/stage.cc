@@ -38,12 +38,13 @@ void check_settings(const wire::ByteStream* stream, const StageSettings& setting
   for (const std::string& name : settings.axis_names) {
     if (!name.empty() && (name.size() != 1 || name[0] < '1' || name[0] > '6')) {
       throw std::invalid_argument(fmt::format(
-          "Newport stage: axis name \"{}\"; required is an axis number from 1 to 6", printable(name)));
+          "Newport stage: axis name \"{}\"; required: an axis number from 1 to 6", printable(name)));
     }
   }
   if (!settings.address.empty()) {
     throw std::invalid_argument(fmt::format(
-        "Newport stage: address \"{}\"; an ESP controller on RS-232 has none", printable(settings.address)));
+        "Newport stage: address \"{}\"; required: none, because an ESP controller on RS-232 has no address",
+        printable(settings.address)));
   }
 }
 
@@ -128,7 +129,7 @@ class NewportEspController final : public wire::LineController {
     if (restarted) {
       forget();
       throw failure(Fault::kNotReady,
-                    "the controller was switched off and on (its time stamp has gone back), so its axes have "
+                    "the controller was switched off and on (its time stamp decreased), so its axes have "
                     "lost their reference; home them");
     }
     return report->code;
@@ -162,8 +163,8 @@ class NewportEspController final : public wire::LineController {
       if (axis != 0 && is_of_another_axis(code, axis)) continue;
       if (first == 0) first = code;
     }
-    throw failure(Fault::kBadFrame, fmt::format("{} errors one after the other, the first {} ({})",
-                                                kMostErrors, first, error_text(first)));
+    throw failure(Fault::kBadFrame, fmt::format("{} errors in a row, the first {} ({})", kMostErrors, first,
+                                                error_text(first)));
   }
 
   /// Sends a set command of an axis, once, and returns what the controller says to it. An error of the other
@@ -209,8 +210,8 @@ class NewportEspController final : public wire::LineController {
       return identity.has_value();
     };
     replies_.identify(accept,
-                      "is the controller on, its RS-232 (not its USB) connected, the baud rate 19200 and "
-                      "RTS/CTS wired?",
+                      "is the controller on, is its RS-232 port (not its USB port) connected, is the baud "
+                      "rate 19200, and are RTS/CTS wired?",
                       "an ESP controller", 4 * kLongestReply);
     if (replies_.identity() != known_reply) {
       forget();
@@ -241,11 +242,10 @@ class NewportEspController final : public wire::LineController {
         throw failure(Fault::kNoReply, fmt::format("no answer to \"{}\", asked twice", query));
       }
       if (*unit.value != kUnitDegrees) {
-        throw failure(
-            Fault::kWrongIdentity,
-            fmt::format("axis {} counts in {} (SN? is {}); degrees are required ({}SN{}, then check "
-                        "speed and limits, and save with SM)",
-                        name, unit_name(*unit.value), *unit.value, name, kUnitDegrees));
+        throw failure(Fault::kWrongIdentity,
+                      fmt::format("the unit of axis {} is {} (SN? is {}); required: degrees (send {}SN{}, "
+                                  "check speed and limits, save with SM)",
+                                  name, unit_name(*unit.value), *unit.value, name, kUnitDegrees));
       }
     }
     known_ = true;
@@ -340,8 +340,8 @@ class NewportEspController final : public wire::LineController {
     ensure_known();
     if (!referenced_[index(axis)]) {
       throw failure(Fault::kNotReady,
-                    fmt::format("axis {} has not been homed by this program, and the controller cannot say "
-                                "whether it ever was; home it",
+                    fmt::format("axis {} has not been homed by this program, and the controller cannot "
+                                "report whether it was homed before; home it",
                                 name));
     }
     switch_on(axis);
@@ -365,7 +365,7 @@ class NewportEspController final : public wire::LineController {
       homing_[index(axis)] = false;
       motor_on_[index(axis)] = false;
       throw failure(Fault::kRefused,
-                    fmt::format("error {} ({}) has ended the motion of axis {}, or of the other one", code,
+                    fmt::format("error {} ({}) has ended the motion of axis {} or of the other axis", code,
                                 error_text(code), name_of(axis)));
     }
     if (std::exchange(homing_[index(axis)], false)) referenced_[index(axis)] = true;

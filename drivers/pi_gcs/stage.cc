@@ -43,12 +43,13 @@ void check_settings(const wire::ByteStream* stream, const StageSettings& setting
   for (const std::string& name : settings.axis_names) {
     if (name.find_first_of(" \t\r\n=") != std::string::npos) {
       throw std::invalid_argument(
-          fmt::format("PI stage: axis name \"{}\" has a blank or '=' in it", printable(name)));
+          fmt::format("PI stage: axis name \"{}\" contains a blank or '='; required: a name without them",
+                      printable(name)));
     }
   }
   if (settings.address.find_first_not_of("0123456789") != std::string::npos) {
     throw std::invalid_argument(fmt::format(
-        "PI stage: address \"{}\"; required is the controller's number in the daisy chain, or nothing",
+        "PI stage: address \"{}\"; required: the controller's number in the daisy chain, or nothing",
         printable(settings.address)));
   }
 }
@@ -165,8 +166,8 @@ class PiGcsController final : public wire::LineController {
       return identity.has_value();
     };
     replies_.identify(accept,
-                      "is the controller on, the cable in the right port, and its baud rate (or address) as "
-                      "in the bench file?",
+                      "is the controller on, is the cable in the right connector, and are baud rate and "
+                      "address as in the bench file?",
                       "a PI controller", kLongestReply);
     std::string who = "stage " + identity_.model;
     if (!identity_.serial_number.empty()) who += " (SN " + identity_.serial_number + ")";
@@ -210,17 +211,17 @@ class PiGcsController final : public wire::LineController {
                           [](const Lines& lines) { return parameter_text(lines, kUserUnit); });
     }
     if (!unit && settings_.unit.empty()) {
-      throw failure(
-          Fault::kWrongIdentity,
-          fmt::format("axis \"{}\" does not tell its unit (PUN?, parameter 0x{:X}); if it counts in "
-                      "degrees, say unit = \"deg\" under [stage]",
-                      name, kUserUnit));
+      throw failure(Fault::kWrongIdentity,
+                    fmt::format("axis \"{}\" does not report its unit (PUN?, parameter 0x{:X}); if the unit "
+                                "is degrees, set unit = \"deg\" under [stage]",
+                                name, kUserUnit));
     }
     if (!is_degrees(unit.value_or(settings_.unit))) {
       throw failure(
           Fault::kWrongIdentity,
-          fmt::format("axis \"{}\" counts in \"{}\"; degrees are required (PUN, or the stage's parameters)",
-                      name, printable(unit.value_or(settings_.unit))));
+          fmt::format(
+              "the unit of axis \"{}\" is \"{}\"; required: degrees (set PUN, or the stage's parameters)",
+              name, printable(unit.value_or(settings_.unit))));
     }
   }
 
@@ -336,7 +337,7 @@ class PiGcsController final : public wire::LineController {
     if (code == kErrorUnreferencedOrServoOff && require(fmt::format("FRF? {}", name), flag_of(name))) {
       return failure(
           Fault::kNotReady,
-          fmt::format("the servo of axis \"{}\" is off though it has its reference: {}", name, said));
+          fmt::format("the servo of axis \"{}\" is off although the axis has its reference: {}", name, said));
     }
     return failure(Fault::kNotReady,
                    fmt::format("axis \"{}\" has lost its reference; home it: {}", name, said));

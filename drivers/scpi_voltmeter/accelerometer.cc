@@ -140,7 +140,7 @@ VoltmeterAccelerometer::Family VoltmeterAccelerometer::family_of(const Meter& me
     if (keithley && is_model(identity, {"2001"})) return Family::kKeithley2001;
   }
   meter.fail(Fault::kWrongIdentity,
-             fmt::format("it says that it is model \"{}\" of \"{}\"; {}", identity.model, identity.maker,
+             fmt::format("it reports model \"{}\" of \"{}\"; {}", identity.model, identity.maker,
                          wiring_ == Wiring::kOneScanner ? kKnownScanners : kKnownSingles));
 }
 
@@ -251,7 +251,7 @@ void VoltmeterAccelerometer::start() {
       std::sort(found.begin(), found.end());
       std::sort(wanted.begin(), wanted.end());
       if (found != wanted) {
-        meter.fail(Fault::kImplausible, fmt::format("it says that it scans {}; required: {}",
+        meter.fail(Fault::kImplausible, fmt::format("it reports that it scans {}; required: {}",
                                                     scpi::channel_list(found), scpi::channel_list(wanted)));
       }
     }
@@ -268,7 +268,8 @@ void VoltmeterAccelerometer::start() {
 void VoltmeterAccelerometer::take_trial_scan() {
   const Clock::Instant begin = clock_.now();
   begin_scans();
-  while (!collect(clock_.now() + kScanMargin)) continue;  // Each meter gives up in time, and says why.
+  while (!collect(clock_.now() + kScanMargin))
+    continue;  // Each meter has a deadline and reports why it failed.
   Clock::Instant end = begin;
   for (std::size_t i = 0; i < meters_.size(); ++i) {
     const scpi::ScanOutcome& outcome = *outcomes_[i];

@@ -44,7 +44,7 @@ class VoltmeterAccelerometer : public Accelerometer {
   ///   voltmeter says why.
   std::optional<Reading> next(Clock::Instant deadline) override;
 
-  /// The scan under way, having begun before now, will be thrown away. Does not wait for it.
+  /// The scan under way, having begun before now, will be discarded. Does not wait for it.
   void discard_pending() override;
   StreamHealth health() const override;
 
@@ -80,7 +80,7 @@ class VoltmeterAccelerometer : public Accelerometer {
   Clock::Instant due_;                                      ///< When the next scan is to begin.
   bool under_way_ = false;                                  ///< A scan.
   std::vector<std::optional<scpi::ScanOutcome>> outcomes_;  ///< Of the scan under way, by voltmeter.
-  bool discard_scan_ = false;                               ///< The scan under way is to be thrown away.
+  bool discard_scan_ = false;                               ///< The scan under way is to be discarded.
   std::uint64_t sequence_ = 0;
   std::uint64_t readings_ = 0;
   std::uint64_t lost_ = 0;

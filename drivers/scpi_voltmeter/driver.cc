@@ -47,15 +47,14 @@ void register_scpi_voltmeter(DriverList& drivers) {
        .make = make_accelerometer_of<ScpiScanningVoltmeter>,
        .example = kExample,
        .recognition = {std::string(kIdentityQuery), is_scanner}});
-  drivers.accelerometers.push_back(
-      {.name = "scpi_single",
-       .description = "analog accelerometers behind three voltmeters of one channel: Keysight 34401A, 34465A "
-                      "and their like",
-       .serial = {9600, false},
-       .make = make_three_voltmeters,
-       .ports = 3,
-       .example = kExample,
-       .recognition = {std::string(kIdentityQuery), is_single}});
+  drivers.accelerometers.push_back({.name = "scpi_single",
+                                    .description = "analog accelerometers behind three single-channel "
+                                                   "voltmeters: Keysight 34401A, 34465A and similar",
+                                    .serial = {9600, false},
+                                    .make = make_three_voltmeters,
+                                    .ports = 3,
+                                    .example = kExample,
+                                    .recognition = {std::string(kIdentityQuery), is_single}});
 }
 
 }  // namespace abcal

@@ -29,10 +29,10 @@ std::string shown(std::string_view bytes) {
 }  // namespace
 
 Meter::Meter(std::unique_ptr<wire::ByteStream> stream, Clock& clock)
-    : stream_(std::move(stream)), clock_(clock), who_("voltmeter on " + stream_->name()) {}
+    : stream_(std::move(stream)), clock_(clock), instrument_("voltmeter on " + stream_->name()) {}
 
 void Meter::fail(Fault fault, std::string_view detail) const {
-  throw InstrumentError(who_, fault, detail);
+  throw InstrumentError(instrument_, fault, detail);
 }
 
 void Meter::send(std::string_view command) {
@@ -74,7 +74,7 @@ auto Meter::query(std::string_view command, Parse parse) {
   heard += received_;
   const std::string asked = fmt::format("no answer to \"{}\" within {} s", command, kAnswerTime.count());
   if (heard.empty()) fail(Fault::kNoReply, asked);
-  fail(Fault::kBadFrame, fmt::format("{}; what came was \"{}\"", asked, shown(heard)));
+  fail(Fault::kBadFrame, fmt::format("{}; what arrived was \"{}\"", asked, shown(heard)));
 }
 
 Identity Meter::identify() {
@@ -90,8 +90,8 @@ Identity Meter::identify() {
       const std::string_view text = text_of(*reply);
       if (auto identity = parse_identity(text)) {
         identity_text_ = text;
-        who_ = fmt::format("voltmeter {} (SN {}) on {}", identity->model, identity->serial_number,
-                           stream_->name());
+        instrument_ = fmt::format("voltmeter {} (SN {}) on {}", identity->model, identity->serial_number,
+                                  stream_->name());
         return *std::move(identity);
       }
       heard += *reply;
@@ -103,12 +103,13 @@ Identity Meter::identify() {
       fmt::format("no answer to \"*IDN?\" within {:g} s, asked twice", to_seconds(kAnswerTime + busy));
   if (heard.empty()) {
     fail(Fault::kNoReply, asked +
-                              ", not one byte came: is it switched on and set to this interface, and is the "
-                              "baud rate the one of the instrument?");
+                              ", and not one byte arrived: is it switched on and set to this interface, and "
+                              "is the baud rate that of the instrument?");
   }
   fail(Fault::kWrongIdentity,
-       fmt::format("{}; what came was \"{}\": another instrument is on this port, or the baud rate is wrong",
-                   asked, shown(heard)));
+       fmt::format(
+           "{}; what arrived was \"{}\": another instrument is on this port, or the baud rate is wrong",
+           asked, shown(heard)));
 }
 
 /// Reads the errors until there is none.
@@ -154,7 +155,7 @@ void Meter::begin_scan() {
 std::optional<ScanOutcome> Meter::await_scan(Clock::Instant deadline) {
   while (stage_ != Stage::kIdle) {
     if (const auto reply = take_reply(std::min(deadline, give_up_at_)))
-      if (auto outcome = take(*reply)) return outcome;
+      if (auto outcome = interpret(*reply)) return outcome;
     if (check_reply(received_).check == wire::FrameCheck::kComplete) continue;
     const Clock::Instant now = clock_.now();
     if (now >= give_up_at_) run_out_of_time();
@@ -168,12 +169,12 @@ std::optional<ScanOutcome> Meter::await_scan(Clock::Instant deadline) {
 std::optional<std::vector<ChannelReading>> Meter::decode_scan(std::string_view text,
                                                               std::string& complaint) const {
   const auto complain = [&](std::string_view what) {
-    complaint = fmt::format("\"{}\" came in answer to \"READ?\", {}", shown(text), what);
+    complaint = fmt::format("\"{}\" arrived in answer to \"READ?\", {}", shown(text), what);
     return std::nullopt;
   };
   const bool with_channels = !plan_.channels.empty();
   auto readings = parse_readings(text, with_channels);
-  if (!readings) return complain("which is no list of readings");
+  if (!readings) return complain("which is not a list of readings");
   const std::size_t wanted = with_channels ? plan_.channels.size() : 1;
   if (readings->size() != wanted)
     return complain(fmt::format("{} readings; required: {}", readings->size(), wanted));
@@ -191,7 +192,7 @@ std::optional<std::vector<ChannelReading>> Meter::decode_scan(std::string_view t
   return ordered;
 }
 
-/// The scan under way is lost. From here on everything is thrown away up to the answer to *IDN?.
+/// The scan under way is lost. From here on everything up to the answer to *IDN? is discarded.
 void Meter::resynchronise(Fault fault, std::string complaint) {
   fault_ = fault;
   complaint_ = std::move(complaint);
@@ -223,7 +224,7 @@ void Meter::run_out_of_time() {
   }
 }
 
-std::optional<ScanOutcome> Meter::take(const std::string& reply) {
+std::optional<ScanOutcome> Meter::interpret(const std::string& reply) {
   const std::string_view text = text_of(reply);
   switch (stage_) {
     case Stage::kIdle:

@@ -33,13 +33,13 @@ struct ScanOutcome {
 ///
 /// A reply names neither its query nor its scan. So there is never more than one query under way, and after
 /// one that had no answer, or a damaged one, nothing is measured before the voltmeter has answered *IDN? with
-/// the identity that is known: it answers in order, so what comes before that is late, and is thrown away.
+/// the identity that is known: it answers in order, so what comes before that is late and is discarded.
 /// One thread.
 class Meter {
  public:
   Meter(std::unique_ptr<wire::ByteStream> stream, Clock& clock);
 
-  /// Asks what it is, twice if need be. What came before is thrown away.
+  /// Queries the identity, twice if necessary. What arrived before is discarded.
   /// @throws InstrumentError kNoReply, kWrongIdentity (what came is no identity; says what).
   Identity identify();
 
@@ -67,7 +67,7 @@ class Meter {
   void leave(const std::vector<std::string>& commands) noexcept;
 
   /// For messages: "voltmeter 34970A (SN MY44012345) on tcp:10.0.0.7:5025".
-  const std::string& who() const { return who_; }
+  const std::string& instrument() const { return instrument_; }
   [[noreturn]] void fail(Fault fault, std::string_view detail) const;
 
   void restart_figures() { bad_frames_ = skipped_bytes_ = 0; }
@@ -87,11 +87,11 @@ class Meter {
   std::optional<std::vector<ChannelReading>> decode_scan(std::string_view text, std::string& complaint) const;
   void resynchronise(Fault fault, std::string complaint);
   void run_out_of_time();
-  std::optional<ScanOutcome> take(const std::string& reply);
+  std::optional<ScanOutcome> interpret(const std::string& reply);
 
   std::unique_ptr<wire::ByteStream> stream_;
   Clock& clock_;
-  std::string who_;
+  std::string instrument_;
   std::string received_;
   Clock::Instant last_arrival_;
   std::string identity_text_;  ///< As it came.

@@ -50,12 +50,12 @@ TextLineAccelerometer::TextLineAccelerometer(std::unique_ptr<wire::ByteStream> s
     : stream_(stream ? std::move(stream) : throw std::invalid_argument("TextLineAccelerometer: no stream")),
       clock_(clock),
       settings_(checked(settings)),
-      who_(fmt::format("accelerometer text_line on {}", stream_->name())),
+      instrument_(fmt::format("accelerometer text_line on {}", stream_->name())),
       format_{.columns = {settings.columns.begin(), settings.columns.end()},
               .separator = settings.separator,
               .comment = settings.comment},
       readings_(*stream_, LineReader(format_), [this](const text_line::NumberLine& line) {
-        return wire::DecodedFrame{.reading = take(line)};
+        return wire::DecodedFrame{.reading = reading_of(line)};
       }) {}
 
 AccelerometerInfo TextLineAccelerometer::identify() {
@@ -72,8 +72,8 @@ void TextLineAccelerometer::start() {
                                   ? fmt::format("{:.3g} a second", *measured_hz)
                                   : fmt::format("less than three within {:.1f} s", to_seconds(3 * span));
     fail(Fault::kImplausible,
-         fmt::format("rate_hz is {:.6g}, and the lines that came were {}: write the rate at which it prints, "
-                     "or raise its baud rate if that is what holds it back",
+         fmt::format("rate_hz is {:.6g}, but the lines that arrived were {}: set rate_hz to the rate at "
+                     "which it prints, or raise its baud rate if that limits it",
                      settings_.rate_hz, found));
   }
   readings_.start();
@@ -89,20 +89,22 @@ void TextLineAccelerometer::discard_pending() {
 }
 
 void TextLineAccelerometer::fail(Fault fault, std::string_view detail) const {
-  throw InstrumentError(who_, fault, detail);
+  throw InstrumentError(instrument_, fault, detail);
 }
 
 void TextLineAccelerometer::fail_without_lines(Clock::Duration waited) const {
   if (readings_.received_bytes() == 0) {
-    fail(Fault::kNoReply,
-         fmt::format("not one byte came within {:.1f} s: is it switched on, and does it print unasked?",
-                     to_seconds(waited)));
+    fail(
+        Fault::kNoReply,
+        fmt::format(
+            "not one byte arrived within {:.1f} s: is it switched on, and does it print without being asked?",
+            to_seconds(waited)));
   }
   fail(Fault::kWrongIdentity,
        fmt::format(
-           "{} bytes came within {:.1f} s, and not {} lines in a row with numbers in columns {} "
-           "separated by \"{}\", and as many columns; beginning \"{}\": another instrument is on this "
-           "port, or its baud rate, columns, separator or comment mark are others",
+           "{} bytes arrived within {:.1f} s, but not {} lines in a row with numbers in columns {} separated "
+           "by \"{}\" and with equal numbers of columns; beginning \"{}\": another instrument is on this "
+           "port, or its baud rate, columns, separator or comment mark differ from the bench file",
            readings_.received_bytes(), to_seconds(waited), kLikeLines, fmt::join(format_.columns, ", "),
            wire::bytes_as_text(format_.separator), wire::bytes_as_text(readings_.first_bytes())));
 }
@@ -118,10 +120,9 @@ AccelerometerInfo TextLineAccelerometer::interrogate() {
   if (like_lines_ < kLikeLines) fail_without_lines(clock_.now() - began);
   if (decimal_commas_) {
     fail(Fault::kImplausible,
-         fmt::format(
-             "its lines look as if the separator \",\" were the decimal mark of its numbers, beginning "
-             "\"{}\": let the board print a point in its numbers, or another separator",
-             wire::bytes_as_text(readings_.first_bytes())));
+         fmt::format("the separator \",\" seems to be the decimal mark of its numbers, beginning \"{}\": let "
+                     "the board print numbers with a decimal point, or use another separator",
+                     wire::bytes_as_text(readings_.first_bytes())));
   }
   return AccelerometerInfo{
       .maker = std::string(kUnknown),
@@ -135,7 +136,7 @@ AccelerometerInfo TextLineAccelerometer::interrogate() {
   };
 }
 
-Reading TextLineAccelerometer::take(const text_line::NumberLine& line) {
+Reading TextLineAccelerometer::reading_of(const text_line::NumberLine& line) {
   like_lines_ = line.words == words_ ? like_lines_ + 1 : 1;
   words_ = line.words;
   decimal_commas_ = line.decimal_commas;

@@ -52,12 +52,12 @@ class TextLineAccelerometer final : public Accelerometer {
   [[noreturn]] void fail(Fault fault, std::string_view detail) const;
   [[noreturn]] void fail_without_lines(Clock::Duration waited) const;
   AccelerometerInfo interrogate();
-  Reading take(const text_line::NumberLine& line);
+  Reading reading_of(const text_line::NumberLine& line);
 
   std::unique_ptr<wire::ByteStream> stream_;
   Clock& clock_;
   AccelerometerSettings settings_;
-  std::string who_;  ///< For messages.
+  std::string instrument_;  ///< For messages.
   text_line::LineFormat format_;
   wire::ReadingStream<text_line::LineReader> readings_;
   std::size_t words_ = 0;        ///< Columns of the last line.

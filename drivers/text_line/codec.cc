@@ -99,7 +99,7 @@ std::optional<NumberLine> LineReader::next() {
     if (begin_ > end) continue;  // It was dropped.
     const std::string_view line = std::string_view(buffer_).substr(begin_, length);
     begin_ += size;
-    if (auto numbers = take(line)) return numbers;
+    if (auto numbers = decode(line)) return numbers;
   }
 }
 
@@ -127,7 +127,7 @@ std::vector<std::string_view> LineReader::split(std::string_view line) const {
   }
 }
 
-std::optional<NumberLine> LineReader::take(std::string_view line) {
+std::optional<NumberLine> LineReader::decode(std::string_view line) {
   const std::string_view text = trimmed(line);
   if (text.empty() || (!format_.comment.empty() && text.starts_with(format_.comment))) return std::nullopt;
   const std::vector<std::string_view> words = split(line);

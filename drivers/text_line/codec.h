@@ -67,7 +67,7 @@ class LineReader {
 
  private:
   std::vector<std::string_view> split(std::string_view line) const;
-  std::optional<NumberLine> take(std::string_view line);
+  std::optional<NumberLine> decode(std::string_view line);
   void count_other_line(std::size_t bytes);
 
   LineFormat format_;

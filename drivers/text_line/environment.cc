@@ -30,7 +30,7 @@ TextLineEnvironment::TextLineEnvironment(std::unique_ptr<wire::ByteStream> strea
                                          const EnvironmentSettings& settings)
     : stream_(stream ? std::move(stream) : throw std::invalid_argument("TextLineEnvironment: no stream")),
       clock_(clock),
-      who_(fmt::format("environment sensor text_line on {}", stream_->name())),
+      instrument_(fmt::format("environment sensor text_line on {}", stream_->name())),
       reader_(line_format(settings)),
       dropped_(stream_->dropped_bytes()) {
   const auto add = [this](int column, const Quantity& quantity) {
@@ -72,16 +72,16 @@ void TextLineEnvironment::fail_without_line(std::uint64_t lines, const std::stri
   constexpr std::size_t kShownBytes = 32;
   const std::string shown = wire::bytes_as_text(std::string_view(bytes).substr(0, kShownBytes));
   if (lines == 0) {
-    throw InstrumentError(
-        who_, Fault::kNoReply,
-        bytes.empty() ? std::string("not one byte came: is it switched on, does it print unasked, and "
-                                    "at least every few seconds?")
-                      : fmt::format("no whole line came, only \"{}\"", shown));
+    throw InstrumentError(instrument_, Fault::kNoReply,
+                          bytes.empty()
+                              ? std::string("not one byte arrived: is it switched on, and does it print "
+                                            "without being asked, at least every few seconds?")
+                              : fmt::format("no complete line arrived, only \"{}\"", shown));
   }
   throw InstrumentError(
-      who_, has_any_come_ ? Fault::kBadFrame : Fault::kWrongIdentity,
-      fmt::format("{} lines came without numbers in the columns of the bench file, the last bytes begin "
-                  "\"{}\": look at baud rate, columns, separator and comment mark",
+      instrument_, has_any_come_ ? Fault::kBadFrame : Fault::kWrongIdentity,
+      fmt::format("{} lines arrived without numbers in the columns of the bench file; the last bytes begin "
+                  "\"{}\": check baud rate, columns, separator and comment mark",
                   lines, shown));
 }
 
@@ -91,8 +91,8 @@ EnvironmentReading TextLineEnvironment::checked(const text_line::NumberLine& lin
     const Quantity& quantity = quantities_[i];
     const double value = line.values[i];
     if (!(value >= quantity.least && value <= quantity.most)) {
-      throw InstrumentError(who_, Fault::kImplausible,
-                            fmt::format("{} is {} {}; required: {} to {}; look at its column and unit",
+      throw InstrumentError(instrument_, Fault::kImplausible,
+                            fmt::format("{} is {} {}; required: {} to {}; check its column and unit",
                                         quantity.name, value, quantity.unit, quantity.least, quantity.most));
     }
     reading.*quantity.where = value;

@@ -45,7 +45,7 @@ class TextLineEnvironment final : public EnvironmentSensor {
 
   std::unique_ptr<wire::ByteStream> stream_;
   Clock& clock_;
-  std::string who_;                   ///< For messages.
+  std::string instrument_;            ///< For messages.
   std::vector<Quantity> quantities_;  ///< In the order of the columns that are read.
   text_line::LineReader reader_;
   std::size_t dropped_ = 0;  ///< By the stream.

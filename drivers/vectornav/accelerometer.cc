@@ -199,19 +199,16 @@ std::map<std::string, std::string> VectorNavAccelerometer::correction_registers(
        {std::pair{25, "acceleration compensation (25)"}, std::pair{26, "reference frame rotation (26)"}}) {
     const std::string command = fmt::format("VNRRG,{:02}", number);
     const wire::PacketAnswer answer = try_exchange(command);
-    if (!answer.error) {
-      registers[name] = answer.data;
-    } else if (*answer.error != kInvalidRegister) {
-      refuse(command, *answer.error);
-    }
+    if (answer.error && *answer.error != kInvalidRegister) refuse(command, *answer.error);
+    registers[name] = answer.error ? "not in this device" : answer.data;
   }
   return registers;
 }
 
 void VectorNavAccelerometer::check_rate(double rate_hz, std::string_view possible) const {
   if (std::abs(rate_hz - settings_.rate_hz) <= kRateTolerance * settings_.rate_hz) return;
-  fail(Fault::kRefused, fmt::format("rate_hz is {}; it makes {}, the nearest is {:.6g}", settings_.rate_hz,
-                                    possible, rate_hz));
+  fail(Fault::kRefused, fmt::format("rate_hz is {}; the device supports {}; the nearest is {:.6g}",
+                                    settings_.rate_hz, possible, rate_hz));
 }
 
 void VectorNavAccelerometer::check_message_rate(double rate_hz, std::size_t message_bytes) const {
@@ -224,7 +221,7 @@ bool VectorNavAccelerometer::try_binary_output() {
   const double divisor = std::clamp(std::round(imu_rate_hz_ / settings_.rate_hz), 1.0, 65535.0);
   const double rate_hz = imu_rate_hz_ / divisor;
   const std::size_t bytes = *vectornav::binary_size(kOutputFields);
-  check_rate(rate_hz, fmt::format("{} readings a second divided by a whole number", imu_rate_hz_));
+  check_rate(rate_hz, fmt::format("{} readings per second divided by a whole number", imu_rate_hz_));
   check_message_rate(rate_hz, bytes);
   // Mode 3, as the vendor's library sends it: both ports of the device, whichever this is.
   const std::string command = fmt::format("VNWRG,75,3,{},05,{:04X},{:04X}", divisor,
@@ -251,7 +248,7 @@ void VectorNavAccelerometer::set_text_output() {
   const double rate_hz = *std::min_element(kTextRates.begin(), kTextRates.end(), [&](double a, double b) {
     return std::abs(a - settings_.rate_hz) < std::abs(b - settings_.rate_hz);
   });
-  check_rate(rate_hz, "1, 2, 4, 5, 10, 20, 25, 40, 50, 100 or 200 readings a second (no binary output)");
+  check_rate(rate_hz, "1, 2, 4, 5, 10, 20, 25, 40, 50, 100 or 200 readings per second (no binary output)");
   check_message_rate(rate_hz, kAccelerationTextBytes);
   exchange(fmt::format("VNWRG,07,{}", rate_hz));
   rate_hz_ = rate_hz;
@@ -273,8 +270,9 @@ wire::DecodedFrame VectorNavAccelerometer::decode(const Message& message) {
     if (const auto error = error_code(text->text)) {
       // An error of a command comes late: none is outstanding while it streams.
       if (!is_of_no_command(*error)) return {};
-      end_and_fail(Fault::kRefused, fmt::format("error {:02X} ({}) while it streams {:.6g} readings a second",
-                                                *error, vectornav::error_in_words(*error), rate_hz_));
+      end_and_fail(Fault::kRefused,
+                   fmt::format("error {:02X} ({}) while it streams {:.6g} readings per second", *error,
+                               vectornav::error_in_words(*error), rate_hz_));
     }
     const std::string_view expected = output_ == Output::kImuText ? "VNIMU," : "VNACC,";
     if (output_ == Output::kBinary || !text->text.starts_with(expected))
@@ -315,10 +313,9 @@ void VectorNavAccelerometer::check_period(double period_s) {
   if (periods_seen_ >= kPeriods) return;
   shortest_period_s_ = periods_seen_ == 0 ? period_s : std::min(shortest_period_s_, period_s);
   if (++periods_seen_ < kPeriods || std::abs(shortest_period_s_ * rate_hz_ - 1.0) <= kTolerance) return;
-  end_and_fail(
-      Fault::kImplausible,
-      fmt::format("its time stamps are {:.6g} s apart, {:.6g} s were configured: is its IMU rate not {} Hz?",
-                  shortest_period_s_, 1.0 / rate_hz_, imu_rate_hz_));
+  end_and_fail(Fault::kImplausible, fmt::format("its time stamps are {:.6g} s apart, but {:.6g} s were "
+                                                "configured: its IMU rate is not {} Hz; report the model",
+                                                shortest_period_s_, 1.0 / rate_hz_, imu_rate_hz_));
 }
 
 }  // namespace abcal

@@ -215,7 +215,7 @@ MessageParser::Look MessageParser::look_at_binary(std::string_view here) const {
   return {crc16(here.substr(1, size - 1)) == 0 ? Found::kMessage : Found::kBadChecksum, size};
 }
 
-Message MessageParser::take(std::size_t position, std::size_t size) {
+Message MessageParser::extract(std::size_t position, std::size_t size) {
   const std::string_view here = std::string_view(buffer_).substr(position, size);
   begin_ = position + size;
   if (here.front() == kTextStart) {
@@ -241,7 +241,7 @@ std::optional<Message> MessageParser::next() {
     const Look look = look_at(begin_);
     switch (look.found) {
       case Found::kMessage:
-        return take(begin_, look.size);
+        return extract(begin_, look.size);
       case Found::kNeedsMore:
         return std::nullopt;
       case Found::kBadChecksum:
@@ -259,7 +259,7 @@ std::optional<Message> MessageParser::next_behind_partial() {
     const Look look = look_at(position);
     if (look.found != Found::kMessage) continue;
     skipped_bytes_ += position - begin_;
-    return take(position, look.size);
+    return extract(position, look.size);
   }
   return std::nullopt;
 }

@@ -97,7 +97,7 @@ class MessageParser {
   Look look_at(std::size_t position) const;
   Look look_at_text(std::string_view here) const;
   Look look_at_binary(std::string_view here) const;
-  Message take(std::size_t position, std::size_t size);
+  Message extract(std::size_t position, std::size_t size);
 
   std::string only_header_;
   std::string buffer_;

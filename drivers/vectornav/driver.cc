@@ -16,7 +16,7 @@ bool has_a_frame(std::string_view received) {
 void register_vectornav(DriverList& drivers) {
   drivers.accelerometers.push_back(
       {.name = "vectornav",
-       .description = "VectorNav VN-100, VN-200, VN-300 and their like, output in m/s2",
+       .description = "VectorNav VN-100, VN-200, VN-300 and similar, output in m/s2",
        .serial = {115200, false},
        .make = make_accelerometer_of<VectorNavAccelerometer>,
        .output_unit = "m/s2",

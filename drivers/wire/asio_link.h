@@ -91,7 +91,7 @@ class AsioLink {
       throw InstrumentError(queue_.name(), Fault::kNoReply,
                             "took " + std::to_string(outcome.written) + " of " +
                                 std::to_string(bytes.size()) +
-                                " bytes within 2 s; is flow control (RTS/CTS) set as the instrument has it?");
+                                " bytes within 2 s; is flow control (RTS/CTS) set as in the instrument?");
     }
     queue_.close(lost_because(outcome.error));
     throw InstrumentError(queue_.name(), Fault::kLinkLost, lost_because(outcome.error));

@@ -58,10 +58,9 @@ void held_by_another(const std::string& path) {
   const std::string holder = find_holder(path);
   if (!holder.empty())
     cannot_open(path, fmt::format("held by another program: {}; close that first", holder));
-  cannot_open(
-      path,
-      "held by another program (which one cannot be seen), or by this one: is the port named twice in "
-      "the bench file?");
+  cannot_open(path,
+              "held by another program (which cannot be identified), or by this one: is the port named twice "
+              "in the bench file?");
 }
 
 Descriptor open_device(const std::string& path, int flags, const DeviceKind& kind) {
@@ -77,7 +76,7 @@ Descriptor open_device(const std::string& path, int flags, const DeviceKind& kin
     case ENXIO:
     case ENODEV:
     case EIO:
-      cannot_open(path, fmt::format("there is no working port behind it ({})", std::strerror(errno)));
+      cannot_open(path, fmt::format("no working port is behind it ({})", std::strerror(errno)));
     default:
       cannot_open(path, std::strerror(errno));
   }

@@ -24,7 +24,7 @@ class AtEnd {
 void HaltableLine::send(std::string_view bytes) {
   const std::lock_guard lock(send_mutex_);
   if (halts_under_way_ > 0 && !halt_deadline_)
-    throw failure(Fault::kNotReady, "the stage is being halted; nothing else is sent to it meanwhile");
+    throw failure(Fault::kNotReady, "the stage is being halted; nothing else is sent until this is done");
   stream_->write(bytes);
 }
 

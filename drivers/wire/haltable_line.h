@@ -37,7 +37,7 @@ class HaltableLine {
   /// Sends nothing yet. In messages it is "<what> on <port>" until it is renamed.
   HaltableLine(std::string_view what, std::unique_ptr<ByteStream> stream, Clock& clock,
                CheckFrame check_frame, Halting halting)
-      : who_(std::string(what) + " on " + stream->name()),
+      : instrument_(std::string(what) + " on " + stream->name()),
         stream_(std::move(stream)),
         clock_(clock),
         check_frame_(check_frame),
@@ -61,8 +61,8 @@ class HaltableLine {
 
   // All that follows: only with the line locked.
 
-  void rename(std::string who) { who_ = std::move(who); }
-  InstrumentError failure(Fault fault, std::string_view detail) const { return {who_, fault, detail}; }
+  void rename(std::string who) { instrument_ = std::move(who); }
+  InstrumentError failure(Fault fault, std::string_view detail) const { return {instrument_, fault, detail}; }
 
   /// @throws InstrumentError kNotReady while another thread halts the stage.
   void send(std::string_view bytes);
@@ -83,7 +83,7 @@ class HaltableLine {
   void send_stop();
   bool stop_and_ask(Clock::Instant deadline, const std::function<bool()>& has_stopped);
 
-  std::string who_;
+  std::string instrument_;
   const std::unique_ptr<ByteStream> stream_;
   Clock& clock_;
   const CheckFrame check_frame_;

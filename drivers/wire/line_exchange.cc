@@ -47,7 +47,7 @@ std::optional<std::string> LineExchange::resynchronise(std::string_view unanswer
   heard += line_.received();
   throw line_.failure(
       Fault::kNoReply,
-      fmt::format("no answer to \"{}\" within {} s, nor then to \"{}\"; {}", unanswered,
+      fmt::format("no answer to \"{}\" within {} s, and none to \"{}\" after that; {}", unanswered,
                   to_seconds(manner_.patience), manner_.identity_name,
                   heard.empty() ? std::string("nothing arrived")
                                 : fmt::format("what arrived was \"{}\"", manner_.show(heard))));
@@ -55,7 +55,7 @@ std::optional<std::string> LineExchange::resynchronise(std::string_view unanswer
 
 InstrumentError LineExchange::no_answer(const std::string& reply, std::string_view shown) const {
   return line_.failure(Fault::kBadFrame,
-                       fmt::format("\"{}\" is no answer to \"{}\"", manner_.show(reply), shown));
+                       fmt::format("\"{}\" is not an answer to \"{}\"", manner_.show(reply), shown));
 }
 
 void LineExchange::identify(const std::function<bool(const std::string& frame)>& accept,
@@ -83,8 +83,8 @@ void LineExchange::identify(const std::function<bool(const std::string& frame)>&
                                     to_seconds(manner_.patience), if_silent));
   }
   throw line_.failure(Fault::kWrongIdentity,
-                      fmt::format("\"{}\" is no answer of {} to \"{}\"; another instrument, or another baud "
-                                  "rate?",
+                      fmt::format("\"{}\" is not an answer of {} to \"{}\": another instrument is on this "
+                                  "port, or the baud rate is wrong",
                                   manner_.show(heard), if_foreign, manner_.identity_name));
 }
 
@@ -95,8 +95,9 @@ int LineExchange::error_in(std::optional<std::string> reply, std::string_view af
     if (!reply) {
       throw line_.failure(
           Fault::kNoReply,
-          fmt::format("no answer to \"{}\" after \"{}\" within {} s: whether that was accepted is not known",
-                      manner_.error_name, after, to_seconds(manner_.patience)));
+          fmt::format(
+              "no answer to \"{}\" after \"{}\" within {} s; whether that command was accepted is unknown",
+              manner_.error_name, after, to_seconds(manner_.patience)));
     }
   }
   const auto code = errors_.code_of(*reply);
@@ -126,16 +127,16 @@ void check_stage_settings(std::string_view maker, std::string_view axis_words, c
   if (stream == nullptr) throw std::invalid_argument(fmt::format("{} stage: no stream", maker));
   if (names[0].empty() && names[1].empty()) {
     throw std::invalid_argument(
-        fmt::format("{} stage: no axis is named; required is {} of X, Z or both", maker, axis_words));
+        fmt::format("{} stage: no axis is named; required: {} of X, Z or both", maker, axis_words));
   }
   if (names[0] == names[1]) {
-    throw std::invalid_argument(fmt::format(
-        "{} stage: X and Z are both axis \"{}\"; two different axes are required", maker, names[0]));
+    throw std::invalid_argument(
+        fmt::format("{} stage: X and Z are both axis \"{}\"; required: two different axes", maker, names[0]));
   }
   for (const auto& speed : settings.speed_deg_per_s) {
     if (speed && !(std::isfinite(*speed) && *speed > 0.0)) {
       throw std::invalid_argument(
-          fmt::format("{} stage: speed {} deg/s; required is a positive number", maker, *speed));
+          fmt::format("{} stage: speed {} deg/s; required: a positive number", maker, *speed));
     }
   }
 }

@@ -106,9 +106,10 @@ class LineExchange {
     auto answer = ask(request, shown, parse, manner_.patience);
     if (answer.value) return *std::move(answer.value);
     if (answer.error != 0) throw refusal(answer.error, shown);
-    throw line_.failure(Fault::kNoReply,
-                        fmt::format("no answer to \"{}\" within {} s, asked twice, though \"{}\" is answered",
-                                    shown, to_seconds(manner_.patience), manner_.identity_name));
+    throw line_.failure(
+        Fault::kNoReply,
+        fmt::format("no answer to \"{}\" within {} s, asked twice, although \"{}\" is answered", shown,
+                    to_seconds(manner_.patience), manner_.identity_name));
   }
 
   /// Sends a set command and the error query in one piece, once, and returns the code. What the controller

@@ -94,11 +94,10 @@ class PacketAccelerometer : public Accelerometer {
   void check_link(double rate_hz, double bytes_per_s, std::optional<double> link_bytes_per_s,
                   double most_hz) const {
     if (!link_bytes_per_s || bytes_per_s <= *link_bytes_per_s) return;
-    fail(
-        Fault::kRefused,
-        fmt::format("{:.6g} readings a second need {:.0f} bytes/s, the link carries {:.0f}: lower rate_hz to "
-                    "{:.0f} or less, or raise the baud rate of the device",
-                    rate_hz, bytes_per_s, *link_bytes_per_s, std::floor(most_hz)));
+    fail(Fault::kRefused,
+         fmt::format("{:.6g} readings per second need {:.0f} bytes/s, but the link carries {:.0f}: lower "
+                     "rate_hz to {:.0f} or less, or raise the baud rate of the device",
+                     rate_hz, bytes_per_s, *link_bytes_per_s, std::floor(most_hz)));
   }
 
   const std::unique_ptr<ByteStream> stream_;

@@ -56,12 +56,16 @@ class PacketExchange {
   /// All must outlive this. Sends nothing.
   PacketExchange(ByteStream& stream, ReadingStream<Parser>& packets, Clock& clock, std::string who,
                  Manner manner)
-      : stream_(stream), packets_(packets), clock_(clock), who_(std::move(who)), manner_(std::move(manner)) {}
+      : stream_(stream),
+        packets_(packets),
+        clock_(clock),
+        instrument_(std::move(who)),
+        manner_(std::move(manner)) {}
 
-  void rename(std::string who) { who_ = std::move(who); }
+  void rename(std::string who) { instrument_ = std::move(who); }
 
   [[noreturn]] void fail(Fault fault, std::string_view detail) const {
-    throw InstrumentError(who_, fault, detail);
+    throw InstrumentError(instrument_, fault, detail);
   }
 
   /// Ends the stream and throws away what has come; `parser` is for what comes.
@@ -93,7 +97,7 @@ class PacketExchange {
     }
     // The late answer to an earlier try would pass for that to the next command like this one.
     if (outstanding_ && !settle())
-      fail(Fault::kNoReply, fmt::format("it answered {} late, and nothing after that", command.shown));
+      fail(Fault::kNoReply, fmt::format("it answered {} late, and then did not answer again", command.shown));
     return *std::move(answer);
   }
 
@@ -176,26 +180,26 @@ class PacketExchange {
         fmt::format("no answer to {} within {:.1f} s", command.shown, to_seconds(waited));
     if (evidence.bytes == 0) {
       fail(Fault::kNoReply,
-           asked + ", not one byte came: is it switched on, and is the baud rate the one of the device?");
+           asked + ", and not one byte arrived: is it switched on, and is the baud rate that of the device?");
     }
     if (evidence.packets > 0) {
-      fail(Fault::kNoReply, fmt::format("{}, though {} other {}s came in ({} {})", asked, evidence.packets,
+      fail(Fault::kNoReply, fmt::format("{}, although {} other {}s arrived ({} {})", asked, evidence.packets,
                                         manner_.packet, evidence.damaged, manner_.damaged));
     }
     if (evidence.damaged > 0) {
-      fail(Fault::kBadFrame, fmt::format("{}; {} bytes came with {} {}s, every one {}", asked, evidence.bytes,
-                                         evidence.damaged, manner_.packet, manner_.damaged));
+      fail(Fault::kBadFrame, fmt::format("{}; {} bytes arrived with {} {}s, every one {}", asked,
+                                         evidence.bytes, evidence.damaged, manner_.packet, manner_.damaged));
     }
     fail(Fault::kWrongIdentity,
-         fmt::format("{}; {} bytes came that are no {}, beginning {}: another instrument is on this port, or "
-                     "the baud rate is wrong",
+         fmt::format("{}; {} bytes arrived that are no {}, beginning {}: another instrument is on this port, "
+                     "or the baud rate is wrong",
                      asked, evidence.bytes, manner_.packet, manner_.show(evidence.first_bytes)));
   }
 
   ByteStream& stream_;
   ReadingStream<Parser>& packets_;
   Clock& clock_;
-  std::string who_;
+  std::string instrument_;
   Manner manner_;
   bool outstanding_ = false;  ///< A command went unanswered: its answer may still come.
   bool fresh_ = true;  ///< Nothing was answered since restart(): an error may be of an earlier command.

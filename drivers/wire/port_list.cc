@@ -59,7 +59,7 @@ std::string describe(const std::vector<PortInfo>& ports) {
 
 [[noreturn]] void malformed(std::string_view port, std::string_view why) {
   throw std::invalid_argument(fmt::format(
-      "port \"{}\": {}; required is a path such as /dev/ttyUSB0, usb:VID:PID[:SERIAL] with four hexadecimal "
+      "port \"{}\": {}; required: a path such as /dev/ttyUSB0, usb:VID:PID[:SERIAL] with four hexadecimal "
       "digits each, tcp:HOST:PORT, or usbtmc:/dev/usbtmc0",
       port, why));
 }
@@ -226,7 +226,7 @@ std::string resolve_port(std::string_view port, const std::vector<PortInfo>& por
   }
   throw InstrumentError(
       port, Fault::kCannotOpen,
-      fmt::format("fits several ports: {}; add the serial number, or name the path", describe(matching)));
+      fmt::format("matches several ports: {}; add the serial number, or name the path", describe(matching)));
 }
 
 }  // namespace abcal::wire

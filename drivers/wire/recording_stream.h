@@ -12,8 +12,8 @@ namespace abcal::wire {
 /// Passes everything through to another stream and tells a sink of every call, so that a ReplayStream can
 /// give a driver the same outcomes again.
 ///
-/// Reads that came back with nothing are told too: which bytes were there when the driver looked decides what
-/// it does next, and cannot be told from times of arrival alone.
+/// Reads that returned nothing are reported too: which bytes were there when the driver looked decides what
+/// it does next, and does not follow from times of arrival alone.
 class RecordingStream final : public ByteStream {
  public:
   /// Called in the thread that made the call, also in several at once; must not throw.

@@ -47,7 +47,7 @@ void ReplayStream::fail_as_recorded() {
 void ReplayStream::end() const {
   throw InstrumentError(name_, Fault::kLinkLost,
                         events_.empty()
-                            ? fmt::format("{}: it has nothing of this stream", kEndsHere)
+                            ? fmt::format("{}: it contains nothing of this stream", kEndsHere)
                             : fmt::format("{}, at t = {:.6f} s", kEndsHere, seconds_at(events_.back().time)));
 }
 

@@ -37,12 +37,12 @@ bool is_pseudo_terminal(const struct stat& status) {
   return major(status.st_rdev) >= 136 && major(status.st_rdev) <= 143;
 }
 
-/// Opens and locks, before any setting of the port is touched: it might be somebody else's.
+/// Opens and locks, before any setting of the port is touched: another program may be using it.
 Descriptor open_and_lock(const std::string& path) {
   Descriptor port = open_device(path, O_NONBLOCK | O_NOCTTY, {"a serial port", what_there_is});
   termios ignored{};
   if (::tcgetattr(port.get(), &ignored) != 0) {
-    if (errno == EIO) cannot_open(path, "there is no working port behind it (Input/output error)");
+    if (errno == EIO) cannot_open(path, "no working port is behind it (Input/output error)");
     cannot_open(path, "a device, but not a serial port");
   }
   lock_device(port, path);
@@ -53,7 +53,7 @@ Descriptor open_and_lock(const std::string& path) {
     // pseudo-terminal is rightly held open by the program that emulates the instrument.)
     if (!find_holder(path).empty()) held_by_another(path);
     if (::ioctl(port.get(), TIOCEXCL) != 0) {
-      cannot_open(path, fmt::format("cannot be taken for this program alone: {}", std::strerror(errno)));
+      cannot_open(path, fmt::format("cannot be reserved for this program: {}", std::strerror(errno)));
     }
   }
   return port;
@@ -67,7 +67,7 @@ void make_raw(int fd, const std::string& path) {
   mode.c_cc[VMIN] = 1;
   mode.c_cc[VTIME] = 0;
   if (::tcsetattr(fd, TCSANOW, &mode) != 0) {
-    cannot_open(path, fmt::format("does not take raw mode: {}", std::strerror(errno)));
+    cannot_open(path, fmt::format("does not accept raw mode: {}", std::strerror(errno)));
   }
 }
 
@@ -76,7 +76,7 @@ void set(boost::asio::serial_port& port, const Option& option, const std::string
          const std::string& what) {
   boost::system::error_code error;
   port.set_option(option, error);
-  if (error) cannot_open(path, fmt::format("does not take {} ({})", what, error.message()));
+  if (error) cannot_open(path, fmt::format("does not accept {} ({})", what, error.message()));
 }
 
 }  // namespace
@@ -101,7 +101,7 @@ struct SerialPort::Impl {
         serial_port::flow_control(settings.rts_cts ? serial_port::flow_control::hardware
                                                    : serial_port::flow_control::none),
         path, settings.rts_cts ? "RTS/CTS flow control" : "no flow control");
-    ::tcflush(fd, TCIFLUSH);  // What waited in the kernel was meant for whoever had the port before.
+    ::tcflush(fd, TCIFLUSH);  // What waited in the kernel was meant for the previous program.
     link.start();
   }
 
@@ -141,6 +141,9 @@ void SerialPort::discard_input() {
 }
 std::size_t SerialPort::dropped_bytes() const {
   return impl_->link.queue().dropped();
+}
+int SerialPort::descriptor() const {
+  return impl_->link.port().native_handle();
 }
 std::string SerialPort::name() const {
   return impl_->link.queue().name();

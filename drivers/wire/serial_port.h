@@ -5,6 +5,7 @@
 #include <string>
 
 #include "drivers/wire/byte_stream.h"
+#include "drivers/wire/port_descriptor.h"
 
 namespace abcal::wire {
 
@@ -24,7 +25,7 @@ struct SerialSettings {
 /// so that a reader busy with something else loses nothing; what does not fit is counted in dropped_bytes().
 /// Any thread may write. Once the port has vanished, what had arrived can still be read, then every call
 /// throws kLinkLost.
-class SerialPort final : public ByteStream {
+class SerialPort final : public ByteStream, public PortDescriptor {
  public:
   /// Opens, locks (flock; on real ports TIOCEXCL too, which on a pseudo-terminal would outlive a program that
   /// crashed), sets raw mode and throws away what waited in the kernel.
@@ -40,6 +41,7 @@ class SerialPort final : public ByteStream {
   void discard_input() override;
   std::size_t dropped_bytes() const override;
   std::string name() const override;  ///< The path as given.
+  int descriptor() const override;
 
  private:
   struct Impl;

@@ -47,12 +47,12 @@ struct TcpStream::Impl {
     link.io().poll();
     std::string why;
     if (error == boost::asio::error::timed_out) {
-      why = fmt::format("no answer within {} s; is the controller on, and on this network?",
+      why = fmt::format("no answer within {} s; is the controller on, and connected to this network?",
                         to_seconds(connect_timeout));
     } else if (!host_found) {
-      why = fmt::format("host \"{}\" is not known ({})", host, error.message());
+      why = fmt::format("host \"{}\" is unknown ({})", host, error.message());
     } else if (error == boost::asio::error::connection_refused) {
-      why = fmt::format("the host is there, but nothing listens on port {}", port);
+      why = fmt::format("the host answers, but nothing listens on port {}", port);
     } else {
       why = error.message();
     }
@@ -79,6 +79,9 @@ void TcpStream::discard_input() {
 }
 std::size_t TcpStream::dropped_bytes() const {
   return impl_->link.queue().dropped();
+}
+int TcpStream::descriptor() const {
+  return impl_->link.port().native_handle();
 }
 std::string TcpStream::name() const {
   return impl_->link.queue().name();

@@ -13,7 +13,7 @@ namespace abcal::wire {
 
 /// A TCP connection to an instrument (TCP_NODELAY: commands are short and each waits for its reply). Threads,
 /// queue and faults as SerialPort.
-class TcpStream final : public ByteStream {
+class TcpStream final : public ByteStream, public PortDescriptor {
  public:
   /// @param clock As for SerialPort.
   /// @throws InstrumentError kCannotOpen: unknown host, connection refused, no answer within
@@ -29,6 +29,7 @@ class TcpStream final : public ByteStream {
   void discard_input() override;
   std::size_t dropped_bytes() const override;
   std::string name() const override;  ///< "tcp:HOST:PORT"
+  int descriptor() const override;
 
  private:
   struct Impl;

@@ -53,8 +53,8 @@ class DeviceFile final : public UsbtmcDevice {
     ::ioctl(file_.get(), USBTMC_IOCTL_SET_TIMEOUT, &timeout_ms);
     if (const int status = status_byte(); status < 0) {
       cannot_open(path,
-                  fmt::format("a device, but no USBTMC instrument, or one that does not say whether a reply "
-                              "waits (USB488 status byte; Linux 4.6 or newer is needed): {}",
+                  fmt::format("a device, but not a USBTMC instrument, or one that does not report whether a "
+                              "reply is waiting (USB488 status byte; requires Linux 4.6 or newer): {}",
                               std::strerror(-status)));
     }
     lock_device(file_, path);
@@ -88,7 +88,7 @@ bool is_passing(long error) {
 
 UsbtmcStream::UsbtmcStream(const std::string& path, Clock& clock)
     : UsbtmcStream(std::make_unique<DeviceFile>(path), path, clock) {
-  discard_input();  // What waits was meant for whoever had the instrument before.
+  discard_input();  // What waits was meant for the previous program.
 }
 
 UsbtmcStream::UsbtmcStream(std::unique_ptr<UsbtmcDevice> device, std::string name, Clock& clock)

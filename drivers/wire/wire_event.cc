@@ -45,8 +45,8 @@ WireFailure parse_failure(std::string_view text) {
       std::find_if(kFaults.begin(), kFaults.end(), [&](Fault f) { return to_string(f) == fault_name; });
   if (call == kCalls.end() || fault == kFaults.end()) {
     throw std::invalid_argument(
-        fmt::format("\"{}\" in a recording is no failure of a stream; required: call, "
-                    "fault, who and detail, a line each",
+        fmt::format("\"{}\" in a recording is not a failure of a stream; required: call, fault, instrument "
+                    "and detail, one line each",
                     whole));
   }
   return {call->first, InstrumentError(who, *fault, text)};

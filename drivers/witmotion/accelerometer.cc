@@ -19,7 +19,7 @@ using witmotion::FrameParser;
 
 // A device answers within milliseconds, between the frames that it streams [unverified against a device].
 constexpr seconds kAnswerTime{1};
-// One that streams once in 5 s, the slowest that a device may be left at, is heard.
+// Long enough for a device that streams once in 5 s, the slowest stored setting.
 constexpr seconds kFirstFrameTime{6};
 // [unverified against a device] The maker's own library waits a millisecond between unlock and write; more
 // than enough at 9600 baud.
@@ -38,7 +38,7 @@ WitMotionAccelerometer::WitMotionAccelerometer(std::unique_ptr<wire::ByteStream>
     : stream_(stream ? std::move(stream) : throw std::invalid_argument("WitMotionAccelerometer: no stream")),
       clock_(clock),
       settings_(settings),
-      who_(fmt::format("accelerometer witmotion on {}", stream_->name())),
+      instrument_(fmt::format("accelerometer witmotion on {}", stream_->name())),
       readings_(*stream_, FrameParser(),
                 [this](const Frame& frame) { return wire::DecodedFrame{.reading = take(frame)}; }) {
   if (!(settings_.rate_hz > 0.0) || !std::isfinite(settings_.rate_hz)) {
@@ -54,10 +54,9 @@ AccelerometerInfo WitMotionAccelerometer::identify() {
 void WitMotionAccelerometer::start() {
   const auto rate_code = witmotion::rate_code(settings_.rate_hz);
   if (!rate_code) {
-    fail(Fault::kRefused,
-         fmt::format("rate_hz is {}; it makes 1, 2, 5, 10, 20, 50, 100 or 200 readings a second, the nearest "
-                     "is {}",
-                     settings_.rate_hz, witmotion::nearest_rate_hz(settings_.rate_hz)));
+    fail(Fault::kRefused, fmt::format("rate_hz is {}; the device supports 1, 2, 5, 10, 20, 50, 100 or 200 "
+                                      "readings per second; the nearest is {}",
+                                      settings_.rate_hz, witmotion::nearest_rate_hz(settings_.rate_hz)));
   }
   interrogate();
   check_link();
@@ -74,17 +73,16 @@ void WitMotionAccelerometer::discard_pending() {
 }
 
 void WitMotionAccelerometer::fail(Fault fault, std::string_view detail) const {
-  throw InstrumentError(who_, fault, detail);
+  throw InstrumentError(instrument_, fault, detail);
 }
 
 void WitMotionAccelerometer::fail_without_frames(Clock::Duration waited) const {
   const std::string heard =
-      fmt::format("{} bytes came within {:.1f} s", readings_.received_bytes(), to_seconds(waited));
+      fmt::format("{} bytes arrived within {:.1f} s", readings_.received_bytes(), to_seconds(waited));
   if (readings_.received_bytes() == 0) {
-    fail(Fault::kNoReply,
-         fmt::format("not one byte came within {:.1f} s: is it switched on, and is the baud rate the one of "
-                     "the device?",
-                     to_seconds(waited)));
+    fail(Fault::kNoReply, fmt::format("not one byte arrived within {:.1f} s: is it switched on, and is the "
+                                      "baud rate that of the device?",
+                                      to_seconds(waited)));
   }
   const std::uint64_t bad = readings_.parser().bad_frames();
   if (2 * (frames_ + bad) * witmotion::kFrameBytes >= readings_.received_bytes()) {
@@ -153,13 +151,11 @@ std::optional<WitMotionAccelerometer::Registers> WitMotionAccelerometer::ask(wit
 void WitMotionAccelerometer::check_link() const {
   const double needed = settings_.rate_hz * static_cast<double>(witmotion::kFrameBytes);
   if (!link_bytes_per_s_ || needed <= *link_bytes_per_s_) return;
-  fail(
-      Fault::kRefused,
-      fmt::format(
-          "{:.6g} readings a second need {:.0f} bytes/s, the link carries {:.0f}: lower rate_hz to {:.0f} or "
-          "less, or raise the baud rate of the device",
-          settings_.rate_hz, needed, *link_bytes_per_s_,
-          std::floor(*link_bytes_per_s_ / static_cast<double>(witmotion::kFrameBytes))));
+  fail(Fault::kRefused,
+       fmt::format("{:.6g} readings per second need {:.0f} bytes/s, but the link carries {:.0f}: lower "
+                   "rate_hz to {:.0f} or less, or raise the baud rate of the device",
+                   settings_.rate_hz, needed, *link_bytes_per_s_,
+                   std::floor(*link_bytes_per_s_ / static_cast<double>(witmotion::kFrameBytes))));
 }
 
 /// Sets output and rate, and looks whether it does so. Nothing that is written is answered: a command that
@@ -187,11 +183,12 @@ void WitMotionAccelerometer::configure_output(std::uint16_t rate_code) {
   }
   if (!measured_hz)
     fail(Fault::kNoReply,
-         fmt::format("no readings came after its rate was set to {:.6g} a second", settings_.rate_hz));
+         fmt::format("no readings arrived after its rate was set to {:.6g} per second", settings_.rate_hz));
   fail(Fault::kImplausible,
-       fmt::format("rate_hz is {:.6g}, its rate was set so (register 03 = {:02X}), and {:.3g} readings a "
-                   "second came: write that rate if the device has no other, or raise its baud rate",
-                   settings_.rate_hz, rate_code, *measured_hz));
+       fmt::format(
+           "rate_hz is {:.6g} and its rate was set to this (register 03 = {:02X}), but {:.3g} readings per "
+           "second arrived: set rate_hz to that rate if the device has no other, or raise its baud rate",
+           settings_.rate_hz, rate_code, *measured_hz));
 }
 
 std::optional<Reading> WitMotionAccelerometer::take(const Frame& frame) {
@@ -212,7 +209,7 @@ std::optional<Reading> WitMotionAccelerometer::take(const Frame& frame) {
   if (++other_frames_ >= kNoChance && only_acceleration_) {
     readings_.end();
     fail(Fault::kNotReady,
-         fmt::format("it puts out frames of type {:02X} again: it was restarted and has lost its settings",
+         fmt::format("it sends frames of type {:02X} again: it was restarted and has lost its settings",
                      frame.type));
   }
   return std::nullopt;

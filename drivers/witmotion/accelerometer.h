@@ -47,7 +47,7 @@ class WitMotionAccelerometer final : public Accelerometer {
   std::optional<Reading> next(Clock::Instant deadline) override;
   void discard_pending() override;
   StreamHealth health() const override { return readings_.health(); }
-  /// Stops listening. The device streams on: a silent one could not be told from a dead one.
+  /// Stops listening. The device streams on: a silent one could not be distinguished from a failed one.
   void stop() noexcept override { readings_.end(); }
 
  private:
@@ -64,7 +64,7 @@ class WitMotionAccelerometer final : public Accelerometer {
   std::unique_ptr<wire::ByteStream> stream_;
   Clock& clock_;
   AccelerometerSettings settings_;
-  std::string who_;  ///< For messages.
+  std::string instrument_;  ///< For messages.
   wire::ReadingStream<witmotion::FrameParser> readings_;
 
   std::optional<std::uint16_t> version_;

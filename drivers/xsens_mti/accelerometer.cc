@@ -138,8 +138,9 @@ void XsensMtiAccelerometer::configure_output() {
   const double rate_hz = std::clamp(std::round(settings_.rate_hz), 1.0, 65534.0);
   if (std::abs(rate_hz - settings_.rate_hz) > kRateTolerance * settings_.rate_hz) {
     fail(Fault::kRefused,
-         fmt::format("rate_hz is {}; it makes whole numbers of readings a second, the nearest is {}",
-                     settings_.rate_hz, rate_hz));
+         fmt::format(
+             "rate_hz is {}; the device supports whole numbers of readings per second; the nearest is {}",
+             settings_.rate_hz, rate_hz));
   }
   const auto packet_bytes = static_cast<double>(kPacketBytes);
   const double for_packets =
@@ -162,7 +163,7 @@ void XsensMtiAccelerometer::configure_output() {
         exchange({xbus::kSetOutputConfiguration, xbus::output_configuration({counter, acceleration}), kName});
   }
   const auto outputs = xbus::decode_output_configuration(answer.data);
-  if (!outputs) fail(Fault::kBadFrame, "the answer to \"set output configuration\" is no list of outputs");
+  if (!outputs) fail(Fault::kBadFrame, "the answer to \"set output configuration\" is not a list of outputs");
   const auto find = [&](std::uint16_t kind) {
     return std::find_if(outputs->begin(), outputs->end(),
                         [&](const xbus::Output& output) { return xbus::kind_of(output.id) == kind; });
@@ -186,8 +187,9 @@ wire::DecodedFrame XsensMtiAccelerometer::decode(const xbus::Message& message) {
     case xbus::kError: {
       const unsigned code = message.data.empty() ? 0U : static_cast<unsigned char>(message.data.front());
       if (is_of_a_command(code)) return {};  // Late.
-      end_and_fail(Fault::kRefused, fmt::format("error {:02X} ({}) while it streams {:.6g} readings a second",
-                                                code, xbus::error_in_words(code), rate_hz_));
+      end_and_fail(Fault::kRefused,
+                   fmt::format("error {:02X} ({}) while it streams {:.6g} readings per second", code,
+                               xbus::error_in_words(code), rate_hz_));
     }
     case xbus::kWakeUp:
       end_and_fail(Fault::kNotReady, "it says that it woke up: it was restarted");

@@ -76,7 +76,7 @@ void check_settings(const wire::ByteStream* stream, const StageSettings& setting
   for (const std::string& name : names) {
     if (!name.empty() && !parse_axis_name(name)) {
       throw std::invalid_argument(
-          fmt::format("Zaber stage: axis name \"{}\"; required is \"DEVICE AXIS\" (\"1 2\"), or one number",
+          fmt::format("Zaber stage: axis name \"{}\"; required: \"DEVICE AXIS\" (\"1 2\"), or one number",
                       printable(name)));
     }
   }
@@ -84,7 +84,7 @@ void check_settings(const wire::ByteStream* stream, const StageSettings& setting
   const auto device = number_between(settings.address, 1, 99);
   if (!device) {
     throw std::invalid_argument(
-        fmt::format("Zaber stage: address \"{}\"; required is a device number from 1 to 99, or nothing",
+        fmt::format("Zaber stage: address \"{}\"; required: a device number from 1 to 99, or nothing",
                     printable(settings.address)));
   }
   for (const std::string& name : names) {
@@ -178,7 +178,7 @@ class ZaberAsciiController final : public wire::LineController {
     throw failure(fault, fmt::format("no answer to \"{}\" of device {} axis {} within {} s{}; {}",
                                      data.empty() ? "status" : data, place.device, place.axis,
                                      to_seconds(kReplyDeadline),
-                                     is_query ? ", asked twice" : ": whether it was accepted is not known",
+                                     is_query ? ", asked twice" : "; whether it was accepted is unknown",
                                      what_was_heard(heard)));
   }
 
@@ -190,7 +190,7 @@ class ZaberAsciiController final : public wire::LineController {
     auto value = parse(reply.data);
     if (!value) {
       throw failure(Fault::kBadFrame,
-                    fmt::format("\"{}\" is no answer to \"{}\"", printable(reply.data), query));
+                    fmt::format("\"{}\" is not an answer to \"{}\"", printable(reply.data), query));
     }
     return *std::move(value);
   }
@@ -256,10 +256,10 @@ class ZaberAsciiController final : public wire::LineController {
     if (heard.bytes.empty() && line().received().empty()) {
       throw failure(
           Fault::kNoReply,
-          fmt::format("no answer to \"get system.axiscount\" within {} s, asked twice; is the device "
-                      "on, its number right, set to ASCII and to the baud rate of the bench file "
-                      "(115200; old A series 9600)?",
-                      to_seconds(kReplyDeadline)));
+          fmt::format(
+              "no answer to \"get system.axiscount\" within {} s, asked twice; is the device on and set to "
+              "ASCII, and are its number and baud rate as in the bench file (115200; old A series 9600)?",
+              to_seconds(kReplyDeadline)));
     }
     throw failure(heard.messages ? Fault::kNoReply : Fault::kWrongIdentity,
                   fmt::format("no Zaber device answers \"get system.axiscount\"; {}: another instrument, or "
@@ -288,10 +288,11 @@ class ZaberAsciiController final : public wire::LineController {
     } else {
       const auto device = devices.find(name.number);
       if (device != devices.end() && device->second.axes > 1) {
-        throw failure(Fault::kWrongIdentity,
-                      fmt::format("axis \"{}\" (for {}) can be meant in two ways, as device {} has {} axes; "
-                                  "name it in full, one of {}",
-                                  text, to_string(axis), name.number, device->second.axes, list(devices)));
+        throw failure(
+            Fault::kWrongIdentity,
+            fmt::format(
+                "axis \"{}\" (for {}) is ambiguous because device {} has {} axes; required: one of {}", text,
+                to_string(axis), name.number, device->second.axes, list(devices)));
       }
       place = {name.number, 1};
     }
@@ -315,7 +316,7 @@ class ZaberAsciiController final : public wire::LineController {
       if (!steps || !(*steps > 0.0)) {
         throw failure(
             Fault::kWrongIdentity,
-            fmt::format("axis {} of device {} (for {}) has no limit.cycle.dist, so it does not rotate",
+            fmt::format("axis {} of device {} (for {}) has no limit.cycle.dist, so it is not a rotary axis",
                         place.axis, place.device, to_string(axis)));
       }
       places_[index(axis)] = place;
@@ -483,7 +484,7 @@ class ZaberAsciiController final : public wire::LineController {
     if (const auto fault = first_fault(flags))
       throw flagged(Fault::kRefused, *fault, place, "the axis has stopped");
     for (const std::string_view flag : {"WL", "WM", "NC", "NI"})
-      if (has(flags, flag)) throw flagged(Fault::kRefused, flag, place, "it is not where it was sent");
+      if (has(flags, flag)) throw flagged(Fault::kRefused, flag, place, "it is not at its target");
     return MotionState::kStopped;
   }
 
@@ -495,7 +496,7 @@ class ZaberAsciiController final : public wire::LineController {
     const auto steps = first_number(reply.data);
     if (!steps)
       throw failure(Fault::kBadFrame,
-                    fmt::format("\"{}\" is no answer to \"get pos\"", printable(reply.data)));
+                    fmt::format("\"{}\" is not an answer to \"get pos\"", printable(reply.data)));
     return to_angle(axis, *steps);
   }
 

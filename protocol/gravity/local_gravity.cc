@@ -99,7 +99,7 @@ FormulaGravity formula_gravity(Angle latitude, double height_m, GravityFormula f
   gravity.source = fmt::format("formula {}, latitude {} degrees, height {} m", to_string(formula),
                                latitude.deg(), height_m);
   gravity.warning = fmt::format(
-      "gravity from a formula stands in for a survey: it may be wrong by {:.1e} m/s2 (5e-5 of it), several "
+      "gravity is from a formula instead of a survey: it may be wrong by {:.1e} m/s2 (5e-5 of it), several "
       "times the uncertainty of an intrinsic sensitivity (1e-5); have the site surveyed. Angles, and offsets "
       "and sensitivities per g_loc, do not depend on it",
       gravity.half_width_mps2);

@@ -78,11 +78,15 @@ std::vector<SweepAngle> sweep(const ProtocolConfig& config, const AxisTravel& tr
 
 PlanError::PlanError(std::vector<Problem> problems)
     : std::runtime_error([&] {
-        std::string text = "the rotation plan cannot be carried out";
+        std::string text = "the rotation plan cannot be executed";
         for (const Problem& problem : problems) text += "\n  " + to_string(problem);
         return text;
       }()),
       problems_(std::move(problems)) {}
+
+bool has_experiments(const std::vector<PlannedAngle>& plan) {
+  return std::ranges::any_of(plan, [](const PlannedAngle& angle) { return angle.experiment > 0; });
+}
 
 std::array<CheckPose, kCheckPoses> check_poses() {
   const Angle tilt = Angle::degrees(std::atan(std::numbers::sqrt2) * 180.0 / std::numbers::pi);
@@ -99,7 +103,7 @@ std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
     const auto at = held(angle, travel[axis], config.approach);
     if (!at) {
       problems.push_back({axis == kX ? "axis X" : "axis Z", "travel " + describe(travel[axis]),
-                          "a travel that holds the axis at " + number(angle.deg()) + " deg"});
+                          "a travel that includes the axis angle " + number(angle.deg()) + " deg"});
     }
     return at.value_or(Angle{});
   };
@@ -163,16 +167,28 @@ std::array<AxisTravel, 2> cable_twist(const std::vector<PlannedAngle>& plan, con
   return twist;
 }
 
+double AxisSpeed::duration_s(double distance_deg) const {
+  if (!(deg_per_s > 0.0)) return 0.0;
+  if (!(deg_per_s2 > 0.0)) return distance_deg / deg_per_s;
+  if (distance_deg < deg_per_s * deg_per_s / deg_per_s2) return 2.0 * std::sqrt(distance_deg / deg_per_s2);
+  return distance_deg / deg_per_s + deg_per_s / deg_per_s2;
+}
+
 PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config,
-                               const std::array<double, 2>& speed_deg_per_s, double rate_hz) {
+                               const std::array<AxisSpeed, 2>& speed, double rate_hz) {
   PlanDuration duration;
   std::array<Angle, 2> at{};
   const double dwell_s = rate_hz > 0.0 ? readings_per_dwell(config, rate_hz) / rate_hz : 0.0;
   const auto move = [&](std::size_t axis, Angle to) {
     if (to == at[axis]) return;
-    double distance_deg = std::abs(to.deg() - at[axis].deg());
-    if (to < at[axis]) distance_deg += 2.0 * config.approach.deg();  // past the target, and up to it again
-    if (speed_deg_per_s[axis] > 0.0) duration.moving_s += distance_deg / speed_deg_per_s[axis];
+    const double distance_deg = std::abs(to.deg() - at[axis].deg());
+    const double approach_deg = config.approach.deg();
+    if (to < at[axis] && approach_deg > 0.0) {  // Past the target, and up to it again.
+      duration.moving_s += speed[axis].duration_s(distance_deg + approach_deg);
+      duration.moving_s += speed[axis].duration_s(approach_deg);
+    } else {
+      duration.moving_s += speed[axis].duration_s(distance_deg);
+    }
     at[axis] = to;
   };
   for (const PlannedAngle& angle : plan) {

@@ -36,6 +36,9 @@ struct PlannedAngle {
   bool check = false;    ///< A check pose: experiment 0, n = 1 or 2, alpha = 0.
 };
 
+/// Whether angles of experiments 1 to 3 are among them. A levelling has none; its angles are no check poses.
+bool has_experiments(const std::vector<PlannedAngle>& plan);
+
 /// What cannot be planned, every problem of it.
 class PlanError : public std::runtime_error {
  public:
@@ -67,9 +70,18 @@ struct PlanDuration {
   double total_s() const { return moving_s + settling_s + dwelling_s; }
 };
 
-/// An estimate from the speeds of X and Z (deg/s; acceleration is not counted) and the reading rate.
+/// How fast an axis turns. 0: not known.
+struct AxisSpeed {
+  double deg_per_s = 0.0;
+  double deg_per_s2 = 0.0;  ///< Acceleration, and deceleration.
+
+  /// Of one move; 0 where the speed is not known. Without acceleration it starts and stops at once.
+  double duration_s(double distance_deg) const;
+};
+
+/// An estimate from the speeds of X and Z and the reading rate.
 PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config,
-                               const std::array<double, 2>& speed_deg_per_s, double rate_hz);
+                               const std::array<AxisSpeed, 2>& speed, double rate_hz);
 
 /// Readings averaged at one angle: dwell_readings, or the least number not below it that lasts a whole number
 /// of mains periods.

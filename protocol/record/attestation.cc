@@ -31,18 +31,20 @@ void check_signature(const RunSeal& seal, const std::string& sha256, const Trust
   const std::string what = "signature";
   if (!is_signature(statement_of_run(sha256), seal.signature, seal.public_pem())) {
     attestation.checks.push_back(
-        {what, false, fmt::format("it is not that of {} for the run as it is", seal.signer_name())});
+        {what, false,
+         fmt::format("it is not the signature of {} for the present content of the run",
+                     seal.signer_name())});
     return;
   }
   const std::string by = fmt::format("by {}, key {}", seal.signer_name(), fingerprint_of(seal.public_pem()));
   const TrustedKey* key = find_key(trust, seal.public_pem());
   if (key == nullptr && !trust.keys.empty()) {
-    attestation.checks.push_back({what, false, by + ", which is none of the trusted keys"});
+    attestation.checks.push_back({what, false, by + ", which is not one of the trusted keys"});
     return;
   }
   attestation.is_signed = key != nullptr;
   attestation.checks.push_back(
-      {what, true, key == nullptr ? by + "; whose key that is, is not checked" : by});
+      {what, true, key == nullptr ? by + "; the owner of the key was not checked" : by});
 }
 
 void check_stamp(const RunSeal& seal, const std::string& sha256, const Trust& trust, Attestation& attestation,
@@ -52,11 +54,10 @@ void check_stamp(const RunSeal& seal, const std::string& sha256, const Trust& tr
   stamp = check_time_stamp(seal.time_stamp, sha256, trust.authorities_pem);
   if (trust.authorities_pem.empty()) {
     const bool of_this_run = stamp.for_this_hash;
-    attestation.checks.push_back({what, of_this_run,
-                                  of_this_run
-                                      ? fmt::format("{} by {}; whether that authority is one, is not checked",
-                                                    stamp.utc, stamp.authority)
-                                      : "it is not for the run as it is"});
+    attestation.checks.push_back(
+        {what, of_this_run,
+         of_this_run ? fmt::format("{} by {}; the authority was not checked", stamp.utc, stamp.authority)
+                     : "it is not for the present content of the run"});
     return;
   }
   attestation.is_stamped = stamp.good;
@@ -68,7 +69,8 @@ void check_stamp(const RunSeal& seal, const std::string& sha256, const Trust& tr
 std::string words_of(const Attestation& attestation, const RunSeal& seal, const TimeStampCheck& stamp) {
   std::string words;
   if (attestation.is_stamped)
-    words += fmt::format("unchanged since {}, when the authority {} stamped it", stamp.utc, stamp.authority);
+    words +=
+        fmt::format("unchanged since {}, when the authority {} time-stamped it", stamp.utc, stamp.authority);
   if (attestation.is_signed)
     words += fmt::format(
         "{}signed by the key of {}: nobody without that key can have changed the run since it was closed",

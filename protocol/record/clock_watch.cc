@@ -23,9 +23,8 @@ std::optional<Clock::Duration> clock_step(const ClockPair& before, const ClockPa
 
 std::string describe_clock_step(Clock::Duration step) {
   return fmt::format(
-      "the system clock was moved by {:+.3f} s (set by a person or by a time service, or the computer was "
-      "asleep); "
-      "the times of the run are not: they follow the monotonic clock",
+      "the system clock changed by {:+.3f} s (set by a person or a time service, or the computer was "
+      "suspended); the times of the run are not affected, because they follow the monotonic clock",
       to_seconds(step));
 }
 

@@ -164,7 +164,7 @@ class Importer {
     if (body.substr(0, kByteOrderMark.size()) == kByteOrderMark) body.remove_prefix(kByteOrderMark.size());
     table_ = split(body);
     if (table_.open_quote_line) {
-      problem(fmt::format("line {}", *table_.open_quote_line), "a quoted field that does not end",
+      problem(fmt::format("line {}", *table_.open_quote_line), "a quoted field without an end",
               "a closing quote");
     }
     read_comments();
@@ -361,7 +361,7 @@ class Importer {
     DwellRecord dwell;
     const auto experiment =
         whole_number(row, "experiment", 0, 3, "experiment 1, 2 or 3, or 0 for a check pose");
-    const auto n = whole_number(row, "n", 1, 1e6, "a whole number from 1 on");
+    const auto n = whole_number(row, "n", 1, 1e6, "a whole number of at least 1");
     const auto alpha = number(row, "alpha_deg");
     for (std::size_t j = 0; j < 3; ++j) {
       if (const auto reading = number(row, kReadingColumns[j]))
@@ -374,7 +374,7 @@ class Importer {
       if (has(kSpreadColumns[j]))
         dwell.spread(static_cast<Eigen::Index>(j)) = optional_number(row, kSpreadColumns[j]).value_or(0.0);
     if (has("count") && !trimmed(field(row, "count")).empty()) {
-      dwell.count = whole_number(row, "count", 1, 1e15, "a whole number from 1 on").value_or(0);
+      dwell.count = whole_number(row, "count", 1, 1e15, "a whole number of at least 1").value_or(0);
     }
     if (has("flags") && !trimmed(field(row, "flags")).empty()) {
       dwell.flags = static_cast<std::uint32_t>(
@@ -389,7 +389,7 @@ class Importer {
       read_check_pose(row, std::move(dwell));
       return;
     }
-    // A closing angle may carry the n of the angle that it repeats: it is told by its alpha.
+    // A closing angle may have the n of the angle that it repeats: its alpha distinguishes it.
     const auto [first, is_new] =
         line_of_.emplace(std::make_tuple(dwell.experiment, dwell.n, *alpha >= 360.0), row.line);
     if (!is_new) {

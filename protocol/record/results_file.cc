@@ -48,10 +48,9 @@ void ResultsFile::require_none(const std::filesystem::path& run_path) {
   const std::filesystem::path results = path_beside(run_path);
   std::error_code ignored;
   if (!std::filesystem::exists(results, ignored)) return;
-  throw RunFileError(
-      results.string() + ": belongs to another run, so that the results of " + run_path.string() +
-      " could not be kept; required: no such file before a run is closed. Move it to the run that "
-      "it belongs to, or choose another name with -o");
+  throw RunFileError(results.string() + ": belongs to another run, so the results of " + run_path.string() +
+                     " could not be stored; required: no such file before a run is closed. Move it to the "
+                     "run to which it belongs, or choose another name with -o");
 }
 
 ResultsFile::ResultsFile(const std::filesystem::path& run_path)
@@ -142,7 +141,7 @@ void require_issuable(const IssuedCertificate& certificate, const std::vector<Is
   for (const IssuedCertificate& one : issued) {
     if (one.number == certificate.number)
       throw RunFileError(results + ": certificate " + one.number + " was issued on " + one.date +
-                         "; a number is given once");
+                         "; each number is used only once");
     if (!certificate.replaces.empty() && one.replaces == certificate.replaces)
       throw RunFileError(results + ": certificate " + certificate.replaces + " is replaced by " + one.number +
                          " already; replace that one");

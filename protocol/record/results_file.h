@@ -40,7 +40,7 @@ class ResultsFile {
   /// @throws RunFileError also where they belong to another run
   ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256);
 
-  /// Whether this call made the file again, so that a person should be told: earlier analyses are unknown.
+  /// Whether this call created the file again, which must be reported: earlier analyses are unknown.
   bool made_again() const { return made_again_; }
 
   /// Stores an analysis unless the very same one is there already.

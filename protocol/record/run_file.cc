@@ -438,10 +438,10 @@ std::string RunFile::close_complete(const std::string& utc, const RunTiming& tim
   complete(utc, timing);
   const std::filesystem::path path = impl_->path;
   if (auto hash = close(try_again)) return *std::move(hash);
-  throw RunFileError(path.string() +
-                     ": all angles are measured and stored, but another program keeps the file open, so "
-                     "that it cannot be closed: end that program, then close and analyse the run with "
-                     "`abcal resume`");
+  throw RunFileError(
+      path.string() +
+      ": all angles are measured and stored, but the file cannot be closed because another program keeps the "
+      "file open: end that program, then close and analyse the run with `abcal resume`");
 }
 
 std::optional<std::string> RunFile::close(const TryAgain& try_again) {
@@ -476,10 +476,9 @@ std::string RunFile::finish_closing(const std::filesystem::path& path, const Try
   }
   RunFile file(std::make_unique<Impl>(path, open_run_file(path, SqliteDatabase::Mode::kReadWrite)));
   if (auto hash = file.close(try_again)) return *std::move(hash);
-  throw RunFileError(
-      path.string() +
-      ": the run is complete, but another program keeps the file open, so that it cannot be closed: "
-      "end that program, then close and analyse the run with `abcal resume`");
+  throw RunFileError(path.string() +
+                     ": the run is complete, but the file cannot be closed because another program keeps the "
+                     "file open: end that program, then close and analyse the run with `abcal resume`");
 }
 
 StoredRun RunFile::load(const std::filesystem::path& path) {

@@ -190,6 +190,18 @@ void read_facts(const Facts& facts, RunHeader& header) {
   }
 }
 
+void read_plan(SqliteDatabase& database, std::vector<PlannedAngle>& plan) {
+  SqliteStatement rows = database.prepare("select * from plan order by position");
+  while (rows.step()) {
+    plan.push_back({static_cast<int>(rows.integer("experiment")), static_cast<int>(rows.integer("n")),
+                    rows.integer("closing") != 0, Angle::degrees(rows.real("alpha_deg")),
+                    Angle::degrees(rows.real("x_deg")), Angle::degrees(rows.real("z_deg"))});
+  }
+  // Angles outside the experiments are check poses, but those of a levelling are its measurement.
+  if (!has_experiments(plan)) return;
+  for (PlannedAngle& angle : plan) angle.check = angle.experiment == 0;
+}
+
 void read_items(SqliteDatabase& database, RunHeader& header) {
   SqliteStatement rows = database.prepare("select * from item order by k");
   SqliteStatement registers = database.prepare("select name, value from item_register where item = :item");
@@ -264,13 +276,7 @@ void read_run_header(SqliteDatabase& database, const std::string& source, Stored
                                   instruments.text("model"), instruments.text("serial_number"),
                                   instruments.text("firmware"), instruments.text("details")});
   }
-  SqliteStatement plan = database.prepare("select * from plan order by position");
-  while (plan.step()) {
-    const auto experiment = static_cast<int>(plan.integer("experiment"));
-    header.plan.push_back({experiment, static_cast<int>(plan.integer("n")), plan.integer("closing") != 0,
-                           Angle::degrees(plan.real("alpha_deg")), Angle::degrees(plan.real("x_deg")),
-                           Angle::degrees(plan.real("z_deg")), experiment == 0});
-  }
+  read_plan(database, header.plan);
   if (run_file_version(database) < 3) {
     header.items = {item_from_labels(header)};
     return;

@@ -106,7 +106,7 @@ SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::
   if (std::filesystem::file_size(path, error) == 0)
     throw RunFileError(path.string() + ": is empty, not a run file");
   if (!begins_as_sqlite(path)) {
-    throw RunFileError(path.string() + ": is not a run file (it does not begin as an SQLite file does)");
+    throw RunFileError(path.string() + ": is not a run file (it does not begin like an SQLite file)");
   }
   recover(path);
   SqliteDatabase database(path, mode);
@@ -121,7 +121,7 @@ SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::
         path.string(), version, kRunFileVersion));
   }
   if (const auto verdict = database.value("pragma quick_check(1)"); verdict != "ok") {
-    throw RunFileError(path.string() + ": is damaged or cut short (" + verdict.value_or("no answer") +
+    throw RunFileError(path.string() + ": is damaged or truncated (" + verdict.value_or("no answer") +
                        "); restore it from a copy");
   }
   return database;
@@ -132,9 +132,8 @@ void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& p
   if (version == kRunFileVersion) return;
   if (version != 2) {
     throw RunFileError(
-        fmt::format("{}: was begun with run file version {}; this program goes on with versions 2 and {}: "
-                    "finish it with the "
-                    "abcal that began it",
+        fmt::format("{}: was begun with run file version {}; this program can resume versions 2 and {}: "
+                    "finish it with the version of abcal that began it",
                     path.string(), version, kRunFileVersion));
   }
   Transaction transaction(database);

@@ -24,7 +24,7 @@ OpensslKey private_key(const std::string& pem) {
   OpensslKey key(PEM_read_bio_PrivateKey(readable(pem).get(), nullptr, no_passphrase, nullptr));
   if (!key || EVP_PKEY_get_id(key.get()) != EVP_PKEY_ED25519)
     throw std::invalid_argument(
-        "no private Ed25519 key; required: PEM, not encrypted, as `abcal lab key` makes it");
+        "found no private Ed25519 key; required: an unencrypted PEM file, as `abcal lab key` makes");
   return key;
 }
 
@@ -39,7 +39,7 @@ std::string make_private_key() {
   const OpensslBio pem = writable();
   if (!key || PEM_write_bio_PKCS8PrivateKey(pem.get(), key.get(), nullptr, nullptr, 0, nullptr, nullptr) != 1)
     throw std::runtime_error(
-        "no key could be made: OpenSSL offers no Ed25519, or the system no random numbers");
+        "the key could not be made: OpenSSL has no Ed25519, or the system gave no random numbers");
   return written(pem);
 }
 

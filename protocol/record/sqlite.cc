@@ -8,21 +8,21 @@ std::string explain_sqlite_error(const std::string& file, int code, std::string_
   std::string text = file + ": " + std::string(message);
   switch (code & 0xFF) {
     case SQLITE_FULL:
-      return text + "; the disk is full: free some space, then go on with `abcal resume`";
+      return text + "; the disk is full: free some space, then continue with `abcal resume`";
     case SQLITE_IOERR:
-      return text + "; the disk did not take or give the bytes: check its space and health";
+      return text + "; the disk could not be written or read: check its space and condition";
     case SQLITE_READONLY:
     case SQLITE_PERM:
       return text + "; the file or its folder cannot be written by this user";
     case SQLITE_CANTOPEN:
-      return text + "; check that the folder exists and may be written";
+      return text + "; check that the folder exists and is writable";
     case SQLITE_BUSY:
     case SQLITE_LOCKED:
       return text + "; another program is using the file";
     case SQLITE_NOTADB:
       return text + "; this is not a run file";
     case SQLITE_CORRUPT:
-      return text + "; the file is damaged or cut short: restore it from a copy";
+      return text + "; the file is damaged or truncated: restore it from a copy";
     default:
       return text + " (SQLite code " + std::to_string(code) + ")";
   }

@@ -87,7 +87,7 @@ class SqliteDatabase {
 
   void wait_at_most(std::chrono::milliseconds patience);
   void execute(const std::string& sql);
-  /// As execute(), but tells by `false` that another connection stands in the way.
+  /// As execute(), but returns false if another connection prevents it.
   bool execute_unless_busy(const std::string& sql);
   SqliteStatement prepare(std::string_view sql) { return {handle_.get(), file_, sql}; }
   /// The first column of the first row of a query; nothing if there is no row.

@@ -36,7 +36,7 @@ std::vector<unsigned char> bytes_of(std::string_view hexadecimal) {
       throw std::invalid_argument("a SHA-256 that is not hexadecimal");
     bytes.push_back(static_cast<unsigned char>(value));
   }
-  if (bytes.size() != 32) throw std::invalid_argument("a SHA-256 that has not 32 bytes");
+  if (bytes.size() != 32) throw std::invalid_argument("a SHA-256 that does not have 32 bytes");
   return bytes;
 }
 
@@ -115,7 +115,7 @@ TimeStampAnswer read_time_stamp_answer(std::string_view answer, std::string_view
   const auto asked = parse_der<Request>(request, d2i_TS_REQ);
   if (!response || !asked) {
     ERR_clear_error();
-    return {{}, "the answer is no answer of RFC 3161"};
+    return {{}, "the answer does not follow RFC 3161"};
   }
   const TS_STATUS_INFO* status = TS_RESP_get_status_info(response.get());
   if (const long code = ASN1_INTEGER_get(TS_STATUS_INFO_get0_status(status)); code != 0 && code != 1)
@@ -124,7 +124,7 @@ TimeStampAnswer read_time_stamp_answer(std::string_view answer, std::string_view
   const Verification check(TS_REQ_to_TS_VERIFY_CTX(asked.get(), nullptr));
   TS_VERIFY_CTX_set_flags(check.get(), TS_VFY_VERSION | TS_VFY_IMPRINT | TS_VFY_NONCE);
   if (TS_RESP_verify_response(check.get(), response.get()) != 1)
-    return {{}, "the answer is not for what was asked: " + last_openssl_error()};
+    return {{}, "the answer does not belong to the request: " + last_openssl_error()};
   PKCS7* token = TS_RESP_get_token(response.get());
   unsigned char* der = nullptr;
   const int size = i2d_PKCS7(token, &der);
@@ -139,7 +139,7 @@ TimeStampCheck check_time_stamp(std::string_view token_der, std::string_view sha
   TimeStampCheck result;
   const Info info(token ? PKCS7_to_TS_TST_INFO(token.get()) : nullptr);
   if (!info) {
-    result.found = "it is no time stamp of RFC 3161";
+    result.found = "it is not a time stamp according to RFC 3161";
     ERR_clear_error();
     return result;
   }

@@ -22,7 +22,7 @@ IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, co
   std::string sql = "select ";
   for (const std::string& column : columns) sql += column + ", ";
   if (database.value("select count(*) from pragma_table_info('" + table + "') where name = 'chain'") == "0")
-    return {what, false, "written by an abcal that did not link its entries yet"};
+    return {what, false, "written by a version of abcal that did not link its entries"};
   SqliteStatement rows = database.prepare(sql + "chain from " + table + " order by id");
   std::string link;
   std::size_t count = 0;
@@ -33,9 +33,9 @@ IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, co
     link = next_link(link, fields);
     if (link != rows.text("chain"))
       return {what, false,
-              fmt::format("entry {} of the {} table, or one before it, was changed", count, table)};
+              fmt::format("entry {} of the {} table, or an earlier one, was changed", count, table)};
   }
-  return {what, true, fmt::format("{} entries, each linked to the one before", count)};
+  return {what, true, fmt::format("{} entries, each linked to the previous one", count)};
 }
 
 /// Follows the chain of the dwells and compares its end, and that of the event log, with what was sealed.
@@ -50,19 +50,19 @@ IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
     if (link != rows.text("chain"))
       return {
           what, false,
-          fmt::format("dwell {} or its readings, one before it, or what stands before the first angle, was "
-                      "changed",
-                      count)};
+          fmt::format(
+              "dwell {} or its readings, an earlier dwell, or the data before the first angle were changed",
+              count)};
   }
-  if (!complete) return {what, true, fmt::format("{}, each linked to the one before", count)};
+  if (!complete) return {what, true, fmt::format("{}, each linked to the previous one", count)};
   SqliteStatement seal = database.prepare("select * from seal order by id desc limit 1");
   if (!seal.step()) return {what, false, "the seal of the complete run is missing"};
   const std::string last_event =
       database.value("select chain from event order by id desc limit 1").value_or("");
   if (seal.integer("dwells") != count || (count > 0 && seal.text("dwell_chain") != link) ||
       seal.text("event_chain") != last_event)
-    return {what, false, "the chains do not end as the seal of the complete run says"};
-  return {what, true, fmt::format("{}, each with its readings linked to the one before, sealed", count)};
+    return {what, false, "the chains do not end as the seal of the complete run states"};
+  return {what, true, fmt::format("{}, each with its readings linked to the previous one, sealed", count)};
 }
 
 /// A dwell as it is stored, to be compared with its readings.
@@ -165,9 +165,8 @@ void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>
   std::error_code error;
   if (!std::filesystem::exists(results, error)) {
     checks.push_back({"SHA-256", false,
-                      results.string() +
-                          ", which names the hash of the run, is missing; `abcal analyse` makes it "
-                          "again, with a note that earlier analyses are not known"});
+                      results.string() + ", which contains the hash of the run, is missing; `abcal analyse` "
+                                         "creates it again, with a note that earlier analyses are unknown"});
     return;
   }
   SqliteDatabase database(results, SqliteDatabase::Mode::kReadOnly);
@@ -175,7 +174,7 @@ void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>
   const std::string actual = sha256_of_file(run);
   checks.push_back(
       {"SHA-256", named == actual,
-       named == actual ? actual : fmt::format("the run has {}, its results name {}", actual, named)});
+       named == actual ? actual : fmt::format("the run has {}, but its results state {}", actual, named)});
   std::string sound = database.value("pragma integrity_check(1)").value_or("no answer");
   const bool is_sound = sound == "ok";
   if (database.value("select count(*) from pragma_table_info('run') where name = 'note'") == "1") {
@@ -218,7 +217,7 @@ std::string attested_by(const std::filesystem::path& run) {
   const bool chains_dwells = run_file_version(database) >= 3;
   return fmt::format(
       "The run and its results are consistent: the results name the SHA-256 of the run, and each entry of {} "
-      "is linked to the one before{}. There is neither a signature nor a time stamp: anyone with write "
+      "is linked to the previous one{}. There is neither a signature nor a time stamp: anyone with write "
       "access "
       "to both files can rebuild them consistently. Keep the SHA-256 elsewhere to detect this.",
       chains_dwells ? "dwells with their readings, events, analyses and certificates"

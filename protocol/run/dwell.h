@@ -10,7 +10,7 @@
 
 namespace abcal {
 
-/// What the readings at one angle come to.
+/// The statistics of the readings at one angle.
 struct DwellStatistics {
   std::int64_t count = 0;       ///< Finite readings, the ones averaged.
   std::int64_t not_finite = 0;  ///< Left out.

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/planned_dwell.h"
 #include "protocol/run/dwell.h"
 
 namespace abcal {
@@ -89,14 +90,7 @@ MeasuredDwell DwellMeasurement::measure_once(std::size_t position, const Planned
 
 DwellRecord DwellMeasurement::dwell_record(const PlannedAngle& angle, const DwellStatistics& statistics,
                                            const Window& window) {
-  DwellRecord dwell;
-  dwell.experiment = angle.experiment;
-  dwell.n = angle.n;
-  dwell.closing = angle.closing;
-  if (angle.check) dwell.role = DwellRole::kCheck;
-  dwell.alpha = angle.alpha;
-  dwell.commanded_x = angle.x;
-  dwell.commanded_z = angle.z;
+  DwellRecord dwell = planned_dwell(angle);
   dwell.encoder_x = parts_.motion.encoder_angle(StageAxis::kX);
   dwell.encoder_z = parts_.motion.encoder_angle(StageAxis::kZ);
   dwell.time_s = context_.time_s(window.begin + (window.end - window.begin) / 2);
@@ -122,8 +116,8 @@ void DwellMeasurement::wait_for_temperature(std::size_t position, std::optional<
   const StoppableClock& clock = context_.clock;
   const Clock::Instant begin = clock.now();
   const auto excess = [&] { return parts_.plausibility.temperature_excess(temperature_degc); };
-  journal.notify("temperature",
-                 fmt::format("{}: {}; waiting for it to be back", journal.activity(), excess().value_or("")));
+  journal.notify("temperature", fmt::format("{}: {}; waiting for the temperature to come back",
+                                            journal.activity(), excess().value_or("")));
   journal.phase(position, RunPhase::kTemperature);
   while (const auto why = excess()) {
     if (clock.now() >= deadline) {
@@ -137,7 +131,7 @@ void DwellMeasurement::wait_for_temperature(std::size_t position, std::optional<
     temperature_degc = dwell_statistics(window, context_.accelerometer_info).temperature_degc;
   }
   journal.notify("temperature",
-                 fmt::format("the temperature is back after {:.0f} s", to_seconds(clock.now() - begin)));
+                 fmt::format("the temperature came back after {:.0f} s", to_seconds(clock.now() - begin)));
   context_.stopwatch.add_settling(clock.now() - begin);
 }
 

@@ -108,12 +108,12 @@ class ExperimentRun {
       if (std::abs(change[j]) <= explained[j]) continue;
       throw InstrumentError(
           context_.accelerometer_name(), Fault::kImplausible,
-          fmt::format("output {} at {} reads {:.7g} now and read {:.7g} before the interruption, a change of "
-                      "{:.2g}; required: at most {:.2g}, which noise, drift and the stage's tolerances "
-                      "explain. The accelerometer has moved on the stage, or the stage's reference has: "
-                      "begin a new run",
-                      "uvw"[j], describe(angle), measured.dwell.mean[j], last.dwell.mean[j],
-                      std::abs(change[j]), explained[j]));
+          fmt::format(
+              "output {} at {} reads {:.7g} now and read {:.7g} before the interruption, a change of "
+              "{:.2g}; required: at most {:.2g}, as noise, drift and the stated uncertainties of the stage "
+              "explain. The accelerometer or the reference of the stage has moved: begin a new run",
+              "uvw"[j], describe(angle), measured.dwell.mean[j], last.dwell.mean[j], std::abs(change[j]),
+              explained[j]));
     }
     measured.dwell.flags |= kFlagRepeated;
     commit(last.position, measured);
@@ -132,6 +132,8 @@ class ExperimentRun {
     }
     context_.journal.check_system_clock();
     file_.append_dwell(position, dwell, measured.readings, context_.stopwatch.timing());
+    for (const StageEvent& event : instruments_.stage.take_events())
+      context_.journal.notify(event.kind, event.text);
     if (dwell.flags != kFlagNone) {
       context_.journal.notify(
           kFlagEvent, fmt::format("{}: {}", context_.journal.activity(), describe_flags(dwell.flags)));

@@ -16,11 +16,11 @@
 
 namespace abcal {
 
-/// What an interrupted run holds already; empty for a new one.
+/// What an interrupted run already contains; empty for a new one.
 struct RunProgress {
   std::set<std::size_t> measured;  ///< Positions in the plan.
   RunTiming spent;
-  /// The angle measured last of those that can be compared with. It is measured again before the run goes on,
+  /// The latest angle that is suitable for a comparison. It is measured again before the run continues,
   /// after both axes were homed again, and must read the same within what tolerances, noise and drift
   /// explain at a false alarm in 1e6.
   struct LastAngle {
@@ -38,8 +38,8 @@ struct RunTask {
   RunProgress so_far;
 };
 
-/// Whether an angle tells, when it is measured again, if the accelerometer has moved: not one where an output
-/// was stuck, clipped or not finite, which is marked and wrong already.
+/// Whether measuring an angle again shows if the accelerometer has moved: not if an output was stuck, clipped
+/// or not finite, because that dwell is already known to be wrong.
 bool can_be_compared_with(const DwellRecord& dwell);
 
 /// The largest change of an output (R) between two measurements of one angle that tolerances (zero and step
@@ -53,9 +53,9 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
 ///
 /// An angle is measured again (limits: repeats) where the readings spread or creep more than usual, an output
 /// does not change at all, or an axis has left the position window; then it is flagged, or the run ends where
-/// the axis does not stay. Outside its limits the temperature is waited for (temperature_wait_s).
+/// the axis does not stay. If the temperature is outside its limits, the run waits (temperature_wait_s).
 ///
-/// Where a port vanishes, waits for it (limits: replug_timeout_s, max_replugs), and goes on as after an
+/// If a port vanishes, waits for it (limits: replug_timeout_s, max_replugs), and continues as after an
 /// interruption: same instruments, the axes homed again if the stage was lost, the last angle measured
 /// again and compared, the angle under way repeated.
 ///
@@ -63,7 +63,7 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
 /// the reason in its file: the first cause, also where a halt made the call under way fail.
 /// @throws InstrumentError (its text says if the stage did not acknowledge the halt), RunFileError,
 /// RunInterrupted.
-/// @return where the time went, `task.so_far.spent` included.
+/// @return the time spent on each activity, `task.so_far.spent` included.
 RunTiming run_experiments(const RunInstruments& instruments, const RunTask& task, RunFile& file,
                           RunObserver& observer, const std::stop_token& stop);
 

@@ -6,14 +6,14 @@
 
 namespace abcal {
 
-/// What came of a halt.
+/// The outcome of a halt.
 struct HaltOutcome {
   bool acknowledged = false;  ///< By every axis.
   /// "the stage is halted"; or which axis may still be moving, and what to do.
   std::string words;
 };
 
-/// Halts all axes, those also whose neighbour cannot be reached.
+/// Halts all axes, also if one of them cannot be reached.
 HaltOutcome halt_stage(RotationStage& stage);
 
 }  // namespace abcal

@@ -21,9 +21,10 @@ void Motion::home(StageAxis axis) {
   const Clock::Instant deadline = context_.clock.now() + from_seconds(protocol.homing_timeout_s);
   while (stage_.motion_state(axis) == MotionState::kMoving) {
     if (context_.clock.now() > deadline) {
-      throw InstrumentError(context_.stage_name(), Fault::kStalled,
-                            fmt::format("axis {} still searches its reference after {} s (homing_timeout_s)",
-                                        to_string(axis), protocol.homing_timeout_s));
+      throw InstrumentError(
+          context_.stage_name(), Fault::kStalled,
+          fmt::format("axis {} is still searching for its reference after {} s (homing_timeout_s)",
+                      to_string(axis), protocol.homing_timeout_s));
     }
     context_.clock.wait_until(context_.clock.now() + from_seconds(protocol.poll_interval_s));
   }

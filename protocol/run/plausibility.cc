@@ -117,8 +117,8 @@ std::optional<std::string> full_scale_excess(std::span<const DwellRecord> experi
   const double difference = *response / nominal - 1.0;
   if (std::abs(difference) <= limit) return std::nullopt;
   return fmt::format(
-      "experiment {}: the readings go round a circle of {:.6g}, {:+.3g} % from the nominal {:.6g} for local "
-      "gravity; required: within {:.2g} % ([item] sensitivity_tolerance). Check unit, full scale and scale "
+      "experiment {}: the response to local gravity is {:.6g}, {:+.3g} % from the nominal {:.6g}; required: "
+      "within {:.2g} % ([item] sensitivity_tolerance). Check unit, full scale and scale "
       "factor",
       experiment.front().experiment, *response, 100.0 * difference, nominal, 100.0 * limit);
 }

@@ -27,8 +27,8 @@ void PlausibilityCheck::require_possible(const PlannedAngle& angle, const DwellS
   const auto total = static_cast<double>(read);
   if (static_cast<double>(statistics.not_finite) > 0.5 * total) {
     fail(
-        fmt::format("{} of {} readings at {} are not finite numbers; check the instrument's "
-                    "output settings and its health",
+        fmt::format("{} of {} readings at {} are not finite numbers; check the output settings and the "
+                    "condition of the instrument",
                     statistics.not_finite, read, describe(angle)));
   }
   const double made = total + static_cast<double>(statistics.lost);

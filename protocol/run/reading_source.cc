@@ -28,11 +28,10 @@ Reading ReadingSource::read_one() {
       return *std::move(reading);
     }
     if (clock.now() >= deadline) {
-      throw InstrumentError(
-          context_.accelerometer_name(), Fault::kNoReply,
-          fmt::format("no reading for {} s (reading_timeout_s); {} came before. Check its cable, "
-                      "its supply and that no other program has stopped it",
-                      timeout_s, accelerometer_.health().readings));
+      throw InstrumentError(context_.accelerometer_name(), Fault::kNoReply,
+                            fmt::format("no reading for {} s (reading_timeout_s), after {} readings. Check "
+                                        "the cable, the supply, and whether another program has stopped it",
+                                        timeout_s, accelerometer_.health().readings));
     }
   }
 }

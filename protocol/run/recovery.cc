@@ -19,7 +19,7 @@ void require_same(const std::string& name, const std::string& before, const std:
   if (before == now) return;
   throw InstrumentError(
       name, Fault::kWrongIdentity,
-      fmt::format("\"{}\" came back; required: the one that was unplugged, \"{}\"", now, before));
+      fmt::format("\"{}\" was plugged in; required: the instrument that was unplugged, \"{}\"", now, before));
 }
 
 }  // namespace
@@ -40,7 +40,7 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
     throw InstrumentError(
         lost.instrument(), Fault::kLinkLost,
         fmt::format("{}; ports have vanished {} times in this run; required: at most {} ([limits] "
-                    "max_replugs). Mend the cable, the plug or the hub before going on",
+                    "max_replugs). Replace the cable, the connector or the hub before continuing",
                     lost.detail(), times_lost_, limits.max_replugs));
   }
   bool stage_lost = instruments_.reconnector->stage_lost();
@@ -57,7 +57,7 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
   reopen(lost, stage_lost);
   if (!halt_stage(instruments_.stage).acknowledged) {
     throw InstrumentError(context_.stage_name(), Fault::kNoReply,
-                          "it is back, but does not acknowledge the halt: stop it by its own switch");
+                          "it came back but does not acknowledge the halt: stop it by its own switch");
   }
   journal.notify(kReconnectedEvent, fmt::format("{} is back; the run continues{}", name,
                                                 stage_lost ? " after homing both axes again" : ""));

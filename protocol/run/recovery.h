@@ -10,18 +10,18 @@
 
 namespace abcal {
 
-/// Opens the ports of a run again that vanished: a cable was pulled, a hub reset itself.
+/// Reopens ports of a run that vanished: a cable was unplugged, or a hub was reset.
 class Reconnector {
  public:
   virtual ~Reconnector() = default;
   /// Whether the stage is one of those that are gone.
   virtual bool stage_lost() const = 0;
-  /// Opens what is gone, with new drivers that know nothing yet of their instruments.
+  /// Opens the lost ports, with new drivers that have not identified their instruments yet.
   /// @throws InstrumentError kCannotOpen, kLinkLost: not back yet; what is back stays open.
   virtual void reconnect() = 0;
 };
 
-/// The instruments of a run, and the time they live in.
+/// The instruments of a run, and their clock.
 struct RunInstruments {
   RotationStage& stage;
   Accelerometer& accelerometer;
@@ -40,7 +40,7 @@ class Recovery {
   bool is_possible(const InstrumentError& error) const;
 
   /// Halts what can be halted, waits until what was unplugged is back (replug_timeout_s), and halts the stage
-  /// again, so that it stands still when the run goes on.
+  /// again, so that it is at rest when the run continues.
   /// @param position  In the plan, for the observer.
   /// @return whether the axes must be homed again: the stage was lost, and may have lost its supply.
   /// @throws InstrumentError kLinkLost: it did not come back, or vanished more often than max_replugs;

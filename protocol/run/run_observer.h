@@ -36,17 +36,17 @@ inline constexpr std::string_view kPortLostEvent = "lost";  ///< A port vanished
 /// The watchdog halted the stage; the text says why.
 inline constexpr std::string_view kWatchdogEvent = "watchdog";
 
-/// Told what a run does, while it does it. Must return at once: the hardware never waits for a screen.
+/// Receives what a run does, while it does it. Must return at once: the hardware never waits for a screen.
 class RunObserver {
  public:
   virtual ~RunObserver() = default;
   /// `position` is the index in the plan of the angle that is being worked on.
   virtual void phase(std::size_t position, RunPhase phase) = 0;
-  /// An angle is measured and on the disk.
+  /// An angle was measured and is on the disk.
   virtual void dwell(std::size_t position, const DwellRecord& dwell) = 0;
-  /// Something a person should know; it is in the run file too, as an event of this kind.
+  /// A message for a person; it is also in the run file, as an event of this kind.
   virtual void notice(std::string_view kind, std::string_view text) = 0;
-  /// Asked between two angles, and repeatedly while the answer is yes: the stage stays where it is.
+  /// Called between two angles, and repeatedly while the answer is yes: the stage stays where it is.
   virtual bool hold_wanted() { return false; }
 };
 

@@ -83,7 +83,7 @@ void Settling::wait_until_stable() {
   const LimitsConfig& limits = context_.settings.limits;
   const Tolerances& tolerances = context_.settings.tolerances;
   if (!(protocol.stability_s > 0.0)) return;
-  context_.journal.set_activity("waiting for outputs and temperature to be stable");
+  context_.journal.set_activity("waiting for stable outputs and temperature");
   context_.journal.phase(0, RunPhase::kWarmingUp);
   const Clock::Instant begin = context_.clock.now();
   const auto elapsed_s = [&] { return to_seconds(context_.clock.now() - begin); };
@@ -97,7 +97,7 @@ void Settling::wait_until_stable() {
           context_.accelerometer_name(), Fault::kImplausible,
           fmt::format("not stable for {} s within {} s (stability_s, stability_timeout_s); required: outputs "
                       "within {:.2g} of their norm, temperature within {:.2g} degC ([limits] stability, "
-                      "stability_degc). Let it warm up, keep draughts away",
+                      "stability_degc). Let the bench warm up, and avoid draughts",
                       protocol.stability_s, protocol.stability_timeout_s, stability_limit(limits, tolerances),
                       stability_limit_degc(limits, tolerances)));
     }
@@ -112,7 +112,7 @@ void Settling::wait_until_stable() {
 
 void Settling::learn_noise() {
   const ProtocolConfig& protocol = context_.settings.protocol;
-  context_.journal.set_activity("waiting for the accelerometer to be quiet before the first angle");
+  context_.journal.set_activity("waiting for quiet outputs before the first angle");
   const Clock::Instant begin = context_.clock.now();
   readings_.discard_pending();
   const Clock::Instant last = begin + from_seconds(protocol.settle_s + protocol.quiet_timeout_s);

@@ -11,14 +11,14 @@
 
 namespace abcal {
 
-/// Readings in one window that is looked at for a slope or for spread.
+/// Readings in one window that is tested for slope and spread.
 std::size_t quiet_window_size(const ProtocolConfig& protocol, double rate_hz);
 
 /// The spreads (R, of one reading) of the latest dwells, and their median: what noise usually does.
 class SpreadHistory {
  public:
   /// An output that did not change at all is left out where another one spreads by more than two steps of the
-  /// resolution (R; 0: not known): it is frozen, and says nothing of its noise.
+  /// resolution (R; 0: not known): it is frozen and does not show its noise.
   void add(const Eigen::Vector3d& spread, double resolution);
   /// Nothing before the first; NaN for an output that was frozen so far.
   std::optional<Eigen::Vector3d> median() const;
@@ -41,7 +41,7 @@ class Settling {
   /// @throws InstrumentError kImplausible after stability_timeout_s more. RunInterrupted.
   void wait_until_stable();
 
-  /// Measures the spread of readings while the stage stands still: what later angles must come down to.
+  /// Measures the spread of readings while the stage is at rest: the reference for later angles.
   /// Waits for a ring-down of the last motion to end: until the spread of five windows is no longer below
   /// that of the five before.
   void learn_noise();

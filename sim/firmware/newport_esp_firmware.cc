@@ -221,7 +221,7 @@ class NewportEspFirmware::Controller {
   void take_line(const std::string& line);
   void run_line(std::string_view line);
   void run_command(std::string_view text);
-  void say(const std::string& text);
+  void send(const std::string& text);
   void update();
   void remember(int code);
   Error take_error();
@@ -530,20 +530,20 @@ void NewportEspFirmware::Controller::run_command(std::string_view text) {
   try {
     const auto reply =
         kept != kept_settings().end() ? keep(name, kept->second, command) : (this->*found->second)(command);
-    if (reply) say(*reply);
+    if (reply) send(*reply);
   } catch (const Refusal& refusal) {
     remember(refusal.code);
   }
 }
 
-void NewportEspFirmware::Controller::say(const std::string& text) {
+void NewportEspFirmware::Controller::send(const std::string& text) {
   replies_.push(text + settings_.line_end, std::max(now_, silent_until_) + settings_.reply_delay);
 }
 
 void NewportEspFirmware::Controller::remember(int code) {
   if (errors_.size() >= kErrorMemory) errors_.pop_front();
   errors_.push_back({code, now_});
-  if (settings_.unsolicited_errors && code >= 35 && code <= 42) say(fmt::format("E{}", code));
+  if (settings_.unsolicited_errors && code >= 35 && code <= 42) send(fmt::format("E{}", code));
 }
 
 NewportEspFirmware::Controller::Error NewportEspFirmware::Controller::take_error() {

@@ -207,7 +207,7 @@ TEST_F(BrokenOutputTest, TheEmulatorListensOnTheLoopbackUnlessAnAddressIsGiven) 
   write_bench(wrong);
   const test::ProgramResult refused = abcal({"emulate", "bench.toml"});
   EXPECT_EQ(refused.exit_code, 2);
-  EXPECT_THAT(refused.err, HasSubstr("\"port\" is no port number"));
+  EXPECT_THAT(refused.err, HasSubstr("\"port\" is not a port number"));
 }
 
 }  // namespace

@@ -95,7 +95,7 @@ k2 = { vlaue = 1e-3 }
   EXPECT_THAT(text, HasSubstr("line 13, [stage_uncertainty] zero_deg: found nan"));
   EXPECT_THAT(text,
               HasSubstr("line 14, [stage_uncertainty] step_smoth_deg: found a key of this name; required: a "
-                        "known one: did you mean \"step_smooth_deg\"?"));
+                        "known key: did you mean \"step_smooth_deg\"?"));
   EXPECT_THAT(text, HasSubstr("line 15, [stage_uncertainty] alignment_deg: found a source without a value"));
   EXPECT_THAT(
       text,
@@ -119,7 +119,7 @@ TEST(EffectKeysTest, TheOldSectionIsReadAndSaidToBeOld) {
   EXPECT_EQ(config.tolerances.drift, 3e-5);
   EXPECT_EQ(config.tolerances.sources.at("step_deg"), "tolerances");
   ASSERT_EQ(config.warnings.size(), 1U);
-  EXPECT_THAT(config.warnings[0], HasSubstr("[tolerances] is the section of abcal.bench/1"));
+  EXPECT_THAT(config.warnings[0], HasSubstr("[tolerances] belongs to the older schema abcal.bench/1"));
   EXPECT_THAT(config.warnings[0], HasSubstr("[stage_uncertainty] step_deg, [item_uncertainty] drift"));
   EXPECT_EQ(config.schema, "abcal.bench/2");
   EXPECT_TRUE(bench_with("[tolerances]\n").warnings.empty()) << "an empty section states nothing";

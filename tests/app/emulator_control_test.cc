@@ -254,7 +254,7 @@ TEST_F(EmulatorProcessTest, AnEmulatedAccelerometerFollowsAStageThatAnotherProgr
       {"emulate", "follow.toml", "--link-dir", "follow", "--follow-stage", "--control", "0"}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return following.out().find("Serving") != std::string::npos; }, 20s))
       << following.err();
-  EXPECT_THAT(following.out(), HasSubstr("follows the stage"));
+  EXPECT_THAT(following.out(), HasSubstr("follows the encoders"));
   EXPECT_FALSE(std::filesystem::exists(folder / "follow/stage"));
   EXPECT_TRUE(std::filesystem::exists(folder / "follow/accelerometer"));
   // A stage that is lost ends it: an accelerometer that no longer follows would tell lies.

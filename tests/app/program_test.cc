@@ -93,6 +93,10 @@ TEST_F(ProgramTest, LevelFindsTheTiltOfTheStageAndItsReadingsAreARunThatVerifies
   EXPECT_EQ(verified.exit_code, 0) << verified.out;
   EXPECT_THAT(verified.out, Not(HasSubstr("again")));
   EXPECT_EQ(abcal({"level", "bench.toml", "-o", "a.level.json"}).exit_code, 2) << "never overwritten";
+  const ProgramResult again = abcal({"level", "--from", "a.level.run", "-o", "again.level.json"});
+  EXPECT_EQ(again.exit_code, 0) << again.err;
+  EXPECT_EQ(test::read_file(folder / "again.level.json"), test::read_file(folder / "a.level.json"));
+  EXPECT_EQ(abcal({"level"}).exit_code, 2) << "neither a bench nor readings";
 }
 
 /// Programs that keep their analyses of one run at the same time. Each round begins without results.

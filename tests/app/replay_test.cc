@@ -188,7 +188,7 @@ TEST_F(EmulatedBenchTest, ARunThatWasKilledIsReplayedAsFarAsItReached) {
   run.wait();
   const ProgramResult replay = abcal({"replay", "a.run"});
   EXPECT_EQ(replay.exit_code, 3) << replay.err;
-  EXPECT_THAT(replay.err, AllOf(HasSubstr("the recording ends here"), HasSubstr("without a word")));
+  EXPECT_THAT(replay.err, AllOf(HasSubstr("the recording ends here"), HasSubstr("without a message")));
   expect_same_dwells(RunFile::load(folder / "a.run"), RunFile::load(folder / "a-replay.run"));
 }
 

@@ -87,7 +87,7 @@ class StageWatchdogTest : public testing::Test {
 TEST_F(StageWatchdogTest, HaltsAStageThatNobodyHearsOfAndTheRunIsTold) {
   dog->move_to(StageAxis::kX, Angle::degrees(30));
   ASSERT_TRUE(stage->wait_for_halt());  // The measuring thread hangs here.
-  EXPECT_THAT(next_error(), HasSubstr("the watchdog halted it"));
+  EXPECT_THAT(next_error(), HasSubstr("the watchdog halted the stage"));
   EXPECT_THROW(dog->move_to(StageAxis::kZ, {}), InstrumentError);
   dog->identify();  // A new beginning.
   EXPECT_NO_THROW(dog->encoder_angle(StageAxis::kX));
@@ -144,7 +144,7 @@ TEST(StageWatchdog, TheFirstCauseIsToldNotThatTheStageIsBeingHalted) {
     FAIL() << "nothing was thrown";
   } catch (const InstrumentError& error) {
     EXPECT_EQ(error.fault(), Fault::kStalled);
-    EXPECT_THAT(error.what(), HasSubstr("the watchdog halted it"));
+    EXPECT_THAT(error.what(), HasSubstr("the watchdog halted the stage"));
   }
 }
 

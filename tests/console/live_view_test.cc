@@ -81,7 +81,7 @@ TEST_F(LiveViewTest, TellsTheTimeLeftFromWhatTheLatestAnglesTook) {
   }
   EXPECT_EQ(measure(5)["progress"]["left_s"], 6 * 4.0);
   // An hour's hold is no angle's time.
-  apply(PhaseSeen{6, RunPhase::kHolding});
+  apply(PhaseSeen{6, RunPhase::kHolding, {}});
   clock.advance(std::chrono::hours(1));
   EXPECT_EQ(measure(6)["progress"]["left_s"], 5 * 4.0);
 }

@@ -20,6 +20,7 @@ contents "$library" >"$work/library.list"
 for file in usr/bin/abcal usr/libexec/abcal/abcal-hdf5 usr/libexec/abcal/abcal-sign usr/share/man/man1/abcal.1.gz usr/share/man/man1/abcal-run.1.gz \
     usr/share/bash-completion/completions/abcal usr/share/zsh/vendor-completions/_abcal \
     usr/lib/udev/rules.d/60-abcal.rules usr/lib/systemd/system/abcal-console.service \
+    usr/lib/systemd/system/abcal-bench.service usr/libexec/abcal/abcal-guard \
     usr/share/doc/abcal/certificate.md usr/share/doc/abcal/examples/simulated.toml usr/share/doc/abcal/copyright \
     usr/share/doc/abcal/changelog.gz usr/share/doc/abcal/changelog.Debian.gz; do
   grep -qx "./$file" "$work/program.list" || fail "the package abcal has no $file"
@@ -32,6 +33,14 @@ grep -q '/libabcal_estimators.a$' "$work/library.list" || fail "libabcal-dev has
 if grep -E '\.(a|h|cmake)$' "$work/program.list"; then fail "these belong into libabcal-dev"; fi
 dpkg-deb --fsys-tarfile "$program" | tar -xO ./usr/lib/systemd/system/abcal-console.service |
   grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' || fail "the service starts another program"
+# What a process that is attacked could reach: systemd's figure, 0 to 10.
+if command -v systemd-analyze >/dev/null; then
+  for service in abcal-bench abcal-console; do
+    dpkg-deb --fsys-tarfile "$program" | tar -xO "./usr/lib/systemd/system/$service.service" >"$work/$service.service"
+    systemd-analyze security --offline=true --threshold=20 --no-pager "$work/$service.service" >"$work/exposure" ||
+      fail "$service.service: $(tail -1 "$work/exposure"); required: at most 2.0"
+  done
+fi
 # Installed, but nobody enabled it.
 if grep -q 'systemd/system/.*\.wants/' "$work/program.list"; then fail "the service is enabled"; fi
 

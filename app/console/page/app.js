@@ -1,55 +1,160 @@
-import {byId} from '/text.js';
-import {Link} from '/link.js';
+import {byId, duration} from '/text.js';
+import {Link, UNCONFIRMED_AFTER_MS} from '/link.js';
 import {LiveView} from '/live.js';
+import {canMove, stateOf} from '/state.js';
+import {offerTimes, timeElement} from '/time.js';
 import {showChart, showCompare, showRun, showRuns} from '/runs.js';
 
 const live = new LiveView();
-let me = null, controller = null, activity = {activity: 'idle', hold_asked: false, stop_asked: false};
+let me = null, steering = {page: null}, bench = {state: 'on'};
+let hadControl = false;
+const USE_THE_SWITCH = 'use the switch on the stage';
 
 const link = new Link((message) => {
-  if (message.type === 'you') me = message.number;
-  if (message.type === 'control') controller = message.page;
-  if (message.type === 'snapshot') {
-    activity = message.activity;
-    const {program, bench_file: bench} = message.about;
-    byId('bench-name').textContent = bench;
-    document.title = `${bench} – abcal console`;
-    byId('link').title = program;
+  if (message.type === 'you') {
+    me = message.number;
+    byId('lost-control').replaceChildren();
+    if (hadControl) lostControl('this page lost its connection');
   }
-  if (message.type === 'activity') activity = message;
+  if (message.type === 'control') {
+    if (hadControl && message.page !== me) lostControl(message.page === null ? 'nobody has it now' : `${message.who} has taken it`);
+    hadControl = message.page === me;
+    steering = message;
+  }
+  if (message.type === 'snapshot') {
+    byId('bench-name').textContent = message.about.bench_file;
+    byId('link').title = message.about.program;
+    bench = message.bench ?? {state: 'on'};
+    if (message.halt) showHalt(message.halt);
+    else if (message.activity.activity === 'idle') byId('halt').textContent = '';
+  }
+  if (message.type === 'bench') bench = message;
+  if (message.type === 'activity' && message.activity !== 'idle' && live.activity?.activity === 'idle') byId('halt').textContent = '';
+  if (message.type === 'halt') showHalt(message);
   live.receive(message);
-  offer();
-}, (connected) => {
-  byId('link').textContent = connected ? 'Connected' : 'No connection; trying again. The run does not depend on it.';
-  if (!connected) { me = null; controller = null; }
-  offer();
+  show();
+}, () => {
+  if (!link.connected) { me = null; steering = {page: null}; }
+  show();
 });
 
+function lostControl(why) {
+  hadControl = false;
+  byId('lost-control').replaceChildren('This page no longer has control: ', why, ' (', timeElement(new Date(), 'clock'), ').');
+}
+
+// What is known, and since when; nothing that is not known now looks as if it were.
+function show() {
+  const contact = link.contact, known = live.activity !== undefined;
+  document.body.classList.toggle('no-contact', !contact);
+  live.setContact(contact);
+  byId('link').textContent = contact ? 'Connected' : 'No contact';
+  const silent = byId('contact');
+  if (contact) {
+    if (silent.childNodes.length) silent.replaceChildren();
+  } else if (link.heardUtc === null) {
+    silent.replaceChildren('No contact with the console yet.');
+  } else {
+    const words = [`No contact for ${Math.round(link.silentMs / 1000)} s, last known at `, timeElement(link.heardUtc, 'clock'), '. The stage may be moving: ', USE_THE_SWITCH, ' to stop it.'];
+    silent.replaceChildren(...words);
+  }
+  const state = stateOf({known, activity: live.activity, phase: live.phase, ended: live.ended, fault: live.fault, bench});
+  showState(contact ? state : {...state, kind: 'lost', icon: 'lost'}, contact);
+  offer(contact);
+}
+
+let shown = '';
+function showState(state, contact) {
+  const word = contact ? state.word : 'No contact';
+  const sentence = contact || state.word === 'No contact' ? state.sentence : `Last known: ${state.word}. ${state.sentence}`;
+  const limit = contact && state.limit ? `Limit: ${duration(state.limit.seconds)} ${state.limit.words}.` : '';
+  const more = [state.fault && `At fault: ${state.fault}.`, limit, state.todo].filter(Boolean).join(' ');
+  const now = JSON.stringify([word, sentence, more, state.kind, state.icon]);
+  const {measured, total} = live.progress ?? {};
+  const count = total && canMove(live.activity) ? `, ${measured} of ${total}` : '';
+  document.title = `${word}${contact ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
+  if (now === shown) return;
+  shown = now;
+  byId('banner').dataset.kind = state.kind;
+  byId('banner-icon').firstElementChild.setAttribute('href', `#icon-${state.icon}`);
+  byId('banner-word').textContent = word;
+  if (byId('state').textContent !== sentence) byId('state').textContent = sentence;
+  byId('banner-more').textContent = more;
+  byId('favicon').href = `/favicon-${state.kind}.svg`;
+}
+
 // What can be asked for now.
-function offer() {
-  const steer = me !== null && controller === me;
-  const what = activity.activity;
+function offer(contact) {
+  const steer = contact && me !== null && steering.page === me;
+  const activity = live.activity ?? {activity: 'idle', hold_asked: false, stop_asked: false}, what = activity.activity;
   const set = (id, possible) => { byId(id).disabled = !possible; };
-  byId('take-control').textContent = steer ? 'Release control' : controller === null ? 'Take control' : 'Take control from the other page';
-  set('take-control', me !== null);
+  const other = steering.page !== null && steering.page !== me;
+  byId('take-control').textContent = steer ? 'Release control' : other ? 'Take control from the other page' : 'Take control';
+  byId('who-steers').textContent = other ? `${steering.who} steers${steering.silent ? ', and does not answer' : ''}.` : '';
+  set('take-control', contact && me !== null);
   for (const id of ['do-check', 'do-start', 'do-jog']) set(id, steer && what === 'idle');
   set('do-hold', steer && what === 'running' && !activity.hold_asked && !activity.stop_asked);
   set('do-continue', steer && what === 'running' && activity.hold_asked && !activity.stop_asked);
-  set('do-stop', steer && what !== 'idle' && what !== 'analysing' && !activity.stop_asked);
+  // Everybody may stop, with control or without, as long as anything can move or nobody knows whether it does.
+  const mayMove = canMove(activity) || (!contact && link.heardUtc !== null) || bench.state !== 'on';
+  for (const id of ['do-stop', 'dialog-stop']) set(id, mayMove);
   const mayResume = steer && what === 'idle';
   document.body.classList.toggle('may-resume', mayResume);
   for (const button of document.querySelectorAll('button.resume')) button.disabled = !mayResume;
   for (const control of byId('note-form').elements) control.disabled = !(steer && what === 'running');
 }
 
-export async function ask(request) {
+// Sends a request, and says what became of it: sent, done, refused, or not confirmed.
+async function ask(name, request, {moves = true} = {}) {
+  const say = (words) => { byId('reply').textContent = `${name}: ${words}`; };
+  const advice = moves ? `: ${USE_THE_SWITCH}` : '';
+  say('sent');
+  const late = setTimeout(() => say(`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s${advice}`), UNCONFIRMED_AFTER_MS);
   const reply = await link.ask(request);
-  byId('reply').textContent = reply.ok ? '' : `Refused: ${reply.why}`;
+  clearTimeout(late);
+  if (reply.ok) say('done');
+  else if (reply.unsent) say(`not sent, ${reply.why}${advice}`);
+  else if (reply.lost) say(`not confirmed, ${reply.why}${advice}`);
+  else say(`refused: ${reply.why}`);
   return reply.ok;
 }
 
+// Stop is sent at once and by anybody; it is done when each axis has said that it stands still.
+let stopping = null;  // While the axes have not answered.
+async function stop() {
+  clearTimeout(stopping);
+  const say = (words) => { byId('halt').textContent = words; };
+  say('Stop: sent');
+  const unconfirmed = () => say(`Stop: not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s: ${USE_THE_SWITCH}`);
+  stopping = setTimeout(unconfirmed, UNCONFIRMED_AFTER_MS);
+  const reply = await link.ask({do: 'stop'});
+  if (reply.ok) return;
+  clearTimeout(stopping);
+  say(reply.unsent ? `Stop: not sent, ${reply.why}: ${USE_THE_SWITCH}` : reply.lost ? `Stop: not confirmed, ${reply.why}: ${USE_THE_SWITCH}` : `Stop: refused: ${reply.why}`);
+}
+
+function showHalt({axes, took_s: took, since}) {
+  clearTimeout(stopping);
+  const all = axes.x === 'halted' && axes.z === 'halted';
+  const words = {halted: 'has halted', unreachable: 'is unreachable and may be moving'};
+  byId('halt').replaceChildren(`Axis X ${words[axes.x]}. Axis Z ${words[axes.z]}. (${took.toFixed(2)} s, `, timeElement(since, 'clock'), ')', all ? '' : ` Use the switch on the stage.`);
+}
+
+byId('do-stop').addEventListener('click', stop);
+byId('dialog-stop').addEventListener('click', stop);
+let escaped = -Infinity;
+addEventListener('keydown', (event) => {
+  if (event.key !== 'Escape' || event.repeat) return;
+  if (performance.now() - escaped < 1000) {
+    escaped = -Infinity;
+    if (!byId('do-stop').disabled) stop();
+  } else {
+    escaped = performance.now();
+  }
+}, {capture: true});
+
 // A person's yes, by a dialog that begins at "Cancel".
-export function confirmed(title, text, yes) {
+function confirmed(title, text, yes) {
   const dialog = byId('confirm');
   byId('confirm-title').textContent = title;
   byId('confirm-text').textContent = text;
@@ -62,54 +167,60 @@ export function confirmed(title, text, yes) {
 
 const CLEAR = 'Is the stage free to turn, and is everybody clear of it?';
 byId('take-control').addEventListener('click', async () => {
-  if (controller === me) return ask({do: 'control', release: true});
-  if (controller === null) return ask({do: 'control'});
-  if (await confirmed('Take control from the other page?', 'Another page steers this bench. It will then only watch.', 'Take control'))
-    await ask({do: 'control', from_another: true});
+  const control = (more) => ask('Control', {do: 'control', ...more}, {moves: false});
+  if (steering.page !== null && steering.page === me) {
+    hadControl = false;
+    return control({release: true});
+  }
+  if (steering.page === null) return control({});
+  if (await confirmed('Take control from the other page?', `${steering.who} steers this bench. That page will then only watch, and is told who took over.`, 'Take control'))
+    await control({from_another: true});
 });
 byId('do-check').addEventListener('click', async () => {
   if (await confirmed('Check the bench?', `Both instruments are identified, the accelerometer is read at rest, and both axes are turned by 30 degrees. ${CLEAR}`, 'Check, and turn the stage'))
-    await ask({do: 'check', with_motion: true, confirmed: true});
+    await ask('Check', {do: 'check', with_motion: true, confirmed: true});
 });
 byId('do-start').addEventListener('click', async () => {
   if (await confirmed('Start a run?', `The stage moves through all three experiments. ${CLEAR}`, 'Start, and turn the stage'))
-    await ask({do: 'start', confirmed: true});
+    await ask('Start', {do: 'start', confirmed: true});
 });
-byId('do-hold').addEventListener('click', () => ask({do: 'hold'}));
+byId('do-hold').addEventListener('click', () => ask('Hold', {do: 'hold'}));
 byId('do-continue').addEventListener('click', async () => {
   if (await confirmed('Continue the run?', `The stage moves on. ${CLEAR}`, 'Continue, and turn the stage'))
-    await ask({do: 'continue', confirmed: true});
+    await ask('Continue', {do: 'continue', confirmed: true});
 });
-// At once: to stop needs no confirmation.
-byId('do-stop').addEventListener('click', () => ask({do: 'stop'}));
 byId('note-form').addEventListener('submit', async (event) => {
   event.preventDefault();
-  if (await ask({do: 'note', text: byId('note').value})) byId('note').value = '';
+  if (await ask('Note', {do: 'note', text: byId('note').value}, {moves: false})) byId('note').value = '';
 });
 byId('jog-form').addEventListener('submit', async (event) => {
   event.preventDefault();
   const axis = byId('jog-axis').value, by = Number(byId('jog-by').value);
   if (await confirmed(`Turn axis ${axis.toUpperCase()} by ${by} degrees?`, `It is homed first if it is not homed. ${CLEAR}`, 'Turn the stage'))
-    await ask({do: 'jog', axis, by_deg: by, confirmed: true});
+    await ask('Jog', {do: 'jog', axis, by_deg: by, confirmed: true});
 });
 
 // Of a run whose angles are all measured only the analysis is missing: nothing moves.
 async function resume(run, measured) {
   if (!measured && !(await confirmed(`Resume ${run}?`, `Both axes are homed, the last angle is measured again, and the run continues. ${CLEAR}`, 'Resume, and turn the stage'))) return;
-  if (await ask({do: 'resume', run, confirmed: true})) location.hash = '#live';
+  if (await ask(measured ? 'Analyse' : 'Resume', {do: 'resume', run, confirmed: true}, {moves: !measured})) location.hash = '#live';
 }
+byId('resume-interrupted').addEventListener('click', () => resume(live.interrupted.file, live.interrupted.measured === live.interrupted.planned));
 
 function route() {
   const [view, ...rest] = location.hash.slice(1).split('/');
+  const kiosk = view === 'kiosk';
   const name = ['live', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
+  document.body.classList.toggle('kiosk', kiosk);
   if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0])) : showRuns(resume);
   if (name === 'compare') showCompare();
   if (name === 'chart') showChart();
   for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${name}`;
   for (const a of document.querySelectorAll('nav a')) {
-    if (a.hash === `#${name}`) a.setAttribute('aria-current', 'page'); else a.removeAttribute('aria-current');
+    if (a.hash === `#${name}` && !kiosk) a.setAttribute('aria-current', 'page'); else a.removeAttribute('aria-current');
   }
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
+offerTimes(byId('times'), () => { live.dirty.add('strip'); if (location.hash.startsWith('#chart')) route(); });
 route();
-offer();
+show();

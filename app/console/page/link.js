@@ -1,40 +1,62 @@
-// The WebSocket: messages in, requests out; connects again by itself.
+// The WebSocket: messages in, requests out; connects again by itself. Knows when the bench was last heard: each second it
+// sends a beat, which is answered.
+export const SILENT_AFTER_MS = 3000;
+export const UNCONFIRMED_AFTER_MS = 2000;
+
 export class Link {
-  constructor(onMessage, onState) {
+  // onMessage gets each message; onContact() is called each second and whenever contact begins or ends.
+  constructor(onMessage, onContact) {
     this.onMessage = onMessage;
-    this.onState = onState;
+    this.onContact = onContact;
     this.waiting = new Map();
     this.lastId = 0;
     this.wait = 500;
+    this.heard = null;     // performance.now() of the last beat
+    this.heardUtc = null;  // The same moment by this computer's clock.
     this.open();
+    setInterval(() => this.onContact(), 1000);
   }
+
+  get connected() { return this.socket.readyState === WebSocket.OPEN; }
+  // How long nothing has been heard; Infinity: never.
+  get silentMs() { return this.heard === null ? Infinity : performance.now() - this.heard; }
+  get contact() { return this.connected && this.silentMs < SILENT_AFTER_MS; }
 
   open() {
     const scheme = location.protocol === 'https:' ? 'wss:' : 'ws:';
     this.socket = new WebSocket(`${scheme}//${location.host}/live`);
-    this.socket.onopen = () => { this.wait = 500; this.onState(true); };
-    this.socket.onmessage = (event) => {
-      const message = JSON.parse(event.data);
-      if (message.type === 'reply') {
-        const resolve = this.waiting.get(message.id);
-        this.waiting.delete(message.id);
-        if (resolve) resolve(message);
-      } else {
-        this.onMessage(message);
-      }
-    };
+    this.socket.onopen = () => { this.wait = 500; };
+    this.socket.onmessage = (event) => this.receive(JSON.parse(event.data));
     this.socket.onclose = () => {
-      this.onState(false);
-      for (const resolve of this.waiting.values()) resolve({ok: false, why: 'the connection was lost; check the state before you try again'});
+      for (const resolve of this.waiting.values()) resolve({ok: false, lost: true, why: 'the connection was lost before the answer'});
       this.waiting.clear();
+      this.onContact();
       setTimeout(() => this.open(), this.wait);
       this.wait = Math.min(2 * this.wait, 8000);
     };
   }
 
-  // The answer: {ok, why}.
+  receive(message) {
+    if (message.type === 'reply') {
+      const resolve = this.waiting.get(message.id);
+      this.waiting.delete(message.id);
+      if (resolve) resolve(message);
+      return;
+    }
+    // A beat, or the whole state to begin with; anything else may have been on its way for long.
+    if (message.type === 'beat' || message.type === 'snapshot') {
+      const before = this.contact;
+      this.heard = performance.now();
+      this.heardUtc = new Date();
+      if (message.type === 'beat') this.socket.send('{"do":"beat"}');
+      if (!before) this.onContact();
+    }
+    this.onMessage(message);
+  }
+
+  // The answer: {ok, why}; `lost`: none came, and nobody knows whether the request was carried out.
   ask(request) {
-    if (this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ok: false, why: 'there is no connection to the console'});
+    if (!this.connected) return Promise.resolve({ok: false, unsent: true, why: 'there is no connection to the console'});
     const id = ++this.lastId;
     return new Promise((resolve) => {
       this.waiting.set(id, resolve);

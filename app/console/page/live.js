@@ -2,9 +2,8 @@
 import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
 import {drawGimbal} from '/gimbal.js';
 import {OUTPUTS, plot, series} from '/plots.js';
+import {timeElement} from '/time.js';
 
-const PHASES = {homing: 'The axes are homed', 'warming up': 'Warming up', held: 'Held; the stage stands still', 'waiting for a port to come back': 'A port has vanished; waiting for it to come back',
-  moving: 'The stage moves', settling: 'Waiting until the outputs are quiet', reading: 'Reading the accelerometer', parking: 'The stage goes to zero'};
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 
 export class LiveView {
@@ -57,6 +56,7 @@ alignedLeft: true,
       this.setProgress(this.run.progress);
       byId('run-file').textContent = this.run.file || DASH;
       byId('item').textContent = this.run.item || DASH;
+      byId('simulated').textContent = this.run.simulated ? `SIMULATED: ${this.run.simulated}` : '';
       byId('time').textContent = this.run.pace === null ? 'real' : `simulated, ${this.run.pace} times as fast as real time`;
       for (const {response, residual} of this.charts) {
         response.options.scales.y.title.text = `output (${this.run.unit})`;
@@ -71,7 +71,10 @@ alignedLeft: true,
     if (message.checks) this.checks(message.checks);
     this.activity = message.activity;
     this.phase = message.phase;
+    this.fault = message.fault;
     this.ended = this.run ? this.run.ended : null;
+    this.interrupted = message.interrupted;
+    byId('guard').textContent = message.guard ?? '';
     this.words();
     this.dirty = new Set(['strip', 'table', 0, 1, 2]);
   }
@@ -81,12 +84,19 @@ alignedLeft: true,
       case 'snapshot': this.snapshot(message); break;
       case 'activity':
         if (message.activity === 'checking') this.stripData = [];  // The readings begin again, and their time with them.
+        if (message.activity !== 'idle') { this.fault = null; this.interrupted = null; }
+        if (message.activity === 'idle') this.phase = null;
         this.activity = message;
         this.words();
         break;
       case 'phase': this.phase = message; this.words(); break;
       case 'stage': this.stage(message.axis, message); break;
+      case 'fault': this.fault = message; break;
+      case 'guard': byId('guard').textContent = message.words; break;
+      case 'interrupted': this.interrupted = message.run; this.words(); break;
       case 'strip':
+        // The readings have begun again: what was before belongs to another axis of time.
+        if (this.stripData.length && message.group.stream !== this.stripData.at(-1).stream) this.stripData = [];
         this.stripData.push(message.group);
         if (this.stripData.length > STRIP_SECONDS_OF_GROUPS) this.stripData.shift();
         this.dirty.add('strip');
@@ -104,35 +114,37 @@ alignedLeft: true,
         break;
       case 'log': this.log(message.line); break;
       case 'checks': this.checks(message.findings); break;
-      case 'ended': this.ended = message; this.words(); break;
+      case 'ended': this.ended = message; this.interrupted = message.interrupted; this.words(); break;
     }
   }
 
-  // One sentence that a screen reader says; angles alone are not announced each time.
+  // Whether the server is heard; what is not known now does not count on.
+  setContact(contact) {
+    if (this.contact === contact) return;
+    if (contact) this.leftSince = performance.now();
+    this.contact = contact;
+    this.countDown();
+  }
+
   words() {
     const what = this.activity ? this.activity.activity : 'idle';
-    let text = 'No run is in progress.';
-    if (what === 'running') {
-      text = this.phase ? PHASES[this.phase.phase] ?? this.phase.phase : 'The run begins';
-      if (this.activity.hold_asked && this.phase && this.phase.phase !== 'held') text += '; it holds after this angle';
-    } else if (what === 'checking') {
-      text = 'Checking the bench';
-    } else if (what === 'jogging') {
-      text = 'The stage is jogged';
-    } else if (what === 'analysing') {
-      text = 'All angles are measured; the run is being analysed';
-    } else if (this.ended) {
-      text = this.ended.complete ? `The run is complete. Result: ${this.ended.words}` : `The run is interrupted and can be resumed: ${this.ended.words}`;
-    }
-    if (what !== 'idle' && this.activity.stop_asked) text = 'Stopping: the stage is halted';
-    const state = byId('state');
-    if (state.textContent !== text) state.textContent = text;
     const planned = this.run && this.phase ? this.run.plan[this.phase.position] : null;
     const held = this.phase && this.phase.phase === 'held';
     byId('angle').textContent = planned && what === 'running'
       ? `${held ? 'next: ' : ''}${planned.check ? `check pose ${planned.n}`
         : `experiment ${planned.experiment}, ${number(planned.alpha_deg, 1, 'degrees')}${planned.closing ? ' (closing angle)' : ''}`}` : DASH;
     this.settling();
+    this.offerInterrupted();
+  }
+
+  // A run that a person may go on with.
+  offerInterrupted() {
+    const run = this.interrupted;
+    byId('interrupted').hidden = !run || this.activity.activity !== 'idle';
+    if (!run) return;
+    const at = run.angle ? ` at ${run.angle}` : '';
+    byId('interrupted-words').replaceChildren(`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
+      run.words ? `${run.words} ` : '', 'Nothing moves until a person resumes it.');
   }
 
   // Whether all is still now; else how long that took at the angle measured last.
@@ -144,6 +156,7 @@ alignedLeft: true,
   }
 
   setProgress(progress) {
+    this.progress = progress;
     this.left = progress.left_s;
     this.leftSince = performance.now();
     byId('measured').textContent = `${progress.measured} of ${progress.total}`;
@@ -152,6 +165,7 @@ alignedLeft: true,
   }
 
   countDown() {
+    if (this.contact === false) return;  // Nobody knows whether it goes on.
     const on = this.activity && this.activity.activity === 'running' && !(this.phase && this.phase.phase === 'held');
     if (!on || this.left === null || this.left === undefined) {
       if (!on) this.leftSince = performance.now();
@@ -174,7 +188,7 @@ alignedLeft: true,
     const log = byId('log');
     const atEnd = log.scrollHeight - log.scrollTop - log.clientHeight < 30;
     log.append(element('li', {class: `grade-${line.grade}`},
-      element('time', {datetime: line.utc}, new Date(line.utc).toLocaleTimeString()),
+      timeElement(line.utc, 'clock'),
       line.grade === 'info' ? line.text : `${line.grade}: ${line.text}`));
     while (log.children.length > 200) log.firstChild.remove();
     if (atEnd) log.scrollTop = log.scrollHeight;

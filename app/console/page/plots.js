@@ -37,6 +37,7 @@ function tick(value, index, ticks) {
 }
 
 function draw(canvas, type, data, {x, y, legend = true, xRange = {}, alignedLeft = false}) {
+  const linesOnly = data.datasets.every((set) => set.pointStyle === 'line');  // Wide enough to show their dashes.
   const chart = new Chart(canvas, {
     type,
     data,
@@ -44,7 +45,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}, alignedLeft
       animation: false, responsive: true, maintainAspectRatio: false,
       interaction: {mode: 'nearest', intersect: false},
       scales: {x: axis(x, xRange), y: axis(y, {...(alignedLeft ? aligned : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
   made.add(chart);

@@ -1,9 +1,10 @@
 // The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
 import {byId, decimals, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {timeElement, timeText} from '/time.js';
 import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 
 const VERDICTS = {usable: 'Usable', doubtful: 'Doubtful', not_usable: 'Not usable'};
-const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read'};
+const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read', 'not read yet': 'is being read'};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
 const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Go on'];
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
@@ -26,7 +27,7 @@ async function fetchJson(path) {
 }
 
 const encoded = (name) => encodeURIComponent(name);
-const day = (utc) => (utc ? utc.replace('T', ' ').slice(0, 16) + ' UTC' : DASH);
+const day = (utc) => timeElement(utc, 'day');
 
 function clearCharts() {
   while (charts.length) discard(charts.pop());
@@ -47,9 +48,18 @@ export async function showRuns(resume) {
   } catch (error) {
     return say('run-table', error);
   }
+  // Many runs are read in steps; what is there is shown meanwhile.
+  const unread = list.filter((run) => run.state === 'not read yet').length;
+  byId('run-loading').textContent = unread ? `Reading: ${unread} of ${list.length} runs are still to come.` : '';
+  if (unread) setTimeout(() => { if (location.hash === '#runs') showRuns(resume); }, 200);
   const search = byId('run-search');
   search.oninput = () => drawList(resume);
   drawList(resume);
+}
+
+// A run of simulated instruments never looks like a calibration.
+export function simulatedMark(run) {
+  return element('strong', {class: 'simulated', title: `Simulated: ${run.simulated}`}, 'SIMULATED');
 }
 
 function matches(run, words) {
@@ -78,7 +88,7 @@ function drawList(resume) {
       cell(1, run.item || DASH),
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
-      cell(4, run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? ', not analysed' : ''}`),
+      cell(4, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? ', not analysed' : ''}`),
       cell(5, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
       cell(6, duration(run.duration_s)),
       actions);
@@ -127,8 +137,9 @@ const card = (title, content) => element('section', {class: 'card block'}, eleme
 
 function verdict(result, run) {
   const notes = result.diagnostics.notes;
-  return element('div', {class: `verdict verdict-${result.verdict}`, id: 'verdict'},
-    element('p', {}, element('strong', {}, `${VERDICTS[result.verdict]}. `), result.why,
+  return element('div', {class: `verdict verdict-${run.simulated ? 'simulated' : result.verdict}`, id: 'verdict'},
+    element('p', {}, ...(run.simulated ? [simulatedMark(run), ` Simulated: ${run.simulated}. These are no measurements. `] : []),
+      element('strong', {}, `${VERDICTS[result.verdict]}. `), result.why,
       run.state === 'complete' ? '' : ` The run is ${STATES[run.state]}: ${run.measured} of ${run.planned} angles are measured.`),
     ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {}, note)))] : []));
 }
@@ -265,7 +276,7 @@ export async function showCompare(first, second) {
     return say('compare-table', error);
   }
   const usable = list.filter((run) => run.state === 'complete');
-  const fill = (id, chosen) => byId(id).replaceChildren(...usable.map((run) => element('option', {value: run.name, selected: run.name === chosen}, `${run.name} (${run.item || 'no serial number'})`)));
+  const fill = (id, chosen) => byId(id).replaceChildren(...usable.map((run) => element('option', {value: run.name, selected: run.name === chosen}, `${run.name} (${run.item || 'no serial number'})${run.simulated ? ' SIMULATED' : ''}`)));
   fill('compare-a', first || usable[1]?.name);
   fill('compare-b', second || usable[0]?.name);
   byId('compare-form').onsubmit = (event) => {
@@ -289,8 +300,9 @@ async function compare(a, b) {
     return [name, first.unit, ...[first, second].flatMap((q) => [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)]),
       signed(both.difference, decimals(both.standard_uncertainty)), small(both.standard_uncertainty), signed(both.e_n, 2)];
   };
+  const simulated = list.filter((run) => [a, b].includes(run.name) && run.simulated);
   byId('compare-table').replaceChildren(
-    element('p', {id: 'compare-words', role: 'status'}, pair.why),
+    element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), ` ${run.name} is simulated: no measurement. `]), pair.why),
     element('div', {class: 'scroll-x'}, table(`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
       ['Property', 'Unit', 'A', 'std. unc. of A', 'B', 'std. unc. of B', 'B minus A', 'std. unc. of it', 'E_n (1)'], PROPERTIES.map(row))),
     element('ul', {}, ...data.notes.map((note) => element('li', {}, note))));
@@ -338,8 +350,8 @@ async function drawChart(serial, property) {
     element('div', {class: 'plot'}, canvas),
     element('div', {class: 'scroll-x'}, table(`${inWords(property)}, of item ${serial}, oldest first`, ['Run', 'Begun', `Value (${unit})`, `std. uncertainty (${unit})`, 'Limits', 'Verdict'],
       points.map((p) => [element('a', {href: `#runs/${encoded(p.run.name)}`}, `${p.x}: ${p.run.name}`), day(p.run.created_utc),
-        signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), against(limits, p.value), VERDICTS[p.run.verdict]]))));
-  charts.push(band(canvas, {x: 'number and day of the run', y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty, words: [String(p.x), p.run.created_utc.slice(0, 10)]})), limits, marks: true}));
+        signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), against(limits, p.value), p.run.simulated ? simulatedMark(p.run) : VERDICTS[p.run.verdict]]))));
+  charts.push(band(canvas, {x: 'number and day of the run', y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty, words: [String(p.x), timeText(p.run.created_utc, 'date')]})), limits, marks: true}));
 }
 
 function against(limits, value) {

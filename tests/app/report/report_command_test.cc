@@ -334,7 +334,7 @@ TEST_F(ReportTest, AnInterruptedRunSaysSoOnTop) {
     const ProgramResult result = abcal({"report", "a.run", "--html", "a.html"});
     const std::string caution = fmt::format(
         "Not complete: this run is {}, {} of {} angles are measured",
-        stored.state == RunState::kRunning ? "running, or ended without storing why" : "interrupted",
+        stored.state == RunState::kRunning ? "running, or ended without storing a reason" : "interrupted",
         stored.measured.size(), stored.header.plan.size());
     EXPECT_THAT(result.err, HasSubstr(caution));
     const std::string html = test::read_file(folder / "a.html");

@@ -177,13 +177,13 @@ TEST(WatchdogInARun, ItsHaltIsAnEventOfTheRunFileAndTheReasonIsTheFirstCause) {
     FAIL() << "the run did not end";
   } catch (const InstrumentError& error) {
     EXPECT_EQ(error.fault(), Fault::kStalled);
-    EXPECT_THAT(error.what(), HasSubstr("the watchdog halted it"));
+    EXPECT_THAT(error.what(), HasSubstr("the watchdog halted the stage"));
   }
   const StoredRun stored = RunFile::load(path);
   EXPECT_EQ(stored.state, RunState::kInterrupted);
   EXPECT_THAT(texts(path, "watchdog halt"), testing::ElementsAre(HasSubstr("had not answered for 0.5 s")));
   EXPECT_THAT(stored.events.back().text,
-              AllOf(HasSubstr("the watchdog halted it"), HasSubstr("the stage is halted"),
+              AllOf(HasSubstr("the watchdog halted the stage"), HasSubstr("the stage is halted"),
                     Not(HasSubstr("is being halted"))));
 }
 

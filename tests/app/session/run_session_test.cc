@@ -278,6 +278,49 @@ TEST_F(RunSessionTest, ALevellingIsMeasuredAndClosedAsARunButNotAnalysed) {
     EXPECT_TRUE(check.good) << check.what << ": " << check.found;
 }
 
+TEST_F(RunSessionTest, TheItemIsCalibratedWithItsOwnCorrectionsAndOnlyWithThose) {
+  BenchText text = repeatable_bench();
+  text.stage_driver = "simulated";
+  text.accelerometer_driver = "vectornav";
+  bench_toml = text.text();
+  std::unique_ptr<RunSession> first = session();
+  on_event = [&](const SessionEvent&) {
+    if (count("dwell_done") == 2) first->request_stop();
+  };
+  EXPECT_THROW(first->start(start()), RunInterrupted);
+  on_event = {};
+  first.reset();
+  const StoredRun stored = RunFile::load(folder / "a.run");
+  ASSERT_EQ(stored.header.items.size(), 1U);
+  EXPECT_EQ(stored.header.items[0].registers.size(), 2U);
+  SqliteDatabase(folder / "a.run", SqliteDatabase::Mode::kReadWrite)
+      .execute("update item_register set value = '2' where name like 'acceleration%'");
+  try {
+    session()->resume({(folder / "a.run").string()});
+    FAIL() << "resumed with other corrections";
+  } catch (const InstrumentError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("acceleration compensation (25) was 2 when the run began"));
+  }
+}
+
+TEST_F(RunSessionTest, AnInterruptedLevellingIsResumedAndStaysALevelling) {
+  session()->level(start("whole.run"));
+  kinds.clear();
+  std::unique_ptr<RunSession> first = session();
+  on_event = [&](const SessionEvent&) {
+    if (count("dwell_done") == 4) first->request_stop();
+  };
+  EXPECT_THROW(first->level(start()), RunInterrupted);
+  on_event = {};
+  first.reset();
+  const RunOutcome outcome = session()->resume({(folder / "a.run").string()});
+  EXPECT_TRUE(outcome.is_levelling());
+  EXPECT_THAT(outcome.results, testing::IsEmpty());
+  EXPECT_EQ(outcome.stored.record.dwells.size(), 5U + 4U);
+  EXPECT_THAT(outcome.stored.record.check_poses, testing::IsEmpty());
+  EXPECT_EQ(measured_bits(folder / "a.run"), measured_bits(folder / "whole.run"));
+}
+
 TEST_F(RunSessionTest, AKilledProgramsFirstResultsAreNotSaidToBeMadeAgain) {
   session()->start(start());
   const std::filesystem::path results = ResultsFile::path_beside(folder / "a.run");

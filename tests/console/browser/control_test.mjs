@@ -18,15 +18,19 @@ step('another page watches, and steers only after it took control', async (page)
   const other = served.watch(await served.browser.newPage());
   await other.goto(served.address);
   await served.measuredAtLeast(8, other);
-  assert.ok(await other.locator('#do-stop').isDisabled());
+  assert.ok(await other.locator('#do-continue').isDisabled());
+  assert.ok(await other.locator('#do-stop').isEnabled(), 'who watches may stop');
+  assert.match(await other.locator('#who-steers').innerText(), /^page \d+ at 127\.0\.0\.1:\d+ steers\.$/);
   await other.getByRole('button', {name: 'Take control from the other page'}).click();
   await other.locator('#confirm-yes').click();
-  await other.locator('#do-stop:enabled').waitFor();
-  assert.ok(await page.locator('#do-stop').isDisabled());
+  await other.locator('#do-continue:enabled').waitFor();
+  // The page that lost it is told by whom.
+  await page.getByText(/This page no longer has control: page \d+ at 127\.0\.0\.1:\d+ has taken it/).waitFor();
+  assert.ok(await page.locator('#do-continue').isDisabled());
   await other.close();
   // Only when the console has noticed that nobody steers: before, the button asks, and nobody would answer.
   await page.getByRole('button', {name: 'Take control', exact: true}).click();
-  await page.locator('#do-stop:enabled').waitFor();
+  await page.locator('#do-continue:enabled').waitFor();
 });
 
 step('continues, stops at once, and resumes from the list of runs', async (page) => {

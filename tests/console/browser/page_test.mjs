@@ -103,7 +103,7 @@ async function unlabelled() {
     };
     const found = [];
     for (const element of document.querySelectorAll('button, input, select, a[href], [role="img"], canvas, svg, progress, section[aria-labelledby], table'))
-      if (visible(element) && element.tagName !== 'TABLE' && !nameOf(element).trim()) found.push(element.outerHTML.slice(0, 120));
+      if (visible(element) && !element.closest('[aria-hidden="true"]') && element.tagName !== 'TABLE' && !nameOf(element).trim()) found.push(element.outerHTML.slice(0, 120));
     for (const cell of document.querySelectorAll('th')) if (!cell.scope) found.push(`th without scope: ${cell.textContent}`);
     for (const element of document.querySelectorAll('[tabindex]')) if (element.tabIndex > 0) found.push(`tabindex: ${element.outerHTML.slice(0, 80)}`);
     for (const element of document.querySelectorAll('[aria-labelledby]'))

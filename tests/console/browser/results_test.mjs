@@ -15,7 +15,7 @@ step('shows the result that abcal analyse prints', async (page) => {
   await look('runs');
   await page.getByRole('link', {name: runName}).click();
   await page.locator('#estimators').waitFor();
-  assert.match(await text('#verdict'), /^Usable\./);
+  assert.match(await text('#verdict'), /^SIMULATED Simulated: stage, accelerometer\. These are no measurements\. Usable\./);
   const rows = await page.locator('#estimators tbody tr').evaluateAll((all) => all.map((row) => [...row.children].map((cell) => cell.textContent)));
   assert.equal(rows.length, 18);
   const read = (shown) => Number(shown.replace('−', '-').replace('+', ''));

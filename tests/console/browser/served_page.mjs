@@ -2,7 +2,7 @@
 //   ABCAL_PROGRAM         the program abcal
 //   ABCAL_NODE_MODULES    where playwright-core is installed
 import {execFileSync, spawn} from 'node:child_process';
-import {existsSync, mkdtempSync, rmSync, writeFileSync} from 'node:fs';
+import {existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
 import {createRequire} from 'node:module';
 import {tmpdir} from 'node:os';
 import path from 'node:path';
@@ -42,8 +42,15 @@ export class ServedPage {
   // The console reads the bench file again for each run.
   describe(bench) { writeFileSync(path.join(this.folder, 'bench.toml'), bench); }
 
+  // Again on the same port, e.g. after it was killed.
+  serveAgain(...words) { return this.serve('--port', new URL(this.address).port, ...words); }
+
+  // The process that holds the bench, which the console has started.
+  holder() { return Number(readFileSync(path.join(this.folder, '.bench.bench.lock'), 'utf8')); }
+
   serve(...words) {
-    this.server = spawn(process.env.ABCAL_PROGRAM, ['serve', 'bench.toml', '--port', '0', ...words], {cwd: this.folder, stdio: ['ignore', 'pipe', 'inherit']});
+    const port = words.includes('--port') ? [] : ['--port', '0'];
+    this.server = spawn(process.env.ABCAL_PROGRAM, ['serve', 'bench.toml', ...port, ...words], {cwd: this.folder, stdio: ['ignore', 'pipe', 'inherit']});
     return new Promise((resolve, reject) => {
       let said = '';
       this.server.stdout.on('data', (bytes) => {
@@ -97,6 +104,7 @@ export class ServedPage {
   // At once, for a test that takes too long; the browser ends with this process.
   kill() {
     this.server?.kill('SIGKILL');
+    try { process.kill(this.holder(), 'SIGKILL'); } catch { /* It has ended. */ }
     rmSync(this.folder, {recursive: true, force: true});
   }
 

@@ -66,8 +66,8 @@ TEST(ManualStageTest, ASlipOfTheFingersIsAskedAgain) {
   stage.home(StageAxis::kZ);
   stage.move_to(StageAxis::kZ, Angle::degrees(90.0));
   EXPECT_EQ(stage.encoder_angle(StageAxis::kZ).deg(), 90.01);
-  EXPECT_THAT(out.str(), HasSubstr("9 deg is more than 1 deg from 90 deg"));
-  EXPECT_THAT(out.str(), HasSubstr("\"abc\" is no angle"));
+  EXPECT_THAT(out.str(), HasSubstr("9 deg differs by more than 1 deg from 90 deg"));
+  EXPECT_THAT(out.str(), HasSubstr("\"abc\" is not an angle"));
 }
 
 TEST(ManualStageTest, NothingIsKnownBeforeItIsConfirmed) {

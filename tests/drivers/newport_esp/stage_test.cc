@@ -185,7 +185,7 @@ TEST_F(NewportEspStageTest, AUnitOtherThanDegreesIsRefused) {
   connect();
   const InstrumentError error = error_of([&] { stage_->move_to(StageAxis::kX, Angle::degrees(1.0)); });
   EXPECT_EQ(error.fault(), Fault::kWrongIdentity);
-  EXPECT_THAT(error.what(), AllOf(HasSubstr("axis 2 counts in rad"), HasSubstr("2SN7")));
+  EXPECT_THAT(error.what(), AllOf(HasSubstr("unit of axis 2 is rad"), HasSubstr("2SN7")));
 }
 
 TEST_F(NewportEspStageTest, SettingsThatCannotBeMeantAreRefused) {
@@ -354,7 +354,7 @@ TEST_F(NewportEspStageTest, AMoveWhoseAcceptanceIsNotKnownIsNotRepeated) {
   line_.mishaps["TB?"] = {{.instead = ""}};
   const InstrumentError lost = error_of([&] { stage_->move_to(StageAxis::kX, Angle::degrees(2.0)); });
   EXPECT_EQ(lost.fault(), Fault::kNoReply);
-  EXPECT_THAT(lost.what(), HasSubstr("whether that was accepted is not known"));
+  EXPECT_THAT(lost.what(), HasSubstr("whether that command was accepted is unknown"));
   EXPECT_EQ(line_.count("1PA2.000000"), 1U);
 }
 

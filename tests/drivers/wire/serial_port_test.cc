@@ -294,7 +294,7 @@ TEST_F(SerialPortTest, WhatIsNoSerialPortIsSaidToBeNone) {
 TEST_F(SerialPortTest, ABaudRateThatThereIsNotIsNamed) {
   const InstrumentError error = error_of_opening(terminal_.path(), 12345);
   EXPECT_EQ(error.fault(), Fault::kCannotOpen);
-  EXPECT_THAT(error.what(), HasSubstr("does not take 12345 baud"));
+  EXPECT_THAT(error.what(), HasSubstr("does not accept 12345 baud"));
 }
 
 TEST_F(SerialPortTest, APortThatIsNotPermittedSaysWhichGroupIs) {

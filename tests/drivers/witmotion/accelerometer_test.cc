@@ -200,7 +200,8 @@ TEST(WitMotionAccelerometerTest, SaysSoWhenTheDeviceKeepsItsOwnRate) {
     return command.starts_with(kWriteRate);
   };
   Bench mute(script);
-  EXPECT_THAT(error_of([&] { mute.accelerometer->start(); }, Fault::kNoReply), HasSubstr("no readings came"));
+  EXPECT_THAT(error_of([&] { mute.accelerometer->start(); }, Fault::kNoReply),
+              HasSubstr("no readings arrived"));
 }
 
 TEST(WitMotionAccelerometerTest, SendsAgainWhatWasLost) {

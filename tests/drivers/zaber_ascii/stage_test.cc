@@ -220,7 +220,7 @@ TEST_F(ZaberAsciiStageTest, ANameThatCanBeMeantInTwoWaysIsRefused) {
   connect();
   const InstrumentError error = error_of([&] { stage_->identify(); });
   EXPECT_EQ(error.fault(), Fault::kWrongIdentity);
-  EXPECT_THAT(error.what(), AllOf(HasSubstr("in two ways"), HasSubstr("\"1 1\", \"1 2\", \"2 1\"")));
+  EXPECT_THAT(error.what(), AllOf(HasSubstr("is ambiguous"), HasSubstr("\"1 1\", \"1 2\", \"2 1\"")));
 }
 
 TEST_F(ZaberAsciiStageTest, AnAbsentAxisIsNamedWithThoseThatThereAre) {
@@ -235,7 +235,7 @@ TEST_F(ZaberAsciiStageTest, AnAxisThatDoesNotRotateIsRefused) {
   connect();
   const InstrumentError error = error_of([&] { stage_->identify(); });
   EXPECT_EQ(error.fault(), Fault::kWrongIdentity);
-  EXPECT_THAT(error.what(), HasSubstr("does not rotate"));
+  EXPECT_THAT(error.what(), HasSubstr("not a rotary axis"));
 }
 
 TEST_F(ZaberAsciiStageTest, SettingsThatCannotBeMeantAreRefused) {
@@ -470,7 +470,7 @@ TEST_F(ZaberAsciiStageTest, AMoveWhoseAcceptanceIsNotKnownIsNotRepeated) {
   line_.mishaps["1 1 move abs 96000"] = {{.instead = ""}};
   const InstrumentError error = error_of([&] { stage_->move_to(StageAxis::kX, Angle::degrees(90.0)); });
   EXPECT_EQ(error.fault(), Fault::kNoReply);
-  EXPECT_THAT(error.what(), HasSubstr("whether it was accepted is not known"));
+  EXPECT_THAT(error.what(), HasSubstr("whether it was accepted is unknown"));
   EXPECT_EQ(line_.count("1 1 move abs 96000"), 1U);
 }
 

@@ -432,7 +432,7 @@ TEST_F(WrongNumbersTest, AFullScaleThatIsWrongByOnePercentIsFound) {
       expect_marked(record, "full scale", "full scale or scale factor is wrong");
       // Said already at the end of each experiment.
       EXPECT_TRUE(record.dwells[12].flags & kFlagNorm);
-      EXPECT_THAT(run.notices, testing::Contains(HasSubstr("experiment 1: the readings go round a circle")));
+      EXPECT_THAT(run.notices, testing::Contains(HasSubstr("experiment 1: the response to local gravity")));
     }
   }
 }
@@ -562,7 +562,7 @@ TEST_F(WrongNumbersTest, TheRunHoldsUntilTheTemperatureIsBack) {
   const RunRecord record = measure(run);
   EXPECT_EQ(record.dwells[10].flags, kFlagHeld);
   EXPECT_GT(*record.dwells[10].time_s - *record.dwells[9].time_s, 1200.0);
-  EXPECT_THAT(run.notices, testing::Contains(HasSubstr("the temperature is back after")));
+  EXPECT_THAT(run.notices, testing::Contains(HasSubstr("the temperature came back after")));
   EXPECT_THAT(failed_checks(analysed(record).front()), testing::Not(HasSubstr("temperature")));
 }
 

@@ -74,7 +74,7 @@ TEST(RotationPlanTest, NamesEveryAngleThatTheTravelCannotReachOnBothAxes) {
     EXPECT_EQ(error.problems().size(), 4U);  // X turning; Z turning; Z held at 0 (no room below) and at -90
     EXPECT_THAT(error.what(), testing::HasSubstr("axis X"));
     EXPECT_THAT(error.what(), testing::HasSubstr("105"));
-    EXPECT_THAT(error.what(), testing::HasSubstr("holds the axis at -90"));
+    EXPECT_THAT(error.what(), testing::HasSubstr("includes the axis angle -90"));
   }
 }
 
@@ -93,7 +93,7 @@ TEST(RotationPlanTest, EstimatesTheDurationFromSpeedSettleAndDwell) {
   ProtocolConfig config = as_published();
   config.approach = deg(0);
   const auto plan = make_rotation_plan(config, kWide);
-  const PlanDuration duration = estimate_duration(plan, config, {20.0, 20.0}, 100.0);
+  const PlanDuration duration = estimate_duration(plan, config, {AxisSpeed{20.0}, AxisSpeed{20.0}}, 100.0);
   EXPECT_DOUBLE_EQ(duration.settling_s, 219 * 5.0);
   EXPECT_DOUBLE_EQ(duration.dwelling_s, 219 * 10.0);
   // Exp 1: X to 360. Exp 2: X back, Z to -90, X to 360. Exp 3: X to -90, Z to 0, Z to 360.
@@ -124,7 +124,8 @@ TEST(RotationPlanTest, CheckPosesCountForTheDurationAndKeepInsideTheTravel) {
   ProtocolConfig config;
   const auto seconds = [&](bool check) {
     config.check_poses = check;
-    return estimate_duration(make_rotation_plan(config, kWide), config, {20.0, 20.0}, 100.0);
+    return estimate_duration(make_rotation_plan(config, kWide), config, {AxisSpeed{20.0}, AxisSpeed{20.0}},
+                             100.0);
   };
   EXPECT_DOUBLE_EQ(seconds(true).dwelling_s - seconds(false).dwelling_s, 8 * 10.0);
   EXPECT_DOUBLE_EQ(seconds(true).settling_s - seconds(false).settling_s, 8 * 5.0);

@@ -263,7 +263,7 @@ TEST(RunFileTest, RefusesATruncatedFile) {
   std::filesystem::permissions(path, std::filesystem::perms::owner_all);
   std::filesystem::resize_file(path, std::filesystem::file_size(path) / 2);
   EXPECT_THAT(what([&] { RunFile::load(path); }),
-              testing::AnyOf(HasSubstr("cut short"), HasSubstr("damaged")));
+              testing::AnyOf(HasSubstr("truncated"), HasSubstr("damaged")));
 }
 
 /// Gives rows to a run file as a transcript does.

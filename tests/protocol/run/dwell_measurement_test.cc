@@ -81,7 +81,7 @@ TEST_F(DwellMeasurementTest, WaitsForTheTemperatureAndMeasuresAgain) {
   const MeasuredDwell measured = measure();
   EXPECT_EQ(measured.dwell.flags, kFlagHeld);
   EXPECT_EQ(observer.notices.size(), 2U);
-  EXPECT_THAT(observer.notices[1].second, HasSubstr("the temperature is back"));
+  EXPECT_THAT(observer.notices[1].second, HasSubstr("the temperature came back"));
 }
 
 TEST_F(DwellMeasurementTest, ATemperatureThatStaysOutsideEndsTheRun) {

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <boost/asio/local/stream_protocol.hpp>
+#include <cstddef>
+#include <deque>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <string>
+#include <string_view>
+
+namespace abcal::console {
+
+/// The wire between a console and the process that holds its bench: lines of text over a Unix socket. The
+/// first letter of a line says what it is.
+namespace bench_line {
+// From the bench:
+constexpr char kMessage = 'M';   ///< JSON for every page.
+constexpr char kSnapshot = 'S';  ///< JSON: the whole state, which was asked for.
+constexpr char kReply = 'R';     ///< JSON: {"id", "ok", "why"}
+constexpr char kEnd = 'E';       ///< JSON: {"was_on"}: the bench is at rest, and its process ends.
+// To the bench:
+constexpr char kRequest = 'Q';  ///< JSON: {"id", "by", "request"}
+constexpr char kAskSnapshot = 'A';
+constexpr char kClose = 'C';  ///< Stop what is in progress, halt the stage, and end.
+}  // namespace bench_line
+
+/// The name of a Unix socket, which may be longer than the system takes: bound and connected by way of its
+/// folder.
+class SocketName {
+ public:
+  /// @throws std::runtime_error if there is no such folder
+  explicit SocketName(const std::filesystem::path& path);
+  ~SocketName();
+  SocketName(const SocketName&) = delete;
+  SocketName& operator=(const SocketName&) = delete;
+
+  boost::asio::local::stream_protocol::endpoint endpoint() const;
+
+ private:
+  int folder_ = -1;
+  std::string name_;
+};
+
+/// Lines over a connected socket, both ways. For the thread of its socket.
+class BenchChannel : public std::enable_shared_from_this<BenchChannel> {
+ public:
+  using Socket = boost::asio::local::stream_protocol::socket;
+
+  explicit BenchChannel(Socket socket) : socket_(std::move(socket)) {}
+
+  /// Reads until the end. `line`: each line without its end; `end`: once, when the other side is gone.
+  void begin(std::function<void(std::string_view line)> line, std::function<void()> end);
+  void send(char kind, std::string_view json = {});
+  /// Lines that are not written yet.
+  std::size_t waiting() const { return queue_.size(); }
+  /// Called each time that the last of them is written.
+  std::function<void()> drained;
+  void close();
+
+ private:
+  void read();
+  void write();
+  void end();
+
+  Socket socket_;
+  std::string input_;
+  std::deque<std::string> queue_;
+  bool writing_ = false;
+  std::function<void(std::string_view)> line_;
+  std::function<void()> end_;
+};
+
+}  // namespace abcal::console

@@ -1,0 +1,31 @@
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "protocol/plan/rotation_plan.h"
+
+namespace abcal::console {
+
+/// A run that ended early and that a person may go on with.
+struct InterruptedRun {
+  std::string file;   ///< Name in the run folder.
+  std::string words;  ///< Why it ended.
+  std::size_t measured = 0, planned = 0;
+  std::string angle;  ///< The first that is missing, in words; empty: all are measured.
+};
+
+/// @param measured  positions in the plan
+InterruptedRun describe_interrupted(std::string file, std::string words,
+                                    const std::vector<PlannedAngle>& plan,
+                                    const std::set<std::size_t>& measured);
+
+/// The newest run of a folder, if it is one that ended early: what a console begins with after it, or the
+/// computer, has died.
+std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& folder);
+
+}  // namespace abcal::console

@@ -1,0 +1,246 @@
+#include "app/export/formats.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+
+namespace abcal {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+/// The heading as lines, each with the format's sign of a comment in front.
+std::string heading(const CorrectionConstants& c, std::string_view comment) {
+  const std::string frame =
+      c.frame == ExportFrame::kItem
+          ? "x along the axis of u, y in the plane of u and v (not the platter of the stage)"
+          : "the platter of the stage at its default orientation";
+  std::string text;
+  const auto line = [&](const std::string& words) { text += fmt::format("{} {}\n", comment, words); };
+  line("Constants of an accelerometer, by abcal");
+  if (!c.item.empty()) line("Item: " + c.item);
+  line("From: " + c.source + (c.performed.empty() ? "" : ", " + c.performed) + ", verdict: " + c.verdict);
+  line("Axes: " + frame);
+  return text;
+}
+
+Json rows(const Eigen::Matrix3d& m) {
+  Json all = Json::array();
+  for (Eigen::Index j = 0; j < 3; ++j) all.push_back({m(j, 0), m(j, 1), m(j, 2)});
+  return all;
+}
+
+Json list(const Eigen::Vector3d& v) {
+  return {v[0], v[1], v[2]};
+}
+
+std::string_view frame_name(ExportFrame frame) {
+  return frame == ExportFrame::kItem ? "item" : "platter";
+}
+
+std::string as_json(const CorrectionConstants& c) {
+  Json json{
+      {"schema", "abcal.constants/1"},
+      {"rule", "a = M (r - b)"},
+      {"item", c.item},
+      {"source", c.source},
+      {"performed", c.performed},
+      {"verdict", c.verdict},
+      {"frame", frame_name(c.frame)},
+      {"response_unit", c.response_unit},
+      {"g_loc_mps2", c.g_loc_mps2},
+      {"M",
+       {{"value", rows(c.M)}, {"standard_uncertainty", rows(c.u_M)}, {"unit", "m/s2 per response unit"}}},
+      {"b", {{"value", list(c.b)}, {"standard_uncertainty", list(c.u_b)}, {"unit", "response unit"}}}};
+  if (c.noise) {
+    json["noise"] = {{"density", c.noise->density},
+                     {"unit", "response unit per root hertz"},
+                     {"tau_s", c.noise->tau_s},
+                     {"rate_hz", c.noise->rate_hz}};
+  }
+  return json.dump(2) + "\n";
+}
+
+std::string as_csv(const CorrectionConstants& c) {
+  std::string text = heading(c, "#");
+  text += fmt::format("# a = M (r - b); r and b in {}, M in m/s2 per {}\n", c.response_unit, c.response_unit);
+  text += "name,value,standard_uncertainty\n";
+  constexpr std::string_view kAxes = "xyz", kOutputs = "uvw";
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    for (Eigen::Index k = 0; k < 3; ++k) {
+      text += fmt::format("M_{}{},{},{}\n", kAxes[static_cast<std::size_t>(j)],
+                          kOutputs[static_cast<std::size_t>(k)], c.M(j, k), c.u_M(j, k));
+    }
+  }
+  for (Eigen::Index j = 0; j < 3; ++j)
+    text += fmt::format("b_{},{},{}\n", kOutputs[static_cast<std::size_t>(j)], c.b[j], c.u_b[j]);
+  return text;
+}
+
+/// Bits behind the binary point of the fixed-point constants.
+constexpr int kFixedBits = 16;
+
+std::string as_c(const CorrectionConstants& c) {
+  const auto fixed = [](double value) -> std::string {
+    const double scaled = std::round(value * (1 << kFixedBits));
+    if (std::abs(scaled) > 2147483647.0) return {};
+    return std::to_string(static_cast<long long>(scaled));
+  };
+  std::string text = heading(c, "//");
+  text += fmt::format(
+      "// a = M (r - b), accelerations in m/s2, readings in {}.\n#ifndef ABCAL_CONSTANTS_H\n#define "
+      "ABCAL_CONSTANTS_H\n\n",
+      c.response_unit);
+  std::string matrix, bias, matrix_fixed, bias_fixed;
+  bool fits = true;
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    matrix += fmt::format("    {{{:.9g}, {:.9g}, {:.9g}}},\n", c.M(j, 0), c.M(j, 1), c.M(j, 2));
+    matrix_fixed +=
+        fmt::format("    {{{}, {}, {}}},\n", fixed(c.M(j, 0)), fixed(c.M(j, 1)), fixed(c.M(j, 2)));
+    bias += fmt::format("{}{:.9g}", j == 0 ? "" : ", ", c.b[j]);
+    bias_fixed += fmt::format("{}{}", j == 0 ? "" : ", ", fixed(c.b[j]));
+    for (Eigen::Index k = 0; k < 3; ++k) fits = fits && !fixed(c.M(j, k)).empty();
+    fits = fits && !fixed(c.b[j]).empty();
+  }
+  text +=
+      fmt::format("static const double abcal_M[3][3] = {{\n{}}};\nstatic const double abcal_b[3] = {{{}}};\n",
+                  matrix, bias);
+  if (fits) {
+    text += fmt::format(
+        "\n// The same times 2^{} as integers; each is rounded, which changes it by at most {:.2g}.\n"
+        "static const int abcal_M_fixed[3][3] = {{\n{}}};\nstatic const int abcal_b_fixed[3] = {{{}}};\n",
+        kFixedBits, 0.5 / (1 << kFixedBits), matrix_fixed, bias_fixed);
+  }
+  return text + "\n#endif\n";
+}
+
+/// What a format that only scales leaves uncorrected, as a comment.
+std::string remainder(const CorrectionConstants& c) {
+  return fmt::format(
+      "# Scales and offsets only: angles between the axes are not corrected. At 1 g that leaves up to {:.2g} "
+      "m/s2.\n",
+      c.diagonal_remainder_mps2());
+}
+
+/// PX4: corrected = (raw - offset) scale, in m/s2 and the sensor's axes
+/// (sensor_calibration/Accelerometer.hpp). QGroundControl's parameter file: vehicle, component, name, value,
+/// type 9 (float).
+std::string as_px4(const CorrectionConstants& c) {
+  std::string text = heading(c, "#") + remainder(c);
+  text += "# corrected = (raw - CAL_ACC0_?OFF) * CAL_ACC0_?SCALE, for the accelerometer of CAL_ACC0_ID\n";
+  const Eigen::Matrix3d M = c.matrix_si();
+  const Eigen::Vector3d b = c.bias_si();
+  constexpr std::string_view kAxes = "XYZ";
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    const char axis = kAxes[static_cast<std::size_t>(j)];
+    text += fmt::format("1\t1\tCAL_ACC0_{}OFF\t{:.9g}\t9\n", axis, b[j]);
+    text += fmt::format("1\t1\tCAL_ACC0_{}SCALE\t{:.9g}\t9\n", axis, M(j, j));
+  }
+  return text;
+}
+
+/// ArduPilot: corrected = (raw - INS_ACCOFFS) INS_ACCSCAL, in m/s2 (AP_InertialSensor_Backend).
+std::string as_ardupilot(const CorrectionConstants& c) {
+  std::string text = heading(c, "#") + remainder(c);
+  text += "# corrected = (raw - INS_ACCOFFS) * INS_ACCSCAL, of the first inertial sensor\n";
+  const Eigen::Matrix3d M = c.matrix_si();
+  const Eigen::Vector3d b = c.bias_si();
+  constexpr std::string_view kAxes = "XYZ";
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    const char axis = kAxes[static_cast<std::size_t>(j)];
+    text += fmt::format("INS_ACCOFFS_{},{:.9g}\nINS_ACCSCAL_{},{:.9g}\n", axis, b[j], axis, M(j, j));
+  }
+  return text;
+}
+
+/// The ROS package imu_calib: corrected = SM raw - bias, in m/s2.
+std::string as_ros(const CorrectionConstants& c) {
+  const Eigen::Matrix3d M = c.matrix_si();
+  const Eigen::Vector3d bias = M * c.bias_si();
+  std::string text = heading(c, "#") + "# imu_calib: corrected = SM * raw - bias (m/s2)\nSM:\n";
+  for (Eigen::Index j = 0; j < 3; ++j)
+    for (Eigen::Index k = 0; k < 3; ++k) text += fmt::format("  - {:.12g}\n", M(j, k));
+  text += "bias:\n";
+  for (Eigen::Index j = 0; j < 3; ++j) text += fmt::format("  - {:.12g}\n", bias[j]);
+  return text;
+}
+
+/// Kalibr's imu.yaml: what a calibration by gravity knows of it.
+std::string as_kalibr(const CorrectionConstants& c) {
+  if (!c.noise) {
+    throw std::invalid_argument(
+        "the noise of single readings is not known; required: a run file with its readings, and dwells of at "
+        "least 5 "
+        "readings");
+  }
+  static_cast<void>(c.matrix_si());  // Accelerations only.
+  std::string text = heading(c, "#");
+  text += fmt::format(
+      "# From the Allan deviation inside the dwells at {:.3g} s. A calibration does not know the rest: "
+      "complete it.\n",
+      c.noise->tau_s);
+  text += fmt::format("accelerometer_noise_density: {:.6g}   # m/s^2/sqrt(Hz)\n",
+                      c.noise->density * *c.unit_mps2);
+  text += "# accelerometer_random_walk:   not determined (needs hours at rest), m/s^3/sqrt(Hz)\n";
+  text += "# gyroscope_noise_density:     not determined, rad/s/sqrt(Hz)\n";
+  text += "# gyroscope_random_walk:       not determined, rad/s^2/sqrt(Hz)\n";
+  text += fmt::format("update_rate: {:.6g}   # Hz\n# rostopic: /imu0\n", c.noise->rate_hz);
+  return text;
+}
+
+/// imucal's FerrarisCalibrationInfo: corrected = R_a^-1 K_a^-1 (raw - b_a), K_a diagonal. The gyroscope's
+/// entries change nothing.
+std::string as_imucal(const CorrectionConstants& c) {
+  const Eigen::Matrix3d KR = c.matrix_si().partialPivLu().solve(Eigen::Matrix3d::Identity());
+  const Eigen::Vector3d K = KR.rowwise().norm();
+  const Eigen::Matrix3d R = K.cwiseInverse().asDiagonal() * KR;
+  const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
+  return Json{{"cal_type", "Ferraris"},
+              {"acc_unit", "m/s^2"},
+              {"gyr_unit", "deg/s"},
+              {"from_acc_unit", "m/s^2"},
+              {"from_gyr_unit", "deg/s"},
+              {"comment", fmt::format("{}; {}; the gyroscope was not calibrated, its entries change nothing",
+                                      c.item, c.source)},
+              {"K_a", rows(K.asDiagonal())},
+              {"R_a", rows(R)},
+              {"b_a", list(c.bias_si())},
+              {"K_g", rows(I)},
+              {"R_g", rows(I)},
+              {"K_ga", rows(Eigen::Matrix3d::Zero())},
+              {"b_g", list(Eigen::Vector3d::Zero())}}
+             .dump(2) +
+         "\n";
+}
+
+}  // namespace
+
+const std::vector<ExportFormat>& export_formats() {
+  static const std::vector<ExportFormat> formats{
+      {"json", "matrix and offset with uncertainties, a = M (r - b)", as_json},
+      {"csv", "the same as a table", as_csv},
+      {"c", "the same as a C header, also in fixed point", as_c},
+      {"px4", "parameter file of PX4 (QGroundControl): scales and offsets", as_px4},
+      {"ardupilot", "parameter file of ArduPilot: scales and offsets", as_ardupilot},
+      {"ros", "YAML of the ROS package imu_calib", as_ros},
+      {"kalibr", "imu.yaml of Kalibr: noise density and rate", as_kalibr},
+      {"imucal", "JSON of imucal's FerrarisCalibrationInfo", as_imucal},
+  };
+  return formats;
+}
+
+const ExportFormat& export_format(std::string_view name) {
+  const std::vector<ExportFormat>& formats = export_formats();
+  const auto found = std::ranges::find(formats, name, &ExportFormat::name);
+  if (found != formats.end()) return *found;
+  std::string names;
+  for (const ExportFormat& format : formats)
+    names += fmt::format("{}{}", names.empty() ? "" : ", ", format.name);
+  throw std::invalid_argument(fmt::format("--as {}: required: one of {}", name, names));
+}
+
+}  // namespace abcal

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "app/export/constants.h"
+
+namespace abcal {
+
+/// A form in which other programs take the constants of an accelerometer.
+struct ExportFormat {
+  std::string_view name;   ///< "px4"
+  std::string_view words;  ///< Who reads it, and by which rule.
+  /// @throws std::invalid_argument where the constants do not fit the format
+  std::function<std::string(const CorrectionConstants& constants)> write;
+};
+
+/// One entry for each: json, csv, c, px4, ardupilot, ros, kalibr, imucal.
+const std::vector<ExportFormat>& export_formats();
+
+/// @throws std::invalid_argument naming the formats there are
+const ExportFormat& export_format(std::string_view name);
+
+}  // namespace abcal

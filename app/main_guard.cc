@@ -1,0 +1,26 @@
+// abcal-guard: holds the ports of a stage for the program that moves it, and halts the axes if that program
+// dies (app/bench/halt_guard.h). Started by abcal, with one end of a socket as descriptor 3.
+#include <csignal>
+#include <cstdio>
+#include <exception>
+#include <string>
+#include <vector>
+
+#include "app/bench/halt_guard.h"
+#include "app/bench/real_clock.h"
+
+int main() {
+  // What ends the owner (Ctrl-C, a closed terminal, the end of a service) must not end this as well.
+  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT}) std::signal(number, SIG_IGN);
+  constexpr int kSocket = 3;
+  try {
+    abcal::RealClock clock;
+    const std::vector<std::string> words = abcal::guard_until_owner_dies(kSocket, clock);
+    for (const std::string& each : words)
+      std::fprintf(stderr, "abcal-guard: the program that moved the stage has died; %s\n", each.c_str());
+    return 0;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "abcal-guard: %s\n", error.what());
+    return 1;
+  }
+}

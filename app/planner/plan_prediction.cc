@@ -1,0 +1,106 @@
+#include "app/planner/plan_prediction.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <stdexcept>
+
+#include "app/bench/level_file.h"
+#include "app/results/analyses.h"
+#include "protocol/record/planned_dwell.h"
+#include "protocol/uncertainty/budget.h"
+#include "sim/sim_bench.h"
+
+namespace abcal {
+namespace {
+
+/// What an ideal item on an ideal stage reads, in g_loc.
+RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protocol,
+                       const std::vector<PlannedAngle>& plan, const PlanDuration& duration) {
+  const BenchConfig& config = bench.config;
+  RunRecord record;
+  record.source = "plan";
+  record.tolerances = config.tolerances;
+  record.estimator = protocol.estimator;
+  record.steps = protocol.steps;
+  record.step = protocol.step;
+  record.expected.nominal_sensitivity = 1.0;
+  record.expected.sensitivity_tolerance = 1.0;
+  if (!config.stage.level_file.empty())
+    record.measured_alignment = read_level_file(config.stage.level_file).alignment;
+  const int readings = readings_per_dwell(protocol, config.accelerometer.rate_hz);
+  const double u = bench.noise / std::sqrt(readings);
+  const double angle_s = duration.total_s() / static_cast<double>(plan.size());
+  sim::SimBench world{sim::BenchTruth{}};
+  for (std::size_t i = 0; i < plan.size(); ++i) {
+    const PlannedAngle& angle = plan[i];
+    DwellRecord dwell = planned_dwell(angle);
+    dwell.count = readings;
+    dwell.time_s = static_cast<double>(i) * angle_s;
+    const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
+    world.place(StageAxis::kX, angle.x, t);
+    world.place(StageAxis::kZ, angle.z, t);
+    dwell.mean = world.output(t, i).value;
+    dwell.u_mean = Eigen::Vector3d::Constant(u);
+    if (!angle.check) {
+      record.dwells.push_back(std::move(dwell));
+    } else {
+      record.check_poses.push_back({std::move(dwell), record.dwells.size()});
+    }
+  }
+  return record;
+}
+
+/// The outputs of a group, in the order of OutputVector.
+std::vector<int> outputs_of_group(PlannedOutput group) {
+  switch (group) {
+    case PlannedOutput::kSensitivity:
+      return {0, 4, 8};
+    case PlannedOutput::kOffDiagonal:
+      return {1, 2, 3, 5, 6, 7};
+    case PlannedOutput::kOffset:
+      return {kFirstOffset, kFirstOffset + 1, kFirstOffset + 2};
+    case PlannedOutput::kAngle:
+      return {kFirstIntrinsicAngle, kFirstIntrinsicAngle + 1, kFirstIntrinsicAngle + 2};
+  }
+  return {};
+}
+
+LargestPart largest_part(const Budget& budget, int output) {
+  LargestPart largest;
+  for (const BudgetLine& line : budget.lines) {
+    const double share = budget.share(line, output);
+    if (share > largest.share) largest = {line.input, share};
+  }
+  return largest;
+}
+
+}  // namespace
+
+PlanPrediction predict_plan(const PlanningBench& bench, const ProtocolConfig& protocol) {
+  PlanPrediction prediction;
+  prediction.protocol = protocol;
+  const std::vector<PlannedAngle> plan = make_rotation_plan(protocol, bench.travel);
+  prediction.duration = estimate_duration(plan, protocol, bench.speed, bench.config.accelerometer.rate_hz);
+  const RunRecord record = ideal_record(bench, protocol, plan, prediction.duration);
+  const CalibrationResult result = analyse(record, protocol.estimator);
+  if (!result.sensitivity_matrix) {
+    throw std::invalid_argument(fmt::format(
+        "the {} estimator gives no sensitivity matrix from 3 x {} angles on this bench: {}; required: "
+        "[protocol] estimator = \"joint\" or \"abc\", and sizes of the effects that leave every output "
+        "determined",
+        protocol.estimator, protocol.steps, result.why));
+  }
+  const Budget budget = make_budget(record, result);
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    int worst = -1;
+    for (const int output : outputs_of_group(static_cast<PlannedOutput>(group))) {
+      if (worst < 0 || budget.combined[output] > budget.combined[worst]) worst = output;
+    }
+    prediction.u[group] = budget.combined[worst];
+    prediction.limits[group] = largest_part(budget, worst);
+  }
+  return prediction;
+}
+
+}  // namespace abcal

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <array>
+#include <string>
+
+#include "app/bench/bench_config.h"
+#include "app/planner/wanted.h"
+#include "protocol/plan/rotation_plan.h"
+
+namespace abcal {
+
+/// What is known before the first angle.
+struct PlanningBench {
+  BenchConfig config;
+  std::array<AxisTravel, 2> travel;
+  std::array<AxisSpeed, 2> speed;
+  double noise = 0.0;  ///< Standard deviation of one reading over its sensitivity, white (1, that is g_loc).
+};
+
+/// What makes most of an uncertainty.
+struct LargestPart {
+  std::string name;    ///< As the budget names it: "noise of the readings", "wobble of X".
+  double share = 0.0;  ///< Of the variance, 0 to 1.
+};
+
+/// A plan, how long it takes, and the standard uncertainties that its result will state.
+struct PlanPrediction {
+  ProtocolConfig protocol;
+  PlanDuration duration;
+  PlannedValues u{};                                ///< The worst output of each group.
+  std::array<LargestPart, kPlannedOutputs> limits;  ///< Of that output.
+};
+
+/// The uncertainties follow from the estimator itself: it analyses readings without noise of an ideal item on
+/// an ideal stage, whose means state the uncertainty that `noise` gives them, with the bench's sizes of all
+/// effects. What a bench's real errors make the result differ by is in them; noise that is not white is not.
+/// @throws PlanError if the stage cannot reach an angle; std::invalid_argument if the estimator refuses the
+/// plan
+PlanPrediction predict_plan(const PlanningBench& bench, const ProtocolConfig& protocol);
+
+}  // namespace abcal

@@ -1,0 +1,21 @@
+#pragma once
+
+#include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// What is known of the dwell at an angle of the plan before it is measured.
+inline DwellRecord planned_dwell(const PlannedAngle& angle) {
+  DwellRecord dwell;
+  dwell.experiment = angle.experiment;
+  dwell.n = angle.n;
+  dwell.closing = angle.closing;
+  if (angle.check) dwell.role = DwellRole::kCheck;
+  dwell.alpha = angle.alpha;
+  dwell.commanded_x = angle.x;
+  dwell.commanded_z = angle.z;
+  return dwell;
+}
+
+}  // namespace abcal

@@ -1,0 +1,226 @@
+// The constants of a result, and every format applied to the readings of its run by the rule that its reader
+// documents.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <Eigen/LU>
+#include <cmath>
+#include <functional>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <sstream>
+#include <string>
+
+#include "app/export/formats.h"
+#include "app/export/reading_noise.h"
+#include "app/results/analyses.h"
+#include "protocol/record/planned_dwell.h"
+#include "sim/sim_bench.h"
+
+namespace abcal {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr double kG = 9.81;
+
+/// An item in `unit`, of which `scale` are one g_loc.
+sim::BenchTruth item(double scale) {
+  sim::BenchTruth truth;
+  truth.sensitivity_matrix << 1.01, 0.004, -0.003,  //
+      -0.002, 0.995, 0.005,                         //
+      0.006, -0.001, 1.003;
+  truth.sensitivity_matrix *= scale;
+  truth.offset = scale * Eigen::Vector3d(0.02, -0.01, 0.03);
+  return truth;
+}
+
+RunRecord run_of(const sim::BenchTruth& truth, const std::string& unit) {
+  RunRecord record;
+  record.source = "a.run";
+  record.response_unit = unit;
+  record.g_loc = {kG, 1e-5, 2.0, "test"};
+  record.g_loc_known = true;
+  record.steps = 12;
+  record.step = Angle::degrees(30.0);
+  ProtocolConfig protocol;
+  protocol.steps = record.steps;
+  protocol.step = record.step;
+  protocol.check_poses = false;
+  sim::SimBench world(truth);
+  std::uint64_t i = 0;
+  for (const PlannedAngle& angle : make_rotation_plan(protocol, {})) {
+    DwellRecord dwell = planned_dwell(angle);
+    dwell.time_s = 5.0 * static_cast<double>(i);
+    const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
+    world.place(StageAxis::kX, angle.x, t);
+    world.place(StageAxis::kZ, angle.z, t);
+    dwell.mean = world.output(t, i++).value;
+    dwell.u_mean = Eigen::Vector3d::Constant(1e-6 * truth.sensitivity_matrix.row(0).norm());
+    record.dwells.push_back(dwell);
+  }
+  return record;
+}
+
+using Rule = std::function<Eigen::Vector3d(const Eigen::Vector3d& raw_mps2)>;
+
+/// Largest | |a| - g_loc | of the corrected readings of a run, m/s2.
+double worst_norm_error(const RunRecord& record, double unit_mps2, const Rule& rule) {
+  double worst = 0.0;
+  for (const DwellRecord& dwell : record.dwells)
+    worst = std::max(worst, std::abs(rule(dwell.mean * unit_mps2).norm() - kG));
+  return worst;
+}
+
+/// "name<separator>value" of each line that is no comment.
+std::map<std::string, double> parameters(const std::string& text, char separator, int name_at, int value_at) {
+  std::map<std::string, double> found;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    if (line.starts_with('#')) continue;
+    std::vector<std::string> words;
+    std::istringstream cells(line);
+    for (std::string word; std::getline(cells, word, separator);) words.push_back(word);
+    found[words.at(static_cast<std::size_t>(name_at))] =
+        std::stod(words.at(static_cast<std::size_t>(value_at)));
+  }
+  return found;
+}
+
+class ExportTest : public testing::Test {
+ protected:
+  CorrectionConstants constants(ExportFrame frame = ExportFrame::kItem) const {
+    return constants_of(analyse(record, "joint"), frame);
+  }
+
+  /// In m/s2, which is what the readers of most formats mean by raw.
+  RunRecord record = run_of(item(kG), "m/s2");
+};
+
+TEST_F(ExportTest, TheConstantsTurnReadingsIntoLocalGravity) {
+  for (const ExportFrame frame : {ExportFrame::kItem, ExportFrame::kPlatter}) {
+    const CorrectionConstants c = constants(frame);
+    const double worst = worst_norm_error(
+        record, 1.0, [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return c.M * (r - c.b); });
+    EXPECT_LT(worst, 1e-4);  // g_loc times 1e-5, the size of the default uncertainties.
+    EXPECT_TRUE((c.u_M.array() > 0.0).all() || frame == ExportFrame::kItem);
+    EXPECT_TRUE((c.u_M.diagonal().array() > 0.0).all());
+    EXPECT_TRUE((c.u_b.array() > 0.0).all());
+  }
+  const CorrectionConstants own = constants();
+  EXPECT_NEAR(own.M(0, 1), 0.0, 1e-12) << "x along u";
+  EXPECT_NEAR(own.M(0, 2), 0.0, 1e-12);
+  EXPECT_NEAR(own.M(1, 2), 0.0, 1e-12) << "y in the plane of u and v";
+  const Eigen::Matrix3d truth = kG * item(kG).sensitivity_matrix.inverse();
+  EXPECT_TRUE(constants(ExportFrame::kPlatter).M.isApprox(truth, 1e-4));
+}
+
+TEST_F(ExportTest, TheSameInGIsTheSameInMetresPerSecondSquared) {
+  const RunRecord in_g = run_of(item(kG / 9.80665), "g");
+  const CorrectionConstants c = constants_of(analyse(in_g, "joint"), ExportFrame::kItem);
+  EXPECT_TRUE(c.matrix_si().isApprox(constants().matrix_si(), 1e-9));
+  EXPECT_TRUE(c.bias_si().isApprox(constants().bias_si(), 1e-9));
+}
+
+TEST_F(ExportTest, ImuCalibCorrectsByItsOwnRule) {
+  const std::string text = export_format("ros").write(constants());
+  std::vector<double> numbers;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);)
+    if (line.starts_with("  - ")) numbers.push_back(std::stod(line.substr(4)));
+  ASSERT_EQ(numbers.size(), 12U);
+  const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> SM(numbers.data());
+  const Eigen::Map<const Eigen::Vector3d> bias(numbers.data() + 9);
+  EXPECT_LT(worst_norm_error(record, 1.0,
+                             [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return SM * r - bias; }),
+            1e-4);
+}
+
+TEST_F(ExportTest, ImucalCorrectsByItsOwnRule) {
+  const auto json = nlohmann::json::parse(export_format("imucal").write(constants()));
+  const auto matrix = [&](const char* key) {
+    Eigen::Matrix3d m;
+    for (Eigen::Index j = 0; j < 3; ++j)
+      for (Eigen::Index k = 0; k < 3; ++k)
+        m(j, k) = json.at(key)[static_cast<std::size_t>(j)][static_cast<std::size_t>(k)].get<double>();
+    return m;
+  };
+  Eigen::Vector3d b;
+  for (Eigen::Index j = 0; j < 3; ++j) b[j] = json.at("b_a")[static_cast<std::size_t>(j)].get<double>();
+  EXPECT_TRUE(matrix("K_a").isDiagonal(1e-15));
+  EXPECT_EQ(matrix("K_g"), Eigen::Matrix3d::Identity());
+  const Eigen::Matrix3d correction = matrix("R_a").inverse() * matrix("K_a").inverse();
+  EXPECT_LT(
+      worst_norm_error(record, 1.0,
+                       [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return correction * (r - b); }),
+      1e-4);
+}
+
+TEST_F(ExportTest, FlightControllersScaleAndShiftAndSayWhatTheyLeave) {
+  const CorrectionConstants c = constants();
+  const auto check = [&](const std::map<std::string, double>& p, const std::string& offset,
+                         const std::string& scale) {
+    Eigen::Vector3d b, s;
+    Eigen::Index j = 0;
+    for (const char axis : std::string("XYZ")) {
+      const auto named = [&](std::string name) {
+        name.replace(name.find('?'), 1, 1, axis);
+        return p.at(name);
+      };
+      b[j] = named(offset);
+      s[j++] = named(scale);
+    }
+    const double worst = worst_norm_error(
+        record, 1.0, [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return (r - b).cwiseProduct(s); });
+    EXPECT_GT(worst, 1e-3) << "the angles between the axes of this item are not 90 degrees";
+    EXPECT_LT(worst, 1.01 * std::sqrt(2.0) * c.diagonal_remainder_mps2());
+  };
+  const std::string px4 = export_format("px4").write(c);
+  EXPECT_THAT(px4, HasSubstr("At 1 g that leaves up to"));
+  check(parameters(px4, '\t', 2, 3), "CAL_ACC0_?OFF", "CAL_ACC0_?SCALE");
+  check(parameters(export_format("ardupilot").write(c), ',', 0, 1), "INS_ACCOFFS_?", "INS_ACCSCAL_?");
+}
+
+TEST_F(ExportTest, FixedPointAgreesToItsRounding) {
+  const CorrectionConstants c = constants();
+  const std::string text = export_format("c").write(c);
+  const std::size_t at = text.find("abcal_M_fixed[3][3] = {\n    {");
+  ASSERT_NE(at, std::string::npos);
+  EXPECT_NEAR(std::stod(text.substr(text.find("    {", at) + 5)) / 65536.0, c.M(0, 0), 0.5 / 65536.0);
+}
+
+TEST_F(ExportTest, JsonHasEverythingWithItsUncertainty) {
+  const auto json = nlohmann::json::parse(export_format("json").write(constants(ExportFrame::kPlatter)));
+  EXPECT_EQ(json.at("schema"), "abcal.constants/1");
+  EXPECT_EQ(json.at("frame"), "platter");
+  EXPECT_GT(json.at("M").at("standard_uncertainty")[0][1].get<double>(), 0.0);
+  EXPECT_EQ(json.at("response_unit"), "m/s2");
+}
+
+TEST_F(ExportTest, WhatDoesNotFitIsRefusedWithTheReason) {
+  const auto reason = [](const std::function<void()>& call) -> std::string {
+    try {
+      call();
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+    return "not refused";
+  };
+  const RunRecord in_volts = run_of(item(0.5), "V");
+  const CorrectionConstants volts = constants_of(analyse(in_volts, "joint"), ExportFrame::kItem);
+  EXPECT_THAT(reason([&] { (void)export_format("px4").write(volts); }), HasSubstr("the output is in V"));
+  EXPECT_THAT(export_format("json").write(volts), HasSubstr("\"response_unit\": \"V\""));
+  EXPECT_THAT(reason([&] { (void)export_format("kalibr").write(constants()); }),
+              HasSubstr("noise of single readings"));
+  EXPECT_THAT(reason([&] { (void)export_format("matlab"); }), HasSubstr("required: one of json, csv"));
+  EXPECT_THAT(reason([&] { (void)constants_of(analyse(record, "norm"), ExportFrame::kPlatter); }),
+              HasSubstr("knows no platter"));
+  CalibrationResult bad = analyse(record, "joint");
+  bad.verdict = Verdict::kNotUsable;
+  bad.why = "it fell";
+  EXPECT_THAT(reason([&] { (void)constants_of(bad, ExportFrame::kItem); }), HasSubstr("it fell"));
+}
+
+}  // namespace
+}  // namespace abcal

@@ -1,0 +1,223 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <random>
+#include <stdexcept>
+#include <string>
+
+#include "app/planner/plan_search.h"
+#include "app/planner/wanted.h"
+#include "app/planner/write_plan.h"
+#include "app/results/analyses.h"
+#include "app/robustness/robustness_study.h"
+#include "app/robustness/scenario.h"
+#include "sim/counter_noise.h"
+#include "protocol/record/planned_dwell.h"
+#include "sim/sim_bench.h"
+
+namespace abcal {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr const char* kBench =
+    "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"simulated\"\nport = \"simulated\"\n[accelerometer]\n"
+    "driver = \"simulated\"\nport = \"simulated\"\nrate_hz = 100.0\n";
+
+PlanningBench bench(double noise = 1e-4) {
+  PlanningBench bench;
+  bench.config = parse_bench(std::string(kBench) + "[protocol]\nsettle_s = 1.0\n", "bench.toml");
+  bench.speed = {AxisSpeed{20.0, 80.0}, AxisSpeed{20.0, 80.0}};
+  bench.noise = noise;
+  return bench;
+}
+
+TEST(WantedTest, ReadsGroupsWithTheirUnits) {
+  const WantedValues wanted = parse_wanted("phi=1e-3 deg, s=20 ppm,O=5e-5 g");
+  EXPECT_DOUBLE_EQ(wanted[0].value(), 2e-5);
+  EXPECT_FALSE(wanted[1]);
+  EXPECT_DOUBLE_EQ(wanted[2].value(), 5e-5);
+  EXPECT_DOUBLE_EQ(wanted[3].value(), 1e-3);
+}
+
+TEST(WantedTest, NamesEveryProblemAtOnce) {
+  try {
+    (void)parse_wanted("phi=1e-3, s=0, O=5 mV, x=1, off=fine, s=-1");
+    FAIL() << "accepted";
+  } catch (const std::invalid_argument& error) {
+    EXPECT_THAT(error.what(), AllOf(HasSubstr("phi: unit \"\"; required: deg"), HasSubstr("s is 0; required"),
+                                    HasSubstr("O: unit \"mV\""), HasSubstr("\"x=1\""),
+                                    HasSubstr("off: \"fine\" is no number"), HasSubstr("s is -1")));
+  }
+}
+
+TEST(PlanPredictionTest, MoreReadingsGiveLessUncertaintyAndTakeLonger) {
+  ProtocolConfig protocol = bench().config.protocol;
+  protocol.steps = 12;
+  protocol.step = Angle::degrees(30.0);
+  protocol.dwell_readings = 100;
+  const PlanPrediction few = predict_plan(bench(), protocol);
+  protocol.dwell_readings = 10000;
+  const PlanPrediction many = predict_plan(bench(), protocol);
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    EXPECT_LT(many.u[group], few.u[group]) << symbol_of(static_cast<PlannedOutput>(group));
+    EXPECT_GT(many.u[group], 0.0);
+    EXPECT_GT(few.limits[group].share, 0.0);
+    EXPECT_FALSE(few.limits[group].name.empty());
+  }
+  EXPECT_NEAR(many.duration.dwelling_s, 100.0 * few.duration.dwelling_s, 1e-6 * many.duration.dwelling_s);
+}
+
+TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
+  const PlanningBench planned = bench();
+  ProtocolConfig protocol = planned.config.protocol;
+  protocol.steps = 24;
+  protocol.step = Angle::degrees(15.0);
+  protocol.dwell_readings = 100;
+  const PlanPrediction prediction = predict_plan(planned, protocol);
+
+  RunRecord record;
+  record.tolerances = planned.config.tolerances;
+  record.steps = protocol.steps;
+  record.step = protocol.step;
+  record.expected.nominal_sensitivity = 1.0;
+  const double u = planned.noise / 10.0;
+  sim::BenchTruth truth;
+  truth.noise = u;
+  sim::SimBench world(truth);
+  std::uint64_t i = 0;
+  for (const PlannedAngle& angle : make_rotation_plan(protocol, planned.travel)) {
+    if (angle.check) continue;
+    DwellRecord dwell = planned_dwell(angle);
+    dwell.count = 100;
+    dwell.time_s = 5.0 * static_cast<double>(i);
+    const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
+    world.place(StageAxis::kX, angle.x, t);
+    world.place(StageAxis::kZ, angle.z, t);
+    dwell.mean = world.output(t, i++).value;
+    dwell.u_mean = Eigen::Vector3d::Constant(u);
+    record.dwells.push_back(dwell);
+  }
+  const CalibrationResult result = analyse(record, "joint");
+  ASSERT_TRUE(result.sensitivity_matrix);
+  double s = 0.0, O = 0.0, phi = 0.0;
+  for (std::size_t j = 0; j < 3; ++j) {
+    s = std::max(s, (*result.sensitivity_matrix)[j][j].standard_uncertainty);
+    O = std::max(O, result.offset[j].standard_uncertainty);
+    phi = std::max(phi, result.intrinsic_angle[j].standard_uncertainty);
+  }
+  // What one run finds of the noise process of its own readings moves its uncertainties by some per cent.
+  EXPECT_NEAR(s / prediction.u[0], 1.0, 0.1);
+  EXPECT_NEAR(O / prediction.u[2], 1.0, 0.1);
+  EXPECT_NEAR(phi / prediction.u[3], 1.0, 0.1);
+}
+
+/// The worst u of each group of a result, relative to a near-unit item.
+PlannedValues stated(const CalibrationResult& result) {
+  PlannedValues u{};
+  const auto worst = [&](PlannedOutput output, const Quantity& quantity) {
+    double& place = u[static_cast<std::size_t>(output)];
+    place = std::max(place, quantity.standard_uncertainty);
+  };
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      worst(j == k ? PlannedOutput::kSensitivity : PlannedOutput::kOffDiagonal,
+            result.sensitivity_matrix.value()[j][k]);
+    }
+    worst(PlannedOutput::kOffset, result.offset[j]);
+    worst(PlannedOutput::kAngle, result.intrinsic_angle[j]);
+  }
+  return u;
+}
+
+TEST(PlanPredictionTest, HoldsOnRandomBenches) {
+  std::vector<const Scenario*> within;
+  for (const Scenario& scenario : robustness_scenarios())
+    if (scenario.kind == ScenarioKind::kWithin) within.push_back(&scenario);
+  std::mt19937_64 random(20261122);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::array<std::vector<double>, kPlannedOutputs> ratios;
+  for (std::uint64_t k = 0; k < 40; ++k) {
+    ScenarioBench drawn = draw_bench(*within[k % within.size()], 1, k);
+    drawn.steps = kTriedSteps[static_cast<std::size_t>(uniform(random) * kTriedSteps.size())];
+    drawn.noise = drawn.stated_noise = 3e-6 * std::pow(30.0, uniform(random));
+    const sim::BenchTruth& truth = drawn.truth;
+    const bool white =
+        truth.random_walk == 0.0 && truth.flicker_noise == 0.0 && truth.correlated_noise == 0.0;
+    if (drawn.scale != 1.0 || !white) continue;  // Other units, and noise that the prediction does not know.
+    const CalibrationResult result = analyse(simulate_run(drawn).record, "joint");
+    if (!result.sensitivity_matrix) continue;
+
+    PlanningBench planned = bench(10.0 * drawn.stated_noise);
+    planned.config.tolerances = drawn.stated;
+    ProtocolConfig protocol = planned.config.protocol;
+    protocol.steps = drawn.steps;
+    protocol.step = Angle::degrees(360.0 / drawn.steps);
+    protocol.dwell_readings = 100;
+    const PlannedValues predicted = predict_plan(planned, protocol).u;
+    const PlannedValues found = stated(result);
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group)
+      ratios[group].push_back(found[group] / predicted[group]);
+  }
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    std::vector<double>& all = ratios[group];
+    ASSERT_GE(all.size(), 30U);
+    std::ranges::sort(all);
+    const auto symbol = symbol_of(static_cast<PlannedOutput>(group));
+    RecordProperty("median_" + std::string(symbol), std::to_string(all[all.size() / 2]));
+    EXPECT_NEAR(all[all.size() / 2], 1.0, 0.05) << symbol << ": " << testing::PrintToString(all);
+  }
+}
+
+TEST(PlanSearchTest, TheShortestPlanReachesWhatIsWantedAndAShorterDwellDoesNot) {
+  PlanSearch search(bench());
+  const WantedValues wanted = published_wanted();
+  const FoundPlan found = search.shortest(wanted);
+  ASSERT_TRUE(found.plan);
+  EXPECT_LE(worst_ratio(found.plan->u, wanted), 1.0);
+  ProtocolConfig shorter = found.plan->protocol;
+  shorter.dwell_readings = shorter.dwell_readings * 9 / 10;
+  if (shorter.dwell_readings >= kLeastReadings) {
+    EXPECT_GT(worst_ratio(predict_plan(bench(), shorter).u, wanted), 1.0);
+  }
+  // The same time again finds a plan that is as good.
+  const auto best = search.best_within(found.plan->duration.total_s(), wanted);
+  ASSERT_TRUE(best);
+  EXPECT_LE(worst_ratio(best->u, wanted), 1.01);
+}
+
+TEST(PlanSearchTest, WhatCannotBeReachedIsSaidWithTheEffectThatForbidsIt) {
+  PlanSearch search(bench());
+  const FoundPlan found = search.shortest({std::nullopt, 1e-7, std::nullopt, std::nullopt});
+  EXPECT_FALSE(found.plan);
+  ASSERT_EQ(found.out_of_reach.size(), 1U);
+  EXPECT_THAT(found.out_of_reach[0],
+              AllOf(HasSubstr("off: 1e-07 is wanted"), HasSubstr("% of its variance is ")));
+}
+
+TEST(PlanSearchTest, NothingFitsIntoASecond) {
+  PlanSearch search(bench());
+  EXPECT_FALSE(search.best_within(1.0, published_wanted()));
+}
+
+TEST(WritePlanTest, ChangesThreeKeysAndLeavesTheRest) {
+  ProtocolConfig protocol;
+  protocol.steps = 16;
+  protocol.step = Angle::degrees(22.5);
+  protocol.dwell_readings = 250;
+  const std::string before =
+      std::string("# my bench\n") + kBench + "[protocol] # as ever\nsteps = 72 # a circle\nsettle_s = 1.0\n";
+  const std::string after = with_protocol(before, protocol, "bench.toml");
+  EXPECT_THAT(after, AllOf(HasSubstr("# my bench\n"), HasSubstr("steps = 16 # a circle\n"),
+                           HasSubstr("[protocol] # as ever\n"), HasSubstr("dwell_readings = 250"),
+                           HasSubstr("step_deg = 22.5"), HasSubstr("settle_s = 1.0")));
+  EXPECT_EQ(with_protocol(after, protocol, "bench.toml"), after);
+  EXPECT_THAT(with_protocol(kBench, protocol, "bench.toml"), HasSubstr("[protocol]\nsteps = 16"));
+}
+
+}  // namespace
+}  // namespace abcal

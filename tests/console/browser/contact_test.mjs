@@ -1,0 +1,123 @@
+// What the page says when it does not know: the console stopped, killed, restarted; the process that holds the bench killed.
+// And how anybody stops the bench.
+import assert from 'node:assert/strict';
+import {begin, confirmDialog, measured, served, stateIs, text} from './page_test.mjs';
+
+const PACE = 3;
+const step = begin({pace: PACE});
+const word = () => text('#banner-word');
+const wordIs = (pattern) => served.page.waitForFunction((source) => new RegExp(source).test(document.getElementById('banner-word').textContent), pattern.source);
+const contact = () => served.page.waitForFunction(() => document.getElementById('link').textContent === 'Connected');
+const icon = () => served.page.evaluate(() => document.getElementById('favicon').getAttribute('href'));
+let runName;
+
+step('says what the bench does, in a word, with its limit, in the title and in the icon of the tab', async (page) => {
+  assert.equal(await word(), 'Idle');
+  assert.ok(await page.locator('#do-stop').isDisabled(), 'nothing can move');
+  await page.locator('#take-control').click();
+  await page.locator('#do-start:enabled').click();
+  await confirmDialog();
+  await wordIs(/^(Moving|Settling|Reading)$/);
+  await page.waitForFunction(() => /^Limit: \d+ (s|min)/.test(document.getElementById('banner-more').textContent));
+  await page.waitForFunction(() => /^(Moving|Settling|Reading), \d+ of 47 – bench\.toml$/.test(document.title));
+  assert.equal(await icon(), '/favicon-busy.svg');
+  assert.match(await text('#reply'), /^Start: done$/);
+  runName = await text('#run-file');
+});
+
+step('with the console stopped: nothing counts on, all is stamped, and a stop says that it is not confirmed', async (page) => {
+  await served.measuredAtLeast(3);
+  served.server.kill('SIGSTOP');
+  await page.waitForFunction(() => /^No contact for \d+ s, last known at \d\d:\d\d:\d\d UTC/.test(document.getElementById('contact').textContent));
+  assert.equal(await word(), 'No contact');
+  assert.equal(await icon(), '/favicon-lost.svg');
+  assert.match(await page.title(), /^No contact/);
+  assert.ok(await page.evaluate(() => document.body.classList.contains('no-contact')));
+  const left = await text('#left'), since = await text('#contact');
+  await page.waitForFunction((before) => document.getElementById('contact').textContent !== before, since);
+  assert.equal(await text('#left'), left, 'the time left is not counted down');
+  assert.ok(await page.locator('#do-hold').isDisabled());
+  assert.ok(await page.locator('#do-stop').isEnabled());
+  await page.locator('#do-stop').click();
+  assert.equal(await text('#halt'), 'Stop: sent');
+  await page.getByText('Stop: not confirmed after 2 s: use the switch on the stage').waitFor();
+  served.server.kill('SIGCONT');
+  await contact();
+  // It was sent, after all.
+  await stateIs(/^The run is interrupted and can be resumed/);
+  assert.match(await text('#halt'), /^Axis X has halted\. Axis Z has halted\./);
+});
+
+step('offers to resume the run that was interrupted, and where', async (page) => {
+  assert.match(await text('#interrupted-words'), new RegExp(`^${runName} was interrupted at (experiment \\d, [\\d.]+ degrees|check pose \\d).*: \\d+ of 47 angles are measured`));
+  await page.locator('#resume-interrupted:enabled').click();
+  await confirmDialog();
+  await wordIs(/^(Moving|Settling|Reading|Homing)$/);
+  assert.ok(await page.locator('#interrupted').isHidden());
+});
+
+step('with the console killed: says so, and finds the run again, which went on', async (page) => {
+  const before = await measured();
+  await served.measuredAtLeast(before + 1);
+  const ended = new Promise((resolve) => served.server.on('exit', resolve));
+  served.server.kill('SIGKILL');
+  await ended;
+  await wordIs(/^No contact$/);
+  await page.getByText(/^No contact for \d+ s/).waitFor();
+  const known = await measured();
+  await served.serveAgain('--pace', String(PACE));
+  await contact();
+  await wordIs(/^(Moving|Settling|Reading)$/);
+  await served.measuredAtLeast(known + 1);
+  await page.getByText('This page no longer has control: this page lost its connection').waitFor();
+  const times = await page.evaluate(() => Chart.getChart(document.getElementById('strip')).data.datasets[0].data.map((point) => point.x));
+  assert.ok(times.every((t, i) => i === 0 || t >= times[i - 1]), 'the strip does not run backwards');
+});
+
+step('stops with Escape pressed twice, in a dialog and without control', async (page) => {
+  await page.locator('#take-control').click();
+  await page.locator('#do-hold:enabled').click();
+  await stateIs(/^Held/);
+  await page.locator('#do-continue:enabled').click();
+  assert.ok(await page.locator('#dialog-stop').isEnabled());
+  assert.equal(await page.evaluate(() => document.querySelector('#confirm button').id), 'dialog-stop', 'first in the dialog');
+  const watcher = served.watch(await served.browser.newPage());
+  await watcher.goto(served.address);
+  await watcher.locator('#do-stop:enabled').waitFor();
+  await watcher.keyboard.press('Tab');
+  assert.equal(await watcher.evaluate(() => document.activeElement.id), 'do-stop', 'first in the order of Tab');
+  await watcher.close();
+  await page.keyboard.press('Escape');
+  await page.keyboard.press('Escape');
+  await wordIs(/^Interrupted$/);
+  assert.match(await text('#halt'), /^Axis X has halted\. Axis Z has halted\. \(\d\.\d\d s, \d\d:\d\d:\d\d UTC\)$/);
+});
+
+step('with the process that holds the bench killed: says so, and offers the run again', async (page) => {
+  await page.locator('#resume-interrupted:enabled').click();
+  await confirmDialog();
+  await wordIs(/^(Moving|Settling|Reading)$/);
+  process.kill(served.holder(), 'SIGKILL');
+  await page.locator('#interrupted:visible').waitFor();
+  assert.match(await text('#interrupted-words'), /Its program died/);
+  await wordIs(/^Idle$/);
+});
+
+step('shows times of one kind, UTC or local', async (page) => {
+  const zones = () => page.evaluate(() => [...document.querySelectorAll('time')].map((time) => time.textContent.split(' ').at(-1)));
+  assert.ok((await zones()).length > 0);
+  assert.ok((await zones()).every((zone) => zone === 'UTC'));
+  await page.locator('#times').click();
+  assert.ok((await zones()).every((zone) => zone === 'local'));
+  await page.locator('#times').click();
+});
+
+step('is a display on a wall', async (page) => {
+  await page.locator('nav a[href="#kiosk"]').click();
+  assert.ok(await page.locator('#steering').isHidden());
+  assert.ok(await page.locator('#do-stop').isVisible());
+  const height = await page.evaluate(() => parseFloat(getComputedStyle(document.getElementById('banner-word')).fontSize));
+  assert.ok(height >= 80, `${height} px`);
+  await page.locator('#leave-kiosk').click();
+  assert.ok(await page.locator('#steering').isVisible());
+});
