@@ -11,7 +11,7 @@
 #include "app/console/download.h"
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
-#include "protocol/analysis/meaning.h"
+#include "protocol/analysis/check_meanings.h"
 #include "protocol/uncertainty/control_chart.h"
 
 namespace abcal::console {
