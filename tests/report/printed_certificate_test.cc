@@ -288,6 +288,7 @@ TEST_F(PrintedCertificateTest, AKeyOfAnotherPersonIsRefused) {
   registered_->lab(
       {"key", "Operator N. N.", "--kind", "person", "-o", "third.pem", "--certificate", "third.crt"});
   std::filesystem::copy_file(*folder_ / "a.run", *folder_ / "again.run");
+  std::filesystem::copy_file(*folder_ / "a.run.results", *folder_ / "again.run.results");
   const test::ProgramResult refused = abcal({"issue", "again.run", "--laboratory", "lab.toml", "--sign",
                                              "third.pem", "--certificate", "third.crt"});
   EXPECT_EQ(refused.exit_code, 2);
@@ -301,7 +302,7 @@ TEST_F(PrintedCertificateTest, AGermanCertificateIsGerman) {
   ASSERT_EQ(draft.exit_code, 0) << draft.err;
   const std::string page = file("de.html");
   for (const std::string words :
-       {"Kalibrierschein", "erweiterte Messunsicherheit", "Metrologische R\u00fcckf\u00fchrung", "Seite ",
+       {"Kalibrierschein", "erweiterte Messunsicherheit", "Metrologische R\u00fcckf\u00fchrung", "Seite\\20 ",
         "ENTWURF", "freigegeben", "Messunsicherheitsbudget", "Deutschland", "Keine."})
     EXPECT_THAT(page, HasSubstr(words));
   const XmlDocument document = parse_xml(file("de.xml"), "de.xml");
