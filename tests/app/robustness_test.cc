@@ -53,9 +53,10 @@ TEST(RobustnessTest, ASoundBenchIsUsableAndItsIntervalsHold) {
   }
 }
 
-// Neither estimator calls such a run usable: ABC by what the joint fit of the same readings finds.
+// Neither estimator calls such a run usable: ABC by what the joint fit of the same readings finds. (k5-x10 is
+// not among them: docs/effects.md.)
 TEST(RobustnessTest, EffectsMuchLargerThanStatedAreDoubtful) {
-  const std::vector<std::string> wrong{"k5-x10",        "asymmetry-x10", "hysteresis-x10",
+  const std::vector<std::string> wrong{"k4-x10",        "asymmetry-x10", "hysteresis-x10",
                                        "steps-quarter", "cross-x5",      "wobble-x5"};
   for (const ScenarioOutcome& outcome : study_of(wrong, 4).outcomes)
     EXPECT_EQ(outcome.usable, 0) << outcome.scenario << " " << outcome.estimator;
