@@ -124,7 +124,7 @@ TEST(RobustnessTest, ShortfallsFollowTheKindOfTheScenario) {
   ScenarioOutcome outcome;
   outcome.runs = 100;
   outcome.usable = 70;
-  outcome.groups.fill({0.95, 1.0, 1.0, 1.0});
+  outcome.groups.fill({0.95, 1.0, 1.0});
   EXPECT_THAT(outcome.shortfalls(), testing::ElementsAre("usable 0.70, required 0.80"));
   outcome.kind = ScenarioKind::kBeyond;
   EXPECT_TRUE(outcome.shortfalls().empty());
