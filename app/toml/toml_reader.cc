@@ -320,7 +320,8 @@ std::optional<RecordedValue> TomlReader::recorded(const toml::table& table, cons
     RecordedValue found = lookup_(record, value);
     const bool same = found.unit == unit || (unit == "degree" && found.unit == "deg") ||
                       (unit == "1" && found.unit.empty());
-    if (!same) throw RecordProblem(fmt::format("a value in {}: {}", found.unit, found.source), "the unit " + unit);
+    if (!same)
+      throw RecordProblem(fmt::format("a value in {}: {}", found.unit, found.source), "the unit " + unit);
     return found;
   } catch (const RecordProblem& error) {
     problem(table, where, error.what(), error.required());
