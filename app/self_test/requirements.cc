@@ -238,7 +238,7 @@ RequirementSection reporting() {
           {"the certificate is valid: schema, rules, Schematron",
            "The customer's program cannot read the certificate, or reads it wrongly.",
            {"DccTest.TwoHundredCertificatesOfAnythingValidate", "DccTest.XmllintFindsItValid",
-            "DccTest.TheSchematronOfThePtbFindsNoError"}},
+            "DccTest.TheSchematronOfThePtbFindsNothing"}},
           {"its numbers are those of the analysis; a reader finds them again",
            "The certificate states other numbers than the analysis.",
            {"DccTest.NumbersAreThoseOfTheAnalysis", "CompareCommand.ARunAgreesWithItsOwnCertificate"}},
