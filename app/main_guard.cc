@@ -1,13 +1,13 @@
 // abcal-guard: holds the ports of a stage for the program that moves it, and halts the axes if that program
 // dies (app/bench/halt_guard.h). Started by abcal, with one end of a socket as descriptor 3.
 #include <csignal>
-#include <cstdio>
 #include <exception>
 #include <string>
 #include <vector>
 
 #include "app/bench/halt_guard.h"
 #include "app/bench/real_clock.h"
+#include "app/system/output.h"
 
 int main() {
   // What ends the owner (Ctrl-C, a closed terminal, the end of a service) must not end this as well.
@@ -17,10 +17,10 @@ int main() {
     abcal::RealClock clock;
     const std::vector<std::string> words = abcal::guard_until_owner_dies(kSocket, clock);
     for (const std::string& each : words)
-      std::fprintf(stderr, "abcal-guard: the program that moved the stage has died; %s\n", each.c_str());
+      abcal::print_log("abcal-guard: the program that moved the stage has died; {}\n", each);
     return 0;
   } catch (const std::exception& error) {
-    std::fprintf(stderr, "abcal-guard: %s\n", error.what());
+    abcal::print_log("abcal-guard: {}\n", error.what());
     return 1;
   }
 }

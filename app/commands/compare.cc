@@ -13,7 +13,7 @@ namespace abcal {
 CLI::App* add_compare(CLI::App& parent, int& exit_code) {
   struct Options {
     std::vector<std::string> files;
-    std::string estimator{kPublishedEstimator};
+    std::string estimator;
     CompareOptions compare;
     bool json = false;
   };
@@ -27,7 +27,8 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
       ->expected(2, 10'000);
   command
       ->add_option("--estimator", options->estimator,
-                   fmt::format("of runs and CSVs: {} (default: {})", estimator_choice(), kPublishedEstimator))
+                   fmt::format("of runs and CSVs: {} (default: that of each run; {} with --shared)",
+                               estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--shared", options->compare.shared_stage,
                     "all were measured on one stage: subtract the effect of its common errors from the "
@@ -37,6 +38,8 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
                       "analysis of variance between groups: day, stage, or a label such as operator.name");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.compare/1");
   command->callback([options, &exit_code] {
+    // What a stage does to two results alike is known of the published protocol's equations.
+    if (options->estimator.empty() && options->compare.shared_stage) options->estimator = kPublishedEstimator;
     std::vector<ComparedResult> results;
     for (const std::string& file : options->files) results.push_back(load_compared(file, options->estimator));
     const ResultsComparison comparison = compare_results(std::move(results), options->compare);

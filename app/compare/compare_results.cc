@@ -251,6 +251,10 @@ ResultsComparison compare_results(std::vector<ComparedResult> results, const Com
   for (std::size_t i = 1; i < comparison.results.size(); ++i) {
     comparison.pairs.push_back(compare_pair(first, comparison.results[i], options.shared_stage));
     comparison.pairs.back().second = i;
+    const ComparedResult& other = comparison.results[i];
+    if (first.record && other.record && first.what != other.what)
+      comparison.notes.push_back(fmt::format("{} is by the {}, {} by the {}: both estimate the line response",
+                                             first.file, first.what, other.file, other.what));
     note_common_stage(first, comparison.results[i], options.shared_stage, comparison.notes);
   }
   if (comparison.results.size() < 3) {

@@ -141,7 +141,8 @@ ComparedResult load_compared(const std::filesystem::path& path, const std::strin
   result.kind = "CSV";
   LoadedRecord loaded = load_record(path);
   if (loaded.run) describe_run(*loaded.run, result);
-  const CalibrationResult calibration = analyse(loaded.record, estimator);
+  const CalibrationResult calibration = analyse(
+      loaded.record, estimator.empty() ? declared_estimator(loaded.record) : find_estimator(estimator));
   if (calibration.verdict == Verdict::kNotUsable)
     throw std::runtime_error(fmt::format("{}: no usable result: {}", path.string(), calibration.why));
   set_values(calibration, result);

@@ -51,6 +51,7 @@ class CompareError : public std::invalid_argument {
 };
 
 /// Reads and, where it is a record, analyses one file. Its content decides which of the three it is.
+/// @param estimator  of records; empty: the one that each record declares
 /// @throws as load_record() and read_certificate(); std::runtime_error for a record that gives no
 ///         usable result, with the reason
 ComparedResult load_compared(const std::filesystem::path& path, const std::string& estimator);

@@ -61,7 +61,8 @@ class BenchLock {
       throw BenchIsHeld(fmt::format("another process holds this bench already ({})", file));
     }
     // For people who look for it.
-    if (::ftruncate(descriptor_, 0) != 0 || ::dprintf(descriptor_, "%d\n", ::getpid()) < 0) return;
+    const std::string pid = fmt::format("{}\n", ::getpid());
+    if (::ftruncate(descriptor_, 0) != 0 || ::write(descriptor_, pid.data(), pid.size()) < 0) return;
   }
   ~BenchLock() { ::close(descriptor_); }
   BenchLock(const BenchLock&) = delete;

@@ -18,7 +18,7 @@
 #include "app/results/result_json.h"
 #include "app/system/output_file.h"
 #include "app/system/version.h"
-#include "protocol/analysis/meaning.h"
+#include "protocol/analysis/check_meanings.h"
 #include "protocol/uncertainty/control_chart.h"
 
 namespace abcal::console {

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -74,6 +75,9 @@ class WatchedAccelerometer final : public Accelerometer {
   void start() override;
   std::optional<Reading> next(Clock::Instant deadline) override;
   void discard_pending() override { accelerometer_->discard_pending(); }
+  std::map<std::string, std::string> correction_registers() override {
+    return accelerometer_->correction_registers();
+  }
   StreamHealth health() const override { return accelerometer_->health(); }
   void stop() noexcept override { accelerometer_->stop(); }
 

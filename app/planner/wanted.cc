@@ -53,7 +53,7 @@ std::optional<std::string> read_one(std::string_view text, WantedValues& wanted)
   const std::string_view rest = pieces::trimmed(text.substr(sign + 1));
   double value = 0.0;
   const auto [end, error] = std::from_chars(rest.data(), rest.data() + rest.size(), value);
-  if (error != std::errc()) return fmt::format("{}: \"{}\" is no number", name, rest);
+  if (error != std::errc()) return fmt::format("{}: \"{}\" is not a number", name, rest);
   const std::string_view unit = pieces::trimmed(rest.substr(static_cast<std::size_t>(end - rest.data())));
   const auto factor = factor_of(*output, unit);
   if (!factor) return fmt::format("{}: unit \"{}\"; required: {}", name, unit, units_of(*output));

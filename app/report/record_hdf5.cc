@@ -5,9 +5,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
+#include <map>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "app/document/valid_text.h"
@@ -57,8 +60,25 @@ struct Meaning {
   std::string long_name = {};
 };
 
+/// A unit of abcal as UDUNITS calls it: there "g" is the gram, and standard gravity is "gravity". What is per
+/// g_loc is stated without it: local gravity is no unit (conditions/g_loc has its value).
+std::string udunits(std::string unit) {
+  constexpr std::string_view kPerLocalGravity = "/g_loc";
+  if (const std::size_t at = unit.find(kPerLocalGravity); at != std::string::npos)
+    unit.erase(at, kPerLocalGravity.size());
+  if (unit.size() > 2 && unit.front() == '(' && unit.back() == ')') unit = unit.substr(1, unit.size() - 2);
+  static const std::map<std::string, std::string> kNames{{"g", "gravity"},       {"mg", "milligravity"},
+                                                         {"ug", "microgravity"}, {"m/s2", "m s-2"},
+                                                         {"m/s^2", "m s-2"},     {"LSB", "count"}};
+  const auto known = kNames.find(unit);
+  return known == kNames.end() ? unit : known->second;
+}
+
+/// `units` for other programs, `unit` as abcal writes it everywhere else.
 void describe(const H5::DataSet& dataset, const Meaning& meaning) {
-  set_attribute(dataset, "units", meaning.unit);
+  const std::string units = udunits(meaning.unit);
+  set_attribute(dataset, "units", units);
+  if (units != meaning.unit) set_attribute(dataset, "unit", meaning.unit);
   if (!meaning.long_name.empty()) set_attribute(dataset, "long_name", meaning.long_name);
 }
 
@@ -127,7 +147,9 @@ double or_nan(const std::optional<double>& value) {
 void plot_as(const H5::Group& data, const std::string& signal, const std::vector<std::string>& axes) {
   set_attribute(data, "signal", signal);
   set_attribute(data, "axes", axes);
-  set_attribute(data, axes.front() + "_indices", std::string("0"));
+  const std::int64_t first_dimension = 0;
+  data.createAttribute(axes.front() + "_indices", H5::PredType::STD_I64LE, H5::DataSpace(H5S_SCALAR))
+      .write(H5::PredType::NATIVE_INT64, &first_dimension);
 }
 
 // --- Groups ------------------------------------------------------------------------------------------------
@@ -343,6 +365,7 @@ void write(const ReportData& data, const H5::H5File& file, const std::string& fi
 
   const H5::Group entry = group(root, "entry", "NXentry");
   set_attribute(entry, "default", "averaged");
+  put(entry, "definition", "NXabc_calibration");  // docs/NXabc_calibration.nxdl.xml
   put(entry, "title", "calibration of a triaxial accelerometer by gravity (ABC protocol)");
   put(entry, "entry_identifier", data.path.filename().string());
   put(entry, "source_sha256", data.sha256.value_or(""));

@@ -242,8 +242,9 @@ std::string study_text(const RunUncertainty& study) {
     for (const int first : {0, 3, 6, 9, 12, 15}) {
       text += " ";
       for (int k = first; k < first + 3; ++k) {
-        text += fmt::format(" {:<7}{:>+12.7f} u {:.1e} ", output_symbol(k), study.type_a.mean(k),
-                            study.type_a.standard_deviation(k));
+        const double u = study.type_a.standard_deviation(k);
+        text += fmt::format(" {:<7}{:>14} u {:.1e} ", output_symbol(k),
+                            with_decimals(study.type_a.mean(k), decimals_for(u), true), u);
       }
       text += "\n";
     }

@@ -1,10 +1,13 @@
 #include "app/results/analyses.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <utility>
 
 #include "app/results/effect_words.h"
 #include "protocol/analysis/intrinsic_properties.h"
@@ -52,11 +55,9 @@ sim::TrueLineResponse mean_line_response(sim::BenchTruth truth) {
   return mean;
 }
 
-/// The result of one estimator, with the checks and notes that concern the run as a whole.
-CalibrationResult checked(const RunRecord& record, const Estimator& estimator,
-                          const std::vector<Check>& of_the_record) {
+/// Adds the checks and notes that concern the run as a whole.
+void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record, CalibrationResult& result) {
   const auto times = [](int n) { return n == 1 ? "once" : fmt::format("{} times", n); };
-  CalibrationResult result = estimate(record, estimator);
   apply_checks(of_the_record, record, result);
   if (std::string words = default_effects_words(record.tolerances); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
@@ -72,7 +73,20 @@ CalibrationResult checked(const RunRecord& record, const Estimator& estimator,
                     "instrument, and the repeated last angle agreed",
                     times(record.reconnections)));
   }
-  return result;
+}
+
+/// What the joint fit of the same readings says of the sizes that another estimator rests on.
+Check sizes_check(const CalibrationResult& joint) {
+  const std::vector<std::string>& contradicted = joint.joint->contradicted_sizes;
+  Check check{"stated sizes of effects",
+              static_cast<double>(contradicted.size()),
+              0.0,
+              "contradicted",
+              contradicted.empty(),
+              {}};
+  if (!check.passed)
+    check.words = fmt::format("the joint fit contradicts what is stated: {}", fmt::join(contradicted, "; "));
+  return check;
 }
 
 }  // namespace
@@ -82,18 +96,42 @@ CalibrationResult analyse(const RunRecord& record, const std::string& estimator)
 }
 
 CalibrationResult analyse(const RunRecord& record, const Estimator& estimator) {
-  return checked(record, estimator, check_record(record));
+  return std::move(analyse(record, std::vector{&estimator}).front());
+}
+
+std::vector<CalibrationResult> analyse(const RunRecord& record,
+                                       const std::vector<const Estimator*>& estimators) {
+  const std::vector<Check> of_the_record = check_record(record);
+  std::vector<CalibrationResult> results;
+  const CalibrationResult* joint = nullptr;
+  results.reserve(estimators.size());  // `joint` points into it
+  for (const Estimator* estimator : estimators) {
+    const CalibrationResult& result = results.emplace_back(estimate(record, *estimator));
+    if (result.joint) joint = &result;
+  }
+  const auto rests = [](const Estimator* estimator) { return estimator->rests_on_stated_sizes; };
+  std::optional<CalibrationResult> own;
+  if (joint == nullptr && std::any_of(estimators.begin(), estimators.end(), rests)) {
+    own = estimate(record, find_estimator("joint"));
+    if (own->joint) joint = &*own;
+  }
+  std::optional<Check> of_sizes;
+  if (joint != nullptr) of_sizes = sizes_check(*joint);
+  for (std::size_t i = 0; i < results.size(); ++i) {
+    std::vector<Check> checks = of_the_record;
+    if (of_sizes && rests(estimators[i])) checks.push_back(*of_sizes);
+    add_checks(record, checks, results[i]);
+  }
+  return results;
 }
 
 std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
-  std::vector<CalibrationResult> results;
-  const std::vector<Check> of_the_record = check_record(record);
   const Estimator& declared = declared_estimator(record);
-  results.push_back(checked(record, declared, of_the_record));
+  std::vector<const Estimator*> in_order{&declared};
   for (const Estimator& estimator : estimators()) {
-    if (&estimator != &declared) results.push_back(checked(record, estimator, of_the_record));
+    if (&estimator != &declared) in_order.push_back(&estimator);
   }
-  return results;
+  return analyse(record, in_order);
 }
 
 TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench) {

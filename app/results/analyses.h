@@ -16,6 +16,10 @@ namespace abcal {
 CalibrationResult analyse(const RunRecord& record, const std::string& estimator);
 CalibrationResult analyse(const RunRecord& record, const Estimator& estimator);
 
+/// Several estimators on one record; what they share is computed once.
+std::vector<CalibrationResult> analyse(const RunRecord& record,
+                                       const std::vector<const Estimator*>& estimators);
+
 /// Every estimator of the list, the declared one first: the others are the independent check of every run.
 std::vector<CalibrationResult> analyse_all(const RunRecord& record);
 

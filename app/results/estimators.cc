@@ -16,6 +16,7 @@ const std::vector<Estimator>& estimators() {
       {.name = "abc",
        .words = " as published, corrected for non-linearity (k2, k3)",
        .certifiable = true,
+       .rests_on_stated_sizes = true,
        .fit = [](const RunRecord& record) { return analyse_abc(record); }},
       {.name = "joint",
        .words = ", one least-squares fit of all readings with the stage's errors as unknowns",

@@ -19,6 +19,9 @@ struct Estimator {
   bool needs_angles = true;  ///< False: accepts poses whose angles are not known.
   /// Stage errors are unknowns of the fit, so that chi2 is near the degrees of freedom on a real stage.
   bool fits_stage_errors = false;
+  /// Takes the stated sizes of all effects as they are, and can test few of them: where the joint fit of the
+  /// same readings contradicts one, the result is doubtful.
+  bool rests_on_stated_sizes = false;
   /// The result of a record. @throws the exceptions of the analysis for a record that it refuses
   CalibrationResult (*fit)(const RunRecord& record) = nullptr;
 };

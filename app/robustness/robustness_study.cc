@@ -66,6 +66,7 @@ ScenarioOutcome summed(const Scenario& scenario, const std::string& estimator,
   sum.estimator = estimator;
   sum.kind = scenario.kind;
   std::array<double, kOutputGroups> covered{}, error2{}, u2{}, count{};
+  std::array<double, kOutputs> u2_of_output{};
   for (const RunOutcome* run : runs) {
     ++sum.runs;
     sum.doubtful += run->verdict == Verdict::kDoubtful ? 1 : 0;
@@ -77,11 +78,17 @@ ScenarioOutcome summed(const Scenario& scenario, const std::string& estimator,
       covered[group] += std::abs(run->error[i]) <= run->half_width[i] ? 1.0 : 0.0;
       error2[group] += run->error[i] * run->error[i];
       u2[group] += run->u[i] * run->u[i];
+      u2_of_output[i] += run->u[i] * run->u[i];
       count[group] += 1.0;
     }
   }
   for (std::size_t g = 0; g < kOutputGroups && sum.usable > 0; ++g)
-    sum.groups[g] = {covered[g] / count[g], std::sqrt(error2[g] / count[g]), std::sqrt(u2[g] / count[g])};
+    sum.groups[g] = {covered[g] / count[g], std::sqrt(error2[g] / count[g]), std::sqrt(u2[g] / count[g]),
+                     0.0};
+  for (std::size_t i = 0; i < kOutputs && sum.usable > 0; ++i) {
+    double& worst = sum.groups[group_of(i)].worst_u;
+    worst = std::max(worst, std::sqrt(u2_of_output[i] / sum.usable));
+  }
   return sum;
 }
 
@@ -207,11 +214,13 @@ RobustnessStudy run_robustness_study(const RobustnessOptions& options) {
   const std::vector<const Scenario*> scenarios = chosen(options);
   const auto benches = static_cast<std::size_t>(options.benches);
   const std::size_t estimators = options.estimators.size();
+  std::vector<const Estimator*> all;
+  for (const std::string& name : options.estimators) all.push_back(&find_estimator(name));
   std::vector<RunOutcome> runs(scenarios.size() * benches * estimators);
   const std::size_t done = each_in_parallel(scenarios.size() * benches, options, [&](std::size_t i) {
     const SimulatedRun run = simulate_run(draw_bench(*scenarios[i / benches], options.seed, i % benches));
-    for (std::size_t e = 0; e < estimators; ++e)
-      runs[i * estimators + e] = outcome_of(analyse(run.record, options.estimators[e]), run.truth);
+    const std::vector<CalibrationResult> results = analyse(run.record, all);
+    for (std::size_t e = 0; e < estimators; ++e) runs[i * estimators + e] = outcome_of(results[e], run.truth);
   });
 
   RobustnessStudy study;

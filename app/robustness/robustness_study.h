@@ -34,6 +34,7 @@ struct GroupCoverage {
   double coverage = std::numeric_limits<double>::quiet_NaN();   ///< Share of 95 % intervals with the truth.
   double rms_error = std::numeric_limits<double>::quiet_NaN();  ///< R/g_loc, R or degree.
   double rms_u = std::numeric_limits<double>::quiet_NaN();      ///< Of the stated standard uncertainties.
+  double worst_u = std::numeric_limits<double>::quiet_NaN();    ///< Of the output with the largest.
   double ratio() const { return rms_error / rms_u; }
 };
 

@@ -82,6 +82,7 @@ nlohmann::ordered_json robustness_json(const RobustnessStudy& study) {
                                {"coverage", number_or_null(o.groups[g].coverage)},
                                {"rms_error", number_or_null(o.groups[g].rms_error)},
                                {"rms_uncertainty", number_or_null(o.groups[g].rms_u)},
+                               {"rms_uncertainty_of_worst_output", number_or_null(o.groups[g].worst_u)},
                                {"ratio", number_or_null(o.groups[g].ratio())}});
     }
     one["shortfalls"] = o.shortfalls();

@@ -131,10 +131,11 @@ Change plain(const std::function<void(ScenarioBench&)>& what) {
   return [=](ScenarioBench& b, ScenarioDraw&) { what(b); };
 }
 
-/// Every effect of the table drawn from `share` of its default size.
+/// Every effect of the table drawn from `share` of its stated size; k2 and k3, whose statement is wide on
+/// purpose, from 1e-3.
 Change everything(double share) {
   return [=](ScenarioBench& b, ScenarioDraw& draw) {
-    const EffectSizes sizes;
+    const EffectSizes sizes = b.stated;
     const double one = share * b.scale;
     for (sim::AxisTruth* axis : {&b.truth.x, &b.truth.z}) {
       axis->wobble_sd_urad = share * sizes.wobble_urad;
@@ -261,6 +262,18 @@ void add_whole_scenarios(std::vector<Scenario>& list) {
   list.push_back({"everything-24", "the same, 3 x 24 angles", kWithin,
                   both(plain([](ScenarioBench& b) { b.steps = 24; }), everything(1.0))});
   list.push_back(
+      {"stated-published", "only the published model's effects, with three orders of drift, stated and drawn",
+       kWithin,
+       both(plain([](ScenarioBench& b) { b.stated = without_further_effects(b.stated); }), everything(1.0))});
+  list.push_back({"stated-wobble-20",
+                  "wobble of 20 urad, smooth steps and drifts stated and drawn, no non-linearity beyond k3",
+                  kWithin,
+                  both(plain([](ScenarioBench& b) {
+                         b.stated.wobble_urad = 20.0;
+                         b.stated.nonlinearity = b.stated.hysteresis = 0.0;
+                       }),
+                       everything(1.0))});
+  list.push_back(
       {"sound-24", "a sound bench, 3 x 24 angles", kWithin, plain([](ScenarioBench& b) { b.steps = 24; })});
   list.push_back(
       {"sound-12", "a sound bench, 3 x 12 angles", kWithin, plain([](ScenarioBench& b) { b.steps = 12; })});
@@ -305,6 +318,15 @@ void add_wrong_scenarios(std::vector<Scenario>& list) {
                     b.stated.step_smooth = Angle::degrees(0.001);
                     b.stated.sources = {{"step_deg", "stated"}, {"step_smooth_deg", "stated"}};
                     b.truth.x.smooth_error_sd = b.truth.z.smooth_error_sd = Angle::degrees(0.004);
+                  }});
+  list.push_back({"alignment-x10", "alignment ten times as large as stated", kWrong,
+                  [](ScenarioBench& b, ScenarioDraw& draw) {
+                    b.stated.alignment = Angle::degrees(0.0008);
+                    b.stated.sources = {{"alignment_deg", "stated"}};
+                    const Eigen::Vector3d alignment = draw.signs(std::sin(Angle::degrees(0.008).rad()));
+                    b.truth.zx = alignment.x();
+                    b.truth.zy = alignment.y();
+                    b.truth.xz = alignment.z();
                   }});
   list.push_back({"alignment-tenth", "alignment stated ten times too small", kWrong,
                   [](ScenarioBench& b, ScenarioDraw&) {

@@ -115,6 +115,12 @@ SeriesTable series_of(const Selection& selection) {
   return table;
 }
 
+/// The effects as one output sees them, times their standard uncertainties (R).
+struct OutputEffects {
+  Eigen::MatrixXd together;  ///< dwells x effects: those that act on many readings.
+  Eigen::VectorXd alone;     ///< Of each dwell: variance of what acts on its reading alone (R^2).
+};
+
 /// Everything between the fits and the result.
 struct Estimate {
   SeriesTable series;
@@ -128,9 +134,13 @@ struct Estimate {
   std::vector<InputEffect> effects;            ///< All but k2 and k3.
   std::vector<InputEffect> curvature_effects;  ///< k2 and k3: what the correction leaves of them.
   std::optional<CurvatureFit> curvature;
-  SeriesTable cleaned;    ///< The series without what k2 and k3 explain.
-  FitTable cleaned_fits;  ///< Of one harmonic.
-  AbcOutputs outputs;     ///< Corrected: the line response.
+  SeriesTable cleaned;                          ///< The series without what k2 and k3 explain.
+  FitTable cleaned_fits;                        ///< Of one harmonic.
+  std::array<OutputEffects, 3> output_effects;  ///< All but k2 and k3, as each output sees them.
+  std::vector<InputEffect> cleaned_effects;     ///< The same in series without what k2 and k3 explain.
+  AbcOutputs outputs;                           ///< Corrected: the line response.
+  double resolution = 0.0;
+  std::string response_unit;
   std::optional<Covariance12> output_covariance_a;
   Covariance12 output_covariance_b = Covariance12::Zero();
 };
@@ -361,18 +371,124 @@ double response_scale(const Estimate& estimate, std::size_t accelerometer) {
   return sensitivity_matrix_of(estimate.outputs).row(j).norm() + std::abs(estimate.outputs(offset_index(j)));
 }
 
+std::optional<double> variance_of(const std::optional<Eigen::VectorXd>& variances, Eigen::Index i) {
+  if (!variances) return std::nullopt;
+  return (*variances)(i);
+}
+
+/// The coefficients of a fit by the readings of its output: coefficients x dwells.
+Eigen::MatrixXd by_dwell_of(const HarmonicFit& fit, const ReadingSeries& series) {
+  Eigen::MatrixXd out =
+      Eigen::MatrixXd::Zero(fit.coefficients.size(), static_cast<Eigen::Index>(series.place_of.size()));
+  for (std::size_t n = 0; n < series.place_of.size(); ++n) {
+    if (const int place = series.place_of[n]; place >= 0)
+      out.col(static_cast<Eigen::Index>(n)) = fit.estimator.col(place);
+  }
+  return out;
+}
+
+/// The same of a fit to a series without what k2 and k3 explain: these were estimated from all readings of
+/// the output, so that an effect in one experiment reaches the others.
+Eigen::MatrixXd cleaned_by_dwell(const HarmonicFit& fit, const ReadingSeries& series,
+                                 const CurvatureFit& curvature) {
+  const auto output = static_cast<std::size_t>(series.accelerometer);
+  Eigen::MatrixXd out = by_dwell_of(fit, series);
+  const Eigen::MatrixXd of_shape = out * curvature.shape(output).transpose();
+  out.noalias() -= of_shape * curvature.weights(output);
+  return out;
+}
+
+struct Variances {
+  std::optional<Eigen::VectorXd> a;  ///< Of the readings; absent: nothing tells their scatter.
+  Eigen::VectorXd b;                 ///< Of the effects and the resolution.
+};
+
+/// Of linear functions (rows) of an output's readings (columns: dwells).
+Variances variances_of(const Eigen::MatrixXd& by_dwell, const Estimate& estimate, std::size_t output) {
+  const OutputEffects& effects = estimate.output_effects[output];
+  const Eigen::MatrixXd squares = by_dwell.cwiseAbs2();
+  Variances out;
+  out.b = (by_dwell * effects.together).rowwise().squaredNorm() + squares * effects.alone +
+          squares.rowwise().sum() * (estimate.resolution * estimate.resolution / 12.0);
+  if (estimate.reading_variance[output]) {
+    out.a = squares.rowwise().sum() * *estimate.reading_variance[output];
+    return out;
+  }
+  Eigen::VectorXd of_reading = Eigen::VectorXd::Zero(by_dwell.cols());
+  for (std::size_t i = output; i < estimate.series.size(); i += 3) {
+    const ReadingSeries& series = estimate.series[i];
+    if (series.u.empty()) return out;
+    for (std::size_t n = 0; n < series.place_of.size(); ++n) {
+      if (const int place = series.place_of[n]; place >= 0)
+        of_reading(static_cast<Eigen::Index>(n)) =
+            series.u[static_cast<std::size_t>(place)] * series.u[static_cast<std::size_t>(place)];
+    }
+  }
+  out.a = squares * of_reading;
+  return out;
+}
+
+/// The effects by output, and as they are in series without what k2 and k3 explain.
+void arrange_effects(Estimate& estimate) {
+  const auto dwells = static_cast<Eigen::Index>(estimate.series.front().place_of.size());
+  const auto many = std::count_if(estimate.effects.begin(), estimate.effects.end(),
+                                  [](const InputEffect& effect) { return effect.effect.size() > 1; });
+  for (OutputEffects& of : estimate.output_effects)
+    of = {Eigen::MatrixXd::Zero(dwells, many), Eigen::VectorXd::Zero(dwells)};
+  estimate.cleaned_effects.clear();
+  Eigen::Index column = 0;
+  for (const InputEffect& effect : estimate.effects) {
+    InputEffect& cleaned = estimate.cleaned_effects.emplace_back(effect);
+    const auto first = static_cast<Eigen::Index>(effect.first_reading);
+    const double u = effect.standard_uncertainty;
+    if (effect.effect.size() == 1) {  // a step error; of what it does to k2 and k3 little comes back to it
+      for (std::size_t j = 0; j < 3; ++j) {
+        const double change = u * effect.effect[0](static_cast<Eigen::Index>(j));
+        estimate.output_effects[j].alone(first) += change * change;
+      }
+      continue;
+    }
+    const CurvatureFit::Vector6 of_k = estimate.curvature->change_of_k(effect.first_reading, effect.effect);
+    cleaned.first_reading = 0;
+    cleaned.effect.assign(static_cast<std::size_t>(dwells), Eigen::Vector3d::Zero());
+    for (std::size_t n = 0; n < effect.effect.size(); ++n)
+      cleaned.effect[effect.first_reading + n] = effect.effect[n];
+    for (std::size_t j = 0; j < 3; ++j) {
+      const auto row = static_cast<Eigen::Index>(j);
+      for (std::size_t n = 0; n < effect.effect.size(); ++n)
+        estimate.output_effects[j].together(first + static_cast<Eigen::Index>(n), column) =
+            u * effect.effect[n](row);
+      const Eigen::RowVectorXd taken = of_k.segment<2>(2 * row).transpose() * estimate.curvature->shape(j);
+      for (Eigen::Index n = 0; n < dwells; ++n) cleaned.effect[static_cast<std::size_t>(n)](row) -= taken(n);
+    }
+    ++column;
+  }
+}
+
 void fill_closures(const Estimate& estimate, CalibrationResult& result, Objections& objections) {
   const Eigen::Matrix<double, 15, 27>& equations = closure_equations();
-  const AbcClosures values = abc_closures(estimate.coefficients);
+  AbcCoefficients coefficients;
+  std::array<Eigen::MatrixXd, 9> by_dwell;
+  for (std::size_t i = 0; i < 9; ++i) {
+    const Eigen::VectorXd& c = estimate.cleaned_fits[i].coefficients;
+    coefficients.segment<3>(static_cast<Eigen::Index>(3 * i)) << c(1), c(2), c(0);
+    by_dwell[i] = cleaned_by_dwell(estimate.cleaned_fits[i], estimate.series[i], *estimate.curvature);
+  }
+  const AbcClosures values = abc_closures(coefficients);
   for (std::size_t name = 0; name < kClosureNames.size(); ++name) {
     for (std::size_t j = 0; j < 3; ++j) {
       const auto i = static_cast<Eigen::Index>(3 * name + j);
-      const Eigen::Matrix<double, 1, 27> row = equations.row(i);
+      Eigen::MatrixXd of_closure = Eigen::MatrixXd::Zero(1, by_dwell.front().cols());
+      for (std::size_t fit = j; fit < 9; fit += 3) {
+        const auto at = static_cast<Eigen::Index>(3 * fit);
+        of_closure += equations(i, at) * by_dwell[fit].row(1) + equations(i, at + 1) * by_dwell[fit].row(2) +
+                      equations(i, at + 2) * by_dwell[fit].row(0);
+      }
+      const Variances variances = variances_of(of_closure, estimate, j);
       std::optional<double> a;
-      if (estimate.covariance_a) a = row.dot(*estimate.covariance_a * row.transpose());
-      const double b = row.dot(estimate.covariance_b * row.transpose());
+      if (variances.a) a = (*variances.a)(0);
       Closure closure{kClosureNames[name], static_cast<int>(j),
-                      quantity(values(i), a, b, result.response_unit)};
+                      quantity(values(i), a, variances.b(0), result.response_unit)};
       if (contradicts_zero(closure.value, response_scale(estimate, j))) {
         objections.add(fmt::format("closure {} of {} is {}", closure.name, kAccelerometerNames[j],
                                    times_uncertainty(closure.value)));
@@ -432,17 +548,11 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
 }
 
 // Harmonics of the second fit with their uncertainties, readings (A) and tolerances (B).
-std::vector<Harmonic> harmonics_of(const HarmonicFit& fit, const ReadingSeries& series,
-                                   const Estimate& estimate, double resolution, const std::string& unit) {
-  Eigen::VectorXd variance_b = Eigen::VectorXd::Zero(fit.coefficients.size());
-  for (const InputEffect& effect : estimate.effects) {
-    variance_b += (effect.standard_uncertainty * effect_on_fit(effect, series, fit)).cwiseAbs2();
-  }
-  variance_b += fit.estimator.cwiseAbs2().rowwise().sum() * (resolution * resolution / 12.0);
-  const std::optional<Eigen::MatrixXd> type_a =
-      type_a_of(fit, estimate.reading_variance[static_cast<std::size_t>(series.accelerometer)]);
+std::vector<Harmonic> harmonics_of(const HarmonicFit& fit, const Eigen::MatrixXd& by_dwell,
+                                   std::size_t output, const Estimate& estimate) {
+  const Variances variances = variances_of(by_dwell, estimate, output);
   const auto coefficient = [&](Eigen::Index i) {
-    return quantity(fit.coefficients(i), variance_at(type_a, i), variance_b(i), unit);
+    return quantity(fit.coefficients(i), variance_of(variances.a, i), variances.b(i), estimate.response_unit);
   };
   std::vector<Harmonic> harmonics;
   Harmonic& constant = harmonics.emplace_back();
@@ -490,8 +600,7 @@ void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, 
   }
 }
 
-void fill_fits(const Estimate& estimate, double resolution, CalibrationResult& result,
-               Objections& objections) {
+void fill_fits(const Estimate& estimate, CalibrationResult& result, Objections& objections) {
   Diagnostics& diagnostics = result.diagnostics;
   diagnostics.rank = 3;
   diagnostics.reciprocal_condition = 1.0;
@@ -524,7 +633,8 @@ void fill_fits(const Estimate& estimate, double resolution, CalibrationResult& r
     diagnostics.reciprocal_condition = std::min(diagnostics.reciprocal_condition, fit.reciprocal_condition);
 
     const HarmonicFit& cleaned = estimate.cleaned_fits[i];
-    const ResidualTest test = test_residuals(estimate.cleaned[i], cleaned, estimate.effects, resolution);
+    const ResidualTest test =
+        test_residuals(estimate.cleaned[i], cleaned, estimate.cleaned_effects, estimate.resolution);
     if (test.deviate > kContradictionLevel) {
       objections.add(
           fmt::format("experiment {}: the residuals of {} are {:.3g} {} rms where {:.3g} is explained by "
@@ -535,13 +645,14 @@ void fill_fits(const Estimate& estimate, double resolution, CalibrationResult& r
     }
     try {
       const HarmonicFit second = fit_harmonics(series.alpha, series.readings, series.u, kDiagnosticHarmonics);
-      diagnostic.harmonics = harmonics_of(second, series, estimate, resolution, result.response_unit);
+      diagnostic.harmonics = harmonics_of(second, by_dwell_of(second, series), j, estimate);
       diagnostic.harmonics_residual_rms =
           std::sqrt(second.residuals.squaredNorm() / static_cast<double>(diagnostic.angles));
       FitDiagnostic without_curvature = diagnostic;
-      without_curvature.harmonics = harmonics_of(
-          fit_harmonics(series.alpha, estimate.cleaned[i].readings, series.u, kDiagnosticHarmonics), series,
-          estimate, resolution, result.response_unit);
+      const HarmonicFit of_cleaned =
+          fit_harmonics(series.alpha, estimate.cleaned[i].readings, series.u, kDiagnosticHarmonics);
+      without_curvature.harmonics =
+          harmonics_of(of_cleaned, cleaned_by_dwell(of_cleaned, series, *estimate.curvature), j, estimate);
       judge_harmonics(without_curvature, estimate, result, objections);
     } catch (const UndeterminedFit& error) {
       no_harmonics.insert(
@@ -679,6 +790,29 @@ std::string dead_or_flat(const AbcOutputs& outputs) {
   return {};
 }
 
+/// The shapes of k2 and k3 are those of the linear response at zero, which is known once these are. Each pass
+/// makes the error of the shapes smaller by a factor of k.
+void correct_for_curvature(const RunRecord& record, const Selection& selection, Estimate& estimate) {
+  constexpr int kMostPasses = 5;
+  constexpr double kFound = 1e-10;  // of S, far below any noise
+  const AbcOutputs seen = estimate.outputs;
+  AbcOutputs at_zero = seen;
+  for (int pass = 0; pass < kMostPasses; ++pass) {
+    const CurvatureFit& curvature =
+        estimate.curvature.emplace(selection.dwells, estimate.series, estimate.fits, at_zero,
+                                   std::array{record.tolerances.k2 > 0.0, record.tolerances.k3 > 0.0});
+    estimate.outputs = seen - curvature.correction() * curvature.k();
+    const AbcOutputs before = at_zero;
+    at_zero = curvature.at_zero(estimate.outputs);
+    double left = 0.0;
+    for (int j = 0; j < 3; ++j) {
+      const double moved = (at_zero - before).segment<3>(3 * j).norm() / at_zero.segment<3>(3 * j).norm();
+      left = std::max(left, moved * curvature.k().segment<2>(2 * j).cwiseAbs().maxCoeff());
+    }
+    if (!(left > kFound)) break;
+  }
+}
+
 // Fits, outputs and what the tolerances do to them, before any judgement. Gives the reason why not, or
 // nothing.
 std::string estimate_from(const RunRecord& record, const Selection& selection, Estimate& estimate) {
@@ -696,9 +830,7 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
   estimate.outputs = abc_outputs(estimate.coefficients);
   const std::string dead = dead_or_flat(estimate.outputs);
   if (!dead.empty()) return dead;
-  estimate.curvature.emplace(selection.dwells, estimate.series, estimate.fits, estimate.outputs,
-                             record.tolerances.k2 > 0.0, record.tolerances.k3 > 0.0);
-  estimate.outputs -= estimate.curvature->correction() * estimate.curvature->k();
+  correct_for_curvature(record, selection, estimate);
   estimate.cleaned = estimate.curvature->cleaned(estimate.series);
   for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
     const ReadingSeries& series = estimate.cleaned[i];
@@ -720,6 +852,7 @@ std::string estimate_from(const RunRecord& record, const Selection& selection, E
   estimate.curvature_effects.assign(std::make_move_iterator(curved),
                                     std::make_move_iterator(estimate.effects.end()));
   estimate.effects.erase(curved, estimate.effects.end());
+  arrange_effects(estimate);
   return {};
 }
 
@@ -753,6 +886,8 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   Estimate estimate;
   result.why = estimate_from(record, selection, estimate);
   if (!result.why.empty()) return result;
+  estimate.resolution = resolution;
+  estimate.response_unit = record.response_unit;
   estimate.covariance_b = type_b_of_coefficients(estimate, resolution);
   fill_output_covariances(estimate, resolution);
   result.unstated_effects = unstated_effects(record.tolerances);
@@ -760,7 +895,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   Objections objections;
   fill_outputs(estimate, result);
   fill_flags(record, selection, result, objections);
-  fill_fits(estimate, resolution, result, objections);
+  fill_fits(estimate, result, objections);
   fill_closures(estimate, result, objections);
   fill_closing_differences(selection, estimate, result, objections);
   judge_matrix(estimate, objections);

@@ -304,6 +304,7 @@ void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const Jo
                  const RunRecord& record, CalibrationResult& result) {
   Diagnostics& diagnostics = result.diagnostics;
   result.joint->effects = tests.effects;
+  result.joint->contradicted_sizes = contradicted_sizes(tests);
   result.joint->norm_against_joint = tests.norm_against_joint;
   std::vector<std::string> contradictions;
   std::string about_chi2;
@@ -359,9 +360,12 @@ std::vector<std::string> hidden_by_process(std::span<const EffectReading> readin
                                            const EffectFitOptions& options, const JointTests& tests,
                                            const std::string& response_unit) {
   constexpr double kNormIsSound = 1e-3;
+  constexpr double kNormWanders = 3.0;  // standard deviations
   const bool wanders = fit.noise.process_probability > kProcessTold && fit.noise.tau > 0.0;
   const SpecificationTest& norm = tests.norm_against_joint;
-  if (!options.white_known || !wanders || !norm.done || !(norm.norm_probability >= kNormIsSound)) return {};
+  if (!options.white_known || !wanders || !norm.done || !(norm.norm_probability >= kNormIsSound) ||
+      norm.norm_autocorrelation > kNormWanders)
+    return {};
   EffectFitOptions white = options;
   white.noise_process = false;
   std::string why;
@@ -447,6 +451,7 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   for (const std::string& words : hidden) {
     result.why = result.verdict == Verdict::kUsable ? words : words + "; " + result.why;
     result.verdict = Verdict::kDoubtful;
+    result.joint->contradicted_sizes.push_back(words);
   }
   return result;
 }

@@ -128,6 +128,9 @@ struct EffectTest {
   double probability = 1.0;
   bool passed = true;
   bool stated_zero = false;  ///< Left out of the fit: the test is of what its residuals show.
+  /// The test is whether the readings, in which a wandering noise was found, are more probable with a size
+  /// `times_stated` as large and less noise. `probability` is then a bound, and there is no chi2.
+  bool instead_of_noise = false;
 };
 
 /// What the priors of one effect contribute to the uncertainty of the line response.
@@ -149,6 +152,9 @@ struct SpecificationTest {
   int degrees_of_freedom = 0;
   double probability = 1.0;
   double norm_probability = 1.0;  ///< Of the norm fit's own chi2: its readings have white noise only.
+  /// Of the products of successive residuals of the norm fit, beyond what the fit itself makes of them, in
+  /// standard deviations of white noise.
+  double norm_autocorrelation = 0.0;
   /// Norm minus joint, and its standard uncertainty if the model is right: s_u, s_v, s_w (R/g_loc), phi_uv,
   /// phi_vw, phi_wu (degree), O_u, O_v, O_w (R).
   Eigen::Matrix<double, 9, 1> difference = Eigen::Matrix<double, 9, 1>::Zero();
@@ -168,6 +174,8 @@ struct JointResult {
   bool nonlinearity_fitted = false;  ///< k2 and k3 were unknowns of the fit.
   int iterations = 0;
   std::vector<EffectTest> effects;  ///< Every effect that was an unknown, and those stated as zero.
+  /// The stated sizes that the run contradicts, in words. Every result that rests on them is doubtful.
+  std::vector<std::string> contradicted_sizes;
   std::vector<EffectShare> shares;  ///< What covariance_type_b is made of.
   /// Noise from angle to angle: probability of a process beside the white part (1/2 beforehand), its standard
   /// deviation in units of the readings' u, its correlation length in angles.

@@ -11,7 +11,9 @@
 #include <utility>
 
 #include "protocol/analysis/joint_data.h"
+#include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/model/effects.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -19,7 +21,6 @@ namespace {
 
 using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic>;
 
-constexpr int kStageHarmonics = 3;
 /// At most so many changes are accounted for one after the other: what is left then is not a matter of single
 /// changes.
 constexpr std::size_t kMostChanges = 8;
@@ -27,6 +28,8 @@ constexpr std::size_t kMostChanges = 8;
 constexpr double kLargestLinearTurnDeg = 1.5;
 /// Below this fraction of its own information a change cannot be told from the other unknowns.
 constexpr double kUndetermined = 1e-8;
+/// Two responses closer than this (relative) are the same: no direction to come from.
+constexpr double kSamePose = 1e-6;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
 /// Where the columns of the lasting changes stand among each other.
@@ -82,99 +85,85 @@ Gain gain_of(const Eigen::MatrixXd& information, const Eigen::VectorXd& right, c
   return gain;
 }
 
+/// An effect of the table that is no unknown of the fit from which the search starts.
+struct FurtherEffect {
+  const StageEffect* stage = nullptr;
+  const ItemEffect* item = nullptr;
+  int index = 0;
+  int output = -1;
+  double prior = 0.0;
+};
+
+/// Smooth step errors, wobble, drifts of higher order and of the sensitivity, higher non-linearity,
+/// hysteresis: what may be there must not be taken for a change.
+std::vector<FurtherEffect> further_effects(const EffectSizes& sizes) {
+  std::vector<FurtherEffect> out;
+  for (const StageEffect& effect : stage_effects()) {
+    if (effect.key != "step_smooth_deg" && effect.key != "wobble_urad") continue;
+    for (int i = 0; i < effect.count; ++i) out.push_back({&effect, nullptr, i, -1, effect.prior(sizes)});
+  }
+  for (const ItemEffect& effect : item_effects()) {
+    if (effect.key == "k2" || effect.key == "k3") continue;
+    for (int i = effect.key == "drift" ? 1 : 0; i < effect.count; ++i) {
+      for (int j = 0; j < 3; ++j) out.push_back({nullptr, &effect, i, j, effect.prior(sizes)});
+    }
+  }
+  std::erase_if(out, [](const FurtherEffect& effect) { return !(effect.prior > 0.0); });
+  return out;
+}
+
 /// The joint model linear about its solution, with the step errors inside the covariance of each angle's
-/// readings.
+/// readings, and everything whitened by it.
 class LinearModel {
  public:
   /// @param step  f of each reading about which its model is linear, radian
   LinearModel(const std::vector<JointReading>& readings, const JointVector& value,
-              const std::vector<double>& step, const JointPriors& priors)
-      : value_(value) {
-    const Eigen::Index unknowns = kJointUnknowns + 3 * 2 * kStageHarmonics;
-    prior_weight_ = Eigen::VectorXd::Zero(unknowns);
-    prior_distance_ = Eigen::VectorXd::Zero(unknowns);
-    const auto prior = [&](Eigen::Index i, double mean, double sd) {
-      prior_weight_(i) = 1.0 / (sd * sd);
-      prior_distance_(i) = mean - (i < kJointUnknowns ? value(i) : 0.0);
-    };
-    Eigen::Matrix3d matrix;
-    for (int j = 0; j < 3; ++j) {
-      matrix.row(j) = value.segment<3>(kOwnUnknowns * j).transpose();
-      const double s = matrix.row(j).norm();
-      prior(kOwnUnknowns * j + kDriftIndex, 0.0, priors.drift * s);
-      prior(kOwnUnknowns * j + kK2Index, 0.0, priors.k2 / s);
-      prior(kOwnUnknowns * j + kK3Index, 0.0, priors.k3 / (s * s));
-    }
-    for (int i = 0; i < kGeometryUnknowns; ++i) prior(kZx + i, priors.mean(i), priors.sd(i));
-    for (Eigen::Index i = kJointUnknowns; i < unknowns; ++i) prior(i, 0.0, priors.step);
-
+              const std::vector<double>& step, const JointPriors& priors, const EffectSizes& sizes)
+      : further_(further_effects(sizes)), value_(value) {
+    set_priors(priors);
+    const auto count = static_cast<Eigen::Index>(readings.size());
+    x_ = ReadingRows::Zero(3 * count, prior_weight_.size());
+    y_.resize(3 * count);
+    Eigen::Vector3d before = Eigen::Vector3d::Zero();
     for (std::size_t i = 0; i < readings.size(); ++i) {
-      const JointReading& reading = readings[i];
-      const JointModelPoint point = joint_model(reading, value, step[i]);
-      Columns x = Columns::Zero(3, unknowns);
-      x.leftCols<kJointUnknowns>() = point.by_unknown;
-      const double alpha = std::atan2(reading.sin_alpha, reading.cos_alpha);
-      for (int m = 1; m <= kStageHarmonics; ++m) {
-        const Eigen::Index at = kJointUnknowns + 2 * (kStageHarmonics * (reading.experiment - 1) + m - 1);
-        x.col(at) = point.by_step_error * std::sin(m * alpha);
-        x.col(at + 1) = point.by_step_error * std::cos(m * alpha);
-      }
-      const Eigen::Vector3d information = reading.u.cwiseAbs2().cwiseInverse();
-      const Eigen::Vector3d along = information.cwiseProduct(point.by_step_error);
-      const double step_information = 1.0 / (priors.step * priors.step) + along.dot(point.by_step_error);
-      Eigen::Matrix3d w = information.asDiagonal();
-      w -= along * along.transpose() / step_information;
-
-      Eigen::Matrix<double, 3, kLastingColumns> lasting;
-      const Eigen::Vector3d g = point.by_unknown.block<1, 3>(0, 0).transpose();
-      lasting.middleCols<3>(kSlipColumn) = matrix * cross_product(g);
-      lasting.col(kAxisXColumn) =
-          reading.experiment == 3 ? Eigen::Vector3d(point.by_unknown.col(kD3)) : point.by_step_error;
-      lasting.middleCols<3>(kOutputColumn).setIdentity();
-      lasting.middleCols<3>(kGainColumn) = (matrix * g).asDiagonal();
-
-      by_step_.push_back(point.by_step_error);
-      lasting_.push_back(lasting);
-      x_.push_back(std::move(x));
-      w_.push_back(w);
-      y_.push_back(reading.value - point.reading + point.by_step_error * step[i]);
+      add_reading(readings[i], step[i], priors, i);
+      add_further_effects(readings[i], i, before);
+      auto three = x_.middleRows<3>(row(i));
+      three = (lower_.back().transpose() * three).eval();
     }
   }
 
-  std::size_t size() const { return x_.size(); }
+  std::size_t size() const { return lower_.size(); }
 
   void solve() {
-    const Eigen::Index unknowns = prior_weight_.size();
-    Eigen::MatrixXd normal = prior_weight_.asDiagonal();
-    Eigen::VectorXd right = prior_weight_.cwiseProduct(prior_distance_);
-    for (std::size_t i = 0; i < size(); ++i) {
-      const Columns wx = w_[i] * x_[i];
-      normal.noalias() += x_[i].transpose() * wx;
-      right.noalias() += wx.transpose() * y_[i];
-    }
+    Eigen::MatrixXd normal = products_of_columns(x_);
+    normal.diagonal() += prior_weight_;
+    const Eigen::VectorXd right = x_.transpose() * y_ + prior_weight_.cwiseProduct(prior_distance_);
     const Eigen::VectorXd scale = normal.diagonal().cwiseSqrt().cwiseInverse();
     const Eigen::LLT<Eigen::MatrixXd> llt(scale.asDiagonal() * normal * scale.asDiagonal());
     if (llt.info() != Eigen::Success || !scale.allFinite()) {
       throw UnusableData("the readings do not determine the model that changes are looked for with");
     }
-    inverse_ = llt.solve(Eigen::MatrixXd::Identity(unknowns, unknowns));
-    inverse_ = scale.asDiagonal() * inverse_ * scale.asDiagonal();
-    const Eigen::VectorXd change = inverse_ * right;
+    const Eigen::Index unknowns = prior_weight_.size();
+    // Upper triangular: the covariance of the unknowns is root root'.
+    const Eigen::MatrixXd inverse = llt.matrixU().solve(Eigen::MatrixXd::Identity(unknowns, unknowns));
+    root_ = scale.asDiagonal() * inverse;
+    const Eigen::VectorXd change = root_ * (root_.transpose() * right);
     solution_ = value_ + change.head<kJointUnknowns>();
-    residual_.resize(size());
-    chi2_ = prior_weight_.dot((prior_distance_ - change).cwiseAbs2());
-    for (std::size_t i = 0; i < size(); ++i) {
-      residual_[i] = y_[i] - x_[i] * change;
-      chi2_ += residual_[i].dot(w_[i] * residual_[i]);
-    }
+    residual_ = y_ - x_ * change;
+    chi2_ = prior_weight_.dot((prior_distance_ - change).cwiseAbs2()) + residual_.squaredNorm();
+    taken_ = x_ * root_.triangularView<Eigen::Upper>();
   }
 
   double chi2() const { return chi2_; }
   const JointVector& solution() const { return solution_; }
-  auto covariance() const { return inverse_.topLeftCorner<kJointUnknowns, kJointUnknowns>(); }
+  JointMatrix covariance() const {
+    const auto rows = root_.topRows<kJointUnknowns>();
+    return rows * rows.transpose();
+  }
   double degrees_of_freedom() const {
     return 3.0 * static_cast<double>(size()) - 12.0 -
-           static_cast<double>(prior_weight_.size() - kJointUnknowns - 3 * 2 * kStageHarmonics);
+           static_cast<double>(prior_weight_.size() - first_change_);
   }
 
   /// The best of each kind: the largest fall of chi2 for its number of unknowns.
@@ -198,28 +187,93 @@ class LinearModel {
   /// From now on the change is one more unknown of the model, without a prior.
   void account_for(const Change& change) {
     const Eigen::Index before = prior_weight_.size();
-    Columns added = columns_of(change, change.at);
-    const Eigen::Index columns = added.cols();
+    const Eigen::Index columns = columns_of(change, change.at).cols();
     prior_weight_.conservativeResize(before + columns);
     prior_distance_.conservativeResize(before + columns);
     prior_weight_.tail(columns).setZero();
     prior_distance_.tail(columns).setZero();
-    for (std::size_t i = 0; i < size(); ++i) {
-      x_[i].conservativeResize(3, before + columns);
-      x_[i].rightCols(columns) = columns_of(change, i);
-    }
+    x_.conservativeResize(x_.rows(), before + columns);
+    for (std::size_t i = 0; i < size(); ++i)
+      x_.block(row(i), before, 3, columns) = lower_[i].transpose() * columns_of(change, i);
     // A direction that the readings do not determine must not make the normal matrix singular.
-    for (Eigen::Index k = 0; k < columns; ++k) {
-      double own = 0.0;
-      for (std::size_t i = 0; i < size(); ++i) {
-        const Eigen::Vector3d column = x_[i].col(before + k);
-        own += column.dot(w_[i] * column);
-      }
-      prior_weight_(before + k) = kUndetermined * own;
-    }
+    for (Eigen::Index k = before; k < before + columns; ++k)
+      prior_weight_(k) = kUndetermined * x_.col(k).squaredNorm();
   }
 
  private:
+  static Eigen::Index row(std::size_t i) { return 3 * static_cast<Eigen::Index>(i); }
+
+  void set_priors(const JointPriors& priors) {
+    first_change_ = kJointUnknowns + static_cast<Eigen::Index>(further_.size());
+    prior_weight_ = Eigen::VectorXd::Zero(first_change_);
+    prior_distance_ = Eigen::VectorXd::Zero(first_change_);
+    const auto prior = [&](Eigen::Index i, double mean, double sd) {
+      prior_weight_(i) = 1.0 / (sd * sd);
+      prior_distance_(i) = mean - (i < kJointUnknowns ? value_(i) : 0.0);
+    };
+    for (int j = 0; j < 3; ++j) {
+      matrix_.row(j) = value_.segment<3>(kOwnUnknowns * j).transpose();
+      const double s = matrix_.row(j).norm();
+      prior(kOwnUnknowns * j + kDriftIndex, 0.0, priors.drift * s);
+      prior(kOwnUnknowns * j + kK2Index, 0.0, priors.k2 / s);
+      prior(kOwnUnknowns * j + kK3Index, 0.0, priors.k3 / (s * s));
+    }
+    for (int i = 0; i < kGeometryUnknowns; ++i) prior(kZx + i, priors.mean(i), priors.sd(i));
+    for (std::size_t k = 0; k < further_.size(); ++k)
+      prior(kJointUnknowns + static_cast<Eigen::Index>(k), 0.0, further_[k].prior);
+  }
+
+  /// The model of the fit at one reading, and what whitens it.
+  void add_reading(const JointReading& reading, double step, const JointPriors& priors, std::size_t i) {
+    const JointModelPoint point = joint_model(reading, value_, step);
+    auto x = x_.middleRows<3>(row(i));
+    x.leftCols<kJointUnknowns>() = point.by_unknown;
+    const Eigen::Vector3d information = reading.u.cwiseAbs2().cwiseInverse();
+    const Eigen::Vector3d along = information.cwiseProduct(point.by_step_error);
+    const double step_information = 1.0 / (priors.step * priors.step) + along.dot(point.by_step_error);
+    Eigen::Matrix3d w = information.asDiagonal();
+    w -= along * along.transpose() / step_information;
+    lower_.emplace_back(w.llt().matrixL());
+
+    Eigen::Matrix<double, 3, kLastingColumns> lasting;
+    const Eigen::Vector3d g = point.by_unknown.block<1, 3>(0, 0).transpose();
+    lasting.middleCols<3>(kSlipColumn) = matrix_ * cross_product(g);
+    lasting.col(kAxisXColumn) =
+        reading.experiment == 3 ? Eigen::Vector3d(point.by_unknown.col(kD3)) : point.by_step_error;
+    lasting.middleCols<3>(kOutputColumn).setIdentity();
+    lasting.middleCols<3>(kGainColumn) = (matrix_ * g).asDiagonal();
+    lasting_.push_back(lasting);
+    by_step_.push_back(point.by_step_error);
+    y_.segment<3>(row(i)) =
+        lower_.back().transpose() * (reading.value - point.reading + point.by_step_error * step);
+  }
+
+  /// Their columns, at a perfect stage. @param before  relative responses of the reading before, then of this
+  void add_further_effects(const JointReading& reading, std::size_t i, Eigen::Vector3d& before) {
+    const Eigen::Vector3d unit = matrix_.rowwise().norm();
+    const StagePose pose = StagePose::of(reading.experiment, reading.sin_alpha, reading.cos_alpha);
+    const GravityAt gravity = gravity_at(pose, StageInputs::Zero());
+    ItemPoint point{reading.t, (matrix_ * gravity.g).cwiseQuotient(unit), Eigen::Vector3d::Zero()};
+    for (int j = 0; i > 0 && j < 3; ++j) {
+      const double change = point.y(j) - before(j);
+      if (std::abs(change) > kSamePose) point.came_from(j) = std::copysign(1.0, change);
+    }
+    before = point.y;
+    Eigen::Index column = kJointUnknowns;
+    for (const FurtherEffect& effect : further_) {
+      if (effect.item != nullptr) {
+        x_(row(i) + effect.output, column) =
+            unit(effect.output) * effect.item->share(point, effect.output, effect.index).value;
+      } else {
+        const StageShare share = effect.stage->share(pose, effect.index);
+        x_.block<3, 1>(row(i), column) =
+            matrix_ * (gravity.by_input.col(share.input) * share.value +
+                       gravity.by_input.col(share.second_input) * share.second_value);
+      }
+      ++column;
+    }
+  }
+
   /// What a change of one unit does to the readings at angle i.
   Columns columns_of(const Change& change, std::size_t i) const {
     const bool touched = lasts(change.kind) ? i >= change.at : i == change.at;
@@ -254,15 +308,17 @@ class LinearModel {
 
   template <class Offer>
   void lasting_changes(const Offer& offer) const {
-    Eigen::MatrixXd own = Eigen::MatrixXd::Zero(kLastingColumns, kLastingColumns);
-    Eigen::MatrixXd shared = Eigen::MatrixXd::Zero(kLastingColumns, prior_weight_.size());
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(kLastingColumns);
+    using Square = Eigen::Matrix<double, kLastingColumns, kLastingColumns>;
+    Square own = Square::Zero();
+    Eigen::MatrixXd taken = Eigen::MatrixXd::Zero(kLastingColumns, prior_weight_.size());
+    Eigen::Matrix<double, kLastingColumns, 1> right = Eigen::Matrix<double, kLastingColumns, 1>::Zero();
     for (std::size_t at = size(); at-- > 1;) {  // from the first angle on is no change
-      const Eigen::Matrix<double, kLastingColumns, 3> weighted = lasting_[at].transpose() * w_[at];
-      own += weighted * lasting_[at];
-      shared.noalias() += weighted * x_[at];
-      right += weighted * residual_[at];
-      const Eigen::MatrixXd information = own - shared * inverse_ * shared.transpose();
+      const Eigen::Matrix<double, kLastingColumns, 3> whitened =
+          (lower_[at].transpose() * lasting_[at]).transpose();
+      own += whitened * whitened.transpose();
+      taken.noalias() += whitened * taken_.middleRows<3>(row(at));
+      right += whitened * residual_.segment<3>(row(at));
+      const Square information = own - taken * taken.transpose();
       const auto block = [&](Eigen::Index first, Eigen::Index count) {
         return gain_of(information.block(first, first, count, count), right.segment(first, count),
                        own.diagonal().segment(first, count));
@@ -280,28 +336,36 @@ class LinearModel {
   template <class Offer>
   void single_changes(const Offer& offer) const {
     for (std::size_t at = 0; at < size(); ++at) {
-      const Columns wx = w_[at] * x_[at];
-      const Eigen::Matrix3d information = w_[at] - wx * inverse_ * wx.transpose();
-      const Eigen::Vector3d right = w_[at] * residual_[at];
-      offer(ChangeKind::kReadings, at, -1, gain_of(information, right, w_[at].diagonal()));
+      const Eigen::Matrix3d& lower = lower_[at];
+      const auto taken = taken_.middleRows<3>(row(at));
+      const Eigen::Matrix3d left = Eigen::Matrix3d::Identity() - taken * taken.transpose();
+      const Eigen::Matrix3d information = lower * left * lower.transpose();
+      const Eigen::Matrix3d own = lower * lower.transpose();
+      const Eigen::Vector3d right = lower * residual_.segment<3>(row(at));
+      offer(ChangeKind::kReadings, at, -1, gain_of(information, right, own.diagonal()));
       for (int j = 0; j < 3; ++j) {
         offer(ChangeKind::kReading, at, j,
-              gain_of(information.block<1, 1>(j, j), right.segment<1>(j), w_[at].diagonal().segment<1>(j)));
+              gain_of(information.block<1, 1>(j, j), right.segment<1>(j), own.diagonal().segment<1>(j)));
       }
       const Eigen::Vector3d& s = by_step_[at];
       const auto scalar = [](double value) { return Eigen::VectorXd::Constant(1, value); };
       offer(ChangeKind::kAngle, at, -1,
-            gain_of(scalar(s.dot(information * s)), scalar(s.dot(right)), scalar(s.dot(w_[at] * s))));
+            gain_of(scalar(s.dot(information * s)), scalar(s.dot(right)), scalar(s.dot(own * s))));
     }
   }
 
-  std::vector<Columns> x_;
-  std::vector<Eigen::Matrix3d> w_;
-  std::vector<Eigen::Vector3d> y_, by_step_, residual_;
-  std::vector<Eigen::Matrix<double, 3, kLastingColumns>> lasting_;
+  std::vector<FurtherEffect> further_;
   JointVector value_, solution_ = JointVector::Zero();
+  Eigen::Matrix3d matrix_;
   Eigen::VectorXd prior_weight_, prior_distance_;
-  Eigen::MatrixXd inverse_;
+  Eigen::Index first_change_ = 0;       ///< Columns from here on are of changes that are accounted for.
+  std::vector<Eigen::Matrix3d> lower_;  ///< Of the weight of each angle's readings: w = lower lower'.
+  std::vector<Eigen::Matrix<double, 3, kLastingColumns>> lasting_;
+  std::vector<Eigen::Vector3d> by_step_;
+  ReadingRows x_;  ///< Whitened, as the next two.
+  Eigen::VectorXd y_, residual_;
+  Eigen::MatrixXd root_;
+  ReadingRows taken_;  ///< x root: what the unknowns take of a change.
   double chi2_ = 0.0;
 };
 
@@ -469,7 +533,7 @@ ChangeScan scan_for_changes(const RunRecord& record) {
     const Fitted fitted = fit_without(left_out, priors, u_known, readings);
     scan.converged = fitted.converged;
     if (!fitted.converged) break;
-    LinearModel model(readings, fitted.value, fitted.step, priors);
+    LinearModel model(readings, fitted.value, fitted.step, priors, record.tolerances);
     find_changes(model, record, scan);
     if (scan.too_large) break;
     std::set<std::size_t> wrong;

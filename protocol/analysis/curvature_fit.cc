@@ -13,11 +13,14 @@ namespace {
 constexpr double kDetermined = 1e-4;
 /// Two shapes that are alike but for this share (squared) are not told apart: k3 is kept.
 constexpr double kToldApart = 1e-3;
+/// The slope of S y^3 over all directions of gravity.
+constexpr double kLineSlope = 0.6;
 
 }  // namespace
 
 CurvatureFit::CurvatureFit(std::span<const DwellRecord* const> dwells, std::span<const ReadingSeries> series,
-                           std::span<const HarmonicFit> fits, const AbcOutputs& outputs, bool k2, bool k3) {
+                           std::span<const HarmonicFit> fits, const AbcOutputs& outputs,
+                           std::array<bool, 2> wanted) {
   const Eigen::Matrix3d s = sensitivity_matrix_of(outputs);
   const auto count = static_cast<Eigen::Index>(dwells.size());
   for (int j = 0; j < 3; ++j) {
@@ -36,7 +39,7 @@ CurvatureFit::CurvatureFit(std::span<const DwellRecord* const> dwells, std::span
       shape_[static_cast<std::size_t>(j)].col(n) << size * y * y, size * y * y * y;
     }
   }
-  for (int j = 0; j < 3; ++j) fit_output(j, dwells, series, fits, {k2, k3});
+  for (int j = 0; j < 3; ++j) fit_output(j, dwells, series, fits, wanted);
   for (int j = 0; j < 3; ++j) {
     // What the equations see of each shape, less the line: k2/3 in the offset, 3/5 k3 of the row.
     for (int m = 0; m < 2; ++m) {
@@ -56,7 +59,7 @@ CurvatureFit::CurvatureFit(std::span<const DwellRecord* const> dwells, std::span
       if (m == 0) {
         correction_(offset_index(j), column) -= s.row(j).norm() / 3.0;
       } else {
-        correction_.block<3, 1>(3 * j, column) -= 0.6 * s.row(j).transpose();
+        correction_.block<3, 1>(3 * j, column) -= kLineSlope * s.row(j).transpose();
       }
     }
   }
@@ -112,6 +115,15 @@ void CurvatureFit::fit_output(int output, std::span<const DwellRecord* const> dw
   weights_[j] = inverse * weighted;
   k_.segment<2>(2 * output) = weights_[j] * residual;
   cofactor_.block<2, 2>(2 * output, 2 * output) = inverse;
+}
+
+AbcOutputs CurvatureFit::at_zero(const AbcOutputs& line) const {
+  AbcOutputs out = line;
+  for (int j = 0; j < 3; ++j) {
+    out.segment<3>(3 * j) /= 1.0 + kLineSlope * k_(2 * j + 1);
+    out(offset_index(j)) -= out.segment<3>(3 * j).norm() * k_(2 * j) / 3.0;
+  }
+  return out;
 }
 
 CurvatureFit::Vector6 CurvatureFit::change_of_k(std::size_t first,

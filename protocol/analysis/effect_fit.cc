@@ -10,42 +10,14 @@
 #include <utility>
 
 #include "protocol/analysis/effect_model.h"
+#include "protocol/analysis/noise_search.h"
 #include "protocol/analysis/reading_kernels.h"
-#include "protocol/analysis/unusable_data.h"
+#include "protocol/analysis/size_evidence.h"
 
 namespace abcal {
 namespace {
 
-/// The grid of the noise process: tau in units of u, rho in angles.
-constexpr std::array<double, 5> kTauGrid{0.3, 0.8, 2.0, 5.0, 12.0};
-constexpr std::array<double, 4> kRhoGrid{2.0, 10.0, 50.0, 400.0};
-/// A process whose whole neighbourhood is less probable than this is not worth a fit.
-constexpr double kNegligibleWeight = 1e-6;
-/// White noise is looked for until no output's moves by more (relative); at most so often.
-constexpr double kWhiteFound = 1e-3;
-constexpr int kWhitePasses = 60;
 constexpr std::array<const char*, 3> kStepGroups{"f_1", "f_2", "f_3"};
-
-/// The linear problem at one noise.
-struct AtNoise {
-  double log_likelihood = 0.0;  ///< Restricted.
-  double tau = 0.0, rho = 1.0;
-  Eigen::Vector3d white = Eigen::Vector3d::Ones();
-  double chi2 = 0.0;
-  Eigen::VectorXd change;  ///< Of the model's value.
-  std::optional<NoiseWhitener> whitener;
-  ReadingRows whitened_jacobian;
-  Eigen::VectorXd whitened_residual;
-  Eigen::VectorXd scale;
-  Eigen::LLT<Eigen::MatrixXd> llt;
-
-  /// R with C = R R', C the posterior covariance of the unknowns; upper triangular.
-  Eigen::MatrixXd covariance_root() const {
-    const auto count = scale.size();
-    const Eigen::MatrixXd inverse = llt.matrixU().solve(Eigen::MatrixXd::Identity(count, count));
-    return scale.asDiagonal() * inverse;
-  }
-};
 
 /// What one noise says of the line response; relative units.
 struct LineAtNoise {
@@ -88,42 +60,13 @@ ShareGroups share_groups(const EffectModel& model) {
   return out;
 }
 
-AtNoise solve_at(const EffectModel& model, double tau, double rho, const Eigen::Vector3d& white) {
-  AtNoise out;
-  out.tau = tau;
-  out.rho = rho;
-  out.white = white;
-  const NoiseWhitener& whitener =
-      out.whitener.emplace(model.noise_at_angles(white), model.step_sd(), model.process_of(tau, rho));
-  out.whitened_jacobian = model.jacobian();
-  whitener.whiten(out.whitened_jacobian);
-  ReadingRows residual = model.residual();
-  whitener.whiten(residual);
-  const Eigen::VectorXd& prior_weight = model.prior_weight();
-  Eigen::MatrixXd normal = products_of_columns(out.whitened_jacobian);
-  normal.diagonal() += prior_weight;
-  out.scale = normal.diagonal().cwiseSqrt().cwiseInverse();
-  normal = out.scale.asDiagonal() * normal * out.scale.asDiagonal();
-  out.llt.compute(normal);
-  const Eigen::VectorXd from_prior = model.from_prior();
-  Eigen::VectorXd right = out.whitened_jacobian.transpose() * residual;
-  right -= prior_weight.cwiseProduct(from_prior);
-  out.change = out.scale.cwiseProduct(out.llt.solve(out.scale.cwiseProduct(right)));
-  out.whitened_residual = residual - out.whitened_jacobian * out.change;
-  out.chi2 = out.whitened_residual.squaredNorm() + prior_weight.dot((from_prior + out.change).cwiseAbs2());
-  const double log_normal =
-      2.0 * (out.llt.matrixLLT().diagonal().array().log().sum() - out.scale.array().log().sum());
-  out.log_likelihood = -0.5 * (whitener.log_determinant() + log_normal + out.chi2);
-  return out;
-}
-
 LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGroups& groups) {
   LineAtNoise out;
   Rows12 rows = model.line_rows();
   Covariance12 beyond = Covariance12::Zero();
   out.change = rows * at.change;
   ReadingRows mean_weights;  // V^-1 cov(readings, means of the process)
-  if (at.tau > 0.0) {
+  if (at.noise.tau > 0.0) {
     // The mean of the process over the run belongs to the offset.
     mean_weights = at.whitener->covariance_with_mean();
     at.whitener->whiten(mean_weights);
@@ -140,7 +83,7 @@ LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGrou
   out.covariance = 0.5 * (covariance + covariance.transpose());
   out.gain = at.whitened_jacobian * response;
   at.whitener->whiten_transposed(out.gain);
-  if (at.tau > 0.0) out.gain.rightCols<3>() += mean_weights;
+  if (at.noise.tau > 0.0) out.gain.rightCols<3>() += mean_weights;
 
   out.shares.assign(groups.groups.size(), Covariance12::Zero());
   for (std::size_t i = 0; i < groups.of_unknown.size(); ++i) {
@@ -150,96 +93,13 @@ LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGrou
         model.prior_weight()(static_cast<Eigen::Index>(i)) * row.transpose() * row;
   }
   if (groups.first_step < 0) return out;
-  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(at.white);
+  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(at.noise.white);
   for (std::size_t n = 0; n < angles.size(); ++n) {
     const Vector12 by_f = out.gain.middleRows<3>(3 * static_cast<Eigen::Index>(n)).transpose() *
                           angles[n].by_step * model.step_sd();
     out.shares[static_cast<std::size_t>(groups.first_step + model.experiment_of(n) - 1)].noalias() +=
         by_f * by_f.transpose();
   }
-  return out;
-}
-
-/// White noise of each output in units of u, and the degrees of freedom that it is known with.
-struct WhiteFound {
-  Eigen::Vector3d white = Eigen::Vector3d::Ones();
-  Eigen::Vector3d redundancy = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());
-};
-
-/// Repeated until the weighted squares of the residuals equal their expectation (restricted likelihood).
-WhiteFound estimate_white(const EffectModel& model) {
-  WhiteFound found;
-  Eigen::Vector3d& white = found.white;
-  for (int pass = 0; pass < kWhitePasses; ++pass) {
-    const AtNoise at = solve_at(model, 0.0, 1.0, white);
-    // P = V^-1 - V^-1 J C J' V^-1: sums of its squared products with the noise of each output.
-    ReadingRows product = at.whitened_residual;
-    at.whitener->whiten_transposed(product);
-    ReadingRows spread = at.whitened_jacobian * at.covariance_root();
-    at.whitener->whiten_transposed(spread);
-    const std::vector<NoiseAtAngle> angles = model.noise_at_angles(white);
-    Eigen::Vector3d squares = Eigen::Vector3d::Zero();
-    Eigen::Vector3d& redundancy = found.redundancy;
-    redundancy.setZero();
-    for (std::size_t n = 0; n < angles.size(); ++n) {
-      Eigen::Matrix3d v =
-          model.step_sd() * model.step_sd() * angles[n].by_step * angles[n].by_step.transpose();
-      v.diagonal() += angles[n].white;
-      const Eigen::Matrix3d inverse = v.llt().solve(Eigen::Matrix3d::Identity());
-      for (int j = 0; j < 3; ++j) {
-        const auto row = static_cast<Eigen::Index>(3 * n) + j;
-        squares(j) += angles[n].white(j) * product(row, 0) * product(row, 0);
-        redundancy(j) += angles[n].white(j) * (inverse(j, j) - spread.row(row).squaredNorm());
-      }
-    }
-    if (!(redundancy.minCoeff() >= 0.5)) {
-      throw UnusableData(
-          fmt::format("{} angles leave nothing to estimate the noise from; more angles or the uncertainties "
-                      "of the readings are required",
-                      angles.size()));
-    }
-    const Eigen::Vector3d before = white;
-    white = white.cwiseProduct(squares.cwiseQuotient(redundancy).cwiseSqrt()).cwiseMax(model.least_white());
-    if ((white.cwiseQuotient(before).array() - 1.0).abs().maxCoeff() < kWhiteFound) break;
-  }
-  return found;
-}
-
-/// The noises that are probable, with their probabilities; white noise alone stands first.
-struct NoiseSearch {
-  WhiteFound white;
-  std::vector<AtNoise> points;
-  std::vector<double> weights;
-  std::size_t best() const {
-    return static_cast<std::size_t>(std::max_element(weights.begin(), weights.end()) - weights.begin());
-  }
-};
-
-NoiseSearch search_noise(const EffectModel& model) {
-  NoiseSearch out;
-  if (!model.options().white_known) out.white = estimate_white(model);
-  const Eigen::Vector3d white = out.white.white;
-  out.points.push_back(solve_at(model, 0.0, 1.0, white));
-  out.weights.push_back(std::log(0.5));
-  const double prior = std::log(0.5 / static_cast<double>(kTauGrid.size() * kRhoGrid.size()));
-  for (const double tau : kTauGrid) {
-    if (!model.options().noise_process) break;
-    double best_of_tau = -std::numeric_limits<double>::infinity();
-    for (const double rho : kRhoGrid) {
-      AtNoise point = solve_at(model, tau, rho, white);
-      const double gain = point.log_likelihood - out.points.front().log_likelihood + prior;
-      best_of_tau = std::max(best_of_tau, gain);
-      if (gain < std::log(kNegligibleWeight) || !std::isfinite(gain)) continue;
-      out.points.push_back(std::move(point));
-      out.weights.push_back(gain);
-    }
-    // Larger processes are less likely still.
-    if (tau > 0.5 && best_of_tau < *std::max_element(out.weights.begin(), out.weights.end()) - 20.0) break;
-  }
-  const double largest = *std::max_element(out.weights.begin(), out.weights.end());
-  double sum = 0.0;
-  for (double& weight : out.weights) sum += weight = std::exp(weight - largest);
-  for (double& weight : out.weights) weight /= sum;
   return out;
 }
 
@@ -250,7 +110,7 @@ LineAtNoise average_line(const EffectModel& model, const NoiseSearch& search, Ef
   Vector12 mean = Vector12::Zero();
   Covariance12 covariance = Covariance12::Zero();
   for (std::size_t i = 0; i < search.points.size(); ++i) {
-    const double weight = search.weights[i];
+    const double weight = search.weight(i);
     const LineAtNoise& line = lines.emplace_back(line_at(model, search.points[i], groups));
     mean += weight * line.change;
     covariance += weight * line.covariance;
@@ -261,8 +121,8 @@ LineAtNoise average_line(const EffectModel& model, const NoiseSearch& search, Ef
   const Vector12 variance = covariance.diagonal();
   for (std::size_t i = 0; i < lines.size(); ++i) {
     const Vector12 off = lines[i].change - mean;
-    covariance += search.weights[i] * off * off.transpose();
-    spread_of_variance += search.weights[i] * (lines[i].covariance.diagonal() - variance).cwiseAbs2();
+    covariance += search.weight(i) * off * off.transpose();
+    spread_of_variance += search.weight(i) * (lines[i].covariance.diagonal() - variance).cwiseAbs2();
   }
   for (Eigen::Index i = 0; i < 12; ++i) {
     if (spread_of_variance(i) > 1e-12 * variance(i) * variance(i))
@@ -294,6 +154,40 @@ void add_degrees_of_estimated_noise(const EffectModel& model, const WhiteFound& 
   }
 }
 
+/// v' P v of each step error, with v its effect on the readings and P = V^-1 - V^-1 J C J' V^-1: the variance
+/// of f is step^2 - step^4 v' P v. With white noise V has a block for each angle.
+Eigen::VectorXd told_of_steps(const EffectModel& model, const std::vector<NoiseAtAngle>& angles,
+                              const Eigen::MatrixXd& root) {
+  const auto count = static_cast<Eigen::Index>(angles.size());
+  const double variance = model.step_sd() * model.step_sd();
+  ReadingRows links(count, root.rows());
+  Eigen::VectorXd known(count);
+  for (Eigen::Index n = 0; n < count; ++n) {
+    const NoiseAtAngle& angle = angles[static_cast<std::size_t>(n)];
+    const Eigen::Vector3d v = angle.by_step;
+    Eigen::Matrix3d local = variance * v * v.transpose();
+    local.diagonal() += angle.white;
+    const Eigen::Vector3d weight = local.llt().solve(v);
+    known(n) = v.dot(weight);
+    links.row(n).noalias() = weight.transpose() * model.jacobian().middleRows<3>(3 * n);
+  }
+  const ReadingRows taken = links * root.triangularView<Eigen::Upper>();
+  return known - taken.rowwise().squaredNorm();
+}
+
+/// The same with a process, which links all angles.
+Eigen::VectorXd told_of_steps_with_process(const AtNoise& best, const std::vector<NoiseAtAngle>& angles,
+                                           const Eigen::MatrixXd& root) {
+  const auto count = static_cast<Eigen::Index>(angles.size());
+  ReadingRows links = ReadingRows::Zero(3 * count, count);
+  for (Eigen::Index n = 0; n < count; ++n)
+    links.block<3, 1>(3 * n, n) = angles[static_cast<std::size_t>(n)].by_step;
+  best.whitener->whiten(links);
+  const Eigen::MatrixXd design = best.whitened_jacobian * root.triangularView<Eigen::Upper>();
+  const Eigen::MatrixXd taken = design.transpose() * links;
+  return (links.colwise().squaredNorm() - taken.colwise().squaredNorm()).transpose();
+}
+
 /// Step errors with their standard uncertainties, and residuals, at the most probable noise.
 void fill_residuals(const EffectModel& model, const AtNoise& best, const Eigen::MatrixXd& root,
                     EffectFit& fit) {
@@ -305,26 +199,15 @@ void fill_residuals(const EffectModel& model, const AtNoise& best, const Eigen::
   ReadingRows left = best.whitened_residual;
   best.whitener->whiten_transposed(left);
   const Eigen::VectorXd shift = model.jacobian() * best.change;
-  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(best.white);
+  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(best.noise.white);
   const double variance = model.step_sd() * model.step_sd();
-  // Var(f) = step^2 - step^4 v' P v, with P of all readings; the process's part of V^-1 is left out.
-  ReadingRows links(static_cast<Eigen::Index>(count), root.rows());
-  Eigen::VectorXd known(static_cast<Eigen::Index>(count));
-  for (std::size_t n = 0; n < count; ++n) {
-    const auto at = static_cast<Eigen::Index>(n);
-    const Eigen::Vector3d v = angles[n].by_step;
-    Eigen::Matrix3d local = variance * v * v.transpose();
-    local.diagonal() += angles[n].white;
-    const Eigen::Vector3d weight = local.llt().solve(v);
-    known(at) = v.dot(weight);
-    links.row(at).noalias() = weight.transpose() * model.jacobian().middleRows<3>(3 * at);
-  }
-  const ReadingRows spread = links * root.triangularView<Eigen::Upper>();
+  const Eigen::VectorXd told = best.noise.tau > 0.0 ? told_of_steps_with_process(best, angles, root)
+                                                    : told_of_steps(model, angles, root);
   for (std::size_t n = 0; n < count; ++n) {
     const auto at = static_cast<Eigen::Index>(n);
     const Eigen::Vector3d v = angles[n].by_step;
     const double f = variance * v.dot(left.col(0).segment<3>(3 * at));
-    const double u2 = variance - variance * variance * (known(at) - spread.row(at).squaredNorm());
+    const double u2 = variance - variance * variance * told(at);
     fit.step_error[n] = f;
     fit.u_step_error[n] = std::sqrt(std::max(0.0, u2));
     if (const int map = model.map_of(n); map >= 0) {
@@ -363,13 +246,14 @@ EffectFit effect_fit(std::span<const EffectReading> readings, const EffectFitOpt
   EffectModel model(readings, options);
   if (!model.solve(fit)) return fit;
   NoiseSearch search = search_noise(model);
+  if (search.points[search.best()].noise.tau > 0.0) fit.larger_sizes = size_evidence(model, search);
   LineAtNoise line = average_line(model, search, fit);
   AtNoise& best = search.points[search.best()];
 
-  fit.noise.process_probability = 1.0 - search.weights.front();
-  fit.noise.tau = best.tau;
-  fit.noise.rho = best.rho;
-  fit.noise.white = best.white;
+  fit.noise.process_probability = 1.0 - search.weight(0);
+  fit.noise.tau = best.noise.tau;
+  fit.noise.rho = best.noise.rho;
+  fit.noise.white = best.noise.white;
   fit.noise.white_estimated = !options.white_known;
   fit.unknowns = model.unknowns();
   fit.unit = model.unit();

@@ -53,6 +53,16 @@ struct NoiseFound {
   bool white_estimated = false;
 };
 
+/// How much better the readings are explained if a stated size is larger.
+struct SizeEvidence {
+  std::string key;     ///< Of the size; "step_deg, step_smooth_deg": both.
+  double times = 0.0;  ///< How much larger.
+  /// Logarithm of the ratio of the readings' densities, each averaged over the noises. If the statement is
+  /// right the ratio exceeds 1/p with a probability below p, whatever the noise (Markov's inequality: its
+  /// mean is 1).
+  double log_ratio = 0.0;
+};
+
 struct EffectFit {
   bool converged = false;
   int iterations = 0;
@@ -78,6 +88,9 @@ struct EffectFit {
   /// The unknowns of the effects that are stated as zero, and what each would add to the whitened readings.
   std::vector<EffectUnknown> left_out;
   ReadingRows left_out_design;
+
+  /// Where a noise process was found: it may stand for an effect that is larger than stated. Else empty.
+  std::vector<SizeEvidence> larger_sizes;
 
   double chi2 = std::numeric_limits<double>::quiet_NaN();  ///< Priors included.
   int chi2_degrees_of_freedom = 0;                         ///< Readings - 12.

@@ -107,6 +107,17 @@ EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const 
   return test;
 }
 
+/// Whether a larger size explains what was taken for a wandering noise.
+EffectTest test_evidence(const SizeEvidence& evidence) {
+  EffectTest test;
+  test.name = "size";
+  test.key = evidence.key;
+  test.times_stated = evidence.times;
+  test.probability = std::exp(-std::max(0.0, evidence.log_ratio));
+  test.instead_of_noise = true;
+  return test;
+}
+
 /// The covariance I - H of the whitened residuals of one output near its diagonal.
 class ResidualBand {
  public:
@@ -153,6 +164,28 @@ double lag_one(const EffectFit& fit, const ReadingRows& design, int output) {
   return (products - expected) / std::sqrt(variance);
 }
 
+std::string words_of(const EffectTest& test) {
+  if (test.stated_zero)
+    return fmt::format("{} is stated as zero, and is not ({}; probability {:.1g})", test.name, test.key,
+                       test.probability);
+  if (test.instead_of_noise)
+    return fmt::format(
+        "the readings wander from angle to angle, but {} times the stated size explains them better than "
+        "noise "
+        "({}; probability below {:.1g})",
+        test.times_stated, test.key, test.probability);
+  return fmt::format("{} is {:.1f} times the stated size ({}; probability {:.1g})", test.name,
+                     test.times_stated, test.key, test.probability);
+}
+
+/// The deviate that a sum of products of successive residuals passes with this probability, on either side.
+/// Of `count` products the excess kurtosis is 18/count (Cornish and Fisher's expansion about the normal
+/// deviate).
+double deviate_of_products(double probability, std::size_t count) {
+  const double z = std::numbers::sqrt2 * boost::math::erfc_inv(probability);
+  return z + 18.0 / static_cast<double>(count) / 24.0 * (z * z * z - 3.0 * z);
+}
+
 template <class Test>
 void for_each_effect(const std::vector<EffectUnknown>& unknowns, const Test& test) {
   const auto count = static_cast<Eigen::Index>(unknowns.size());
@@ -183,31 +216,32 @@ JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectF
   });
   if (!fit.step_error.empty() && options.sizes.step.rad() > 0.0 && fit.u_step_error.front() > 0.0)
     out.effects.push_back(test_steps(fit, options.sizes.step.rad()));
+  for (const SizeEvidence& evidence : fit.larger_sizes) out.effects.push_back(test_evidence(evidence));
   // With chi2, three autocorrelations and the comparison with the norm fit.
   const auto tests = static_cast<double>(out.effects.size() + 5);
   out.level = kFamilyWiseFalseAlarm / tests;
   for (EffectTest& test : out.effects) test.passed = test.probability >= out.level;
   if (options.white_known) out.chi2_probability = chi2_tail(fit.chi2, fit.chi2_degrees_of_freedom);
   for (int j = 0; j < 3; ++j) out.autocorrelation[static_cast<std::size_t>(j)] = lag_one(fit, design, j);
+  out.autocorrelation_limit = deviate_of_products(out.level, std::max<std::size_t>(1, fit.whitened.size()));
   out.norm_against_joint = compare_norm_with_joint(readings, fit, options);
   return out;
 }
 
-std::vector<std::string> contradictions_of(const JointTests& tests, const std::string& response_unit) {
+std::vector<std::string> contradicted_sizes(const JointTests& tests) {
   std::vector<std::string> out;
   for (const EffectTest& test : tests.effects) {
-    if (test.passed) continue;
-    out.push_back(test.stated_zero
-                      ? fmt::format("{} is stated as zero, and is not ({}; probability {:.1g})", test.name,
-                                    test.key, test.probability)
-                      : fmt::format("{} is {:.1f} times the stated size ({}; probability {:.1g})", test.name,
-                                    test.times_stated, test.key, test.probability));
+    if (!test.passed) out.push_back(words_of(test));
   }
+  return out;
+}
+
+std::vector<std::string> contradictions_of(const JointTests& tests, const std::string& response_unit) {
+  std::vector<std::string> out = contradicted_sizes(tests);
   if (tests.norm_against_joint.probability < tests.level)
     out.push_back(words_of(tests.norm_against_joint, response_unit));
-  const double deviate = std::numbers::sqrt2 * boost::math::erfc_inv(tests.level);
   for (std::size_t j = 0; j < 3; ++j) {
-    if (std::abs(tests.autocorrelation[j]) <= deviate) continue;
+    if (std::abs(tests.autocorrelation[j]) <= tests.autocorrelation_limit) continue;
     out.push_back(fmt::format(
         "successive residuals of {} are correlated ({:.1f} standard deviations): the model does not explain "
         "the readings",

@@ -20,6 +20,7 @@ struct JointTests {
   /// Of the products of successive whitened residuals of u, v, w, beyond what the fit itself makes of them,
   /// in standard deviations; 0 where too few residuals are free.
   std::array<double, 3> autocorrelation{};
+  double autocorrelation_limit = 0.0;
   SpecificationTest norm_against_joint;
   double level = 0.0;  ///< Of one test: the family-wise level over the number of tests.
 };
@@ -30,6 +31,9 @@ struct JointTests {
 /// each output; chi2; the norm fit of the same readings.
 JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectFit& fit,
                           const EffectFitOptions& options);
+
+/// The stated sizes that the run contradicts, in words: what every result that rests on them inherits.
+std::vector<std::string> contradicted_sizes(const JointTests& tests);
 
 /// "wobble of X is 9.3 times its stated size (wobble_urad), probability 1e-12": for those that failed.
 std::vector<std::string> contradictions_of(const JointTests& tests, const std::string& response_unit);

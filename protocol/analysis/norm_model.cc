@@ -260,8 +260,10 @@ class NormProblem {
     const Eigen::MatrixXd inverse = llt_.solve(Eigen::MatrixXd::Identity(count_, count_));
     out.cofactor = scale_.asDiagonal() * inverse * scale_.asDiagonal();
     out.reciprocal_condition = reciprocal_condition(out);
-    out.redundancy =
-        static_cast<double>(weighted_.rows()) - (weighted_ * out.cofactor).cwiseProduct(weighted_).sum();
+    const Eigen::MatrixXd fitted = weighted_ * out.cofactor;
+    const Eigen::Index pairs = weighted_.rows() - 1;
+    out.redundancy = static_cast<double>(weighted_.rows()) - fitted.cwiseProduct(weighted_).sum();
+    out.successive_products = -fitted.topRows(pairs).cwiseProduct(weighted_.bottomRows(pairs)).sum();
     const Eigen::Matrix3d s =
         upper(out.unknowns).triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
     const Eigen::Vector3d unit = s.rowwise().norm();

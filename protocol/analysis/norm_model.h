@@ -39,6 +39,9 @@ struct NormSolution {
   Eigen::VectorXd variance;  ///< Of the residual.
   double weighted_squares = 0.0;  ///< Priors included.
   double redundancy = 0.0;        ///< Expectation of the poses' part of weighted_squares.
+  /// Expectation of the sum of the products of successive residuals over their standard deviations, if the
+  /// readings have white noise: the fit itself makes it negative.
+  double successive_products = 0.0;
   double reciprocal_condition = 0.0;
   std::vector<Eigen::Vector3d> direction;
 

@@ -188,6 +188,14 @@ class ModelReadings {
   std::vector<ItemPoint> points_;
 };
 
+double autocorrelation_of(const NormSolution& norm) {
+  const Eigen::ArrayXd e = norm.residual.array() / norm.variance.array().sqrt();
+  const Eigen::Index pairs = e.size() - 1;
+  if (pairs < 1) return 0.0;
+  return ((e.head(pairs) * e.tail(pairs)).sum() - norm.successive_products) /
+         std::sqrt(static_cast<double>(pairs));
+}
+
 double tail(double statistic, int degrees, double of_noise) {
   if (!std::isfinite(of_noise)) return chi2_tail(statistic, degrees);
   // F = statistic / degrees with (degrees, of_noise) degrees of freedom.
@@ -254,6 +262,7 @@ SpecificationTest compare_norm_with_joint(std::span<const EffectReading> reading
   out.done = true;
   const int free = static_cast<int>(readings.size()) - 9;
   if (free > 0) out.norm_probability = chi2_tail(norm.weighted_squares, free);
+  out.norm_autocorrelation = autocorrelation_of(norm);
   // Two of three readings of each angle: the third goes to its step error.
   const double of_noise = fit.noise.white_estimated
                               ? std::max(1.0, 2.0 * static_cast<double>(readings.size()) - 12.0)

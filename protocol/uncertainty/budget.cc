@@ -11,6 +11,7 @@
 #include <span>
 #include <stdexcept>
 #include <string_view>
+#include <utility>
 
 #include "protocol/analysis/analyse.h"
 #include "protocol/analysis/intrinsic_properties.h"
@@ -69,6 +70,21 @@ OutputVector contributions(const OutputJacobian& jacobian, const Covariance12& c
   return (jacobian * covariance * jacobian.transpose()).diagonal().cwiseMax(0.0).cwiseSqrt();
 }
 
+/// The scatter of the readings; without the one standard uncertainty that all of them might have.
+BudgetLine readings_line(std::string input, const RunRecord& record, const OutputVector& contribution) {
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  BudgetLine line;
+  line.input = std::move(input);
+  line.value = "measured";
+  line.unit = record.response_unit;
+  line.distribution = "normal";
+  line.type_a = true;
+  line.standard_uncertainty = kNone;
+  line.contribution = contribution;
+  line.sensitivity = OutputVector::Constant(kNone);
+  return line;
+}
+
 /// What a budget shows the size of a joint fit's effect in, and how large that is in its unit.
 std::pair<std::string, double> shown_size(const EffectShare& share) {
   constexpr double kDegree = std::numbers::pi / 180.0;
@@ -98,16 +114,8 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
     readings -= share.covariance;
     budget.lines.push_back(std::move(line));
   }
-  BudgetLine line;
-  line.input = "readings (noise, and its process from angle to angle)";
-  line.value = "measured";
-  line.unit = record.response_unit;
-  line.distribution = "normal";
-  line.type_a = true;
-  line.standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
-  line.contribution = contributions(jacobian, readings);
-  line.sensitivity = OutputVector::Constant(std::numeric_limits<double>::quiet_NaN());
-  budget.lines.push_back(std::move(line));
+  budget.lines.push_back(readings_line("readings (noise, and its process from angle to angle)", record,
+                                       contributions(jacobian, readings)));
   add_gravity_to(record, budget);
   budget.covariance = jacobian * *result.covariance * jacobian.transpose();
   for (const BudgetLine& each : budget.lines) budget.combined += each.contribution.cwiseAbs2();
@@ -215,12 +223,8 @@ class BudgetMaker {
       return;
     }
     const Covariance12& covariance = *result_.covariance_type_a;
-    BudgetLine line;
-    line.input = "readings (noise, fit residual)";
-    line.value = "measured";
-    line.unit = record_.response_unit;
-    line.distribution = "normal";
-    line.type_a = true;
+    BudgetLine line =
+        readings_line("readings (noise, fit residual)", record_, contributions(jacobian_, covariance));
     // The typical standard uncertainty of a reading; each has its own.
     double sum = 0.0;
     for (const DwellRecord* dwell : dwells_) sum += dwell->u_mean ? dwell->u_mean->squaredNorm() / 3.0 : 0.0;
@@ -235,10 +239,7 @@ class BudgetMaker {
             std::sqrt(residual / static_cast<double>(result_.diagnostics.fits.size()));
       }
     }
-    line.contribution = (jacobian_ * covariance * jacobian_.transpose()).diagonal().cwiseMax(0.0).cwiseSqrt();
-    line.sensitivity = line.standard_uncertainty > 0.0
-                           ? OutputVector(line.contribution / line.standard_uncertainty)
-                           : OutputVector(OutputVector::Constant(std::numeric_limits<double>::quiet_NaN()));
+    if (line.standard_uncertainty > 0.0) line.sensitivity = line.contribution / line.standard_uncertainty;
     budget_.other_covariance += covariance;
     budget_.lines.push_back(line);
   }

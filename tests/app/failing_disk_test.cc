@@ -86,7 +86,7 @@ class FailingDiskTest : public testing::Test {
     } else {
       EXPECT_THAT(why, HasSubstr("a.run"));
       EXPECT_THAT(why, AnyOf(HasSubstr("the disk is full: free some space"),
-                             HasSubstr("check its space and condition"), HasSubstr("may be written")));
+                             HasSubstr("check its space and condition"), HasSubstr("is writable")));
     }
     if (!run.exists()) {
       ++never_begun;

@@ -62,6 +62,10 @@ class InProcessRun::WatchedAccelerometer final : public Accelerometer {
     run_.before("discard_pending");
     inner_->discard_pending();
   }
+  std::map<std::string, std::string> correction_registers() override {
+    run_.before("correction_registers");
+    return inner_->correction_registers();
+  }
   StreamHealth health() const override { return inner_->health(); }
   void stop() noexcept override { inner_->stop(); }
 

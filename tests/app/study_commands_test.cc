@@ -89,7 +89,7 @@ TEST_F(StudyCommands, AnAccelerometerFileThatCannotBeUsedIsRefused) {
     return result.err;
   };
   EXPECT_THAT(refusal("eleven.txt", "1 0 0 0 1 0 0 0 1 0 0"), HasSubstr("11 numbers, 12 are needed"));
-  EXPECT_THAT(refusal("word.txt", "1 0 0 0 one 0 0 0 1 0 0 0"), HasSubstr("\"one\" is no number"));
+  EXPECT_THAT(refusal("word.txt", "1 0 0 0 one 0 0 0 1 0 0 0"), HasSubstr("\"one\" is not a number"));
   EXPECT_THAT(refusal("nan.txt", "1 0 0 0 nan 0 0 0 1 0 0 0"), HasSubstr("not finite"));
   EXPECT_THAT(refusal("rows.json", R"({"sensitivity_matrix": [[1, 0]], "offset": [0, 0, 0]})"),
               HasSubstr("rows.json"));

@@ -14,7 +14,7 @@
 
 #include "app/document/weasyprint.h"
 #include "app/system/child_process.h"
-#include "protocol/analysis/meaning.h"
+#include "protocol/analysis/check_meanings.h"
 #include "tests/console/console_fixture.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/training_register.h"

@@ -322,9 +322,10 @@ TEST_F(SteeringTest, TheEndOfTheProgramHaltsARunAndLeavesItResumable) {
   close();
   EXPECT_TRUE(something_was_on);
   ASSERT_EQ(run_files(), 1U);
-  for (const auto& entry : std::filesystem::directory_iterator(runs()))
-    if (entry.path().extension() == ".run")
-      EXPECT_EQ(RunFile::load(entry.path()).state, RunState::kInterrupted);
+  for (const auto& entry : std::filesystem::directory_iterator(runs())) {
+    if (entry.path().extension() != ".run") continue;
+    EXPECT_EQ(RunFile::load(entry.path()).state, RunState::kInterrupted);
+  }
 }
 
 }  // namespace

@@ -28,6 +28,7 @@ void require(bool condition, const char* what) {
 }
 
 struct Write {
+  Json operator()(const Beat&) const { return {{"do", "beat"}}; }
   Json operator()(const TakeControl& c) const {
     return {{"do", "control"}, {"from_another", c.from_another}};
   }

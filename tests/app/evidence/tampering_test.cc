@@ -32,7 +32,7 @@ class TamperingTest : public EvidenceTest {
     std::filesystem::remove(results());
     const auto analysed = abcal({"analyse", path.filename().string()});
     if (analysed.exit_code == 0) {
-      EXPECT_THAT(analysed.err, HasSubstr("made again"));
+      EXPECT_THAT(analysed.err, HasSubstr("created again"));
     }
   }
 };
@@ -123,7 +123,7 @@ TEST_F(TamperingTest, ThreeHundredRandomChangesOfAByteAreFound) {
 
 TEST_F(TamperingTest, MissingResultsMadeAgainSayThatEarlierOnesAreUnknown) {
   std::filesystem::remove(results());
-  EXPECT_THAT(abcal({"analyse", path.filename().string()}).err, HasSubstr("made again"));
+  EXPECT_THAT(abcal({"analyse", path.filename().string()}).err, HasSubstr("created again"));
   const auto verified = abcal({"verify", path.filename().string()});
   EXPECT_EQ(verified.exit_code, 0) << verified.out;
   EXPECT_THAT(verified.out, HasSubstr("earlier analyses are"));

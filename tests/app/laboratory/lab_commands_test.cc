@@ -203,8 +203,8 @@ TEST_F(RecordCommands, EveryRecordThatCannotBeUsedIsNamedWithItsLineAndDates) {
               "required: a calibration that holds today, 20"),
           HasSubstr("which has no value \"zero_deg\"; required: name = one of wobble_urad"),
           HasSubstr("alignment_deg: found a value in urad: calibration EX-ANGLE-0815"),
-            HasSubstr("required: the unit degree"),
-          HasSubstr("step_smooth_deg.value: found a key of this name")));
+          HasSubstr("required: the unit degree"),
+          HasSubstr("[stage_uncertainty.step_smooth_deg] value: found a key of this name")));
   registered_->log_in("Approver N. N.");
   registered_->lab({"retire", "equipment", "STAGE-1", "--reason", "sold"});
   write("wobble_urad = { from = \"EX-ANGLE-0815\" }\n");

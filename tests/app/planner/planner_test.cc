@@ -51,7 +51,7 @@ TEST(WantedTest, NamesEveryProblemAtOnce) {
   } catch (const std::invalid_argument& error) {
     EXPECT_THAT(error.what(), AllOf(HasSubstr("phi: unit \"\"; required: deg"), HasSubstr("s is 0; required"),
                                     HasSubstr("O: unit \"mV\""), HasSubstr("\"x=1\""),
-                                    HasSubstr("off: \"fine\" is no number"), HasSubstr("s is -1")));
+                                    HasSubstr("off: \"fine\" is not a number"), HasSubstr("s is -1")));
   }
 }
 

@@ -225,9 +225,15 @@ with h5py.File("a.h5") as file:
         u = numpy.vectorize(lambda q: q["standard_uncertainty"])(numpy.array(result[key]))
         assert (group[key][...] == value).all(), key
         assert (group[key + "_errors"][...] == u).all(), key
-        assert group[key].attrs["units"] == numpy.array(result[key]).flat[0]["unit"], key
+        unit = numpy.array(result[key]).flat[0]["unit"]
+        assert group[key].attrs.get("unit", group[key].attrs["units"]) == unit, key
     assert (entry["result_abc/covariance"][...] == numpy.array(result["covariance"])).all()
     assert "sensitivity_matrix" not in entry["result_norm"]
+    # UDUNITS: "g" is the gram.
+    assert data["response"].attrs["units"] == "gravity" and data["response"].attrs["unit"] == "g"
+    assert entry["result_abc/sensitivity_matrix"].attrs["units"] == "gravity"
+    assert int(data.attrs["alpha_indices"]) == 0 and data.attrs["alpha_indices"].dtype.kind == "i"
+    assert entry["definition"][()].decode() == "NXabc_calibration"
     readings = entry["readings"]
     for k in range(data["alpha"].shape[0]):
         mine = (readings["experiment"][...] == data["experiment"][k]) & (readings["n"][...] == data["n"][k]) \

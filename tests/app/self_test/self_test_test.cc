@@ -54,7 +54,8 @@ TEST_F(SelfTestCommand, ChecksThisInstallationAndSaysWhatItFound) {
   for (const auto& check : json["checks"]) {
     of_the_run += check["group"] == "run" ? 1U : 0U;
     // Ports and disk are those of the machine on which the test runs.
-    if (check["group"] != "installation") EXPECT_EQ(check["result"], "good") << check.dump();
+    if (check["group"] == "installation") continue;
+    EXPECT_EQ(check["result"], "good") << check.dump();
   }
   EXPECT_EQ(of_the_run, 4U);
 }

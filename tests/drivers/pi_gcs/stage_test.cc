@@ -389,7 +389,7 @@ TEST_F(PiGcsStageTest, GarbageIsAskedAgainAndThenABadFrame) {
   controller_.replies["\x05"] = "\xFF\x80\n";
   const InstrumentError error = error_of([&] { stage_->motion_state(StageAxis::kX); });
   EXPECT_EQ(error.fault(), Fault::kBadFrame);
-  EXPECT_THAT(error.what(), HasSubstr("\"\\xff\\x80\\n\" is no answer to \"#5\""));
+  EXPECT_THAT(error.what(), HasSubstr("\"\\xff\\x80\\n\" is not an answer to \"#5\""));
 }
 
 TEST_F(PiGcsStageTest, GarbageWithoutEndDoesNotHoldTheDriver) {
@@ -416,7 +416,7 @@ TEST_F(PiGcsStageTest, AMoveWhoseAcceptanceIsNotKnownIsNotRepeated) {
   controller_.mishaps["ERR?"] = {{.instead = "", .late = {}}};
   const InstrumentError lost = error_of([&] { stage_->move_to(StageAxis::kX, Angle::degrees(2.0)); });
   EXPECT_EQ(lost.fault(), Fault::kNoReply);
-  EXPECT_THAT(lost.what(), HasSubstr("whether that was accepted is not known"));
+  EXPECT_THAT(lost.what(), HasSubstr("whether that command was accepted is unknown"));
   EXPECT_EQ(controller_.count("MOV 1 2.000000"), 1U);
   controller_.mishaps["ERR?"] = {{.instead = {}, .late = {}}, {.instead = "?!\n", .late = {}}};
   EXPECT_EQ(error_of([&] { stage_->move_to(StageAxis::kX, Angle::degrees(3.0)); }).fault(), Fault::kBadFrame);

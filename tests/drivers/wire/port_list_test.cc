@@ -64,7 +64,7 @@ TEST(PortListTest, OtherNamesStayAsTheyAre) {
 TEST(PortListTest, AnAmbiguousUsbNameListsTheCandidates) {
   EXPECT_THAT(
       error_of("usb:0403:6001", some_ports()),
-      AllOf(HasSubstr("fits several ports"), HasSubstr("/dev/ttyUSB0 (usb:0403:6001:A1)"),
+      AllOf(HasSubstr("matches several ports"), HasSubstr("/dev/ttyUSB0 (usb:0403:6001:A1)"),
             HasSubstr("/dev/ttyUSB1"), Not(HasSubstr("ttyACM0")), HasSubstr("add the serial number")));
 }
 

@@ -237,7 +237,7 @@ TEST_F(UsbtmcOpenTest, SaysThatItIsSomethingElse) {
   EXPECT_THAT(error_of_opening("usbtmc:" + file), HasSubstr("a file, not a USBTMC instrument"));
   EXPECT_THAT(
       error_of_opening("usbtmc:/dev/null"),
-      AllOf(HasSubstr("no USBTMC instrument"), HasSubstr("status byte"), HasSubstr(std::strerror(ENOTTY))));
+      AllOf(HasSubstr("not a USBTMC instrument"), HasSubstr("status byte"), HasSubstr(std::strerror(ENOTTY))));
 }
 
 TEST_F(UsbtmcOpenTest, SaysThatALinkLeadsNowhere) {

