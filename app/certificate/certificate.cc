@@ -89,7 +89,7 @@ class Inspection {
                             quoted(limit.unit), "one of " + offered});
       } else if (laboratory_.decision) {
         run.decisions.push_back(decide(*laboratory_.decision, limit, quantity->value,
-                                       quantity->standard_uncertainty, coverage_factor(*quantity)));
+                                       quantity->standard_uncertainty, stated_factor(limit, *quantity)));
         run.decisions.back().degrees_of_freedom = quantity->degrees_of_freedom;
       }
     }

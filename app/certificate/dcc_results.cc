@@ -255,7 +255,8 @@ void add_correlation(XmlElement& data, const std::string& ref_type, const Wordin
     std::vector<std::string> numbers;
     for (Eigen::Index j = 0; j < covariance.cols(); ++j) {
       const double scale = std::sqrt(covariance(i, i)) * std::sqrt(covariance(j, j));
-      const double of = i == j ? 1.0 : scale > 0.0 ? covariance(i, j) / scale : 0.0;
+      const double ratio = scale > 0.0 ? covariance(i, j) / scale : 0.0;
+      const double of = i == j ? 1.0 : std::isfinite(ratio) ? std::clamp(ratio, -1.0, 1.0) : 0.0;
       numbers.push_back(
           dsi_number(std::round(of * 1e4) / 1e4, "correlation of " + labels[static_cast<std::size_t>(i)]));
     }

@@ -301,7 +301,7 @@ TEST_F(PrintedCertificateTest, AGermanCertificateIsGerman) {
   ASSERT_EQ(draft.exit_code, 0) << draft.err;
   const std::string page = file("de.html");
   for (const std::string words :
-       {"Kalibrierschein", "erweiterte Messunsicherheit", "Metrologische R\u00fcckf\u00fchrung", "Seite ",
+       {"Kalibrierschein", "erweiterte Messunsicherheit", "Metrologische R\u00fcckf\u00fchrung", "Seite",
         "ENTWURF", "freigegeben", "Messunsicherheitsbudget", "Deutschland", "Keine."})
     EXPECT_THAT(page, HasSubstr(words));
   const XmlDocument document = parse_xml(file("de.xml"), "de.xml");
