@@ -204,6 +204,7 @@ void issue(const IssueOptions& options) {
   check_outputs(options);
   std::optional<Registered> registered = open_registered(options, now);
   if (registered && record_kept_certificate(*registered, options, now)) return;
+  if (registered && !options.key.empty()) require_own_key(*registered, options.key_certificate);
   if (RunFile::is_closed(options.run))
     if (const auto why = stamp_if_configured(options.run)) print_warning(*why);
   CertificateRequest request;
@@ -218,10 +219,7 @@ void issue(const IssueOptions& options) {
 
   const DccSchema schema = schema_of(options.certificate);
   std::optional<SigningKey> key;
-  if (!options.key.empty()) {
-    key = SigningKey{options.key, options.key_certificate};
-    if (registered) require_own_key(*registered, options.key_certificate);
-  }
+  if (!options.key.empty()) key = SigningKey{options.key, options.key_certificate};
   if (registered) take_number(*registered, certificate, now);
   const IssuedCertificate issued = issue_certificate(certificate, &schema, key, format_utc(now));
   if (registered)

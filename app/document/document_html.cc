@@ -70,7 +70,6 @@ td.long { overflow-wrap: anywhere; }
 table.whole { break-inside: avoid; }
 td.number, th.number { text-align: right; }
 td.number { white-space: nowrap; font-variant-numeric: tabular-nums; }
-td.symbol { white-space: nowrap; }
 td.unit { white-space: nowrap; }
 th.group { background: none; border-bottom: 0.2mm solid #8a9aa8; padding-top: 2mm; color: #10324e;
            break-after: avoid; }
