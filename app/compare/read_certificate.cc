@@ -19,6 +19,8 @@ namespace abcal {
 namespace {
 
 constexpr std::size_t kMostProblems = 20;  // Nobody reads more.
+constexpr std::size_t kMostLabels = 1000;  // Of a list: its covariances are that number squared.
+constexpr std::ptrdiff_t kLabelsShown = 12;
 constexpr double kRadToDeg = 180.0 / 3.14159265358979323846;
 
 /// A number of the certificate with its standard uncertainty, in base units.
@@ -58,7 +60,10 @@ class ListReader {
     const bool wanted = std::any_of(labels.begin(), labels.end(), is_of_accelerometer);
     if (!wanted) return;
     const std::size_t size = labels.size();
-    where_ = fmt::format("list \"{}\"", fmt::join(labels, " "));
+    where_ = fmt::format(
+        "list \"{}\"",
+        fmt::join(labels.begin(), labels.begin() + std::min(std::ssize(labels), kLabelsShown), " "));
+    if (size > kMostLabels) return problem(fmt::format("{} labels; required: at most {}", size, kMostLabels));
     const std::vector<double> values = real_list("si:valueXMLList", list, size);
     const std::vector<UnitMeaning> units = unit_list("si:unitXMLList", list, size);
     const std::vector<double> u = uncertainties(list, size);

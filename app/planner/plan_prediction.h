@@ -31,7 +31,7 @@ struct PlanPrediction {
   std::array<LargestPart, kPlannedOutputs> limits;  ///< Of that output.
 };
 
-/// The uncertainties follow from the estimator itself: it analyses readings without noise of an ideal item on
+/// The uncertainties follow from the estimator itself: it analyses simulated runs of an ideal item on
 /// an ideal stage, whose means state the uncertainty that `noise` gives them, with the bench's sizes of all
 /// effects. What a bench's real errors make the result differ by is in them; noise that is not white is not.
 /// @throws PlanError if the stage cannot reach an angle; std::invalid_argument if the estimator refuses the

@@ -83,12 +83,9 @@ ScenarioOutcome summed(const Scenario& scenario, const std::string& estimator,
     }
   }
   for (std::size_t g = 0; g < kOutputGroups && sum.usable > 0; ++g)
-    sum.groups[g] = {covered[g] / count[g], std::sqrt(error2[g] / count[g]), std::sqrt(u2[g] / count[g]),
-                     0.0};
-  for (std::size_t i = 0; i < kOutputs && sum.usable > 0; ++i) {
-    double& worst = sum.groups[group_of(i)].worst_u;
-    worst = std::max(worst, std::sqrt(u2_of_output[i] / sum.usable));
-  }
+    sum.groups[g] = {covered[g] / count[g], std::sqrt(error2[g] / count[g]), std::sqrt(u2[g] / count[g])};
+  for (std::size_t i = 0; i < kOutputs && sum.usable > 0; ++i)
+    sum.rms_u_of_output.push_back(std::sqrt(u2_of_output[i] / sum.usable));
   return sum;
 }
 

@@ -34,7 +34,6 @@ struct GroupCoverage {
   double coverage = std::numeric_limits<double>::quiet_NaN();   ///< Share of 95 % intervals with the truth.
   double rms_error = std::numeric_limits<double>::quiet_NaN();  ///< R/g_loc, R or degree.
   double rms_u = std::numeric_limits<double>::quiet_NaN();      ///< Of the stated standard uncertainties.
-  double worst_u = std::numeric_limits<double>::quiet_NaN();    ///< Of the output with the largest.
   double ratio() const { return rms_error / rms_u; }
 };
 
@@ -43,6 +42,9 @@ struct ScenarioOutcome {
   ScenarioKind kind = ScenarioKind::kWithin;
   int runs = 0, usable = 0, doubtful = 0, not_usable = 0;
   std::array<GroupCoverage, kOutputGroups> groups;
+  /// Root mean square of the stated u of each output: s row by row, O, intrinsic s, phi. Empty: no usable
+  /// run.
+  std::vector<double> rms_u_of_output;
 
   double usable_share() const { return static_cast<double>(usable) / runs; }
   /// What the scenario's kind asks for and the outcome does not give, in words; empty: nothing.

@@ -4,6 +4,9 @@
 #include <fmt/ranges.h>
 
 #include <cmath>
+#include <string>
+
+#include "protocol/uncertainty/study_output.h"
 
 namespace abcal {
 namespace {
@@ -82,9 +85,12 @@ nlohmann::ordered_json robustness_json(const RobustnessStudy& study) {
                                {"coverage", number_or_null(o.groups[g].coverage)},
                                {"rms_error", number_or_null(o.groups[g].rms_error)},
                                {"rms_uncertainty", number_or_null(o.groups[g].rms_u)},
-                               {"rms_uncertainty_of_worst_output", number_or_null(o.groups[g].worst_u)},
                                {"ratio", number_or_null(o.groups[g].ratio())}});
     }
+    one["rms_uncertainty_of_outputs"] = nlohmann::ordered_json::object();
+    for (std::size_t i = 0; i < o.rms_u_of_output.size(); ++i)
+      one["rms_uncertainty_of_outputs"][std::string(output_symbol(static_cast<int>(i)))] =
+          o.rms_u_of_output[i];
     one["shortfalls"] = o.shortfalls();
     json["outcomes"].push_back(std::move(one));
   }

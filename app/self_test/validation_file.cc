@@ -164,7 +164,9 @@ std::string validation_file(const ValidationFacts& facts, const std::vector<Self
   std::string text = fmt::format(
       "# Software validation file\n\n- Program: abcal {}\n- Made: {} on {}\n- Tests: {}\n- Self-test: {}\n\n",
       facts.version, facts.created_utc, facts.host,
-      results == nullptr ? "not run here" : fmt::format("last run {}", results->last_utc),
+      results == nullptr ? "not run here"
+                         : fmt::format("last run {}; whoever ran them states that they are of this version",
+                                       results->last_utc),
       all_good(checks) ? "all good" : "NOT GOOD");
   text += "## This installation\n\n| check | result | found |\n|---|---|---|\n";
   for (const SelfCheck& check : checks) {

@@ -60,7 +60,7 @@ TEST(JudgeSigns, AnAccelerometerThatIsNotOnTheStageIsFound) {
   same[1].x = same[2].x = same[2].z = Angle::degrees(30.0);
   const Finding finding = judge_signs(same);
   EXPECT_EQ(finding.grade, Finding::Grade::kProblem);
-  EXPECT_THAT(finding.advice, HasSubstr("bolted"));
+  EXPECT_THAT(finding.advice, HasSubstr("fixed to this stage"));
 }
 
 class CheckTest : public ProgramTest {

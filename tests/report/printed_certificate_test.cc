@@ -288,6 +288,7 @@ TEST_F(PrintedCertificateTest, AKeyOfAnotherPersonIsRefused) {
   registered_->lab(
       {"key", "Operator N. N.", "--kind", "person", "-o", "third.pem", "--certificate", "third.crt"});
   std::filesystem::copy_file(*folder_ / "a.run", *folder_ / "again.run");
+  std::filesystem::copy_file(*folder_ / "a.run.results", *folder_ / "again.run.results");
   const test::ProgramResult refused = abcal({"issue", "again.run", "--laboratory", "lab.toml", "--sign",
                                              "third.pem", "--certificate", "third.crt"});
   EXPECT_EQ(refused.exit_code, 2);

@@ -123,6 +123,16 @@ class CertificateTest : public testing::Test {
     return asked;
   }
 
+  /// Why there is no certificate; empty: there is one.
+  static std::string refusal(CertificateRequest asked) {
+    try {
+      make_certificate(std::move(asked));
+    } catch (const std::exception& error) {
+      return error.what();
+    }
+    return "";
+  }
+
   test::ProgramResult abcal(const std::vector<std::string>& arguments) {
     return test::run_program(arguments, folder.path());
   }

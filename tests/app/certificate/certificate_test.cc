@@ -31,14 +31,6 @@ class MakeCertificateTest : public CertificateTest {
     return replaced(replaced(example_laboratory(), "performed = 2025-12-31", "performed = 1998-12-31"),
                     "due = 2030-12-31", "due = 1999-12-31");
   }
-  static std::string refusal(CertificateRequest asked) {
-    try {
-      make_certificate(std::move(asked));
-    } catch (const std::exception& error) {
-      return error.what();
-    }
-    return "";
-  }
 };
 
 // ISO/IEC 17025:2017 as listed in docs/theory/certificate_rules.md: where each item stands

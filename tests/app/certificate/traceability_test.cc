@@ -28,14 +28,6 @@ class TraceabilityTest : public CertificateTest {
     asked.issue->today = *parse_date("2026-03-02");
     return asked;
   }
-  static std::string refusal(CertificateRequest asked) {
-    try {
-      make_certificate(std::move(asked));
-    } catch (const std::exception& error) {
-      return error.what();
-    }
-    return "";
-  }
   /// As a run keeps it from the register.
   static std::string registered_equipment(const std::string& serial_number, const std::string& quantity) {
     return R"({"equipment":"S","name":"of the register","maker":"","model":"","serial_number":")" +

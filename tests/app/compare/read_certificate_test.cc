@@ -168,6 +168,9 @@ TEST_F(ReadCertificateTest, RefusesWhatIsMadeToExhaustTheReader) {
   std::string labels;
   for (int k = 0; k < 300'000; ++k) labels += "s_u ";
   EXPECT_THAT(refusal(certificate_with(list_of(labels, "1", "\\one", "2"))), HasSubstr("a list of"));
+  labels.resize(4 * 2000);
+  EXPECT_THAT(refusal(certificate_with(list_of(labels, "1", "\\one", "2"))),
+              HasSubstr("2000 labels; required: at most 1000"));
   std::string deep;
   for (int k = 0; k < 2000; ++k) deep += "<a>";
   EXPECT_THAT(refusal(certificate_with(deep)), HasSubstr("Excessive depth"));

@@ -52,10 +52,10 @@ step('shows checks, closures, harmonics and step errors that abcal analyse print
   const near = (shown, value, what) => assert.ok(Math.abs(Number(shown.replace('−', '-')) - value) <= Math.max(0.06 * Math.abs(value), 6e-6), `${what}: ${shown} for ${value}`);
 
   const checks = await rowsOf(/checks? (passed|failed)/);
-  assert.deepEqual(checks.map((row) => row[0]).sort(), abc.diagnostics.checks.map((check) => check.check).sort());
+  assert.deepEqual(checks.map((row) => row[0]).sort(), joint.diagnostics.checks.map((check) => check.check).sort());
   assert.ok(checks.length >= 8, String(checks.length));
   for (const [name, outcome, , , , meaning] of checks) {
-    assert.equal(outcome === 'passed', abc.diagnostics.checks.find((check) => check.check === name).passed, name);
+    assert.equal(outcome === 'passed', joint.diagnostics.checks.find((check) => check.check === name).passed, name);
     assert.ok(meaning.length > 20, `${name}: ${meaning}`);
   }
   const closures = await rowsOf('Closures and their');
