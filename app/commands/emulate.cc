@@ -246,6 +246,9 @@ bool compare_with_log(const EmulateCommand& command) {
   const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
   const auto firmware = make_firmware(config, port_of_log(config, command.instrument), world);
   const std::vector<ComparedExchange> exchanges = compare_firmware(log, *firmware, clock.now());
+  if (exchanges.empty())
+    throw std::invalid_argument(command.compare +
+                                ": no bytes of a host or an instrument; nothing to compare");
   if (command.json) {
     print_result("{}\n", comparison_json(exchanges).dump(2));
   } else {
