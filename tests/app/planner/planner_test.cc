@@ -14,8 +14,8 @@
 #include "app/results/analyses.h"
 #include "app/robustness/robustness_study.h"
 #include "app/robustness/scenario.h"
-#include "sim/counter_noise.h"
 #include "protocol/record/planned_dwell.h"
+#include "sim/counter_noise.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
