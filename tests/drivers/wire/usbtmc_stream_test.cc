@@ -235,9 +235,9 @@ TEST_F(UsbtmcOpenTest, SaysThatItIsSomethingElse) {
   const std::string file = folder_.path() / "file";
   std::ofstream(file) << "x";
   EXPECT_THAT(error_of_opening("usbtmc:" + file), HasSubstr("a file, not a USBTMC instrument"));
-  EXPECT_THAT(
-      error_of_opening("usbtmc:/dev/null"),
-      AllOf(HasSubstr("not a USBTMC instrument"), HasSubstr("status byte"), HasSubstr(std::strerror(ENOTTY))));
+  EXPECT_THAT(error_of_opening("usbtmc:/dev/null"),
+              AllOf(HasSubstr("not a USBTMC instrument"), HasSubstr("status byte"),
+                    HasSubstr(std::strerror(ENOTTY))));
 }
 
 TEST_F(UsbtmcOpenTest, SaysThatALinkLeadsNowhere) {
