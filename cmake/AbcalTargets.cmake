@@ -46,12 +46,15 @@ function(abcal_target_options target)
   target_compile_options(${target} PRIVATE ${ABCAL_WARNINGS} -ffp-contract=off)
   if(ABCAL_QUICK_BUILD)
     # -Og: a third less compiling than -O1 for tests. GCC sees variables as uninitialised that -O1 (preset dev) knows are not.
-    target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-Og> $<$<CONFIG:Release>:-Wno-maybe-uninitialized>)
+    target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:-Og>
+      $<$<AND:$<CONFIG:Release>,$<CXX_COMPILER_ID:GNU>>:-Wno-maybe-uninitialized>)
   endif()
   if(ABCAL_UNITY)
     set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 12)
     # A source that another one includes looks like a header, whose anonymous namespace would be a mistake.
-    target_compile_options(${target} PRIVATE -Wno-subobject-linkage)
+    if(CMAKE_CXX_COMPILER_ID STREQUAL GNU)
+      target_compile_options(${target} PRIVATE -Wno-subobject-linkage)
+    endif()
   endif()
 endfunction()
 

@@ -399,8 +399,8 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
     asio::post(server_.reader, [self = shared_from_this(), later = std::move(later)]() mutable {
       HttpResponse response = later();
       // Moved, so that this connection ends in the thread of the connections.
-      asio::io_context& io = self->server_.io;
-      asio::post(io, [self = std::move(self), response = std::move(response)]() mutable {
+      asio::io_context& of_connections = self->server_.io;
+      asio::post(of_connections, [self = std::move(self), response = std::move(response)]() mutable {
         self->write(std::move(response));
       });
     });

@@ -28,7 +28,6 @@ namespace abcal {
 namespace {
 
 constexpr std::array<char, 3> kAccelerometerNames{'u', 'v', 'w'};
-constexpr std::array<const char*, 3> kPairNames{"u and v", "v and w", "w and u"};
 constexpr int kDiagnosticHarmonics = 5;  // the paper's second fit: constant + five harmonics
 
 // Flags that say that the mean itself may be wrong. Lost and repeated readings leave a sound mean: counted

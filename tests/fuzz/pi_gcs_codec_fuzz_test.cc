@@ -74,7 +74,7 @@ TEST(PiGcsCodecFuzzTest, AgreesWithTheReferenceOnRandomBytes) {
 }
 
 TEST(PiGcsCodecFuzzTest, AgreesWithTheReferenceOnRepliesAboutAsLongAsTheyMayBe) {
-  for (const std::size_t size : {65534, 65535, 65536, 65537}) {
+  for (const std::size_t size : {65534U, 65535U, 65536U, 65537U}) {
     show(std::string(size, '1') + "\n");
     show(std::string(size, '1'));
     show("1=" + std::string(size, ' ') + "\n0\n");

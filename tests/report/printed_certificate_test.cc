@@ -141,7 +141,7 @@ TEST_F(PrintedCertificateTest, EveryNumberOfThePagesIsInTheXml) {
     hashes += each->str() + " ";
   std::set<std::string> unknown;
   for (const std::string& number : shown)
-    if (!known.contains(number) && hashes.find(number) == std::string::npos) unknown.insert(number);
+    if (known.count(number) == 0 && hashes.find(number) == std::string::npos) unknown.insert(number);
   EXPECT_THAT(unknown, IsEmpty());
 }
 

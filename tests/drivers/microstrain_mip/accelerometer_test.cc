@@ -252,7 +252,7 @@ TEST(MipAccelerometerTest, CountsAGapInTheReferenceTimeAsLost) {
   bench.accelerometer->start();
   // Up to 2 % of the period off: the time stamps need not lie on a grid.
   for (const std::uint64_t time :
-       {1'000'000'000, 1'010'100'000, 1'040'000'000, 1'050'000'000, 1'750'150'000}) {
+       {1'000'000'000U, 1'010'100'000U, 1'040'000'000U, 1'050'000'000U, 1'750'150'000U}) {
     bench.device->send(data_packet(time, 0, 0, 1));
   }
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(0, 1, 4, 5, 75));
