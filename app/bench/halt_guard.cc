@@ -151,6 +151,10 @@ void HaltGuard::end() {
     pollfd ended{.fd = socket_, .events = POLLIN, .revents = 0};
     ::poll(&ended, 1, kAnswerTime_ms);  // So that the next owner finds the ports free.
   }
+  collect();
+}
+
+void HaltGuard::collect() {
   ::close(std::exchange(socket_, -1));
   ::waitpid(std::exchange(process_, -1), nullptr, 0);
 }
@@ -159,10 +163,7 @@ int HaltGuard::generation() {
   if (socket_ >= 0) {
     char byte = 0;
     // It says nothing unless it was given a port: an end of its own is its death.
-    if (::recv(socket_, &byte, 1, MSG_DONTWAIT | MSG_PEEK) == 0) {
-      ::close(std::exchange(socket_, -1));
-      ::waitpid(std::exchange(process_, -1), nullptr, 0);
-    }
+    if (::recv(socket_, &byte, 1, MSG_DONTWAIT | MSG_PEEK) == 0) collect();
   }
   if (socket_ < 0) start();
   return generation_;

@@ -39,6 +39,8 @@ class HaltGuard {
  private:
   void start();
   void end();
+  /// Of a guard that has ended or is about to: closes the socket and waits for the process.
+  void collect();
 
   int socket_ = -1;
   pid_t process_ = -1;

@@ -8,8 +8,6 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 
 #include "app/bench/real_clock.h"
@@ -23,6 +21,7 @@
 #include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/progress.h"
+#include "app/system/read_file.h"
 
 namespace abcal {
 namespace {
@@ -47,7 +46,7 @@ double seconds_of(const std::string& text) {
 /// Standard deviation of one reading over the sensitivity: median over the angles and outputs of a run.
 double noise_of_run(const std::string& path) {
   const LoadedRecord loaded = load_record(path);
-  const CalibrationResult result = analyse(loaded.record, "abc");
+  const CalibrationResult result = analyse_abc(loaded.record);
   if (!result.sensitivity_matrix)
     throw std::invalid_argument(fmt::format("--noise {}: {}", path, result.why));
   std::vector<double> noise;
@@ -173,10 +172,9 @@ void plot_curve(const std::string& path, const std::vector<PlanPrediction>& plan
 }
 
 void write_into_bench_file(const ReachOptions& options, const PlanPrediction& plan) {
-  std::ifstream file(options.bench_file, std::ios::binary);
-  const std::string text{std::istreambuf_iterator<char>(file), {}};
   OutputFile(options.bench_file)
-      .write(with_protocol(text, plan.protocol, options.bench_file, register_records()));
+      .write(with_protocol(read_file(options.bench_file), plan.protocol, options.bench_file,
+                           register_records()));
   print_log("{} has the plan now\n", options.bench_file);
 }
 

@@ -109,12 +109,7 @@ CheckRun check_run_of(const ReportData& data) {
     problems.push_back("repeats the recording of " + data.label("replay.of") + "; required: measured");
   const CalibrationResult& result = data.result();
   CheckRun run;
-  for (std::size_t j = 0; j < 3; ++j) {
-    const auto row = static_cast<Eigen::Index>(j);
-    run.values(row) = result.intrinsic_sensitivity[j].value;
-    run.values(3 + row) = result.intrinsic_angle[j].value;
-    run.values(6 + row) = result.offset[j].value;
-  }
+  run.values = intrinsic_values(result);
   if (result.verdict == Verdict::kNotUsable || !run.values.allFinite())
     problems.push_back("has no usable result: " + result.why);
   run.bench = bench_of(*data.run);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "app/compare/check_chart.h"
 #include "app/compare/read_certificate.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
@@ -32,9 +33,7 @@ void describe_run(const StoredRun& run, ComparedResult& result) {
   result.labels = run.header.labels;
   result.item_serial_number = label(result, "item.serial_number");
   result.item = joined({label(result, "item.maker"), label(result, "item.model"), result.item_serial_number});
-  for (const InstrumentIdentity& instrument : run.header.instruments) {
-    if (instrument.role == "stage") result.stage = joined({instrument.model, instrument.serial_number});
-  }
+  result.stage = bench_of(run).stage;
   if (run.state != RunState::kComplete)
     result.notes.push_back(fmt::format("the run is {}", to_string(run.state)));
 }
@@ -47,17 +46,10 @@ void set_values(const CalibrationResult& calibration, ComparedResult& result) {
     result.g_loc = calibration.g_loc;
     result.g_loc_source = calibration.g_loc_source;
   }
+  result.values = intrinsic_values(calibration);
   IntrinsicValues type_a;
-  const auto property = [&](Eigen::Index i, const Quantity& quantity) {
-    result.values(i) = quantity.value;
-    type_a(i) = quantity.type_a.value_or(std::nan(""));
-  };
-  for (std::size_t j = 0; j < 3; ++j) {
-    const auto row = static_cast<Eigen::Index>(j);
-    property(row, calibration.intrinsic_sensitivity[j]);
-    property(3 + row, calibration.intrinsic_angle[j]);
-    property(6 + row, calibration.offset[j]);
-  }
+  for (Eigen::Index i = 0; i < 9; ++i)
+    type_a(i) = intrinsic_property(calibration, i).type_a.value_or(std::nan(""));
   if (!calibration.covariance_intrinsic) {
     throw std::runtime_error(result.file + ": the " + calibration.estimator +
                              " estimator gives no uncertainties, so that nothing can be compared");

@@ -1,7 +1,6 @@
 #include "app/console/download.h"
 
 #include <fstream>
-#include <iterator>
 #include <stdexcept>
 
 #include "app/bench/real_clock.h"
@@ -15,6 +14,7 @@
 #include "app/report/record_csv.h"
 #include "app/results/report_data.h"
 #include "app/system/child_process.h"
+#include "app/system/read_file.h"
 #include "app/system/temporary_folder.h"
 
 namespace abcal::console {
@@ -31,9 +31,7 @@ std::string bytes_of(const std::function<void(const Path& file)>& write) {
   const TemporaryFolder folder;
   const Path file = folder / "download";
   write(file);
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) throw std::runtime_error("the temporary file cannot be read: " + file.string());
-  return {std::istreambuf_iterator<char>(stream), {}};
+  return read_file(file);
 }
 
 bool is_certified(const Path& run) {

@@ -8,6 +8,7 @@
 #include <numbers>
 #include <stdexcept>
 
+#include "protocol/analysis/comparison.h"
 #include "protocol/plan/response_unit.h"
 
 namespace abcal {
@@ -41,12 +42,7 @@ Eigen::Matrix3d matrix_of(ExportFrame frame, const Eigen::Matrix<double, 9, 1>& 
 Inputs inputs_of(const CalibrationResult& result, ExportFrame frame) {
   Inputs inputs;
   if (frame == ExportFrame::kItem) {
-    for (Eigen::Index k = 0; k < 3; ++k) {
-      const auto j = static_cast<std::size_t>(k);
-      inputs.value[k] = result.intrinsic_sensitivity[j].value;
-      inputs.value[3 + k] = result.intrinsic_angle[j].value;
-      inputs.value[6 + k] = result.offset[j].value;
-    }
+    inputs.value = intrinsic_values(result);
     if (!result.covariance_intrinsic) throw std::invalid_argument("the result has no covariance");
     inputs.covariance = *result.covariance_intrinsic;
     return inputs;

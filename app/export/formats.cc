@@ -4,6 +4,7 @@
 
 #include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
@@ -126,19 +127,28 @@ std::string remainder(const CorrectionConstants& c) {
       c.diagonal_remainder_mps2());
 }
 
+/// What a format that only scales takes of each axis.
+struct ScaledAxis {
+  char axis = 'X';
+  double offset_mps2 = 0.0, scale = 1.0;
+};
+
+/// corrected = (raw - offset) scale, for each axis by itself.
+std::array<ScaledAxis, 3> scaled_axes(const CorrectionConstants& c) {
+  const Eigen::Vector3d scale = c.matrix_si().diagonal();
+  const Eigen::Vector3d offset = c.bias_si();
+  return {{{'X', offset[0], scale[0]}, {'Y', offset[1], scale[1]}, {'Z', offset[2], scale[2]}}};
+}
+
 /// PX4: corrected = (raw - offset) scale, in m/s2 and the sensor's axes
 /// (sensor_calibration/Accelerometer.hpp). QGroundControl's parameter file: vehicle, component, name, value,
 /// type 9 (float).
 std::string as_px4(const CorrectionConstants& c) {
   std::string text = heading(c, "#") + remainder(c);
   text += "# corrected = (raw - CAL_ACC0_?OFF) * CAL_ACC0_?SCALE, for the accelerometer of CAL_ACC0_ID\n";
-  const Eigen::Matrix3d M = c.matrix_si();
-  const Eigen::Vector3d b = c.bias_si();
-  constexpr std::string_view kAxes = "XYZ";
-  for (Eigen::Index j = 0; j < 3; ++j) {
-    const char axis = kAxes[static_cast<std::size_t>(j)];
-    text += fmt::format("1\t1\tCAL_ACC0_{}OFF\t{:.9g}\t9\n", axis, b[j]);
-    text += fmt::format("1\t1\tCAL_ACC0_{}SCALE\t{:.9g}\t9\n", axis, M(j, j));
+  for (const auto& [axis, offset, scale] : scaled_axes(c)) {
+    text += fmt::format("1\t1\tCAL_ACC0_{}OFF\t{:.9g}\t9\n", axis, offset);
+    text += fmt::format("1\t1\tCAL_ACC0_{}SCALE\t{:.9g}\t9\n", axis, scale);
   }
   return text;
 }
@@ -147,13 +157,8 @@ std::string as_px4(const CorrectionConstants& c) {
 std::string as_ardupilot(const CorrectionConstants& c) {
   std::string text = heading(c, "#") + remainder(c);
   text += "# corrected = (raw - INS_ACCOFFS) * INS_ACCSCAL, of the first inertial sensor\n";
-  const Eigen::Matrix3d M = c.matrix_si();
-  const Eigen::Vector3d b = c.bias_si();
-  constexpr std::string_view kAxes = "XYZ";
-  for (Eigen::Index j = 0; j < 3; ++j) {
-    const char axis = kAxes[static_cast<std::size_t>(j)];
-    text += fmt::format("INS_ACCOFFS_{},{:.9g}\nINS_ACCSCAL_{},{:.9g}\n", axis, b[j], axis, M(j, j));
-  }
+  for (const auto& [axis, offset, scale] : scaled_axes(c))
+    text += fmt::format("INS_ACCOFFS_{},{:.9g}\nINS_ACCSCAL_{},{:.9g}\n", axis, offset, axis, scale);
   return text;
 }
 

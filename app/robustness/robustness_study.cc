@@ -14,6 +14,7 @@
 #include "app/results/analyses.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/plan/rotation_plan.h"
+#include "protocol/record/planned_dwell.h"
 
 namespace abcal {
 namespace {
@@ -182,13 +183,7 @@ SimulatedRun simulate_run(const ScenarioBench& bench) {
   run.truth = {Eigen::Matrix3d::Zero(), Eigen::Vector3d::Zero()};
   for (std::size_t i = 0; i < plan.size(); ++i) {
     const PlannedAngle& angle = plan[i];
-    DwellRecord dwell;
-    dwell.experiment = angle.experiment;
-    dwell.n = angle.n;
-    dwell.closing = angle.closing;
-    dwell.alpha = angle.alpha;
-    dwell.commanded_x = angle.x;
-    dwell.commanded_z = angle.z;
+    DwellRecord dwell = planned_dwell(angle);
     dwell.time_s = static_cast<double>(i) * bench.angle_period_s;
     const Clock::Instant t = world.start() + from_seconds(*dwell.time_s);
     world.place(StageAxis::kX, angle.x, t);

@@ -50,6 +50,18 @@ void require_full_rank(const Eigen::Matrix3d& m) {
 
 }  // namespace
 
+const Quantity& intrinsic_property(const CalibrationResult& result, Eigen::Index i) {
+  const auto j = static_cast<std::size_t>(i % 3);
+  if (i < 3) return result.intrinsic_sensitivity[j];
+  return i < 6 ? result.intrinsic_angle[j] : result.offset[j];
+}
+
+IntrinsicValues intrinsic_values(const CalibrationResult& result) {
+  IntrinsicValues values;
+  for (Eigen::Index i = 0; i < 9; ++i) values(i) = intrinsic_property(result, i).value;
+  return values;
+}
+
 IntrinsicComparison compare_intrinsic(const IntrinsicValues& first, const Covariance9& covariance_1,
                                       const IntrinsicValues& second, const Covariance9& covariance_2,
                                       const Covariance9& shared) {

@@ -17,6 +17,11 @@ using IntrinsicValues = Eigen::Matrix<double, 9, 1>;
 inline constexpr std::array<const char*, 9> kIntrinsicNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
                                                             "phi_wu", "O_u", "O_v", "O_w"};
 
+/// One of the nine properties of a result. @param i  0..8, in the order of Covariance9
+const Quantity& intrinsic_property(const CalibrationResult& result, Eigen::Index i);
+
+IntrinsicValues intrinsic_values(const CalibrationResult& result);
+
 /// One property in two results (ISO 13528; ISO/IEC 17043).
 struct PropertyDifference {
   double difference = std::numeric_limits<double>::quiet_NaN();            ///< Second minus first.
