@@ -22,6 +22,7 @@
 #include "app/system/output_file.h"
 #include "app/system/progress.h"
 #include "app/system/read_file.h"
+#include "protocol/analysis/analyse.h"
 
 namespace abcal {
 namespace {
