@@ -18,6 +18,7 @@
 #include "protocol/analysis/curvature_fit.h"
 #include "protocol/analysis/diagnostics.h"
 #include "protocol/analysis/first_order.h"
+#include "protocol/analysis/flagged_angles.h"
 #include "protocol/analysis/harmonic_fit.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/run_time.h"
@@ -29,11 +30,6 @@ namespace {
 
 constexpr std::array<char, 3> kAccelerometerNames{'u', 'v', 'w'};
 constexpr int kDiagnosticHarmonics = 5;  // the paper's second fit: constant + five harmonics
-
-// Flags that say that the mean itself may be wrong. Lost and repeated readings leave a sound mean: counted
-// only.
-constexpr std::uint32_t kSuspectFlags = kFlagNotQuiet | kFlagClipped | kFlagStuck | kFlagNotFinite |
-                                        kFlagOutsideWindow | kFlagTemperature | kFlagNorm;
 
 using Covariance27 = Eigen::Matrix<double, 27, 27>;
 using FitTable = std::array<HarmonicFit, 9>;  // index 3 (experiment - 1) + accelerometer
@@ -667,24 +663,9 @@ void fill_flags(const RunRecord& record, const Selection& selection, Calibration
                 Objections& objections) {
   Diagnostics& diagnostics = result.diagnostics;
   diagnostics.angles_used = static_cast<int>(selection.dwells.size());
-  int suspect = 0;
-  std::uint32_t suspect_flags = kFlagNone;
-  for (const DwellRecord& dwell : record.dwells) {
-    if (dwell.flags != kFlagNone) ++diagnostics.angles_flagged;
-    if ((dwell.flags & kSuspectFlags) != 0U) {
-      ++suspect;
-      suspect_flags |= dwell.flags & kSuspectFlags;
-    }
-  }
-  for (std::uint32_t flag = 1; flag <= kAllFlags; flag *= 2) {
-    const auto dwells = std::count_if(record.dwells.begin(), record.dwells.end(),
-                                      [&](const DwellRecord& dwell) { return (dwell.flags & flag) != 0U; });
-    if (dwells > 0) diagnostics.flags.push_back({describe_flags(flag), static_cast<int>(dwells)});
-  }
-  if (suspect > 0) {
-    objections.add(fmt::format("{} of {} angles {} flagged: {}", suspect, record.dwells.size(),
-                               suspect == 1 ? "is" : "are", describe_flags(suspect_flags)));
-  }
+  count_flags(record, diagnostics);
+  if (std::string words = words_about_flags(record, kSuspectFlags); !words.empty())
+    objections.add(std::move(words));
   if (selection.not_finite > 0) {
     objections.add(fmt::format("{} of {} angles left out because a mean is not a finite number",
                                selection.not_finite, record.dwells.size()));

@@ -14,6 +14,7 @@
 
 #include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/effect_fit.h"
+#include "protocol/analysis/flagged_angles.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/joint_data.h"
 #include "protocol/analysis/joint_fit.h"
@@ -225,18 +226,6 @@ void guess_noise(std::vector<EffectReading>& readings) {
   for (EffectReading& at : readings) at.u = size;
 }
 
-void add_flags(const RunRecord& record, Diagnostics& diagnostics) {
-  for (std::uint32_t bit = 0; bit < 32; ++bit) {
-    const std::uint32_t flag = 1U << bit;
-    const auto dwells = std::count_if(record.dwells.begin(), record.dwells.end(),
-                                      [&](const DwellRecord& dwell) { return (dwell.flags & flag) != 0U; });
-    if (dwells > 0) diagnostics.flags.push_back({describe_flags(flag), static_cast<int>(dwells)});
-  }
-  diagnostics.angles_flagged =
-      static_cast<int>(std::count_if(record.dwells.begin(), record.dwells.end(),
-                                     [](const DwellRecord& dwell) { return dwell.flags != kFlagNone; }));
-}
-
 void fill_gravity_of(const RunRecord& record, CalibrationResult& result) {
   result.g_loc.unit = "m/s2";
   if (!record.g_loc_known) return;
@@ -411,7 +400,7 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   const JointData data = collect_joint_data(record, false);
   Diagnostics& diagnostics = result.diagnostics;
   diagnostics.angles_used = static_cast<int>(data.readings.size());
-  add_flags(record, diagnostics);
+  count_flags(record, diagnostics);
   if (data.clipped > 0) diagnostics.notes.push_back(fmt::format("{} clipped angles left out", data.clipped));
   if (data.not_finite > 0) {
     diagnostics.notes.push_back(fmt::format("{} angles without finite readings left out", data.not_finite));
@@ -453,6 +442,7 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
     result.verdict = Verdict::kDoubtful;
     result.joint->contradicted_sizes.push_back(words);
   }
+  object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
   return result;
 }
 

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "protocol/analysis/chi2_tail.h"
+#include "protocol/analysis/flagged_angles.h"
 #include "protocol/analysis/norm_model.h"
 #include "protocol/analysis/run_time.h"
 #include "protocol/analysis/unusable_data.h"
@@ -440,8 +441,7 @@ CalibrationResult analyse_norm(const RunRecord& record) {
       all.add(record.check_poses[check].dwell, t_of_checks[check]);
     if (i < record.dwells.size()) all.add(record.dwells[i], t[i]);
   }
-  for (const DwellRecord* dwell : dwells_in_time(record))
-    if (dwell->flags != kFlagNone) ++result.diagnostics.angles_flagged;
+  count_flags(record, result.diagnostics);
   if (all.clipped > 0)
     result.diagnostics.notes.push_back(fmt::format("{} clipped poses left out", all.clipped));
   if (all.not_finite > 0) {
@@ -449,6 +449,7 @@ CalibrationResult analyse_norm(const RunRecord& record) {
         fmt::format("{} poses without finite readings left out", all.not_finite));
   }
   analyse_into(all.poses, record.tolerances, result);
+  object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
   return result;
 }
 

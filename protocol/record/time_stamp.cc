@@ -152,9 +152,15 @@ TimeStampCheck check_time_stamp(std::string_view token_der, std::string_view sha
   const Verification check(TS_VERIFY_CTX_new());
   TS_VERIFY_CTX_set_flags(check.get(), TS_VFY_VERSION | TS_VFY_IMPRINT | TS_VFY_SIGNATURE);
   auto* imprint = static_cast<unsigned char*>(OPENSSL_memdup(expected.data(), expected.size()));
-  TS_VERIFY_CTX_set_imprint(check.get(), imprint,
-                            static_cast<long>(expected.size()));  // Owns it from now on.
-  TS_VERIFY_CTX_set_store(check.get(), store_of(trusted_pem));    // As well.
+  // Both own what they are given from now on.
+  const auto imprint_size = static_cast<long>(expected.size());
+#if OPENSSL_VERSION_NUMBER >= 0x30400000L
+  TS_VERIFY_CTX_set0_imprint(check.get(), imprint, imprint_size);
+  TS_VERIFY_CTX_set0_store(check.get(), store_of(trusted_pem));
+#else
+  TS_VERIFY_CTX_set_imprint(check.get(), imprint, imprint_size);
+  TS_VERIFY_CTX_set_store(check.get(), store_of(trusted_pem));
+#endif
   result.good = TS_RESP_verify_token(check.get(), token.get()) == 1;
   if (!result.good) result.found = last_openssl_error();
   return result;

@@ -1,0 +1,42 @@
+#include "protocol/analysis/flagged_angles.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+
+namespace abcal {
+namespace {
+
+int angles_with(const RunRecord& record, std::uint32_t flags) {
+  return static_cast<int>(std::ranges::count_if(
+      record.dwells, [flags](const DwellRecord& dwell) { return (dwell.flags & flags) != 0U; }));
+}
+
+}  // namespace
+
+void count_flags(const RunRecord& record, Diagnostics& diagnostics) {
+  for (std::uint32_t flag = 1; flag <= kAllFlags; flag *= 2) {
+    if (const int angles = angles_with(record, flag); angles > 0)
+      diagnostics.flags.push_back({describe_flags(flag), angles});
+  }
+  diagnostics.angles_flagged = angles_with(record, ~kFlagNone);
+}
+
+std::string words_about_flags(const RunRecord& record, std::uint32_t which) {
+  std::uint32_t found = kFlagNone;
+  for (const DwellRecord& dwell : record.dwells) found |= dwell.flags & which;
+  if (found == kFlagNone) return {};
+  const int angles = angles_with(record, which);
+  return fmt::format("{} of {} angles {} flagged: {}", angles, record.dwells.size(),
+                     angles == 1 ? "is" : "are", describe_flags(found));
+}
+
+void object_to_flags(const RunRecord& record, std::uint32_t which, CalibrationResult& result) {
+  if (result.verdict == Verdict::kNotUsable) return;
+  const std::string words = words_about_flags(record, which);
+  if (words.empty()) return;
+  result.why = result.verdict == Verdict::kUsable ? words : words + "; " + result.why;
+  result.verdict = Verdict::kDoubtful;
+}
+
+}  // namespace abcal
