@@ -402,6 +402,8 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   diagnostics.angles_used = static_cast<int>(data.readings.size());
   count_flags(record, diagnostics);
   if (data.clipped > 0) diagnostics.notes.push_back(fmt::format("{} clipped angles left out", data.clipped));
+  if (data.stuck > 0)
+    diagnostics.notes.push_back(fmt::format("{} angles with a stuck output left out", data.stuck));
   if (data.not_finite > 0) {
     diagnostics.notes.push_back(fmt::format("{} angles without finite readings left out", data.not_finite));
   }

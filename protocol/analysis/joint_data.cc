@@ -56,6 +56,10 @@ JointData collect_joint_data(const RunRecord& record, bool one_map_per_axis) {
       ++data.clipped;
       continue;
     }
+    if ((dwell.flags & kFlagStuck) != 0U) {
+      ++data.stuck;
+      continue;
+    }
     if (!std::isfinite(dwell.alpha.deg())) {
       throw UnusableData(where + ": the angle is not a finite number");
     }

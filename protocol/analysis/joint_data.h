@@ -7,11 +7,12 @@
 
 namespace abcal {
 
-/// What the joint fit takes of a record: angles that are clipped or not finite are left out.
+/// What the joint fit takes of a record: angles that are clipped, stuck or not finite are left out.
 struct JointData {
   std::vector<JointReading> readings;
   std::vector<const DwellRecord*> dwells;  ///< As the readings; they live in the record.
   int clipped = 0;
+  int stuck = 0;
   int not_finite = 0;
   bool u_known = false;  ///< Every reading in use states an uncertainty above zero.
 };

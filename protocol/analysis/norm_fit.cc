@@ -382,7 +382,7 @@ void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, Calibra
 /// The poses of a record in the order of time, and what was left out of them at once.
 struct RecordPoses {
   std::vector<Pose> poses;
-  int clipped = 0, not_finite = 0;
+  int clipped = 0, stuck = 0, not_finite = 0;
 
   void add(const DwellRecord& dwell, double t) {
     if ((dwell.flags & kFlagNotFinite) != 0U && !dwell.mean.allFinite()) {
@@ -391,6 +391,10 @@ struct RecordPoses {
     }
     if ((dwell.flags & kFlagClipped) != 0U) {
       ++clipped;
+      return;
+    }
+    if ((dwell.flags & kFlagStuck) != 0U) {
+      ++stuck;
       return;
     }
     Pose pose{dwell.mean, {}, t, {}};
@@ -444,6 +448,8 @@ CalibrationResult analyse_norm(const RunRecord& record) {
   count_flags(record, result.diagnostics);
   if (all.clipped > 0)
     result.diagnostics.notes.push_back(fmt::format("{} clipped poses left out", all.clipped));
+  if (all.stuck > 0)
+    result.diagnostics.notes.push_back(fmt::format("{} poses with a stuck output left out", all.stuck));
   if (all.not_finite > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("{} poses without finite readings left out", all.not_finite));

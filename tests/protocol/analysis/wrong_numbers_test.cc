@@ -281,7 +281,7 @@ TEST_F(WrongNumbersTest, AnOutputThatIsStuckForOneDwellIsFlagged) {
     EXPECT_TRUE(record.dwells[16].flags & kFlagStuck) << output;
     EXPECT_THAT(run.notices, testing::Contains(HasSubstr("stuck output")));
     for (const auto& result : analysed(record)) {
-      EXPECT_EQ(result.verdict, Verdict::kDoubtful) << result.estimator << output;
+      EXPECT_EQ(result.verdict, Verdict::kDoubtful) << result.estimator << output << ": " << result.why;
     }
     EXPECT_THAT(analysed(record).front().why, HasSubstr("stuck"));
   }
