@@ -145,10 +145,10 @@ Eigen::MatrixXd covariance_of(const CalibrationResult& result, const DerivedList
   });
 }
 
-const DerivedList& group_of(const CertifiedRun& run, const std::string& name) {
+const DerivedList& group_of(const CertifiedRun& run, std::string_view name) {
   const auto found = std::find_if(run.derived.begin(), run.derived.end(),
                                   [&](const DerivedGroup& group) { return group.name == name; });
-  if (found == run.derived.end()) throw std::logic_error("nothing was derived as " + name);
+  if (found == run.derived.end()) throw std::logic_error(fmt::format("nothing was derived as {}", name));
   return found->quantities;
 }
 

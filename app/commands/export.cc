@@ -42,6 +42,8 @@ CorrectionConstants constants_of_file(const ExportCommand& command) {
 
 void export_constants(const ExportCommand& command) {
   const ExportFormat& format = export_format(command.format);
+  if (command.output.empty() && !format.is_text)
+    throw std::invalid_argument(fmt::format("--as {}: is no text; required: --output FILE", format.name));
   if (!command.output.empty())
     require_writable({{"--output", command.output}}, {command.file}, command.force);
   const CorrectionConstants constants = constants_of_file(command);

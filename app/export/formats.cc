@@ -9,6 +9,8 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "app/export/mat_format.h"
+
 namespace abcal {
 namespace {
 
@@ -228,6 +230,8 @@ const std::vector<ExportFormat>& export_formats() {
   static const std::vector<ExportFormat> formats{
       {"json", "matrix and offset with uncertainties, a = M (r - b)", as_json},
       {"csv", "the same as a table", as_csv},
+      {"mat", "the same as a MATLAB file (version 5)",
+       [](const CorrectionConstants& c) { return as_mat(as_json(c)); }, /*is_text=*/false},
       {"c", "the same as a C header, also in fixed point", as_c},
       {"px4", "parameter file of PX4 (QGroundControl): scales and offsets", as_px4},
       {"ardupilot", "parameter file of ArduPilot: scales and offsets", as_ardupilot},

@@ -15,9 +15,10 @@ struct ExportFormat {
   std::string_view words;  ///< Who reads it, and by which rule.
   /// @throws std::invalid_argument where the constants do not fit the format
   std::function<std::string(const CorrectionConstants& constants)> write;
+  bool is_text = true;  ///< Else it belongs into a file, not onto a terminal.
 };
 
-/// One entry for each: json, csv, c, px4, ardupilot, ros, kalibr, imucal.
+/// One entry for each: json, csv, mat, c, px4, ardupilot, ros, kalibr, imucal.
 const std::vector<ExportFormat>& export_formats();
 
 /// @throws std::invalid_argument naming the formats there are
