@@ -21,7 +21,8 @@ class MatFile {
  public:
   explicit MatFile(const std::string& path)
       : path_(path),
-        file_(Mat_CreateVer(path.c_str(), "constants of an accelerometer, by abcal", MAT_FT_MAT5),
+        file_(Mat_CreateVer(path.c_str(), "MATLAB 5.0 MAT-file, constants of an accelerometer by abcal",
+                            MAT_FT_MAT5),
               Mat_Close) {
     if (!file_) throw std::runtime_error(fmt::format("{} cannot be written", path));
   }

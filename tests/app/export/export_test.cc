@@ -1,13 +1,16 @@
 // The constants of a result, and every format applied to the readings of its run by the rule that its reader
 // documents.
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <matio.h>
 
 #include <Eigen/LU>
 #include <cmath>
 #include <functional>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
@@ -15,8 +18,13 @@
 #include "app/export/formats.h"
 #include "app/export/reading_noise.h"
 #include "app/results/analyses.h"
+#include "app/system/helper_program.h"
+#include "app/system/output_file.h"
 #include "protocol/record/planned_dwell.h"
 #include "sim/sim_bench.h"
+#include "tests/support/program.h"
+#include "tests/support/project_paths.h"
+#include "tests/support/temporary_folder.h"
 
 namespace abcal {
 namespace {
@@ -92,6 +100,14 @@ class ExportTest : public testing::Test {
  protected:
   CorrectionConstants constants(ExportFrame frame = ExportFrame::kItem) const {
     return constants_of(analyse(record, "joint"), frame);
+  }
+
+  /// @return its path
+  std::string write_mat(const test::TemporaryFolder& folder) const {
+    set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());
+    const std::string path = (folder / "constants.mat").string();
+    OutputFile(path).write(export_format("mat").write(constants()));
+    return path;
   }
 
   /// In m/s2, which is what the readers of most formats mean by raw.
@@ -196,6 +212,58 @@ TEST_F(ExportTest, JsonHasEverythingWithItsUncertainty) {
   EXPECT_EQ(json.at("frame"), "platter");
   EXPECT_GT(json.at("M").at("standard_uncertainty")[0][1].get<double>(), 0.0);
   EXPECT_EQ(json.at("response_unit"), "m/s2");
+}
+
+/// A variable of a MATLAB file, its columns one after the other.
+std::vector<double> numbers_of(mat_t* file, const char* name) {
+  const std::unique_ptr<matvar_t, void (*)(matvar_t*)> variable(Mat_VarRead(file, name), Mat_VarFree);
+  if (!variable || variable->data_type != MAT_T_DOUBLE) return {};
+  const auto* first = static_cast<const double*>(variable->data);
+  return {first, first + variable->nbytes / sizeof(double)};
+}
+
+constexpr const char* kReadByScipy = R"py(
+import sys
+try:
+    import scipy.io
+except ImportError:
+    sys.exit(77)
+m = scipy.io.loadmat("constants.mat")
+assert m["M"].shape == (3, 3) and m["b"].shape == (3, 1)
+assert m["rule"][0] == "a = M (r - b)" and m["response_unit"][0] == "m/s2"
+assert abs(m["M"][0][1] - float(sys.argv[1])) < 1e-12
+)py";
+
+TEST_F(ExportTest, AMatlabFileHoldsTheRuleThatItNames) {
+  const test::TemporaryFolder folder;
+  const std::string path = write_mat(folder);
+  const std::unique_ptr<mat_t, int (*)(mat_t*)> file(Mat_Open(path.c_str(), MAT_ACC_RDONLY), Mat_Close);
+  ASSERT_TRUE(file);
+  EXPECT_EQ(Mat_GetVersion(file.get()), MAT_FT_MAT5);
+  const std::vector<double> M = numbers_of(file.get(), "M"), b = numbers_of(file.get(), "b");
+  ASSERT_EQ(M.size(), 9U);
+  ASSERT_EQ(b.size(), 3U);
+  // Eigen keeps columns one after the other, as MATLAB does.
+  const Eigen::Map<const Eigen::Matrix3d> matrix(M.data());
+  const Eigen::Map<const Eigen::Vector3d> offset(b.data());
+  EXPECT_LT(
+      worst_norm_error(record, 1.0,
+                       [&](const Eigen::Vector3d& r) -> Eigen::Vector3d { return matrix * (r - offset); }),
+      1e-4);
+  EXPECT_NE(matrix(0, 1), matrix(1, 0));  // So that a transposed matrix would show.
+  EXPECT_EQ(numbers_of(file.get(), "g_loc_mps2"), std::vector<double>{kG});
+}
+
+TEST_F(ExportTest, ScipyReadsTheMatlabFile) {
+  const test::TemporaryFolder folder;
+  write_mat(folder);
+  const CorrectionConstants c = constants();
+  const std::string element = fmt::format("{:.17g}", c.M(0, 1));
+  test::Program scipy("/usr/bin/python3", {"-c", kReadByScipy, element}, folder.path());
+  const int code = scipy.wait();
+  if (code == 77)
+    GTEST_SKIP() << "python3-scipy is not installed (Debian 12 cannot have it beside Boost 1.81)";
+  EXPECT_EQ(code, 0) << scipy.err();
 }
 
 TEST_F(ExportTest, WhatDoesNotFitIsRefusedWithTheReason) {
