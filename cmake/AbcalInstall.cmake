@@ -17,7 +17,7 @@ endif()
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
 # Where abcal looks for them (app/system/helper_program.cc).
-install(TARGETS abcal-guard abcal-hdf5 abcal-mat abcal-pdf abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
+install(TARGETS abcal-guard abcal-hdf5 abcal-mat abcal-notify abcal-pdf abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/schemas DESTINATION ${CMAKE_INSTALL_DATADIR}/abcal COMPONENT abcal)
 if(TARGET abcal-mpi)
   install(TARGETS abcal-mpi RUNTIME COMPONENT abcal)

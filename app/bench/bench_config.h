@@ -83,7 +83,6 @@ struct EnvironmentConfig {
   std::string comment = EnvironmentSettings{}.comment;
 };
 
-/// A bench file (schema abcal.bench/2; abcal.bench/1 is read), with every default filled in.
 /// [emulator]: which instruments `abcal emulate` and simulated ports show, and how their lines behave.
 struct EmulatorConfig {
   std::string line = "real";        ///< Of pseudo-terminals: "real" or "ideal".
@@ -91,6 +90,17 @@ struct EmulatorConfig {
   std::string accelerometer_model;  ///< Empty: the usual one of the driver.
 };
 
+/// [notify]: who is told of faults and the end of a run. Empty: nobody.
+struct NotifyConfig {
+  std::string
+      webhook;  ///< http:// or https:// address, or "env:NAME": it stands in that environment variable.
+  std::string mail_to, mail_from;
+  std::string mail_server;  ///< smtp://HOST[:PORT] or smtps://HOST[:PORT]
+
+  bool anybody() const { return !webhook.empty() || !mail_to.empty(); }
+};
+
+/// A bench file (schema abcal.bench/2; abcal.bench/1 is read), with every default filled in.
 struct BenchConfig {
   std::string schema = "abcal.bench/2";
   std::string name;
@@ -105,6 +115,7 @@ struct BenchConfig {
   ProtocolConfig protocol;
   Tolerances tolerances;  ///< [stage_uncertainty] and [item_uncertainty].
   LimitsConfig limits;
+  NotifyConfig notify;
   sim::BenchTruth simulation;
   sim::LinkTiming link;  ///< Of the simulated instruments.
   EmulatorConfig emulator;

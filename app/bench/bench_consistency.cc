@@ -115,6 +115,24 @@ void check_sensor_ports(TomlReader& reader, BenchConfig& c) {
   }
 }
 
+void check_notify(TomlReader& reader, const NotifyConfig& notify) {
+  const auto begins = [](const std::string& text, std::initializer_list<std::string_view> words) {
+    return std::ranges::any_of(words, [&](std::string_view word) { return text.starts_with(word); });
+  };
+  if (!notify.webhook.empty() && !begins(notify.webhook, {"http://", "https://", "env:"}))
+    reader.add_problem("notify.webhook", "\"" + notify.webhook + "\"",
+                       "http://..., https://..., or env:NAME of an environment variable that holds one");
+  if (notify.mail_to.empty()) return;
+  for (const auto& [key, address] :
+       {std::pair{"notify.mail_to", notify.mail_to}, {"notify.mail_from", notify.mail_from}})
+    if (address.find('@') == std::string::npos)
+      reader.add_problem(key, address.empty() ? "nothing" : "\"" + address + "\"", "a mail address");
+  if (!begins(notify.mail_server, {"smtp://", "smtps://"}))
+    reader.add_problem("notify.mail_server",
+                       notify.mail_server.empty() ? "nothing" : "\"" + notify.mail_server + "\"",
+                       "smtp://HOST[:PORT] or smtps://HOST[:PORT]");
+}
+
 void check_faults_and_changes(TomlReader& reader, const BenchConfig& c) {
   for (std::size_t i = 0; i < c.faults.size(); ++i) {
     if (c.faults[i].kind.empty()) continue;  // reported already
@@ -151,6 +169,7 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
   check_stated_once(reader, root);
   check_stage_ports(reader, c.stage);
   check_sensor_ports(reader, c);
+  check_notify(reader, c.notify);
   check_faults_and_changes(reader, c);
 }
 

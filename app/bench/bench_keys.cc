@@ -216,6 +216,14 @@ void visit_link(KeyVisitor& keys, sim::LinkTiming& link) {
   link = {from_seconds(latency_s), from_seconds(jitter_s)};
 }
 
+void visit_notify(KeyVisitor& keys, NotifyConfig& notify) {
+  keys.section("notify");
+  keys.text("webhook", notify.webhook);
+  keys.text("mail_to", notify.mail_to);
+  keys.text("mail_from", notify.mail_from);
+  keys.text("mail_server", notify.mail_server);
+}
+
 void visit_emulator(KeyVisitor& keys, EmulatorConfig& emulator) {
   keys.section("emulator");
   keys.text("line", emulator.line, {"real", "ideal"});
@@ -264,6 +272,7 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   visit_protocol(keys, c.protocol);
   visit_effect_sizes(keys, c);
   visit_limits(keys, c.limits);
+  visit_notify(keys, c.notify);
   visit_simulation(keys, c.simulation);
   visit_link(keys, c.link);
   visit_emulator(keys, c.emulator);

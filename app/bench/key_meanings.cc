@@ -300,6 +300,17 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Estimator that gives the result of the run; recorded before the first angle.", ""}},
       {"simulation.link.latency_s", {"Delay of everything that the instrument sends.", ""}},
       {"simulation.link.jitter_s", {"Largest additional random delay; the order of bytes is kept.", ""}},
+      {"notify.webhook",
+       {"Address that gets each message as JSON by HTTP POST ([messages](measurement.md#messages)). "
+        "`env:NAME`: "
+        "the address stands in that environment variable, since a secret does not belong into a run file.",
+        ""}},
+      {"notify.mail_to", {"Mail address that gets each message.", ""}},
+      {"notify.mail_from", {"Mail address of the sender; required with `mail_to`.", ""}},
+      {"notify.mail_server",
+       {"Server that takes the mail: `smtp://HOST[:PORT]` or `smtps://HOST[:PORT]`. User and password: "
+        "environment variables `ABCAL_MAIL_USER` and `ABCAL_MAIL_PASSWORD`.",
+        ""}},
       {"emulator.line",
        {"Behaviour of the pseudo-terminals of `abcal emulate`. `real`: as a serial line at the speed of the "
         "device, with noise at another speed. `ideal`: bytes arrive at once, at any speed.",
@@ -369,6 +380,7 @@ const std::map<std::string, std::string>& section_texts() {
       {"simulation.x.wobble",
        "Harmonics of the wobble of the axis; may be repeated ([effects](effects.md))."},
       {"simulation.link", "Timing of the simulated links."},
+      {"notify", "Who is told of faults and of the end of a run ([messages](measurement.md#messages))."},
       {"emulator", "Models and lines of simulated and emulated instruments ([emulate](emulate.md))."},
       {"fault", "A fault that the simulation injects; may be repeated ([emulate](emulate.md#faults))."},
       {"change",

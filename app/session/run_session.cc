@@ -173,6 +173,13 @@ Bench* RunSession::bench() {
 
 void RunSession::tell(SessionEvent event) const {
   if (options_.listener) options_.listener(event);
+  if (!notifier_) return;
+  notifier_->send(event, format_utc(RealClock().utc_now()));
+  // At the end there is no other event at which a failure could be told.
+  constexpr std::chrono::seconds kLongestAtEnd{12};
+  const bool is_over = std::holds_alternative<FinishedEvent>(event);
+  for (const std::string& why : notifier_->failures(is_over ? kLongestAtEnd : std::chrono::seconds(0)))
+    if (options_.listener) options_.listener(NoticeEvent{"notify", why});
 }
 
 void RunSession::warn(const std::string& kind, const std::string& text) const {
@@ -279,6 +286,7 @@ RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
   RunFile file = create_file(*opened_, request);
+  notifier_ = std::make_unique<Notifier>(opened_->config.notify);
   tell_begun(*opened_, request.run_file, nullptr);
   return measure_and_finish(std::move(file), {});
 }
@@ -399,6 +407,7 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
                  fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
                              stored.header.plan.size()));
   note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
+  notifier_ = std::make_unique<Notifier>(config.notify);
   tell_begun(opened, path, &stored);
   return measure_and_finish(std::move(file), progress_of(stored));
 }
@@ -487,6 +496,7 @@ RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_fa
 // ---- Replay
 
 RunOutcome RunSession::replay(const ReplayRequest& request) {
+  notifier_.reset();
   const std::filesystem::path recorded_path = request.recorded_file;
   const StoredRun recorded = RunFile::load(recorded_path);
   opened_.reset();

@@ -12,6 +12,7 @@
 
 #include "app/bench/make_bench.h"
 #include "app/bench/transcript.h"
+#include "app/session/notifier.h"
 #include "app/session/run_bench.h"
 #include "app/session/session_events.h"
 #include "protocol/analysis/calibration_result.h"
@@ -121,6 +122,7 @@ class RunSession {
 
   Options options_;
   std::stop_source stop_;
+  std::unique_ptr<Notifier> notifier_;  ///< Of a run or levelling; a replay has none.
   mutable std::mutex mutex_;
   bool hold_wanted_ = false;
   std::vector<NoteRequest> notes_;  ///< To be stored.

@@ -121,6 +121,18 @@ TEST(BenchConfigTest, RefusesSettingsThatContradictEachOther) {
       HasSubstr("local gravity"));
 }
 
+TEST(BenchConfigTest, WhomToTellIsAnAddressOrEveryReasonWhyNot) {
+  const std::string base = kSmallest;
+  const std::string text = problems_of(
+      base + "[notify]\nwebhook = \"example.org\"\nmail_to = \"nobody\"\nmail_server = \"mail\"\n");
+  EXPECT_THAT(text, HasSubstr("[notify] webhook: found \"example.org\"; required: http://"));
+  EXPECT_THAT(text, HasSubstr("[notify] mail_to: found \"nobody\"; required: a mail address"));
+  EXPECT_THAT(text, HasSubstr("[notify] mail_from: found nothing"));
+  EXPECT_THAT(text, HasSubstr("[notify] mail_server: found \"mail\"; required: smtp://"));
+  EXPECT_EQ(parse_bench(base + "[notify]\nwebhook = \"env:HOOK\"\n", "bench.toml").notify.webhook,
+            "env:HOOK");
+}
+
 TEST(BenchConfigTest, TakesGravityFromAFormulaAndWarns) {
   std::string text = kSmallest;
   text.replace(text.find("g_loc_mps2 = 9.81"), 17, "latitude_deg = 45.0\nheight_m = 0.0");

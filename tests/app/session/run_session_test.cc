@@ -13,8 +13,10 @@
 #include <utility>
 #include <vector>
 
+#include "app/system/helper_program.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/verify.h"
+#include "tests/app/program_fixtures.h"
 #include "tests/app/repeatable_run.h"
 #include "tests/support/temporary_folder.h"
 
@@ -101,6 +103,18 @@ TEST_F(RunSessionTest, ARunIsToldFromItsBeginningToItsEnd) {
   EXPECT_EQ(finished.measured, kPlanned);
   EXPECT_EQ(finished.planned, kPlanned);
   EXPECT_EQ(finished.reason, outcome.results.front().why);
+}
+
+TEST_F(RunSessionTest, AMessageThatDoesNotArriveIsAWarningOfARunThatIsComplete) {
+  set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());
+  bench_toml = bench("[notify]\nwebhook = \"http://127.0.0.1:1/\"\n");
+  std::vector<std::string> notices;
+  on_event = [&](const SessionEvent& event) {
+    if (const auto* notice = std::get_if<NoticeEvent>(&event); notice != nullptr && notice->kind == "notify")
+      notices.push_back(notice->text);
+  };
+  EXPECT_EQ(session()->start(start()).stored.state, RunState::kComplete);
+  EXPECT_THAT(notices, ElementsAre(HasSubstr("a message to those in [notify] did not arrive: the webhook")));
 }
 
 TEST_F(RunSessionTest, ARequestThatWasJsonBeginsARunToo) {
