@@ -69,6 +69,8 @@ struct AccelerometerConfig {
   std::array<int, 3> columns = AccelerometerSettings{}.columns;
   std::string separator = AccelerometerSettings{}.separator;
   std::string comment = AccelerometerSettings{}.comment;
+  std::string names, number_unit;
+  std::string decimal_mark = AccelerometerSettings{}.decimal_mark;
 };
 
 /// Typed in, or a sensor that prints lines of text.

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "app/bench/bench_keys.h"
+#include "drivers/text/text.h"
 #include "protocol/gravity/local_gravity.h"
 #include "protocol/plan/limits.h"
 
@@ -110,6 +111,9 @@ void check_sensor_ports(TomlReader& reader, BenchConfig& c) {
   if (c.environment.driver.empty() != c.environment.port.empty())
     reader.add_problem(c.environment.port.empty() ? "environment.port" : "environment.driver", "nothing",
                        "driver and port, or neither");
+  if (const std::size_t names = pieces::words(c.accelerometer.names).size(); names != 0 && names != 3)
+    reader.add_problem("accelerometer.names", "\"" + c.accelerometer.names + "\"",
+                       "the names of u, v and w, with blanks between");
   for (int j = 0; j < 3; ++j) {
     if (c.accelerometer.scale[j] == 0.0) reader.add_problem("accelerometer.scale", "0", "no zeros");
   }

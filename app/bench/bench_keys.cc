@@ -135,6 +135,9 @@ void visit_accelerometer(KeyVisitor& keys, AccelerometerConfig& a) {
   keys.integers("columns", a.columns, 1, 1000);
   keys.text("separator", a.separator);
   keys.text("comment", a.comment);
+  keys.text("names", a.names);
+  keys.text("number_unit", a.number_unit);
+  keys.text("decimal_mark", a.decimal_mark, {".", ","});
 }
 
 void visit_environment(KeyVisitor& keys, EnvironmentConfig& e) {

@@ -100,6 +100,14 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"accelerometer.separator",
        {"Lines of text: one character between columns; `\" \"` is any run of blanks and tabs.", ""}},
       {"accelerometer.comment", {"Lines of text: a line that begins with this is skipped. Empty: none.", ""}},
+      {"accelerometer.names",
+       {"Lines of text: names of u, v, w in front of their numbers, in place of columns, as \"ax ay az\". "
+        "Empty: "
+        "columns.",
+        ""}},
+      {"accelerometer.number_unit",
+       {"Lines of text: what may follow a number at once, as \"g\" of `0.01g`.", ""}},
+      {"accelerometer.decimal_mark", {"Lines of text: decimal mark of the numbers.", ""}},
       {"environment.temperature_degc", {"Temperature of the room, typed in.", ""}},
       {"environment.humidity_percent", {"Relative humidity, typed in.", ""}},
       {"environment.pressure_hpa", {"Air pressure, typed in.", ""}},

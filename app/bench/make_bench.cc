@@ -79,6 +79,9 @@ AccelerometerSettings accelerometer_settings(const AccelerometerConfig& config) 
   settings.columns = config.columns;
   settings.separator = config.separator;
   settings.comment = config.comment;
+  settings.names = config.names;
+  settings.number_unit = config.number_unit;
+  settings.decimal_mark = config.decimal_mark;
   return settings;
 }
 

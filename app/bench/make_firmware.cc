@@ -131,6 +131,9 @@ std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config, con
   sim::TextLineSettings settings;
   settings.rate_hz = accelerometer.rate_hz;
   settings.separator = accelerometer.separator;
+  settings.names = accelerometer.names;
+  settings.number_unit = accelerometer.number_unit;
+  settings.decimal_mark = accelerometer.decimal_mark;
   for (std::size_t j = 0; j < 3; ++j) {
     settings.scale[j] = accelerometer.scale[static_cast<Eigen::Index>(j)];
     settings.bias[j] = accelerometer.bias[static_cast<Eigen::Index>(j)];

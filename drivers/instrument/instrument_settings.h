@@ -33,6 +33,9 @@ struct AccelerometerSettings {
   std::array<int, 3> columns{1, 2, 3};  ///< Line of text: u, v, w; the first column is 1.
   std::string separator{","};           ///< Line of text; " ": any run of blanks and tabs.
   std::string comment{"#"};             ///< Line of text: a line that begins so is skipped; empty: none.
+  std::string names;                    ///< Line of text: names of u, v, w in place of columns, "ax ay az".
+  std::string number_unit;              ///< Line of text: what may follow a number at once, "g".
+  std::string decimal_mark{"."};        ///< Line of text: or ",".
 };
 
 /// What a bench file says of a thermometer, hygrometer or barometer that prints lines of text.

@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "drivers/text/text.h"
 #include "drivers/wire/readable_bytes.h"
 
 namespace abcal {
@@ -26,6 +27,22 @@ constexpr unsigned kLikeLines = 2;
 constexpr double kRateTolerance = 0.2;
 
 constexpr std::string_view kUnknown = "unknown";
+
+std::vector<std::string> names_of(const AccelerometerSettings& settings) {
+  const std::vector<std::string_view> words = pieces::words(settings.names);
+  if (!words.empty() && words.size() != 3) {
+    throw std::invalid_argument(
+        fmt::format("TextLineAccelerometer: names \"{}\"; required: those of u, v, w, with blanks between",
+                    settings.names));
+  }
+  return {words.begin(), words.end()};
+}
+
+char decimal_mark_of(const AccelerometerSettings& settings) {
+  if (settings.decimal_mark.size() == 1) return settings.decimal_mark.front();
+  throw std::invalid_argument(
+      fmt::format("TextLineAccelerometer: decimal_mark \"{}\"; required: . or ,", settings.decimal_mark));
+}
 
 AccelerometerSettings checked(AccelerometerSettings settings) {
   if (!(settings.rate_hz > 0.0) || !std::isfinite(settings.rate_hz)) {
@@ -53,7 +70,10 @@ TextLineAccelerometer::TextLineAccelerometer(std::unique_ptr<wire::ByteStream> s
       instrument_(fmt::format("accelerometer text_line on {}", stream_->name())),
       format_{.columns = {settings.columns.begin(), settings.columns.end()},
               .separator = settings.separator,
-              .comment = settings.comment},
+              .comment = settings.comment,
+              .names = names_of(settings),
+              .unit = settings.number_unit,
+              .decimal_mark = decimal_mark_of(settings)},
       readings_(*stream_, LineReader(format_), [this](const text_line::NumberLine& line) {
         return wire::DecodedFrame{.reading = reading_of(line)};
       }) {}
@@ -100,13 +120,20 @@ void TextLineAccelerometer::fail_without_lines(Clock::Duration waited) const {
             "not one byte arrived within {:.1f} s: is it switched on, and does it print without being asked?",
             to_seconds(waited)));
   }
+  const std::string wanted =
+      format_.names.empty()
+          ? fmt::format(
+                "lines in a row with numbers in columns {} separated by \"{}\" and with equal numbers of "
+                "columns",
+                fmt::join(format_.columns, ", "), wire::bytes_as_text(format_.separator))
+          : fmt::format("readings with a number behind each of the names {}", fmt::join(format_.names, ", "));
   fail(Fault::kWrongIdentity,
        fmt::format(
-           "{} bytes arrived within {:.1f} s, but not {} lines in a row with numbers in columns {} separated "
-           "by \"{}\" and with equal numbers of columns; beginning \"{}\": another instrument is on this "
-           "port, or its baud rate, columns, separator or comment mark differ from the bench file",
-           readings_.received_bytes(), to_seconds(waited), kLikeLines, fmt::join(format_.columns, ", "),
-           wire::bytes_as_text(format_.separator), wire::bytes_as_text(readings_.first_bytes())));
+           "{} bytes arrived within {:.1f} s, but not {} {}; beginning \"{}\": another instrument is on "
+           "this port, or its baud rate, {} or comment mark differ from the bench file",
+           readings_.received_bytes(), to_seconds(waited), kLikeLines, wanted,
+           wire::bytes_as_text(readings_.first_bytes()),
+           format_.names.empty() ? "columns, separator" : "names, decimal mark, unit"));
 }
 
 AccelerometerInfo TextLineAccelerometer::interrogate() {

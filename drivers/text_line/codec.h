@@ -15,13 +15,18 @@ struct LineFormat {
   std::vector<int> columns{1, 2, 3};  ///< Those that are read, in this order; the first column is 1.
   std::string separator{","};         ///< One character; " ": any run of blanks and tabs.
   std::string comment{"#"};           ///< A line that begins so is skipped; empty: none.
+  /// Names in front of the numbers, in place of columns: "ax" finds 0.1 in `"ax": 0.1`, `ax=0.1`, `>ax:0.1g`.
+  /// All on one line, or each on a line of its own. Empty: columns.
+  std::vector<std::string> names;
+  std::string unit;         ///< That may follow a number at once, "g" of "0.1g"; empty: none.
+  char decimal_mark = '.';  ///< Or ','.
 };
 
 /// The numbers of one line.
 struct NumberLine {
   std::vector<double> values;  ///< One for each of LineFormat::columns.
-  std::size_t words = 0;       ///< How many columns the line has.
-  std::size_t size = 0;        ///< Bytes, with its end.
+  std::size_t words = 0;       ///< How many columns the line has; how many names, where they have names.
+  std::size_t size = 0;        ///< Bytes, with its end; of all lines, where each number has one.
   /// It looks like "0,01,0,02,1,00": numbers whose decimal mark is the separator, which shifts the columns.
   bool decimal_commas = false;
 };
@@ -30,13 +35,24 @@ struct NumberLine {
 /// Nothing if it is not just that, or beyond what a double holds.
 std::optional<double> parse_number(std::string_view word);
 
+/// What a line says of one name (LineFormat::names).
+struct NamedNumber {
+  int found = 0;                ///< How often the name stands there, with ":" or "=" behind it.
+  std::optional<double> value;  ///< Nothing: no number stands behind it.
+};
+NamedNumber named_number(std::string_view line, std::string_view name, const LineFormat& format);
+
 /// Finds lines of numbers in a stream of bytes that may begin anywhere and be split anywhere.
 ///
 /// A line ends with CR, LF or both. What comes before the first end is dropped: it may be the rest of a line.
-/// Empty lines and comments are skipped. Other lines that have no numbers where they should are headers
-/// before the first line of numbers, and bad lines from then on; so is a line longer than kLongestLine, and
-/// one with another number of columns once that is required. What is found does not depend on how the bytes
-/// were split.
+/// Empty lines and comments are skipped. Quotes around a word (CSV) do not belong to it, and separators
+/// between them do not separate. Other lines that have no numbers where they should are headers before the
+/// first line of numbers, and bad lines from then on; so is a line longer than kLongestLine, and one with
+/// another number of columns once that is required. What is found does not depend on how the bytes were
+/// split.
+///
+/// With names: lines without any of them say something else and are skipped; a name that stands twice on a
+/// line, has no number, or comes again before the others have come makes it a bad line.
 ///
 /// There is no checksum: a digit that was damaged into another digit passes.
 class LineReader {
@@ -68,6 +84,9 @@ class LineReader {
  private:
   std::vector<std::string_view> split(std::string_view line) const;
   std::optional<NumberLine> decode(std::string_view line);
+  std::optional<NumberLine> decode_columns(std::string_view line);
+  std::optional<NumberLine> decode_names(std::string_view line);
+  std::optional<double> number_in(std::string_view word) const;
   void count_other_line(std::size_t bytes);
 
   LineFormat format_;
@@ -76,6 +95,9 @@ class LineReader {
   std::size_t begin_ = 0;  ///< What lies before is used up.
   bool dropping_ = true;   ///< Up to the next end of a line.
   bool has_numbers_come_ = false;
+  bool all_on_one_line_ = false;               ///< Seen so: from then on required.
+  std::vector<std::optional<double>> so_far_;  ///< For each name, where each number has a line of its own.
+  std::size_t size_so_far_ = 0;
   std::uint64_t header_lines_ = 0;
   std::uint64_t bad_lines_ = 0;
   std::uint64_t skipped_bytes_ = 0;

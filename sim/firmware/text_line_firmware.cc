@@ -4,7 +4,11 @@
 
 #include <chrono>
 #include <stdexcept>
+#include <string_view>
 #include <utility>
+#include <vector>
+
+#include "drivers/text/text.h"
 
 namespace abcal::sim {
 
@@ -52,6 +56,15 @@ std::array<double, 3> TextLineFirmware::numbers(std::uint64_t index) const {
   return printed;
 }
 
+std::string TextLineFirmware::word(double number) const {
+  std::string text = fmt::format("{:.{}f}", number, settings_.decimals);
+  if (const std::size_t point = text.find('.'); point != std::string::npos)
+    text.replace(point, 1, settings_.decimal_mark);
+  text += settings_.number_unit;
+  const bool needs_quotes = settings_.names.empty() && settings_.decimal_mark == settings_.separator;
+  return needs_quotes ? "\"" + text + "\"" : text;
+}
+
 std::string TextLineFirmware::line(std::uint64_t index) const {
   using Milliseconds = std::chrono::milliseconds;
   std::string text;
@@ -60,8 +73,18 @@ std::string TextLineFirmware::line(std::uint64_t index) const {
     text = fmt::format("{}{}", since.count(), settings_.separator);
   }
   const auto [first, second, third] = numbers(index);
-  text += fmt::format("{1:.{0}f}{4}{2:.{0}f}{4}{3:.{0}f}", settings_.decimals, first, second, third,
-                      settings_.separator);
+  const std::vector<std::string_view> names = pieces::words(settings_.names);
+  if (names.size() != 3) {
+    text += fmt::format("{}{}{}{}{}", word(first), settings_.separator, word(second), settings_.separator,
+                        word(third));
+  } else if (settings_.decimal_mark == ".") {
+    const char* quote = settings_.number_unit.empty() ? "" : "\"";
+    text += fmt::format("{{\"{1}\":{0}{2}{0},\"{3}\":{0}{4}{0},\"{5}\":{0}{6}{0}}}", quote, names[0],
+                        word(first), names[1], word(second), names[2], word(third));
+  } else {
+    text += fmt::format("{}={} {}={} {}={}", names[0], word(first), names[1], word(second), names[2],
+                        word(third));
+  }
   return text + (settings_.crlf ? "\r\n" : "\n");
 }
 

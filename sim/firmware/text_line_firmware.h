@@ -22,9 +22,14 @@ struct TextLineSettings {
   std::array<double, 3> bias{0.0, 0.0, 0.0};
   int decimals = 6;
   std::string separator = ",";
-  std::string header;        ///< A line that is printed once, at power on; empty: none.
-  bool time_column = false;  ///< A first column: milliseconds since power on.
-  bool crlf = true;          ///< False: lines end with LF.
+  /// In front of the numbers, "ax ay az": a line is an object of JSON where the decimal mark is a point, else
+  /// "ax=0,1 ay=0,2 az=0,3". Empty: numbers alone.
+  std::string names;
+  std::string number_unit;         ///< Behind each number at once.
+  std::string decimal_mark = ".";  ///< Numbers with another stand in quotes where that is the separator too.
+  std::string header;              ///< A line that is printed once, at power on; empty: none.
+  bool time_column = false;        ///< A first column: milliseconds since power on.
+  bool crlf = true;                ///< False: lines end with LF.
   double humidity_percent = 45.0;
   double pressure_hpa = 1013.25;
 };
@@ -45,6 +50,7 @@ class TextLineFirmware final : public Firmware {
   Clock::Instant line_time(std::uint64_t index) const;
   std::array<double, 3> numbers(std::uint64_t index) const;
   std::string line(std::uint64_t index) const;
+  std::string word(double number) const;
 
   std::shared_ptr<SimBench> bench_;
   TextLineSettings settings_;

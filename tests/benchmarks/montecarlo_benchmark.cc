@@ -136,12 +136,22 @@ BENCHMARK(BM_MillionTrials)
     ->Iterations(1)
     ->Unit(benchmark::kSecond);
 
+/// Google Benchmark 1.8 renamed what says so.
+template <class Run>
+bool has_failed(const Run& run) {
+  if constexpr (requires { run.error_occurred; }) {
+    return run.error_occurred;
+  } else {
+    return static_cast<int>(run.skipped) != 0;
+  }
+}
+
 class RatioReporter : public benchmark::ConsoleReporter {
  public:
   void ReportRuns(const std::vector<Run>& runs) override {
     ConsoleReporter::ReportRuns(runs);
     for (const Run& run : runs) {
-      if (run.error_occurred || run.run_type != Run::RT_Iteration) continue;
+      if (has_failed(run) || run.run_type != Run::RT_Iteration) continue;
       // Processor time where one core is compared with one core, so that a busy machine does not spoil the
       // ratios.
       const bool wall = run.benchmark_name().find("_time") != std::string::npos;

@@ -14,9 +14,9 @@ namespace {
 /// Lines as boards print them, then changed at a few places. The fuzz target aborts if reader and reference
 /// differ.
 std::string mutated_lines(std::mt19937& random) {
-  static const std::string kWords[] = {"0.01",     "-9.80665", "+1",     ".5", "5.",    "1e-3",
-                                       "-1.5E+10", "nan",      "-inf",   "",   "16384", "x",
-                                       "1 2",      "1e99",     "2.5e-9", "0",  "1e999", "-0.0"};
+  static const std::string kWords[] = {
+      "0.01", "-9.80665", "+1",   ".5",     "5.", "1e-3",  "-1.5E+10", "nan",     "-inf",    "",   "16384",
+      "x",    "1 2",      "1e99", "2.5e-9", "0",  "1e999", "-0.0",     "\"7.5\"", "\" 8 \"", "\"", "\"1,2\""};
   static const std::string kEnds[] = {"\r\n", "\n", "\r", "\r\r\n"};
   const std::string separator(1, ", ;\t"[random() % 4]);
   const std::string end = kEnds[random() % std::size(kEnds)];

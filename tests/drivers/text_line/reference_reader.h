@@ -30,8 +30,10 @@ struct Decoded {
 inline std::vector<std::string> words_of(const std::string& line, char separator) {
   const auto blank = [](char c) { return c == ' ' || c == '\t'; };
   std::vector<std::string> words(1);
+  std::size_t quotes = 0;
   for (const char c : line) {
-    if (separator == ' ' ? blank(c) : c == separator) {
+    quotes += c == '"' ? 1 : 0;
+    if (quotes % 2 == 0 && (separator == ' ' ? blank(c) : c == separator)) {
       words.emplace_back();
     } else {
       words.back() += c;
@@ -77,7 +79,12 @@ inline bool is_number(std::string word) {
   return take("0123456789") > 0 && at == word.size();
 }
 
-inline std::optional<double> number_of(const std::string& word) {
+inline std::optional<double> number_of(std::string word) {
+  if (word.size() > 1 && word.front() == '"' && word.back() == '"') {
+    word = word.substr(1, word.size() - 2);
+    while (!word.empty() && (word.front() == ' ' || word.front() == '\t')) word.erase(0, 1);
+    while (!word.empty() && (word.back() == ' ' || word.back() == '\t')) word.pop_back();
+  }
   if (!is_number(word)) return std::nullopt;
   const double value = std::strtod(word.c_str(), nullptr);
   // Beyond a double: a number with a digit other than 0 that becomes infinite or zero.
