@@ -10,8 +10,10 @@
 
 #include "app/report/run_figures.h"
 #include "app/report/study_text.h"
+#include "app/results/coverage_words.h"
 #include "app/results/result_text.h"
 #include "app/system/progress.h"
+#include "protocol/analysis/check_poses.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -21,8 +23,6 @@ namespace {
 constexpr std::array<char, 3> kAccelerometers{'u', 'v', 'w'};
 constexpr const char* kNotStated = "not stated";
 constexpr const char* kNone = "-";
-/// A coverage factor that differs by less from the common one is printed as that.
-constexpr double kToldCoverageFactor = 0.005;
 
 std::string or_not_stated(const std::string& text) {
   return text.empty() ? kNotStated : text;
@@ -214,15 +214,6 @@ const char* group_of(const std::string& name) {
                           : "Intrinsic sensitivities";
 }
 
-/// Whether an output has so few degrees of freedom that its coverage factor is not the common one.
-bool own_coverage_factors(const CalibrationResult& result) {
-  const std::vector<NamedQuantity> all = outputs(result);
-  return std::any_of(all.begin(), all.end(), [](const NamedQuantity& output) {
-    return std::isfinite(output.quantity.standard_uncertainty) &&
-           std::abs(coverage_factor(output.quantity) - kCoverageFactor) > kToldCoverageFactor;
-  });
-}
-
 /// Value and expanded uncertainty to two digits of the latter (ILAC-P14).
 std::vector<std::string> result_row(const NamedQuantity& output) {
   const Quantity& q = output.quantity;
@@ -363,7 +354,24 @@ void add_check(DocumentTable& table, const std::string& name, int accelerometer,
   table.rows.back()[cell + 1] = formatted(q.value / q.standard_uncertainty, "{:+.1f}");
 }
 
-Section closures_section(const Diagnostics& d, const std::string& unit) {
+DocumentTable check_pose_table(const CheckPoseStudy& study, const std::string& unit) {
+  DocumentTable table = check_table(
+      "Check poses measured again, minus their first readings (uncertainty of the two readings alone). What "
+      "drift and stage explain of it: see the plausibility checks.",
+      "visit, pose", unit);
+  for (const PoseDifference& difference : study.differences) {
+    for (int j = 0; j < 3; ++j) {
+      Quantity q;
+      q.value = difference.value(j);
+      q.standard_uncertainty = difference.standard_uncertainty(j);
+      add_check(table, fmt::format("{}, {}", difference.visit + 1, difference.pose), j, q);
+    }
+  }
+  return table;
+}
+
+Section closures_section(const Diagnostics& d, const std::optional<CheckPoseStudy>& check_poses,
+                         const std::string& unit) {
   Section section{"Closures", {}};
   if (!d.closures.empty()) {
     DocumentTable table = check_table(
@@ -382,6 +390,7 @@ Section closures_section(const Diagnostics& d, const std::string& unit) {
       add_check(table, std::to_string(c.experiment), c.accelerometer, c.value);
     section.blocks.push_back(std::move(table));
   }
+  if (check_poses) section.blocks.push_back(check_pose_table(*check_poses, unit));
   return section;
 }
 
@@ -438,7 +447,30 @@ Section fits_section(const ReportData& data) {
   return section;
 }
 
-Section stage_section(const RunRecord& record, const JointResult& joint) {
+DocumentTable model_equation_table(const ModelEquation& equation) {
+  DocumentTable table{
+      "Model equation at zero, K0 + K1 a + K2 a² + K3 a³ along each output's own axis. It is not the result, "
+      "which is the line response over all directions of gravity.",
+      {{"quantity", CellKind::kSymbol},
+       {"value", CellKind::kNumber},
+       {"standard unc. u", CellKind::kNumber},
+       {"unit", CellKind::kUnit}},
+      {}};
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t order = 0; order < 4; ++order) {
+      const Quantity& k = equation.k[j][order];
+      if (!std::isfinite(k.value)) continue;
+      const int decimals = decimals_for(k.standard_uncertainty);
+      table.rows.push_back({fmt::format("K{}_{}", order, kAccelerometers[j]),
+                            with_decimals(k.value, decimals, true), two_digits(k.standard_uncertainty),
+                            k.unit});
+    }
+  }
+  return table;
+}
+
+Section stage_section(const RunRecord& record, const CalibrationResult& result) {
+  const JointResult& joint = *result.joint;
   DocumentTable table{
       "Errors of the stage and the accelerometer that the joint estimator finds in the same "
       "readings.",
@@ -462,6 +494,7 @@ Section stage_section(const RunRecord& record, const JointResult& joint) {
   for (std::size_t j = 0; j < 3; ++j) add(fmt::format("k2_{}", kAccelerometers[j]), joint.k2[j]);
   for (std::size_t j = 0; j < 3; ++j) add(fmt::format("k3_{}", kAccelerometers[j]), joint.k3[j]);
   Section section{"Stage and drift, by the joint estimator", {std::move(table)}};
+  if (result.model_equation) section.blocks.push_back(model_equation_table(*result.model_equation));
   if (!joint.nonlinearity_fitted)
     section.blocks.push_back(Paragraph{"k2, k3: not fitted, because the readings show no non-linearity."});
   section.blocks.push_back(step_error_figure(record, joint));
@@ -585,12 +618,13 @@ Document calibration_document(const ReportData& data) {
     document.sections.push_back(estimators_section(data));
     // The fits of the published protocol show the stage, whichever estimator is reported.
     const CalibrationResult& published = result_of(data.results, kPublishedEstimator);
-    const Section closures = closures_section(published.diagnostics, published.response_unit);
+    const Section closures =
+        closures_section(published.diagnostics, compared_check_poses(data.record), published.response_unit);
     if (!closures.blocks.empty()) document.sections.push_back(closures);
     if (!published.diagnostics.fits.empty()) document.sections.push_back(fits_section(data));
     for (const CalibrationResult& each : data.results) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
-        document.sections.push_back(stage_section(data.record, *each.joint));
+        document.sections.push_back(stage_section(data.record, each));
     }
     if (data.budget) document.sections.push_back(budget_section(data));
   }

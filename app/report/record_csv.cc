@@ -10,6 +10,7 @@
 #include <stdexcept>
 
 #include "app/document/valid_text.h"
+#include "protocol/analysis/check_poses.h"
 #include "protocol/record/limits_entries.h"
 
 namespace abcal {
@@ -92,6 +93,18 @@ std::string averaged_csv(const ReportData& data) {
   std::string text =
       comments(data, "averaged readings, their standard uncertainty (u_), times from the start");
   if (left_out > 0) text += comment("left_out", fmt::format("{} angles without a finite mean", left_out));
+  if (const auto study = compared_check_poses(data.record)) {
+    constexpr std::string_view kOutputs = "uvw";
+    const auto add = [&](const char* name, const std::array<PoseTrend, 3>& trends) {
+      for (std::size_t j = 0; j < 3; ++j) {
+        const std::string key = fmt::format("check_poses.change_of_{}_{}", name, kOutputs[j]);
+        text += comment(key, csv_number(trends[j].change)) +
+                comment(key + ".standard_uncertainty", csv_number(trends[j].standard_uncertainty));
+      }
+    };
+    add("gain", study->gain);
+    add("offset", study->offset);
+  }
   if (!data.record.check_poses.empty())
     text += comment("experiment 0", "a check pose, n = 1 or 2: gravity along (1, 1, 1) or against it");
   return text +

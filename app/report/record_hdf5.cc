@@ -16,6 +16,7 @@
 #include "app/document/valid_text.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
+#include "protocol/analysis/check_poses.h"
 
 namespace abcal {
 namespace {
@@ -199,6 +200,66 @@ void put_averaged(const H5::Group& entry, const RunRecord& record) {
   plot_as(data, "response", {"alpha", "."});
 }
 
+/// The dwells at the check poses, and what they say.
+void put_check_poses(const H5::Group& entry, const RunRecord& record) {
+  if (record.check_poses.empty()) return;
+  const H5::Group made = group(entry, "check_poses", "NXdata");
+  const std::string& unit = record.response_unit;
+  std::vector<double> response, errors, time;
+  std::vector<std::int64_t> pose, after, flags;
+  for (const CheckDwell& check : record.check_poses) {
+    const DwellRecord& dwell = check.dwell;
+    pose.push_back(dwell.n);
+    after.push_back(static_cast<std::int64_t>(check.after));
+    flags.push_back(dwell.flags);
+    time.push_back(or_nan(dwell.time_s));
+    for (int j = 0; j < 3; ++j) {
+      response.push_back(dwell.mean[j]);
+      errors.push_back(dwell.u_mean ? (*dwell.u_mean)[j] : std::numeric_limits<double>::quiet_NaN());
+    }
+  }
+  const hsize_t size = record.check_poses.size();
+  put(made, "response", response, {size, 3}, {unit, "averaged readings of U, V, W"});
+  put(made, "response_errors", errors, {size, 3}, {unit, "standard uncertainty of the averaged readings"});
+  put(made, "time", time, {size}, {"s", "middle of the dwell from the start of the run"});
+  put(made, "pose", pose, "1: gravity along (1, 1, 1), 2: against it");
+  put(made, "after", after, "angles of the experiments measured before");
+  put(made, "flags", flags, "bits, docs/report.md");
+  plot_as(made, "response", {"time", "."});
+  const std::optional<CheckPoseStudy> study = compared_check_poses(record);
+  if (!study) return;
+  std::vector<double> difference, difference_errors;
+  std::vector<std::int64_t> difference_pose, difference_visit;
+  for (const PoseDifference& each : study->differences) {
+    difference_pose.push_back(each.pose);
+    difference_visit.push_back(static_cast<std::int64_t>(each.visit) + 1);
+    difference.insert(difference.end(), each.value.begin(), each.value.end());
+    difference_errors.insert(difference_errors.end(), each.standard_uncertainty.begin(),
+                             each.standard_uncertainty.end());
+  }
+  const hsize_t differences = study->differences.size();
+  put(made, "difference", difference, {differences, 3}, {unit, "reading minus that of the first visit"});
+  put(made, "difference_errors", difference_errors, {differences, 3},
+      {unit, "standard uncertainty (k = 1) of difference, of the two readings alone"});
+  put(made, "difference_pose", difference_pose, "pose of each difference");
+  put(made, "difference_visit", difference_visit, "visit of each difference, from 2");
+  const auto trends = [&](const std::string& name, const std::array<PoseTrend, 3>& of_outputs) {
+    std::vector<double> change, change_errors, smallest;
+    for (const PoseTrend& trend : of_outputs) {
+      change.push_back(trend.change);
+      change_errors.push_back(trend.standard_uncertainty);
+      smallest.push_back(trend.smallest_found);
+    }
+    put(made, name, change, {3},
+        {kNoUnit, "of the sensitivity of U, V, W, from the first visit to the last"});
+    put(made, name + "_errors", change_errors, {3}, {kNoUnit, "standard uncertainty (k = 1) of " + name});
+    put(made, name + "_smallest_found", smallest, {3},
+        {kNoUnit, "a change of this size between two visits would have been found"});
+  };
+  trends("change_of_gain", study->gain);
+  trends("change_of_offset", study->offset);
+}
+
 void put_readings(const H5::Group& entry, const ReportData& data) {
   const H5::Group group_of_readings = group(entry, "readings", "NXdata");
   const H5::PredType& real = H5::PredType::IEEE_F64LE;
@@ -336,6 +397,13 @@ void put_conditions(const H5::Group& entry, const RunRecord& record) {
   put(made, "tolerance_initial_turn", t.initial_turn.deg(), {"degree"});
   put(made, "tolerance_zero", t.zero.deg(), {"degree"});
   put(made, "tolerance_drift", t.drift, {kNoUnit, "over the run, of the sensitivity"});
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    const std::string name(key.key);
+    put(made, name, key.get(t),
+        {std::string(key.unit), "stated standard uncertainty: " + std::string(key.words)});
+    const auto source = t.sources.find(name);
+    put(made, name + "_source", source == t.sources.end() ? "default" : source->second);
+  }
 }
 
 void put_process(const H5::Group& entry, const std::string& name, const std::string& version,
@@ -375,6 +443,7 @@ void write(const ReportData& data, const H5::H5File& file, const std::string& fi
   for (const std::string& caution : cautions(data)) warnings += caution + "\n";
   put(entry, "cautions", warnings);
   put_averaged(entry, data.record);
+  put_check_poses(entry, data.record);
   put_conditions(entry, data.record);
   for (const CalibrationResult& result : data.results) put_result(entry, result);
   put_process(entry, "analysis", data.program_version, data.created_utc,

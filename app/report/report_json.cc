@@ -4,6 +4,7 @@
 
 #include "app/document/valid_text.h"
 #include "app/results/result_json.h"
+#include "protocol/analysis/check_poses.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/uncertainty/study_output.h"
 
@@ -90,6 +91,39 @@ Json run_json(const ReportData& data) {
           {"bench_toml", text(run.header.bench_toml)}};
 }
 
+Json triple_json(const Eigen::Vector3d& values) {
+  return {json_number(values(0)), json_number(values(1)), json_number(values(2))};
+}
+
+Json check_poses_json(const ReportData& data) {
+  const std::optional<CheckPoseStudy> compared = compared_check_poses(data.record);
+  if (!compared) return nullptr;
+  const CheckPoseStudy& study = *compared;
+  Json differences = Json::array();
+  for (const PoseDifference& difference : study.differences) {
+    differences.push_back({{"pose", difference.pose},
+                           {"visit", difference.visit + 1},
+                           {"after_angles", study.visits[difference.visit].after},
+                           {"value", triple_json(difference.value)},
+                           {"standard_uncertainty", triple_json(difference.standard_uncertainty)}});
+  }
+  const auto trends = [](const std::array<PoseTrend, 3>& of_outputs) {
+    Json list = Json::array();
+    for (const PoseTrend& trend : of_outputs) {
+      list.push_back({{"value", json_number(trend.change)},
+                      {"standard_uncertainty", json_number(trend.standard_uncertainty)},
+                      {"smallest_found", json_number(trend.smallest_found)}});
+    }
+    return list;
+  };
+  return {{"visits", study.visits.size()},
+          {"response_unit", data.record.response_unit},
+          {"differences", std::move(differences)},
+          {"change_of_gain", trends(study.gain)},
+          {"change_of_offset", trends(study.offset)},
+          {"found", study.found.size()}};
+}
+
 Json flagged_json(const RunRecord& record) {
   Json list = Json::array();
   for (const DwellRecord& dwell : record.dwells) {
@@ -140,6 +174,7 @@ nlohmann::ordered_json report_json(const ReportData& data) {
                         {"zero_deg", t.zero.deg()},
                         {"drift", t.drift}};
   json["budget"] = budget_json(data);
+  json["check_poses"] = check_poses_json(data);
   json["flagged_angles"] = flagged_json(data.record);
   return json;
 }

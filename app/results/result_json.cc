@@ -111,6 +111,30 @@ Json diagnostics(const Diagnostics& d) {
           {"notes", d.notes}};
 }
 
+/// K0 to K3 at zero along each output's own axis. It is not the measurand.
+Json model_equation_json(const ModelEquation& equation) {
+  Json list = Json::array();
+  for (std::size_t j = 0; j < 3; ++j) {
+    list.push_back({{"output", kOutputLetters[j]},
+                    {"k", quantities(equation.k[j])},
+                    {"covariance", matrix(std::optional(equation.covariance[j]))}});
+  }
+  return list;
+}
+
+Json effects_json(const std::vector<EffectTest>& effects) {
+  Json list = Json::array();
+  for (const EffectTest& effect : effects) {
+    list.push_back({{"name", effect.name},
+                    {"key", effect.key},
+                    {"times_stated", effect.stated_zero ? Json(nullptr) : json_number(effect.times_stated)},
+                    {"degrees_of_freedom", effect.degrees_of_freedom},
+                    {"probability", json_number(effect.probability)},
+                    {"passed", effect.passed}});
+  }
+  return list;
+}
+
 }  // namespace
 
 nlohmann::ordered_json json_number(const std::optional<double>& value) {
@@ -140,6 +164,8 @@ Json result_json(const CalibrationResult& result) {
   json["covariance"] = matrix(result.covariance);
   json["covariance_intrinsic"] = matrix(result.covariance_intrinsic);
   json["diagnostics"] = diagnostics(result.diagnostics);
+  json["default_effects"] = result.unstated_effects;
+  if (result.model_equation) json["model_equation"] = model_equation_json(*result.model_equation);
   if (result.joint) {
     const JointResult& joint = *result.joint;
     json["alignment"] = quantities(joint.alignment);
@@ -155,6 +181,7 @@ Json result_json(const CalibrationResult& result) {
     json["norm_against_joint"] = {{"statistic", test.done ? json_number(test.statistic) : Json(nullptr)},
                                   {"degrees_of_freedom", test.degrees_of_freedom},
                                   {"probability", test.done ? json_number(test.probability) : Json(nullptr)}};
+    json["effects"] = effects_json(joint.effects);
     json["iterations"] = joint.iterations;
   }
   if (result.norm) {

@@ -7,7 +7,9 @@
 #include <cmath>
 #include <vector>
 
+#include "app/results/coverage_words.h"
 #include "app/results/estimators.h"
+#include "app/results/report_data.h"
 #include "app/system/terminal.h"
 
 namespace abcal {
@@ -44,15 +46,16 @@ std::string part_text(const std::optional<double>& u) {
   return u && std::isfinite(*u) ? fmt::format("{:.1e}", *u) : "-";
 }
 
-void row(std::string& text, const std::string& name, const Quantity& q) {
+void row(std::string& text, const std::string& name, const Quantity& q, bool with_k = false) {
   if (!std::isfinite(q.value)) {
     text += fmt::format("  {:<8} {:>16}\n", name, "not determined");
     return;
   }
   const int decimals = decimals_for(q.standard_uncertainty);
-  text += fmt::format(
-      "  {:<8} {:>16} {:>14} {:>14} {:>14}  {}\n", name, with_decimals(q.value, decimals, true),
-      uncertainty_text(q.standard_uncertainty, decimals), part_text(q.type_a), part_text(q.type_b), q.unit);
+  text +=
+      fmt::format("  {:<8} {:>16} {:>14} {:>14} {:>14}  {}{}\n", name, with_decimals(q.value, decimals, true),
+                  uncertainty_text(q.standard_uncertainty, decimals), part_text(q.type_a),
+                  part_text(q.type_b), with_k ? fmt::format("{:>6.2f}  ", coverage_factor(q)) : "", q.unit);
 }
 
 void stage_errors(std::string& text, const JointResult& joint) {
@@ -108,6 +111,15 @@ std::vector<NamedQuantity> outputs(const CalibrationResult& result) {
   return list;
 }
 
+bool own_coverage_factors(const CalibrationResult& result) {
+  constexpr double kTold = 0.005;  // one that differs by less is printed as the common one
+  const std::vector<NamedQuantity> all = outputs(result);
+  return std::any_of(all.begin(), all.end(), [](const NamedQuantity& output) {
+    return std::isfinite(output.quantity.standard_uncertainty) &&
+           std::abs(coverage_factor(output.quantity) - kCoverageFactor) > kTold;
+  });
+}
+
 std::string verdict_words(Verdict verdict) {
   std::string words(to_string(verdict));
   std::replace(words.begin(), words.end(), '_', ' ');
@@ -130,8 +142,10 @@ const char* heading_of(const std::string& output) {
 }
 
 void add_outputs(std::string& text, const CalibrationResult& result, std::FILE* stream) {
-  text += fmt::format("\n  {:<8} {:>16} {:>14} {:>14} {:>14}  {}\n", "quantity", "value", "std. unc.",
-                      "type A", "type B", "unit");
+  // k of U = k u, for a coverage probability of 95.45 %.
+  const bool with_k = own_coverage_factors(result);
+  text += fmt::format("\n  {:<8} {:>16} {:>14} {:>14} {:>14}  {}{}\n", "quantity", "value", "std. unc.",
+                      "type A", "type B", with_k ? "     k  " : "", "unit");
   std::string_view last;
   for (const auto& [name, quantity] : outputs(result)) {
     if (!result.sensitivity_matrix && name.size() == 4 && name.starts_with("s_")) continue;
@@ -139,7 +153,24 @@ void add_outputs(std::string& text, const CalibrationResult& result, std::FILE* 
       text += emphasised(stream, Emphasis::kHeading, std::string(heading)) + "\n";
       last = heading;
     }
-    row(text, name, quantity);
+    row(text, name, quantity, with_k);
+  }
+  if (with_k) {
+    text +=
+        "  U = k u for a coverage probability of 95.45 %: k is that of Student's distribution with the\n"
+        "  degrees of freedom of each output.\n";
+  }
+}
+
+void add_model_equation(std::string& text, const ModelEquation& equation) {
+  text +=
+      "\nModel equation at zero, K0 + K1 a + K2 a^2 + K3 a^3 along each output's own axis (not the result "
+      "above, which is the line response)\n";
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t order = 0; order < 4; ++order) {
+      if (const Quantity& k = equation.k[j][order]; std::isfinite(k.value))
+        row(text, fmt::format("K{}_{}", order, kAccelerometers[j]), k);
+    }
   }
 }
 
@@ -218,6 +249,7 @@ std::string result_text(const CalibrationResult& result, std::FILE* stream) {
                         result.g_loc_source.empty() ? "source not stated" : result.g_loc_source);
   }
   add_outputs(text, result, stream);
+  if (result.model_equation) add_model_equation(text, *result.model_equation);
   if (result.joint) stage_errors(text, *result.joint);
   if (result.norm) add_poses(text, *result.norm);
   if (!d.fits.empty()) add_fits(text, d, result.response_unit);

@@ -360,22 +360,23 @@ void TomlReader::read_uncertainty_table(const toml::table& table, const std::str
   const std::string distribution = word_of("distribution", "\"rectangular\", \"triangular\" or \"u-shaped\"");
   const int given = (table.contains("value") ? 1 : 0) + (table.contains("half_width") ? 1 : 0) +
                     (table.contains("expanded_uncertainty") ? 1 : 0);
-  constexpr const char* kOneOf =
-      "one of value (standard uncertainty), half_width with distribution, expanded_uncertainty with k";
+  const std::string one_of =
+      "one of value (standard uncertainty), half_width with distribution, expanded_uncertainty with k: " +
+      words;
   if (given != 1)
     problem(table, where,
             given == 0 ? (source.empty() ? "no value" : "a source without a value") : "several values",
-            kOneOf);
+            one_of);
   if (table.contains("half_width") != table.contains("distribution")) {
     problem(table, where, half_width ? "half_width without distribution" : "distribution without half_width",
-            kOneOf);
+            one_of);
   } else if (!distribution.empty() && !kDivisors.contains(distribution)) {
     problem(*table.get("distribution"), where + ".distribution", "\"" + distribution + "\"",
             "\"rectangular\", \"triangular\" or \"u-shaped\"");
   }
   if (table.contains("expanded_uncertainty") != table.contains("k"))
     problem(table, where, expanded ? "expanded_uncertainty without k" : "k without expanded_uncertainty",
-            kOneOf);
+            one_of);
   if (found_.size() != problems_before) return;
 
   // A written file marks a default as such, so that it is a default again when it is read.

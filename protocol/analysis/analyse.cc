@@ -23,6 +23,7 @@
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/run_time.h"
 #include "protocol/analysis/sensitivity_matrix.h"
+#include "protocol/analysis/undetermined.h"
 
 namespace abcal {
 
@@ -138,6 +139,7 @@ struct Estimate {
   std::string response_unit;
   std::optional<Covariance12> output_covariance_a;
   Covariance12 output_covariance_b = Covariance12::Zero();
+  std::vector<EffectShare> shares;  ///< Of the effects, in the diagonal of output_covariance_b.
 };
 
 std::string not_determined(const ReadingSeries& series, const char* reason) {
@@ -226,6 +228,14 @@ void fill_output_covariances(Estimate& estimate, double resolution) {
       const Eigen::Matrix<double, 12, 1> change =
           effect.standard_uncertainty * effect_on_outputs(effect, estimate);
       covariance.noalias() += change * change.transpose();
+      auto share = std::find_if(estimate.shares.begin(), estimate.shares.end(),
+                                [&](const EffectShare& of) { return of.effect == effect.group; });
+      if (share == estimate.shares.end()) {
+        share = estimate.shares.emplace(share);
+        share->effect = effect.group;
+        share->key = effect.key;
+      }
+      share->covariance.diagonal() += change.cwiseAbs2();
     }
   }
   if (!(resolution > 0.0)) return;
@@ -351,9 +361,26 @@ class Objections {
   std::vector<std::string> sentences_;
 };
 
-// Beyond its uncertainty, and beyond the rounding of numbers of this size.
-bool contradicts_zero(const Quantity& quantity, double scale) {
-  return std::abs(quantity.value) > kContradictionLevel * quantity.standard_uncertainty + 1e-13 * scale;
+/// Degrees of freedom of the scatter of an output's readings; infinite where it is stated.
+double degrees_of_readings(const Estimate& estimate, std::size_t output) {
+  return estimate.reading_variance[output] ? estimate.reading_degrees[output]
+                                           : std::numeric_limits<double>::infinity();
+}
+
+/// Type A and B together, with type A larger by this factor.
+double with_larger_type_a(const Quantity& quantity, double factor) {
+  return std::hypot(quantity.type_a.value_or(0.0) * factor, quantity.type_b.value_or(0.0));
+}
+
+// Beyond its uncertainty, and beyond the rounding of numbers of this size. Where few residuals tell type A
+// its share of the limit is that of Student's distribution: 20 standard uncertainties for 6 of them.
+// (Effective degrees of freedom would not do: an estimate of type A that is small by chance makes them many.)
+bool contradicts_zero(const Quantity& quantity, double degrees_of_type_a, double scale) {
+  Quantity of_type_a;
+  of_type_a.degrees_of_freedom = degrees_of_type_a;
+  const double level = coverage_factor(of_type_a, std::erf(kContradictionLevel / std::sqrt(2.0)));
+  const double limit = kContradictionLevel * with_larger_type_a(quantity, level / kContradictionLevel);
+  return std::abs(quantity.value) > limit + 1e-13 * scale;
 }
 
 std::string times_uncertainty(const Quantity& quantity) {
@@ -484,7 +511,7 @@ void fill_closures(const Estimate& estimate, CalibrationResult& result, Objectio
       if (variances.a) a = (*variances.a)(0);
       Closure closure{kClosureNames[name], static_cast<int>(j),
                       quantity(values(i), a, variances.b(0), result.response_unit)};
-      if (contradicts_zero(closure.value, response_scale(estimate, j))) {
+      if (contradicts_zero(closure.value, degrees_of_readings(estimate, j), response_scale(estimate, j))) {
         objections.add(fmt::format("closure {} of {} is {}", closure.name, kAccelerometerNames[j],
                                    times_uncertainty(closure.value)));
       }
@@ -505,7 +532,9 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
         const auto row = static_cast<Eigen::Index>(j);
         std::optional<double> a = estimate.reading_variance[j];
         if (a) *a *= 2.0;
+        double degrees = degrees_of_readings(estimate, j);
         if (first.u_mean && closing->u_mean) {
+          degrees = std::numeric_limits<double>::infinity();
           a = (*first.u_mean)(row) * (*first.u_mean)(row) + (*closing->u_mean)(row) * (*closing->u_mean)(row);
         }
         // The allowed drift over the time between the two, and a stage that comes back within its step
@@ -530,7 +559,7 @@ void fill_closing_differences(const Selection& selection, const Estimate& estima
         ClosingDifference difference{
             closing->experiment, static_cast<int>(j),
             quantity(closing->mean(row) - first.mean(row), a, b, result.response_unit)};
-        if (contradicts_zero(difference.value, response_scale(estimate, j))) {
+        if (contradicts_zero(difference.value, degrees, response_scale(estimate, j))) {
           objections.add(fmt::format(
               "experiment {}: {} at the closing angle differs from the first angle by {} (drift)",
               difference.experiment, kAccelerometerNames[j], times_uncertainty(difference.value)));
@@ -558,15 +587,19 @@ std::vector<Harmonic> harmonics_of(const HarmonicFit& fit, const Eigen::MatrixXd
   return harmonics;
 }
 
-// The amplitude squared in units of its uncertainty is chi2 with two degrees of freedom; the same tail as
-// kContradictionLevel for one normal variable: exp(-x/2) = erfc(level / sqrt 2).
-bool beyond_noise(const Harmonic& harmonic, double scale) {
-  const double limit = -2.0 * std::log(std::erfc(kContradictionLevel / std::sqrt(2.0)));
+// The amplitude squared in units of its uncertainty is chi2 with two degrees of freedom, or, where type A has
+// nu of its own, twice F: exp(-x/2) and (1 + x/nu)^(-nu/2) = erfc(level / sqrt 2), the same tail as
+// kContradictionLevel for one normal variable.
+bool beyond_noise(const Harmonic& harmonic, double degrees_of_type_a, double scale) {
+  const double log_tail = std::log(std::erfc(kContradictionLevel / std::sqrt(2.0)));
+  const double limit = -2.0 * log_tail;
+  const double nu = degrees_of_type_a;
+  const double larger = std::isfinite(nu) ? std::sqrt(nu * std::expm1(limit / nu) / limit) : 1.0;
   const double s = harmonic.sin_amplitude.value;
   const double c = harmonic.cos_amplitude.value;
   if (std::hypot(s, c) <= 1e-13 * scale) return false;
-  const double s_ratio = s / harmonic.sin_amplitude.standard_uncertainty;
-  const double c_ratio = c / harmonic.cos_amplitude.standard_uncertainty;
+  const double s_ratio = s / with_larger_type_a(harmonic.sin_amplitude, larger);
+  const double c_ratio = c / with_larger_type_a(harmonic.cos_amplitude, larger);
   return s_ratio * s_ratio + c_ratio * c_ratio > limit;
 }
 
@@ -574,7 +607,9 @@ void judge_harmonics(const FitDiagnostic& diagnostic, const Estimate& estimate, 
                      Objections& objections) {
   const auto j = static_cast<std::size_t>(diagnostic.accelerometer);
   for (const Harmonic& harmonic : diagnostic.harmonics) {
-    if (harmonic.order < 2 || !beyond_noise(harmonic, response_scale(estimate, j))) continue;
+    if (harmonic.order < 2 ||
+        !beyond_noise(harmonic, degrees_of_readings(estimate, j), response_scale(estimate, j)))
+      continue;
     const double amplitude = std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value);
     const std::string sentence = fmt::format(
         "experiment {}: harmonic {} of {} has an amplitude of {:.3g} {}, beyond its uncertainty "
@@ -724,6 +759,19 @@ std::string refusal(const RunRecord& record, const Selection& selection) {
       return fmt::format("a tolerance ({}) is {}; finite numbers >= 0 are required", key.key, size);
   }
   return {};
+}
+
+void judge_effects(const RunRecord& record, const Estimate& estimate, CalibrationResult& result,
+                   Objections& objections) {
+  const Eigen::Vector3d unit = sensitivity_matrix_of(estimate.outputs).rowwise().norm();
+  for (const Undetermined& outputs : undetermined_outputs(estimate.shares, *result.covariance, unit,
+                                                          record.tolerances, EffectsAre::kStated)) {
+    if (outputs.doubtful) {
+      objections.add(outputs.words);
+    } else {
+      result.diagnostics.notes.push_back(outputs.words);
+    }
+  }
 }
 
 void judge_matrix(const Estimate& estimate, Objections& objections) {
@@ -879,6 +927,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   fill_closures(estimate, result, objections);
   fill_closing_differences(selection, estimate, result, objections);
   judge_matrix(estimate, objections);
+  judge_effects(record, estimate, result, objections);
   note_missing_angles(record, selection, result);
   note_type_a(selection, estimate, result, objections);
 

@@ -19,6 +19,7 @@
 #include "protocol/analysis/joint_data.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/joint_verdict.h"
+#include "protocol/analysis/undetermined.h"
 #include "protocol/analysis/unusable_data.h"
 
 namespace abcal {
@@ -257,37 +258,6 @@ void note_drifts(CalibrationResult& result) {
   }
 }
 
-/// Outputs of which the readings say little: whose standard uncertainty is mostly that of one effect, and
-/// large. Says which effect, and what to add.
-std::vector<std::string> undetermined_outputs(const EffectFit& fit, const EffectSizes& sizes) {
-  constexpr double kLarge = 2e-3;  // of S_j: no run that determines its outputs comes near
-  constexpr double kMost = 0.5;    // of the variance
-  std::vector<std::string> out;
-  for (const EffectShare& share : fit.shares) {
-    std::vector<std::string> outputs;
-    double worst = 0.0;
-    for (Eigen::Index i = 0; i < 12; ++i) {
-      const Eigen::Index j = i < 9 ? i / 3 : i - 9;
-      const double u = std::sqrt(fit.covariance_line(i, i)) / fit.unit(j);
-      if (u < kLarge || share.covariance(i, i) < kMost * fit.covariance_line(i, i)) continue;
-      outputs.push_back(i < 9 ? fmt::format("s_{}{}", "uvw"[j], "xyz"[i % 3])
-                              : fmt::format("O_{}", "uvw"[j]));
-      worst = std::max(worst, u);
-    }
-    if (outputs.empty()) continue;
-    for (const EffectSizeKey& key : effect_size_keys()) {
-      if (key.key != share.key) continue;
-      out.push_back(fmt::format(
-          "{} {} known to {:.1g} of the sensitivity only: these angles do not determine {}. Measure more "
-          "angles "
-          "on full circles, or state a smaller [{}] {} with its source (it is {:.2g}{}{})",
-          fmt::join(outputs, ", "), outputs.size() == 1 ? "is" : "are", worst, share.effect, key.section,
-          key.key, key.get(sizes), key.unit == "1" ? "" : " ", key.unit == "1" ? "" : key.unit));
-    }
-  }
-  return out;
-}
-
 /// The verdict, its reasons and the notes.
 void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const JointTests& tests,
                  const RunRecord& record, CalibrationResult& result) {
@@ -325,8 +295,9 @@ void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const Jo
                                 tests.norm_against_joint.why_not);
   if (std::string words = words_about_noise(fit, record); !words.empty())
     diagnostics.notes.push_back(std::move(words));
-  for (std::string& words : undetermined_outputs(fit, record.tolerances))
-    diagnostics.notes.push_back(std::move(words));
+  for (const Undetermined& outputs : undetermined_outputs(fit.shares, fit.covariance_line, fit.unit,
+                                                          record.tolerances, EffectsAre::kEstimated))
+    (outputs.doubtful ? contradictions : diagnostics.notes).push_back(outputs.words);
   if (!options.mean_step) {
     contradictions.push_back(
         "the mean step errors were left out, so the orientation about X is not what it seems");

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "protocol/analysis/joint_data.h"
+#include "protocol/analysis/normal_matrix.h"
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/model/effects.h"
@@ -28,8 +29,6 @@ constexpr std::size_t kMostChanges = 8;
 constexpr double kLargestLinearTurnDeg = 1.5;
 /// Below this fraction of its own information a change cannot be told from the other unknowns.
 constexpr double kUndetermined = 1e-8;
-/// Two responses closer than this (relative) are the same: no direction to come from.
-constexpr double kSamePose = 1e-6;
 constexpr double kDegrees = 180.0 / std::numbers::pi;
 
 /// Where the columns of the lasting changes stand among each other.
@@ -87,10 +86,7 @@ Gain gain_of(const Eigen::MatrixXd& information, const Eigen::VectorXd& right, c
 
 /// An effect of the table that is no unknown of the fit from which the search starts.
 struct FurtherEffect {
-  const StageEffect* stage = nullptr;
-  const ItemEffect* item = nullptr;
-  int index = 0;
-  int output = -1;
+  EffectColumn column;
   double prior = 0.0;
 };
 
@@ -100,12 +96,12 @@ std::vector<FurtherEffect> further_effects(const EffectSizes& sizes) {
   std::vector<FurtherEffect> out;
   for (const StageEffect& effect : stage_effects()) {
     if (effect.key != "step_smooth_deg" && effect.key != "wobble_urad") continue;
-    for (int i = 0; i < effect.count; ++i) out.push_back({&effect, nullptr, i, -1, effect.prior(sizes)});
+    for (int i = 0; i < effect.count; ++i) out.push_back({{&effect, nullptr, i, -1}, effect.prior(sizes)});
   }
   for (const ItemEffect& effect : item_effects()) {
     if (effect.key == "k2" || effect.key == "k3") continue;
     for (int i = effect.key == "drift" ? 1 : 0; i < effect.count; ++i) {
-      for (int j = 0; j < 3; ++j) out.push_back({nullptr, &effect, i, j, effect.prior(sizes)});
+      for (int j = 0; j < 3; ++j) out.push_back({{nullptr, &effect, i, j}, effect.prior(sizes)});
     }
   }
   std::erase_if(out, [](const FurtherEffect& effect) { return !(effect.prior > 0.0); });
@@ -139,20 +135,16 @@ class LinearModel {
     Eigen::MatrixXd normal = products_of_columns(x_);
     normal.diagonal() += prior_weight_;
     const Eigen::VectorXd right = x_.transpose() * y_ + prior_weight_.cwiseProduct(prior_distance_);
-    const Eigen::VectorXd scale = normal.diagonal().cwiseSqrt().cwiseInverse();
-    const Eigen::LLT<Eigen::MatrixXd> llt(scale.asDiagonal() * normal * scale.asDiagonal());
-    if (llt.info() != Eigen::Success || !scale.allFinite()) {
+    const NormalMatrix solved(std::move(normal));
+    if (!solved.solvable()) {
       throw UnusableData("the readings do not determine the model that changes are looked for with");
     }
-    const Eigen::Index unknowns = prior_weight_.size();
-    // Upper triangular: the covariance of the unknowns is root root'.
-    const Eigen::MatrixXd inverse = llt.matrixU().solve(Eigen::MatrixXd::Identity(unknowns, unknowns));
-    root_ = scale.asDiagonal() * inverse;
+    root_ = solved.covariance_root();
     const Eigen::VectorXd change = root_ * (root_.transpose() * right);
     solution_ = value_ + change.head<kJointUnknowns>();
     residual_ = y_ - x_ * change;
     chi2_ = prior_weight_.dot((prior_distance_ - change).cwiseAbs2()) + residual_.squaredNorm();
-    taken_ = x_ * root_.triangularView<Eigen::Upper>();
+    taken_ = times_upper(x_, root_);
   }
 
   double chi2() const { return chi2_; }
@@ -254,24 +246,12 @@ class LinearModel {
     const StagePose pose = StagePose::of(reading.experiment, reading.sin_alpha, reading.cos_alpha);
     const GravityAt gravity = gravity_at(pose, StageInputs::Zero());
     ItemPoint point{reading.t, (matrix_ * gravity.g).cwiseQuotient(unit), Eigen::Vector3d::Zero()};
-    for (int j = 0; i > 0 && j < 3; ++j) {
-      const double change = point.y(j) - before(j);
-      if (std::abs(change) > kSamePose) point.came_from(j) = std::copysign(1.0, change);
-    }
+    if (i > 0) point.came_from = signs_of_change(before, point.y);
     before = point.y;
-    Eigen::Index column = kJointUnknowns;
-    for (const FurtherEffect& effect : further_) {
-      if (effect.item != nullptr) {
-        x_(row(i) + effect.output, column) =
-            unit(effect.output) * effect.item->share(point, effect.output, effect.index).value;
-      } else {
-        const StageShare share = effect.stage->share(pose, effect.index);
-        x_.block<3, 1>(row(i), column) =
-            matrix_ * (gravity.by_input.col(share.input) * share.value +
-                       gravity.by_input.col(share.second_input) * share.second_value);
-      }
-      ++column;
-    }
+    const Eigen::Matrix<double, 3, kStageInputs> by_input = matrix_ * gravity.by_input;
+    for (std::size_t k = 0; k < further_.size(); ++k)
+      x_.block<3, 1>(row(i), kJointUnknowns + static_cast<Eigen::Index>(k)) =
+          further_[k].column.at(pose, point, by_input, unit);
   }
 
   /// What a change of one unit does to the readings at angle i.

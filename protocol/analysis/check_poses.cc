@@ -16,6 +16,7 @@
 
 #include "protocol/analysis/known_acs_fit.h"
 #include "protocol/analysis/run_time.h"
+#include "protocol/analysis/unusable_data.h"
 #include "protocol/model/effects.h"
 #include "protocol/model/stage_model.h"
 #include "protocol/plan/limits.h"
@@ -57,7 +58,7 @@ std::optional<RoughOutputs> rough_outputs(const RunRecord& record) {
       continue;
     const SinCos alpha = sincos(dwell.alpha);
     gravity.push_back(
-        gravity_at(StagePose::of(dwell.experiment, alpha.sin, alpha.cos), StageInputs::Zero()).g);
+        gravity_alone(StagePose::of(dwell.experiment, alpha.sin, alpha.cos), StageInputs::Zero()));
     readings.push_back(dwell.mean);
     for (std::size_t j = 0; j < 3; ++j) u[j].push_back((*dwell.u_mean)(static_cast<Eigen::Index>(j)));
   }
@@ -120,6 +121,20 @@ class PoseProblem {
       at += count;
       if (each.change.kind == PoseChangeKind::kTurn && each.change.size <= angle_limit_) continue;
       out.push_back(std::move(each.change));
+    }
+    return out;
+  }
+
+  std::vector<PoseDifference> differences() const {
+    std::vector<PoseDifference> out;
+    for (const CheckReading& reading : readings_) {
+      const auto first = std::find_if(readings_.begin(), readings_.end(), [&](const CheckReading& other) {
+        return other.dwell->n == reading.dwell->n;
+      });
+      if (first->visit == reading.visit) continue;
+      const auto u2 = reading.dwell->u_mean->cwiseAbs2() + first->dwell->u_mean->cwiseAbs2();
+      out.push_back(
+          {reading.dwell->n, reading.visit, reading.dwell->mean - first->dwell->mean, u2.cwiseSqrt()});
     }
     return out;
   }
@@ -421,12 +436,21 @@ std::optional<CheckPoseStudy> study_check_poses(const RunRecord& record) {
   CheckPoseStudy study;
   study.visits = problem.visits();
   study.found = problem.find();
+  study.differences = problem.differences();
   for (std::size_t j = 0; j < 3; ++j) {
     study.sensitivity[j] = outputs->unit(static_cast<Eigen::Index>(j));
     study.gain[j] = problem.trend(PoseChangeKind::kGain, static_cast<int>(j));
     study.offset[j] = problem.trend(PoseChangeKind::kOffset, static_cast<int>(j));
   }
   return study;
+}
+
+std::optional<CheckPoseStudy> compared_check_poses(const RunRecord& record) {
+  try {
+    return study_check_poses(record);
+  } catch (const UnusableData&) {
+    return std::nullopt;
+  }
 }
 
 std::vector<Check> check_pose_checks(const RunRecord& record) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <cstddef>
 #include <optional>
@@ -35,6 +36,14 @@ struct PoseVisit {
   double t = 0.0;         ///< Time, as run_time_fractions() has it: may be just outside -1/2 to 1/2.
 };
 
+/// What the outputs read at a check pose minus what they read at its first visit.
+struct PoseDifference {
+  int pose = 0;                                                    ///< 1 or 2
+  std::size_t visit = 0;                                           ///< In CheckPoseStudy::visits; from 1.
+  Eigen::Vector3d value = Eigen::Vector3d::Zero();                 ///< R
+  Eigen::Vector3d standard_uncertainty = Eigen::Vector3d::Zero();  ///< Of the two readings alone (R).
+};
+
 /// Change from the first visit to the last, in the run as it was, and how well the poses know it.
 struct PoseTrend {
   double change = 0.0;  ///< Gain: relative; offset: over the sensitivity.
@@ -47,6 +56,7 @@ struct CheckPoseStudy {
   std::vector<PoseVisit> visits;
   std::array<double, 3> sensitivity{};  ///< |s_u|, |s_v|, |s_w|, R/g_loc, as known here (1e-3).
   std::array<PoseTrend, 3> gain, offset;
+  std::vector<PoseDifference> differences;
   std::vector<PoseChange> found;  ///< Beyond what a sound run shows, the most telling first.
 };
 
@@ -58,6 +68,9 @@ struct CheckPoseStudy {
 /// apart.
 /// @return nothing where there are fewer than two visits, or the readings carry no uncertainty
 std::optional<CheckPoseStudy> study_check_poses(const RunRecord& record);
+
+/// The same where the readings of the experiments may not determine the outputs: then nothing.
+std::optional<CheckPoseStudy> compared_check_poses(const RunRecord& record);
 
 /// The same as checks: one for the gain and one for the offset of each output; what was found is named, sized
 /// and placed, and does not pass. Empty where there is nothing to compare.

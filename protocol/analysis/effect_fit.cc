@@ -77,11 +77,10 @@ LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGrou
     at.whitener->whiten_transposed(mean_weights);
   }
   // C T' (unknowns x 12)
-  const Eigen::MatrixXd response =
-      at.scale.asDiagonal() * at.llt.solve(at.scale.asDiagonal() * rows.transpose());
+  const Eigen::MatrixXd response = at.normal.solve_columns(rows.transpose());
   const Covariance12 covariance = rows * response + beyond;
   out.covariance = 0.5 * (covariance + covariance.transpose());
-  out.gain = at.whitened_jacobian * response;
+  out.gain = times(at.whitened_jacobian, response);
   at.whitener->whiten_transposed(out.gain);
   if (at.noise.tau > 0.0) out.gain.rightCols<3>() += mean_weights;
 
@@ -171,7 +170,7 @@ Eigen::VectorXd told_of_steps(const EffectModel& model, const std::vector<NoiseA
     known(n) = v.dot(weight);
     links.row(n).noalias() = weight.transpose() * model.jacobian().middleRows<3>(3 * n);
   }
-  const ReadingRows taken = links * root.triangularView<Eigen::Upper>();
+  const ReadingRows taken = times_upper(links, root);
   return known - taken.rowwise().squaredNorm();
 }
 
@@ -183,7 +182,7 @@ Eigen::VectorXd told_of_steps_with_process(const AtNoise& best, const std::vecto
   for (Eigen::Index n = 0; n < count; ++n)
     links.block<3, 1>(3 * n, n) = angles[static_cast<std::size_t>(n)].by_step;
   best.whitener->whiten(links);
-  const Eigen::MatrixXd design = best.whitened_jacobian * root.triangularView<Eigen::Upper>();
+  const ReadingRows design = times_upper(best.whitened_jacobian, root);
   const Eigen::MatrixXd taken = design.transpose() * links;
   return (links.colwise().squaredNorm() - taken.colwise().squaredNorm()).transpose();
 }
@@ -258,7 +257,7 @@ EffectFit effect_fit(std::span<const EffectReading> readings, const EffectFitOpt
   fit.unknowns = model.unknowns();
   fit.unit = model.unit();
   fit.value = model.value() + best.change;
-  fit.covariance_root = best.covariance_root();
+  fit.covariance_root = best.normal.covariance_root();
   fit.covariance = products_of_columns(fit.covariance_root.transpose());
   fit.chi2 = best.chi2;
   fit.chi2_degrees_of_freedom = 3 * static_cast<int>(readings.size()) - 12;

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "protocol/analysis/known_acs_fit.h"
+#include "protocol/analysis/normal_matrix.h"
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/unusable_data.h"
 
@@ -19,8 +20,6 @@ namespace {
 /// Gauss-Newton stops when the next step would lower chi2 by less than this: 1e-4 standard uncertainties.
 constexpr double kEffectDecrement = 1e-8;
 constexpr int kEffectIterations = 40;
-/// Two responses closer than this (relative) are the same: no direction to come from.
-constexpr double kSamePose = 1e-6;
 /// Noise is at least this times S_j, or a noise-free record would leave nothing but round-off.
 constexpr double kSmallestRelativeNoise = 1e-9;
 /// No stage stands askew by more (radian): a solution beyond it is none.
@@ -159,9 +158,11 @@ void EffectModel::start_from_linear_fit() {
   std::vector<Eigen::Vector3d> gravity;
   std::vector<Eigen::Vector3d> values;
   const StageInputs perfect = StageInputs::Zero();
+  poses_.reserve(readings_.size());
+  shares_.reserve(readings_.size() * layout_.stage.size());
   for (const EffectReading& at : readings_) {
     poses_.push_back(StagePose::of(at.experiment, at.sin_alpha, at.cos_alpha));
-    gravity.push_back(gravity_at(poses_.back(), perfect).g);
+    gravity.push_back(gravity_alone(poses_.back(), perfect));
     values.push_back(at.value);
     for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
       shares_.push_back(of_stage.effect->share(poses_.back(), of_stage.index));
@@ -194,11 +195,8 @@ void EffectModel::find_directions() {
   const StageInputs perfect = StageInputs::Zero();
   Eigen::Vector3d before = Eigen::Vector3d::Zero();
   for (std::size_t n = 0; n < readings_.size(); ++n) {
-    const Eigen::Vector3d y = start * gravity_at(poses_[n], perfect).g;
-    for (int j = 0; n > 0 && j < 3; ++j) {
-      const double change = y(j) - before(j);
-      if (std::abs(change) > kSamePose) came_from_[n](j) = std::copysign(1.0, change);
-    }
+    const Eigen::Vector3d y = start * gravity_alone(poses_[n], perfect);
+    if (n > 0) came_from_[n] = signs_of_change(before, y);
     before = y;
   }
 }
@@ -223,7 +221,19 @@ StageInputs EffectModel::inputs_at(std::size_t n) const {
   return inputs;
 }
 
-EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& rows, bool with_jacobian) {
+Eigen::Vector3d EffectModel::reading_at(std::size_t n, const Eigen::Matrix3d& rows) const {
+  const ItemPoint point{readings_[n].t, rows * gravity_alone(poses_[n], inputs_at(n)), came_from_[n]};
+  Eigen::Vector3d reading = point.y;
+  for (int j = 0; j < 3; ++j) {
+    const double* own = value_.data() + layout_.own_count() * j + EffectLayout::kOwnFixed;
+    reading(j) += own[-1];  // the offset
+    for (std::size_t i = 0; i < layout_.own.size(); ++i)
+      reading(j) += layout_.own[i].effect->share(point, j, layout_.own[i].index).value * own[i];
+  }
+  return reading;
+}
+
+EffectModel::At EffectModel::evaluate_with_jacobian(std::size_t n, const Eigen::Matrix3d& rows) {
   const auto stage_count = static_cast<int>(layout_.stage.size());
   const StageShare* shares = shares_.data() + n * layout_.stage.size();
   const int moving = moving_angle_input(readings_[n].experiment);
@@ -233,8 +243,8 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
 
   At out;
   for (int j = 0; j < 3; ++j) {
-    double* row = with_jacobian ? jacobian_.row(static_cast<Eigen::Index>(3 * n) + j).data() : nullptr;
-    if (row != nullptr) std::fill_n(row, layout_.count(), 0.0);
+    double* row = jacobian_.row(static_cast<Eigen::Index>(3 * n) + j).data();
+    std::fill_n(row, layout_.count(), 0.0);
     const int first = layout_.own_count() * j;
     double reading = point.y(j) + value_(first + 3);
     double slope = 1.0;
@@ -243,11 +253,10 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
       const int column = first + EffectLayout::kOwnFixed + static_cast<int>(i);
       reading += share.value * value_(column);
       slope += share.by_y * value_(column);
-      if (row != nullptr) row[column] = share.value;
+      row[column] = share.value;
     }
     out.reading(j) = reading;
     out.by_step(j) = slope * by_input(j, moving);
-    if (row == nullptr) continue;
     for (int k = 0; k < 3; ++k) row[first + k] = slope * gravity.g(k);
     row[first + 3] = 1.0;
     double* of_stage = row + layout_.first_stage();
@@ -263,10 +272,16 @@ EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& r
 void EffectModel::evaluate(bool with_jacobian) {
   const Eigen::Matrix3d at_value = rows();
   for (std::size_t n = 0; n < readings_.size(); ++n) {
-    const At model = evaluate_at(n, at_value, with_jacobian);
-    if (with_jacobian) by_step_[n] = model.by_step;
+    Eigen::Vector3d reading;
+    if (with_jacobian) {
+      const At model = evaluate_with_jacobian(n, at_value);
+      reading = model.reading;
+      by_step_[n] = model.by_step;
+    } else {
+      reading = reading_at(n, at_value);
+    }
     residual_.segment<3>(3 * static_cast<Eigen::Index>(n)) =
-        readings_[n].value.cwiseQuotient(unit_) - model.reading + by_step_[n] * step_[n];
+        readings_[n].value.cwiseQuotient(unit_) - reading + by_step_[n] * step_[n];
   }
 }
 
@@ -328,17 +343,12 @@ Vector12 EffectModel::line_values() const {
 }
 
 ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) const {
-  struct Column {
-    const ItemEffect* item;
-    const StageEffect* stage;
-    int index, output;
-  };
-  std::vector<Column> columns;
+  std::vector<EffectColumn> columns;
   for (const ItemEffect& effect : item_effects()) {
     if (effect.prior(options_.sizes) > 0.0) continue;
     for (int j = 0; j < 3; ++j) {
       for (int i = 0; i < effect.count; ++i) {
-        columns.push_back({&effect, nullptr, i, j});
+        columns.push_back({nullptr, &effect, i, j});
         unknowns.push_back({std::string(effect.name), "", std::string(effect.key), j, 0.0, 0.0});
       }
     }
@@ -347,7 +357,7 @@ ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) 
     const auto* of_effect = measured(effect.name);
     if (effect.prior(options_.sizes) > 0.0 || (of_effect != nullptr && *of_effect)) continue;
     for (int i = 0; i < effect.count; ++i) {
-      columns.push_back({nullptr, &effect, i, -1});
+      columns.push_back({&effect, nullptr, i, -1});
       unknowns.push_back({std::string(effect.name), "", std::string(effect.key), -1, 0.0, 0.0});
     }
   }
@@ -358,17 +368,9 @@ ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) 
     const Eigen::Matrix<double, 3, kStageInputs> by_input = at_value * gravity.by_input;
     const ItemPoint point{readings_[n].t, at_value * gravity.g, came_from_[n]};
     auto three = out.middleRows<3>(3 * static_cast<Eigen::Index>(n));
-    for (std::size_t c = 0; c < columns.size(); ++c) {
-      const Column& column = columns[c];
-      const auto at = static_cast<Eigen::Index>(c);
-      if (column.item != nullptr) {
-        three(column.output, at) = column.item->share(point, column.output, column.index).value;
-      } else {
-        const StageShare share = column.stage->share(poses_[n], column.index);
-        three.col(at) =
-            by_input.col(share.input) * share.value + by_input.col(share.second_input) * share.second_value;
-      }
-    }
+    for (std::size_t c = 0; c < columns.size(); ++c)
+      three.col(static_cast<Eigen::Index>(c)) =
+          columns[c].at(poses_[n], point, by_input, Eigen::Vector3d::Ones());
   }
   return out;
 }
@@ -377,9 +379,7 @@ ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) 
 struct EffectModel::WhiteProblem {
   ReadingRows whitened;
   std::optional<NoiseWhitener> whitener;
-  Eigen::VectorXd scale;
-  Eigen::LLT<Eigen::MatrixXd> llt;
-  bool solvable = false;
+  NormalMatrix normal;
 };
 
 void EffectModel::assemble(WhiteProblem& problem) {
@@ -389,10 +389,7 @@ void EffectModel::assemble(WhiteProblem& problem) {
   problem.whitener->whiten(problem.whitened);
   Eigen::MatrixXd normal = products_of_columns(problem.whitened);
   normal.diagonal() += prior_weight_;
-  problem.scale = normal.diagonal().cwiseSqrt().cwiseInverse();
-  normal = problem.scale.asDiagonal() * normal * problem.scale.asDiagonal();
-  problem.llt.compute(normal);
-  problem.solvable = problem.scale.allFinite() && problem.llt.info() == Eigen::Success;
+  problem.normal.compute(std::move(normal));
 }
 
 /// Step errors at the new point: f = step^2 v' V^-1 (residual - J change). @return by how much chi2 falls
@@ -420,7 +417,7 @@ bool EffectModel::solve(EffectFit& fit) {
     const bool fresh = wanted;
     if (wanted) {
       assemble(problem);
-      if (!problem.solvable) return false;
+      if (!problem.normal.solvable()) return false;
     } else {
       evaluate(false);
     }
@@ -428,8 +425,7 @@ bool EffectModel::solve(EffectFit& fit) {
     problem.whitener->whiten(residual);
     Eigen::VectorXd right = problem.whitened.transpose() * residual;
     right -= prior_weight_.cwiseProduct(value_ - prior_mean_);
-    const Eigen::VectorXd change =
-        problem.scale.cwiseProduct(problem.llt.solve(problem.scale.cwiseProduct(right)));
+    const Eigen::VectorXd change = problem.normal.solve(right);
     ReadingRows left = residual - problem.whitened * change;
     const double chi2 = left.squaredNorm();
     const double decrement = right.dot(change) + move_step_errors(problem, std::move(left));
@@ -440,7 +436,7 @@ bool EffectModel::solve(EffectFit& fit) {
       return false;
     // The round-off of chi2 itself (u may be far below the readings' last digit) bounds what a step can show.
     if (decrement < kEffectDecrement + 1e-12 * chi2) {
-      fit.reciprocal_condition = std::sqrt(problem.llt.rcond());
+      fit.reciprocal_condition = problem.normal.reciprocal_condition();
       fit.converged = true;
       evaluate(true);
       return true;

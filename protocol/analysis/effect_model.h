@@ -1,6 +1,5 @@
 #pragma once
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <optional>
 #include <span>
@@ -95,7 +94,8 @@ class EffectModel {
   StageInputs inputs_at(std::size_t n) const;
   /// The model at all angles; the Jacobian (3 N x unknowns) is filled where it is asked for.
   void evaluate(bool with_jacobian);
-  At evaluate_at(std::size_t n, const Eigen::Matrix3d& rows, bool with_jacobian);
+  Eigen::Vector3d reading_at(std::size_t n, const Eigen::Matrix3d& rows) const;
+  At evaluate_with_jacobian(std::size_t n, const Eigen::Matrix3d& rows);
   struct WhiteProblem;
   void assemble(WhiteProblem& problem);
   double move_step_errors(const WhiteProblem& problem, ReadingRows left);

@@ -14,8 +14,6 @@ namespace abcal {
 namespace {
 
 constexpr double kRadianPerDegree = std::numbers::pi / 180.0;
-/// Two responses closer than this (relative) are the same: no direction to come from.
-constexpr double kSameResponse = 1e-6;
 
 /// The record's readings as the effects see them.
 struct EffectPlaces {
@@ -33,10 +31,7 @@ EffectPlaces places_of(std::span<const DwellRecord* const> dwells, std::span<con
     out.poses.push_back(StagePose::of(dwells[i]->experiment, alpha.sin, alpha.cos));
     out.gravity.push_back(gravity_at(out.poses.back(), StageInputs::Zero()));
     ItemPoint point{time_fractions[i], rows * out.gravity.back().g, Eigen::Vector3d::Zero()};
-    for (int j = 0; i > 0 && j < 3; ++j) {
-      const double change = point.y(j) - out.points.back().y(j);
-      if (std::abs(change) > kSameResponse) point.came_from(j) = std::copysign(1.0, change);
-    }
+    if (i > 0) point.came_from = signs_of_change(out.points.back().y, point.y);
     out.points.push_back(point);
   }
   return out;
@@ -58,6 +53,7 @@ void add_stage_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, con
       InputEffect effect;
       effect.name = fmt::format("{}{}{}", entry.name, which.empty() ? "" : ", ", which);
       effect.group = entry.name;
+      effect.key = entry.key;
       effect.unit = unit;
       effect.standard_uncertainty = entry.prior(sizes) / size;
       effect.effect.reserve(places.poses.size());
@@ -82,6 +78,7 @@ void add_item_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, cons
         InputEffect effect;
         effect.name = fmt::format("{} {}{}{}", entry.name, "uvw"[j], which.empty() ? "" : ", ", which);
         effect.group = entry.name;
+        effect.key = entry.key;
         effect.unit = response_unit;
         effect.standard_uncertainty = entry.prior(sizes) * s.row(j).norm();
         effect.item = &entry;
@@ -122,6 +119,7 @@ std::vector<InputEffect> first_order_effects(std::span<const DwellRecord* const>
     InputEffect effect;
     effect.name = fmt::format("f_{}({})", dwells[k]->experiment, dwells[k]->n);
     effect.group = fmt::format("f_{}", dwells[k]->experiment);
+    effect.key = "step_deg";
     effect.unit = "degree";
     effect.standard_uncertainty = step;
     effect.first_reading = k;

@@ -17,6 +17,7 @@ namespace abcal {
 struct InputEffect {
   std::string name;   ///< "Zx", "d2", "F_X", "f_1(3)", "drift u", "wobble of X, cos 1/rev ..."
   std::string group;  ///< One line of a budget: "wobble of X", "f_1", "drift".
+  std::string key;    ///< Of its size.
   std::string unit;   ///< "1", "degree", "urad", "R" (the record's response unit)
   double standard_uncertainty = 0.0;  ///< In that unit.
   std::size_t first_reading = 0;  ///< The effect below begins at this reading; it is zero before and after.

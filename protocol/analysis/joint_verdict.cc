@@ -10,6 +10,7 @@
 #include <numbers>
 
 #include "protocol/analysis/chi2_tail.h"
+#include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/specification_test.h"
 
 namespace abcal {
@@ -207,7 +208,7 @@ JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectF
     if (std::isfinite(fit.unknowns[static_cast<std::size_t>(first)].prior_sd))
       out.effects.push_back(test_effect(fit, first, count));
   });
-  const ReadingRows design = fit.whitened_jacobian * fit.covariance_root.triangularView<Eigen::Upper>();
+  const ReadingRows design = times_upper(fit.whitened_jacobian, fit.covariance_root);
   Eigen::VectorXd residual(3 * static_cast<Eigen::Index>(fit.whitened.size()));
   for (std::size_t n = 0; n < fit.whitened.size(); ++n)
     residual.segment<3>(3 * static_cast<Eigen::Index>(n)) = fit.whitened[n];

@@ -51,7 +51,7 @@ WhiteFound estimate_white(const EffectModel& model) {
     // P = V^-1 - V^-1 J C J' V^-1: sums of its squared products with the noise of each output.
     ReadingRows product = at.whitened_residual;
     at.whitener->whiten_transposed(product);
-    ReadingRows spread = at.whitened_jacobian * at.covariance_root();
+    ReadingRows spread = times_upper(at.whitened_jacobian, at.normal.covariance_root());
     at.whitener->whiten_transposed(spread);
     const std::vector<NoiseAtAngle> angles = model.noise_at_angles(white);
     Eigen::Vector3d squares = Eigen::Vector3d::Zero();
@@ -114,10 +114,7 @@ class Search {
   }
 
   NoiseSearch normalised() && {
-    const double largest = *std::max_element(out_.log_weights.begin(), out_.log_weights.end());
-    double sum = 0.0;
-    for (const double weight : out_.log_weights) sum += std::exp(weight - largest);
-    const double total = largest + std::log(sum);
+    const double total = log_of_sum(out_.log_weights);
     for (double& weight : out_.log_weights) weight -= total;
     out_.log_evidence = out_.points.front().log_likelihood + total;
     return std::move(out_);
@@ -152,12 +149,6 @@ class Search {
 
 }  // namespace
 
-Eigen::MatrixXd AtNoise::covariance_root() const {
-  const auto count = scale.size();
-  const Eigen::MatrixXd inverse = llt.matrixU().solve(Eigen::MatrixXd::Identity(count, count));
-  return scale.asDiagonal() * inverse;
-}
-
 AtNoise solve_at(const EffectModel& model, const AssumedNoise& noise) {
   AtNoise out;
   out.noise = noise;
@@ -170,19 +161,22 @@ AtNoise solve_at(const EffectModel& model, const AssumedNoise& noise) {
   const Eigen::VectorXd& prior_weight = model.prior_weight();
   Eigen::MatrixXd normal = products_of_columns(out.whitened_jacobian);
   normal.diagonal() += prior_weight;
-  out.scale = normal.diagonal().cwiseSqrt().cwiseInverse();
-  normal = out.scale.asDiagonal() * normal * out.scale.asDiagonal();
-  out.llt.compute(normal);
+  out.normal.compute(std::move(normal));
   const Eigen::VectorXd from_prior = model.from_prior();
   Eigen::VectorXd right = out.whitened_jacobian.transpose() * residual;
   right -= prior_weight.cwiseProduct(from_prior);
-  out.change = out.scale.cwiseProduct(out.llt.solve(out.scale.cwiseProduct(right)));
+  out.change = out.normal.solve(right);
   out.whitened_residual = residual - out.whitened_jacobian * out.change;
   out.chi2 = out.whitened_residual.squaredNorm() + prior_weight.dot((from_prior + out.change).cwiseAbs2());
-  const double log_normal =
-      2.0 * (out.llt.matrixLLT().diagonal().array().log().sum() - out.scale.array().log().sum());
-  out.log_likelihood = -0.5 * (whitener.log_determinant() + log_normal + out.chi2);
+  out.log_likelihood = -0.5 * (whitener.log_determinant() + out.normal.log_determinant() + out.chi2);
   return out;
+}
+
+double log_of_sum(std::span<const double> logs) {
+  const double largest = *std::max_element(logs.begin(), logs.end());
+  double sum = 0.0;
+  for (const double one : logs) sum += std::exp(one - largest);
+  return largest + std::log(sum);
 }
 
 double NoiseSearch::weight(std::size_t i) const {

@@ -1,14 +1,15 @@
 #pragma once
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <cstddef>
 #include <limits>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "protocol/analysis/effect_model.h"
 #include "protocol/analysis/noise_process.h"
+#include "protocol/analysis/normal_matrix.h"
 
 namespace abcal {
 
@@ -29,11 +30,7 @@ struct AtNoise {
   std::optional<NoiseWhitener> whitener;
   ReadingRows whitened_jacobian;
   Eigen::VectorXd whitened_residual;
-  Eigen::VectorXd scale;
-  Eigen::LLT<Eigen::MatrixXd> llt;  ///< Of the scaled normal matrix.
-
-  /// R with C = R R', C the posterior covariance of the unknowns; upper triangular.
-  Eigen::MatrixXd covariance_root() const;
+  NormalMatrix normal;  ///< Its inverse is the posterior covariance of the unknowns.
 };
 
 AtNoise solve_at(const EffectModel& model, const AssumedNoise& noise);
@@ -53,6 +50,9 @@ struct NoiseSearch {
   double weight(std::size_t i) const;
   std::size_t best() const;
 };
+
+/// The logarithm of the sum of exp(log), without overflow.
+double log_of_sum(std::span<const double> logs);
 
 /// Averages over a grid of noise processes by their restricted likelihoods, with a prior probability of 1/2
 /// for none.

@@ -93,6 +93,33 @@ void AddProducts(const double* x, std::size_t rows, std::size_t width, double* o
   }
 }
 
+// out = x m for kBlock rows of x: `x` has `inner` columns, `m` inner x width, `out` kBlock x width, m and out
+// aligned, width a multiple of kPad. Of an upper triangular m the zeros are left out.
+void MultiplyRows(const double* const* x, const double* m, std::size_t inner, std::size_t width, bool upper,
+                  double* out) {
+  const hn::CappedTag<double, kPad / 2> d;
+  using V = hn::Vec<decltype(d)>;
+  const std::size_t lanes = hn::Lanes(d);
+  for (std::size_t b = 0; b < width; b += 2 * lanes) {
+    V sum[kBlock][2];
+    for (std::size_t i = 0; i < kBlock; ++i) sum[i][0] = sum[i][1] = hn::Zero(d);
+    const std::size_t last = upper ? std::min(inner, b + 2 * lanes) : inner;
+    for (std::size_t k = 0; k < last; ++k) {
+      const V first = hn::Load(d, m + k * width + b);
+      const V second = hn::Load(d, m + k * width + b + lanes);
+      for (std::size_t i = 0; i < kBlock; ++i) {
+        const V left = hn::Set(d, x[i][k]);
+        sum[i][0] = hn::Add(sum[i][0], hn::Mul(left, first));
+        sum[i][1] = hn::Add(sum[i][1], hn::Mul(left, second));
+      }
+    }
+    for (std::size_t i = 0; i < kBlock; ++i) {
+      hn::Store(sum[i][0], d, out + i * width + b);
+      hn::Store(sum[i][1], d, out + i * width + b + lanes);
+    }
+  }
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace abcal
 HWY_AFTER_NAMESPACE();
@@ -103,6 +130,7 @@ namespace abcal {
 
 HWY_EXPORT(WhitenRows);
 HWY_EXPORT(AddProducts);
+HWY_EXPORT(MultiplyRows);
 
 void whiten_rows(std::span<const WhitenerStep> steps, bool white, ReadingRows& rows) {
   if (rows.size() == 0) return;
@@ -117,14 +145,53 @@ constexpr std::size_t kAligned = 8;
 struct alignas(kAligned * sizeof(double)) AlignedDoubles {
   double value[kAligned] = {};
 };
+constexpr std::size_t kWidth = 16;  // the kernels' kPad
+
+std::size_t padded(Eigen::Index columns) {
+  return (static_cast<std::size_t>(columns) + kWidth - 1) / kWidth * kWidth;
+}
+
+ReadingRows multiplied(const ReadingRows& rows, const Eigen::MatrixXd& matrix, bool upper) {
+  constexpr std::size_t kTogether = 4;  // the kernels' kBlock
+  const auto inner = static_cast<std::size_t>(rows.cols());
+  const auto columns = static_cast<std::size_t>(matrix.cols());
+  const std::size_t width = padded(matrix.cols());
+  std::vector<AlignedDoubles> matrix_memory(inner * width / kAligned + 1);
+  std::vector<AlignedDoubles> out_memory(kTogether * width / kAligned + 1);
+  double* const by_rows = matrix_memory.data()->value;
+  double* const products = out_memory.data()->value;
+  for (std::size_t b = 0; b < columns; ++b) {
+    const std::size_t last = upper ? std::min(inner, b + 1) : inner;
+    for (std::size_t k = 0; k < last; ++k)
+      by_rows[k * width + b] = matrix(static_cast<Eigen::Index>(k), static_cast<Eigen::Index>(b));
+  }
+  ReadingRows out(rows.rows(), matrix.cols());
+  const auto count = static_cast<std::size_t>(rows.rows());
+  for (std::size_t first = 0; first < count; first += kTogether) {
+    const double* x[kTogether];
+    // Where fewer are left, the last one is multiplied more than once.
+    for (std::size_t i = 0; i < kTogether; ++i) x[i] = rows.data() + std::min(first + i, count - 1) * inner;
+    HWY_DYNAMIC_DISPATCH(MultiplyRows)(x, by_rows, inner, width, upper, products);
+    for (std::size_t i = 0; i < kTogether && first + i < count; ++i)
+      std::copy_n(products + i * width, columns, out.data() + (first + i) * columns);
+  }
+  return out;
+}
 
 }  // namespace
 
+ReadingRows times(const ReadingRows& rows, const Eigen::MatrixXd& matrix) {
+  return multiplied(rows, matrix, false);
+}
+
+ReadingRows times_upper(const ReadingRows& rows, const Eigen::MatrixXd& upper) {
+  return multiplied(rows, upper, true);
+}
+
 Eigen::MatrixXd products_of_columns(const ReadingRows& rows) {
-  constexpr std::size_t kWidth = 16;  // the kernels' kPad
   const auto columns = static_cast<std::size_t>(rows.cols());
   const auto count = static_cast<std::size_t>(rows.rows());
-  const std::size_t width = (columns + kWidth - 1) / kWidth * kWidth;
+  const std::size_t width = padded(rows.cols());
   constexpr std::size_t kRows = 32;  // are multiplied while they are in the first cache
   std::vector<AlignedDoubles> chunk_memory(kRows * width / kAligned);
   std::vector<AlignedDoubles> sums_memory(width * width / kAligned);

@@ -61,18 +61,11 @@ double larger_at(const EffectModel& model, const AtNoise& at, const Eigen::Matri
   return log_ratio;
 }
 
-double log_of_sum(const std::vector<double>& logs) {
-  const double largest = *std::max_element(logs.begin(), logs.end());
-  double sum = 0.0;
-  for (const double one : logs) sum += std::exp(one - largest);
-  return largest + std::log(sum);
-}
-
 }  // namespace
 
 std::vector<SizeEvidence> size_evidence(const EffectModel& model, const NoiseSearch& search) {
   std::vector<Eigen::MatrixXd> roots;
-  for (const AtNoise& point : search.points) roots.push_back(point.covariance_root());
+  for (const AtNoise& point : search.points) roots.push_back(point.normal.covariance_root());
   std::vector<SizeEvidence> out;
   const std::vector<KeyUnknowns> keys = unknowns_by_key(model);
   for (const KeyUnknowns& of_key : keys) {
@@ -85,7 +78,7 @@ std::vector<SizeEvidence> size_evidence(const EffectModel& model, const NoiseSea
   const AtNoise steps = solve_at(model, {.white = search.white.white, .step_sd = kTimes * model.step_sd()});
   const double of_steps = steps.log_likelihood - search.log_evidence;
   out.push_back({"step_deg", kTimes, of_steps});
-  const Eigen::MatrixXd root = steps.covariance_root();
+  const Eigen::MatrixXd root = steps.normal.covariance_root();
   for (const KeyUnknowns& of_key : keys) {
     if (of_key.key == "step_smooth_deg")
       out.push_back(

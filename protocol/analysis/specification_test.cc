@@ -31,8 +31,6 @@ constexpr double kTestedShare = 0.05;
 /// are linear: an error of the angle enters the norm with its square, 3e-6.
 constexpr double kLargestSensitivityU = 1e-3;  // relative
 constexpr double kLargestAngleU = 0.1;         // degree
-/// As in the joint fit: two responses closer than this are the same.
-constexpr double kSameResponse = 1e-6;
 constexpr std::array<const char*, 9> kNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
                                             "phi_wu", "O_u", "O_v", "O_w"};
 
@@ -45,16 +43,11 @@ class ModelReadings {
       : readings_(readings), fit_(fit), options_(options) {
     for (int j = 0; j < 3; ++j) line_.row(j) = fit.line.segment<3>(3 * j).transpose();
     rows_ = fit.unit.cwiseInverse().asDiagonal() * line_;
-    Eigen::Vector3d before = Eigen::Vector3d::Zero();
     for (std::size_t n = 0; n < readings.size(); ++n) {
       poses_.push_back(StagePose::of(readings[n].experiment, readings[n].sin_alpha, readings[n].cos_alpha));
       gravity_.push_back(gravity_at(poses_.back(), StageInputs::Zero()));
       ItemPoint point{readings[n].t, rows_ * gravity_.back().g, Eigen::Vector3d::Zero()};
-      for (int j = 0; n > 0 && j < 3; ++j) {
-        const double change = point.y(j) - before(j);
-        if (std::abs(change) > kSameResponse) point.came_from(j) = std::copysign(1.0, change);
-      }
-      before = point.y;
+      if (n > 0) point.came_from = signs_of_change(points_.back().y, point.y);
       points_.push_back(point);
     }
   }

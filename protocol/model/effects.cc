@@ -205,6 +205,22 @@ std::span<const ItemEffect> item_effects() {
   return kItemEffects;
 }
 
+Eigen::Vector3d EffectColumn::at(const StagePose& pose, const ItemPoint& point,
+                                 const Eigen::Matrix<double, 3, kStageInputs>& by_input,
+                                 const Eigen::Vector3d& unit) const {
+  if (item != nullptr)
+    return Eigen::Vector3d::Unit(output) * (unit(output) * item->share(point, output, index).value);
+  const StageShare share = stage->share(pose, index);
+  return by_input.col(share.input) * share.value + by_input.col(share.second_input) * share.second_value;
+}
+
+Eigen::Vector3d signs_of_change(const Eigen::Vector3d& before, const Eigen::Vector3d& now) {
+  constexpr double kSameResponse = 1e-6;
+  return (now - before).unaryExpr([](double change) {
+    return std::abs(change) > kSameResponse ? std::copysign(1.0, change) : 0.0;
+  });
+}
+
 double step_prior(const EffectSizes& sizes) {
   return sizes.step.rad();
 }

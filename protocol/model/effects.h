@@ -73,6 +73,25 @@ struct ItemEffect {
 std::span<const StageEffect> stage_effects();
 std::span<const ItemEffect> item_effects();
 
+/// One unknown of the table.
+struct EffectColumn {
+  const StageEffect* stage = nullptr;  ///< This, or `item`.
+  const ItemEffect* item = nullptr;
+  int index = 0;    ///< Among the effect's unknowns.
+  int output = -1;  ///< Of an item's effect: 0, 1, 2.
+
+  /// What it adds to the three readings at one pose, for each unit of it.
+  /// @param by_input  derivatives of the readings by the inputs of the stage
+  /// @param unit  S_j in the unit of the readings
+  Eigen::Vector3d at(const StagePose& pose, const ItemPoint& point,
+                     const Eigen::Matrix<double, 3, kStageInputs>& by_input,
+                     const Eigen::Vector3d& unit) const;
+};
+
+/// Signs of the changes of the relative responses from one pose to the next (ItemPoint::came_from); 0 where
+/// both are the same.
+Eigen::Vector3d signs_of_change(const Eigen::Vector3d& before, const Eigen::Vector3d& now);
+
 /// The white step error f_i(n): one unknown an angle, of the axis that moves.
 double step_prior(const EffectSizes& sizes);
 int moving_angle_input(int experiment);

@@ -51,46 +51,69 @@ StagePose StagePose::of(int experiment, double sin_alpha, double cos_alpha) {
   return {3, back, moving};
 }
 
-GravityAt gravity_at(const StagePose& pose, const StageInputs& inputs) {
-  const double zx = inputs(kInputZx);
-  const double zy = inputs(kInputZy);
-  const double xz = inputs(kInputXz);
-  const double up = std::sqrt(1.0 - zx * zx - zy * zy);
-  const double along = std::sqrt(1.0 - xz * xz);
-  const Eigen::Vector3d x_axis(along, 0.0, xz);
-  const Eigen::Vector3d z_axis(zx, zy, up);
-  const Eigen::Vector3d tilt_x(0.0, inputs(kInputTiltXy), inputs(kInputTiltXz));
-  const Eigen::Vector3d tilt_z(inputs(kInputTiltZx), inputs(kInputTiltZy), 0.0);
-  const Eigen::Vector3d tilt_x0(0.0, inputs(kInputTiltXyAtZero), inputs(kInputTiltXzAtZero));
-  const Eigen::Vector3d tilt_z0(inputs(kInputTiltZxAtZero), inputs(kInputTiltZyAtZero), 0.0);
-  const TurnAngle x = turn_beyond(pose.x, inputs(kInputAngleX));
-  const TurnAngle z = turn_beyond(pose.z, inputs(kInputAngleZ));
+namespace {
 
-  // Gravity goes back through all that the item went through.
-  const auto at_zero = [&](const Eigen::Vector3d& v) { return tilted(tilted(v, tilt_z0), tilt_x0); };
-  const auto back_z = [&](const Eigen::Vector3d& v) { return about_axis(v, z_axis, -z.sin, z.cos); };
-  const Eigen::Vector3d above_x = tilted(Eigen::Vector3d::UnitZ(), -tilt_x);
-  const Eigen::Vector3d on_x = about_axis(above_x, x_axis, -x.sin, x.cos);
-  const Eigen::Vector3d above_z = tilted(on_x, -tilt_z);
-  const Eigen::Vector3d on_z = back_z(above_z);
+/// The way of gravity back through all that the item went through.
+struct WayBack {
+  WayBack(const StagePose& pose, const StageInputs& inputs)
+      : zx(inputs(kInputZx)),
+        zy(inputs(kInputZy)),
+        xz(inputs(kInputXz)),
+        up(std::sqrt(1.0 - zx * zx - zy * zy)),
+        along(std::sqrt(1.0 - xz * xz)),
+        x_axis(along, 0.0, xz),
+        z_axis(zx, zy, up),
+        tilt_z(inputs(kInputTiltZx), inputs(kInputTiltZy), 0.0),
+        tilt_x0(0.0, inputs(kInputTiltXyAtZero), inputs(kInputTiltXzAtZero)),
+        tilt_z0(inputs(kInputTiltZxAtZero), inputs(kInputTiltZyAtZero), 0.0),
+        x(turn_beyond(pose.x, inputs(kInputAngleX))),
+        z(turn_beyond(pose.z, inputs(kInputAngleZ))) {
+    const Eigen::Vector3d tilt_x(0.0, inputs(kInputTiltXy), inputs(kInputTiltXz));
+    above_x = tilted(Eigen::Vector3d::UnitZ(), -tilt_x);
+    on_x = about_axis(above_x, x_axis, -x.sin, x.cos);
+    above_z = tilted(on_x, -tilt_z);
+    on_z = back_z(above_z);
+    g = at_zero(on_z);
+  }
 
-  GravityAt out;
-  out.g = at_zero(on_z);
-  const auto from_x = [&](const Eigen::Vector3d& v) { return at_zero(back_z(tilted(v, -tilt_z))); };
-  const auto from_tilt_x = [&](const Eigen::Vector3d& axis) {
+  Eigen::Vector3d at_zero(const Eigen::Vector3d& v) const { return tilted(tilted(v, tilt_z0), tilt_x0); }
+  Eigen::Vector3d back_z(const Eigen::Vector3d& v) const { return about_axis(v, z_axis, -z.sin, z.cos); }
+  Eigen::Vector3d from_x(const Eigen::Vector3d& v) const { return at_zero(back_z(tilted(v, -tilt_z))); }
+  Eigen::Vector3d from_tilt_x(const Eigen::Vector3d& axis) const {
     return from_x(about_axis(above_x.cross(axis), x_axis, -x.sin, x.cos));
-  };
+  }
+
+  double zx, zy, xz, up, along;
+  Eigen::Vector3d x_axis, z_axis, tilt_z, tilt_x0, tilt_z0;
+  TurnAngle x, z;
+  Eigen::Vector3d above_x, on_x, above_z, on_z, g;
+};
+
+}  // namespace
+
+Eigen::Vector3d gravity_alone(const StagePose& pose, const StageInputs& inputs) {
+  return WayBack(pose, inputs).g;
+}
+
+GravityAt gravity_at(const StagePose& pose, const StageInputs& inputs) {
   using Eigen::Vector3d;
-  out.by_input.col(kInputZx) = at_zero(by_axis(above_z, z_axis, Vector3d(1.0, 0.0, -zx / up), -z.sin, z.cos));
-  out.by_input.col(kInputZy) = at_zero(by_axis(above_z, z_axis, Vector3d(0.0, 1.0, -zy / up), -z.sin, z.cos));
-  out.by_input.col(kInputXz) =
-      from_x(by_axis(above_x, x_axis, Vector3d(-xz / along, 0.0, 1.0), -x.sin, x.cos));
-  out.by_input.col(kInputAngleX) = from_x(on_x.cross(x_axis));
-  out.by_input.col(kInputAngleZ) = at_zero(on_z.cross(z_axis));
-  out.by_input.col(kInputTiltXy) = from_tilt_x(Vector3d::UnitY());
-  out.by_input.col(kInputTiltXz) = from_tilt_x(Vector3d::UnitZ());
-  out.by_input.col(kInputTiltZx) = at_zero(back_z(on_x.cross(Vector3d::UnitX())));
-  out.by_input.col(kInputTiltZy) = at_zero(back_z(on_x.cross(Vector3d::UnitY())));
+  const WayBack way(pose, inputs);
+  const TurnAngle& x = way.x;
+  const TurnAngle& z = way.z;
+  const Vector3d by_zx(1.0, 0.0, -way.zx / way.up);
+  const Vector3d by_zy(0.0, 1.0, -way.zy / way.up);
+  const Vector3d by_xz(-way.xz / way.along, 0.0, 1.0);
+  GravityAt out;
+  out.g = way.g;
+  out.by_input.col(kInputZx) = way.at_zero(by_axis(way.above_z, way.z_axis, by_zx, -z.sin, z.cos));
+  out.by_input.col(kInputZy) = way.at_zero(by_axis(way.above_z, way.z_axis, by_zy, -z.sin, z.cos));
+  out.by_input.col(kInputXz) = way.from_x(by_axis(way.above_x, way.x_axis, by_xz, -x.sin, x.cos));
+  out.by_input.col(kInputAngleX) = way.from_x(way.on_x.cross(way.x_axis));
+  out.by_input.col(kInputAngleZ) = way.at_zero(way.on_z.cross(way.z_axis));
+  out.by_input.col(kInputTiltXy) = way.from_tilt_x(Vector3d::UnitY());
+  out.by_input.col(kInputTiltXz) = way.from_tilt_x(Vector3d::UnitZ());
+  out.by_input.col(kInputTiltZx) = way.at_zero(way.back_z(way.on_x.cross(Vector3d::UnitX())));
+  out.by_input.col(kInputTiltZy) = way.at_zero(way.back_z(way.on_x.cross(Vector3d::UnitY())));
   out.by_input.col(kInputTiltXyAtZero) = Vector3d::UnitY().cross(out.g);
   out.by_input.col(kInputTiltXzAtZero) = Vector3d::UnitZ().cross(out.g);
   out.by_input.col(kInputTiltZxAtZero) = Vector3d::UnitX().cross(out.g);

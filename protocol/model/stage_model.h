@@ -50,6 +50,9 @@ struct GravityAt {
   Eigen::Matrix<double, 3, kStageInputs> by_input;  ///< 1, or 1/radian
 };
 
+/// GravityAt::g without the derivatives.
+Eigen::Vector3d gravity_alone(const StagePose& pose, const StageInputs& inputs);
+
 /// The stage at one pose: rotation about the real X axis, then about the Z axis that it carries, each with
 /// its tilts. Exact in the axes and the angles; tilts to their second order (3e-10 at 1 mrad), derivatives to
 /// the first.

@@ -191,7 +191,12 @@ class Importer {
       if (colon == std::string::npos) continue;
       const std::string key(trimmed(std::string_view(comment).substr(0, colon)));
       const std::string_view value = trimmed(std::string_view(comment).substr(colon + 1));
-      if (value.empty()) continue;
+      if (value.empty() && !states_a_size(key)) continue;
+      if (states_a_size(key) && metadata_.contains(key)) {
+        problem(fmt::format("line {}, comment \"{}\"", line, key),
+                fmt::format("the key again (first on line {})", metadata_line_.at(key)), "each key once");
+        continue;
+      }
       metadata_[key] = value;
       metadata_line_[key] = line;
     }
@@ -227,6 +232,12 @@ class Importer {
     }
   }
 
+  /// Where nothing stands behind such a key, a default would be in force that nobody wants.
+  static bool states_a_size(const std::string& key) {
+    return key.starts_with("stage_uncertainty.") || key.starts_with("item_uncertainty.") ||
+           key.starts_with("tolerances.");
+  }
+
   std::string place_of(const std::string& key) const {
     return fmt::format("line {}, comment \"{}\"", metadata_line_.at(key), key);
   }
@@ -249,17 +260,22 @@ class Importer {
       const std::string of = of_source ? key.substr(0, key.size() - kSource.size()) : key;
       std::string known;
       bool found = false;
+      double most = 0.0;
       for (const EffectSizeKey& each : effect_size_keys()) {
         if (each.section != section) continue;
-        found = found || of == fmt::format("{}.{}", each.section, each.key);
+        if (of == fmt::format("{}.{}", each.section, each.key)) {
+          found = true;
+          most = each.most;
+        }
         known += fmt::format("{}{}", known.empty() ? "" : ", ", each.key);
       }
       if (!found) {
         problem(place_of(key), "an effect of this name", fmt::format("one of {}", known));
       } else if (of_source && !metadata_.contains(of)) {
         problem(place_of(key), "a source without a value",
-                fmt::format("a comment \"{}\" with a number{}", of,
-                            unit_of(of).empty() ? "" : fmt::format(" ({})", unit_of(of).substr(1))));
+                fmt::format("a comment \"{}\" with a number from 0 to {:g}{}", of, most, unit_of(of)));
+      } else if (of_source && value.empty()) {
+        problem(place_of(key), "nothing", "the source of the value, as text");
       }
     }
   }
@@ -279,7 +295,7 @@ class Importer {
     if (found == metadata_.end()) return std::nullopt;
     const std::optional<double> value = number_in(found->second, false);
     if (value && *value >= lowest && *value <= highest) return value;
-    problem(place_of(key), as_quoted(found->second),
+    problem(place_of(key), found->second.empty() ? "nothing" : as_quoted(found->second),
             fmt::format("a number from {:g} to {:g}{}", lowest, highest, unit_of(key)));
     return std::nullopt;
   }

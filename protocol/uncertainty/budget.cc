@@ -14,6 +14,7 @@
 #include <utility>
 
 #include "protocol/analysis/analyse.h"
+#include "protocol/analysis/check_poses.h"
 #include "protocol/analysis/intrinsic_properties.h"
 
 namespace abcal {
@@ -94,6 +95,41 @@ std::pair<std::string, double> shown_size(const EffectShare& share) {
   return {"of S", 1.0};
 }
 
+/// What the check poses say of changes during the run. The drifts of the stated sizes have lines of their
+/// own, so these add nothing: they say how far a change could go unseen.
+void add_check_poses_to(const RunRecord& record, Budget& budget) {
+  const std::optional<CheckPoseStudy> study = compared_check_poses(record);
+  if (!study) {
+    budget.notes.emplace_back(
+        "No check poses were compared: a change of the sensitivity late in experiment 3 would pass unseen.");
+    return;
+  }
+  const auto add = [&](const char* input, const std::array<PoseTrend, 3>& trends) {
+    const auto largest = [&](double PoseTrend::*of) {
+      double found = 0.0;
+      for (const PoseTrend& trend : trends) found = std::max(found, std::abs(trend.*of));
+      return found;
+    };
+    BudgetLine line;
+    line.input = input;
+    line.value = fmt::format("{:.1e}", largest(&PoseTrend::change));
+    line.unit = "of S";
+    line.distribution = "normal";
+    line.type_a = true;
+    line.standard_uncertainty = largest(&PoseTrend::standard_uncertainty);
+    budget.lines.push_back(std::move(line));
+    return largest(&PoseTrend::smallest_found);
+  };
+  const double of_gain = add("check poses, change of gain", study->gain);
+  const double of_offset = add("check poses, change of offset", study->offset);
+  budget.notes.push_back(fmt::format(
+      "Check poses, of S, the largest of u, v, w, from the first visit to the last: {} changes of a gain by "
+      "{:.1e} and of an offset by {:.1e} between two visits are found. What the stated drifts explain is in "
+      "the lines of the drifts, so that the check poses contribute nothing besides{}",
+      study->found.empty() ? "none was found;" : "A CHANGE WAS FOUND (see the verdict);", of_gain, of_offset,
+      study->found.empty() ? "." : "; what was found is not covered."));
+}
+
 /// The budget of a joint fit: the priors of each effect, and the readings with their noise process. What the
 /// readings tell of an effect has made its line smaller already.
 Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
@@ -116,6 +152,7 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
   }
   budget.lines.push_back(readings_line("readings (noise, and its process from angle to angle)", record,
                                        contributions(jacobian, readings)));
+  add_check_poses_to(record, budget);
   add_gravity_to(record, budget);
   budget.covariance = jacobian * *result.covariance * jacobian.transpose();
   for (const BudgetLine& each : budget.lines) budget.combined += each.contribution.cwiseAbs2();
@@ -144,6 +181,7 @@ class BudgetMaker {
     add_effects();
     add_readings();
     if (resolution) add_resolution(*resolution);
+    add_check_poses_to(record_, budget_);
     add_gravity_to(record_, budget_);
     split_correction();
     budget_.covariance =

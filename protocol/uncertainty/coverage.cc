@@ -1,8 +1,10 @@
 #include "protocol/uncertainty/coverage.h"
 
 #include <algorithm>
+#include <boost/sort/pdqsort/pdqsort.hpp>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <stdexcept>
 #include <string>
 
@@ -37,35 +39,71 @@ Ranks ranks(std::uint64_t m, double p) {
   return {q, (m - q + 1) / 2};
 }
 
+/// Both intervals begin among the M - q smallest values and end among as many of the largest.
+/// @param low, high  these, sorted
+Coverage coverage_of_tails(std::span<const double> low, std::span<const double> high, std::uint64_t r) {
+  Coverage coverage;
+  coverage.symmetric = {low[r - 1], high[r - 1]};
+  std::size_t best = 0;
+  for (std::size_t i = 1; i < low.size(); ++i) {
+    if (high[i] - low[i] < high[best] - low[best]) best = i;
+  }
+  coverage.shortest = {low[best], high[best]};
+  return coverage;
+}
+
+/// All values below one limit and above another.
+struct Tails {
+  std::vector<double> low, high;
+};
+
+/// At least the `tail` smallest and largest values, and few more, in one pass: the limits come from every
+/// n-th value. Nothing where the tails are long or that sample is not like the whole.
+std::optional<Tails> tails_of(std::span<const double> values, std::size_t tail) {
+  constexpr std::size_t kSample = 4000;
+  constexpr double kMargin = 4.0;  // standard deviations of a sample's rank
+  if (values.size() < 4 * kSample || tail > values.size() / 4) return std::nullopt;
+  std::vector<double> sample;
+  const std::size_t step = values.size() / kSample;
+  for (std::size_t i = 0; i < values.size(); i += step) sample.push_back(values[i]);
+  boost::sort::pdqsort(sample.begin(), sample.end());
+  const auto count = static_cast<double>(sample.size());
+  const double share = static_cast<double>(tail) / static_cast<double>(values.size());
+  const auto rank =
+      static_cast<std::size_t>(count * share + kMargin * std::sqrt(count * share * (1.0 - share)) + 1.0);
+  const double low_limit = sample[rank];
+  const double high_limit = sample[sample.size() - 1 - rank];
+  Tails tails;
+  const std::size_t expected = values.size() / sample.size() * (rank + rank / 8);
+  tails.low.reserve(expected);
+  tails.high.reserve(expected);
+  for (const double value : values) {
+    if (value <= low_limit) tails.low.push_back(value);
+    if (value >= high_limit) tails.high.push_back(value);
+  }
+  if (tails.low.size() < tail || tails.high.size() < tail) return std::nullopt;
+  return tails;
+}
+
 }  // namespace
 
 Coverage coverage_of_sorted(std::span<const double> sorted, double p) {
   check_probability(p);
   const auto [q, r] = ranks(sorted.size(), p);
-  Coverage coverage;
-  coverage.symmetric = {sorted[r - 1], sorted[r - 1 + q]};
-  std::size_t best = 0;
-  for (std::size_t i = 1; i + q < sorted.size(); ++i) {
-    if (sorted[i + q] - sorted[i] < sorted[best + q] - sorted[best]) best = i;
-  }
-  coverage.shortest = {sorted[best], sorted[best + q]};
-  return coverage;
+  const std::size_t tail = sorted.size() - q;
+  return coverage_of_tails(sorted.first(tail), sorted.last(tail), r);
 }
 
 Coverage coverage_of(std::span<double> values, double p) {
   check_probability(p);
-  const std::uint64_t q = ranks(values.size(), p).q;
-  // Both intervals begin among the M - q smallest values and end among as many of the largest.
-  const auto tail = static_cast<std::ptrdiff_t>(values.size() - q);
-  const auto upper = static_cast<std::ptrdiff_t>(q);
-  if (tail < upper) {
-    std::nth_element(values.begin(), values.begin() + tail, values.end());
-    std::nth_element(values.begin() + tail, values.begin() + upper, values.end());
-    std::sort(values.begin(), values.begin() + tail);
-    std::sort(values.begin() + upper, values.end());
-  } else {
-    std::sort(values.begin(), values.end());
+  const auto [q, r] = ranks(values.size(), p);
+  const std::size_t tail = values.size() - q;
+  if (std::optional<Tails> tails = tails_of(values, tail)) {
+    boost::sort::pdqsort(tails->low.begin(), tails->low.end());
+    boost::sort::pdqsort(tails->high.begin(), tails->high.end());
+    return coverage_of_tails(std::span(tails->low).first(tail), std::span(tails->high).last(tail), r);
   }
+  boost::sort::pdqsort(values.begin(), values.end());
   return coverage_of_sorted(values, p);
 }
 

@@ -24,7 +24,7 @@ struct Coverage {
 /// M).
 Coverage coverage_of_sorted(std::span<const double> sorted, double p);
 
-/// The same from values in any order, which it reorders: only the tails are sorted.
+/// The same from values in any order, which it may reorder: only the tails are sorted.
 Coverage coverage_of(std::span<double> values, double p);
 
 /// Counts on a fixed grid, for more trials than are kept. Adding is exact and does not depend on the order,

@@ -34,9 +34,17 @@ struct Block {
   Eigen::MatrixXd scatter;  // sum of (value - mean)(value - mean)^T
 };
 
-Block make_block(int outputs, const TrialBlock& trial_block, std::uint64_t first, std::uint64_t count) {
+// Memory of one worker, so that it is not asked of the system again for every block.
+struct WorkSpace {
+  std::vector<double> values;  // goes into the block
+  Eigen::MatrixXd centred;
+};
+
+Block make_block(int outputs, const TrialBlock& trial_block, std::uint64_t first, std::uint64_t count,
+                 WorkSpace& space) {
   Block block;
   block.count = count;
+  block.values = std::move(space.values);
   block.values.resize(static_cast<std::size_t>(outputs) * count);
   trial_block(first, count, block.values.data());
   const auto rows = static_cast<Eigen::Index>(count);
@@ -52,7 +60,8 @@ Block make_block(int outputs, const TrialBlock& trial_block, std::uint64_t first
     }
     throw std::runtime_error("trials from " + std::to_string(first) + ": values too large to be averaged");
   }
-  const Eigen::MatrixXd centred = values.rowwise() - block.mean.transpose();
+  Eigen::MatrixXd& centred = space.centred;
+  centred = values.rowwise() - block.mean.transpose();
   block.scatter.resize(outputs, outputs);
   for (Eigen::Index a = 0; a < outputs; ++a) {
     for (Eigen::Index b = a; b < outputs; ++b) {
@@ -122,6 +131,7 @@ class Engine {
 
  private:
   void work(const TrialBlock& trial_block) {
+    WorkSpace space;
     std::unique_lock lock(mutex_);
     while (true) {
       // A worker that is much ahead of the merge waits, so that memory stays bounded.
@@ -129,11 +139,15 @@ class Engine {
       if (finished_ || options_.stop.stop_requested() || next_block_ * kBlock >= last_) return;
       const std::uint64_t index = next_block_++;
       const std::uint64_t first = index * kBlock;
+      if (!spare_.empty()) {
+        space.values = std::move(spare_.back());
+        spare_.pop_back();
+      }
       lock.unlock();
       std::optional<Block> block;
       std::exception_ptr failure;
       try {
-        block = make_block(outputs_, trial_block, first, std::min(kBlock, last_ - first));
+        block = make_block(outputs_, trial_block, first, std::min(kBlock, last_ - first), space);
       } catch (...) {
         failure = std::current_exception();
       }
@@ -154,6 +168,7 @@ class Engine {
     try {
       for (auto it = done_.find(next_merge_); it != done_.end() && !finished_; it = done_.find(next_merge_)) {
         merge(it->second);
+        spare_.push_back(std::move(it->second.values));
         done_.erase(it);
         ++next_merge_;
         if (options_.progress) options_.progress(trials_, planned_);
@@ -294,7 +309,8 @@ class Engine {
   bool finished_ = false, converged_ = false;
   std::exception_ptr failure_;
   std::uint64_t next_block_ = 0, next_merge_ = 0, trials_ = 0;
-  std::map<std::uint64_t, Block> done_;  // made, but an earlier block is not
+  std::map<std::uint64_t, Block> done_;     // made, but an earlier block is not
+  std::vector<std::vector<double>> spare_;  // memory of blocks that were merged
   Eigen::VectorXd mean_;
   Eigen::MatrixXd scatter_;
   std::vector<std::vector<double>> kept_;

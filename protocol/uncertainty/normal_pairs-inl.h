@@ -90,6 +90,17 @@ HWY_INLINE void small_sincos(D d, V x, V& sin_x, V& cos_x_minus_1) {
   cos_x_minus_1 = hn::Mul(z, hn::Add(hn::Mul(z, polynomial(d, z, kCos)), hn::Set(d, -0.5)));
 }
 
+/// sin x and cos x - 1 for |x| <= kTiny: what the shorter series leave out is below 1e-21 of either.
+constexpr double kTiny = 0.01;
+template <class D, class V = hn::Vec<D>>
+HWY_INLINE void tiny_sincos(D d, V x, V& sin_x, V& cos_x_minus_1) {
+  static constexpr double kSin[] = {-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0};
+  static constexpr double kCos[] = {1.0 / 24.0, -1.0 / 720.0, 1.0 / 40320.0};
+  const V z = hn::Mul(x, x);
+  sin_x = hn::Add(x, hn::Mul(hn::Mul(x, z), polynomial(d, z, kSin)));
+  cos_x_minus_1 = hn::Mul(z, hn::Add(hn::Mul(z, polynomial(d, z, kCos)), hn::Set(d, -0.5)));
+}
+
 /// Natural logarithm of 2^-52 <= x <= 1.
 template <class D, class V = hn::Vec<D>>
 HWY_INLINE V log_of_uniform(D d, V x) {

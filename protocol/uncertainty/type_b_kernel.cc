@@ -76,11 +76,15 @@ HWY_INLINE Coefficients<D> coefficients(const Vector3<D>& p, const Vector3<D>& q
           sum(p, sum(scaled(q, w[2]), scaled(t, w[5])))};
 }
 
-// Adds the share of angle n, turned by f beyond alpha(n).
-template <class D, class V = hn::Vec<D>>
+// Adds the share of angle n, turned by f beyond alpha(n). is_tiny: |f| <= kTiny.
+template <bool is_tiny, class D, class V = hn::Vec<D>>
 HWY_INLINE void add_angle(D d, const double* HWY_RESTRICT table, V f, V (&w)[6]) {
   V sin_f, cos_f_minus_1;
-  small_sincos(d, f, sin_f, cos_f_minus_1);
+  if constexpr (is_tiny) {
+    tiny_sincos(d, f, sin_f, cos_f_minus_1);
+  } else {
+    small_sincos(d, f, sin_f, cos_f_minus_1);
+  }
   const V sin_alpha = hn::Set(d, table[0]), cos_alpha = hn::Set(d, table[1]);
   // cos(alpha + f) - cos alpha and sin(alpha + f) - sin alpha.
   const V dcos = hn::Sub(hn::Mul(cos_alpha, cos_f_minus_1), hn::Mul(sin_alpha, sin_f));
@@ -89,6 +93,32 @@ HWY_INLINE void add_angle(D d, const double* HWY_RESTRICT table, V f, V (&w)[6])
     const V weight = hn::Set(d, table[2 + i]);
     w[i] = hn::Add(w[i], hn::Mul(weight, dcos));
     w[3 + i] = hn::Add(w[3 + i], hn::Mul(weight, dsin));
+  }
+}
+
+// The sums with step errors that are independent.
+template <bool is_tiny, class D, class VU, class V = hn::Vec<D>>
+HWY_INLINE void add_independent_steps(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& keys, VU trial,
+                                      std::size_t i, V mean_step, std::uint32_t& pair, V (&w)[6]) {
+  constexpr auto kPurpose = static_cast<std::uint32_t>(StreamPurpose::kTypeB);
+  const std::uint32_t n = plan.angles[i];
+  const double* HWY_RESTRICT table = plan.table[i].data();
+  const V step = hn::Set(d, plan.step);
+  std::uint32_t row = 0;
+  for (; row + 2 * kSideBySide <= n; row += 2 * kSideBySide, pair += kSideBySide) {
+    V first[kSideBySide], second[kSideBySide];
+    normal_pairs<kSideBySide>(d, keys, trial, pair, kPurpose, first, second);
+    for (std::uint32_t k = 0; k < kSideBySide; ++k) {
+      add_angle<is_tiny>(d, table + 5 * (row + 2 * k), hn::Add(mean_step, hn::Mul(step, first[k])), w);
+      add_angle<is_tiny>(d, table + 5 * (row + 2 * k + 1), hn::Add(mean_step, hn::Mul(step, second[k])), w);
+    }
+  }
+  for (; row < n; row += 2) {
+    V first, second;
+    normal_pair(d, keys, trial, pair++, kPurpose, first, second);
+    add_angle<is_tiny>(d, table + 5 * row, hn::Add(mean_step, hn::Mul(step, first)), w);
+    if (row + 1 < n)
+      add_angle<is_tiny>(d, table + 5 * (row + 1), hn::Add(mean_step, hn::Mul(step, second)), w);
   }
 }
 
@@ -117,28 +147,19 @@ HWY_INLINE void rotation_sums(D d, const TypeBSampler::Plan& plan, const PhiloxK
       for (std::uint32_t m = 0; m < 2 * harmonics; ++m) {
         f = hn::Add(f, hn::Mul(hn::Set(d, trig[m]), hn::Load(d, amplitudes + m * lanes)));
       }
-      add_angle(d, table + 5 * row, hn::Add(mean_step, hn::Mul(step, f)), w);
+      add_angle<false>(d, table + 5 * row, hn::Add(mean_step, hn::Mul(step, f)), w);
     }
   } else if (plan.step > 0.0) {
-    std::uint32_t row = 0;
-    for (; row + 2 * kSideBySide <= n; row += 2 * kSideBySide, pair += kSideBySide) {
-      V first[kSideBySide], second[kSideBySide];
-      normal_pairs<kSideBySide>(d, keys, trial, pair, kPurpose, first, second);
-      for (std::uint32_t k = 0; k < kSideBySide; ++k) {
-        add_angle(d, table + 5 * (row + 2 * k), hn::Add(mean_step, hn::Mul(step, first[k])), w);
-        add_angle(d, table + 5 * (row + 2 * k + 1), hn::Add(mean_step, hn::Mul(step, second[k])), w);
-      }
-    }
-    for (; row < n; row += 2) {
-      V first, second;
-      normal_pair(d, keys, trial, pair++, kPurpose, first, second);
-      add_angle(d, table + 5 * row, hn::Add(mean_step, hn::Mul(step, first)), w);
-      if (row + 1 < n) add_angle(d, table + 5 * (row + 1), hn::Add(mean_step, hn::Mul(step, second)), w);
+    constexpr double kLargestNormal = 8.5;
+    if (kLargestNormal * (plan.step + plan.zero) <= kTiny) {
+      add_independent_steps<true>(d, plan, keys, trial, i, mean_step, pair, w);
+    } else {
+      add_independent_steps<false>(d, plan, keys, trial, i, mean_step, pair, w);
     }
   } else {
     pair += (n + 1) / 2;
     if (plan.zero > 0.0) {
-      for (std::uint32_t row = 0; row < n; ++row) add_angle(d, table + 5 * row, mean_step, w);
+      for (std::uint32_t row = 0; row < n; ++row) add_angle<false>(d, table + 5 * row, mean_step, w);
     }
   }
   for (int k = 0; k < 6; ++k) w[k] = hn::Add(hn::Set(d, plan.nominal[i][static_cast<std::size_t>(k)]), w[k]);

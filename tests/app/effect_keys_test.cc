@@ -4,9 +4,12 @@
 
 #include <cmath>
 #include <string>
+#include <vector>
 
 #include "app/bench/bench_config.h"
 #include "app/results/effect_words.h"
+#include "tests/support/program.h"
+#include "tests/support/project_paths.h"
 
 namespace abcal {
 namespace {
@@ -96,7 +99,12 @@ k2 = { vlaue = 1e-3 }
   EXPECT_THAT(text,
               HasSubstr("line 14, [stage_uncertainty] step_smoth_deg: found a key of this name; required: a "
                         "known key: did you mean \"step_smooth_deg\"?"));
-  EXPECT_THAT(text, HasSubstr("line 15, [stage_uncertainty] alignment_deg: found a source without a value"));
+  EXPECT_THAT(
+      text,
+      HasSubstr(
+          "line 15, [stage_uncertainty] alignment_deg: found a source without a value; required: one of "
+          "value (standard uncertainty), half_width with distribution, expanded_uncertainty with k: a "
+          "number from 0 to"));
   EXPECT_THAT(
       text,
       HasSubstr("line 16, [stage_uncertainty] initial_turn_deg: found half_width without distribution"));
@@ -143,6 +151,42 @@ TEST(EffectKeysTest, AWrittenFileTellsDefaultsFromStatedValues) {
   EXPECT_EQ(again.tolerances.wobble_urad, 12.0);
   EXPECT_EQ(again.tolerances.step.deg(), 0.006);
   EXPECT_TRUE(again.warnings.empty());
+}
+
+/// The blocks of TOML in a page.
+std::vector<std::string> toml_blocks(const std::string& page) {
+  const std::string text = test::read_file(test::source_folder() / "docs" / page);
+  std::vector<std::string> blocks;
+  const std::string fence = "```toml\n";
+  for (std::size_t at = text.find(fence); at != std::string::npos; at = text.find(fence, at)) {
+    at += fence.size();
+    blocks.push_back(text.substr(at, text.find("```", at) - at));
+  }
+  return blocks;
+}
+
+// Every number of the examples of docs/effects.md, as its text derives it.
+TEST(EffectKeysTest, TheExamplesOfThePageAreReadAsTheirTextSays) {
+  const std::vector<std::string> blocks = toml_blocks("effects.md");
+  ASSERT_EQ(blocks.size(), 3U);
+  const EffectSizes forms = bench_with(blocks[0]).tolerances;
+  EXPECT_EQ(forms.wobble_urad, 12.0);
+  EXPECT_DOUBLE_EQ(forms.drift, 1e-5);
+  const BenchConfig both = bench_with(blocks[1] + "alignment_deg = 0.01\n" + blocks[2]);
+  const EffectSizes& sizes = both.tolerances;
+  EXPECT_NEAR(sizes.wobble_urad, 50.0 / 4.1, 0.5);
+  EXPECT_NEAR(sizes.zero.deg(), 0.0115, 5e-5);
+  EXPECT_EQ(sizes.zero.deg(), sizes.initial_turn.deg());
+  EXPECT_NEAR(sizes.step.deg(), sizes.zero.deg() / std::sqrt(2.0), 2e-4);
+  EXPECT_NEAR(sizes.step_smooth.deg(), sizes.step.deg() / std::sqrt(6.0), 5e-5);
+  EXPECT_NEAR(sizes.drift, 8.7e-5, 5e-7);
+  EXPECT_NEAR(sizes.sensitivity_drift, 5.8e-5, 5e-7);
+  EXPECT_NEAR(sizes.k2, 5.8e-4, 5e-6);
+  EXPECT_NEAR(sizes.k3, 5.8e-4, 5e-6);
+  EXPECT_NEAR(sizes.hysteresis, 2.9e-5, 5e-7);
+  EXPECT_TRUE(both.warnings.empty());
+  EXPECT_EQ(unstated_effects(sizes).size(), 1U) << default_effects_words(sizes);
+  EXPECT_THAT(default_effects_words(sizes), HasSubstr("non-linearity of orders 4 and 5"));
 }
 
 TEST(EffectKeysTest, DefaultsAreNamed) {

@@ -259,6 +259,71 @@ print("good")
   EXPECT_EQ(code, 0) << python.err();
 }
 
+// Whoever reads a number sees which sizes behind it are nobody's.
+TEST_F(ReportTest, PlanRunAnalyseAndReportSayWhichSizesAreDefaults) {
+  const ProgramResult measured = run("[stage_uncertainty]\nwobble_urad = 12\n");
+  ASSERT_EQ(measured.exit_code, 0) << measured.err;
+  for (const std::vector<std::string>& command :
+       {std::vector<std::string>{"plan", "bench.toml"}, {"analyse", "a.run"}, {"report", "a.run"}}) {
+    const std::string text = unwrapped(abcal(command).out);
+    EXPECT_THAT(text, AllOf(HasSubstr("not stated, so default sizes are used: smooth step errors"),
+                            HasSubstr("hysteresis"), Not(HasSubstr("wobble of the axes"))))
+        << command.front();
+  }
+  EXPECT_THAT(measured.out, HasSubstr("not stated, so default sizes are used: smooth step errors"));
+  const nlohmann::json effects = json({"analyse", "a.run", "--json"}).at("default_effects");
+  EXPECT_EQ(effects, json({"plan", "bench.toml", "--json"}).at("default_effects"));
+  EXPECT_EQ(effects.at(0), "smooth step errors, each coefficient to 6/rev");
+}
+
+// What the check poses say, in every form of the report.
+TEST_F(ReportTest, TheCheckPosesAreInTheReportTheJsonTheCsvAndTheHdf5) {
+  BenchText bench;
+  bench.check_poses = true;
+  test::write_file(folder / "bench.toml", bench.text());
+  ASSERT_EQ(abcal({"run", "bench.toml", "-o", "a.run"}).exit_code, 0);
+  const nlohmann::json report = json({"report", "a.run", "--csv", "a.csv", "--hdf5", "a.h5", "--json"});
+  const nlohmann::json& poses = report.at("check_poses");
+  EXPECT_EQ(poses.at("visits"), 4);
+  ASSERT_EQ(poses.at("differences").size(), 6U);  // two poses at three later visits
+  EXPECT_EQ(poses.at("differences").at(0).at("visit"), 2);
+  EXPECT_EQ(poses.at("differences").at(0).at("value").size(), 3U);
+  for (const auto& gain : poses.at("change_of_gain"))
+    EXPECT_LT(std::abs(gain.at("value").get<double>()), gain.at("smallest_found").get<double>());
+  int lines = 0;
+  for (const auto& line : report.at("budget").at("lines"))
+    lines += line.at("input").get<std::string>().starts_with("check poses, change of ") ? 1 : 0;
+  EXPECT_EQ(lines, 2);
+  const std::string csv = test::read_file(folder / "a.csv");
+  EXPECT_THAT(csv, AllOf(HasSubstr("# check_poses.change_of_gain_u: "),
+                         HasSubstr("# check_poses.change_of_offset_w.standard_uncertainty: ")));
+  EXPECT_EQ(json({"report", "a.csv", "--json"}).at("check_poses").at("change_of_gain"),
+            poses.at("change_of_gain"))
+      << "the copy says the same";
+  EXPECT_THAT(unwrapped(abcal({"report", "a.run"}).out),
+              AllOf(HasSubstr("Check poses measured again, minus their first readings"),
+                    HasSubstr("check poses, change of gain"), HasSubstr("Model equation at zero")));
+  test::write_file(folder / "check.py", R"(
+import sys
+try:
+    import h5py
+except ImportError:
+    sys.exit(77)
+with h5py.File("a.h5") as file:
+    poses = file["entry/check_poses"]
+    assert poses["response"].shape == (8, 3) and poses["difference"].shape == (6, 3)
+    assert (poses["difference"][0] == poses["response"][2] - poses["response"][0]).all()
+    assert list(poses["pose"][...]) == [1, 2] * 4
+    assert (poses["change_of_gain_smallest_found"][...] > 0).all()
+    assert file["entry/conditions/wobble_urad"][()] == 50.0
+    assert file["entry/conditions/wobble_urad_source"][()] == b"default"
+)");
+  test::Program python("/usr/bin/python3", {"check.py"}, folder.path());
+  const int code = python.wait();
+  if (code == 77) GTEST_SKIP() << "python3-h5py is not installed";
+  EXPECT_EQ(code, 0) << python.err();
+}
+
 TEST_F(ReportTest, ThePageLoadsNothingAndANameWithMarkupIsAName) {
   ASSERT_EQ(run().exit_code, 0);
   const ProgramResult result = abcal({"report", "a.run", "--html", "a.html"});

@@ -3,7 +3,9 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <array>
 #include <cmath>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <random>
@@ -14,6 +16,7 @@
 
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/noise_search.h"
+#include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/size_evidence.h"
 #include "protocol/record/import_csv.h"
 #include "tests/protocol/analysis/made_record.h"
@@ -122,6 +125,21 @@ Eigen::MatrixXd dense_covariance(const std::vector<NoiseAtAngle>& angles, double
     }
   }
   return v;
+}
+
+TEST(ReadingKernelsTest, ProductsAreThoseOfTheirDefinition) {
+  std::srand(3);
+  for (const auto& [rows, inner, columns] :
+       {std::array{1, 1, 1}, {7, 5, 3}, {9, 16, 16}, {30, 112, 112}, {33, 40, 12}}) {
+    const ReadingRows x = ReadingRows::Random(rows, inner);
+    const Eigen::MatrixXd m = Eigen::MatrixXd::Random(inner, columns);
+    EXPECT_LT((times(x, m) - x * m).cwiseAbs().maxCoeff(), 1e-13);
+    if (inner == columns) {
+      const Eigen::MatrixXd upper = m.triangularView<Eigen::Upper>();
+      EXPECT_LT((times_upper(x, m) - x * upper).cwiseAbs().maxCoeff(), 1e-13) << "reads below the diagonal";
+    }
+    EXPECT_LT((products_of_columns(x) - x.transpose() * x).cwiseAbs().maxCoeff(), 1e-12);
+  }
 }
 
 TEST(NoiseWhitenerTest, IsTheInverseOfTheCovariance) {

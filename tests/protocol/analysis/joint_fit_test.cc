@@ -9,6 +9,7 @@
 #include <numbers>
 #include <random>
 
+#include "protocol/analysis/analyse.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/model/forward_model.h"
 #include "tests/protocol/analysis/made_record.h"
@@ -520,12 +521,44 @@ TEST(JointFitTest, AnOutputThatTheAnglesDoNotDetermineIsToldWithWhatToAdd) {
   std::erase_if(record.dwells, [](const DwellRecord& dwell) { return (dwell.n - 1) % 18 != 0; });  // 4 of 72
   const CalibrationResult result = analyse_joint(record);
   ASSERT_TRUE(result.sensitivity_matrix) << result.why;
-  EXPECT_THAT(result.diagnostics.notes,
-              testing::Contains(testing::AllOf(HasSubstr("s_ux, s_vy, s_wz are known to"),
-                                               HasSubstr("state a smaller [item_uncertainty] k3"))));
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(result.why,
+              testing::AllOf(HasSubstr("s_ux, s_vy, s_wz are known to"), HasSubstr("do not determine k3"),
+                             HasSubstr("Measure more angles on full circles"),
+                             HasSubstr("state a smaller [item_uncertainty] k3")));
+  record.tolerances.k3 = 1e-4;
+  EXPECT_EQ(analyse_joint(record).verdict, Verdict::kUsable) << "what was asked for has been stated";
   // 72 angles determine everything.
   const CalibrationResult whole = analyse_joint(noisy_record(some_accelerometer(), 67, 1e-5));
-  EXPECT_THAT(whole.diagnostics.notes, testing::Not(testing::Contains(HasSubstr("do not determine"))));
+  EXPECT_EQ(whole.verdict, Verdict::kUsable);
+  EXPECT_THAT(whole.diagnostics.notes, testing::Not(testing::Contains(HasSubstr("determine"))));
+}
+
+// No angle tells a turn of everything about X from the tilt of Z: how well the two are known is what is
+// stated of them.
+TEST(JointFitTest, AnOutputThatOnlyAStatementDeterminesIsToldAndDoubtfulBeyondTwoPercent) {
+  RunRecord record = noisy_record(some_accelerometer(), 67, 1e-5);
+  record.tolerances.zero = record.tolerances.alignment = record.tolerances.initial_turn = Angle::degrees(0.3);
+  CalibrationResult result = analyse_joint(record);
+  EXPECT_EQ(result.verdict, Verdict::kUsable) << result.why;
+  EXPECT_THAT(result.diagnostics.notes,
+              testing::Contains(testing::AllOf(HasSubstr("s_vz"), HasSubstr("no angle of a run tells"),
+                                               HasSubstr("abcal level"), HasSubstr("_deg with its source"))));
+  record.tolerances.zero = record.tolerances.alignment = record.tolerances.initial_turn = Angle::degrees(3.0);
+  result = analyse_joint(record);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(result.why, testing::AllOf(HasSubstr("s_vz"), HasSubstr("no angle of a run tells")));
+  // The published protocol, whose type B has it.
+  record.tolerances.alignment = record.tolerances.initial_turn = Angle::degrees(0.008);
+  result = analyse_abc(record);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(result.why, HasSubstr("no angle of a run tells F_X"));
+  record.tolerances.zero = Angle::degrees(0.008);
+  record.tolerances.initial_turn = Angle::degrees(3.0);
+  result = analyse_abc(record);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(result.why, testing::AllOf(HasSubstr("this estimator takes d"), HasSubstr("initial_turn_deg")));
+  EXPECT_EQ(analyse_joint(record).verdict, Verdict::kUsable) << "the readings show the turns";
 }
 
 TEST(JointFitTest, RunsThatDoNotDetermineTheMatrixGiveNoNumbers) {

@@ -10,6 +10,7 @@
 #include <numbers>
 #include <random>
 
+#include "protocol/analysis/analyse.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/norm_fit.h"
 #include "protocol/analysis/plausibility.h"
@@ -204,6 +205,30 @@ TEST(FewAngles, SoundRunsOfFourNoisyAnglesWithoutUncertaintiesAreNotCalledWrong)
     }
   }
   EXPECT_GT(not_looked_for, 0) << "the case that this test is about did not arise";
+}
+
+// The published protocol: few residuals tell the noise, and closures are judged by as few.
+TEST(FewAngles, AbcHasACoverageFactorOfItsOwnAndCallsNoSoundRunDoubtful) {
+  int own_factors = 0;
+  for (std::uint64_t seed = 600; seed < 660; ++seed) {
+    RunRecord record = measured_on(kStage, seed, 4, 1e-3);
+    for (DwellRecord& dwell : record.dwells) dwell.u_mean.reset();
+    const CalibrationResult result = analyse_abc(record);
+    EXPECT_EQ(result.verdict, Verdict::kUsable) << seed << ": " << result.why;
+    for (const Quantity& offset : result.offset) {
+      EXPECT_TRUE(std::isfinite(offset.degrees_of_freedom));
+      own_factors += coverage_factor(offset) > 2.2 ? 1 : 0;
+    }
+  }
+  EXPECT_GT(own_factors, 90) << "of 180; the others know their readings well by chance";
+  // With twelve angles a closure that is wrong is seen all the same.
+  RunRecord record = measured_on(kStage, 1, 12, 1e-4);
+  for (DwellRecord& dwell : record.dwells) dwell.u_mean.reset();
+  EXPECT_EQ(analyse_abc(record).verdict, Verdict::kUsable) << analyse_abc(record).why;
+  for (DwellRecord& dwell : record.dwells)
+    if (dwell.experiment == 2) dwell.mean.array() += 0.01;
+  EXPECT_EQ(analyse_abc(record).verdict, Verdict::kDoubtful);
+  EXPECT_THAT(analyse_abc(record).why, HasSubstr("closure C"));
 }
 
 }  // namespace

@@ -261,9 +261,30 @@ TEST(ImportCsvTest, EveryMistakeInAnEffectIsReportedAtOnceWithLineRangeAndUnit) 
           problem("line 4, comment \"stage_uncertainty.step_smoth_deg\"", "an effect of this name",
                   "step_smooth_deg"),
           problem("line 5, comment \"stage_uncertainty.alignment_deg.source\"", "a source without a value",
-                  "a number (degree)"),
+                  "a number from 0 to 10 degree"),
           problem("line 6, comment \"item_uncertainty.hysteresis\"", "\"small\"", "a number from 0 to 0.1"),
           problem("line 7, comment \"protocol.estimator\"", "\"best\"", "one of abc, joint, norm")));
+}
+
+TEST(ImportCsvTest, AnEffectWithoutAValueOrStatedTwiceIsAMistake) {
+  EXPECT_THAT(
+      problems_of("# stage_uncertainty.wobble_urad:\n"
+                  "# item_uncertainty.drift: 1e-5\n"
+                  "# item_uncertainty.drift.source:\n"
+                  "# tolerances.step_deg:  \n"
+                  "# stage_uncertainty.zero_deg: 0.01\n"
+                  "# stage_uncertainty.zero_deg: 0.02\n"
+                  "# item_uncertainty.wobble_urad:\n"
+                  "# operator.name:\n" +
+                  (kHeader + good_rows())),
+      testing::UnorderedElementsAre(
+          problem("line 1, comment \"stage_uncertainty.wobble_urad\"", "nothing",
+                  "a number from 0 to 10000 urad"),
+          problem("line 3, comment \"item_uncertainty.drift.source\"", "nothing", "the source"),
+          problem("line 4, comment \"tolerances.step_deg\"", "nothing", "a number from 0 to 10 degree"),
+          problem("line 6, comment \"stage_uncertainty.zero_deg\"", "the key again (first on line 5)",
+                  "each key once"),
+          problem("line 7, comment \"item_uncertainty.wobble_urad\"", "an effect of this name", "drift")));
 }
 
 TEST(ImportCsvTest, TheEstimatorThatWasChosenBeforeTheRunIsKept) {

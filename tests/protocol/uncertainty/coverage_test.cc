@@ -39,7 +39,7 @@ TEST(CoverageTest, TheShortestIntervalOfASkewedDistributionLiesWhereItIsDense) {
 TEST(CoverageTest, UnsortedValuesGiveTheSame) {
   RandomStream stream(5, StreamPurpose::kTest, 0);
   for (const double p : {0.3, 0.5, 0.6, 0.9, 0.95, 0.99}) {
-    for (const int n : {100, 101, 997, 5000}) {
+    for (const int n : {100, 101, 997, 5000, 40'000}) {
       std::vector<double> values;
       for (int i = 0; i < n; ++i) values.push_back(std::exp(stream.normal()));
       std::vector<double> sorted = values;
@@ -51,6 +51,25 @@ TEST(CoverageTest, UnsortedValuesGiveTheSame) {
       EXPECT_EQ(found.shortest.high, expected.shortest.high) << p << " " << n;
     }
   }
+}
+
+// The tails are found by a sample of the values: one that is not like the whole must not matter.
+TEST(CoverageTest, ValuesInAnOrderThatMisleadsASampleGiveTheSame) {
+  constexpr std::size_t kCount = 40'000;
+  for (const std::size_t period : {1U, 2U, 10U, 100U}) {
+    std::vector<double> values(kCount);
+    for (std::size_t i = 0; i < kCount; ++i)
+      values[i] = i % period == 0 ? 1e6 + static_cast<double>(i) : std::sin(static_cast<double>(i));
+    std::vector<double> sorted = values;
+    std::sort(sorted.begin(), sorted.end());
+    const Coverage expected = coverage_of_sorted(sorted, 0.95), found = coverage_of(values, 0.95);
+    EXPECT_EQ(found.symmetric.low, expected.symmetric.low) << period;
+    EXPECT_EQ(found.symmetric.high, expected.symmetric.high) << period;
+    EXPECT_EQ(found.shortest.low, expected.shortest.low) << period;
+    EXPECT_EQ(found.shortest.high, expected.shortest.high) << period;
+  }
+  std::vector<double> same(kCount, 3.0);
+  EXPECT_EQ(coverage_of(same, 0.95).shortest.high, 3.0);
 }
 
 TEST(CoverageTest, RefusesWhatCannotBeAnswered) {

@@ -2,9 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
+#include <string>
 
 #include "protocol/analysis/analyse.h"
+#include "protocol/plan/rotation_plan.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/type_b.h"
 
@@ -154,6 +157,43 @@ TEST(RunUncertaintyTest, TheBudgetCombinesToTheStatedUncertainty) {
       same(result.intrinsic_angle[j], kFirstIntrinsicAngle + row);
     }
   }
+}
+
+// What the check poses say stands in the budget, and adds nothing to what the drifts have.
+TEST(RunUncertaintyTest, TheBudgetSaysWhatTheCheckPosesShow) {
+  RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5);
+  const auto line_of = [](const Budget& budget, const std::string& input) -> const BudgetLine* {
+    for (const BudgetLine& line : budget.lines)
+      if (line.input == input) return &line;
+    return nullptr;
+  };
+  EXPECT_EQ(line_of(make_budget(record, analyse_abc(record)), "check poses, change of gain"), nullptr);
+  const AccelerometerUnderTest aut = table_2_accelerometer();
+  const std::array<CheckPose, kCheckPoses> poses = check_poses();
+  for (const std::size_t after : {0U, 72U, 144U, 216U}) {
+    for (int n = 1; n <= kCheckPoses; ++n) {
+      DwellRecord dwell;
+      dwell.n = n;
+      dwell.role = DwellRole::kCheck;
+      const CheckPose& pose = poses[static_cast<std::size_t>(n - 1)];
+      dwell.commanded_x = pose.x;
+      dwell.commanded_z = pose.z;
+      const SinCos x = sincos(pose.x), z = sincos(pose.z);
+      dwell.mean = aut.sensitivity_matrix * Eigen::Vector3d(x.sin * z.sin, x.sin * z.cos, x.cos) + aut.offset;
+      if (after == 216) dwell.mean(2) += 4e-5;  // The offset drifted within its statement.
+      dwell.u_mean = Eigen::Vector3d::Constant(1e-5);
+      record.check_poses.push_back({dwell, after});
+    }
+  }
+  const CalibrationResult result = analyse_abc(record);
+  const Budget budget = make_budget(record, result);
+  const BudgetLine* offset = line_of(budget, "check poses, change of offset");
+  ASSERT_NE(offset, nullptr);
+  ASSERT_NE(line_of(budget, "check poses, change of gain"), nullptr);
+  const double s_w = aut.sensitivity_matrix.row(2).norm();
+  EXPECT_NEAR(std::stod(offset->value), 4e-5 / s_w, 1e-6);
+  EXPECT_TRUE(offset->contribution.isZero(0.0));
+  EXPECT_NEAR(budget.combined(9) / result.offset[0].standard_uncertainty, 1.0, 1e-9);
 }
 
 TEST(RunUncertaintyTest, TypeAWithMeasuredErrorsFindsTheTruthThatPlainAbcMisses) {
