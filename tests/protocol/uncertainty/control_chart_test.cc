@@ -60,12 +60,12 @@ TEST(ControlChartTest, MeansAreJudgedByTheScatterWithinGroups) {
 
 TEST(ControlChartTest, RefusesWhatCannotBeCharted) {
   const std::array<double, 1> one{1.0};
-  const std::array<double, 2> infinite{1.0, INFINITY};
+  const std::array<double, 2> infinite{1.0, HUGE_VAL};
   EXPECT_THROW(individuals_chart(one), std::invalid_argument);
   EXPECT_THROW(individuals_chart(infinite), std::invalid_argument);
   EXPECT_THROW(ewma_chart(one, 0.0, 1.0, 0.0), std::invalid_argument);
   EXPECT_THROW(ewma_chart(one, 0.0, 1.0, 1.1), std::invalid_argument);
-  EXPECT_THROW(ewma_chart(one, NAN, 1.0, 0.2), std::invalid_argument);
+  EXPECT_THROW(ewma_chart(one, std::nan(""), 1.0, 0.2), std::invalid_argument);
   EXPECT_THROW(ewma_chart({}, 0.0, 1.0, 0.2), std::invalid_argument);
 }
 
