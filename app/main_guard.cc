@@ -3,13 +3,19 @@
 #include <csignal>
 #include <exception>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "app/bench/halt_guard.h"
 #include "app/bench/real_clock.h"
 #include "app/system/output.h"
+#include "app/system/version.h"
 
-int main() {
+int main(int argc, char** argv) {
+  if (argc == 2 && std::string_view(argv[1]) == "--version") {
+    abcal::print_result("abcal-guard {}\n", abcal::program_version());
+    return 0;
+  }
   // What ends the owner (Ctrl-C, a closed terminal, the end of a service) must not end this as well.
   for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGQUIT}) std::signal(number, SIG_IGN);
   constexpr int kSocket = 3;

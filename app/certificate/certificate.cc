@@ -88,25 +88,15 @@ class Inspection {
         of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
                             quoted(limit.unit), "one of " + offered});
       } else if (laboratory_.decision) {
-        run.decisions.push_back(decide(*laboratory_.decision, limit, quantity->value,
-                                       quantity->standard_uncertainty, stated_factor(limit, *quantity)));
+        // With the U that is stated, which is never below that of the scope.
+        const double factor = coverage_factor(*quantity);
+        const auto cmc = smallest_uncertainty(laboratory_.scope, data.result(), limit.quantity, *quantity);
+        const double expanded = certified_uncertainty(factor * quantity->standard_uncertainty, cmc).expanded;
+        run.decisions.push_back(
+            decide(*laboratory_.decision, limit, quantity->value, expanded / factor, factor));
         run.decisions.back().degrees_of_freedom = quantity->degrees_of_freedom;
       }
     }
-  }
-
-  /// k of the stated U, which is never below that of the scope.
-  double stated_factor(const SpecificationLimit& limit, const Quantity& quantity) const {
-    const std::string& name = limit.quantity;
-    const std::string kind = name.starts_with("offset_")            ? "offset"
-                             : name.starts_with("intrinsic_angle_") ? "angle"
-                                                                    : "sensitivity";
-    const bool in_scope = kind != "sensitivity" || name.starts_with("sensitivity_") ||
-                          name.starts_with("intrinsic_sensitivity_");
-    const double u = quantity.standard_uncertainty, factor = coverage_factor(quantity);
-    if (!in_scope || !(u > 0.0)) return factor;
-    const auto cmc = smallest_uncertainty(laboratory_.scope, kind, quantity.value, limit.unit);
-    return certified_uncertainty(factor * u, cmc).expanded / u;
   }
 
   void add_of_run(const std::vector<Problem>& problems) {

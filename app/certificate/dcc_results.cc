@@ -154,70 +154,69 @@ const DerivedList& group_of(const CertifiedRun& run, std::string_view name) {
 
 using Scope = std::vector<ScopeLimit>;
 
-/// A unit in which the scope has its entries, and how many of it are one of the list's.
-struct OtherUnit {
-  std::string unit;
-  double factor = 1.0;
+/// The scope, as it holds for the values of a result.
+struct ScopeOfResult {
+  const Scope& scope;
+  const CalibrationResult& result;
+
+  /// The list with the smallest uncertainties that the scope allows for its values. Each is named by the
+  /// group and by what stands behind "_" in its label: "offset" and "O_u" are "offset_u".
+  ValueList within(const std::string& group, ValueList list) const {
+    for (Eigen::Index i = 0; i < list.values.size(); ++i)
+      list.cmc.push_back(least(group, list, i, list.unit));
+    return list;
+  }
+
+  /// The same for sensitivities with the offsets behind them.
+  ValueList all_within(ValueList list) const {
+    list = within("sensitivity", std::move(list));
+    for (Eigen::Index i = 9; i < list.values.size(); ++i)
+      list.cmc[static_cast<std::size_t>(i)] = least("offset", list, i, result.offset[0].unit);
+    return list;
+  }
+
+ private:
+  std::optional<double> least(const std::string& group, const ValueList& list, Eigen::Index i,
+                              const std::string& unit) const {
+    const std::string& label = list.labels[static_cast<std::size_t>(i)];
+    Quantity quantity;
+    quantity.value = list.values[i];
+    quantity.unit = unit;
+    return smallest_uncertainty(scope, result, group + label.substr(label.rfind('_')), quantity);
+  }
 };
 
-/// The list with the smallest uncertainties that the scope allows for its values.
-ValueList within(const Scope& scope, const std::string& quantity, ValueList list,
-                 const std::optional<OtherUnit>& other = {}) {
-  for (Eigen::Index i = 0; i < list.values.size(); ++i) {
-    std::optional<double> cmc = smallest_uncertainty(scope, quantity, list.values[i], list.unit);
-    if (!cmc && other) {
-      cmc = smallest_uncertainty(scope, quantity, list.values[i] * other->factor, other->unit);
-      if (cmc) *cmc /= other->factor;
-    }
-    list.cmc.push_back(cmc);
-  }
-  return list;
-}
-
-/// The same for sensitivities with the offsets behind them.
-ValueList all_within(const Scope& scope, ValueList list, const std::string& unit_of_offsets) {
-  list = within(scope, "sensitivity", std::move(list));
-  for (Eigen::Index i = 9; i < list.values.size(); ++i)
-    list.cmc[static_cast<std::size_t>(i)] =
-        smallest_uncertainty(scope, "offset", list.values[i], unit_of_offsets);
-  return list;
-}
-
 /// In SI units: sensitivities per m/s2, to which the uncertainty of local gravity belongs.
-void add_si(XmlElement& results, const Words& words, const Scope& scope, const CertifiedRun& run) {
+void add_si(XmlElement& results, const Words& words, const ScopeOfResult& scope, const CertifiedRun& run) {
   const CalibrationResult& result = run.data.result();
   const DerivedList &sensitivity = group_of(run, "sensitivity"),
                     &intrinsic = group_of(run, "intrinsic_sensitivity");
-  // The scope is per local gravity, as results are.
-  const OtherUnit per_gravity{(*result.sensitivity_matrix)[0][0].unit, result.g_loc.value};
   XmlElement matrix =
       add_result(results, "abc_sensitivityMatrix", words("Sensitivity matrix"),
                  words("Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up."));
   add_rows(matrix, words, [&](std::size_t j) {
     const auto first = sensitivity.begin() + static_cast<std::ptrdiff_t>(3 * j);
     const DerivedList row(first, first + 3);
-    return within(scope, "sensitivity",
-                  list_of(row_labels("s", j), values_of(row), covariance_of(result, row)), per_gravity);
+    return scope.within("sensitivity",
+                        list_of(row_labels("s", j), values_of(row), covariance_of(result, row)));
   });
-  add_values(
-      results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
-      within(scope, "sensitivity",
-             list_of(labels("s", kAccelerometers), values_of(intrinsic), covariance_of(result, intrinsic)),
-             per_gravity));
+  add_values(results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
+             scope.within("intrinsic_sensitivity", list_of(labels("s", kAccelerometers), values_of(intrinsic),
+                                                           covariance_of(result, intrinsic))));
   const Eigen::MatrixXd nine = *result.covariance_intrinsic;
   add_values(results, words, "abc_intrinsicAngles",
              words("Intrinsic angles between the sensitive directions"),
-             within(scope, "angle",
-                    list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
+             scope.within("intrinsic_angle",
+                          list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
   add_values(results, words, "abc_offsets", words("Zero-acceleration offsets"),
-             within(scope, "offset",
-                    list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
+             scope.within("offset",
+                          list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
 }
 
 /// As the analysis has them: the change of the output for one g_loc. Local gravity's uncertainty is not in
 /// them.
-void add_per_gravity(XmlElement& results, const Words& words, const Scope& scope,
-                     const CalibrationResult& result) {
+void add_per_gravity(XmlElement& results, const Words& words, const ScopeOfResult& scope) {
+  const CalibrationResult& result = scope.result;
   const std::string s = "g_loc*s";
   XmlElement matrix =
       add_result(results, "abc_sensitivityMatrixPerGravity", words("Sensitivity matrix per local gravity"),
@@ -228,19 +227,18 @@ void add_per_gravity(XmlElement& results, const Words& words, const Scope& scope
   add_rows(matrix, words, [&](std::size_t j) {
     const auto& row = (*result.sensitivity_matrix)[j];
     twelve.insert(twelve.end(), row.begin(), row.end());
-    return within(scope, "sensitivity",
-                  list_of(row_labels(s, j), {row.begin(), row.end()},
-                          block(*result.covariance, static_cast<Eigen::Index>(3 * j))));
+    return scope.within("sensitivity", list_of(row_labels(s, j), {row.begin(), row.end()},
+                                               block(*result.covariance, static_cast<Eigen::Index>(3 * j))));
   });
   add_values(results, words, "abc_intrinsicSensitivitiesPerGravity",
              words("Intrinsic sensitivities per local gravity"),
-             within(scope, "sensitivity",
-                    list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
-                            block(*result.covariance_intrinsic, 0))));
+             scope.within("intrinsic_sensitivity",
+                          list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+                                  block(*result.covariance_intrinsic, 0))));
   twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
   add_values(results, words, "abc_allOutputsPerGravity",
              words("Sensitivity matrix per local gravity row by row and offsets, with their covariance"),
-             all_within(scope, list_of(output_labels(s), twelve, *result.covariance), result.offset[0].unit));
+             scope.all_within(list_of(output_labels(s), twelve, *result.covariance)));
 }
 
 /// Coefficients of correlation, row by row. Lists of several units draw warnings of the Schematron, so that a
@@ -301,8 +299,9 @@ std::string ref_type_of(const std::string& group) {
   return name;
 }
 
-void add_derived_group(XmlElement& results, const Words& words, const std::string& ref_type,
-                       const DerivedGroup& group, const Wording& name) {
+void add_derived_group(XmlElement& results, const Words& words, const ScopeOfResult& scope,
+                       const DerivedGroup& group, const std::pair<std::string, Wording>& heading) {
+  const auto& [ref_type, name] = heading;
   std::vector<Quantity> values;
   std::vector<std::string> names;
   for (const DerivedQuantity& quantity : group.quantities) {
@@ -317,7 +316,8 @@ void add_derived_group(XmlElement& results, const Words& words, const std::strin
                      ? Wording{}
                      : words("Left out where the transverse sensitivity does not exceed its expanded "
                              "uncertainty, so that it has no direction."));
-  add_list(data, words, name, list_of(names, values));
+  const std::string& first = group.quantities.front().name;
+  add_list(data, words, name, scope.within(first.substr(0, first.rfind('_')), list_of(names, values)));
 }
 
 void add_number(XmlElement& data, const std::string& ref_type, const Wording& name, const std::string& number,
@@ -400,22 +400,25 @@ void add_results(XmlElement& measurement, const Words& words, const Scope& scope
   if (!run.has_numbers()) {
     XmlElement data = add_result(results, "abc_noResult", words("No result"));
     add_words(data, "dcc:text",
-              words("No numbers are given, since the run gave none that may be used: {}", result.why));
+              words("No numbers are given, since the run gave none that may be used: {}",
+                    result.why));
     return;
   }
-  add_si(results, words, scope, run);
-  add_per_gravity(results, words, scope, result);
+  const ScopeOfResult of_result{scope, result};
+  add_si(results, words, of_result, run);
+  add_per_gravity(results, words, of_result);
   int unit = 0;
   for (const DerivedGroup& group : run.derived) {
     if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;
     if (!group.name.starts_with("sensitivity [")) {
-      add_derived_group(results, words, ref_type_of(group.name), group, words(group.words));
+      add_derived_group(results, words, of_result, group, {ref_type_of(group.name), words(group.words)});
       continue;
     }
     const std::string& own = group.quantities.front().value.unit;
-    add_derived_group(results, words, fmt::format("abc_sensitivityInUnit{}", ++unit), group,
-                      own.ends_with("/g") ? words("Sensitivity in {}, with standard gravity", own)
-                                          : words("Sensitivity in {}", own));
+    const Wording name = own.ends_with("/g") ? words("Sensitivity in {}, with standard gravity", own)
+                                             : words("Sensitivity in {}", own);
+    add_derived_group(results, words, of_result, group,
+                      {fmt::format("abc_sensitivityInUnit{}", ++unit), name});
   }
   if (!run.decisions.empty()) {
     XmlElement data = add_result(results, "abc_conformity", words("Conformity with specification"));

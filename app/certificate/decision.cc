@@ -8,19 +8,10 @@
 #include <stdexcept>
 
 #include "app/results/report_data.h"
+#include "protocol/uncertainty/normal_probability.h"
 
 namespace abcal {
 namespace {
-
-/// Phi(z), to full relative precision in both tails.
-double normal_below(double z) {
-  return 0.5 * std::erfc(-z / std::sqrt(2.0));
-}
-
-/// Phi(b) - Phi(a) without cancellation where both lie in one tail.
-double normal_between(double a, double b) {
-  return a > 0.0 ? normal_below(-a) - normal_below(-b) : normal_below(b) - normal_below(a);
-}
 
 /// Distance from the nearest limit, positive inside.
 double distance_inside(const SpecificationLimit& limit, double value) {

@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "protocol/analysis/calibration_result.h"
+
 namespace abcal {
 
 /// The smallest expanded uncertainty (k = 2) that a laboratory is accredited for, or claims, in a range: its
@@ -21,9 +23,13 @@ struct ScopeLimit {
 /// What `quantity` may be.
 const std::vector<std::string>& scope_quantities();
 
-/// The smallest expanded uncertainty that may be stated for a value, in its unit: of several that cover its
-/// size the largest. Nothing: the scope has none.
-std::optional<double> smallest_uncertainty(const std::vector<ScopeLimit>& scope, const std::string& quantity,
-                                           double value, const std::string& unit);
+/// The smallest expanded uncertainty that may be stated for a quantity of a result, in its unit: of several
+/// entries that cover its size the largest. Entries and quantities may be in different units of one kind
+/// ("V/g_loc", "mV/g", "V/(m/s2)"; "degree", "mrad"; "V", "mV"). Nothing: the scope has none.
+/// @param name  of a result or derived from it: "sensitivity_ux", "offset_u", "bias_u"; the transverse
+///              sensitivity and the misalignment, which depend on the mounting, are in no scope
+std::optional<double> smallest_uncertainty(const std::vector<ScopeLimit>& scope,
+                                           const CalibrationResult& result, const std::string& name,
+                                           const Quantity& quantity);
 
 }  // namespace abcal

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "protocol/uncertainty/normal_probability.h"
 #include "sim/counter_noise.h"
 
 namespace abcal {
@@ -396,7 +397,7 @@ double ScenarioDraw::normal() {
 }
 
 double ScenarioDraw::uniform() {
-  return 0.5 * std::erfc(normal() / std::numbers::sqrt2);
+  return normal_below(-normal());
 }
 
 std::uint64_t ScenarioDraw::seed_for_the_world() {

@@ -6,12 +6,14 @@
 #include <sqlite3.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <cmath>
 #include <cstdlib>
 #include <exception>
 #include <filesystem>
 #include <fstream>
 
+#include "app/certificate/schema_check.h"
 #include "app/document/gnuplot.h"
 #include "app/document/weasyprint.h"
 #include "app/laboratory/login.h"
@@ -23,6 +25,8 @@
 #include "app/session/run_session.h"
 #include "app/system/helper_program.h"
 #include "app/system/temporary_folder.h"
+#include "app/system/version.h"
+#include "app/xml/xml_tree.h"
 #include "protocol/gravity/local_gravity.h"
 #include "protocol/uncertainty/published_tables.h"
 #include "protocol/uncertainty/simulation_sets.h"
@@ -101,6 +105,42 @@ void check_tool(Report& report, const Tool& tool, Grade if_absent) {
              found ? "installed" : fmt::format("not found; {} it: install {}", tool.needed_by, tool.package));
 }
 
+/// A program of ours: found, of this version, and able to start with its libraries.
+void check_helper(Report& report, const Tool& helper) {
+  const std::string name = std::filesystem::path(helper.program).filename().string();
+  report.attempt(name, [&] {
+    constexpr std::chrono::seconds kLongest{20};
+    const ToolResult answer = run_tool_for_words(helper, {"--version"}, kLongest);
+    const std::string required = fmt::format("{} {}", name, program_version());
+    const bool good = answer.exit_code == 0 && answer.words == required;
+    report.add(name, good ? Grade::kGood : Grade::kBad,
+               good ? fmt::format("{} answers, of this version", helper.program)
+                    : fmt::format("{}: found exit code {} and \"{}\"; required: \"{}\": install abcal anew",
+                                  helper.program, answer.exit_code, answer.words, required));
+  });
+}
+
+/// People start it with mpirun, so that it is beside abcal and not among its helpers.
+Tool mpi_program() {
+  return helper_program("abcal-mpi", "studies on several machines need");
+}
+
+void check_schemas(Report& report) {
+  const std::filesystem::path folder = program_schemas();
+  const DccSchema schema(folder);
+  // One that lets everything pass would be none.
+  const bool refuses =
+      !schema
+           .check(parse_xml("<dcc:digitalCalibrationCertificate xmlns:dcc=\"https://ptb.de/dcc\"/>", "empty"))
+           .empty();
+  report.add("schemas", refuses ? Grade::kGood : Grade::kBad,
+             refuses
+                 ? fmt::format("{}: read, and an empty certificate is refused", folder.string())
+                 : fmt::format("{}: found: an empty certificate passes; required: the schemas of DCC 3.3.0: "
+                               "install abcal anew",
+                               folder.string()));
+}
+
 void check_ports(Report& report) {
   std::string usable, refused;
   std::error_code ignored;
@@ -164,8 +204,13 @@ void check_installation(Report& report, Clock::UtcTime now) {
              fmt::format("SQLite {}, {}, libxml2 {}", sqlite3_libversion(), OpenSSL_version(OPENSSL_VERSION),
                          LIBXML_DOTTED_VERSION));
   for (const auto& [name, needed_by] :
-       {std::pair{"abcal-sign", "XML signatures need"}, {"abcal-hdf5", "HDF5 needs"}})
-    check_tool(report, helper_program(name, needed_by), Grade::kBad);
+       {std::pair{"abcal-guard", "a stage that must halt if abcal dies needs"},
+        {"abcal-pdf", "a PDF is finished by"},
+        {"abcal-sign", "XML signatures need"},
+        {"abcal-hdf5", "HDF5 needs"}})
+    check_helper(report, helper_program(name, needed_by));
+  if (ABCAL_HAS_MPI != 0) check_helper(report, mpi_program());
+  report.attempt("schemas", [&] { check_schemas(report); });
   check_tool(report, kGnuplot, Grade::kNote);
   check_tool(report, kWeasyPrint, Grade::kNote);
   check_ports(report);

@@ -9,17 +9,14 @@
 #include <numbers>
 #include <stdexcept>
 
+#include "protocol/uncertainty/normal_probability.h"
+
 namespace abcal {
 namespace {
 
 constexpr Eigen::Index kStates = 101;  // Of the chain: meets the published run lengths to the last digit.
 constexpr int kNodes = 60;             // Of the integral; even. More change nothing before the eighth digit.
 constexpr double kLongest = 1e12;
-
-/// Probability of a standard normal value below x.
-double normal_below(double x) {
-  return 0.5 * std::erfc(-x / std::numbers::sqrt2);
-}
 
 void require_process(const ChartedProcess& process) {
   if (!(process.spread > 0.0) || !std::isfinite(process.shift + process.spread))

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <map>
+#include <numbers>
 
 #include "app/certificate/dcc_xml.h"
 #include "app/certificate/issue.h"
@@ -191,6 +193,50 @@ TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScope) {
   EXPECT_TRUE(
       xml.texts("//dcc:result[@refType='abc_offsets']//dcc:metaData[@refType='abc_raisedToScope']").empty());
   EXPECT_NEAR(made.run.decisions[0].expanded_uncertainty, 0.01, 1e-12);
+}
+
+// Entries of the scope, results and limits may be in different units of the same quantity.
+TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScopeInWhateverUnit) {
+  const std::string scope =
+      "[[scope]]\nquantity = \"sensitivity\"\nunit = \"mg/g\"\nfrom = 500\nto = 2000\ncmc = 10\n"
+      "[[scope]]\nquantity = \"angle\"\nunit = \"degree\"\nfrom = 80\nto = 100\ncmc = 0.5\n"
+      "[[scope]]\nquantity = \"offset\"\nunit = \"mg\"\nfrom = 0\nto = 100\ncmc = 20\n\n[decision]";
+  std::string laboratory = replaced(example_laboratory(), "[decision]", scope);
+  for (const auto& [quantity, unit] :
+       {std::pair<std::string, std::string>{"intrinsic_sensitivity_v", "g/(m/s2)"},
+        {"sensitivity_ux", "g/g_loc"},
+        {"intrinsic_sensitivity_w", "mg/g"},
+        {"non_orthogonality_uv", "mrad"},
+        {"bias_w", "mg"},
+        {"misalignment_u", "mrad"}})
+    laboratory = replaced(laboratory, "[units]",
+                          "[[limit]]\nquantity = \"" + quantity + "\"\nunit = \"" + unit +
+                              "\"\nlower = -9e6\nupper = 9e6\nsource = \"order\"\n\n[units]");
+  const Certificate made = make_certificate(request(laboratory));
+  std::map<std::string, double> decided;
+  for (const Decision& decision : made.run.decisions) {
+    decided[decision.limit.quantity] = decision.expanded_uncertainty;
+    EXPECT_DOUBLE_EQ(decision.expanded_uncertainty, decision.coverage_factor * decision.standard_uncertainty);
+  }
+  EXPECT_NEAR(decided.at("intrinsic_sensitivity_v"), 0.010 / 9.80665, 1e-12);
+  EXPECT_NEAR(decided.at("sensitivity_ux"), 0.010 * 9.80101 / 9.80665, 1e-12);
+  EXPECT_NEAR(decided.at("intrinsic_sensitivity_u"), 0.010 * 9.80101 / 9.80665, 1e-12);
+  EXPECT_NEAR(decided.at("intrinsic_sensitivity_w"), 10.0, 1e-9);
+  EXPECT_NEAR(decided.at("non_orthogonality_uv"), 0.5 * std::numbers::pi / 0.180, 1e-9);
+  EXPECT_NEAR(decided.at("offset_w"), 0.020, 1e-12);
+  const double s_w = made.run.data.result().intrinsic_sensitivity[2].value;
+  EXPECT_NEAR(decided.at("bias_w"), 20.0 * 9.80101 / 9.80665 / s_w, 1e-9);
+  EXPECT_LT(decided.at("misalignment_u"), 1.0);  // Of the mounting: in no scope.
+
+  const CertificateXml xml(checked_xml(made, nullptr));
+  const auto stated = [&](const std::string& result) {
+    return xml.numbers("//dcc:result[@refType='" + result +
+                       "']//si:realListXMLList[2]//si:valueExpandedMUXMLList");
+  };
+  for (const double expanded : stated("abc_sensitivityInUnit1")) EXPECT_NEAR(expanded, 10.0, 0.05);
+  for (const double expanded : stated("abc_intrinsicSensitivitiesPerGravity"))
+    EXPECT_NEAR(expanded, 0.010, 5e-5);
+  for (const double expanded : stated("abc_offsets")) EXPECT_NEAR(expanded, 0.020, 1e-4);
 }
 
 // The turn about X is what the run alone does not hold: `abcal level` measures it.

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "app/self_test/validation_file.h"
@@ -58,6 +60,36 @@ TEST_F(SelfTestCommand, ChecksThisInstallationAndSaysWhatItFound) {
     EXPECT_EQ(check["result"], "good") << check.dump();
   }
   EXPECT_EQ(of_the_run, 4U);
+  for (const char* part : {"abcal-guard", "abcal-pdf", "abcal-sign", "abcal-hdf5", "schemas"}) {
+    const auto& checks = json["checks"];
+    const auto found = std::find_if(checks.begin(), checks.end(),
+                                    [&](const nlohmann::json& check) { return check["what"] == part; });
+    ASSERT_NE(found, checks.end()) << part;
+    EXPECT_EQ((*found)["result"], "good") << found->dump();
+  }
+}
+
+// An installation of which parts are missing, or left over from another version.
+TEST_F(SelfTestCommand, ProgramsAndSchemasThatDoNotAnswerAreFound) {
+  const std::filesystem::path bin = folder / "bin", helpers = folder / "libexec/abcal",
+                              schemas = folder / "share/abcal/schemas/v3.3.0";
+  for (const auto& made : {bin, helpers, schemas}) std::filesystem::create_directories(made);
+  const std::filesystem::path program = test::abcal_program();
+  std::filesystem::copy_file(program, bin / "abcal");
+  std::filesystem::copy_file(program.parent_path() / "abcal-pdf", helpers / "abcal-pdf");
+  test::write_file(helpers / "abcal-sign", "#!/bin/sh\necho abcal-sign 0.0.1\n");
+  std::filesystem::permissions(helpers / "abcal-sign", std::filesystem::perms::owner_all);
+  test::write_file(schemas / "dcc.xsd", "no schema");
+  test::Program tested((bin / "abcal").string(), {"self-test"}, folder.path());
+  EXPECT_EQ(tested.wait(), 1);
+  EXPECT_THAT(
+      tested.out(),
+      AllOf(HasSubstr("good  installation: abcal-pdf: "),
+            testing::ContainsRegex("bad  installation: abcal-sign: .*found exit code 0 and .abcal-sign "
+                                   "0.0.1.; required: .abcal-sign [0-9.]+ .*install abcal anew"),
+            testing::ContainsRegex("bad  installation: abcal-hdf5: .*"),
+            testing::ContainsRegex("bad  installation: abcal-guard: .*"),
+            testing::ContainsRegex("bad  installation: schemas: .*"), HasSubstr("NOT good")));
 }
 
 TEST_F(SelfTestCommand, ARegisterThatIsNotWholeIsFound) {

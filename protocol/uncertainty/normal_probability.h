@@ -1,0 +1,20 @@
+#pragma once
+
+#include <cmath>
+#include <numbers>
+
+namespace abcal {
+
+/// Probability that a standard normal value lies below z, to full relative precision also far below 0; for
+/// the probability above z take that below -z.
+inline double normal_below(double z) {
+  return 0.5 * std::erfc(-z / std::numbers::sqrt2);
+}
+
+/// Probability that a standard normal value lies between a and b, without cancellation where both are in one
+/// tail.
+inline double normal_between(double a, double b) {
+  return a > 0.0 ? normal_below(-a) - normal_below(-b) : normal_below(b) - normal_below(a);
+}
+
+}  // namespace abcal
