@@ -126,7 +126,7 @@ layer(app/self_test MAY app/bench/ app/document/ app/laboratory/ app/results/ ap
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ drivers/wire/ sim/ FOREIGN boost/ nlohmann/ fmt/)
 set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/export/ app/laboratory/ app/planner/ app/report/ app/results/ app/robustness/
   app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
-layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ fmt/)
+layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ unicode/ fmt/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)
 layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ hwy/)
 

@@ -7,13 +7,19 @@
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include "app/bench/bench_config.h"
 #include "app/bench/bench_records.h"
+#include "app/bench/real_clock.h"
 #include "app/commands/bench.h"
 #include "app/commands/commands.h"
 #include "app/console/bench_service.h"
+#include "app/console/forwarded.h"
 #include "app/console/server.h"
+#include "app/console/tls.h"
+#include "app/laboratory/login.h"
+#include "app/laboratory/login_file.h"
 #include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
@@ -23,22 +29,71 @@
 namespace abcal {
 namespace {
 
-/// The token, where one is needed or given. @return whether it was made here and must be shown.
-bool choose_access(console::ServerOptions& server, const std::filesystem::path& token_file) {
-  boost::system::error_code error;
-  const auto address = boost::asio::ip::make_address(server.address, error);
-  if (error)
-    throw std::invalid_argument(
-        fmt::format("--listen {}: this is not an address; required: for example 127.0.0.1, 0.0.0.0 or ::1",
-                    server.address));
-  if (!address.is_loopback()) server.access.hosts.push_back(boost::asio::ip::host_name());
-  if (!token_file.empty()) {
-    server.access.token = console::read_token(token_file);
+/// What `abcal serve` was started with.
+struct ServeOptions {
+  console::ServerOptions server;
+  console::Session::Options bench;
+  std::filesystem::path token_file, tls_certificate, tls_key;
+  bool tls = false;
+};
+
+std::string known_address(const std::string& option, const std::string& text) {
+  if (auto address = console::plain_address(text)) return *std::move(address);
+  throw std::invalid_argument(fmt::format(
+      "{} {}: this is not an address; required: for example 127.0.0.1, 0.0.0.0 or ::1", option, text));
+}
+
+/// Who may use the console. @return whether a token was made here and must be shown.
+bool choose_access(ServeOptions& options) {
+  console::ServerOptions& server = options.server;
+  const bool loopback =
+      boost::asio::ip::make_address(known_address("--listen", server.address)).is_loopback();
+  for (std::string& proxy : server.trusted_proxies) proxy = known_address("--trusted-proxy", proxy);
+  server.register_location = lab::register_location({});
+  // Its problems are reported at once, not to the first person.
+  if (!server.register_location.empty())
+    (void)lab::Register::open(server.register_location, RealClock().utc_now());
+  const bool proxied = !server.access.hosts.empty() || !server.trusted_proxies.empty();
+  if (!loopback) server.access.hosts.push_back(boost::asio::ip::host_name());
+  if (!options.token_file.empty()) {
+    server.access.token = console::read_token(options.token_file);
     return false;
   }
-  if (address.is_loopback()) return false;
+  if (!server.register_location.empty() || (loopback && !proxied)) return false;
   server.access.token = console::make_token();
   return true;
+}
+
+/// A certificate for every address but those of this computer alone.
+void choose_tls(ServeOptions& options) {
+  console::ServerOptions& server = options.server;
+  if (options.tls_certificate.empty() != options.tls_key.empty())
+    throw std::invalid_argument(fmt::format("{} is given without {}; required: both, or neither",
+                                            options.tls_key.empty() ? "--tls-certificate" : "--tls-key",
+                                            options.tls_key.empty() ? "--tls-key" : "--tls-certificate"));
+  if (!options.tls_certificate.empty()) {
+    server.tls = console::read_tls_identity(options.tls_certificate, options.tls_key);
+    return;
+  }
+  const auto address = boost::asio::ip::make_address(server.address);
+  if (address.is_loopback() && !options.tls) return;
+  std::vector<std::string> names{"localhost", "127.0.0.1", "::1", boost::asio::ip::host_name()};
+  if (!address.is_unspecified() && !address.is_loopback()) names.push_back(address.to_string());
+  for (const std::string& host : server.access.hosts) names.push_back(host.substr(0, host.find(':')));
+  server.tls = console::own_tls_identity(lab::state_folder(), names, RealClock().utc_now());
+}
+
+/// Who may use it, in words.
+std::string who_may(const console::ServerOptions& server) {
+  const bool token = !server.access.token.empty();
+  if (!server.register_location.empty())
+    return fmt::format(
+        "Persons of the register log in: whoever may measure steers, the others watch and may press "
+        "Stop.{}\n",
+        token ? " So may whoever has the token." : "");
+  const char* unverified = "Nobody's name is verified without a register (ABCAL_REGISTER).";
+  if (token) return fmt::format("Whoever has the token can use it. {}\n", unverified);
+  return fmt::format("Anyone with an account on this computer can use it. {}\n", unverified);
 }
 
 /// The address as a person types it into a browser.
@@ -98,17 +153,12 @@ CLI::App* add_bench(CLI::App& parent, int& exit_code) {
 }
 
 CLI::App* add_serve(CLI::App& parent, int& exit_code) {
-  struct Options {
-    console::ServerOptions server;
-    console::Session::Options bench;
-    std::filesystem::path token_file;
-  };
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<ServeOptions>();
   CLI::App* command = parent.add_subcommand("serve", "Monitor and control the bench in a browser");
   add_bench_options(*command, options->bench);
   command
       ->add_option("--listen", options->server.address,
-                   "address to listen on; any other than the loopback requires a token")
+                   "address to listen on; any other than the loopback has TLS, and a register or a token")
       ->capture_default_str();
   command->add_option("--port", options->server.port, "port to listen on; 0: any free one")
       ->capture_default_str();
@@ -118,19 +168,30 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
                       "file with the token that every page must send (default: made if required)");
   command->add_option("--host", options->server.access.hosts,
                       "further name[:port] by which pages call the console, e.g. behind a proxy");
+  command->add_option("--trusted-proxy", options->server.trusted_proxies,
+                      "address of a proxy whose Forwarded or X-Forwarded-For is true; repeatable");
+  command->add_option("--tls-certificate", options->tls_certificate,
+                      "certificate of the console, with those up to its authority (PEM)");
+  command->add_option("--tls-key", options->tls_key, "its private key (PEM), readable by its owner only");
+  command->add_flag("--tls", options->tls,
+                    "TLS on the loopback too, with a self-signed certificate unless one is given");
   command->callback([options, &exit_code] {
     read_bench(options->bench.bench_file,
                register_records());  // Its problems are reported at once, not to the first page.
     choose_folder(options->bench);
-    const bool made = choose_access(options->server, options->token_file);
+    const bool made = choose_access(*options);
+    choose_tls(*options);
     console::Server server(options->server, options->bench);
-    const std::string& token = options->server.access.token;
-    print_result("Console: http://{}:{}/{}\n", name_to_call(options->server.address), server.port(),
-                 made ? "?token=" + token : "");
+    const auto& tls = options->server.tls;
+    print_result("Console: {}://{}:{}/{}\n", tls ? "https" : "http", name_to_call(options->server.address),
+                 server.port(), made ? "#token=" + options->server.access.token : "");
+    if (tls)
+      print_result("{} certificate, SHA-256 {}\n", tls->self_signed ? "Self-signed" : "Its",
+                   console::tls_fingerprint(*tls));
     print_result(
         "{}A stop by the console is not an emergency stop: keep the stage's own switch within reach.\n"
         "Serving until interrupted (Ctrl-C).\n",
-        token.empty() ? "Anyone with an account on this computer can use it.\n" : "");
+        who_may(options->server));
     exit_code = server.serve(interrupt_token(), leaves_bench) ? kExitInterrupted : kExitDone;
   });
   return command;

@@ -37,10 +37,9 @@ bool origin_is_ours(const Caller& caller) {
 }
 
 bool has_token(const AccessRules& rules, const Caller& caller) {
-  if (rules.token.empty()) return true;
-  constexpr std::string_view kBearer = "Bearer ";
-  if (caller.authorization.starts_with(kBearer) &&
-      same_secret(caller.authorization.substr(kBearer.size()), rules.token))
+  if (rules.token.empty()) return !rules.persons;
+  if (const std::string_view bearer = bearer_of(caller.authorization);
+      !bearer.empty() && same_secret(bearer, rules.token))
     return true;
   return same_secret(cookie_value(caller.cookie, rules.cookie), rules.token);
 }
@@ -52,6 +51,11 @@ Access judge(const AccessRules& rules, const Caller& caller) {
   if (!origin_is_ours(caller)) return Access::kWrongOrigin;
   if (!has_token(rules, caller)) return Access::kNoToken;
   return Access::kGranted;
+}
+
+std::string_view bearer_of(std::string_view authorization) {
+  constexpr std::string_view kBearer = "Bearer ";
+  return authorization.starts_with(kBearer) ? authorization.substr(kBearer.size()) : std::string_view();
 }
 
 bool same_secret(std::string_view given, std::string_view secret) {

@@ -12,7 +12,9 @@ namespace abcal::console {
 struct AccessRules {
   /// Required of everyone, where not empty: as a cookie, or as "Authorization: Bearer TOKEN".
   std::string token;
-  /// Name of the cookie. Browsers do not keep the cookies of two ports of one host apart.
+  /// A person of the register is required, or the token where there is one.
+  bool persons = false;
+  /// Name of the token's cookie. Browsers do not keep the cookies of two ports of one host apart.
   std::string cookie = "abcal_token";
   /// Names by which the console may be called in addition to its address, with our port or the one given:
   /// "bench7.example.org", "proxy.example.org:8080".
@@ -34,11 +36,14 @@ enum class Access {
   kGranted,
   kWrongHost,    ///< A name that is not ours: a page that had its own name resolve to our address.
   kWrongOrigin,  ///< Another page.
-  kNoToken,
+  kNoToken,      ///< Nothing is known of who it is.
 };
 
 /// Whether a request may be answered at all.
 Access judge(const AccessRules& rules, const Caller& caller);
+
+/// What stands behind "Bearer " in an Authorization header, or empty.
+std::string_view bearer_of(std::string_view authorization);
 
 /// Whether two secrets are equal, in a time that depends on the length of `given` only.
 bool same_secret(std::string_view given, std::string_view secret);

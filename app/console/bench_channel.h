@@ -20,7 +20,8 @@ constexpr char kSnapshot = 'S';  ///< JSON: the whole state, which was asked for
 constexpr char kReply = 'R';     ///< JSON: {"id", "ok", "why"}
 constexpr char kEnd = 'E';       ///< JSON: {"was_on"}: the bench is at rest, and its process ends.
 // To the bench:
-constexpr char kRequest = 'Q';  ///< JSON: {"id", "by", "request"}
+constexpr char kRequest = 'Q';  ///< JSON: {"id", "by", "name", "register", "login", "request"}
+constexpr char kControl = 'T';  ///< JSON: {"by", "name", "register", "login"}: who steers from now on.
 constexpr char kAskSnapshot = 'A';
 constexpr char kClose = 'C';  ///< Stop what is in progress, halt the stage, and end.
 }  // namespace bench_line

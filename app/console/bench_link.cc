@@ -22,6 +22,11 @@ constexpr std::chrono::seconds kLongestStart{10};
 constexpr std::chrono::seconds kLook{1};
 constexpr std::chrono::seconds kSilentBench{3};
 
+LinkJson json_of(const Asker& by) {
+  return {
+      {"by", by.page}, {"name", by.who.name}, {"register", by.who.register_identity}, {"login", by.login}};
+}
+
 }  // namespace
 
 std::string_view to_string(BenchState state) {
@@ -158,8 +163,16 @@ void BenchLink::ask_snapshot() {
   if (channel_) channel_->send(bench_line::kAskSnapshot);
 }
 
-void BenchLink::request(std::uint64_t id, const std::string& by, std::string_view request) {
-  const LinkJson json = {{"id", id}, {"by", by}, {"request", LinkJson::parse(request)}};
+void BenchLink::control_taken(const Asker& by) {
+  if (channel_)
+    channel_->send(bench_line::kControl,
+                   json_of(by).dump(-1, ' ', false, LinkJson::error_handler_t::replace));
+}
+
+void BenchLink::request(std::uint64_t id, const Asker& by, std::string_view request) {
+  LinkJson json = json_of(by);
+  json["id"] = id;
+  json["request"] = LinkJson::parse(request);
   channel_->send(bench_line::kRequest, json.dump(-1, ' ', false, LinkJson::error_handler_t::replace));
 }
 

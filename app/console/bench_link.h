@@ -51,8 +51,9 @@ class BenchLink {
   bool is_on() const { return channel_ != nullptr; }
   void ask_snapshot();
   /// @param request  as parse_request() reads it
-  /// @param by  the person or page who asks
-  void request(std::uint64_t id, const std::string& by, std::string_view request);
+  void request(std::uint64_t id, const Asker& by, std::string_view request);
+  /// Tells who steers from now on.
+  void control_taken(const Asker& by);
   /// Stops what is in progress, halts the stage and ends the process. @return false: there is none
   bool close_bench();
   /// Lets it go on alone.

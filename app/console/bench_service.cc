@@ -47,6 +47,15 @@ std::string text_of_json(const Json& json) {
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
+/// What BenchLink has written of a person or page. A console of before says the page only.
+Asker asker_of(const Json& json) {
+  Asker by;
+  by.page = json.value("by", "");
+  by.who = {json.value("name", ""), json.value("register", "")};
+  by.login = json.value("login", "");
+  return by;
+}
+
 /// One for each bench: the lock is held as long as this process lives, however it ends.
 class BenchLock {
  public:
@@ -91,7 +100,7 @@ struct BenchService::Impl {
   void accept();
   void arrived(stream_protocol::socket socket);
   void received(Console& console, std::string_view line);
-  Session::Refusal carry_out(const std::string& by, const Command& command);
+  Session::Refusal carry_out(const Asker& by, const Command& command);
   void pass_on(Event event);
   void broadcast(const std::string& message);
   void beat();
@@ -102,7 +111,6 @@ struct BenchService::Impl {
   Options options;
   BenchLock lock;
   RealClock clock;
-  RunLibrary library;
   LiveView live;
   asio::io_context io;
   stream_protocol::acceptor acceptor{io};
@@ -121,7 +129,6 @@ struct BenchService::Impl {
 BenchService::Impl::Impl(Options the_options)
     : options(std::move(the_options)),
       lock(options.socket),
-      library(options.bench.runs),
       live({{"program", std::string("abcal ") + program_version()},
             {"bench_file", options.bench.bench_file.filename().string()},
             {"pace", options.bench.pace}},
@@ -180,13 +187,18 @@ void BenchService::Impl::received(Console& console, std::string_view line) {
   if (line[0] == bench_line::kAskSnapshot)
     return console.channel->send(bench_line::kSnapshot, live.snapshot());
   if (line[0] == bench_line::kClose) return begin_end();
+  if (line[0] == bench_line::kControl) {
+    const Json json = Json::parse(line.substr(1), nullptr, /*allow_exceptions=*/false);
+    if (json.is_object()) session->control_taken(asker_of(json));
+    return;
+  }
   if (line[0] != bench_line::kRequest) return;
   Json reply = {{"id", 0}, {"ok", false}};
   try {
     const Json json = Json::parse(line.substr(1));
     reply["id"] = json.at("id");
     const Request request = parse_request(json.at("request").dump());
-    if (const Session::Refusal refusal = carry_out(json.at("by").get<std::string>(), request.command))
+    if (const Session::Refusal refusal = carry_out(asker_of(json), request.command))
       reply["why"] = *refusal;
     else
       reply["ok"] = true;
@@ -196,21 +208,21 @@ void BenchService::Impl::received(Console& console, std::string_view line) {
   console.channel->send(bench_line::kReply, text_of_json(reply));
 }
 
-Session::Refusal BenchService::Impl::carry_out(const std::string& by, const Command& command) {
+Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& command) {
   struct Do {
     Impl& impl;
-    const std::string& by;
+    const Asker& by;
     Session::Refusal operator()(const CheckBench& check) const {
       return impl.session->check(check.with_motion);
     }
-    Session::Refusal operator()(const StartRun&) const { return impl.session->start(); }
-    Session::Refusal operator()(const HoldRun&) const { return impl.session->hold(); }
-    Session::Refusal operator()(const ContinueRun&) const { return impl.session->continue_run(); }
+    Session::Refusal operator()(const StartRun&) const { return impl.session->start(by); }
+    Session::Refusal operator()(const HoldRun&) const { return impl.session->hold(by); }
+    Session::Refusal operator()(const ContinueRun&) const { return impl.session->continue_run(by); }
     Session::Refusal operator()(const Stop&) const { return impl.session->stop(by); }
     Session::Refusal operator()(const ResumeRun& resume) const {
-      const auto path = impl.library.find(resume.run);
+      const auto path = RunLibrary::find_in(impl.options.bench.runs, resume.run);
       if (!path) return "there is no such run in the run folder";
-      return impl.session->resume(*path);
+      return impl.session->resume(*path, by);
     }
     Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog); }
     Session::Refusal operator()(const Note& note) const { return impl.session->note(note.text, by); }
@@ -269,7 +281,7 @@ void BenchService::Impl::begin_end() {
   if (std::exchange(ending, true)) return;
   // In a thread of its own: consoles still see how it ends.
   ender = std::jthread([this] {
-    const bool stopped = !session->stop("the end of the program");
+    const bool stopped = !session->stop({"the end of the program", {}, {}});
     session->close();
     asio::post(io, [this, stopped] {
       was_on = stopped;

@@ -5,6 +5,7 @@
 #include <set>
 #include <utility>
 
+#include "app/console/visible_text.h"
 #include "app/results/result_json.h"
 #include "protocol/analysis/harmonic_fit.h"
 #include "protocol/record/run_file.h"
@@ -139,7 +140,7 @@ Json interrupted_json(const InterruptedRun& run) {
 
 /// What instruments say of themselves need not be UTF-8.
 std::string text_of(const Json& message) {
-  return message.dump(-1, ' ', false, Json::error_handler_t::replace);
+  return with_visible_direction_controls(message.dump(-1, ' ', false, Json::error_handler_t::replace));
 }
 
 }  // namespace

@@ -7,6 +7,8 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "app/console/visible_text.h"
+
 namespace abcal::console {
 namespace {
 
@@ -83,6 +85,8 @@ std::string note_of(std::string text) {
   });
   if (text.empty() || text.size() > kLongestNote || unprintable)
     throw RequestError(fmt::format("a note has 1 to {} bytes in one line", kLongestNote));
+  if (has_direction_controls(text))
+    throw RequestError("a note has no characters that turn the direction of writing (Unicode Bidi_Control)");
   return text;
 }
 

@@ -26,6 +26,13 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
+/// A file NAME.run itself: a link would lead out of the folder.
+bool is_run(const std::filesystem::path& path) {
+  std::error_code ignored;
+  return path.extension() == ".run" &&
+         std::filesystem::is_regular_file(std::filesystem::symlink_status(path, ignored));
+}
+
 std::string label(const RunHeader& header, const std::string& key) {
   const auto found = header.labels.find(key);
   return found == header.labels.end() ? "" : found->second;
@@ -161,10 +168,7 @@ std::vector<std::string> RunLibrary::names() const {
   for (std::filesystem::directory_iterator at(folder_, error), end; !error && at != end;
        at.increment(error)) {
     std::error_code ignored;
-    // symlink_status: a link would lead out of the folder.
-    if (at->path().extension() != ".run" ||
-        !std::filesystem::is_regular_file(std::filesystem::symlink_status(at->path(), ignored)))
-      continue;
+    if (!is_run(at->path())) continue;
     found.emplace_back(at->last_write_time(ignored), at->path().filename().string());
   }
   std::sort(found.rbegin(), found.rend());
@@ -174,10 +178,13 @@ std::vector<std::string> RunLibrary::names() const {
   return names;
 }
 
-std::optional<std::filesystem::path> RunLibrary::find(const std::string& name) const {
-  const std::vector<std::string> all = names();
-  if (std::find(all.begin(), all.end(), name) == all.end()) return std::nullopt;
-  return folder_ / name;
+std::optional<std::filesystem::path> RunLibrary::find_in(const std::filesystem::path& folder,
+                                                         const std::string& name) {
+  std::error_code error;
+  for (std::filesystem::directory_iterator at(folder, error), end; !error && at != end; at.increment(error)) {
+    if (at->path().filename().string() == name && is_run(at->path())) return at->path();
+  }
+  return std::nullopt;
 }
 
 /// Reads a run unless it was read already and has not changed since. Throws RunFileError.

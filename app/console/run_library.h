@@ -24,7 +24,10 @@ class RunLibrary {
   static constexpr const char* kSummaries = ".abcal-summaries.json";
 
   /// The file of this name, if it is one of the runs.
-  std::optional<std::filesystem::path> find(const std::string& name) const;
+  std::optional<std::filesystem::path> find(const std::string& name) const { return find_in(folder_, name); }
+  /// The same of any folder, without reading what is kept of its runs.
+  static std::optional<std::filesystem::path> find_in(const std::filesystem::path& folder,
+                                                      const std::string& name);
 
   // Each of these is JSON as docs/console.md describes it. A run that is being measured is read as far as it
   // goes.

@@ -5,11 +5,15 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <stop_token>
 #include <string>
+#include <vector>
 
 #include "app/console/access.h"
 #include "app/console/session.h"
+#include "app/console/silent_connections.h"
+#include "app/console/tls.h"
 
 namespace abcal::console {
 
@@ -19,7 +23,15 @@ struct ServerOptions {
   AccessRules access;
   /// Where the process that holds the bench listens, if another program starts it; empty: the console does.
   std::filesystem::path bench_socket;
-  std::size_t most_connections = 100;
+  /// Where the register is whose persons use the console; empty: none.
+  std::string register_location;
+  std::chrono::minutes login_time{8 * 60};  ///< A working day.
+  std::optional<TlsIdentity> tls;           ///< Required where others than this computer can connect.
+  /// Addresses of proxies: what they say of where a request comes from is taken as true.
+  std::vector<std::string> trusted_proxies;
+  SilentConnections::Limits silent;    ///< Connections that have not said who they are.
+  std::size_t most_connections = 100;  ///< Of those that have,
+  std::size_t most_of_address = 80;    ///< and of one address.
   /// Messages that wait for a slow page; beyond it they are dropped, and it gets a snapshot instead. Replies
   /// are never dropped: no more is read from a page that leaves as many of them waiting.
   std::size_t longest_queue = 64;
@@ -34,7 +46,9 @@ struct ServerOptions {
 class Server {
  public:
   /// Listens from here on.
-  /// @throws std::runtime_error if the port cannot be had.
+  /// @throws std::runtime_error if the port cannot be had
+  /// @throws std::invalid_argument if others than this computer could use it without TLS, or without a person
+  ///         or token
   Server(ServerOptions options, Session::Options bench);
   ~Server();
 

@@ -46,7 +46,7 @@ void Session::close() {
     const std::lock_guard lock(mutex_);
     if (std::exchange(closing_, true)) return;
   }
-  stop("the end of the program");
+  stop({"the end of the program", {}, {}});
   worker_.request_stop();
   worker_.join();
 }
@@ -114,7 +114,7 @@ void Session::tell_activity() {
   tell_(seen);
 }
 
-Session::Refusal Session::begin(Activity activity, std::function<void()> job) {
+Session::Refusal Session::begin(Activity activity, std::function<void()> job, const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ != Activity::kIdle) return kBusy;
@@ -126,6 +126,8 @@ Session::Refusal Session::begin(Activity activity, std::function<void()> job) {
       options.open_bench = [this](const BenchConfig& config, BenchStreams) { return open(config); };
       options.listener = [this](const SessionEvent& event) { show(event); };
       options.stop = stop_.get_token();
+      options.login = by.login;
+      operator_ = by;
       run_ = std::make_shared<RunSession>(std::move(options));
     }
     job_ = std::move(job);
@@ -139,61 +141,75 @@ Session::Refusal Session::check(bool with_motion) {
   return begin(Activity::kChecking, [this, with_motion] { do_check(with_motion); });
 }
 
-Session::Refusal Session::start() {
+Session::Refusal Session::start(const Asker& by) {
   const std::string name =
       output_path("", options_.bench_file.filename().string(), ".run").filename().string();
-  return begin(Activity::kRunning, [this, name] { do_start(name); });
+  return begin(
+      Activity::kRunning, [this, name] { do_start(name); }, by);
 }
 
-Session::Refusal Session::resume(const std::filesystem::path& run) {
-  return begin(Activity::kRunning, [this, run] { do_resume(run); });
+Session::Refusal Session::resume(const std::filesystem::path& run, const Asker& by) {
+  return begin(
+      Activity::kRunning, [this, run] { do_resume(run); }, by);
 }
 
 Session::Refusal Session::jog(const Jog& jog) {
   return begin(Activity::kJogging, [this, jog] { do_jog(jog); });
 }
 
-Session::Refusal Session::hold() {
+void Session::record(const char* kind, const Asker& by, RunOperator operates) {
+  if (run_) (void)run_->add_person_event({kind, by.for_record(), std::move(operates)});
+}
+
+Session::Refusal Session::hold(const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ != Activity::kRunning || !run_) return "no run is in progress";
     run_->hold();
+    record("hold asked for", by);
   }
   log("Hold: the stage will stand still after this angle.");
   tell_activity();
   return std::nullopt;
 }
 
-Session::Refusal Session::continue_run() {
+Session::Refusal Session::continue_run(const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ != Activity::kRunning || !run_ || !run_->is_hold_wanted()) return "no run is held";
     run_->continue_run();
+    record("continue asked for", by);
   }
   log("Continue: the stage moves on.");
   tell_activity();
   return std::nullopt;
 }
 
-Session::Refusal Session::stop(const std::string& by) {
+void Session::control_taken(const Asker& by) {
+  const std::lock_guard lock(mutex_);
+  if (activity_ == Activity::kRunning) record("control taken", by, by.who);
+}
+
+Session::Refusal Session::stop(const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
     if (activity_ == Activity::kIdle) return "nothing is in progress that could be stopped";
     if (activity_ == Activity::kAnalysing) return "the stage is at rest; the run is being analysed";
     if (stop_.stop_requested()) return std::nullopt;
+    record("stop asked for", by);
     // Requesting the stop sends the halt to the stage and waits for its answer: not in the caller's thread.
     stopper_ = std::jthread([source = stop_]() mutable { source.request_stop(); });
   }
   tell_(LogLine{LogLine::Grade::kWarning,
-                fmt::format("Stop, asked for by {}: the halt is sent to the stage.", by)});
+                fmt::format("Stop, asked for by {}: the halt is sent to the stage.", by.for_people())});
   return std::nullopt;
 }
 
-Session::Refusal Session::note(std::string text, std::string by) {
+Session::Refusal Session::note(std::string text, const Asker& by) {
   const std::lock_guard lock(mutex_);
   if (activity_ != Activity::kRunning || !run_)
     return "no run is in progress: a note goes into the event log of a run";
-  if (!run_->add_note({std::move(text), std::move(by)})) return "many notes wait to be stored already";
+  if (!run_->add_note({std::move(text), by.for_record()})) return "many notes wait to be stored already";
   return std::nullopt;
 }
 
@@ -217,6 +233,8 @@ RunBegan Session::describe(const RunBeganEvent& event) const {
   began.bench = event.bench;
   began.item = event.item;
   began.operator_name = event.operator_name;
+  if (operator_.login.empty() && !event.operator_name.empty())
+    began.operator_name += fmt::format(" ({})", kNotVerified);
   began.unit = event.unit;
   began.simulated = simulated_;
   began.plan = event.plan;

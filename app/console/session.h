@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "app/bench/make_bench.h"
+#include "app/console/asker.h"
 #include "app/console/event.h"
 #include "app/console/request.h"
 #include "app/session/run_session.h"
@@ -40,18 +41,23 @@ class Session {
   void close();
 
   Refusal check(bool with_motion);
-  Refusal start();
-  Refusal resume(const std::filesystem::path& run);
-  Refusal hold();
-  Refusal continue_run();
+  /// A run of this person: with a register the one who is logged in, else as the bench file states.
+  Refusal start(const Asker& by);
+  Refusal resume(const std::filesystem::path& run, const Asker& by);
+  Refusal hold(const Asker& by);
+  Refusal continue_run(const Asker& by);
   Refusal jog(const Jog& jog);
-  /// Into the event log of the current run; `by` names the person.
-  Refusal note(std::string text, std::string by);
-  /// Halts the stage at once and ends the current activity. `by` names who asked, for the log.
-  Refusal stop(const std::string& by);
+  /// Into the event log of the current run.
+  Refusal note(std::string text, const Asker& by);
+  /// Halts the stage at once and ends the current activity.
+  Refusal stop(const Asker& by);
+  /// Somebody steers from now on; the event log of the current run says so.
+  void control_taken(const Asker& by);
 
  private:
-  Refusal begin(Activity activity, std::function<void()> job);
+  Refusal begin(Activity activity, std::function<void()> job, const Asker& by = {});
+  /// What a person does, for the event log of the current run; the mutex is held.
+  void record(const char* kind, const Asker& by, RunOperator operates = {});
   void work(const std::stop_token& end);
   void carry_out(const std::function<void()>& job);
   void tell_activity();
@@ -78,6 +84,7 @@ class Session {
   bool closing_ = false;
   std::stop_source stop_;            ///< Of the current activity.
   std::shared_ptr<RunSession> run_;  ///< Null: no run is in progress.
+  Asker operator_;                   ///< Who began it.
 
   /// Kept open between jogs; of the measuring thread alone.
   struct JogBench {

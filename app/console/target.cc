@@ -1,6 +1,7 @@
 #include "app/console/target.h"
 
 #include <boost/url/parse.hpp>
+#include <boost/url/parse_query.hpp>
 #include <boost/url/url_view.hpp>
 
 namespace abcal::console {
@@ -17,9 +18,17 @@ std::optional<Target> parse_target(std::string_view text) {
   }
   // Boost.URL removes a leading "/.": the parts would not be those that were sent.
   if (joined != target.path && target.path != "/") return std::nullopt;
-  const auto token = url->params().find("token");
-  if (token != url->params().end()) target.token = (*token).value;
   return target;
+}
+
+std::optional<std::map<std::string, std::string>> parse_form(std::string_view body) {
+  const auto query = boost::urls::parse_query({body.data(), body.size()});
+  if (!query) return std::nullopt;
+  boost::urls::encoding_opts options;
+  options.space_as_plus = true;
+  std::map<std::string, std::string> fields;
+  for (const auto field : *query) fields.emplace(field.key.decode(options), field.value.decode(options));
+  return fields;
 }
 
 }  // namespace abcal::console

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -9,13 +10,16 @@ namespace abcal::console {
 
 /// Where an HTTP request goes: its target, taken apart. Reading it is separate from answering it.
 struct Target {
-  std::string path;                  ///< As it was sent, before "?": "/runs/a%20b.run/result".
-  std::vector<std::string> words;    ///< Its parts, decoded: "runs", "a b.run", "result". Any bytes, "/" too.
-  std::optional<std::string> token;  ///< Of the query "?token=...", decoded.
+  std::string path;                ///< As it was sent, before "?": "/runs/a%20b.run/result".
+  std::vector<std::string> words;  ///< Its parts, decoded: "runs", "a b.run", "result". Any bytes, "/" too.
 };
 
 /// Reads a target in origin form (RFC 9112, section 3.2.1).
 /// @return nothing if it is none
 std::optional<Target> parse_target(std::string_view text);
+
+/// Reads the fields of a form (application/x-www-form-urlencoded), decoded. Of two with one name the first.
+/// @return nothing if it is none
+std::optional<std::map<std::string, std::string>> parse_form(std::string_view body);
 
 }  // namespace abcal::console

@@ -12,17 +12,16 @@
 #include <stdexcept>
 
 namespace abcal::lab {
-namespace {
 
 std::filesystem::path state_folder() {
   if (const char* state = std::getenv("XDG_STATE_HOME"); state != nullptr && *state == '/')
     return std::filesystem::path(state) / "abcal";
+  // Set by systemd.
+  if (const char* state = std::getenv("STATE_DIRECTORY"); state != nullptr && *state == '/') return state;
   if (const char* home = std::getenv("HOME"); home != nullptr && *home == '/')
     return std::filesystem::path(home) / ".local/state/abcal";
-  throw std::runtime_error("a login cannot be kept: neither HOME nor XDG_STATE_HOME names a folder");
+  throw std::runtime_error("nothing can be kept: neither HOME nor XDG_STATE_HOME names a folder");
 }
-
-}  // namespace
 
 std::filesystem::path login_file_path(const std::string& register_identity) {
   return state_folder() / ("login-" + register_identity);

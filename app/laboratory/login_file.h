@@ -13,6 +13,10 @@ struct LoginFile {
   std::string token;
 };
 
+/// Where this program keeps what belongs to its user on this machine: $XDG_STATE_HOME/abcal, of a service
+/// $STATE_DIRECTORY, else ~/.local/state/abcal. @throws std::runtime_error if the environment names none
+std::filesystem::path state_folder();
+
 /// Where the login to a register is kept.
 std::filesystem::path login_file_path(const std::string& register_identity);
 

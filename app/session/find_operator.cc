@@ -50,11 +50,16 @@ std::string calibrations_of(lab::Register& opened, const std::string& today) {
 
 }  // namespace
 
-RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now) {
+RegisteredStart find_operator(const std::string& stated, Clock::UtcTime now, const std::string& login) {
   const std::string location = lab::register_location({});
-  if (location.empty()) return {{stated, {}}, {}};
+  if (location.empty()) {
+    if (login.empty()) return {{stated, {}}, {}};
+    throw std::invalid_argument(
+        "the console has a register, but the process that holds the bench has none; required: the same "
+        "ABCAL_REGISTER for both");
+  }
   lab::Register opened = lab::Register::open(location, now);
-  const lab::LoggedIn person = lab::require_login(opened, now);
+  const lab::LoggedIn person = login.empty() ? lab::require_login(opened, now) : opened.who(login, now);
   if (!person.person().may(lab::Right::kMeasure))
     throw std::invalid_argument(fmt::format(
         "{} is logged in but may not measure; required: a person with the right to measure", person.name()));

@@ -25,8 +25,9 @@
 namespace abcal {
 namespace {
 
-/// Most notes that wait to be stored.
+/// Most notes that wait to be stored, and most events of persons.
 constexpr std::size_t kMostNotes = 20;
+constexpr std::size_t kMostPersonEvents = 200;
 
 /// A run that is complete, closed or not. A levelling has no calibration's results.
 RunOutcome analysed_outcome(const std::filesystem::path& path, StoredRun stored) {
@@ -208,19 +209,42 @@ bool RunSession::add_note(NoteRequest note) {
   return true;
 }
 
+bool RunSession::add_person_event(PersonEvent event) {
+  const std::lock_guard lock(mutex_);
+  if (person_events_.size() >= kMostPersonEvents) return false;
+  person_events_.push_back(std::move(event));
+  return true;
+}
+
 void RunSession::request_stop() {
   stop_.request_stop();
 }
 
 void RunSession::store_notes(RunFile& file, const Clock& clock) {
   std::vector<NoteRequest> notes;
+  std::vector<PersonEvent> person_events;
   {
     const std::lock_guard lock(mutex_);
     notes.swap(notes_);
+    person_events.swap(person_events_);
+  }
+  for (const PersonEvent& event : person_events) {
+    const std::string utc = format_utc(file.utc_now(clock));
+    file.append_event(utc, event.kind, event.text);
+    note_operator(file, event.operates, utc);
   }
   for (const NoteRequest& note : notes) {
     file.append_event(format_utc(file.utc_now(clock)), "note", fmt::format("{} ({})", note.text, note.by));
     tell(NoteStoredEvent{note.text, note.by});
+  }
+}
+
+/// Of a run that ends for another reason, which is told whether or not they can be stored.
+void RunSession::store_last_notes(RunFile& file, const Clock& clock) noexcept {
+  try {
+    store_notes(file, clock);
+  } catch (const std::exception& error) {
+    warn("note", fmt::format("not stored in the event log: {}", error.what()));
   }
 }
 
@@ -280,7 +304,7 @@ Identities RunSession::identify_instruments(const StartRequest& request) {
 
 RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
-  RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now());
+  RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now(), options_.login);
   (void)read_signing_key();  // A key that cannot be read is reported before the first move.
   (void)identify_instruments(request);
   opened_->registered = std::move(registered);
@@ -394,7 +418,7 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   transcript_.reset();
   const BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
   // Another person than who began may go on with a run.
-  RegisteredStart registered = find_operator({}, RealClock().utc_now());
+  RegisteredStart registered = find_operator({}, RealClock().utc_now(), options_.login);
   if (!registered.who.verified()) registered.who.name = config.operator_name;
   (void)read_signing_key();
   OpenedBench& opened = open(config, {});
@@ -470,11 +494,13 @@ RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_fa
     store_notes(file, *bench.clock);
     return is_hold_wanted();
   };
+  bool all_measured = false;
   try {
     SessionObserver observer(listener, hold_wanted);
     const RunTiming timing =
         measure_plan({bench, opened.config, file, opened.plan, so_far}, observer, stop_.get_token());
     store_notes(file, *bench.clock);
+    all_measured = true;
     tell(AllMeasuredEvent{path.string()});
     const std::string utc = format_utc(file.utc_now(*bench.clock));
     if (const auto warning = note_environment(bench, opened.config, file, "end")) {
@@ -487,6 +513,7 @@ RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_fa
     return outcome;
   } catch (const std::exception& error) {
     opened.identified = false;  // The next run opens the instruments again.
+    if (!all_measured) store_last_notes(file, *bench.clock);
     ended_early.reason = error.what();
     tell(ended_early);
     throw;

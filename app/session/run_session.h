@@ -17,6 +17,7 @@
 #include "app/session/session_events.h"
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_operator.h"
 
 namespace abcal {
 
@@ -33,13 +34,20 @@ struct RunOutcome {
   const CalibrationResult& result() const;
 };
 
+/// What a person did during a run, for its event log.
+struct PersonEvent {
+  std::string kind;      ///< "stop asked for", "control taken", ...
+  std::string text;      ///< Who, and from where.
+  RunOperator operates;  ///< Who operates from then on; no name: nobody else than before.
+};
+
 /// Owns the life of a run: opens the bench, identifies, plans, begins or resumes, measures, closes, analyses.
 /// Passes events to a listener and prints nothing. Every way to run (`run`, `resume`, `replay`, a campaign,
 /// the console) is a listener of the same events.
 ///
-/// One thread carries out start(), resume() and replay(); hold(), continue_run(), add_note() and
-/// request_stop() may be called from any thread. The instruments stay open as long as the session lives:
-/// start() with the same bench file uses them again.
+/// One thread carries out start(), resume() and replay(); hold(), continue_run(), add_note(),
+/// add_person_event() and request_stop() may be called from any thread. The instruments stay open as long as
+/// the session lives: start() with the same bench file uses them again.
 class RunSession {
  public:
   struct Options {
@@ -47,6 +55,7 @@ class RunSession {
     std::function<Bench(const BenchConfig& config, BenchStreams streams)> open_bench;
     SessionListener listener;  ///< Empty: nobody listens.
     std::stop_token stop;      ///< As request_stop().
+    std::string login;         ///< Of the operator, as in find_operator().
     /// Called once with a complete run and its result: when the file is closed, or before waiting for
     /// programs that read it. May be empty.
     std::function<void(const RunOutcome& outcome)> result_listener;
@@ -93,6 +102,9 @@ class RunSession {
   /// A note for the event log of the run; stored by the measuring thread soon.
   /// @return false: too many wait to be stored.
   bool add_note(NoteRequest note);
+  /// What a person does now; stored soon, at the latest when the run ends.
+  /// @return false: too many wait to be stored.
+  bool add_person_event(PersonEvent event);
   /// Halts the stage at once and ends the run. Waits for the answer to the halt.
   void request_stop();
 
@@ -119,13 +131,15 @@ class RunSession {
   void tell(SessionEvent event) const;
   void warn(const std::string& kind, const std::string& text) const;
   void store_notes(RunFile& file, const Clock& clock);
+  void store_last_notes(RunFile& file, const Clock& clock) noexcept;
 
   Options options_;
   std::stop_source stop_;
   std::unique_ptr<Notifier> notifier_;  ///< Of a run or levelling; a replay has none.
   mutable std::mutex mutex_;
   bool hold_wanted_ = false;
-  std::vector<NoteRequest> notes_;  ///< To be stored.
+  std::vector<NoteRequest> notes_;          ///< To be stored.
+  std::vector<PersonEvent> person_events_;  ///< To be stored.
   // Destroyed from the last to the first: the objects that the byte streams of a bench use outlive it.
   std::unique_ptr<Transcript> transcript_;
   std::unique_ptr<RecordedWire> recorded_wire_;

@@ -108,6 +108,18 @@ inline Answer http_get(std::uint16_t port, const std::string& target, Headers he
   return connection.answer();
 }
 
+/// A form that is posted, and its answer.
+inline Answer http_post(std::uint16_t port, const std::string& target, const std::string& form,
+                        Headers headers = {}) {
+  headers.emplace("Host", "127.0.0.1:" + std::to_string(port));
+  headers.emplace("Content-Type", "application/x-www-form-urlencoded");
+  std::string text = "POST " + target + " HTTP/1.1\r\n";
+  for (const auto& [name, value] : headers) text += name + ": " + value + "\r\n";
+  RawConnection connection(port);
+  connection.send(text + "Content-Length: " + std::to_string(form.size()) + "\r\n\r\n" + form);
+  return connection.answer();
+}
+
 /// A page: a WebSocket of the console.
 class PageClient {
  public:

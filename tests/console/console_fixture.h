@@ -40,6 +40,7 @@ class ConsoleTest : public testing::Test {
   void open() {
     std::filesystem::create_directories(runs());
     test::write_file(folder / "bench.toml", bench.text());
+    stop_ = std::stop_source();
     server_ = std::make_unique<Server>(options, Session::Options{folder / "bench.toml", runs(), pace});
     port = server_->port();
     thread_ = std::jthread([this] { something_was_on = server_->serve(stop_.get_token()); });
@@ -65,8 +66,8 @@ class ConsoleTest : public testing::Test {
     return count;
   }
   /// A page that steers, and has seen all that was told until then.
-  std::unique_ptr<test::PageClient> steering_page() {
-    auto page = std::make_unique<test::PageClient>(port);
+  std::unique_ptr<test::PageClient> steering_page(const test::Headers& headers = {}) {
+    auto page = std::make_unique<test::PageClient>(port, headers);
     EXPECT_TRUE(page->ok({{"do", "control"}}));
     page->wait_for([](const auto& m) { return m["type"] == "control" && m["page"].is_number(); }, "control");
     return page;

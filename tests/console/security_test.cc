@@ -8,7 +8,10 @@
 #include <string>
 #include <vector>
 
+#include "app/bench/real_clock.h"
 #include "app/console/asset.h"
+#include "app/console/login_throttle.h"
+#include "app/console/tls.h"
 #include "tests/console/console_fixture.h"
 
 namespace abcal::console {
@@ -87,34 +90,129 @@ TEST_F(SecurityTest, WithoutTheTokenNothingIsShown) {
   options.access.token = "0123456789abcdef";
   open();
   const std::string cookie_name = "abcal_token_" + std::to_string(port);
-  for (const char* path : {"/", "/app.js", "/runs", "/runs/a.run/result"})
+  for (const char* path : {"/", "/app.js", "/runs", "/runs/a.run/result", "/who", "/login", "/logout"})
     EXPECT_EQ(test::http_get(port, path).status, 401U) << path;
   EXPECT_EQ(upgrade({}), 401U);
   EXPECT_EQ(upgrade({{"Authorization", "Bearer 0123456789abcdeF"}}), 401U);
   EXPECT_EQ(upgrade({{"Cookie", cookie_name + "=0123456789abcdeF"}}), 401U);
   EXPECT_EQ(upgrade({{"Cookie", cookie_name + "=0123456789abcdef0"}}), 401U);
   EXPECT_EQ(upgrade({{"Cookie", "abcal_token=0123456789abcdef"}}), 401U);
-  EXPECT_EQ(upgrade({}, "/live?token=0123456789abcdef"), 401U) << "in the address of the page alone";
-  EXPECT_EQ(test::http_get(port, "/?token=0123456789abcdeF").status, 401U);
-  EXPECT_EQ(test::http_get(port, "/?token=").status, 401U);
   EXPECT_TRUE(is_logged("no token"));
-  EXPECT_TRUE(is_logged("this is not the token"));
-  // The token itself is in no log.
-  EXPECT_THAT(logged(), testing::Not(HasSubstr("0123456789abcde")));
 
-  const test::Answer welcome = test::http_get(port, "/?token=0123456789abcdef");
-  EXPECT_EQ(welcome.status, 303U);
+  // Not in the address of a request, where others may see it.
+  for (const char* target : {"/?token=0123456789abcdef", "/login?token=0123456789abcdef"})
+    EXPECT_EQ(test::http_get(port, target).status, 401U) << target;
+  EXPECT_EQ(upgrade({}, "/live?token=0123456789abcdef"), 401U);
+  for (const char* form : {"token=0123456789abcdeF", "token=", "name=N.+N.&password=0123456789abcdef", "%zz"})
+    EXPECT_NE(test::http_post(port, "/login", form).status, 303U) << form;
+  EXPECT_TRUE(is_logged("This is not the token"));
+
+  const test::Answer welcome = test::http_post(port, "/login", "token=0123456789abcdef");
+  ASSERT_EQ(welcome.status, 303U) << welcome.body;
   EXPECT_EQ(welcome.headers.at("Location"), "/");
   EXPECT_EQ(welcome.headers.at("Set-Cookie"),
-            cookie_name + "=0123456789abcdef; HttpOnly; SameSite=Strict; Path=/");
+            cookie_name + "=0123456789abcdef; HttpOnly; SameSite=Strict; Path=/; Max-Age=2592000");
   const test::Headers cookie{{"Cookie", cookie_name + "=0123456789abcdef"}};
   EXPECT_EQ(test::http_get(port, "/runs", cookie).status, 200U);
   EXPECT_EQ(upgrade(cookie), 101U);
+  // The token itself is in no log, wherever it was sent.
+  EXPECT_THAT(logged(), testing::Not(HasSubstr("0123456789abcde")));
   // The cookie does not let another page in.
   test::Headers elsewhere = cookie;
   elsewhere["Origin"] = "http://evil.example.org";
   EXPECT_EQ(upgrade(elsewhere), 403U);
+  EXPECT_EQ(test::http_post(port, "/login", "token=0123456789abcdef", {{"Origin", "http://evil.example.org"}})
+                .status,
+            403U);
   expect_that_nothing_moved(cookie);
+}
+
+TEST_F(SecurityTest, WhoGuessesTheTokenHasToWait) {
+  options.access.token = "0123456789abcdef";
+  open();
+  for (int i = 0; i < LoginThrottle::kFree; ++i)
+    EXPECT_EQ(test::http_post(port, "/login", "token=guess").status, 401U) << i;
+  const test::Answer slowed = test::http_post(port, "/login", "token=0123456789abcdef");
+  EXPECT_EQ(slowed.status, 429U);
+  EXPECT_EQ(slowed.headers.at("Retry-After"), "1");
+}
+
+TEST_F(SecurityTest, OthersThanThisComputerGetNothingWithoutTlsAndWithoutSayingWhoTheyAre) {
+  std::filesystem::create_directories(runs());
+  const auto refusal = [&](const ServerOptions& tried) -> std::string {
+    try {
+      const Server server(tried, Session::Options{folder / "bench.toml", runs(), pace});
+      return "started";
+    } catch (const std::invalid_argument& error) {
+      return error.what();
+    }
+  };
+  ServerOptions everywhere = options;
+  everywhere.address = "0.0.0.0";
+  everywhere.access.token = "0123456789abcdef";
+  EXPECT_THAT(refusal(everywhere), HasSubstr("without TLS"));
+  everywhere.access.token.clear();
+  everywhere.tls = own_tls_identity(folder.path(), {"localhost"}, RealClock().utc_now());
+  EXPECT_THAT(refusal(everywhere), HasSubstr("required: a token or a register"));
+  ServerOptions proxied = options;
+  proxied.access.hosts = {"bench.example.org"};
+  EXPECT_THAT(refusal(proxied), HasSubstr("reaches a proxy"));
+  proxied = options;
+  proxied.trusted_proxies = {"127.0.0.1"};
+  EXPECT_THAT(refusal(proxied), HasSubstr("reaches a proxy"));
+}
+
+TEST_F(SecurityTest, WhatAProxyPassesOnToAConsoleOfThisComputerAloneIsRefused) {
+  open();
+  for (const char* header : {"Forwarded", "X-Forwarded-For", "X-Real-IP", "Via"}) {
+    EXPECT_EQ(test::http_get(port, "/", {{header, "for=192.0.2.1"}}).status, 403U) << header;
+    EXPECT_EQ(upgrade({{header, "192.0.2.1"}}), 403U) << header;
+  }
+  EXPECT_TRUE(is_logged("see `abcal serve --trusted-proxy`"));
+  expect_that_nothing_moved();
+}
+
+TEST_F(SecurityTest, OnlyATrustedProxySaysWhereARequestComesFrom) {
+  options.access.token = "0123456789abcdef";
+  options.access.hosts = {"bench.example.org"};
+  options.trusted_proxies = {"127.0.0.1"};
+  open();
+  const auto guess = [&](const char* client, const char* token) {
+    return test::http_post(port, "/login", std::string("token=") + token,
+                           {{"Host", "bench.example.org"},
+                            {"X-Forwarded-For", client},
+                            {"Origin", "https://bench.example.org"}});
+  };
+  for (int i = 0; i < LoginThrottle::kFree; ++i) EXPECT_EQ(guess("192.0.2.1", "guess").status, 401U);
+  EXPECT_EQ(guess("192.0.2.1", "0123456789abcdef").status, 429U);
+  // Before the proxy anybody can write what they like.
+  EXPECT_EQ(guess("198.51.100.7, 192.0.2.1", "0123456789abcdef").status, 429U);
+  const test::Answer other = guess("192.0.2.2", "0123456789abcdef");
+  EXPECT_EQ(other.status, 303U);
+  EXPECT_THAT(other.headers.at("Set-Cookie"), HasSubstr("; Secure")) << "the browser speaks TLS to the proxy";
+  EXPECT_TRUE(is_logged("refused from 192.0.2.1 by 127.0.0.1:"));
+}
+
+TEST_F(SecurityTest, ANoteCannotTurnTheDirectionOfWriting) {
+  open();
+  auto page = steering_page();
+  for (const char* turned : {"\u202egnp.run", "a \u2066b", "\u200f", "\u061c"}) {
+    const Json reply = page->ask({{"do", "note"}, {"text", turned}});
+    EXPECT_FALSE(reply["ok"].get<bool>());
+    EXPECT_THAT(reply["why"].get<std::string>(), HasSubstr("direction of writing"));
+  }
+  // Others say that no run is on.
+  EXPECT_THAT(page->ask({{"do", "note"}, {"text", "Tür \u05e9\u05dc\u05d5\u05dd"}})["why"].get<std::string>(),
+              HasSubstr("no run is in progress"));
+}
+
+TEST_F(SecurityTest, NamesThatTurnTheDirectionOfWritingAreShownAsTheyAre) {
+  std::filesystem::create_directories(runs());
+  test::write_file(runs() / "a\u202enur.run", "nothing");
+  open();
+  const std::string list = test::http_get(port, "/runs").body;
+  EXPECT_THAT(list, HasSubstr("a[U+202E]nur.run"));
+  EXPECT_THAT(list, testing::Not(HasSubstr("\u202e")));
 }
 
 TEST_F(SecurityTest, NoPathLeadsOutOfTheRunFolder) {
@@ -236,20 +334,39 @@ TEST_F(SecurityTest, OnePageSteersAtATime) {
   EXPECT_TRUE(test::wait_for([&] { return second.ok({{"do", "control"}}); }, test::kPatience));
 }
 
-TEST_F(SecurityTest, ConnectionsAreLimitedInNumberAndTime) {
-  options.most_connections = 3;
+TEST_F(SecurityTest, SilentConnectionsLockOutNobody) {
+  open();  // With the limits and times as they are.
+  std::vector<std::unique_ptr<test::RawConnection>> silent;
+  for (int i = 0; i < 100; ++i) silent.push_back(std::make_unique<test::RawConnection>(port));
+  const auto begun = std::chrono::steady_clock::now();
+  // Also of the same address: the oldest gives way.
+  EXPECT_EQ(test::http_get(port, "/").status, 200U);
+  expect_that_nothing_moved();
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, options.request_time / 2);
+  EXPECT_TRUE(silent.front()->closed());
+  EXPECT_TRUE(is_logged("the oldest was ended"));
+}
+
+TEST_F(SecurityTest, SilentConnectionsAreEndedInTime) {
   options.request_time = std::chrono::seconds(1);
   open();
-  std::vector<std::unique_ptr<test::RawConnection>> idle;
-  for (int i = 0; i < 3; ++i) {
-    idle.push_back(std::make_unique<test::RawConnection>(port));
-    idle.back()->send("GET / HTTP/1.1\r\n");  // And never the rest.
-  }
-  EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 0; }, test::kPatience));
-  EXPECT_TRUE(is_logged("there are 3 already"));
-  for (const auto& connection : idle) EXPECT_TRUE(connection->closed());
+  test::RawConnection half(port), silent(port);
+  half.send("GET / HTTP/1.1\r\n");  // And never the rest.
+  EXPECT_TRUE(half.closed());
+  EXPECT_TRUE(silent.closed());
+  EXPECT_TRUE(is_logged("not complete after 1 s"));
+}
+
+TEST_F(SecurityTest, ConnectionsThatWereLetInAreLimitedInNumber) {
+  options.most_connections = 3;
+  options.most_of_address = 2;
+  open();
+  std::vector<std::unique_ptr<test::PageClient>> pages;
+  for (int i = 0; i < 2; ++i) pages.push_back(std::make_unique<test::PageClient>(port));
+  EXPECT_EQ(test::http_get(port, "/").status, 503U);
+  EXPECT_TRUE(is_logged("there are 2 connections already"));
+  pages.pop_back();
   EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 200; }, test::kPatience));
-  expect_that_nothing_moved();
 }
 
 TEST_F(SecurityTest, ARequestThatComesByteByByteIsCutOffAndHoldsUpNobody) {
@@ -284,7 +401,8 @@ TEST_F(SecurityTest, AnAnswerThatIsNeverTakenEndsTheConnection) {
   std::string many;
   for (int i = 0; i < 20; ++i) many += request;  // More than the system's buffers hold.
   deaf.send(many);
-  EXPECT_EQ(test::http_get(port, "/").status, 0U) << "it has the only connection";
+  EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 503; }, test::kPatience))
+      << "it has the only connection";
   EXPECT_TRUE(is_logged("its answer was not taken"));
   EXPECT_TRUE(test::wait_for([&] { return test::http_get(port, "/").status == 200; }, test::kPatience));
 }

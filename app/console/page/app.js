@@ -6,13 +6,16 @@ import {offerTimes, timeElement} from '/time.js';
 import {showChart, showCompare, showRun, showRuns} from '/runs.js';
 
 const live = new LiveView();
-let me = null, steering = {page: null}, bench = {state: 'on'};
+let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
 let hadControl = false;
 const USE_THE_SWITCH = 'use the switch on the stage';
 
 const link = new Link((message) => {
   if (message.type === 'you') {
     me = message.number;
+    maySteer = message.may_steer;
+    byId('person').hidden = !message.person;
+    byId('person-name').textContent = message.person;
     byId('lost-control').replaceChildren();
     if (hadControl) lostControl('this page lost its connection');
   }
@@ -90,8 +93,9 @@ function offer(contact) {
   const set = (id, possible) => { byId(id).disabled = !possible; };
   const other = steering.page !== null && steering.page !== me;
   byId('take-control').textContent = steer ? 'Release control' : other ? 'Take control from the other page' : 'Take control';
-  byId('who-steers').textContent = other ? `${steering.who} steers${steering.silent ? ', and does not answer' : ''}.` : '';
-  set('take-control', contact && me !== null);
+  byId('who-steers').textContent = (other ? `${steering.who} steers${steering.silent ? ', and does not answer' : ''}.` : '')
+    + (maySteer ? '' : ' You may watch and stop; steering needs the right to measure.');
+  set('take-control', contact && me !== null && maySteer);
   for (const id of ['do-check', 'do-start', 'do-jog']) set(id, steer && what === 'idle');
   set('do-hold', steer && what === 'running' && !activity.hold_asked && !activity.stop_asked);
   set('do-continue', steer && what === 'running' && activity.hold_asked && !activity.stop_asked);
@@ -139,6 +143,14 @@ function showHalt({axes, took_s: took, since}) {
   const words = {halted: 'has halted', unreachable: 'is unreachable and may be moving'};
   byId('halt').replaceChildren(`Axis X ${words[axes.x]}. Axis Z ${words[axes.z]}. (${took.toFixed(2)} s, `, timeElement(since, 'clock'), ')', all ? '' : ` Use the switch on the stage.`);
 }
+
+byId('log-out').addEventListener('click', async () => {
+  try {
+    await fetch('/logout', {method: 'POST'});
+  } finally {
+    location.replace('/');
+  }
+});
 
 byId('do-stop').addEventListener('click', stop);
 byId('dialog-stop').addEventListener('click', stop);

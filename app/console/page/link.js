@@ -31,9 +31,17 @@ export class Link {
       for (const resolve of this.waiting.values()) resolve({ok: false, lost: true, why: 'the connection was lost before the answer'});
       this.waiting.clear();
       this.onContact();
+      this.askWho();
       setTimeout(() => this.open(), this.wait);
       this.wait = Math.min(2 * this.wait, 8000);
     };
+  }
+
+  // Whether this page may still be here: a WebSocket that is declined does not say why.
+  async askWho() {
+    try {
+      if ((await fetch('/who')).status === 401) location.reload();
+    } catch { /* No contact; the page says so. */ }
   }
 
   receive(message) {

@@ -56,6 +56,7 @@ alignedLeft: true,
       this.setProgress(this.run.progress);
       byId('run-file').textContent = this.run.file || DASH;
       byId('item').textContent = this.run.item || DASH;
+      byId('operator').textContent = this.run.operator || DASH;
       byId('simulated').textContent = this.run.simulated ? `SIMULATED: ${this.run.simulated}` : '';
       byId('time').textContent = this.run.pace === null ? 'real' : `simulated, ${this.run.pace} times as fast as real time`;
       for (const {response, residual} of this.charts) {

@@ -58,9 +58,10 @@ export const measured = () => served.measured();
 export const stateIs = (pattern) => served.stateIs(pattern);
 export const confirmDialog = () => page.locator('#confirm-yes').click();
 
-// Opens the page of a console that serves the bench; `prepare` is done before, e.g. runs are made. Says at the end of the
+// Opens the page of a console that serves the bench; `prepare` is done before, e.g. runs are made, and `enter` until the page
+// of the bench is there. Says at the end of the
 // test program which step it was in, if that took too long.
-export function begin({pace, prepare = () => {}}) {
+export function begin({pace, bench = BENCH, prepare = () => {}, enter = () => served.entered()}) {
   let step = 'opening the page';
   const watchdog = setTimeout(() => {
     console.error(`not over after ${LONGEST / 1000} s, in: ${step}`);
@@ -69,9 +70,11 @@ export function begin({pace, prepare = () => {}}) {
   }, LONGEST);
   before(async () => {
     mkdirSync(pictures, {recursive: true});
-    served.describe(BENCH);
+    served.describe(bench);
     await prepare();
-    page = await served.open(BENCH, '--pace', String(pace));
+    await served.goToConsole(bench, '--pace', String(pace));
+    page = served.page;
+    await enter();
   });
   after(async () => {
     step = 'closing the page';

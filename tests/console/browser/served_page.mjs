@@ -28,14 +28,23 @@ export class ServedPage {
 
   // Of a bench file with this text, `abcal serve` with these further words; opens the page.
   async open(bench, ...words) {
+    await this.goToConsole(bench, ...words);
+    return this.entered();
+  }
+
+  // The same, whatever page comes first.
+  async goToConsole(bench, ...words) {
     this.describe(bench);
     this.address = await this.serve(...words);
     const {chromium} = createRequire(path.join(modules, 'x.js'))('playwright-core');
     this.browser = await chromium.launch({executablePath: CHROMIUM, headless: true, args: ['--headless', '--no-sandbox', '--disable-gpu',
       '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync']});
-    this.page = this.watch(await this.browser.newPage({viewport: SIZES.desk, acceptDownloads: true}));
+    this.page = this.watch(await this.browser.newPage({viewport: SIZES.desk, acceptDownloads: true, ignoreHTTPSErrors: true}));
     await this.page.goto(this.address);
-    await this.page.waitForFunction(() => document.getElementById('link').textContent === 'Connected');
+  }
+
+  async entered() {
+    await this.page.waitForFunction(() => document.getElementById('link')?.textContent === 'Connected');
     return this.page;
   }
 
@@ -55,7 +64,7 @@ export class ServedPage {
       let said = '';
       this.server.stdout.on('data', (bytes) => {
         said += bytes;
-        const found = said.match(/Console: (http:\S+)/);
+        const found = said.match(/Console: (https?:\S+)/);
         if (found) resolve(found[1]);
       });
       this.server.on('exit', (code) => reject(new Error(`abcal serve ended with ${code}`)));

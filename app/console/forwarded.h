@@ -1,0 +1,27 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace abcal::console {
+
+/// What proxies say of a request. Empty: absent.
+struct ForwardedHeaders {
+  std::string_view forwarded;        ///< Forwarded (RFC 7239).
+  std::string_view x_forwarded_for;  ///< X-Forwarded-For.
+};
+
+/// Where a request comes from that a proxy has passed on: the last address in the header that is no proxy
+/// itself.
+/// @param proxies  addresses whose word is taken, as they were given
+/// @return nothing if the headers say nothing that can be relied on: both are there, or one cannot be read.
+std::optional<std::string> forwarded_client(const ForwardedHeaders& headers,
+                                            const std::vector<std::string>& proxies);
+
+/// "192.0.2.1", "2001:db8::1": an address as this program writes it; an IPv4 address in IPv6 is IPv4.
+/// @return nothing for what is no address
+std::optional<std::string> plain_address(std::string_view text);
+
+}  // namespace abcal::console

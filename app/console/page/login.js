@@ -1,0 +1,25 @@
+// Who it is: the form is posted once; what proves it from then on is a cookie that no script can read. A token after "#" in
+// the address is never sent as a part of it.
+const refusal = document.getElementById('refusal');
+
+async function post(fields) {
+  refusal.textContent = '';
+  try {
+    const response = await fetch('/login', {method: 'POST', body: new URLSearchParams(fields)});
+    if (response.ok) return location.replace('/');
+    refusal.textContent = (await response.text()).trim();
+  } catch (error) {
+    refusal.textContent = `The console does not answer: ${error.message}`;
+  }
+}
+
+document.querySelector('form').addEventListener('submit', (event) => {
+  event.preventDefault();
+  post(new FormData(event.target));
+});
+
+const given = new URLSearchParams(location.hash.slice(1)).get('token');
+if (given) {
+  history.replaceState(null, '', '/');
+  post({token: given});
+}

@@ -1,0 +1,372 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <boost/asio/post.hpp>
+#include <cmath>
+#include <utility>
+
+#include "app/console/asset.h"
+#include "app/console/download.h"
+#include "app/console/server_impl.h"
+#include "app/console/visible_text.h"
+#include "app/system/output.h"
+
+namespace abcal::console {
+namespace {
+
+namespace http = boost::beast::http;
+
+std::string_view content_type(std::string_view path) {
+  if (path.ends_with(".html")) return "text/html; charset=utf-8";
+  if (path.ends_with(".css")) return "text/css; charset=utf-8";
+  if (path.ends_with(".js")) return "text/javascript; charset=utf-8";
+  if (path.ends_with(".svg")) return "image/svg+xml";
+  return "application/octet-stream";
+}
+
+const Asset* find_asset(std::string_view path) {
+  for (const Asset& asset : assets())
+    if (asset.path == path) return &asset;
+  return nullptr;
+}
+
+/// What the page that asks who somebody is needs itself.
+bool is_for_everybody(std::string_view path) {
+  return path == "/login.js" || path == "/style.css" || path == "/favicon-idle.svg";
+}
+
+HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body) {
+  return respond(to, http::status::ok, "application/json",
+                 with_visible_direction_controls(
+                     body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace)));
+}
+
+}  // namespace
+
+HttpResponse respond(const HttpRequest& request, http::status status, std::string_view type,
+                     std::string body) {
+  HttpResponse response(status, request.version());
+  response.set(http::field::server, "abcal");
+  response.set(http::field::content_type, {type.data(), type.size()});
+  response.set(http::field::cache_control, "no-store");
+  response.set("Content-Security-Policy",
+               "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+               "form-action 'self'; base-uri 'none'; frame-ancestors 'none'");
+  response.set("X-Content-Type-Options", "nosniff");
+  response.set("X-Frame-Options", "DENY");
+  response.set("Referrer-Policy", "no-referrer");
+  response.set("Cross-Origin-Opener-Policy", "same-origin");
+  response.set("Cross-Origin-Resource-Policy", "same-origin");
+  response.keep_alive(request.keep_alive());
+  response.body() = std::move(body);
+  response.prepare_payload();
+  return response;
+}
+
+HttpResponse plain(const HttpRequest& request, http::status status, std::string text) {
+  return respond(request, status, "text/plain; charset=utf-8", std::move(text) + "\n");
+}
+
+HttpRequest head_of(const HttpRequest& request) {
+  HttpRequest head;
+  head.version(request.version());
+  head.keep_alive(request.keep_alive());
+  return head;
+}
+
+HttpResponse Server::Impl::refuse(const Asked& asked, http::status status, const std::string& why) {
+  // Without what stands behind "?", which may be a secret.
+  const std::string_view target = view(asked.request.target());
+  log_refusal(asked.peer,
+              fmt::format("{} {}", view(asked.request.method_string()), target.substr(0, target.find('?'))),
+              why);
+  return plain(asked.request, status, why);
+}
+
+bool Server::Impl::is_proxied_unknown(const HttpRequest& request) const {
+  return is_open() && (request.count("Forwarded") + request.count("X-Forwarded-For") +
+                       request.count("X-Real-IP") + request.count("Via")) > 0;
+}
+
+/// The answer to a request. `later` is set if the answer takes long.
+HttpResponse Server::Impl::answer(const Asked& asked, Slow& later) {
+  const HttpRequest& request = asked.request;
+  if (asked.access == Access::kWrongHost)
+    return refuse(asked, http::status::misdirected_request,
+                  "This console is not known by that name; see `abcal serve --host`.");
+  if (asked.access == Access::kWrongOrigin)
+    return refuse(asked, http::status::forbidden, "Another page may not use this console.");
+  if (is_proxied_unknown(request))
+    return refuse(
+        asked, http::status::forbidden,
+        "This came through a proxy, but this console is for this computer's accounts alone; see `abcal "
+        "serve --trusted-proxy`.");
+  const std::optional<Target> target = parse_target(view(request.target()));
+  if (!target) return refuse(asked, http::status::bad_request, "The path cannot be read.");
+  const std::string& path = target->path;
+  const bool reads = request.method() == http::verb::get || request.method() == http::verb::head;
+  if (path == "/login" && request.method() == http::verb::post && !is_open()) return log_in(asked, later);
+  if (asked.access == Access::kNoToken) return ask_who(asked, path);
+  if (path == "/logout" && request.method() == http::verb::post) return log_out(asked);
+  if (!reads) return refuse(asked, http::status::method_not_allowed, "Only GET is answered here.");
+
+  if (const Asset* asset = find_asset(path == "/" ? "/index.html" : path))
+    return respond(request, http::status::ok, content_type(asset->path), std::string(asset->body));
+  if (path == "/who") {
+    const Visitor& visitor = asked.visitor;
+    return json_answer(request, {{"person", visitor.who.name}, {"may_steer", visitor.may_steer}});
+  }
+  if (const std::function<HttpResponse()> job = library_job(target->words, request)) {
+    later = {&reader, [job] {
+               // Copied once; the answer may be large.
+               const auto response = std::make_shared<HttpResponse>(job());
+               return Slow::Finish([response] { return std::move(*response); });
+             }};
+    return {};
+  }
+  return refuse(asked, http::status::not_found, "There is no such page.");
+}
+
+// ---- Who it is
+
+HttpResponse Server::Impl::ask_who(const Asked& asked, const std::string& path) {
+  const bool persons_asked = options.access.persons;
+  if (is_for_everybody(path)) {
+    const Asset* asset = find_asset(path);
+    return respond(asked.request, http::status::ok, content_type(path), std::string(asset->body));
+  }
+  log_refusal(asked.peer, path, persons_asked ? "nobody is logged in" : "no token");
+  if (path == "/") {
+    const Asset* asset = find_asset(persons_asked ? "/person.html" : "/token.html");
+    return respond(asked.request, http::status::unauthorized, content_type(asset->path),
+                   std::string(asset->body));
+  }
+  return plain(asked.request, http::status::unauthorized,
+               persons_asked ? "Log in first." : "A token is required.");
+}
+
+std::string Server::Impl::login_of(const HttpRequest& request) const {
+  if (!options.access.persons) return {};
+  std::string_view login = cookie_value(view(request[http::field::cookie]), login_cookie);
+  if (login.empty()) login = bearer_of(view(request[http::field::authorization]));
+  // A login has as many letters as random_token() makes; the token may stand there as well.
+  constexpr std::size_t kLogin = 64;
+  if (login.size() != kLogin) return {};
+  if (!options.access.token.empty() && same_secret(login, options.access.token)) return {};
+  return std::string(login);
+}
+
+void Server::Impl::set_cookie(const Asked& asked, HttpResponse& response, const std::string& name,
+                              const std::string& value, std::chrono::seconds life) const {
+  // A browser that speaks TLS to a proxy says so in its origin, which is known to be ours.
+  const bool secure = asked.peer.secure || view(asked.request[http::field::origin]).starts_with("https://");
+  response.insert(http::field::set_cookie,
+                  fmt::format("{}={}; HttpOnly; SameSite=Strict; Path=/; Max-Age={}{}", name, value,
+                              life.count(), secure ? "; Secure" : ""));
+}
+
+HttpResponse Server::Impl::too_many_failures(const Asked& asked, Clock::Duration wait) {
+  const auto seconds = static_cast<long>(std::ceil(to_seconds(wait)));
+  HttpResponse response =
+      refuse(asked, http::status::too_many_requests,
+             fmt::format("Too many attempts have failed; the next is possible in {} s.", seconds));
+  response.set(http::field::retry_after, fmt::format("{}", seconds));
+  return response;
+}
+
+HttpResponse Server::Impl::log_in_by_token(const Asked& asked, const std::string& token) {
+  const std::string& client = asked.peer.client;
+  if (const auto wait = throttle.wait({}, client, clock.now()); wait > Clock::Duration::zero())
+    return too_many_failures(asked, wait);
+  if (options.access.token.empty() || !same_secret(token, options.access.token)) {
+    throttle.failed({}, client, clock.now());
+    return refuse(asked, http::status::unauthorized, "This is not the token.");
+  }
+  throttle.succeeded({}, client);
+  constexpr std::chrono::hours kTokenLife{24 * 30};
+  HttpResponse response = plain(asked.request, http::status::see_other, "Welcome.");
+  response.set(http::field::location, "/");
+  set_cookie(asked, response, options.access.cookie, options.access.token, kTokenLife);
+  return response;
+}
+
+/// POST /login: a form with `token`, or with `name` and `password`.
+HttpResponse Server::Impl::log_in(const Asked& asked, Slow& later) {
+  const auto form = parse_form(asked.request.body());
+  if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
+  const auto field = [&](const char* name) {
+    const auto found = form->find(name);
+    return found == form->end() ? std::string() : found->second;
+  };
+  if (form->contains("token")) return log_in_by_token(asked, field("token"));
+  const std::string name = field("name"), password = field("password");
+  if (!options.access.persons || name.empty())
+    return refuse(asked, http::status::bad_request, "The form lacks a name and a password, or a token.");
+  if (const auto wait = throttle.wait(name, asked.peer.client, clock.now()); wait > Clock::Duration::zero())
+    return too_many_failures(asked, wait);
+
+  // The request is gone when the register has answered.
+  struct Attempt {
+    Peer peer;
+    HttpRequest head;
+    std::string name;
+    std::optional<Visitor> person;
+    std::string refusal, problem;
+  };
+  auto attempt = std::make_shared<Attempt>(Attempt{asked.peer, head_of(asked.request), name, {}, {}, {}});
+  attempt->head.target("/login");
+  attempt->head.method(http::verb::post);
+  attempt->head.set(http::field::origin, asked.request[http::field::origin]);
+  const auto finish = [this, attempt]() -> HttpResponse {
+    const Asked then{attempt->peer, attempt->head, Access::kNoToken, {}};
+    const std::string& client = attempt->peer.client;
+    if (!attempt->problem.empty())
+      return refuse(then, http::status::service_unavailable,
+                    "The register cannot be read: " + attempt->problem);
+    // Those who failed meanwhile count: many attempts at once are no way around.
+    if (const auto wait = throttle.wait(attempt->name, client, clock.now()); wait > Clock::Duration::zero())
+      return too_many_failures(then, wait);
+    if (!attempt->person) {
+      throttle.failed(attempt->name, client, clock.now());
+      return refuse(then, http::status::unauthorized, "Name or password is not right.");
+    }
+    throttle.succeeded(attempt->name, client);
+    const Persons::Known person = persons.remember(*std::move(attempt->person));
+    print_log("console: {} has logged in from {}\n", person->who.name, attempt->peer.remote);
+    HttpResponse response = plain(attempt->head, http::status::see_other, "Welcome.");
+    response.set(http::field::location, "/");
+    set_cookie(then, response, login_cookie, person->login, options.login_time);
+    return response;
+  };
+  later = {&door, [this, attempt, password, finish] {
+             try {
+               attempt->person = register_of_persons::log_in(options.register_location, attempt->name,
+                                                             password, clock.utc_now(), options.login_time);
+             } catch (const LoginRefused& error) {
+               attempt->refusal = error.what();
+             } catch (const std::exception& error) {
+               attempt->problem = error.what();
+             }
+             return Slow::Finish(finish);
+           }};
+  return {};
+}
+
+/// POST /logout: ends the login, its pages and its cookies.
+HttpResponse Server::Impl::log_out(const Asked& asked) {
+  if (const std::string login = asked.visitor.login; !login.empty()) {
+    end_logins({login});
+    boost::asio::post(door, [this, login] {
+      try {
+        register_of_persons::log_out(options.register_location, login, clock.utc_now());
+      } catch (const std::exception& error) {
+        print_warning(fmt::format("console: logging out: {}", error.what()));
+      }
+    });
+  }
+  HttpResponse response = plain(asked.request, http::status::see_other, "Good-bye.");
+  response.set(http::field::location, "/");
+  set_cookie(asked, response, login_cookie, "", std::chrono::seconds(0));
+  set_cookie(asked, response, options.access.cookie, "", std::chrono::seconds(0));
+  return response;
+}
+
+/// These persons may not use the console any more.
+void Server::Impl::end_logins(const std::vector<std::string>& logins) {
+  std::vector<std::shared_ptr<Page>> theirs;
+  for (const std::string& login : logins) {
+    persons.forget(login);
+    for (const std::shared_ptr<Page>& page : pages)
+      if (page->visitor().login == login) theirs.push_back(page);
+  }
+  for (const std::shared_ptr<Page>& page : theirs) page->close();
+}
+
+/// Each second: logins that have expired; each half minute also those that the register ended.
+void Server::Impl::look_at_logins() {
+  if (!options.access.persons) return;
+  const Clock::UtcTime now = clock.utc_now();
+  std::vector<std::string> expired;
+  for (const std::shared_ptr<Page>& page : pages)
+    if (!page->visitor().login.empty() && !persons.find(page->visitor().login, now))
+      expired.push_back(page->visitor().login);
+  end_logins(expired);
+  constexpr Clock::Duration kAskAgain = std::chrono::seconds(30);
+  const std::vector<std::string> logins = persons.logins();
+  if (looks_at_logins || logins.empty() || clock.now() - looked_at_logins < kAskAgain) return;
+  looks_at_logins = true;
+  looked_at_logins = clock.now();
+  boost::asio::post(door, [this, logins, now] {
+    std::vector<std::string> over;
+    try {
+      over = register_of_persons::ended(options.register_location, logins, now);
+    } catch (const std::exception& lost) {
+      // A register that cannot be read ends nothing: who is there goes on, and may stop what moves.
+      print_warning(fmt::format("console: the register cannot be read: {}", lost.what()));
+    }
+    boost::asio::post(io, [this, over] {
+      looks_at_logins = false;
+      end_logins(over);
+    });
+  });
+}
+
+std::shared_ptr<void> Server::Impl::take_seat(const std::string& address) {
+  if (seats >= options.most_connections) return nullptr;
+  std::size_t& of_address = seats_of[address];
+  if (of_address >= options.most_of_address) return nullptr;
+  ++seats;
+  ++of_address;
+  return {this, [address](Impl* impl) {
+            --impl->seats;
+            if (--impl->seats_of[address] == 0) impl->seats_of.erase(address);
+          }};
+}
+
+// ---- Runs
+
+/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME[/shared-stage],
+/// /history/SERIAL. Nothing for other paths.
+std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::string>& words,
+                                                        const HttpRequest& request) {
+  const auto job = [head = head_of(request)](auto make) {
+    return [head, make = std::move(make)] {
+      try {
+        return make(head);
+      } catch (const std::exception& error) {
+        return plain(head, http::status::unprocessable_entity, error.what());
+      }
+    };
+  };
+  if (words == std::vector<std::string>{"runs"})
+    return job([this](const HttpRequest& to) { return json_answer(to, library.list()); });
+  if (words.size() == 2 && words[0] == "history")
+    return job([this, serial = words[1]](const HttpRequest& to) {
+      return json_answer(to, library.history(serial));
+    });
+  const bool shared_stage = words.size() == 4 && words[3] == "shared-stage";
+  if ((words.size() == 3 || shared_stage) && words[0] == "compare") {
+    const auto first = library.find(words[1]), second = library.find(words[2]);
+    if (!first || !second) return nullptr;
+    return job([first = *first, second = *second, shared_stage](const HttpRequest& to) {
+      return json_answer(to, RunLibrary::compare(first, second, shared_stage));
+    });
+  }
+  if (words.size() != 3 || words[0] != "runs") return nullptr;
+  const auto path = library.find(words[1]);
+  if (!path) return nullptr;
+  if (words[2] == "result")
+    return job([this, run = *path](const HttpRequest& to) { return json_answer(to, library.result(run)); });
+  for (const Download& download : downloads()) {
+    if (words[2] == download.name)
+      return job([run = *path, download](const HttpRequest& to) {
+        HttpResponse response = respond(to, http::status::ok, download.content_type, download.make(run));
+        // To be kept, not to be shown: a report has styles of its own, which this page's policy forbids.
+        response.set(http::field::content_disposition, "attachment");
+        return response;
+      });
+  }
+  return nullptr;
+}
+
+}  // namespace abcal::console

@@ -1,0 +1,15 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+
+namespace abcal::console {
+
+/// Whether a text has characters that turn the direction of writing (Unicode's Bidi_Control): with them it
+/// looks other than it is.
+bool has_direction_controls(std::string_view utf8);
+
+/// A text in which these characters are shown: "[U+202E]".
+std::string with_visible_direction_controls(std::string_view utf8);
+
+}  // namespace abcal::console

@@ -1,0 +1,87 @@
+// Who it is: persons of the register log in on the page; a token enters by "#", over TLS.
+import assert from 'node:assert/strict';
+import {chmodSync, writeFileSync} from 'node:fs';
+import path from 'node:path';
+import {begin, BENCH, confirmDialog, look, served, stateIs, text} from './page_test.mjs';
+
+const PASSWORD = 'correct horse 7';
+const {folder} = served;
+
+function makeRegister() {
+  process.env.XDG_STATE_HOME = path.join(folder, 'state');
+  const password = path.join(folder, 'password');
+  writeFileSync(password, `${PASSWORD}\n`);
+  chmodSync(password, 0o600);
+  process.env.ABCAL_REGISTER = path.join(folder, 'register.db');
+  const lab = (...words) => served.abcal('lab', ...words, '--password-file', password);
+  lab('init', '--laboratory', 'Example laboratory', '--administrator', 'Admin N. N.', '--training');
+  lab('login', 'Admin N. N.');
+  lab('add', 'person', 'Operator N. N.', '--role', 'technician', '--may', 'measure');
+  lab('add', 'person', 'Watcher N. N.', '--role', 'guest');
+}
+
+async function logIn(page, name, password = PASSWORD) {
+  await page.locator('#name').fill(name);
+  await page.locator('#password').fill(password);
+  await page.getByRole('button', {name: 'Log in'}).click();
+}
+const cookieOf = async (page) => (await page.context().cookies()).find(({name}) => name.startsWith('abcal_'));
+
+const step = begin({pace: 10, bench: BENCH.replace('[operator]\nname = "N. N."\n', ''), prepare: makeRegister, enter: () => {}});
+
+step('asks for a person, and says that a password is not right', async (page) => {
+  await logIn(page, 'Operator N. N.', 'another horse 7');
+  await page.getByText('Name or password is not right.').waitFor();
+  await look('login');
+  await logIn(page, 'Operator N. N.');
+  await served.entered();
+  assert.equal(await text('#person-name'), 'Operator N. N.');
+  const cookie = await cookieOf(page);
+  assert.equal(cookie.httpOnly, true);
+  assert.equal(cookie.sameSite, 'Strict');
+  assert.equal(await page.evaluate(() => document.cookie), '', 'no script can read it');
+});
+
+let watcher;
+step('who may not measure watches, and stops the run of another', async (page) => {
+  await page.locator('#take-control').click();
+  await page.locator('#do-start:enabled').click();
+  await confirmDialog();
+  await served.measuredAtLeast(1);
+  assert.equal(await text('#operator'), 'Operator N. N.');
+  watcher = await (await served.browser.newContext()).newPage();
+  await watcher.goto(served.address);
+  await logIn(watcher, 'Watcher N. N.');
+  await watcher.locator('#who-steers', {hasText: 'steering needs the right to measure'}).waitFor();
+  assert.ok(await watcher.locator('#take-control').isDisabled());
+  assert.match(await watcher.locator('#who-steers').innerText(), /^Operator N\. N\., page \d+ at .* steers\./);
+  await watcher.locator('#do-stop:enabled').click();
+  await stateIs(/^The run is interrupted/);
+  await page.getByText(/Stop, asked for by Watcher N\. N\., page/).waitFor();
+});
+
+step('who logs out is asked again', async () => {
+  await watcher.getByRole('button', {name: 'Log out'}).click();
+  await watcher.locator('#password').waitFor();
+  assert.equal(await cookieOf(watcher), undefined);
+  assert.equal(await text('#person-name'), 'Operator N. N.', 'others stay');
+});
+
+step('a token enters by "#", is never a part of an address that is sent, and its cookie stays with TLS', async () => {
+  const ended = new Promise((resolve) => served.server.on('exit', resolve));
+  served.server.kill('SIGINT');
+  await ended;
+  delete process.env.ABCAL_REGISTER;
+  const address = await served.serve('--tls', '--host', 'bench.example.org', '--pace', '10');
+  assert.match(address, /^https:.*#token=[0-9a-f]{64}$/);
+  const token = address.split('=')[1];
+  const page = await (await served.browser.newContext({ignoreHTTPSErrors: true})).newPage();
+  const sent = [];
+  page.on('request', (request) => sent.push(request.url()));
+  await page.goto(address);
+  await page.waitForFunction(() => document.getElementById('link')?.textContent === 'Connected');
+  assert.ok(!page.url().includes(token), page.url());
+  assert.ok(sent.length > 3 && sent.every((url) => !url.split('#')[0].includes(token)), sent.join(' '));
+  assert.equal((await cookieOf(page)).secure, true);
+  assert.equal(await page.evaluate(() => document.getElementById('person').hidden), true);
+});
