@@ -95,7 +95,7 @@ layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
 layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
 layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ FOREIGN Eigen/ fmt/ boost/math/)
 layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ boost/math/ Random123/ hwy/)
-layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/ Random123/ hwy/)
+layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/ boost/sort/ Random123/ hwy/)
 
 # --- sim -----------------------------------------------------------------------------------------------------------------
 # Written apart from what it checks: neither protocol nor a driver's codec.
