@@ -290,6 +290,14 @@ std::vector<RunOperator> operators_of_runs(const CertificateRequest& request) {
   return operators;
 }
 
+/// A problem in the language of the certificate.
+std::string in_words(const Words& words, const Problem& problem) {
+  const std::string where = words.composed(problem.where).text, found = words.composed(problem.found).text,
+                    required = words.composed(problem.required).text;
+  if (found.empty() || required.empty()) return to_string(Problem{where, found, required});
+  return words("{}: found {}; required: {}", where, found, required).text;
+}
+
 std::vector<Problem> reasons_against(const LaboratoryFile& laboratory, const CertificateRequest& request) {
   std::vector<Problem> reasons = against_traceability(laboratory, request.run, "run");
   if (!request.as_found) return reasons;
@@ -329,7 +337,8 @@ Certificate make_certificate(CertificateRequest request) {
     certificate.laboratory.equipment = std::move(registered);
   certificate.operators = operators_of_runs(request);
   const std::vector<Problem> not_traceable = reasons_against(certificate.laboratory, request);
-  for (const Problem& problem : not_traceable) certificate.not_traceable.push_back(to_string(problem));
+  for (const Problem& problem : not_traceable)
+    certificate.not_traceable.push_back(in_words(certificate.words, problem));
   Inspection inspection(certificate.laboratory, std::move(read.problems));
   inspection.check(request.run, request.as_found ? "as-left run" : "run");
   if (request.as_found) {
@@ -356,7 +365,8 @@ Certificate make_certificate(CertificateRequest request) {
       request.draft && certificate.run.data.run && (!certificate.as_found || certificate.as_found->data.run);
   if (!inspection.of_run().empty() && !may_be_draft)
     throw CertificateRefused(certificate.run.data.path.string(), inspection.of_run());
-  for (const Problem& problem : inspection.of_run()) certificate.reservations.push_back(to_string(problem));
+  for (const Problem& problem : inspection.of_run())
+    certificate.reservations.push_back(in_words(certificate.words, problem));
 
   if (certificate.as_found && certificate.as_found->has_numbers() && certificate.run.has_numbers())
     certificate.shifts = shifts_between(certificate.as_found->data.result(), certificate.run.data.result());

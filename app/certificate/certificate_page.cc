@@ -198,6 +198,7 @@ Section condition_section(const PageSource& from, xmlNode* measurement) {
 
 Section equipment_section(const PageSource& from, xmlNode* measurement) {
   DocumentTable table;
+  table.dense = true;
   table.columns = {{from.say("Traceable quantity")},
                    {from.say("Equipment")},
                    {from.say("Certificate")},

@@ -285,12 +285,13 @@ void add_metadata(XmlElement& measurement, const Certificate& certificate, const
   const CalibrationResult& result = data.result();
   add("abc_estimator", words("Estimator"), words.as_given(result.estimator));
   XmlElement verdict = add_metadatum(list, "abc_verdict", words("Verdict of the analysis"));
-  // Sentences of the analysis are not translated; the Schematron wants them where there is a name.
-  add_words(verdict, "dcc:description",
-            Words::untranslated(fmt::format("{}: {}", to_string(result.verdict), result.why)));
+  // The Schematron wants sentences where there is a name.
+  Wording why = words.composed(result.why);
+  why.text = fmt::format("{}: {}", words.known(to_string(result.verdict)), why.text);
+  add_words(verdict, "dcc:description", why);
   for (const std::string& note : result.diagnostics.notes) {
     XmlElement metadatum = add_metadatum(list, "abc_note", words("Note of the analysis"));
-    add_words(metadatum, "dcc:description", Words::untranslated(note));
+    add_words(metadatum, "dcc:description", words.composed(note));
   }
 }
 

@@ -401,7 +401,7 @@ void add_results(XmlElement& measurement, const Words& words, const Scope& scope
     XmlElement data = add_result(results, "abc_noResult", words("No result"));
     add_words(data, "dcc:text",
               words("No numbers are given, since the run gave none that may be used: {}",
-                    result.why));
+                    words.composed(result.why).text));
     return;
   }
   const ScopeOfResult of_result{scope, result};

@@ -85,8 +85,9 @@ void add_units(std::vector<Statement>& statements, const Certificate& certificat
   for (const std::string& unit : units) {
     const UnitInDsi in = unit_in_dsi(unit);
     if (in.own && said.insert(in.own->text()).second && !in.definition.empty()) {
-      Statement statement = plain("abc_unit", words("Unit {}", unit), words("Definition: {}", in.definition));
-      statement.non_si_definition = in.definition;
+      Statement statement = plain("abc_unit", words("Unit {}", unit),
+                                  words("Definition: {}", words.composed(in.definition).text));
+      statement.non_si_definition = words.composed(in.definition).text;
       statement.non_si_unit = in.own->text();
       statements.push_back(statement);
     }

@@ -32,8 +32,10 @@ class Words {
   }
   /// A text of the laboratory, which writes in the language of its certificate.
   Wording as_given(std::string_view text) const { return {std::string(text), language_}; }
-  /// A text of the analysis, which is not translated.
-  static Wording untranslated(std::string_view text) { return {std::string(text), {}}; }
+  /// A text that another part of the program composed in English: a verdict, a note, a problem. Sentences of
+  /// the table are found with their values in them, also several joined by "; "; a part that the table does
+  /// not have stays as it is, and then the text is marked as being in no language.
+  Wording composed(std::string_view english) const;
 
   /// The sentence in the language; itself where the file does not have it.
   std::string known(std::string_view english) const;
@@ -42,6 +44,12 @@ class Words {
   static std::vector<std::string> languages();
 
  private:
+  struct Translation {
+    std::string text;
+    bool is_complete = false;  ///< Every part of it was found.
+  };
+  Translation translated(std::string_view english) const;
+
   std::string language_;
   const std::unordered_map<std::string, std::string>* table_ = nullptr;  ///< Null: English.
 };

@@ -57,6 +57,12 @@ ShownChart shown_chart(lab::Register& opened, const std::string& name) {
     if (block.check_standard == name)
       chart.blocks.push_back(
           {block.found, block.set_utc, block.lifted_by, block.lifted_utc, block.reason, block.holds()});
+  for (const lab::CheckRunNotice& run : opened.waiting_check_runs(name)) {
+    const auto& baseline = chart.baseline.runs;
+    if (std::none_of(baseline.begin(), baseline.end(),
+                     [&](const CheckRun& one) { return one.sha256 == run.run_sha256; }))
+      chart.waiting.push_back({run.file, run.date, run.run_sha256, run.told_by});
+  }
   return chart;
 }
 

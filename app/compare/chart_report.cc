@@ -98,6 +98,10 @@ std::string chart_text(const ShownChart& chart, std::FILE* stream) {
                                     : fmt::format("; lifted by {} at {}: {}", block.lifted_by,
                                                   block.lifted_utc, block.reason));
   }
+  for (const ShownChart::Waiting& run : chart.waiting)
+    text += fmt::format("  {}  {}  measured by {}\n",
+                        emphasised(stream, Emphasis::kWarning, "waits to be judged"), run.date, run.told_by) +
+            fmt::format("    {}\n", command_to_add(chart.name, run.file));
   return text + status(chart, stream);
 }
 
@@ -112,7 +116,8 @@ nlohmann::ordered_json chart_json(const ShownChart& chart) {
             {"units", chart.baseline.units()},
             {"detection_run_lengths", Json::array()},
             {"points", Json::array()},
-            {"blocks", Json::array()}};
+            {"blocks", Json::array()},
+            {"waiting", Json::array()}};
   for (const double shift : {1.0, 2.0, 3.0, 5.0, 10.0})
     json["detection_run_lengths"].push_back(
         {{"shift_standard_deviations", shift}, {"runs", detection_run_length(chart.baseline.rules, shift)}});
@@ -142,7 +147,17 @@ nlohmann::ordered_json chart_json(const ShownChart& chart) {
                               {"lifted_by", block.lifted_by},
                               {"lifted_utc", block.lifted_utc},
                               {"reason", block.reason}});
+  for (const ShownChart::Waiting& run : chart.waiting)
+    json["waiting"].push_back(
+        {{"file", run.file}, {"date", run.date}, {"run_sha256", run.run_sha256}, {"told_by", run.told_by}});
   return json;
+}
+
+std::string command_to_add(const std::string& chart, const std::string& file) {
+  const auto quoted = [](const std::string& word) {
+    return word.find_first_of(" '\"$`\\&;()<>|*?") == std::string::npos ? word : fmt::format("\"{}\"", word);
+  };
+  return fmt::format("abcal lab chart add {} {}", quoted(chart), quoted(file));
 }
 
 std::string chart_script(const ShownChart& chart) {

@@ -20,10 +20,15 @@ struct ShownChart {
     std::string found, set_utc, lifted_by, lifted_utc, reason;
     bool holds = false;
   };
+  /// Measured and not judged yet.
+  struct Waiting {
+    std::string file, date, run_sha256, told_by;
+  };
   std::string name, approved_by, approved_utc, retired;
   CheckBaseline baseline;
   std::vector<Point> points;
   std::vector<Block> blocks;
+  std::vector<Waiting> waiting;
 
   bool blocked() const;
   std::vector<JudgedPoint> judged() const;
@@ -34,6 +39,9 @@ std::string chart_text(const ShownChart& chart, std::FILE* stream);
 
 /// Schema abcal.chart/1.
 nlohmann::ordered_json chart_json(const ShownChart& chart);
+
+/// What a person types to have a run judged.
+std::string command_to_add(const std::string& chart, const std::string& file);
 
 /// The nine properties with their limits, for gnuplot, without terminal and output.
 std::string chart_script(const ShownChart& chart);

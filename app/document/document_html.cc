@@ -9,6 +9,7 @@
 #include <cctype>
 #include <cstdio>
 #include <cstring>
+#include <map>
 #include <memory>
 #include <numbers>
 #include <optional>
@@ -258,15 +259,74 @@ void join_all_marks(xmlNode* node) {
   }
 }
 
-/// gnuplot leaves hundreds of groups without anything in them.
-void remove_empty_groups(xmlNode* node) {
+void remove(xmlNode* node) {
+  xmlUnlinkNode(node);
+  xmlFreeNode(node);
+}
+
+/// Whether all that a group says is handed down to what is in it anyway; not so a clipping or an id.
+bool only_hands_down(const xmlNode* group) {
+  static const std::set<std::string_view> kHandedDown{"fill",         "color",          "stroke",
+                                                      "stroke-width", "stroke-linecap", "stroke-linejoin",
+                                                      "font-family",  "font-size",      "text-anchor"};
+  const bool is_alone = group->children != nullptr && group->children->next == nullptr;
+  for (const xmlAttr* attribute = group->properties; attribute != nullptr; attribute = attribute->next) {
+    const std::string_view name = text_of(attribute->name);
+    // A transformation takes the place of none, of one child.
+    if (name == "transform" && is_alone && !is(group->children, "g") &&
+        value_of(group->children, "transform").empty())
+      continue;
+    if (!kHandedDown.contains(name)) return false;
+  }
+  return true;
+}
+
+/// gnuplot wraps each line and word into groups of its own, and leaves hundreds of empty ones; WeasyPrint's
+/// time is that of the elements. What a group says is written to its children, which take its place.
+void unwrap_groups(xmlNode* node) {
   for (xmlNode* child = node->children; child != nullptr;) {
     xmlNode* next = child->next;
-    if (child->type == XML_ELEMENT_NODE) {
-      remove_empty_groups(child);
-      if (is(child, "g") && xmlChildElementCount(child) == 0) {
-        xmlUnlinkNode(child);
-        xmlFreeNode(child);
+    if (child->type == XML_ELEMENT_NODE) unwrap_groups(child);
+    if (is(child, "title") || is(child, "desc") || (is(child, "g") && xmlChildElementCount(child) == 0)) {
+      remove(child);
+    } else if (is(child, "g") && only_hands_down(child)) {
+      while (xmlNode* inner = child->children) {
+        if (inner->type == XML_ELEMENT_NODE)
+          for (const xmlAttr* attribute = child->properties; attribute != nullptr;
+               attribute = attribute->next)
+            if (xmlHasProp(inner, attribute->name) == nullptr)
+              xmlNewProp(inner, attribute->name,
+                         as_xml(value_of(child, reinterpret_cast<const char*>(attribute->name)).c_str()));
+        xmlAddPrevSibling(child, inner);
+      }
+      remove(child);
+    }
+    child = next;
+  }
+}
+
+/// Lines of the frame and its grid are grey; data have colours.
+bool is_frame(const xmlNode* node) {
+  int red = 0, green = 1, blue = 2;
+  return is(node, "path") &&
+         std::sscanf(value_of(node, "stroke").c_str(), "rgb(%d, %d, %d)", &red, &green, &blue) == 3 &&
+         red == green && green == blue && value_of(node, "transform").empty();
+}
+
+/// All lines of the frame that are drawn alike become one path.
+void join_frame(xmlNode* parent, std::map<std::string, xmlNode*>& joined) {
+  for (xmlNode* child = parent->children; child != nullptr;) {
+    xmlNode* next = child->next;
+    if (is(child, "g")) join_frame(child, joined);
+    if (is_frame(child)) {
+      std::string drawn;
+      for (const char* name : {"stroke", "stroke-width", "stroke-dasharray", "fill", "stroke-linecap"})
+        drawn += value_of(child, name) + "|";
+      const auto [place, is_first] = joined.emplace(drawn, child);
+      if (!is_first) {
+        const std::string lines = value_of(place->second, "d") + value_of(child, "d");
+        xmlSetProp(place->second, as_xml("d"), as_xml(lines.c_str()));
+        remove(child);
       }
     }
     child = next;
@@ -444,7 +504,9 @@ class PageBuilder {
     MarkColours marks;
     prepare_picture(root, fmt::format("f{}_", figures_ + 1), marks);
     join_all_marks(root);
-    remove_empty_groups(root);
+    unwrap_groups(root);
+    std::map<std::string, xmlNode*> joined;
+    join_frame(root, joined);
     xmlSetProp(root, as_xml("role"), as_xml("img"));
     xmlSetProp(root, as_xml("aria-label"), as_xml(valid_text(figure.caption).c_str()));
     xmlNode* copy = xmlDocCopyNode(root, document_.get(), 1);

@@ -110,6 +110,16 @@ struct CheckPoint {
   std::string added_by, utc;
 };
 
+/// A run of a check standard that the register was told of when it ended. It waits until a person adds it to
+/// the chart.
+struct CheckRunNotice {
+  std::string check_standard;
+  std::string run_sha256;
+  std::string file;  ///< Where it was then.
+  std::string date;  ///< Of the run, UTC.
+  std::string told_by, utc;
+};
+
 /// No certificate is issued for what was measured on a bench, until a person lifts it.
 struct BenchBlock {
   std::string identity;  ///< "NAME/1": the point that set it.

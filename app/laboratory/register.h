@@ -116,6 +116,10 @@ class Register {
   CheckPoint add_check_point(const LoggedIn& by, CheckPoint point, std::size_t points_before,
                              const BenchBlock& block, Clock::UtcTime now);
   std::vector<CheckPoint> check_points(const std::string& check_standard);
+  /// Notes that a run of a check standard ended; once for each run and chart.
+  void tell_check_run(const LoggedIn& by, CheckRunNotice notice, Clock::UtcTime now);
+  /// Runs that the register was told of and that no chart has judged, in the order of their dates.
+  std::vector<CheckRunNotice> waiting_check_runs(const std::string& check_standard);
   std::vector<BenchBlock> blocks();
   /// Lifts the block of a chart. @throws RegisterError if there is none
   void lift_block(const LoggedIn& by, const std::string& check_standard, const std::string& reason,

@@ -161,6 +161,39 @@ std::vector<CheckPoint> Register::check_points(const std::string& chart) {
   return list;
 }
 
+void Register::tell_check_run(const LoggedIn& by, CheckRunNotice notice, Clock::UtcTime now) {
+  require(by, Right::kMeasure);
+  const std::string identity = fmt::format("{}/{}", notice.check_standard, notice.run_sha256);
+  DatabaseTransaction transaction(database_);
+  lock_audit();
+  if (!row_json("check_run", identity).empty()) return;
+  change({by.name(), "check run measured", "check_run", identity, {}}, now, [&] {
+    database_.execute(
+        "insert into check_run(identity, check_standard, run_sha256, file, date, told_by, utc)"
+        " values(:identity, :chart, :run, :file, :date, :by, :utc)",
+        {{"identity", identity},
+         {"chart", notice.check_standard},
+         {"run", notice.run_sha256},
+         {"file", notice.file},
+         {"date", notice.date},
+         {"by", by.name()},
+         {"utc", format_utc(now)}});
+  });
+  transaction.commit();
+}
+
+std::vector<CheckRunNotice> Register::waiting_check_runs(const std::string& chart) {
+  std::vector<CheckRunNotice> list;
+  for (const auto& row : database_.query(
+           6,
+           "select check_standard, run_sha256, file, date, told_by, utc from check_run"
+           " where check_standard = :chart and run_sha256 not in"
+           " (select run_sha256 from check_point where check_standard = :chart) order by date, identity",
+           {{"chart", chart}}))
+    list.push_back({row[0], row[1], row[2], row[3], row[4], row[5]});
+  return list;
+}
+
 std::vector<BenchBlock> Register::blocks() {
   std::vector<BenchBlock> list;
   for (const auto& row : database_.query(

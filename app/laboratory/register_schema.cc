@@ -66,6 +66,14 @@ constexpr std::array kStep2{
     " valid_from text not null, retired text not null)",
 };
 
+// Runs of check standards that wait to be judged.
+constexpr std::array kStep3{
+    "create table check_run(identity text primary key, check_standard text not null references "
+    "check_standard,"
+    " run_sha256 text not null, file text not null, date text not null, told_by text not null, utc text not "
+    "null)",
+};
+
 constexpr std::array<std::string_view, 3> kSchemaStep{"step", "utc", "program_version"};
 constexpr std::array<std::string_view, 6> kLaboratory{"id",   "identity",      "name",
                                                       "kind", "number_prefix", "created_utc"};
@@ -98,6 +106,9 @@ constexpr std::array<std::string_view, 9> kBenchBlock{
 constexpr std::array<std::string_view, 9> kScope{
     "identity", "quantity", "unit", "range_from", "range_to", "cmc", "kind", "valid_from", "retired"};
 
+constexpr std::array<std::string_view, 7> kCheckRun{"identity", "check_standard", "run_sha256", "file",
+                                                    "date",     "told_by",        "utc"};
+
 // In an order in which rows that refer to others follow them.
 constexpr std::array kTables{
     TableDescription{"schema_step", kSchemaStep, "step"},
@@ -116,6 +127,7 @@ constexpr std::array kTables{
     TableDescription{"check_point", kCheckPoint, "check_standard, length(identity), identity", 2},
     TableDescription{"bench_block", kBenchBlock, "set_utc, identity", 2},
     TableDescription{"scope", kScope, "identity", 2},
+    TableDescription{"check_run", kCheckRun, "check_standard, date, identity", 3},
 };
 
 void note_step(Database& database, int step, const std::string& utc) {
@@ -153,6 +165,10 @@ void apply_schema_steps(Database& database, int database_step, const std::string
   if (database_step < 2 && to_step >= 2) {
     for (const char* statement : kStep2) database.execute(statement);
     note_step(database, 2, utc);
+  }
+  if (database_step < 3 && to_step >= 3) {
+    for (const char* statement : kStep3) database.execute(statement);
+    note_step(database, 3, utc);
   }
 }
 

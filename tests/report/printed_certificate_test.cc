@@ -297,8 +297,9 @@ TEST_F(PrintedCertificateTest, AKeyOfAnotherPersonIsRefused) {
 
 // A German certificate says all of it in German.
 TEST_F(PrintedCertificateTest, AGermanCertificateIsGerman) {
-  const test::ProgramResult draft = abcal({"report", "a.run", "--draft", "--laboratory", "lab.toml",
-                                           "--language", "de", "--html", "de.html", "--dcc", "de.xml"});
+  const test::ProgramResult draft =
+      abcal({"report", "a.run", "--draft", "--laboratory", "lab.toml", "--language", "de", "--html",
+             "de.html", "--dcc", "de.xml", "--pdf", "de.pdf"});
   ASSERT_EQ(draft.exit_code, 0) << draft.err;
   const std::string page = file("de.html");
   for (const std::string words :
@@ -309,6 +310,10 @@ TEST_F(PrintedCertificateTest, AGermanCertificateIsGerman) {
   const XmlQuery xml(document.get());
   EXPECT_EQ(xml.text("//dcc:usedLangCodeISO639_1"), "de");
   EXPECT_THAT(xml.texts("//dcc:content[@lang='en']"), IsEmpty());
+  // Two pages are for the customer in this language, too.
+  ASSERT_TRUE(shell("pdftotext -layout -f 2 -l 2 de.pdf 2.txt && pdftotext -layout -f 3 -l 3 de.pdf 3.txt"));
+  EXPECT_THAT(file("2.txt"), HasSubstr("Verantwortliche und Unterschriften"));
+  EXPECT_THAT(file("3.txt"), HasSubstr("Anhang"));
 }
 
 }  // namespace

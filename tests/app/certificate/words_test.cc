@@ -3,15 +3,21 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
+#include <nlohmann/json.hpp>
 #include <regex>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "app/certificate/derived.h"
+#include "app/certificate/issue.h"
 #include "app/certificate/page_numbers.h"
+#include "app/results/analyses.h"
 #include "protocol/plan/effect_sizes.h"
 #include "tests/app/certificate/certificate_fixtures.h"
+#include "tests/app/certificate/xml_query.h"
 
 namespace abcal {
 namespace {
@@ -79,6 +85,132 @@ TEST_F(WordsTest, EveryLanguageHasEverySentence) {
     }
   // The check can fail.
   EXPECT_THAT(missing_in_language("de", {"no such sentence", "{} to {} and {}"}), testing::SizeIs(2));
+}
+
+TEST_F(WordsTest, ComposedSentencesAreTranslatedWithTheirValues) {
+  const Words german("de"), english;
+  EXPECT_EQ(english.composed("chi2 1.5 for 7 degrees of freedom (probability 0.2)").text,
+            "chi2 1.5 for 7 degrees of freedom (probability 0.2)");
+  const Wording why =
+      german.composed("chi2 98.23 for 101 degrees of freedom (probability 0.56); non-linearity fitted");
+  EXPECT_EQ(why.text,
+            "Chi-Quadrat 98,23 bei 101 Freiheitsgraden (Wahrscheinlichkeit 0,56); Nichtlinearit\u00e4t "
+            "mitbestimmt");
+  EXPECT_EQ(why.language, "de");
+  // Values that are sentences in their turn.
+  EXPECT_EQ(german
+                .composed("not stated, so default sizes are used: drift; hysteresis; state them in "
+                          "[stage_uncertainty] and [item_uncertainty] of the bench file (docs/effects.md)")
+                .text,
+            "nicht angegeben, daher gelten voreingestellte Werte: Drift; Hysterese; anzugeben unter "
+            "[stage_uncertainty] und [item_uncertainty] der Messplatzdatei (docs/effects.md)");
+  const Wording unknown = german.composed("something that nobody has said before");
+  EXPECT_EQ(unknown.text, "something that nobody has said before");
+  EXPECT_EQ(unknown.language, "");
+}
+
+/// Sentences of the analysis with values, as it composes them (formats of its sources).
+std::vector<std::string> sentences_of_analysis() {
+  std::vector<std::string> sentences;
+  static const std::regex kFormat(
+      "(?:notes\\.push_back|objections\\.add|contradictions\\.push_back|about_chi2 =|about_nonlinearity "
+      "=|why =)"
+      "\\(?\\s*(?:fmt::format\\(\\s*)?((?:\"(?:[^\"\\\\]|\\\\.)*\"\\s*)+)[,);]");
+  static const std::regex kLiteral("\"((?:[^\"\\\\]|\\\\.)*)\""), kPlace("\\{[^}]*\\}");
+  for (const char* file : {"analyse.cc", "analyse_joint.cc"}) {
+    const std::string source = test::read_file(test::source_folder() / "protocol/analysis" / file);
+    for (std::sregex_iterator call(source.begin(), source.end(), kFormat), end; call != end; ++call) {
+      const std::string literals = (*call)[1];
+      std::string sentence;
+      for (std::sregex_iterator part(literals.begin(), literals.end(), kLiteral); part != end; ++part)
+        sentence += (*part)[1];
+      if (sentence != "{}; {}") sentences.push_back(std::regex_replace(sentence, kPlace, "1.5"));
+    }
+  }
+  return sentences;
+}
+
+TEST_F(WordsTest, EveryLanguageHasTheSentencesOfTheAnalysis) {
+  const std::vector<std::string> sentences = sentences_of_analysis();
+  EXPECT_GT(sentences.size(), 12U);
+  for (const std::string& language : Words::languages()) {
+    if (language == "en") continue;
+    const Words words(language);
+    for (const std::string& sentence : sentences)
+      EXPECT_EQ(words.composed(sentence).language, language) << sentence;
+  }
+}
+
+/// The literal parts of the English side of a table that are long enough to tell a sentence.
+std::vector<std::string> english_of(const std::string& language) {
+  constexpr std::size_t kTelling = 14;
+  std::vector<std::string> parts;
+  const auto table = nlohmann::json::parse(
+      test::read_file(test::source_folder() / "app/certificate/languages" / (language + ".json")));
+  for (const auto& [english, translated] : table.items()) {
+    std::string_view rest = english;
+    while (!rest.empty()) {
+      const std::size_t at = std::min(rest.find("{}"), rest.size());
+      const std::string part(rest.substr(0, at));
+      if (part.size() >= kTelling && translated.get<std::string>().find(part) == std::string::npos)
+        parts.push_back(part);
+      rest.remove_prefix(std::min(at + 2, rest.size()));
+    }
+  }
+  return parts;
+}
+
+/// What is English in a German certificate.
+std::vector<std::string> english_in(const std::string& xml) {
+  std::vector<std::string> found;
+  const CertificateXml read(xml);
+  const std::vector<std::string> english = english_of("de");
+  for (const std::string& text : read.texts("//text()"))
+    for (const std::string& part : english)
+      if (text.find(part) != std::string::npos) found.push_back(part + ": " + text);
+  // A description without a language is a sentence that the table does not have.
+  for (const std::string& text : read.texts("//dcc:description/dcc:content[not(@lang)]"))
+    found.push_back(text);
+  return found;
+}
+
+TEST_F(WordsTest, AGermanCertificateHasNoEnglishSentence) {
+  const std::string german =
+      replaced(replaced(example_laboratory(), "language = \"en\"", "language = \"de\""),
+               "maker, model and serial number of the item", "Angaben zum Gegenstand");
+  IssueFacts facts;
+  facts.number = "T-1";
+  facts.approved_by = "Approver N. N.";
+  facts.date = *parse_date("2999-01-02");
+  facts.register_identity = "a register";
+  facts.training = true;
+  for (const char* estimator : {"abc", "joint"}) {
+    CertificateRequest issued = request(german);
+    issued.run.estimator = estimator;
+    issued.issue = facts;
+    EXPECT_THAT(english_in(checked_xml(make_certificate(std::move(issued)), nullptr)), IsEmpty())
+        << estimator;
+  }
+  // A draft with whatever speaks against it.
+  CertificateRequest draft =
+      request(replaced(replaced(replaced(german, "performed = 2025-12-31", "performed = 1998-12-31"),
+                                "due = 2030-12-31", "due = 1999-12-31"),
+                       "serial_number = \"118001234\"", "serial_number = \"1\""));
+  draft.draft = true;
+  draft.run.run->environment.clear();
+  draft.run.record.g_loc.source = "formula GRS80";
+  draft.run.run->header.labels["replay.of"] = "other.run";
+  draft.run.run->header.labels["item.maker"] = "";
+  for (DwellRecord& dwell : draft.run.record.dwells)
+    if (dwell.n == 4) dwell.mean[0] += 0.01;
+  draft.run.results = analyse_all(draft.run.record);
+  const std::string xml = checked_xml(make_certificate(std::move(draft)), nullptr);
+  EXPECT_THAT(english_in(xml), IsEmpty());
+  EXPECT_THAT(
+      xml, testing::AllOf(testing::HasSubstr("simuliert: Drehtisch"),
+                          testing::HasSubstr("kalibriert am 1998-12-31"), testing::HasSubstr("zweifelhaft")));
+  // The check can fail.
+  EXPECT_FALSE(english_in(checked_xml(make_certificate(request()), nullptr)).empty());
 }
 
 TEST_F(WordsTest, AnUnknownLanguageIsRefusedWithThoseThatThereAre) {

@@ -200,6 +200,41 @@ TEST_F(SealTest, ATimeStampHoldsForTheBytesThatWereStamped) {
   EXPECT_THAT(verify({}).out, HasSubstr("it is not for the present content of the run"));
 }
 
+// Who may write every file has neither the bench's key nor an earlier stamp of the authority.
+TEST_F(SealTest, WithSignatureAndTimeStampALaterChangeOfEveryFileIsFound) {
+  if (!shell("command -v openssl")) GTEST_SKIP() << "openssl is not installed";
+  make_authority();
+  test::write_file(folder / "bench.pub", public_key_of(key));
+  const std::string run = path.filename().string();
+  const auto stamp = [&] {
+    ASSERT_EQ(abcal({"lab", "timestamp", run, "--query", "q.tsq"}).exit_code, 0);
+    ASSERT_TRUE(shell("openssl ts -reply -config tsa.cnf -section one -queryfile q.tsq -out a.tsr"));
+    ASSERT_EQ(abcal({"lab", "timestamp", run, "--query", "q.tsq", "--answer", "a.tsr"}).exit_code, 0);
+  };
+  const std::vector<std::string> both{"--require", "signed",      "--key",       "bench.pub",
+                                      "--require", "timestamped", "--authority", "ca.pem"};
+  sign_run(path, "bench 1", key);
+  stamp();
+  const auto good = verify(both);
+  ASSERT_EQ(good.exit_code, 0) << good.out;
+  EXPECT_THAT(good.out, AllOf(HasSubstr("signed by the key of bench 1"), HasSubstr("unchanged since 20")));
+
+  // Readings, means, chains, seal, hashes and analyses are made anew, so that the run agrees with itself.
+  forge(kLargerU);
+  EXPECT_EQ(abcal({"analyse", run}).exit_code, 0);
+  EXPECT_EQ(verify(both).exit_code, 1);  // Signature and stamp are of the run as it was.
+  SqliteDatabase(results(), SqliteDatabase::Mode::kReadWrite)
+      .execute("update run set signer = null, signature = null, time_stamp = null");
+  EXPECT_EQ(verify({}).exit_code, 0);  // Agrees with itself: without the two nothing shows it.
+  EXPECT_EQ(verify(both).exit_code, 1);
+  // Signed by another key, and stamped anew by the same authority.
+  sign_run(path, "bench 1", make_private_key());
+  stamp();
+  const auto other = verify(both);
+  EXPECT_EQ(other.exit_code, 1);
+  EXPECT_THAT(other.out, HasSubstr("not one of the trusted keys"));
+}
+
 TEST_F(SealTest, AnAnswerThatIsNotForTheRequestIsRefused) {
   if (!shell("command -v openssl")) GTEST_SKIP() << "openssl is not installed";
   make_authority();

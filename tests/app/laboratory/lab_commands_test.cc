@@ -106,6 +106,31 @@ TEST_F(ChartCommands, ARunOutsideEndsWith1AndBlocksIssueUntilAPersonLiftsIt) {
   EXPECT_THAT(registered.lab({"list", "audit"}), HasSubstr("block lifted: mount tightened"));
 }
 
+TEST_F(ChartCommands, ARunOfTheCheckStandardSaysThatItsChartWaitsForIt) {
+  const std::vector<std::string> baseline = measure_baseline(5);
+  test::TrainingRegister registered(folder.path());
+  add_item(registered);
+  ASSERT_EQ(approve(baseline).exit_code, 0);
+  EXPECT_THAT(chart({"show", "SN-42"}).out, Not(HasSubstr("waits")));
+  registered.log_in("Operator N. N.");
+  test::write_file(folder / "today.toml", check_bench(1));
+  const auto made = abcal({"run", "today.toml", "-o", "today.run"});
+  ASSERT_EQ(made.exit_code, 0) << made.err;
+  EXPECT_THAT(made.err,
+              HasSubstr("a run of check standard SN-42, whose chart waits for it: abcal lab chart add "
+                        "SN-42 today.run"));
+  const auto waiting = chart({"show", "SN-42"});
+  EXPECT_THAT(waiting.out, AllOf(HasSubstr("waits to be judged"), HasSubstr("measured by Operator N. N."),
+                                 HasSubstr((folder / "today.run").string())));
+  EXPECT_EQ(nlohmann::json::parse(chart({"show", "SN-42", "--json"}).out)["waiting"].size(), 1U);
+  ASSERT_EQ(chart({"add", "SN-42", "today.run"}).exit_code, 0);
+  EXPECT_THAT(chart({"show", "SN-42"}).out, Not(HasSubstr("waits")));
+
+  // Another item is no business of the chart.
+  test::write_file(folder / "other.toml", replaced(check_bench(2), "\"SN-42\"", "\"SN-43\""));
+  EXPECT_THAT(abcal({"run", "other.toml", "-o", "other.run"}).err, Not(HasSubstr("check standard")));
+}
+
 TEST_F(ChartCommands, OnlyATrainingRegisterChartsSimulatedRuns) {
   const std::vector<std::string> baseline = measure_baseline(1);
   test::TrainingRegister registered(folder.path(), false);

@@ -167,6 +167,25 @@ TEST_P(RegisterChartsTest, TheScopeIsKeptWithEveryDigit) {
   EXPECT_EQ(bad(made), "");
 }
 
+TEST_P(RegisterChartsTest, ARunThatTheRegisterWasToldOfWaitsUntilItIsJudged) {
+  Register made = with_chart();
+  const LoggedIn operator_ = login(made, "Operator N. N.");
+  CheckRunNotice told;
+  told.check_standard = "A";
+  told.run_sha256 = sha256_of("r1");
+  told.file = "/data/r1.run";
+  told.date = "2026-03-01T00:00:00Z";
+  made.tell_check_run(operator_, told, at(5));
+  made.tell_check_run(operator_, told, at(6));  // Once.
+  ASSERT_EQ(made.waiting_check_runs("A").size(), 1U);
+  EXPECT_EQ(made.waiting_check_runs("A")[0].told_by, "Operator N. N.");
+  EXPECT_EQ(made.waiting_check_runs("A")[0].utc, format_utc(at(5)));
+  EXPECT_TRUE(made.waiting_check_runs("B").empty());
+  made.add_check_point(operator_, point("r1", false), 0, bench(), at(7));
+  EXPECT_TRUE(made.waiting_check_runs("A").empty());
+  EXPECT_EQ(bad(made), "");
+}
+
 TEST_P(RegisterChartsTest, ARegisterOfTheFirstStepIsBroughtToTheNewest) {
   Register made = with_people();
   nlohmann::json backup = nlohmann::json::parse(made.backup());
@@ -174,7 +193,8 @@ TEST_P(RegisterChartsTest, ARegisterOfTheFirstStepIsBroughtToTheNewest) {
   backup["step"] = 1;
   auto& steps = backup["tables"]["schema_step"];
   while (steps.size() > 1) steps.erase(steps.size() - 1);
-  for (const char* table : {"check_point", "bench_block", "scope"}) backup["tables"].erase(table);
+  for (const char* table : {"check_point", "bench_block", "scope", "check_run"})
+    backup["tables"].erase(table);
   Register restored = Register::restore(new_location(), backup.dump(), at(5));
   EXPECT_EQ(bad(restored), "");
   EXPECT_TRUE(restored.scope().empty());
@@ -184,7 +204,7 @@ TEST_P(RegisterChartsTest, ARegisterOfTheFirstStepIsBroughtToTheNewest) {
   {
     Register one = Register::restore(old, backup.dump(), at(5));
     Database database(old);
-    for (const char* table : {"check_point", "bench_block", "scope"})
+    for (const char* table : {"check_point", "bench_block", "scope", "check_run"})
       database.execute(std::string("drop table ") + table);
     database.execute("delete from schema_step where step > 1");
   }
