@@ -3,6 +3,7 @@
 #include <boost/asio/ip/address.hpp>
 #include <boost/asio/ip/host_name.hpp>
 #include <csignal>
+#include <cstdlib>
 #include <filesystem>
 #include <memory>
 #include <stdexcept>
@@ -80,7 +81,10 @@ void choose_tls(ServeOptions& options) {
   std::vector<std::string> names{"localhost", "127.0.0.1", "::1", boost::asio::ip::host_name()};
   if (!address.is_unspecified() && !address.is_loopback()) names.push_back(address.to_string());
   for (const std::string& host : server.access.hosts) names.push_back(host.substr(0, host.find(':')));
-  server.tls = console::own_tls_identity(lab::state_folder(), names, RealClock().utc_now());
+  const char* of_service = std::getenv("STATE_DIRECTORY");  // Set by systemd.
+  const std::filesystem::path folder =
+      of_service != nullptr && *of_service == '/' ? std::filesystem::path(of_service) : lab::state_folder();
+  server.tls = console::own_tls_identity(folder, names, RealClock().utc_now());
 }
 
 /// Who may use it, in words.

@@ -15,16 +15,22 @@
 #include "app/compare/compare_results.h"
 #include "app/console/download.h"
 #include "app/results/analyses.h"
+#include "app/results/estimators.h"
 #include "app/results/result_json.h"
 #include "app/system/output_file.h"
 #include "app/system/version.h"
 #include "protocol/analysis/check_meanings.h"
+#include "protocol/record/run_operator.h"
+#include "protocol/record/run_seal.h"
 #include "protocol/uncertainty/control_chart.h"
 
 namespace abcal::console {
 namespace {
 
 using Json = nlohmann::ordered_json;
+
+/// Of what is kept of each run; another one is made again.
+constexpr int kSummaryFormat = 2;
 
 /// A file NAME.run itself: a link would lead out of the folder.
 bool is_run(const std::filesystem::path& path) {
@@ -65,13 +71,28 @@ Json summary_of(const std::string& name, const StoredRun& run) {
                {"maker", label(header, "item.maker")},
                {"model", label(header, "item.model")},
                {"bench", label(header, "bench.name")},
-               {"operator", label(header, "operator.name")},
+               {"operator", describe(operators_of(run))},
                {"unit", header.response_unit},
                {"measured", run.measured.size()},
                {"planned", header.plan.size()},
                {"duration_s", run.timing.total_s()},
-               {"simulated", simulated_of(header)}};
+               {"simulated", simulated_of(header)},
+               {"verdict", ""}};
   return json;
+}
+
+/// The verdict of the estimator that was chosen for a run, as it was kept when the run was closed; empty: it
+/// is not analysed, or its results cannot be read.
+std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator) {
+  std::string verdict;
+  try {
+    for (const StoredAnalysis& each : stored_analyses(path))
+      if (each.estimator == estimator)
+        verdict = Json::parse(each.result_json).at("verdict").get<std::string>();
+  } catch (const std::exception&) {
+    return "";  // The run's own page says why.
+  }
+  return verdict;
 }
 
 Json quantities_of(const CalibrationResult& result) {
@@ -122,14 +143,18 @@ RunLibrary::RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)
 void RunLibrary::read_summaries() {
   std::ifstream file(folder_ / kSummaries);
   const Json json = Json::parse(file, nullptr, /*allow_exceptions=*/false);
-  if (!json.is_object() || json.value("program", "") != program_version()) return;
   try {
+    if (!json.is_object() || json.value("program", "") != program_version() ||
+        json.value("format", 0) != kSummaryFormat)
+      return;
     for (const auto& [name, kept] : json.at("runs").items()) {
       Entry entry;
       entry.time = std::filesystem::file_time_type(
           std::filesystem::file_time_type::duration(kept.at("time").get<std::int64_t>()));
       entry.size = kept.at("size").get<std::uintmax_t>();
       entry.summary = kept.at("summary");
+      if (!entry.summary.is_object()) continue;
+      entry.estimator = kept.at("estimator").get<std::string>();
       entry.closed = true;
       known_[name] = std::move(entry);
     }
@@ -143,10 +168,12 @@ void RunLibrary::keep_summaries() {
   Json runs = Json::object();
   for (const auto& [name, entry] : known_) {
     if (entry.closed)
-      runs[name] = {
-          {"time", entry.time.time_since_epoch().count()}, {"size", entry.size}, {"summary", entry.summary}};
+      runs[name] = {{"time", entry.time.time_since_epoch().count()},
+                    {"size", entry.size},
+                    {"estimator", entry.estimator},
+                    {"summary", entry.summary}};
   }
-  const Json json = {{"program", program_version()}, {"runs", std::move(runs)}};
+  const Json json = {{"program", program_version()}, {"format", kSummaryFormat}, {"runs", std::move(runs)}};
   try {
     OutputFile(folder_ / kSummaries).write(json.dump(-1, ' ', false, Json::error_handler_t::replace));
   } catch (const std::exception&) {
@@ -198,8 +225,20 @@ RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
   const StoredRun run = RunFile::load(path);
   const bool closed = run.state == RunState::kComplete || run.state == RunState::kAbandoned;
   known = {time, size, summary_of(name, run), closed, std::nullopt};
+  known.estimator = declared_estimator(run.record).name;
   have_new_ = have_new_ || closed;
   return known;
+}
+
+/// Of a closed run, unless it is known, or its results have none.
+void RunLibrary::find_verdict(const std::string& name, Entry& known) {
+  if (!known.closed || !known.summary.value("verdict", "").empty()) return;
+  std::error_code ignored;
+  const auto time = std::filesystem::last_write_time(ResultsFile::path_beside(folder_ / name), ignored);
+  if (known.results_time == time) return;
+  known.results_time = time;
+  known.summary["verdict"] = kept_verdict(folder_ / name, known.estimator);
+  have_new_ = have_new_ || known.summary["verdict"] != "";
 }
 
 Json RunLibrary::list(std::chrono::milliseconds patience) {
@@ -213,9 +252,12 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
       continue;
     }
     try {
-      Json summary = entry(name).summary;
+      Entry& known = entry(name);
       // Not so where the program ended in between; resuming the run analyses it.
-      summary["analysed"] = std::filesystem::exists(ResultsFile::path_beside(folder_ / name));
+      const bool analysed = std::filesystem::exists(ResultsFile::path_beside(folder_ / name));
+      if (analysed) find_verdict(name, known);
+      Json summary = known.summary;
+      summary["analysed"] = analysed;
       list.push_back(std::move(summary));
     } catch (const RunFileError& error) {
       list.push_back({{"name", name}, {"state", "unreadable"}, {"why", error.what()}});

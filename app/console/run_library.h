@@ -52,12 +52,15 @@ class RunLibrary {
     std::filesystem::file_time_type time;
     std::uintmax_t size = 0;
     nlohmann::ordered_json summary;
-    bool closed = false;                              ///< It will not change any more.
-    std::optional<nlohmann::ordered_json> intrinsic;  ///< For the history.
+    bool closed = false;                                               ///< It will not change any more.
+    std::optional<nlohmann::ordered_json> intrinsic;                   ///< For the history.
+    std::string estimator = {};                                        ///< Chosen for the run.
+    std::optional<std::filesystem::file_time_type> results_time = {};  ///< When its verdict was looked for.
   };
 
   std::vector<std::string> names() const;
   Entry& entry(const std::string& name);
+  void find_verdict(const std::string& name, Entry& known);
   bool is_known(const std::string& name) const;
   void read_summaries();
   void keep_summaries();

@@ -16,8 +16,6 @@ namespace abcal::lab {
 std::filesystem::path state_folder() {
   if (const char* state = std::getenv("XDG_STATE_HOME"); state != nullptr && *state == '/')
     return std::filesystem::path(state) / "abcal";
-  // Set by systemd.
-  if (const char* state = std::getenv("STATE_DIRECTORY"); state != nullptr && *state == '/') return state;
   if (const char* home = std::getenv("HOME"); home != nullptr && *home == '/')
     return std::filesystem::path(home) / ".local/state/abcal";
   throw std::runtime_error("nothing can be kept: neither HOME nor XDG_STATE_HOME names a folder");

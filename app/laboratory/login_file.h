@@ -13,8 +13,8 @@ struct LoginFile {
   std::string token;
 };
 
-/// Where this program keeps what belongs to its user on this machine: $XDG_STATE_HOME/abcal, of a service
-/// $STATE_DIRECTORY, else ~/.local/state/abcal. @throws std::runtime_error if the environment names none
+/// Where this program keeps what belongs to its user on this machine: $XDG_STATE_HOME/abcal, else
+/// ~/.local/state/abcal. @throws std::runtime_error if the environment names neither
 std::filesystem::path state_folder();
 
 /// Where the login to a register is kept.

@@ -220,6 +220,7 @@ TEST_F(PersonsTest, TheTokenLetsADisplayWatchAndStop) {
   const test::Headers display{{"Authorization", "Bearer 0123456789abcdef"}};
   EXPECT_EQ(status_of("/runs", display), 200U);
   test::PageClient page(port, display);
+  page.wait_for_type("snapshot");
   EXPECT_THAT(page.ask({{"do", "control"}})["why"].get<std::string>(), HasSubstr("may watch and stop"));
   EXPECT_THAT(page.ask({{"do", "stop"}})["why"].get<std::string>(), HasSubstr("nothing is in progress"));
 }

@@ -80,6 +80,23 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   EXPECT_EQ(std::count(names.begin(), names.end(), "report.pdf"), is_installed(kWeasyPrint) ? 1 : 0);
 }
 
+TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {
+  test::write_file(folder / "bench.toml", bench.text() + "[operator]\nname = \"Operator N. N.\"\n");
+  measure("bench.toml", "a.run");
+  const auto listed = [&] { return Json(RunLibrary(runs()).list(std::chrono::minutes(1))); };
+  const Json first = listed();
+  ASSERT_EQ(first.size(), 1U);
+  EXPECT_EQ(first[0]["verdict"], "usable") << first;
+  EXPECT_EQ(first[0]["operator"], "Operator N. N. (stated, not verified)");
+  EXPECT_EQ(first[0]["simulated"], "stage, accelerometer");
+  EXPECT_GT(first[0]["duration_s"], 0.0);
+  ASSERT_TRUE(std::filesystem::exists(runs() / RunLibrary::kSummaries));
+  EXPECT_EQ(listed(), first);
+  // What another program has kept is made again.
+  test::write_file(runs() / RunLibrary::kSummaries, "{\"program\":1,\"runs\":[]}");
+  EXPECT_EQ(listed(), first);
+}
+
 TEST_F(RunLibraryTest, SaysWhatEachCheckAndFlagMeans) {
   static_assert(std::has_single_bit(kAllFlags + 1U));
   for (std::uint32_t flag = 1; flag <= kAllFlags; flag *= 2)

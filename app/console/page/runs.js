@@ -6,7 +6,8 @@ import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 const VERDICTS = {usable: 'Usable', doubtful: 'Doubtful', not_usable: 'Not usable'};
 const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read', 'not read yet': 'is being read'};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
-const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Measured', 'Duration', 'Go on'];
+const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Result', 'Operator', 'Measured', 'Duration', 'Go on'];
+const ROWS = 100;  // On one page of the list.
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
 const SYMBOLS = 's_ux: sensitivity of output u along axis x of the stage; s_u: its intrinsic sensitivity, independent of the mounting; phi_uv: angle between u and v; O_u: offset of u.';
 
@@ -17,7 +18,7 @@ function inWords(property) {
   return `${property}: ${words[kind]}`;
 }
 
-let list = [];
+let list = [], firstRow = 0;
 const charts = [];
 
 async function fetchJson(path) {
@@ -53,7 +54,7 @@ export async function showRuns(resume) {
   byId('run-loading').textContent = unread ? `Reading: ${unread} of ${list.length} runs are still to come.` : '';
   if (unread) setTimeout(() => { if (location.hash === '#runs') showRuns(resume); }, 200);
   const search = byId('run-search');
-  search.oninput = () => drawList(resume);
+  search.oninput = () => { firstRow = 0; drawList(resume); };
   drawList(resume);
 }
 
@@ -70,7 +71,10 @@ function matches(run, words) {
 function drawList(resume) {
   const words = byId('run-search').value.toLowerCase().split(/\s+/).filter(Boolean);
   const found = list.filter((run) => matches(run, words));
-  byId('run-count').textContent = `${found.length} of ${list.length} runs`;
+  if (firstRow >= found.length) firstRow = 0;
+  const shown = found.slice(firstRow, firstRow + ROWS);
+  byId('run-count').textContent = `${found.length} of ${list.length} runs${shown.length < found.length ? `; here ${firstRow + 1} to ${firstRow + shown.length}` : ''}`;
+  drawPages(found.length, resume);
   const row = (run) => {
     const link = element('a', {href: `#runs/${encoded(run.name)}`}, run.name);
     const actions = element('td', {});
@@ -89,14 +93,25 @@ function drawList(resume) {
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
       cell(4, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? ', not analysed' : ''}`),
-      cell(5, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
-      cell(6, duration(run.duration_s)),
+      cell(5, VERDICTS[run.verdict] || DASH),
+      cell(6, run.operator || DASH),
+      cell(7, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
+      cell(8, duration(run.duration_s)),
       actions);
   };
   byId('run-table').replaceChildren(element('table', {},
     element('caption', {class: 'visually-hidden'}, 'Runs in the run folder, newest first'),
     element('thead', {}, element('tr', {}, ...HEADINGS.map((w) => element('th', {scope: 'col'}, w)))),
-    element('tbody', {}, ...found.map(row))));
+    element('tbody', {}, ...shown.map(row))));
+}
+
+function drawPages(found, resume) {
+  const go = (words, to) => {
+    const button = element('button', {type: 'button', disabled: to < 0 || to >= found}, words);
+    button.addEventListener('click', () => { firstRow = to; drawList(resume); byId('run-search').focus(); });
+    return button;
+  };
+  byId('run-pages').replaceChildren(...(found > ROWS ? [go('Newer runs', firstRow - ROWS), go('Older runs', firstRow + ROWS)] : []));
 }
 
 // One run.
