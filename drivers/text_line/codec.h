@@ -17,8 +17,8 @@ struct LineFormat {
   std::string comment{"#"};           ///< A line that begins so is skipped; empty: none.
   /// Names in front of the numbers, in place of columns: "ax" finds 0.1 in `"ax": 0.1`, `ax=0.1`, `>ax:0.1g`.
   /// All on one line, or each on a line of its own. Empty: columns.
-  std::vector<std::string> names;
-  std::string unit;         ///< That may follow a number at once, "g" of "0.1g"; empty: none.
+  std::vector<std::string> names{};
+  std::string unit{};       ///< That may follow a number at once, "g" of "0.1g"; empty: none.
   char decimal_mark = '.';  ///< Or ','.
 };
 
