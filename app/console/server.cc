@@ -32,6 +32,13 @@ SharedText shared(std::string text) {
   return std::make_shared<const std::string>(std::move(text));
 }
 
+/// The id of a request, which may be refused for something else; 0: it has none that could be one.
+std::uint64_t stated_id(std::string_view text) {
+  const Json object = Json::parse(text, nullptr, /*allow_exceptions=*/false);
+  if (!object.is_object() || !object.contains("id") || !object["id"].is_number_unsigned()) return 0;
+  return object["id"].get<std::uint64_t>();
+}
+
 /// Whoever may reach a console from elsewhere says who it is, and nobody listens.
 void require_protection(const ServerOptions& options, const asio::ip::address& address) {
   const bool open = options.access.token.empty() && options.register_location.empty();
@@ -254,7 +261,7 @@ void Server::Impl::give_control(Page* page) {
 }
 
 void Server::Impl::received(Page& page, std::string_view text) {
-  Json reply = {{"type", "reply"}, {"id", 0}, {"ok", false}};
+  Json reply = {{"type", "reply"}, {"id", stated_id(text)}, {"ok", false}};
   page.heard = clock.now();
   try {
     const Request request = parse_request(text);
