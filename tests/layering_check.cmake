@@ -110,7 +110,7 @@ layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ hwy/ spdlog/
 layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
   FOREIGN toml++/ Eigen/ nlohmann/ fmt/ boost/)
 layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
-layer(app/export MAY protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/export MAY app/system/ protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/planner MAY app/bench/ app/results/ app/toml/ drivers/instrument/ drivers/text/ protocol/ sim/ FOREIGN toml++/ Eigen/ fmt/)
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/document MAY app/system/ app/xml/ FOREIGN lcms2.h libxml/ nlohmann/ qpdf/ fmt/)
@@ -128,7 +128,7 @@ set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emul
   app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
 layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ unicode/ fmt/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)
-layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ fmt/ hwy/)
+layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ curl/ matio.h nlohmann/ fmt/ hwy/)
 
 # --- Nothing is left out ---------------------------------------------------------------------------------------------------
 set(unlisted "")

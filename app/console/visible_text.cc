@@ -16,7 +16,10 @@ void for_each_character(std::string_view utf8, const Each& each) {
   for (std::int32_t at = 0; at < length;) {
     const std::int32_t begin = at;
     UChar32 character = 0;
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wconversion"  // Inside the macro.
     U8_NEXT(utf8.data(), at, length, character);
+#pragma GCC diagnostic pop
     each(character, utf8.substr(static_cast<std::size_t>(begin), static_cast<std::size_t>(at - begin)));
   }
 }

@@ -205,7 +205,7 @@ TEST_F(RecordCommands, WhatARecordSaysIsShownUsedAndFrozenIntoTheRun) {
   EXPECT_EQ(stored.header.g_loc.value_mps2, 9.80107);
   EXPECT_EQ(stored.header.g_loc.expanded_uncertainty_mps2, 0.00002);
   EXPECT_THAT(stored.header.g_loc.source, HasSubstr("EX-G-7"));
-  EXPECT_THAT(stored.header.bench_toml, Not(HasSubstr("from =")));
+  EXPECT_THAT(stored.header.bench_toml, Not(HasSubstr("{ from =")));
   EXPECT_EQ(abcal({"verify", "b.run"}).exit_code, 0);
   EXPECT_EQ(abcal({"analyse", "b.run"}).exit_code, 0);
 }
