@@ -271,7 +271,7 @@ std::optional<TimeLimit> Session::limit_of(RunPhase phase) const {
 }
 
 void Session::show(const SessionEvent& event) {
-  struct Visitor {
+  struct Show {
     Session& session;
     void operator()(const RunBeganEvent& began) const {
       if (began.file.empty()) return;  // The small turn of a check.
@@ -323,7 +323,7 @@ void Session::show(const SessionEvent& event) {
     void operator()(const ReplayComparedEvent&) const {}
     void warn(const std::string& text) const { session.tell_(LogLine{LogLine::Grade::kWarning, text}); }
   };
-  std::visit(Visitor{*this}, event);
+  std::visit(Show{*this}, event);
 }
 
 void Session::do_check(bool with_motion) {

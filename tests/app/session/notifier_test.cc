@@ -85,6 +85,12 @@ std::string take_mail(tcp::iostream& client) {
   return all;
 }
 
+NotifyConfig webhook(std::string address) {
+  NotifyConfig config;
+  config.webhook = std::move(address);
+  return config;
+}
+
 class NotifierTest : public testing::Test {
  protected:
   void SetUp() override { set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path()); }
@@ -117,7 +123,7 @@ TEST_F(NotifierTest, FaultsAndTheEndAreMessagesAndNothingElse) {
 
 TEST_F(NotifierTest, AWebhookGetsTheEndOfARunAsJson) {
   Receiver receiver([](tcp::iostream& client) { return take_post(client, "204 No Content"); });
-  EXPECT_THAT(tell({.webhook = receiver.address("http") + "/hook"}), IsEmpty());
+  EXPECT_THAT(tell(webhook(receiver.address("http") + "/hook")), IsEmpty());
   const auto message = nlohmann::json::parse(receiver.heard());
   EXPECT_EQ(message.at("schema"), "abcal.message/1");
   EXPECT_EQ(message.at("event"), "finished");
@@ -129,18 +135,19 @@ TEST_F(NotifierTest, AWebhookGetsTheEndOfARunAsJson) {
 
 TEST_F(NotifierTest, AReceiverThatRefusesOrIsNotThereIsAFailureWithItsReason) {
   Receiver receiver([](tcp::iostream& client) { return take_post(client, "500 No"); });
-  EXPECT_THAT(tell({.webhook = receiver.address("http")}), ElementsAre(HasSubstr("the webhook answers 500")));
-  EXPECT_THAT(tell({.webhook = "http://127.0.0.1:1/"}), ElementsAre(HasSubstr("connect")));
-  EXPECT_THAT(tell({.webhook = "env:ABCAL_TEST_NO_SUCH_WEBHOOK"}),
+  EXPECT_THAT(tell(webhook(receiver.address("http"))), ElementsAre(HasSubstr("the webhook answers 500")));
+  EXPECT_THAT(tell(webhook("http://127.0.0.1:1/")), ElementsAre(HasSubstr("connect")));
+  EXPECT_THAT(tell(webhook("env:ABCAL_TEST_NO_SUCH_WEBHOOK")),
               ElementsAre(HasSubstr("ABCAL_TEST_NO_SUCH_WEBHOOK of [notify] webhook is not set")));
 }
 
 TEST_F(NotifierTest, AMailServerGetsTheSameInWords) {
   Receiver receiver(take_mail);
-  EXPECT_THAT(tell({.mail_to = "to@example.org",
-                    .mail_from = "from@example.org\r\nBcc: other@example.org",
-                    .mail_server = receiver.address("smtp")}),
-              IsEmpty());
+  NotifyConfig config;
+  config.mail_to = "to@example.org";
+  config.mail_from = "from@example.org\r\nBcc: other@example.org";
+  config.mail_server = receiver.address("smtp");
+  EXPECT_THAT(tell(config), IsEmpty());
   const std::string mail = receiver.heard();
   EXPECT_THAT(mail, HasSubstr("RCPT TO:<to@example.org>"));
   EXPECT_THAT(mail, HasSubstr("Subject: abcal bench 3: finished"));
@@ -151,7 +158,7 @@ TEST_F(NotifierTest, AMailServerGetsTheSameInWords) {
 TEST_F(NotifierTest, NobodyIsToldWhereNobodyIsNamed) {
   set_helper_folder("/nowhere");
   EXPECT_THAT(tell({}), IsEmpty());
-  EXPECT_THAT(tell({.webhook = "http://127.0.0.1:1/"}), ElementsAre(HasSubstr("abcal-notify")));
+  EXPECT_THAT(tell(webhook("http://127.0.0.1:1/")), ElementsAre(HasSubstr("abcal-notify")));
 }
 
 }  // namespace
