@@ -104,6 +104,17 @@ TEST_F(WordsTest, ComposedSentencesAreTranslatedWithTheirValues) {
                 .text,
             "nicht angegeben, daher gelten voreingestellte Werte: Drift; Hysterese; anzugeben unter "
             "[stage_uncertainty] und [item_uncertainty] der Messplatzdatei (docs/effects.md)");
+  EXPECT_EQ(
+      german
+          .composed(
+              "s_ux, s_vy are known to 0.004 of the sensitivity only: these angles do not determine k3. "
+              "Measure more angles on full circles, or state a smaller [item_uncertainty] k3 with its "
+              "source (it is 0.01)")
+          .text,
+      "s_ux, s_vy sind nur auf 0,004 des Übertragungskoeffizienten bekannt: diese Winkelstellungen bestimmen "
+      "k3 nicht. "
+      "Messen Sie mehr Winkelstellungen auf ganzen Kreisen, oder geben Sie für [item_uncertainty] k3 einen "
+      "kleineren Wert mit Quelle an (jetzt 0,01)");
   const Wording unknown = german.composed("something that nobody has said before");
   EXPECT_EQ(unknown.text, "something that nobody has said before");
   EXPECT_EQ(unknown.language, "");

@@ -21,9 +21,9 @@ TEST(NormalProbabilityTest, KeepsItsDigitsInBothTails) {
 TEST(NormalProbabilityTest, BetweenDoesNotCancelInATail) {
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
   EXPECT_EQ(normal_between(-kInfinity, kInfinity), 1.0);
-  EXPECT_EQ(normal_between(9.0, 10.0), normal_between(-10.0, -9.0));
+  EXPECT_DOUBLE_EQ(normal_between(9.0, 10.0), normal_between(-10.0, -9.0));
   EXPECT_NEAR(normal_between(9.0, 10.0) / 1.1285122074e-19, 1.0, 1e-9);
-  EXPECT_EQ(normal_between(10.0, kInfinity), normal_below(-10.0));
+  EXPECT_DOUBLE_EQ(normal_between(10.0, kInfinity), normal_below(-10.0));
   EXPECT_EQ(normal_between(1.0, 1.0), 0.0);
 }
 
