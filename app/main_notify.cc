@@ -20,7 +20,7 @@ namespace {
 using Json = nlohmann::json;
 using List = std::unique_ptr<curl_slist, void (*)(curl_slist*)>;
 
-constexpr long kConnectTime_s = 5, kWholeTime_s = 10;
+constexpr long kConnectSeconds = 5, kWholeSeconds = 10;
 
 std::string environment(const char* name) {
   const char* value = std::getenv(name);
@@ -39,8 +39,8 @@ class Transfer {
  public:
   Transfer() : curl_(curl_easy_init(), curl_easy_cleanup) {
     if (!curl_) throw std::runtime_error("libcurl cannot be used");
-    set(CURLOPT_CONNECTTIMEOUT, kConnectTime_s);
-    set(CURLOPT_TIMEOUT, kWholeTime_s);
+    set(CURLOPT_CONNECTTIMEOUT, kConnectSeconds);
+    set(CURLOPT_TIMEOUT, kWholeSeconds);
     set(CURLOPT_NOSIGNAL, 1L);
     set(
         CURLOPT_WRITEFUNCTION,

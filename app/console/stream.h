@@ -15,6 +15,7 @@ class Stream {
  public:
   using Plain = boost::beast::tcp_stream;
   using Secure = boost::beast::ssl_stream<Plain>;
+  // Asio asks for this name. NOLINTNEXTLINE(readability-identifier-naming)
   using executor_type = Plain::executor_type;
 
   /// @param tls  null: without
