@@ -1,7 +1,6 @@
 #include "app/console/target.h"
 
 #include <boost/url/parse.hpp>
-#include <boost/url/parse_query.hpp>
 #include <boost/url/url_view.hpp>
 
 namespace abcal::console {
@@ -22,12 +21,15 @@ std::optional<Target> parse_target(std::string_view text) {
 }
 
 std::optional<std::map<std::string, std::string>> parse_form(std::string_view body) {
-  const auto query = boost::urls::parse_query({body.data(), body.size()});
-  if (!query) return std::nullopt;
+  // As the query of a target: parse_query() of Boost 1.81 reads beyond the end of an empty text.
+  const std::string target = "/?" + std::string(body);
+  const auto url = boost::urls::parse_origin_form(target);
+  if (!url) return std::nullopt;
   boost::urls::encoding_opts options;
   options.space_as_plus = true;
   std::map<std::string, std::string> fields;
-  for (const auto field : *query) fields.emplace(field.key.decode(options), field.value.decode(options));
+  for (const auto field : url->encoded_params())
+    fields.emplace(field.key.decode(options), field.value.decode(options));
   return fields;
 }
 
