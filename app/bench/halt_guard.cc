@@ -170,19 +170,10 @@ int HaltGuard::generation() {
 }
 
 void HaltGuard::start() {
-  std::array<int, 2> ends{};
-  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0)
-    throw std::runtime_error(fmt::format("no guard can be started: {}", std::strerror(errno)));
-  try {
-    process_ = start_detached(helper_program("abcal-guard", "halting a stage whose program has died needs"),
-                              {}, ends[1]);
-  } catch (...) {
-    ::close(ends[0]);
-    ::close(ends[1]);
-    throw;
-  }
-  ::close(ends[1]);
-  socket_ = ends[0];
+  const ConnectedProcess guard =
+      start_connected(helper_program("abcal-guard", "halting a stage whose program has died needs"));
+  process_ = guard.process;
+  socket_ = guard.socket;
   ++generation_;
 }
 

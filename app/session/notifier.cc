@@ -62,7 +62,7 @@ std::optional<Json> message_of(const SessionEvent& event) {
 }
 
 Notifier::~Notifier() {
-  for (const Sending& sending : sendings_) {
+  for (const ConnectedProcess& sending : sendings_) {
     ::close(sending.socket);
     ::waitpid(sending.process, nullptr, WNOHANG);
   }
@@ -94,34 +94,23 @@ void Notifier::send(const SessionEvent& event, const std::string& utc) {
 }
 
 void Notifier::start(const Json& message) {
-  std::array<int, 2> ends{};
-  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0)
-    throw std::runtime_error(std::strerror(errno));
   const std::string packet = Json{
       {"webhook", config_.webhook},
       {"mail_to", config_.mail_to},
       {"mail_from", config_.mail_from},
       {"mail_server", config_.mail_server},
       {"message", message}}.dump(-1, ' ', false, Json::error_handler_t::replace);
-  pid_t process = -1;
-  try {
-    process = start_detached(helper_program("abcal-notify", "[notify] needs"), {}, ends[1]);
-  } catch (...) {
-    ::close(ends[0]);
-    ::close(ends[1]);
-    throw;
-  }
-  ::close(ends[1]);
-  sendings_.push_back({ends[0], process});
+  const ConnectedProcess sender = start_connected(helper_program("abcal-notify", "[notify] needs"));
+  sendings_.push_back(sender);
   // The program reads it as soon as it has started; the socket holds it until then.
-  if (::send(ends[0], packet.data(), packet.size(), MSG_NOSIGNAL) < 0)
+  if (::send(sender.socket, packet.data(), packet.size(), MSG_NOSIGNAL) < 0)
     throw std::runtime_error(std::strerror(errno));
 }
 
 std::vector<std::string> Notifier::failures(std::chrono::milliseconds longest) {
   const auto deadline = std::chrono::steady_clock::now() + longest;
-  std::vector<Sending> open;
-  for (const Sending& sending : sendings_) {
+  std::vector<ConnectedProcess> open;
+  for (const ConnectedProcess& sending : sendings_) {
     const auto left =
         std::chrono::duration_cast<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
     pollfd answer{.fd = sending.socket, .events = POLLIN, .revents = 0};

@@ -1,7 +1,5 @@
 #pragma once
 
-#include <sys/types.h>
-
 #include <chrono>
 #include <nlohmann/json_fwd.hpp>
 #include <optional>
@@ -10,6 +8,7 @@
 
 #include "app/bench/bench_config.h"
 #include "app/session/session_events.h"
+#include "app/system/detached_process.h"
 
 namespace abcal {
 
@@ -35,16 +34,12 @@ class Notifier {
   std::vector<std::string> failures(std::chrono::milliseconds longest = std::chrono::milliseconds(0));
 
  private:
-  struct Sending {
-    int socket = -1;
-    pid_t process = -1;
-  };
   void start(const nlohmann::json& message);
 
   NotifyConfig config_;
   std::string bench_, item_, operator_, file_;
   bool simulated_ = false;
-  std::vector<Sending> sendings_;
+  std::vector<ConnectedProcess> sendings_;
   std::vector<std::string> failures_;
 };
 

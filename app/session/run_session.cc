@@ -102,6 +102,11 @@ RunProgress progress_of(const StoredRun& stored) {
   return so_far;
 }
 
+/// Nothing where nobody is to be told: then no event costs anything.
+std::unique_ptr<Notifier> notifier_of(const BenchConfig& config) {
+  return config.notify.anybody() ? std::make_unique<Notifier>(config.notify) : nullptr;
+}
+
 FinishedEvent finished_event(const RunOutcome& outcome) {
   FinishedEvent event;
   event.file = outcome.path.string();
@@ -310,7 +315,7 @@ RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
   RunFile file = create_file(*opened_, request);
-  notifier_ = std::make_unique<Notifier>(opened_->config.notify);
+  notifier_ = notifier_of(opened_->config);
   tell_begun(*opened_, request.run_file, nullptr);
   return measure_and_finish(std::move(file), {});
 }
@@ -431,7 +436,7 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
                  fmt::format("resumed with {} of {} angles measured", stored.measured.size(),
                              stored.header.plan.size()));
   note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
-  notifier_ = std::make_unique<Notifier>(config.notify);
+  notifier_ = notifier_of(config);
   tell_begun(opened, path, &stored);
   return measure_and_finish(std::move(file), progress_of(stored));
 }

@@ -4,8 +4,11 @@
 #include <fmt/format.h>
 #include <signal.h>
 #include <spawn.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
+#include <array>
+#include <cerrno>
 #include <cstring>
 #include <stdexcept>
 
@@ -62,6 +65,21 @@ pid_t start_detached(const Tool& tool, const std::vector<std::string>& arguments
   if (error != 0)
     throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(error)));
   return child;
+}
+
+ConnectedProcess start_connected(const Tool& tool) {
+  std::array<int, 2> ends{};
+  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends.data()) != 0)
+    throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
+  try {
+    const pid_t process = start_detached(tool, {}, ends[1]);
+    ::close(ends[1]);
+    return {ends[0], process};
+  } catch (...) {
+    ::close(ends[0]);
+    ::close(ends[1]);
+    throw;
+  }
 }
 
 }  // namespace abcal

@@ -15,4 +15,14 @@ namespace abcal {
 /// @throws ProgramMissing, std::runtime_error
 pid_t start_detached(const Tool& tool, const std::vector<std::string>& arguments, int descriptor = -1);
 
+/// A detached program and this end of a socket to it (SOCK_SEQPACKET); both belong to the caller.
+struct ConnectedProcess {
+  int socket = -1;
+  pid_t process = -1;
+};
+
+/// start_detached() with the other end of a socket as the program's descriptor.
+/// @throws ProgramMissing, std::runtime_error
+ConnectedProcess start_connected(const Tool& tool);
+
 }  // namespace abcal

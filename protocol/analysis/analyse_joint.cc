@@ -19,6 +19,7 @@
 #include "protocol/analysis/joint_data.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/joint_verdict.h"
+#include "protocol/analysis/objection.h"
 #include "protocol/analysis/undetermined.h"
 #include "protocol/analysis/unusable_data.h"
 
@@ -411,8 +412,7 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   if (!data.u_known) fit->noise.white = fit->noise.white.cwiseProduct(readings.front().u);
   judge_joint(*fit, fit_options, tests, record, result);
   for (const std::string& words : hidden) {
-    result.why = result.verdict == Verdict::kUsable ? words : words + "; " + result.why;
-    result.verdict = Verdict::kDoubtful;
+    object_to(result, words);
     result.joint->contradicted_sizes.push_back(words);
   }
   object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);

@@ -405,8 +405,6 @@ std::vector<JointReading> readings_in_time(const RunRecord& record, ChangeScan& 
                    [&](std::size_t a, std::size_t b) { return data.readings[a].t < data.readings[b].t; });
   std::vector<JointReading> readings;
   for (const std::size_t i : order) {
-    // The run saw that an output was frozen there: nothing has to be found out, and nothing else blamed.
-    if ((data.dwells[i]->flags & kFlagStuck) != 0U) continue;
     readings.push_back(data.readings[i]);
     scan.dwells.push_back(data.dwells[i]);
   }

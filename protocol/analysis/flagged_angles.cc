@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "protocol/analysis/objection.h"
+
 namespace abcal {
 namespace {
 
@@ -34,9 +36,7 @@ std::string words_about_flags(const RunRecord& record, std::uint32_t which) {
 void object_to_flags(const RunRecord& record, std::uint32_t which, CalibrationResult& result) {
   if (result.verdict == Verdict::kNotUsable) return;
   const std::string words = words_about_flags(record, which);
-  if (words.empty()) return;
-  result.why = result.verdict == Verdict::kUsable ? words : words + "; " + result.why;
-  result.verdict = Verdict::kDoubtful;
+  if (!words.empty()) object_to(result, words);
 }
 
 }  // namespace abcal

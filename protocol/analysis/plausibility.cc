@@ -15,6 +15,7 @@
 
 #include "protocol/analysis/change_scan.h"
 #include "protocol/analysis/check_poses.h"
+#include "protocol/analysis/objection.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/plan/limits.h"
 
@@ -511,9 +512,7 @@ void apply_checks(std::vector<Check> checks, const RunRecord& record, Calibratio
   result.diagnostics.checks = std::move(checks);
   if (failed.empty()) return;
   notes.insert(notes.begin(), failed.begin(), failed.end());
-  const std::string words = fmt::format("{}", fmt::join(failed, "; "));
-  result.why = result.verdict == Verdict::kUsable ? words : words + "; " + result.why;
-  if (result.verdict == Verdict::kUsable) result.verdict = Verdict::kDoubtful;
+  object_to(result, fmt::format("{}", fmt::join(failed, "; ")));
 }
 
 }  // namespace abcal
