@@ -168,7 +168,7 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.number("poll_interval_s", p.poll_interval_s, {0.0, 10.0, true});
   keys.number("motion_timeout_s", p.motion_timeout_s, {0.0, 86'400.0, true});
   keys.number("homing_timeout_s", p.homing_timeout_s, {0.0, 86'400.0, true});
-  keys.number("settle_s", p.settle_s, {0.0, 86'400.0});
+  keys.number_or_auto("settle_s", p.settle_s, p.settle_auto, {0.0, 86'400.0});
   keys.number("quiet_timeout_s", p.quiet_timeout_s, {0.0, 86'400.0});
   keys.integer("dwell_readings", p.dwell_readings, 4, 1'000'000);
   keys.number("mains_hz", p.mains_hz, {0.0, 1000.0});

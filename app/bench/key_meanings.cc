@@ -140,7 +140,10 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"protocol.motion_timeout_s",
        {"Longest wait for a move, in addition to the time that it needs at its speed.", ""}},
       {"protocol.homing_timeout_s", {"Longest wait for homing.", ""}},
-      {"protocol.settle_s", {"Time from the stop to the first reading used.", ""}},
+      {"protocol.settle_s",
+       {"Time from the stop to the first reading used; `\"auto\"`: as long as the outputs need "
+        "(measurement.md).",
+        ""}},
       {"protocol.quiet_timeout_s",
        {"Longest further wait for quiet outputs. After this time the angle is measured and flagged.", ""}},
       {"protocol.dwell_readings", {"Number of readings averaged at one angle.", ""}},

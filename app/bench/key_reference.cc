@@ -93,6 +93,9 @@ class KeyCollector final : public KeyVisitor {
   void number(const std::string& key, std::optional<double>& value, Range range) override {
     add(key, "number", range_text(range), value ? real_text(*value) : std::string());
   }
+  void number_or_auto(const std::string& key, double& value, bool& automatic, Range range) override {
+    add(key, "number", range_text(range) + ", `\"auto\"`", automatic ? "\"auto\"" : real_text(value));
+  }
   void integer(const std::string& key, int& value, int min, int max) override {
     add(key, "integer", fmt::format("{} to {}", min, max), std::to_string(value));
   }

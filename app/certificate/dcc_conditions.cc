@@ -161,7 +161,12 @@ void add_protocol(XmlElement& methods, const Certificate& certificate, const Rep
   add("abc_step", words("Rotation step"), data.record.step.deg(), "\\degree");
   if (!data.bench) return;
   const ProtocolConfig& settled = data.bench->protocol;
-  add("abc_settle", words("Wait from standstill to the first reading"), settled.settle_s, "\\second");
+  if (settled.settle_auto) {
+    add("abc_settle", words("Least wait from standstill to the first reading, ended by the outputs"),
+        data.settle_times_s().first, "\\second");
+  } else {
+    add("abc_settle", words("Wait from standstill to the first reading"), settled.settle_s, "\\second");
+  }
   add("abc_dwell", words("Readings averaged at each angle"), settled.dwell_readings, "\\one");
   add("abc_warmUp", words("Warm-up before the first angle"), settled.warm_up_s, "\\second");
 }

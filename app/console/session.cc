@@ -255,7 +255,8 @@ std::optional<TimeLimit> Session::limit_of(RunPhase phase) const {
     case RunPhase::kParking:
       return limit(protocol_.motion_timeout_s, "beyond the time that the speed of the stage needs");
     case RunPhase::kSettling:
-      return limit(protocol_.settle_s + protocol_.quiet_timeout_s, "then the angle is flagged");
+      return limit((protocol_.settle_auto ? 0.0 : protocol_.settle_s) + protocol_.quiet_timeout_s,
+                   "then the angle is flagged");
     case RunPhase::kDwelling:
       return limit(protocol_.reading_timeout_s, "without any reading");
     case RunPhase::kReconnecting:

@@ -183,8 +183,12 @@ Section method_section(const ReportData& data) {
       record.steps, record.step.deg())});
   if (data.bench) {
     const ProtocolConfig& p = data.bench->protocol;
-    std::string text = fmt::format("Settling at least {:g} s, {} readings averaged at each angle; ",
-                                   p.settle_s, p.dwell_readings);
+    const auto [least_s, most_s] = data.settle_times_s();
+    std::string text =
+        p.settle_auto
+            ? fmt::format("Settling until the outputs were at rest ({:.2g} to {:.2g} s), ", least_s, most_s)
+            : fmt::format("Settling at least {:g} s, ", p.settle_s);
+    text += fmt::format("{} readings averaged at each angle; ", p.dwell_readings);
     text += p.approach.deg() != 0.0
                 ? fmt::format("every angle is approached from below by {:g} degree; ", p.approach.deg())
                 : std::string("angles are approached from either side; ");

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <algorithm>
 
 #include "app/bench/make_bench.h"
 #include "app/results/analyses.h"
@@ -24,6 +25,12 @@ std::string ReportData::started_utc() const {
 
 std::string ReportData::ended_utc() const {
   return run && !run->events.empty() ? run->events.back().utc : std::string();
+}
+
+std::pair<double, double> ReportData::settle_times_s() const {
+  if (record.dwells.empty()) return {};
+  const auto [least, most] = std::ranges::minmax_element(record.dwells, {}, &DwellRecord::settle_time_s);
+  return {least->settle_time_s, most->settle_time_s};
 }
 
 std::vector<std::string> cautions(const ReportData& data) {

@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "app/bench/bench_config.h"
@@ -47,6 +48,8 @@ struct ReportData {
   /// UTC of the first angle's run start, and of the last event; empty for a CSV.
   std::string started_utc() const;
   std::string ended_utc() const;
+  /// From standstill to the first reading used: the least and the most of all angles of a run, in seconds.
+  std::pair<double, double> settle_times_s() const;
 };
 
 /// The warnings at the top of every report of the data: not complete, not usable, doubtful, simulated, not

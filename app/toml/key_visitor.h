@@ -39,6 +39,9 @@ inline constexpr Range kNotNegative{0.0, kInfinity};
 /// What a written file calls the source of a default, so that it is not taken for a stated value when read.
 inline constexpr std::string_view kDefaultSource = "default";
 
+/// In place of a number that the program is to find by itself.
+inline constexpr std::string_view kAuto = "auto";
+
 /// A standard uncertainty and its source; no source: a default.
 struct StatedUncertainty {
   double value = 0.0;
@@ -65,6 +68,8 @@ class KeyVisitor {
                              const std::vector<std::string>& choices = {}) = 0;
   virtual void number(const std::string& key, double& value, Range range) = 0;
   virtual void number(const std::string& key, std::optional<double>& value, Range range) = 0;
+  /// A number, or the word "auto".
+  virtual void number_or_auto(const std::string& key, double& value, bool& automatic, Range range) = 0;
   virtual void integer(const std::string& key, int& value, int min, int max) = 0;
   virtual void integer(const std::string& key, std::optional<int>& value, int min, int max) = 0;
   virtual void seed(const std::string& key, std::uint64_t& value) = 0;

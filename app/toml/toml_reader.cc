@@ -190,6 +190,19 @@ void TomlReader::number(const std::string& key, std::optional<double>& value, Ra
   value = found;
 }
 
+void TomlReader::number_or_auto(const std::string& key, double& value, bool& automatic, Range range) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const auto* word = node->as_string();
+  automatic = word != nullptr && word->get() == kAuto;
+  if (automatic) return;
+  if (const auto found = number_of(*node); found && range.contains(*found)) {
+    value = *found;
+  } else {
+    problem(*node, name(key), words_of(*node), fmt::format("{}, or \"{}\"", range.words(), kAuto));
+  }
+}
+
 void TomlReader::integer(const std::string& key, int& value, int min, int max) {
   const toml::node* node = find(key);
   if (node == nullptr) return;

@@ -35,6 +35,7 @@ class TomlReader final : public KeyVisitor {
                      const std::vector<std::string>& choices = {}) override;
   void number(const std::string& key, double& value, Range range) override;
   void number(const std::string& key, std::optional<double>& value, Range range) override;
+  void number_or_auto(const std::string& key, double& value, bool& automatic, Range range) override;
   void integer(const std::string& key, int& value, int min, int max) override;
   void integer(const std::string& key, std::optional<int>& value, int min, int max) override;
   void seed(const std::string& key, std::uint64_t& value) override;

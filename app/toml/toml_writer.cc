@@ -54,6 +54,10 @@ void TomlWriter::number(const std::string& key, std::optional<double>& value, Ra
   if (value) line(key, real(*value));
 }
 
+void TomlWriter::number_or_auto(const std::string& key, double& value, bool& automatic, Range) {
+  line(key, automatic ? toml_text(std::string(kAuto)) : real(value));
+}
+
 void TomlWriter::integer(const std::string& key, int& value, int, int) {
   line(key, std::to_string(value));
 }

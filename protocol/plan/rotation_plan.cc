@@ -34,11 +34,19 @@ std::optional<Angle> representation(Angle angle, Angle lowest, Angle highest) {
   return moved;
 }
 
-/// The angle at which an axis is held: as it stands if it is inside the travel, else moved by whole turns.
-std::optional<Angle> held(Angle angle, const AxisTravel& travel, Angle approach) {
+/// Where an axis may stand to be at an angle: as it is and a turn to either side, as far as the travel
+/// allows.
+std::vector<Angle> representations(Angle angle, const AxisTravel& travel, Angle approach) {
   const Angle lowest = travel.min + approach;
-  if (angle >= lowest && angle <= travel.max) return angle;
-  return representation(angle, lowest, travel.max);
+  std::vector<Angle> possible;
+  for (const double turns : {0.0, -1.0, 1.0}) {
+    const Angle moved = angle + kTurn * turns;
+    if (moved >= lowest && moved <= travel.max) possible.push_back(moved);
+  }
+  if (possible.empty()) {
+    if (const auto moved = representation(angle, lowest, travel.max)) possible.push_back(*moved);
+  }
+  return possible;
 }
 
 struct SweepAngle {
@@ -74,6 +82,68 @@ std::vector<SweepAngle> sweep(const ProtocolConfig& config, const AxisTravel& tr
   return angles;
 }
 
+/// One way to measure a part of the plan: an experiment, or a visit of the check poses.
+using Part = std::vector<PlannedAngle>;
+
+double distance_deg(const PlannedAngle& from, const PlannedAngle& to) {
+  return std::abs(to.x.deg() - from.x.deg()) + std::abs(to.z.deg() - from.z.deg());
+}
+
+/// How far both axes turn inside a part.
+double travel_deg(const Part& part) {
+  double sum = 0.0;
+  for (std::size_t k = 1; k < part.size(); ++k) sum += distance_deg(part[k - 1], part[k]);
+  return sum;
+}
+
+/// One way of each part, so that the axes turn least from the zero through all parts and back to the zero; of
+/// ways that are equal, the first. (Shortest path through layers.)
+std::vector<Part> least_travel(const std::vector<std::vector<Part>>& ways_of_parts) {
+  struct Path {
+    double travelled_deg = 0.0;
+    std::vector<Part> parts;
+    PlannedAngle at;
+  };
+  std::vector<Path> paths(1);
+  const auto shortest_to = [&](const PlannedAngle& next) {
+    return std::ranges::min_element(
+        paths, {}, [&](const Path& path) { return path.travelled_deg + distance_deg(path.at, next); });
+  };
+  for (const std::vector<Part>& ways : ways_of_parts) {
+    std::vector<Path> longer;
+    for (const Part& part : ways) {
+      Path path = *shortest_to(part.front());
+      path.travelled_deg += distance_deg(path.at, part.front()) + travel_deg(part);
+      path.at = part.back();
+      path.parts.push_back(part);
+      longer.push_back(std::move(path));
+    }
+    paths = std::move(longer);
+  }
+  return shortest_to(PlannedAngle{})->parts;
+}
+
+/// Both check poses, in either order and with every turn that the travel allows.
+std::vector<Part> ways_of_visit(const std::array<std::vector<Angle>, kCheckPoses>& x,
+                                const std::array<std::vector<Angle>, kCheckPoses>& z) {
+  const auto ways_of_pose = [&](std::size_t pose) {
+    std::vector<PlannedAngle> ways;
+    for (const Angle at_x : x[pose]) {
+      for (const Angle at_z : z[pose])
+        ways.push_back({0, static_cast<int>(pose) + 1, false, Angle{}, at_x, at_z, true});
+    }
+    return ways;
+  };
+  std::vector<Part> ways;
+  for (const PlannedAngle& first : ways_of_pose(0)) {
+    for (const PlannedAngle& second : ways_of_pose(1)) {
+      ways.push_back({first, second});
+      ways.push_back({second, first});
+    }
+  }
+  return ways;
+}
+
 }  // namespace
 
 PlanError::PlanError(std::vector<Problem> problems)
@@ -100,36 +170,36 @@ std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
   const std::vector<SweepAngle> about_x = sweep(config, travel[kX], "X", problems);
   const std::vector<SweepAngle> about_z = sweep(config, travel[kZ], "Z", problems);
   const auto hold = [&](Angle angle, std::size_t axis) {
-    const auto at = held(angle, travel[axis], config.approach);
-    if (!at) {
+    std::vector<Angle> possible = representations(angle, travel[axis], config.approach);
+    if (possible.empty()) {
       problems.push_back({axis == kX ? "axis X" : "axis Z", "travel " + describe(travel[axis]),
                           "a travel that includes the axis angle " + number(angle.deg()) + " deg"});
     }
-    return at.value_or(Angle{});
+    return possible;
   };
   struct Experiment {
     int number;
     const std::vector<SweepAngle>& sweep;
     bool turns_x;
-    Angle held_at;
+    std::vector<Angle> held_at;
   };
   const std::array<Experiment, 3> experiments{Experiment{1, about_x, true, hold(Angle{}, kZ)},
                                               Experiment{2, about_x, true, hold(kInitialTurn, kZ)},
                                               Experiment{3, about_z, false, hold(kInitialTurn, kX)}};
-  std::vector<PlannedAngle> visit;  // Of the check poses.
+  std::array<std::vector<Angle>, kCheckPoses> check_x, check_z;
   if (config.check_poses) {
-    int n = 0;
-    for (const CheckPose& pose : check_poses())
-      visit.push_back({0, ++n, false, Angle{}, hold(pose.x, kX), hold(pose.z, kZ), true});
+    for (std::size_t pose = 0; pose < kCheckPoses; ++pose) {
+      check_x[pose] = hold(check_poses()[pose].x, kX);
+      check_z[pose] = hold(check_poses()[pose].z, kZ);
+    }
   }
   if (!problems.empty()) throw PlanError(std::move(problems));
 
-  std::vector<PlannedAngle> plan = visit;
-  for (const Experiment& experiment : experiments) {
+  const auto measured_at = [&](const Experiment& experiment, Angle held) {
+    Part part;
     const auto add = [&](int n, bool closing, Angle alpha, Angle commanded) {
-      plan.push_back({experiment.number, n, closing, alpha,
-                      experiment.turns_x ? commanded : experiment.held_at,
-                      experiment.turns_x ? experiment.held_at : commanded});
+      part.push_back({experiment.number, n, closing, alpha, experiment.turns_x ? commanded : held,
+                      experiment.turns_x ? held : commanded});
     };
     for (const SweepAngle& angle : experiment.sweep) add(angle.n, false, angle.alpha, angle.commanded);
     if (config.closing_angle) {
@@ -138,8 +208,20 @@ std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
       const Angle full_turn = first.commanded + kTurn;
       add(first.n, true, first.alpha + kTurn, full_turn <= turning.max ? full_turn : first.commanded);
     }
-    plan.insert(plan.end(), visit.begin(), visit.end());
+    return part;
+  };
+  std::vector<std::vector<Part>> ways_of_parts;
+  const auto add_visit = [&] {
+    if (config.check_poses) ways_of_parts.push_back(ways_of_visit(check_x, check_z));
+  };
+  add_visit();
+  for (const Experiment& experiment : experiments) {
+    std::vector<Part>& ways = ways_of_parts.emplace_back();
+    for (const Angle held : experiment.held_at) ways.push_back(measured_at(experiment, held));
+    add_visit();
   }
+  std::vector<PlannedAngle> plan;
+  for (const Part& part : least_travel(ways_of_parts)) plan.insert(plan.end(), part.begin(), part.end());
   return plan;
 }
 
@@ -147,6 +229,15 @@ int readings_per_dwell(const ProtocolConfig& config, double rate_hz) {
   if (!(config.mains_hz > 0.0) || !(rate_hz > 0.0)) return config.dwell_readings;
   const double periods = std::ceil(config.dwell_readings * config.mains_hz / rate_hz);
   return std::max(config.dwell_readings, static_cast<int>(std::lround(periods * rate_hz / config.mains_hz)));
+}
+
+std::size_t quiet_window_size(const ProtocolConfig& config, double rate_hz) {
+  return static_cast<std::size_t>(std::clamp(readings_per_dwell(config, rate_hz) / 4, 10, 50));
+}
+
+double least_settle_s(const ProtocolConfig& config, double rate_hz) {
+  if (!config.settle_auto) return config.settle_s;
+  return rate_hz > 0.0 ? static_cast<double>(quiet_window_size(config, rate_hz)) / rate_hz : 0.0;
 }
 
 std::array<AxisTravel, 2> cable_twist(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config) {
@@ -194,7 +285,7 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Prot
   for (const PlannedAngle& angle : plan) {
     move(kX, angle.x);
     move(kZ, angle.z);
-    duration.settling_s += config.settle_s;
+    duration.settling_s += least_settle_s(config, rate_hz);
     duration.dwelling_s += dwell_s;
   }
   return duration;

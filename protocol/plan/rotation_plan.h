@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <stdexcept>
 #include <vector>
 
@@ -52,7 +53,8 @@ class PlanError : public std::runtime_error {
 /// The angles of the three experiments (paper, section 2.4: about X; about X with Z turned -90 degrees; about
 /// Z with X turned -90 degrees) in the order in which they are measured: each experiment in one sweep of
 /// rising commanded angle, inside the travel with room for the approach from below, so that no cable winds
-/// up. With `check_poses`, both check poses come first, between the experiments and last.
+/// up. With `check_poses`, both check poses come first, between the experiments and last. The order of the
+/// two and the whole turns of an axis that is held are those with which the axes turn least.
 /// @throws PlanError if an angle cannot be reached.
 std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
                                              const std::array<AxisTravel, 2>& travel);
@@ -86,5 +88,16 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Prot
 /// Readings averaged at one angle: dwell_readings, or the least number not below it that lasts a whole number
 /// of mains periods.
 int readings_per_dwell(const ProtocolConfig& config, double rate_hz);
+
+/// Readings in one window that is tested for slope and spread before a dwell.
+std::size_t quiet_window_size(const ProtocolConfig& config, double rate_hz);
+
+/// With settle_s = "auto" a dwell begins after so many times the time from which on the outputs showed no
+/// motion.
+inline constexpr double kSettlingPatience = 2.0;
+
+/// From the stop to the first reading used where all is quiet at once, in seconds: settle_s, or with "auto"
+/// one window.
+double least_settle_s(const ProtocolConfig& config, double rate_hz);
 
 }  // namespace abcal

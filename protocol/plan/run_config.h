@@ -43,7 +43,10 @@ struct ProtocolConfig {
   double poll_interval_s = 0.01;
   double motion_timeout_s = 30.0;  ///< Longest wait for a move beyond the time its speed needs.
   double homing_timeout_s = 120.0;
-  double settle_s = 5.0;            ///< From stopped to the first reading used.
+  double settle_s = 5.0;  ///< From stopped to the first reading used.
+  /// settle_s = "auto": the dwell begins when the outputs show that the item is at rest; settle_s is not
+  /// used.
+  bool settle_auto = false;
   double quiet_timeout_s = 10.0;    ///< Longest further wait for the accelerometer to be quiet; then flagged.
   int dwell_readings = 1000;        ///< Readings averaged at one angle.
   double mains_hz = 0.0;            ///< > 0: the dwell lasts a whole number of mains periods.

@@ -67,8 +67,11 @@ MeasuredDwell DwellMeasurement::measure_once(std::size_t position, const Planned
   window.inside_before = parts_.motion.is_inside_window(angle);
   window.begin = context_.clock.now();
   const std::uint64_t lost_before = parts_.readings.lost();
-  const std::vector<Reading> readings = parts_.readings.read(static_cast<std::size_t>(
+  std::vector<Reading> readings = parts_.readings.read(static_cast<std::size_t>(
       readings_per_dwell(context_.settings.protocol, context_.accelerometer_info.rate_hz)));
+  const std::uint64_t first = readings.front().sequence;
+  if (!parts_.settling.read_until_at_rest(readings)) window.quiet = false;
+  if (readings.front().sequence != first) window.begin = readings.front().arrival;
   window.end = context_.clock.now();
   context_.stopwatch.add_moving(window.stopped - begin);
   context_.stopwatch.add_settling(window.begin - window.stopped);
@@ -78,6 +81,7 @@ MeasuredDwell DwellMeasurement::measure_once(std::size_t position, const Planned
   const auto lost_unseen = static_cast<std::int64_t>(parts_.readings.lost() - lost_before);
   statistics.lost = std::max(statistics.lost, lost_unseen);
   parts_.plausibility.require_possible(angle, statistics, readings.size());
+  parts_.settling.learn(readings);
 
   MeasuredDwell measured{dwell_record(angle, statistics, window), {}};
   measured.readings.reserve(readings.size());

@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/reading_statistics.h"
 #include "protocol/run/dwell.h"
 #include "protocol/run/plausibility.h"
 
@@ -21,10 +23,21 @@ constexpr double kFrozenBeside = 2.0;
 /// A short window sees less than a whole swing of a slow ring-down: the dwell that it lets begin must stay
 /// within spread_factor. Noise of the usual spread, and of twice that, still passes.
 constexpr double kQuietPart = 0.75;
+/// By settle_s = "auto" a window moves on by this part of it.
+constexpr std::size_t kBlocksOfWindow = 5;
 /// Windows whose spreads are added before they are compared with those of as many windows before.
 constexpr std::size_t kNoiseWindows = 5;
 /// The spread falls no longer where it is more than this part of the spread before.
 constexpr double kNoLongerFalling = 0.8;
+/// Standard uncertainties: a dwell whose first quarter lies farther from the rest has begun too early (noise
+/// alone: in one of a hundred dwells, which costs it a quarter more time).
+constexpr double kCreepLimit = 3.0;
+/// The same of the sum over dwells, looked at after every one.
+constexpr double kLessonLimit = 4.0;
+/// Least number of differences in the sum.
+constexpr int kLeastLessons = 12;
+/// Spreads of one reading: an output that changed less from the angle before has no direction.
+constexpr double kChangeWithDirection = 10.0;
 
 /// Sum of the spreads of kNoiseWindows windows, ending `skip` windows before the last.
 Eigen::Vector3d sum_of_spreads(const std::vector<Eigen::Vector3d>& spreads, std::size_t skip) {
@@ -34,10 +47,6 @@ Eigen::Vector3d sum_of_spreads(const std::vector<Eigen::Vector3d>& spreads, std:
 }
 
 }  // namespace
-
-std::size_t quiet_window_size(const ProtocolConfig& protocol, double rate_hz) {
-  return static_cast<std::size_t>(std::clamp(readings_per_dwell(protocol, rate_hz) / 4, 10, 50));
-}
 
 void SpreadHistory::add(const Eigen::Vector3d& spread, double resolution) {
   empty_ = false;
@@ -62,6 +71,49 @@ std::optional<Eigen::Vector3d> SpreadHistory::median() const {
     median[static_cast<Eigen::Index>(j)] = *middle;
   }
   return median;
+}
+
+Eigen::Vector3d creep_of(std::span<const Reading> readings, double resolution) {
+  const std::size_t quarter = readings.size() / 4;
+  Eigen::Vector3d creep = Eigen::Vector3d::Zero();
+  if (quarter == 0) return creep;
+  const auto outputs_of = [](std::span<const Reading> some) {
+    std::vector<Eigen::Vector3d> outputs;
+    for (const Reading& reading : some) {
+      if (reading.output.allFinite()) outputs.push_back(reading.output);
+    }
+    return outputs;
+  };
+  const std::vector<Eigen::Vector3d> first = outputs_of(readings.first(quarter));
+  const std::vector<Eigen::Vector3d> rest = outputs_of(readings.subspan(quarter));
+  const std::vector<Eigen::Vector3d> later = outputs_of(readings.subspan(readings.size() / 2));
+  if (first.empty() || later.size() < 2) return creep;
+  const Eigen::Vector3d difference = mean_and_spread(first).mean - mean_and_spread(rest).mean;
+  // Variance of a mean of n of N readings: u^2(later half) (N/2) / n; n is N/4 and 3N/4.
+  const double scale = std::sqrt(8.0 / 3.0);
+  const Eigen::Vector3d u_later = reading_statistics(later, resolution).u_mean;
+  for (int j = 0; j < 3; ++j) {
+    if (difference[j] != 0.0) creep[j] = difference[j] / (scale * u_later[j]);
+  }
+  return creep;
+}
+
+bool SettlingLesson::add(const Eigen::Vector3d& creep, const Eigen::Vector3d& mean,
+                         const Eigen::Vector3d& spread) {
+  const std::optional<Eigen::Vector3d> before = std::exchange(previous_mean_, mean);
+  if (!before) return false;
+  for (int j = 0; j < 3; ++j) {
+    const double change = mean[j] - (*before)[j];
+    if (!(std::abs(change) > kChangeWithDirection * spread[j]) || !std::isfinite(creep[j])) continue;
+    sum_ += std::copysign(creep[j], creep[j] * change);
+    ++count_;
+  }
+  if (count_ < kLeastLessons || std::abs(sum_) <= kLessonLimit * std::sqrt(static_cast<double>(count_)))
+    return false;
+  patience_ *= 2.0;
+  sum_ = 0.0;
+  count_ = 0;
+  return true;
 }
 
 std::size_t Settling::window_size() const {
@@ -131,8 +183,14 @@ void Settling::learn_noise() {
   context_.stopwatch.add_settling(context_.clock.now() - begin);
 }
 
+bool Settling::is_quiet_window(std::span<const Reading> window) const {
+  return is_quiet(window, spreads_.median(), kQuietPart * context_.settings.limits.spread_factor,
+                  resolution());
+}
+
 bool Settling::settle(Clock::Instant stopped) {
   const ProtocolConfig& protocol = context_.settings.protocol;
+  if (protocol.settle_auto) return settle_by_outputs(stopped);
   const double rate_hz = context_.accelerometer_info.rate_hz;
   const double window_s = rate_hz > 0.0 ? static_cast<double>(window_size()) / rate_hz : 0.0;
   const Clock::Instant settled = stopped + from_seconds(protocol.settle_s);
@@ -142,12 +200,53 @@ bool Settling::settle(Clock::Instant stopped) {
   while (true) {
     const std::vector<Reading> window = readings_.read(window_size());
     context_.clock.wait_until(settled);
-    if (is_quiet(window, spreads_.median(), kQuietPart * context_.settings.limits.spread_factor,
-                 context_.accelerometer_info.resolution.value_or(0.0))) {
-      return true;
-    }
+    if (is_quiet_window(window)) return true;
     if (context_.clock.now() >= last) return false;
   }
+}
+
+bool Settling::settle_by_outputs(Clock::Instant stopped) {
+  const Clock::Instant last = stopped + from_seconds(context_.settings.protocol.quiet_timeout_s);
+  readings_.discard_pending();
+  const std::size_t block = window_size() / kBlocksOfWindow;
+  std::vector<Reading> window = readings_.read(window_size());
+  while (!is_quiet_window(window)) {
+    if (context_.clock.now() >= last) return false;
+    window.erase(window.begin(), window.begin() + static_cast<std::ptrdiff_t>(block));
+    const std::vector<Reading> later = readings_.read(block);
+    window.insert(window.end(), later.begin(), later.end());
+  }
+  // Nothing was seen from the window's first reading on: half a window where that is the first of all.
+  const Clock::Instant now = context_.clock.now();
+  const Clock::Duration quiet_after = std::max(window.front().arrival - stopped, (now - stopped) / 2);
+  context_.clock.wait_until(stopped + from_seconds(lesson_.patience() * to_seconds(quiet_after)));
+  return true;
+}
+
+bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
+  const ProtocolConfig& protocol = context_.settings.protocol;
+  if (!protocol.settle_auto) return true;
+  const Clock::Instant last = context_.clock.now() + from_seconds(protocol.quiet_timeout_s);
+  const std::size_t quarter = std::max<std::size_t>(1, readings.size() / 4);
+  while (creep_of(readings, resolution()).cwiseAbs().maxCoeff() > kCreepLimit) {
+    if (context_.clock.now() >= last) return false;
+    readings.erase(readings.begin(), readings.begin() + static_cast<std::ptrdiff_t>(quarter));
+    const std::vector<Reading> later = readings_.read(quarter);
+    readings.insert(readings.end(), later.begin(), later.end());
+  }
+  return true;
+}
+
+void Settling::learn(std::span<const Reading> readings) {
+  if (!context_.settings.protocol.settle_auto) return;
+  const DwellStatistics statistics = dwell_statistics(readings, context_.accelerometer_info);
+  if (!lesson_.add(creep_of(readings, resolution()), statistics.mean, statistics.spread)) return;
+  context_.journal.notify(
+      "settling",
+      fmt::format("the outputs of many angles together still creep towards their rest in the first quarter "
+                  "of the dwell; from now on a dwell begins after {:g} times the time from which on "
+                  "they showed no motion (settle_s = \"auto\")",
+                  lesson_.patience()));
 }
 
 }  // namespace abcal

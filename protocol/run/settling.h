@@ -4,15 +4,13 @@
 #include <array>
 #include <cstddef>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "protocol/run/reading_source.h"
 #include "protocol/run/run_context.h"
 
 namespace abcal {
-
-/// Readings in one window that is tested for slope and spread.
-std::size_t quiet_window_size(const ProtocolConfig& protocol, double rate_hz);
 
 /// The spreads (R, of one reading) of the latest dwells, and their median: what noise usually does.
 class SpreadHistory {
@@ -26,6 +24,31 @@ class SpreadHistory {
  private:
   std::array<std::vector<double>, 3> spreads_;
   bool empty_ = true;
+};
+
+/// How far the mean of the first quarter of a dwell's readings lies from that of the others, over the
+/// standard uncertainty of this difference, output by output. Its noise is that of the later half,
+/// autocorrelation included. Of an item that is still coming to rest it has one sign.
+/// @param resolution  R; 0: not known
+Eigen::Vector3d creep_of(std::span<const Reading> readings, double resolution);
+
+/// Learns from the dwells of a run how long the item needs (settle_s = "auto"). A creep that is too small to
+/// be seen in one dwell goes with the direction of the last change of an output: so it adds up from angle to
+/// angle, and noise does not.
+class SettlingLesson {
+ public:
+  /// @param creep  of a dwell (creep_of)
+  /// @param mean, spread  of its readings, R
+  /// @return true: all dwells together creep; patience() has become twice as long
+  bool add(const Eigen::Vector3d& creep, const Eigen::Vector3d& mean, const Eigen::Vector3d& spread);
+  /// The dwell begins after so many times the time from which on the outputs showed no motion.
+  double patience() const { return patience_; }
+
+ private:
+  double patience_ = kSettlingPatience;
+  std::optional<Eigen::Vector3d> previous_mean_;
+  double sum_ = 0.0;
+  int count_ = 0;
 };
 
 /// Waits until the accelerometer is ready: warm and stable before the first angle, quiet after each move.
@@ -46,17 +69,31 @@ class Settling {
   /// that of the five before.
   void learn_noise();
 
-  /// Waits settle_s and then for the accelerometer to be quiet.
+  /// Waits settle_s and then for the accelerometer to be quiet; with "auto" until nothing moves, and again as
+  /// long: an exponential ring-down has then fallen below the noise by the factor by which it stood above it.
   /// @return false if it was not quiet after quiet_timeout_s.
   bool settle(Clock::Instant stopped);
+
+  /// With "auto": drops the first quarter of a dwell's readings and reads as many more while they still
+  /// creep.
+  /// @return false if they did so for quiet_timeout_s; true at once where settle_s is a number
+  bool read_until_at_rest(std::vector<Reading>& readings);
+
+  /// With "auto": learns from a dwell, and tells the observer where the next ones will wait longer.
+  void learn(std::span<const Reading> readings);
 
   SpreadHistory& spreads() { return spreads_; }
   std::size_t window_size() const;
 
  private:
+  bool settle_by_outputs(Clock::Instant stopped);
+  bool is_quiet_window(std::span<const Reading> window) const;
+  double resolution() const { return context_.accelerometer_info.resolution.value_or(0.0); }
+
   RunContext& context_;
   ReadingSource& readings_;
   SpreadHistory spreads_;
+  SettlingLesson lesson_;
 };
 
 }  // namespace abcal

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <random>
 
 #include "tests/protocol/run/run_parts_fixture.h"
 
@@ -43,6 +44,100 @@ TEST_F(SettlingTest, SaysWhatIsNotQuietAtTheLongestWait) {
   const Clock::Instant stopped = clock.now();
   EXPECT_FALSE(settling().settle(stopped));
   EXPECT_NEAR(to_seconds(clock.now() - stopped), 2.5, 0.3);
+}
+
+TEST_F(SettlingTest, ByTheOutputsItWaitsTwiceTheTimeUntilNothingIsSeen) {
+  settings.protocol.settle_auto = true;
+  const Clock::Instant stopped = clock.now();
+  Settling part = settling();
+  EXPECT_TRUE(part.settle(stopped));
+  EXPECT_NEAR(to_seconds(clock.now() - stopped), 0.25, 0.02) << "one window of 25 readings";
+
+  accelerometer.output = [begin = accelerometer.count](std::uint64_t k) -> Eigen::Vector3d {
+    return noisy(k) + std::exp(-0.1 * static_cast<double>(k - begin)) * Eigen::Vector3d::UnitX();
+  };
+  const Clock::Instant stopped_again = clock.now();
+  EXPECT_TRUE(part.settle(stopped_again));
+  // exp(-10 t) falls to the noise (0.6e-4) after 0.97 s; a window shows three times that, after 0.87 s.
+  EXPECT_GT(to_seconds(clock.now() - stopped_again), 1.5);
+  EXPECT_LT(to_seconds(clock.now() - stopped_again), 2.1);
+}
+
+TEST_F(SettlingTest, ByTheOutputsItSaysWhatIsNotQuietAtTheLongestWait) {
+  settings.protocol.settle_auto = true;
+  accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
+    return noisy(k) + 1e-3 * static_cast<double>(k) * Eigen::Vector3d::UnitX();
+  };
+  const Clock::Instant stopped = clock.now();
+  EXPECT_FALSE(settling().settle(stopped));
+  EXPECT_NEAR(to_seconds(clock.now() - stopped), 2.0, 0.3);
+}
+
+TEST_F(SettlingTest, ADwellThatStillCreepsBeginsLater) {
+  settings.protocol.settle_auto = true;
+  // 2e-4 that vanishes with 0.3 s: too little for a window to show, and 0.6e-4 in the mean of 1 s.
+  accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
+    return noisy(k) + 2e-4 * std::exp(-static_cast<double>(k) / 30.0) * Eigen::Vector3d::UnitY();
+  };
+  std::vector<Reading> dwell = readings().read(100);
+  EXPECT_TRUE(settling().read_until_at_rest(dwell));
+  EXPECT_EQ(dwell.size(), 100U);
+  EXPECT_GE(dwell.front().sequence, 25U);
+  for (std::size_t k = 1; k < dwell.size(); ++k) EXPECT_EQ(dwell[k].sequence, dwell[k - 1].sequence + 1);
+
+  accelerometer.output = noisy;
+  std::vector<Reading> quiet = readings().read(100);
+  const std::uint64_t first = quiet.front().sequence;
+  EXPECT_TRUE(settling().read_until_at_rest(quiet));
+  EXPECT_EQ(quiet.front().sequence, first);
+}
+
+TEST_F(SettlingTest, ADwellThatCreepsWithoutEndIsTold) {
+  settings.protocol.settle_auto = true;
+  accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
+    return noisy(k) + 1e-5 * static_cast<double>(k) * Eigen::Vector3d::UnitX();
+  };
+  std::vector<Reading> dwell = readings().read(100);
+  EXPECT_FALSE(settling().read_until_at_rest(dwell));
+}
+
+TEST(CreepTest, OfNoiseIsAStandardNormalOfItsSize) {
+  constexpr int kDwells = 2000;
+  double squares = 0.0;
+  std::mt19937_64 engine(7);
+  std::normal_distribution<double> normal;
+  for (int d = 0; d < kDwells; ++d) {
+    std::vector<Reading> readings(200);
+    for (Reading& reading : readings) reading.output = {normal(engine), normal(engine), 0.0};
+    const Eigen::Vector3d creep = creep_of(readings, 0.0);
+    squares += (creep[0] * creep[0] + creep[1] * creep[1]) / (2.0 * kDwells);
+    EXPECT_EQ(creep[2], 0.0);
+  }
+  EXPECT_NEAR(std::sqrt(squares), 1.0, 0.1);
+}
+
+TEST(SettlingLessonTest, FindsACreepThatNoSingleDwellShows) {
+  std::mt19937_64 engine(11);
+  std::normal_distribution<double> normal;
+  const auto angles_until_learnt = [&](double creep_each) {
+    SettlingLesson lesson;
+    for (int angle = 1; angle <= 400; ++angle) {
+      const double alpha = 0.3 * angle;
+      const Eigen::Vector3d mean(std::sin(alpha), std::cos(alpha), 0.0);
+      const Eigen::Vector3d direction(std::cos(alpha), -std::sin(alpha), 0.0);
+      const Eigen::Vector3d creep = -creep_each * direction.cwiseSign() +
+                                    Eigen::Vector3d(normal(engine), normal(engine), normal(engine));
+      if (lesson.add(creep, mean, Eigen::Vector3d::Constant(1e-4))) {
+        EXPECT_EQ(lesson.patience(), 2.0 * kSettlingPatience);
+        return angle;
+      }
+    }
+    return 0;
+  };
+  EXPECT_EQ(angles_until_learnt(0.0), 0);
+  const int learnt = angles_until_learnt(0.7);
+  EXPECT_GT(learnt, 6);
+  EXPECT_LT(learnt, 60);
 }
 
 TEST_F(SettlingTest, LearnsTheNoiseAfterTheRingDown) {
