@@ -14,6 +14,7 @@
 #include "app/results/analyses.h"
 #include "app/robustness/robustness_study.h"
 #include "app/robustness/scenario.h"
+#include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/record/planned_dwell.h"
 #include "sim/counter_noise.h"
 #include "sim/sim_bench.h"
@@ -170,6 +171,64 @@ TEST(PlanPredictionTest, HoldsOnRandomBenches) {
     const auto symbol = symbol_of(static_cast<PlannedOutput>(group));
     RecordProperty("median_" + std::string(symbol), std::to_string(all[all.size() / 2]));
     EXPECT_NEAR(all[all.size() / 2], 1.0, 0.05) << symbol << ": " << testing::PrintToString(all);
+  }
+}
+
+/// |difference from the truth| of each output of s, O and phi, squared, in the groups of the planner.
+std::array<std::vector<double>, kPlannedOutputs> squared_errors(const CalibrationResult& result,
+                                                                const sim::TrueLineResponse& truth) {
+  std::array<std::vector<double>, kPlannedOutputs> squares;
+  const auto add = [&](PlannedOutput group, double error) {
+    squares[static_cast<std::size_t>(group)].push_back(error * error);
+  };
+  const IntrinsicProperties item = intrinsic_properties(truth.sensitivity_matrix);
+  for (int j = 0; j < 3; ++j) {
+    const auto row = static_cast<std::size_t>(j);
+    for (int k = 0; k < 3; ++k) {
+      add(j == k ? PlannedOutput::kSensitivity : PlannedOutput::kOffDiagonal,
+          result.sensitivity_matrix.value()[row][static_cast<std::size_t>(k)].value -
+              truth.sensitivity_matrix(j, k));
+    }
+    add(PlannedOutput::kOffset, result.offset[row].value - truth.offset[j]);
+    add(PlannedOutput::kAngle, result.intrinsic_angle[row].value - item.angle_deg[j]);
+  }
+  return squares;
+}
+
+/// A prediction is worth what the errors say: every effect is drawn from its stated size.
+TEST(LongPlanPrediction, RmsErrorsOf200RunsAreThosePredicted) {
+  constexpr int kRuns = 200;
+  const std::vector<Scenario>& scenarios = robustness_scenarios();
+  const auto scenario = std::ranges::find(scenarios, "everything-24", &Scenario::name);
+  ASSERT_NE(scenario, scenarios.end());
+  std::array<std::vector<double>, kPlannedOutputs> sums;
+  ScenarioBench drawn;
+  for (std::uint64_t k = 0; k < kRuns; ++k) {
+    drawn = draw_bench(*scenario, 7, k);
+    const SimulatedRun run = simulate_run(drawn);
+    const CalibrationResult result = analyse(run.record, "joint");
+    ASSERT_TRUE(result.sensitivity_matrix);
+    const auto squares = squared_errors(result, run.truth);
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+      sums[group].resize(squares[group].size());
+      for (std::size_t i = 0; i < sums[group].size(); ++i) sums[group][i] += squares[group][i] / kRuns;
+    }
+  }
+  PlanningBench planned = bench(10.0 * drawn.stated_noise);
+  planned.config.tolerances = drawn.stated;
+  ProtocolConfig protocol = planned.config.protocol;
+  protocol.steps = drawn.steps;
+  protocol.step = Angle::degrees(360.0 / drawn.steps);
+  protocol.dwell_readings = 100;
+  const PlannedValues predicted = predict_plan(planned, protocol).u;
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    const double rms = std::sqrt(std::ranges::max(sums[group]));
+    const auto symbol = symbol_of(static_cast<PlannedOutput>(group));
+    RecordProperty("rms_over_predicted_" + std::string(symbol), std::to_string(rms / predicted[group]));
+    EXPECT_LT(rms / predicted[group], 1.1) << symbol;
+    // Angles are stated with room for a wandering noise, of which these runs have none.
+    const bool angle = static_cast<PlannedOutput>(group) == PlannedOutput::kAngle;
+    EXPECT_GT(rms / predicted[group], angle ? 0.8 : 0.9) << symbol;
   }
 }
 
