@@ -46,6 +46,18 @@ std::optional<int> PlanSearch::least_readings(int steps, const WantedValues& wan
   return enough;
 }
 
+std::optional<int> PlanSearch::most_readings(int steps, double duration_s) const {
+  // Settling and whole periods of the mains depend on the readings too: not solved for, but searched.
+  const auto lasts = [&](int readings) { return duration(steps, readings).total_s() <= duration_s; };
+  if (!lasts(kLeastReadings)) return std::nullopt;
+  int few_enough = kLeastReadings, too_many = kMostReadings + 1;
+  while (too_many - few_enough > 1) {
+    const int middle = few_enough + (too_many - few_enough) / 2;
+    (lasts(middle) ? few_enough : too_many) = middle;
+  }
+  return few_enough;
+}
+
 FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
   FoundPlan found;
   for (const int steps : kTriedSteps) {
@@ -75,13 +87,9 @@ FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
 std::optional<PlanPrediction> PlanSearch::best_within(double duration_s, const WantedValues& wanted) {
   std::optional<PlanPrediction> best;
   for (const int steps : kTriedSteps) {
-    const PlanDuration least = duration(steps, kLeastReadings);
-    if (least.total_s() > duration_s) continue;
-    const double per_reading_s = least.dwelling_s / kLeastReadings;
-    const double readings = kLeastReadings + std::floor((duration_s - least.total_s()) / per_reading_s);
-    const PlanPrediction& plan =
-        predicted(steps, static_cast<int>(std::min(readings, static_cast<double>(kMostReadings))));
-    if (plan.duration.total_s() > duration_s) continue;  // Whole periods of the mains.
+    const auto readings = most_readings(steps, duration_s);
+    if (!readings) continue;
+    const PlanPrediction& plan = predicted(steps, *readings);
     if (!best || worst_ratio(plan.u, wanted) < worst_ratio(best->u, wanted)) best = plan;
   }
   return best;

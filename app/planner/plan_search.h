@@ -45,6 +45,8 @@ class PlanSearch {
   PlanDuration duration(int steps, int readings) const;
   /// The least readings with which so many angles reach what is wanted; nothing: not with kMostReadings.
   std::optional<int> least_readings(int steps, const WantedValues& wanted);
+  /// The most readings with which so many angles last at most so long; nothing: not with kLeastReadings.
+  std::optional<int> most_readings(int steps, double duration_s) const;
 
   PlanningBench bench_;
   std::function<void(std::size_t)> progress_;

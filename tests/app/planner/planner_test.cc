@@ -249,6 +249,19 @@ TEST(PlanSearchTest, TheShortestPlanReachesWhatIsWantedAndAShorterDwellDoesNot) 
   EXPECT_LE(worst_ratio(best->u, wanted), 1.01);
 }
 
+TEST(PlanSearchTest, ATimeIsUsedWhateverSettlingAndTheMainsMakeOfIt) {
+  PlanningBench by_outputs = bench();
+  by_outputs.config.protocol.settle_auto = true;
+  PlanningBench with_mains = bench();
+  with_mains.config.protocol.mains_hz = 50.0;
+  for (const PlanningBench& each : {by_outputs, with_mains}) {
+    const auto best = PlanSearch(each).best_within(600.0, published_wanted());
+    ASSERT_TRUE(best);
+    EXPECT_LE(best->duration.total_s(), 600.0);
+    EXPECT_GT(best->duration.total_s(), 590.0);
+  }
+}
+
 TEST(PlanSearchTest, WhatCannotBeReachedIsSaidWithTheEffectThatForbidsIt) {
   PlanSearch search(bench());
   const FoundPlan found = search.shortest({std::nullopt, 1e-7, std::nullopt, std::nullopt});
