@@ -50,7 +50,7 @@ TEST(KeyReferenceTest, AKeyHasItsTypeUnitRangeAndDefault) {
   EXPECT_EQ(steps.fallback, "72");
   const BenchKey& settle = key_of(keys, "protocol", "settle_s");
   EXPECT_EQ(settle.unit, "s");
-  EXPECT_EQ(settle.range, "0 to 86400");
+  EXPECT_EQ(settle.range, "0 to 86400, `\"auto\"`");
   EXPECT_TRUE(key_of(keys, "accelerometer", "driver").required);
   EXPECT_EQ(key_of(keys, "accelerometer", "full_scale").fallback, "");
   EXPECT_EQ(key_of(keys, "limits", "temperature_min_degc").fallback, "");
