@@ -68,7 +68,7 @@ th { text-align: left; font-weight: 600; background: #e8eef3; border-bottom: 0.3
      padding: 0.9mm 1.6mm; vertical-align: bottom; }
 td { border-bottom: 0.15mm solid #d4d9de; padding: 0.3mm 1.6mm; vertical-align: top; }
 td.long { overflow-wrap: anywhere; }
-table.whole { break-inside: avoid; }
+table.whole, tbody.together { break-inside: avoid; }
 td.number, th.number { text-align: right; }
 td.number { white-space: nowrap; font-variant-numeric: tabular-nums; }
 td.unit { white-space: nowrap; }
@@ -466,8 +466,15 @@ class PageBuilder {
       cell_text(add(heading, "th", column.kind == CellKind::kNumber ? "number" : nullptr), column.heading,
                 is_symbol ? CellKind::kSymbol : CellKind::kText);
     }
-    xmlNode* body = add(table, "tbody");
-    for (const auto& cells : content.rows) {
+    // No row stands alone at the foot or the head of a page: WeasyPrint keeps groups of rows together.
+    constexpr std::size_t kTogether = 3;
+    const std::size_t rows = content.rows.size();
+    const bool ends_apart = !whole && rows > 2 * kTogether;
+    xmlNode* body = nullptr;
+    for (std::size_t r = 0; r < rows; ++r) {
+      const std::vector<std::string>& cells = content.rows[r];
+      if (r == 0 || (ends_apart && (r == kTogether || r == rows - kTogether)))
+        body = add(table, "tbody", ends_apart && r != kTogether ? "together" : nullptr);
       xmlNode* row = add(body, "tr");
       if (cells.size() == 1) {
         attribute(row, "class", "group");
