@@ -515,18 +515,18 @@ DocumentTable inputs_table(const Budget& budget, const std::vector<int>& outputs
                       {{"input x", CellKind::kSymbol},
                        {"value", CellKind::kNumber},
                        {"unit", CellKind::kUnit},
-                       {"type, distribution"},
+                       {"type", CellKind::kUnit},
                        {"u(x)", CellKind::kNumber}},
                       {}};
-  table.dense = true;
+  table.dense = table.may_break = true;
   for (const int k : outputs)
     table.columns.push_back({fmt::format("c({})", output_symbol(k)), CellKind::kNumber});
   for (const BudgetLine& line : budget.lines) {
     std::vector<std::string> row{line.input, line.value, line.unit,
-                                 fmt::format("{}, {}", line.type_a ? "A" : "B", line.distribution),
+                                 fmt::format("{} {}", line.type_a ? "A" : "B", line.distribution),
                                  formatted(line.standard_uncertainty, "{:.1e}")};
     for (const int k : outputs)
-      row.push_back(contributes(budget, line, k) ? formatted(line.sensitivity(k), "{:.1e}") : "0");
+      row.push_back(contributes(budget, line, k) ? formatted(line.sensitivity(k), "{:.1e}") : "");
     table.rows.push_back(std::move(row));
   }
   return table;
@@ -534,15 +534,17 @@ DocumentTable inputs_table(const Budget& budget, const std::vector<int>& outputs
 
 DocumentTable contributions_table(const Budget& budget, const std::vector<int>& outputs,
                                   const std::string& response_unit) {
+  constexpr double kLeastShown = 0.0005;  // Rounds to 0.1 %.
   std::string units;
   for (const int k : outputs)
     units +=
         fmt::format("{}{} in {}", units.empty() ? "" : ", ", output_symbol(k), output_unit(k, response_unit));
   DocumentTable table{
-      fmt::format("Contributions |c| u(x) to the uncertainty, and shares of the variance: {}.", units),
+      fmt::format("Contributions |c| u(x) to the uncertainty, and shares of the variance from 0.1 % on: {}.",
+                  units),
       {{"input x", CellKind::kSymbol}},
       {}};
-  table.dense = true;
+  table.dense = table.may_break = true;
   table.caption_kind = CellKind::kSymbol;
   for (const int k : outputs) {
     table.columns.push_back({std::string(output_symbol(k)), CellKind::kNumber});
@@ -551,9 +553,9 @@ DocumentTable contributions_table(const Budget& budget, const std::vector<int>& 
   for (const BudgetLine& line : budget.lines) {
     std::vector<std::string> row{line.input};
     for (const int k : outputs) {
-      const bool none = !contributes(budget, line, k);
-      row.push_back(none ? "0" : formatted(line.contribution(k), "{:.1e}"));
-      row.push_back(none ? "0 %" : fmt::format("{:.1f} %", 100.0 * budget.share(line, k)));
+      const double share = budget.share(line, k);
+      row.push_back(contributes(budget, line, k) ? formatted(line.contribution(k), "{:.1e}") : "");
+      row.push_back(share >= kLeastShown ? fmt::format("{:.1f} %", 100.0 * share) : "");
     }
     table.rows.push_back(std::move(row));
   }
