@@ -119,7 +119,7 @@ layer(app/laboratory MAY app/system/ drivers/instrument/clock.h protocol/record/
 layer(app/certificate MAY app/laboratory/ app/results/ drivers/instrument/clock.h app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
   Eigen/ unsupported/Eigen/ boost/math/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
-layer(app/session MAY app/bench/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
+layer(app/session MAY app/bench/ app/compare/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
   FOREIGN Eigen/ boost/ nlohmann/ fmt/)
 layer(app/self_test MAY app/bench/ app/certificate/ app/document/ app/laboratory/ app/results/ app/session/ app/system/ app/xml/ drivers/instrument/clock.h protocol/
   FOREIGN libxml/ openssl/ sqlite3.h fmt/)

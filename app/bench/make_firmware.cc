@@ -281,4 +281,23 @@ std::shared_ptr<sim::Firmware> make_firmware(const BenchConfig& config, const In
   return found->second(config, port, std::move(world));
 }
 
+std::vector<std::string> simulated_serial_numbers(const std::string& driver) {
+  static const std::map<std::string, std::vector<std::string>> all = [] {
+    const std::string voltmeter = sim::ScpiVoltmeterSettings{}.serial_number;
+    const sim::NewportEspSettings newport;
+    const sim::ZaberAsciiSettings zaber;
+    return std::map<std::string, std::vector<std::string>>{
+        {"microstrain_mip", {sim::MipSettings{}.serial_number}},
+        {"newport_esp", {newport.serial_number, newport.z_serial_number}},
+        {"pi_gcs", {sim::PiGcsSettings{}.serial_number}},
+        {"scpi_single", {voltmeter + "u", voltmeter + "v", voltmeter + "w"}},
+        {"scpi_voltmeter", {voltmeter}},
+        {"vectornav", {sim::VectorNavSettings{}.serial_number}},
+        {"xsens_mti", {sim::XsensMtiSettings{}.device_id}},
+        {"zaber_ascii", {zaber.serial_number, zaber.z_serial_number}}};
+  }();
+  const auto found = all.find(driver);
+  return found == all.end() ? std::vector<std::string>{} : found->second;
+}
+
 }  // namespace abcal

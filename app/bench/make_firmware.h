@@ -38,4 +38,8 @@ std::vector<InstrumentPort> environment_ports(const EnvironmentConfig& environme
 std::shared_ptr<sim::Firmware> make_firmware(const BenchConfig& config, const InstrumentPort& port,
                                              std::shared_ptr<sim::SimBench> world);
 
+/// The serial numbers that simulated instruments of a driver report unless a bench file gives them another;
+/// none where the instrument has no serial number.
+std::vector<std::string> simulated_serial_numbers(const std::string& driver);
+
 }  // namespace abcal

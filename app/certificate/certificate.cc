@@ -229,12 +229,10 @@ class Inspection {
     }
     for (const InstrumentIdentity& instrument : data.run->header.instruments) {
       if (!instrument.role.starts_with("stage") || instrument.serial_number.empty()) continue;
-      const bool listed =
-          std::any_of(laboratory_.equipment.begin(), laboratory_.equipment.end(), [&](const Equipment& one) {
-            return one.quantity == "angle" && has_serial_number(one, instrument.serial_number);
-          });
-      if (!listed)
-        of_run_.push_back({which + ", stage", fmt::format("serial number {}", instrument.serial_number),
+      const std::string missing =
+          serial_number_without_equipment(laboratory_.equipment, "angle", instrument.serial_number);
+      if (!missing.empty())
+        of_run_.push_back({which + ", stage", fmt::format("serial number {}", missing),
                            "an [[equipment]] with quantity = \"angle\" and this serial_number"});
     }
     const bool volts = data.record.response_unit.ends_with("V");

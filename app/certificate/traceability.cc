@@ -8,22 +8,11 @@
 #include <stdexcept>
 
 #include "app/results/effect_words.h"
+#include "app/results/not_real.h"
 #include "protocol/record/run_operator.h"
 
 namespace abcal {
 namespace {
-
-/// The parts of "123/456".
-std::vector<std::string> parts_of(const std::string& serial_numbers) {
-  std::vector<std::string> parts;
-  std::size_t at = 0;
-  while (at <= serial_numbers.size()) {
-    const std::size_t end = std::min(serial_numbers.find('/', at), serial_numbers.size());
-    parts.push_back(serial_numbers.substr(at, end - at));
-    at = end + 1;
-  }
-  return parts;
-}
 
 /// Whether a calibration of equipment holds on a day.
 bool holds_on(const Equipment& equipment, Date day) {
@@ -38,26 +27,67 @@ std::string words_for(const Equipment& equipment) {
 }
 
 /// A quantity that needs a calibration that holds on the day of the run.
-void look_for(const std::string& quantity, const LaboratoryFile& laboratory, Date day,
-              const std::string& which, std::vector<Problem>& problems) {
+struct Chain {
+  std::string quantity;
+  std::string serial_numbers;  ///< Of the instruments that must be calibrated; empty: any equipment will do.
+};
+
+void look_for(const Chain& chain, const LaboratoryFile& laboratory, Date day, const std::string& which,
+              std::vector<Problem>& problems) {
+  std::vector<Equipment> calibrated;
   std::string found;
   for (const Equipment& one : laboratory.equipment) {
-    if (one.quantity != quantity) continue;
-    if (holds_on(one, day)) return;
+    if (one.quantity != chain.quantity) continue;
+    if (holds_on(one, day)) calibrated.push_back(one);
     found += (found.empty() ? "" : "; ") + words_for(one);
   }
+  const std::string missing =
+      serial_number_without_equipment(calibrated, chain.quantity, chain.serial_numbers);
+  if (!calibrated.empty() && missing.empty()) return;
+  const std::string date = format_date(day);
   problems.push_back(
-      {which + ", " + quantity, found.empty() ? "no calibrated equipment" : found,
-       fmt::format("equipment for {} with a calibration that was performed before and holds on {}", quantity,
-                   format_date(day))});
+      {which + ", " + chain.quantity, found.empty() ? "no calibrated equipment" : found,
+       missing.empty()
+           ? fmt::format("equipment for {} with a calibration that was performed before and holds on {}",
+                         chain.quantity, date)
+           : fmt::format("equipment for {} with serial number {} and a calibration that was performed before "
+                         "and holds on {}",
+                         chain.quantity, missing, date)});
+}
+
+/// Serial numbers of the instruments of a part of the bench, "123/456".
+std::string serial_numbers_of(const StoredRun& run, std::string_view role) {
+  std::string all;
+  for (const InstrumentIdentity& instrument : run.header.instruments)
+    if (instrument.role.starts_with(role) && !instrument.serial_number.empty())
+      all += (all.empty() ? "" : "/") + instrument.serial_number;
+  return all;
+}
+
+/// Angle and voltage were measured by instruments that say who they are.
+std::vector<Chain> chains_of(const ReportData& data) {
+  std::vector<Chain> chains{
+      {"angle", serial_numbers_of(*data.run, "stage")}, {"gravity", {}}, {"temperature", {}}};
+  const bool by_voltmeter = data.bench && data.bench->accelerometer.driver.starts_with("scpi_");
+  if (by_voltmeter || data.record.response_unit.ends_with("V"))
+    chains.push_back(
+        {"voltage", by_voltmeter ? serial_numbers_of(*data.run, "accelerometer") : std::string()});
+  return chains;
 }
 
 }  // namespace
 
-bool has_serial_number(const Equipment& equipment, const std::string& instrument_serial_number) {
-  if (equipment.serial_number == instrument_serial_number) return true;
-  const std::vector<std::string> parts = parts_of(instrument_serial_number);
-  return std::find(parts.begin(), parts.end(), equipment.serial_number) != parts.end();
+std::string serial_number_without_equipment(const std::vector<Equipment>& equipment,
+                                            const std::string& quantity, const std::string& serial_numbers) {
+  const auto is_listed = [&](const std::string& serial_number) {
+    return std::any_of(equipment.begin(), equipment.end(), [&](const Equipment& one) {
+      return one.quantity == quantity && one.serial_number == serial_number;
+    });
+  };
+  if (serial_numbers.empty() || is_listed(serial_numbers)) return {};
+  for (const std::string& part : single_serial_numbers(serial_numbers))
+    if (!is_listed(part)) return part;
+  return {};
 }
 
 std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
@@ -67,14 +97,13 @@ std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, cons
   if (!data.simulated.empty())
     problems.push_back({which + ", instruments",
                         fmt::format("simulated: {}", fmt::join(data.simulated, ", ")),
-                        "real ones: nothing was calibrated"});
+                        "real ones, no [simulation] in the bench file, no serial number of the emulator: "
+                        "nothing was calibrated"});
   if (!data.label("replay.of").empty())
     problems.push_back(
         {which, "repeated from the recording of " + data.label("replay.of"), "a measured run"});
   if (const auto day = parse_date(data.ended_utc())) {
-    for (const char* quantity : {"angle", "gravity", "temperature"})
-      look_for(quantity, laboratory, *day, which, problems);
-    if (data.record.response_unit.ends_with("V")) look_for("voltage", laboratory, *day, which, problems);
+    for (const Chain& chain : chains_of(data)) look_for(chain, laboratory, *day, which, problems);
   } else {
     problems.push_back({which, "no date", "a run that says when it was made"});
   }

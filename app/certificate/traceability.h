@@ -10,17 +10,18 @@
 namespace abcal {
 
 /// What speaks against calling the results of a run traceable: every reason. Instruments that are not real, a
-/// run that was replayed, a quantity (angle, gravity, temperature, and voltage for an output in volts)
-/// without a calibration that holds on the day of the run, local gravity by formula, an effect whose size is
-/// a default.
+/// run that was replayed, a quantity (angle, gravity, temperature, and voltage for an output in volts or
+/// measured by a voltmeter) without a calibration that holds on the day of the run, which for stage and
+/// voltmeter is that of exactly this instrument, local gravity by formula, an effect whose size is a default.
 /// @param which  "run", "as-found run": how the reasons name it
 std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
                                           const std::string& which);
 
-/// Whether equipment has exactly the serial number of an instrument, or, for controllers that name several
-/// stages
-/// ("123/456"), that of one of them.
-bool has_serial_number(const Equipment& equipment, const std::string& instrument_serial_number);
+/// Of the serial numbers of an instrument ("123/456", "123 + 456" where it names several) the first that no
+/// equipment of a quantity has exactly; empty: each has one, or one piece of equipment has all of them
+/// together.
+std::string serial_number_without_equipment(const std::vector<Equipment>& equipment,
+                                            const std::string& quantity, const std::string& serial_numbers);
 
 /// The equipment that a run froze from the register when it began; nothing for runs without a register.
 /// @throws std::runtime_error if what is stored cannot be read

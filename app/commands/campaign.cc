@@ -14,7 +14,6 @@
 
 #include "app/bench/bench_config.h"
 #include "app/bench/bench_records.h"
-#include "app/commands/check_run_notice.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
 #include "app/report/campaign_report.h"
@@ -122,7 +121,6 @@ void measure_missing(const CampaignOptions& options, const BenchConfig& config,
       const CalibrationResult& result = outcome.result();
       print_log("Run {} of {}: {}: {} ({})\n", k + 1, paths.size(), paths[k].string(),
                 to_string(result.verdict), result.why);
-      tell_charts(outcome);
     } catch (...) {
       tell_how_to_continue(options, paths, k);
       throw;

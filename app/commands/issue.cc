@@ -133,7 +133,7 @@ void take_number(Registered& registered, Certificate& certificate, Clock::UtcTim
   request.item = fmt::format("{} {} {}", data.label("item.maker"), data.label("item.model"),
                              data.label("item.serial_number"));
   request.measured_by = certificate.measured_by();
-  const BenchIdentity bench = bench_of(*data.run);
+  const BenchIdentity bench = subject_of(*data.run).bench;
   request.stage = bench.stage;
   request.bench = bench.name;
   if (const auto& replaced = certificate.issue->replaces) {

@@ -6,7 +6,6 @@
 #include "app/bench/bench_config.h"
 #include "app/bench/bench_records.h"
 #include "app/commands/campaign.h"
-#include "app/commands/check_run_notice.h"
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
@@ -132,7 +131,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
     RunSession session(printing_session_options(terminal, options->json, exit_code));
     const std::filesystem::path path = output_path(options->output, options->bench_file, ".run");
-    tell_charts(session.start({write_bench(config), options->bench_file, path.string(), options->record}));
+    session.start({write_bench(config), options->bench_file, path.string(), options->record});
   });
   return command;
 }
@@ -149,7 +148,7 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   command->callback([options, &exit_code] {
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
     RunSession session(printing_session_options(terminal, options->json, exit_code));
-    tell_charts(session.resume({options->run_file}));
+    session.resume({options->run_file});
   });
   return command;
 }

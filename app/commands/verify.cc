@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
-#include <stdexcept>
 
 #include "app/bench/real_clock.h"
 #include "app/certificate/signature_checks.h"
@@ -37,13 +36,25 @@ Trust trust_of(const VerifyOptions& options, lab::Register* opened) {
   if (opened != nullptr)
     for (const lab::SigningKey& key : opened->keys())
       if (key.kind == "bench" && key.valid_to.empty()) trust.keys.push_back({key.owner, key.public_pem});
-  if (options.requires_("signed") && trust.keys.empty())
-    throw std::invalid_argument(
-        "--require signed: found no trusted key; required: --key PUBLIC.pem, or a register with keys");
-  if (options.requires_("timestamped") && trust.authorities_pem.empty())
-    throw std::invalid_argument(
-        "--require timestamped: found no trusted authority; required: --authority CERTIFICATE.pem");
   return trust;
+}
+
+/// What --require asks for and the run does not have.
+void add_required(const VerifyOptions& options, const Trust& trust, const Attestation& attestation,
+                  std::vector<IntegrityCheck>& checks) {
+  if (options.requires_("signed") && !attestation.is_signed)
+    checks.push_back({"signed", false,
+                      trust.keys.empty()
+                          ? "no key is trusted; --require signed requires a signature by one: --key "
+                            "PUBLIC.pem, or a register with keys"
+                          : "there is no signature by a trusted key, which --require signed requires"});
+  if (options.requires_("timestamped") && !attestation.is_stamped)
+    checks.push_back({"timestamped", false,
+                      trust.authorities_pem.empty()
+                          ? "no authority is trusted; --require timestamped requires a time stamp by one: "
+                            "--authority CERTIFICATE.pem"
+                          : "there is no time stamp by a trusted authority, which --require timestamped "
+                            "requires"});
 }
 
 /// What the register says of the run's certificates.
@@ -90,12 +101,7 @@ int verify(const VerifyOptions& options) {
   std::vector<IntegrityCheck> checks = verify_and_recompute(options.run_file);
   const Attestation attestation = attest(options.run_file, trust);
   checks.insert(checks.end(), attestation.checks.begin(), attestation.checks.end());
-  if (options.requires_("signed") && !attestation.is_signed)
-    checks.push_back(
-        {"signed", false, "there is no signature by a trusted key, which --require signed requires"});
-  if (options.requires_("timestamped") && !attestation.is_stamped)
-    checks.push_back({"timestamped", false,
-                      "there is no time stamp by a trusted authority, which --require timestamped requires"});
+  add_required(options, trust, attestation, checks);
   const std::vector<IntegrityCheck> signatures = check_signatures(options, opened ? &*opened : nullptr);
   checks.insert(checks.end(), signatures.begin(), signatures.end());
   if (opened) compare_with_register(options, *opened, checks);

@@ -8,6 +8,8 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "protocol/record/run_label.h"
+
 namespace abcal {
 namespace {
 
@@ -21,22 +23,19 @@ std::string joined(const std::string& first, const std::string& second) {
   return first.empty() || second.empty() ? first + second : first + " " + second;
 }
 
-std::string item_of(const CheckRun& run) {
-  return joined(joined(run.maker, run.model), run.serial_number);
+std::string item_of(const ChartSubject& subject) {
+  return joined(joined(subject.maker, subject.model), subject.serial_number);
 }
 
 /// What of a run differs from what the first of its chart has.
 void add_differences(const CheckRun& first, const CheckRun& run, std::vector<std::string>& problems) {
-  const auto compare = [&](const char* what, const std::string& found, const std::string& required) {
-    if (found != required)
-      problems.push_back(
-          fmt::format("{}: {} {}; required: {}, as the chart has", run.file, what, found, required));
-  };
-  compare("item", item_of(run), item_of(first));
-  compare("stage", run.bench.stage, first.bench.stage);
-  compare("bench", run.bench.name, first.bench.name);
-  compare("estimator", run.estimator, first.estimator);
-  compare("response unit", run.response_unit, first.response_unit);
+  std::vector<ChartDifference> found = differences(first, run);
+  if (run.estimator != first.estimator) found.push_back({"estimator", run.estimator, first.estimator});
+  if (run.response_unit != first.response_unit)
+    found.push_back({"response unit", run.response_unit, first.response_unit});
+  for (const ChartDifference& each : found)
+    problems.push_back(fmt::format("{}: {} {}; required: {}, as the chart has", run.file, each.what,
+                                   each.found, each.required));
 }
 
 std::vector<std::string> problems_of(const std::vector<CheckRun>& runs) {
@@ -86,13 +85,21 @@ Json to_json(const CheckRun& run) {
 
 }  // namespace
 
-BenchIdentity bench_of(const StoredRun& run) {
-  BenchIdentity bench;
+ChartSubject subject_of(const StoredRun& run) {
+  const auto label = [&](const char* key) { return label_of(run.header.labels, key); };
+  ChartSubject subject{
+      label("item.maker"), label("item.model"), label("item.serial_number"), {{}, label("bench.name")}};
   for (const InstrumentIdentity& instrument : run.header.instruments)
-    if (instrument.role == "stage") bench.stage = joined(instrument.model, instrument.serial_number);
-  const auto name = run.header.labels.find("bench.name");
-  if (name != run.header.labels.end()) bench.name = name->second;
-  return bench;
+    if (instrument.role == "stage") subject.bench.stage = joined(instrument.model, instrument.serial_number);
+  return subject;
+}
+
+std::vector<ChartDifference> differences(const ChartSubject& of_chart, const ChartSubject& of_run) {
+  std::vector<ChartDifference> found{{"item", item_of(of_run), item_of(of_chart)},
+                                     {"stage", of_run.bench.stage, of_chart.bench.stage},
+                                     {"bench", of_run.bench.name, of_chart.bench.name}};
+  std::erase_if(found, [](const ChartDifference& each) { return each.found == each.required; });
+  return found;
 }
 
 CheckRun check_run_of(const ReportData& data) {
@@ -112,7 +119,7 @@ CheckRun check_run_of(const ReportData& data) {
   run.values = intrinsic_values(result);
   if (result.verdict == Verdict::kNotUsable || !run.values.allFinite())
     problems.push_back("has no usable result: " + result.why);
-  run.bench = bench_of(*data.run);
+  static_cast<ChartSubject&>(run) = subject_of(*data.run);
   if (run.bench.stage.empty() && run.bench.name.empty())
     problems.emplace_back(
         "does not say on which bench; required: [bench] name, or a stage that tells what it is");
@@ -121,9 +128,6 @@ CheckRun check_run_of(const ReportData& data) {
   run.file = file;
   run.sha256 = *data.sha256;
   run.date = data.started_utc();
-  run.maker = data.label("item.maker");
-  run.model = data.label("item.model");
-  run.serial_number = data.label("item.serial_number");
   run.estimator = data.estimator;
   run.response_unit = result.response_unit;
   run.simulated = !data.simulated.empty();

@@ -23,13 +23,24 @@ struct BenchIdentity {
   std::string stage;  ///< Model and serial number as the stage told them.
   std::string name;   ///< [bench] name; may be empty.
 };
-BenchIdentity bench_of(const StoredRun& run);
 
-/// A run of a check standard: what a chart takes of it.
-struct CheckRun {
-  std::string file, sha256, date;
+/// What a chart is of: an item on a bench.
+struct ChartSubject {
   std::string maker, model, serial_number;  ///< Of the item.
   BenchIdentity bench;
+};
+ChartSubject subject_of(const StoredRun& run);
+
+struct ChartDifference {
+  const char* what;  ///< "item", "stage", "bench"
+  std::string found, required;
+};
+/// In what a run is not one of a chart; none: it belongs to it.
+std::vector<ChartDifference> differences(const ChartSubject& of_chart, const ChartSubject& of_run);
+
+/// A run of a check standard: what a chart takes of it.
+struct CheckRun : ChartSubject {
+  std::string file, sha256, date;
   std::string estimator, response_unit;
   IntrinsicValues values;  ///< Sensitivities per g_loc.
   bool simulated = false;

@@ -22,18 +22,14 @@ std::string joined(const std::vector<std::string>& words) {
   return text;
 }
 
-std::string label(const ComparedResult& result, const std::string& key) {
-  const auto found = result.labels.find(key);
-  return found == result.labels.end() ? "" : found->second;
-}
-
 void describe_run(const StoredRun& run, ComparedResult& result) {
   result.kind = "run";
   result.date = run.header.created_utc;
   result.labels = run.header.labels;
-  result.item_serial_number = label(result, "item.serial_number");
-  result.item = joined({label(result, "item.maker"), label(result, "item.model"), result.item_serial_number});
-  result.stage = bench_of(run).stage;
+  const ChartSubject subject = subject_of(run);
+  result.item_serial_number = subject.serial_number;
+  result.item = joined({subject.maker, subject.model, subject.serial_number});
+  result.stage = subject.bench.stage;
   if (run.state != RunState::kComplete)
     result.notes.push_back(fmt::format("the run is {}", to_string(run.state)));
 }

@@ -20,6 +20,7 @@
 #include "app/system/output_file.h"
 #include "app/system/version.h"
 #include "protocol/analysis/check_meanings.h"
+#include "protocol/record/run_label.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/run_seal.h"
 #include "protocol/uncertainty/control_chart.h"
@@ -39,14 +40,9 @@ bool is_run(const std::filesystem::path& path) {
          std::filesystem::is_regular_file(std::filesystem::symlink_status(path, ignored));
 }
 
-std::string label(const RunHeader& header, const std::string& key) {
-  const auto found = header.labels.find(key);
-  return found == header.labels.end() ? "" : found->second;
-}
-
 /// As the person named the item; else as the accelerometer named itself.
 std::string serial_number_of(const RunHeader& header) {
-  const std::string given = label(header, "item.serial_number");
+  const std::string given = label_of(header.labels, "item.serial_number");
   if (!given.empty()) return given;
   for (const InstrumentIdentity& instrument : header.instruments)
     if (instrument.role == "accelerometer") return instrument.serial_number;
@@ -68,9 +64,9 @@ Json summary_of(const std::string& name, const StoredRun& run) {
                {"state", to_string(run.state)},
                {"created_utc", header.created_utc},
                {"item", serial_number_of(header)},
-               {"maker", label(header, "item.maker")},
-               {"model", label(header, "item.model")},
-               {"bench", label(header, "bench.name")},
+               {"maker", label_of(header.labels, "item.maker")},
+               {"model", label_of(header.labels, "item.model")},
+               {"bench", label_of(header.labels, "bench.name")},
                {"operator", describe(operators_of(run))},
                {"unit", header.response_unit},
                {"measured", run.measured.size()},

@@ -68,7 +68,7 @@ th { text-align: left; font-weight: 600; background: #e8eef3; border-bottom: 0.3
      padding: 0.9mm 1.6mm; vertical-align: bottom; }
 td { border-bottom: 0.15mm solid #d4d9de; padding: 0.3mm 1.6mm; vertical-align: top; }
 td.long { overflow-wrap: anywhere; }
-table.whole { break-inside: avoid; }
+table.whole, tbody.together { break-inside: avoid; }
 td.number, th.number { text-align: right; }
 td.number { white-space: nowrap; font-variant-numeric: tabular-nums; }
 td.unit { white-space: nowrap; }
@@ -83,13 +83,14 @@ tbody tr:last-child { break-before: avoid; }
 figure { margin: 3mm 0 4mm 0; break-inside: avoid; }
 figure svg { width: 100%; height: auto; display: block; }
 figcaption { color: #303030; font-size: 8.2pt; margin-top: 1mm; }
+div.room { height: 32mm; margin-bottom: -32mm; break-inside: avoid; break-after: avoid; }
 section.new-page { break-before: page; }
 div.both { display: table; table-layout: fixed; width: 100%; }
 div.left, div.right { display: table-cell; width: 50%; vertical-align: top; }
 div.left { padding-right: 3mm; }
 div.both table.facts { margin: 0 0 1mm 0; }
 div.both table.facts td.name { width: 33mm; }
-table.dense th, table.dense td { padding-left: 0.5mm; padding-right: 0.5mm; font-size: 8pt; }
+table.dense th, table.dense td { padding-left: 0.7mm; padding-right: 0.7mm; font-size: 8pt; }
 table.dense td:not(.number):not(.symbol), table.dense th:not(.number) { padding-left: 2mm; }
 tr.group { break-after: avoid; }
 p, li { orphans: 3; widows: 3; }
@@ -453,6 +454,8 @@ class PageBuilder {
   void block(xmlNode* part, const DocumentTable& content) {
     constexpr std::size_t kFitsOnAPage = 30;
     const bool whole = !content.may_break && content.rows.size() <= kFitsOnAPage;
+    // WeasyPrint breaks after a first row whose second does not fit, whatever the style says.
+    if (!whole) add(part, "div", "room");
     xmlNode* table = add(part, "table",
                          whole           ? content.dense ? "whole dense" : "whole"
                          : content.dense ? "dense"
@@ -466,8 +469,14 @@ class PageBuilder {
       cell_text(add(heading, "th", column.kind == CellKind::kNumber ? "number" : nullptr), column.heading,
                 is_symbol ? CellKind::kSymbol : CellKind::kText);
     }
-    xmlNode* body = add(table, "tbody");
-    for (const auto& cells : content.rows) {
+    // The last rows stay together, so that none stands alone on the next page.
+    constexpr std::size_t kTogether = 3;
+    const std::size_t rows = content.rows.size();
+    xmlNode* body = nullptr;
+    for (std::size_t r = 0; r < rows; ++r) {
+      const std::vector<std::string>& cells = content.rows[r];
+      const bool ends = !whole && r > 0 && r + kTogether == rows;
+      if (r == 0 || ends) body = add(table, "tbody", ends ? "together" : nullptr);
       xmlNode* row = add(body, "tr");
       if (cells.size() == 1) {
         attribute(row, "class", "group");

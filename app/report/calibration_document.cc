@@ -507,39 +507,80 @@ Section stage_section(const RunRecord& record, const CalibrationResult& result) 
 
 // --- Budget ------------------------------------------------------------------------------------------------
 
+/// The part of a budget's line in an output, which may be nothing but rounding.
+bool contributes(const Budget& budget, const BudgetLine& line, int k) {
+  constexpr double kRounding = 1e-9;  // Of the combined uncertainty.
+  return !(line.contribution(k) < kRounding * budget.combined(k));
+}
+
+/// All inputs once, with the sensitivity of each of these outputs.
+DocumentTable inputs_table(const Budget& budget, const std::vector<int>& outputs) {
+  DocumentTable table{"Inputs x with their standard uncertainties u(x), and sensitivities c to them.",
+                      {{"input x", CellKind::kSymbol},
+                       {"value", CellKind::kNumber},
+                       {"unit", CellKind::kUnit},
+                       {"type", CellKind::kUnit},
+                       {"u(x)", CellKind::kNumber}},
+                      {}};
+  table.dense = table.may_break = true;
+  for (const int k : outputs)
+    table.columns.push_back({fmt::format("c({})", output_symbol(k)), CellKind::kNumber});
+  for (const BudgetLine& line : budget.lines) {
+    std::vector<std::string> row{line.input, line.value, line.unit,
+                                 fmt::format("{} {}", line.type_a ? "A" : "B", line.distribution),
+                                 formatted(line.standard_uncertainty, "{:.1e}")};
+    for (const int k : outputs)
+      row.push_back(contributes(budget, line, k) ? formatted(line.sensitivity(k), "{:.1e}") : "");
+    table.rows.push_back(std::move(row));
+  }
+  return table;
+}
+
+DocumentTable contributions_table(const Budget& budget, const std::vector<int>& outputs,
+                                  const std::string& response_unit) {
+  constexpr double kLeastShown = 0.0005;  // Rounds to 0.1 %.
+  std::string units;
+  for (const int k : outputs)
+    units +=
+        fmt::format("{}{} in {}", units.empty() ? "" : ", ", output_symbol(k), output_unit(k, response_unit));
+  DocumentTable table{
+      fmt::format("Contributions |c| u(x) to the uncertainty, and shares of the variance from 0.1 % on: {}.",
+                  units),
+      {{"input x", CellKind::kSymbol}},
+      {}};
+  table.dense = table.may_break = true;
+  table.caption_kind = CellKind::kSymbol;
+  for (const int k : outputs) {
+    table.columns.push_back({std::string(output_symbol(k)), CellKind::kNumber});
+    table.columns.push_back({"share", CellKind::kNumber});
+  }
+  for (const BudgetLine& line : budget.lines) {
+    std::vector<std::string> row{line.input};
+    for (const int k : outputs) {
+      const double share = budget.share(line, k);
+      row.push_back(contributes(budget, line, k) ? formatted(line.contribution(k), "{:.1e}") : "");
+      row.push_back(share >= kLeastShown ? fmt::format("{:.1f} %", 100.0 * share) : "");
+    }
+    table.rows.push_back(std::move(row));
+  }
+  std::vector<std::string> combined{"combined"};
+  for (const int k : outputs) {
+    combined.push_back(formatted(budget.combined(k), "{:.1e}"));
+    combined.emplace_back("100 %");
+  }
+  table.rows.push_back(std::move(combined));
+  return table;
+}
+
 Section budget_section(const ReportData& data) {
   const Budget& budget = *data.budget;
+  const std::vector<int> outputs = worst_of_each_kind(budget.combined);
   Section section{
       "Uncertainty budget",
       {Paragraph{fmt::format("Of the {} estimator, to first order (JCGM 100), for the output with "
                              "the largest uncertainty of each kind.",
-                             data.estimator)}}};
-  const auto bare = [](double value) { return formatted(value, "{:.2e}"); };
-  constexpr double kRounding =
-      1e-9;  // of the combined uncertainty: smaller contributions are rounding errors
-  for (const int k : worst_of_each_kind(budget.combined)) {
-    DocumentTable table{fmt::format("{} ({})", output_symbol(k), output_unit(k, data.record.response_unit)),
-                        {{"input", CellKind::kSymbol},
-                         {"value", CellKind::kNumber},
-                         {"unit", CellKind::kUnit},
-                         {"distribution"},
-                         {"type"},
-                         {"u of the input", CellKind::kNumber},
-                         {"sensitivity", CellKind::kNumber},
-                         {"contribution", CellKind::kNumber},
-                         {"share", CellKind::kNumber}},
-                        {},
-                        CellKind::kSymbol};
-    for (const BudgetLine& line : budget.lines) {
-      const bool none = line.contribution(k) < kRounding * budget.combined(k);
-      table.rows.push_back(
-          {line.input, line.value, line.unit, line.distribution, line.type_a ? "A" : "B",
-           bare(line.standard_uncertainty), none ? "0" : formatted(line.sensitivity(k), "{:+.2e}"),
-           none ? "0" : bare(line.contribution(k)), fmt::format("{:.1f} %", 100.0 * budget.share(line, k))});
-    }
-    table.rows.push_back({"combined", "", "", "", "", "", "", bare(budget.combined(k)), ""});
-    section.blocks.push_back(std::move(table));
-  }
+                             data.estimator)},
+       inputs_table(budget, outputs), contributions_table(budget, outputs, data.record.response_unit)}};
   std::string not_covered = "Not covered: ";
   for (std::size_t i = 0; i < budget.not_covered.size(); ++i)
     not_covered += (i > 0 ? "; " : "") + budget.not_covered[i];

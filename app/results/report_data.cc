@@ -4,19 +4,18 @@
 #include <fmt/ranges.h>
 #include <algorithm>
 
-#include "app/bench/make_bench.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
+#include "app/results/not_real.h"
 #include "app/results/recompute.h"
 #include "app/results/result_text.h"
 #include "app/system/version.h"
+#include "protocol/record/run_label.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {
 std::string ReportData::label(const std::string& key) const {
-  if (!run) return {};
-  const auto found = run->header.labels.find(key);
-  return found == run->header.labels.end() ? std::string() : found->second;
+  return run ? label_of(run->header.labels, key) : std::string();
 }
 
 std::string ReportData::started_utc() const {
@@ -87,7 +86,7 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
       data.bench_unreadable = error.what();
     }
     data.integrity = verify_run(path);
-    if (data.bench) data.simulated = simulated_instruments(*data.bench);
+    if (data.bench) data.simulated = instruments_not_real(data.run->header, *data.bench);
   }
   if (data.complete()) data.sha256 = sha256_of_file(path);
   data.results = analyse_all(data.record);

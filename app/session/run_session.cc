@@ -11,6 +11,7 @@
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
+#include "app/session/check_run_notice.h"
 #include "app/session/disk_space.h"
 #include "app/session/find_operator.h"
 #include "app/session/level_plan.h"
@@ -20,6 +21,7 @@
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/replay_stream.h"
+#include "protocol/record/run_label.h"
 #include "protocol/record/run_seal.h"
 
 namespace abcal {
@@ -67,9 +69,8 @@ class ResultTeller {
 void keep_analyses(const RunOutcome& outcome, const std::string& utc, bool closed_now) {
   ResultsFile results_file(outcome.path, outcome.sha256);
   if (const std::string key = read_signing_key(); closed_now && !key.empty()) {
-    const auto& labels = outcome.stored.header.labels;
-    const auto name = labels.find("bench.name");
-    sign_run(outcome.path, name == labels.end() ? "bench" : name->second, key);
+    const std::string name = label_of(outcome.stored.header.labels, "bench.name");
+    sign_run(outcome.path, name.empty() ? "bench" : name, key);
   }
   for (const CalibrationResult& each : outcome.results) {
     results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
@@ -317,7 +318,9 @@ RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   RunFile file = create_file(*opened_, request);
   notifier_ = notifier_of(opened_->config);
   tell_begun(*opened_, request.run_file, nullptr);
-  return measure_and_finish(std::move(file), {});
+  RunOutcome outcome = measure_and_finish(std::move(file), {});
+  tell_charts(outcome);
+  return outcome;
 }
 
 void RunSession::open_and_identify(const StartRequest& request, const BenchConfig& config) {
@@ -416,6 +419,7 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   const std::filesystem::path path = request.run_file;
   if (std::optional<RunOutcome> outcome = finish_measured_run(path, options_.result_listener)) {
     tell(finished_event(*outcome));
+    tell_charts(*outcome);
     return *std::move(outcome);
   }
   RunFile file = RunFile::open_for_append(path);
@@ -438,7 +442,9 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
   notifier_ = notifier_of(config);
   tell_begun(opened, path, &stored);
-  return measure_and_finish(std::move(file), progress_of(stored));
+  RunOutcome outcome = measure_and_finish(std::move(file), progress_of(stored));
+  tell_charts(outcome);
+  return outcome;
 }
 
 void RunSession::require_same_instruments(const Identities& now, const StoredRun& stored) const {
@@ -480,6 +486,14 @@ void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::st
   teller.tell();
   keep_analyses(outcome, utc, true);
   if (const auto why = stamp_if_configured(outcome.path)) warn("time stamp", *why);
+}
+
+/// Not of a replay, which is no run of a check standard.
+void RunSession::tell_charts(const RunOutcome& outcome) const {
+  if (outcome.is_levelling()) return;
+  for (const std::string& text :
+       check_run_notices({outcome.path, outcome.sha256, outcome.stored}, options_.login))
+    warn("check standard", text);
 }
 
 RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far) {

@@ -125,6 +125,7 @@ class RunSession {
   void tell_begun(const OpenedBench& opened, const std::filesystem::path& path, const StoredRun* resumed);
   RunOutcome measure_and_finish(RunFile file, const RunProgress& so_far);
   void close_and_keep(RunFile file, RunOutcome& outcome, const std::string& utc) const;
+  void tell_charts(const RunOutcome& outcome) const;
   RunOutcome replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request);
   void tell_comparison(const StoredRun& recorded, const std::filesystem::path& replayed);
   void close_ended_replay(const StoredRun& recorded, const std::filesystem::path& path);

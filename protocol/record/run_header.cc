@@ -10,6 +10,7 @@
 #include "protocol/plan/effect_sizes.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/limits_entries.h"
+#include "protocol/record/run_label.h"
 #include "protocol/record/run_schema.h"
 
 namespace abcal {
@@ -69,10 +70,7 @@ void write_instruments(SqliteDatabase& database, const std::vector<InstrumentIde
 
 /// The item of a run for which nothing but labels is known.
 RunItem item_from_labels(const RunHeader& header) {
-  const auto label = [&](const std::string& key) {
-    const auto found = header.labels.find("item." + key);
-    return found == header.labels.end() ? std::string() : found->second;
-  };
+  const auto label = [&](const std::string& key) { return label_of(header.labels, "item." + key); };
   RunItem item;
   item.maker = label("maker");
   item.model = label("model");

@@ -6,9 +6,11 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 
 #include "app/bench/real_clock.h"
+#include "app/compare/check_chart.h"
 #include "app/console/login_throttle.h"
 #include "app/laboratory/register.h"
 #include "protocol/record/run_operator.h"
@@ -38,6 +40,9 @@ class PersonsTest : public ConsoleTest {
         made.who(made.log_in("Admin N. N.", kPassword, now, std::chrono::hours(1)), now);
     for (const char* name : {"Operator N. N.", "Other N. N."})
       made.add_person(admin, {name, "technician", "", {lab::Right::kMeasure}, {}, {}}, kPassword, now, kCost);
+    made.add_person(admin,
+                    {"Approver N. N.", "head", "", {lab::Right::kApprove, lab::Right::kMeasure}, {}, {}},
+                    kPassword, now, kCost);
     made.add_person(admin, {"Watcher N. N.", "guest", "", {}, {}, {}}, kPassword, now, kCost);
     identity = made.facts().identity;
     // The process that holds the bench asks the same register.
@@ -154,6 +159,49 @@ TEST_F(PersonsTest, ACompleteRunIsWholeAndItsOperatorVerified) {
   const test::ProgramResult verified =
       test::run_program({"verify", "runs/" + ended["file"].get<std::string>()}, folder.path());
   EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
+}
+
+/// A chart in the register of the item and bench of this run, with a baseline that was approved.
+void add_chart_of(const StoredRun& run, const std::string& location, const std::string& approver) {
+  std::vector<CheckRun> baseline(5);
+  for (std::size_t k = 0; k < baseline.size(); ++k) {
+    static_cast<ChartSubject&>(baseline[k]) = subject_of(run);
+    baseline[k].sha256 = std::to_string(k);
+    for (Eigen::Index i = 0; i < 9; ++i)
+      baseline[k].values(i) = std::sin(static_cast<double>(k) + 10.0 * static_cast<double>(i));
+  }
+  const Clock::UtcTime now = RealClock().utc_now();
+  lab::Register opened = lab::Register::open(location, now);
+  const lab::LoggedIn by = opened.who(opened.log_in(approver, kPassword, now, std::chrono::hours(1)), now);
+  opened.add_item(by, {"Item", "", "", "", "", {}}, now);
+  opened.add_check_standard(
+      by, {"CHECK", "Item", baseline_json(make_baseline(baseline, kUsualRunLength)), {}, {}, {}}, now);
+}
+
+// As `abcal run` does: the page says it, and the register knows who measured.
+TEST_F(PersonsTest, ARunOfACheckStandardIsToldToItsChart) {
+  open();
+  auto page = steering_page(logged_in("Operator N. N."));
+  ASSERT_TRUE(page->ok(kStartRun));
+  ASSERT_TRUE(page->wait_for_type("ended")["complete"].get<bool>());
+  page->wait_for_activity("idle");
+  add_chart_of(only_run(), options.register_location, "Approver N. N.");
+  ASSERT_TRUE(page->ok(kStartRun));
+  const Json line = page->wait_for(
+      [](const Json& m) {
+        return m["type"] == "log" &&
+               m["line"]["text"].get<std::string>().find("check standard") != std::string::npos;
+      },
+      "that a chart waits for it");
+  EXPECT_THAT(
+      line["line"]["text"].get<std::string>(),
+      HasSubstr(
+          "This is a run of check standard CHECK, whose chart waits for it: abcal lab chart add CHECK"));
+  page->wait_for_activity("idle");
+  lab::Register opened = lab::Register::open(options.register_location, RealClock().utc_now());
+  const std::vector<lab::CheckRunNotice> waiting = opened.waiting_check_runs("CHECK");
+  ASSERT_EQ(waiting.size(), 1U);
+  EXPECT_EQ(waiting.front().told_by, "Operator N. N.");
 }
 
 TEST_F(PersonsTest, ABenchFileThatNamesAnotherPersonIsRefused) {

@@ -80,14 +80,47 @@ TEST_F(TraceabilityTest, ACalibrationHoldsOnTheDayOfTheRun) {
       HasSubstr("run, temperature: found no calibrated equipment"));
 }
 
+TEST_F(TraceabilityTest, TheCalibrationIsThatOfTheInstrumentThatMeasured) {
+  // The stage of the run was calibrated after it; another stage's calibration does not help.
+  const std::string laboratory =
+      replaced(example_laboratory(), "performed = 2025-12-31 ", "performed = 2026-03-02 ") +
+      "[[equipment]]\nname = \"Another stage\"\nquantity = \"angle\"\nserial_number = \"7\"\n"
+      "certificate = \"C-1\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
+  EXPECT_THAT(refusal(issuable(laboratory)), HasSubstr("equipment for angle with serial number 118001234"));
+  // A voltmeter's reading is a voltage, whatever unit a scale makes of it.
+  CertificateRequest asked = issuable();
+  asked.run.bench->accelerometer.driver = "scpi_voltmeter";
+  for (InstrumentIdentity& instrument : asked.run.run->header.instruments)
+    if (instrument.role == "accelerometer") instrument.serial_number = "MY-1";
+  asked.run.record.response_unit = "g";
+  EXPECT_THAT(refusal(asked), HasSubstr("run, voltage: found no calibrated equipment"));
+  const std::string voltmeter =
+      "[[equipment]]\nname = \"Voltmeter\"\nquantity = \"voltage\"\nserial_number = \"MY-12\"\n"
+      "certificate = \"C-2\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
+  asked.laboratory = issuable(example_laboratory() + voltmeter).laboratory;
+  EXPECT_THAT(refusal(asked), HasSubstr("equipment for voltage with serial number MY-1 and"));
+  asked.laboratory = issuable(example_laboratory() + replaced(voltmeter, "MY-12", "MY-1")).laboratory;
+  EXPECT_EQ(refusal(asked), "");
+}
+
 TEST_F(TraceabilityTest, SerialNumbersMatchExactly) {
-  Equipment equipment;
-  equipment.serial_number = "1";
-  EXPECT_FALSE(has_serial_number(equipment, "118001234"));
-  equipment.serial_number = "118001234";
-  EXPECT_TRUE(has_serial_number(equipment, "118001234"));
-  EXPECT_TRUE(has_serial_number(equipment, "118001233/118001234"));
-  EXPECT_FALSE(has_serial_number(equipment, "118001233/1180012345"));
+  const auto missing = [](const std::vector<std::string>& listed, const std::string& serial_numbers) {
+    std::vector<Equipment> equipment(listed.size());
+    for (std::size_t i = 0; i < listed.size(); ++i) {
+      equipment[i].quantity = "angle";
+      equipment[i].serial_number = listed[i];
+    }
+    EXPECT_EQ(serial_number_without_equipment(equipment, "voltage", "7"), "7");
+    return serial_number_without_equipment(equipment, "angle", serial_numbers);
+  };
+  EXPECT_EQ(missing({"1"}, "118001234"), "118001234");
+  EXPECT_EQ(missing({"118001234"}, "118001234"), "");
+  EXPECT_EQ(missing({"118001234"}, "118001233/118001234"), "118001233");
+  EXPECT_EQ(missing({"118001234", "118001233"}, "118001233/118001234"), "");
+  EXPECT_EQ(missing({"118001233/118001234"}, "118001233/118001234"), "");
+  EXPECT_EQ(missing({"MY-1", "MY-2"}, "MY-1, MY-2, MY-3"), "MY-3");
+  EXPECT_EQ(missing({"12345", "118001234"}, "12345 + 118001234"), "");
+  EXPECT_EQ(missing({"118001233"}, "118001233/1180012345"), "1180012345");
   EXPECT_THAT(refusal(issuable(replaced(example_laboratory(), "\"118001234\"", "\"1\""))),
               HasSubstr("stage: found serial number 118001234"));
 }

@@ -1,10 +1,14 @@
 // The neutral document as a page and as text: what is put in as text comes out as text.
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <libxml/HTMLparser.h>
 #include <libxml/xpath.h>
 
+#include <algorithm>
+#include <array>
+#include <chrono>
 #include <memory>
 #include <set>
 #include <string>
@@ -14,6 +18,10 @@
 #include "app/document/document_text.h"
 #include "app/document/gnuplot.h"
 #include "app/document/valid_text.h"
+#include "app/document/weasyprint.h"
+#include "app/system/child_process.h"
+#include "tests/support/program.h"
+#include "tests/support/temporary_folder.h"
 
 namespace abcal {
 namespace {
@@ -108,6 +116,51 @@ TEST(DocumentHtmlTest, SymbolsAndUnitsGetTheirSigns) {
   EXPECT_THAT(page.find("//td[@class='symbol']"), ElementsAre("φuv", "sux"));
   EXPECT_THAT(page.find("//td/sub"), ElementsAre("uv", "ux", "loc"));
   EXPECT_THAT(page.find("//td[@class='unit']"), ElementsAre("°", "g/gloc"));
+}
+
+// Whatever stands above a table: its second row takes three lines, so that it often does not fit below the
+// first.
+TEST(DocumentHtmlTest, NoRowStandsAloneAtTheFootOrTheHeadOfAPage) {
+  const Tool kPdfText{"pdftotext", "the test needs", "poppler-utils"};
+  if (!is_installed(kWeasyPrint)) GTEST_SKIP() << "weasyprint is not installed";
+  if (!is_installed(kPdfText)) GTEST_SKIP() << "poppler-utils is not installed";
+  constexpr int kRows = 12;
+  // Lines above the table with which its last or its first row stood alone.
+  constexpr std::array kAbove{41, 42, 43, 52, 53, 54};
+  Document document = small_document();
+  for (const int above : kAbove) {
+    Section section{"Section", {}};
+    section.on_new_page = true;
+    std::string lines;
+    for (int line = 0; line < above; ++line) lines += std::string(95, 'a') + " ";
+    section.blocks.push_back(Paragraph{lines});
+    DocumentTable table{"", {{"heading", CellKind::kNumber}, {"words"}}, {}};
+    table.may_break = true;
+    for (int row = 1; row <= kRows; ++row)
+      table.rows.push_back({fmt::format("row {} of {}.", row, above), std::string(row == 2 ? 250 : 1, 'x')});
+    section.blocks.emplace_back(std::move(table));
+    document.sections.push_back(std::move(section));
+  }
+  const test::TemporaryFolder folder;
+  test::write_file(folder / "page.html", document_html(document).html);
+  const std::string page = (folder / "page.html").string(), pdf = (folder / "page.pdf").string();
+  ASSERT_EQ(run_tool_for_words(kWeasyPrint, {"--quiet", page, pdf}, std::chrono::minutes(2)).exit_code, 0);
+  const std::string shown = (folder / "page.txt").string();
+  ASSERT_EQ(run_tool(kPdfText, {"-layout", pdf, shown}), 0);
+  const std::string text = test::read_file(shown);
+  int broken = 0;
+  for (const int above : kAbove) {
+    const auto page_of = [&](int row) {
+      const std::size_t at = text.find(fmt::format("row {} of {}.", row, above));
+      EXPECT_NE(at, std::string::npos) << row << " of " << above;
+      return std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(std::min(at, text.size())),
+                        '\f');
+    };
+    EXPECT_EQ(page_of(1), page_of(2)) << above << " lines above the table";
+    EXPECT_EQ(page_of(kRows - 1), page_of(kRows)) << above << " lines above the table";
+    broken += page_of(1) != page_of(kRows) ? 1 : 0;
+  }
+  EXPECT_GE(broken, 1) << "no table reached the foot of a page";
 }
 
 TEST(DocumentHtmlTest, PicturesOfOnePageDoNotShareIds) {

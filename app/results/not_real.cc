@@ -1,0 +1,61 @@
+#include "app/results/not_real.h"
+
+#include <algorithm>
+#include <string_view>
+#include <utility>
+
+#include "app/bench/make_bench.h"
+#include "app/bench/make_firmware.h"
+
+namespace abcal {
+namespace {
+
+/// Whether a bench file describes a simulated bench: its [simulation] says something.
+bool has_simulation(const BenchConfig& bench) {
+  BenchConfig without = bench;
+  without.simulation = {};
+  return write_bench(without) != write_bench(bench);
+}
+
+/// Whether an instrument reported a serial number of the emulator's.
+bool reports_simulated_serial_number(const InstrumentIdentity& instrument,
+                                     const std::vector<InstrumentPort>& ports) {
+  std::vector<std::string> marks;
+  for (const InstrumentPort& port : ports)
+    for (std::string& mark : simulated_serial_numbers(port.driver)) marks.push_back(std::move(mark));
+  const std::vector<std::string> reported = single_serial_numbers(instrument.serial_number);
+  return std::find_first_of(reported.begin(), reported.end(), marks.begin(), marks.end()) != reported.end();
+}
+
+}  // namespace
+
+std::vector<std::string> single_serial_numbers(std::string_view reported) {
+  std::vector<std::string> single(1);
+  for (const char c : reported) {
+    if (c == '/' || c == '+' || c == ',') {
+      single.emplace_back();
+    } else if (c != ' ') {
+      single.back() += c;
+    }
+  }
+  std::erase(single, "");
+  return single;
+}
+
+std::vector<std::string> instruments_not_real(const RunHeader& header, const BenchConfig& bench) {
+  std::vector<std::string> list = simulated_instruments(bench);
+  if (list.empty() && has_simulation(bench)) return {"stage", "accelerometer"};
+  for (const char* name : {"stage", "accelerometer"}) {
+    const std::vector<InstrumentPort> ports = std::string_view(name) == "stage"
+                                                  ? stage_ports(bench.stage)
+                                                  : accelerometer_ports(bench.accelerometer);
+    const bool marked = std::any_of(
+        header.instruments.begin(), header.instruments.end(), [&](const InstrumentIdentity& instrument) {
+          return instrument.role.starts_with(name) && reports_simulated_serial_number(instrument, ports);
+        });
+    if (marked && std::find(list.begin(), list.end(), name) == list.end()) list.emplace_back(name);
+  }
+  return list;
+}
+
+}  // namespace abcal
