@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import {mkdirSync} from 'node:fs';
 import path from 'node:path';
 import {after, before, test} from 'node:test';
-import {missing, ServedPage, SIZES} from './served_page.mjs';
+import {browserName, missing, ServedPage, SIZES} from './served_page.mjs';
 
 const LONGEST = 55_000;  // ms; ctest ends what is not over after 60 s
 
@@ -89,7 +89,7 @@ export function begin({pace, bench = BENCH, prepare = () => {}, enter = () => se
 
 // The last step of each test program.
 export function complainsOfNothing() {
-  assert.deepEqual(served.requests.filter((url) => !url.startsWith(served.address) && !url.startsWith('blob:')), []);
+  assert.deepEqual(served.requests.filter((url) => !url.startsWith(served.address) && !/^(blob|data):/.test(url)), []);
   assert.deepEqual(served.problems, []);
 }
 
@@ -166,8 +166,8 @@ async function faint() {
 export async function look(name) {
   for (const [size, viewport] of Object.entries(SIZES)) {
     await page.setViewportSize(viewport);
-    for (const colorScheme of ['light', 'dark']) {
-      await page.emulateMedia({colorScheme});
+    for (const colorScheme of browserName === 'chromium' ? ['light', 'dark'] : ['light']) {
+      await page.emulateMedia({'prefers-color-scheme': colorScheme});
       await page.waitForTimeout(300);  // Plots follow the size of their place.
       const [wide, room] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
       assert.ok(wide <= room, `${name}, ${size}: ${wide} px wide in ${room} px`);
@@ -175,9 +175,9 @@ export async function look(name) {
       assert.deepEqual(await faint(), [], `${name}, ${colorScheme}`);
       assert.deepEqual(await unitless(), [], name);
       await page.evaluate(() => scrollTo(0, 0));
-      await page.screenshot({path: path.join(pictures, `${name}-${size}-${colorScheme}.png`)});
+      await page.screenshot({path: path.join(pictures, `${name}-${size}-${colorScheme}${browserName === 'chromium' ? '' : `-${browserName}`}.png`)});
     }
   }
   await page.setViewportSize(SIZES.desk);
-  await page.emulateMedia({colorScheme: 'light'});
+  await page.emulateMedia({'prefers-color-scheme': 'light'});
 }
