@@ -1,8 +1,10 @@
 import {byId, duration} from '/text.js';
-import {Link, UNCONFIRMED_AFTER_MS} from '/link.js';
+import {Link, SILENT_AFTER_MS, UNCONFIRMED_AFTER_MS} from '/link.js';
 import {LiveView} from '/live.js';
 import {canMove, stateOf} from '/state.js';
 import {offerTimes, timeElement} from '/time.js';
+import {keepFocus} from '/focus.js';
+import {readyForPaper} from '/print.js';
 import {showChart, showCompare, showRun, showRuns} from '/runs.js';
 
 const live = new LiveView();
@@ -56,7 +58,7 @@ function show() {
   if (contact) {
     if (silent.childNodes.length) silent.replaceChildren();
   } else if (link.heardUtc === null) {
-    silent.replaceChildren('No contact with the console yet.');
+    if (performance.now() > SILENT_AFTER_MS) silent.replaceChildren('No contact with the console yet.');
   } else {
     const words = [`No contact for ${Math.round(link.silentMs / 1000)} s, last known at `, timeElement(link.heardUtc, 'clock'), '. The stage may be moving: ', USE_THE_SWITCH, ' to stop it.'];
     silent.replaceChildren(...words);
@@ -223,6 +225,7 @@ function route() {
   const [view, ...rest] = location.hash.slice(1).split('/');
   const kiosk = view === 'kiosk';
   const name = ['live', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
+  document.body.classList.remove('loading');
   document.body.classList.toggle('kiosk', kiosk);
   if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0])) : showRuns(resume);
   if (name === 'compare') showCompare();
@@ -234,5 +237,7 @@ function route() {
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
 offerTimes(byId('times'), () => { live.dirty.add('strip'); if (location.hash.startsWith('#chart')) route(); });
+keepFocus(byId('top'));
+readyForPaper();
 route();
 show();

@@ -14,7 +14,7 @@ export class LiveView {
     this.charts = [];
     this.stripData = [];
     this.angles = {x: null, z: null};
-    this.dirty = new Set();
+    this.dirty = new Set(['strip']);
     this.strip = plot(byId('strip'), {x: 'time since the readings began (s)', y: 'output (response unit)',
       datasets: OUTPUTS.map((name) => series(name, name))});
     this.makeResponses();
@@ -67,7 +67,7 @@ alignedLeft: true,
     this.stripData = message.strip;
     this.stage('x', message.stage.x);
     this.stage('z', message.stage.z);
-    byId('log').replaceChildren();
+    byId('log-lines').replaceChildren();
     for (const line of message.log) this.log(line);
     if (message.checks) this.checks(message.checks);
     this.activity = message.activity;
@@ -186,12 +186,12 @@ alignedLeft: true,
   }
 
   log(line) {
-    const log = byId('log');
+    const log = byId('log'), lines = byId('log-lines');
     const atEnd = log.scrollHeight - log.scrollTop - log.clientHeight < 30;
-    log.append(element('li', {class: `grade-${line.grade}`},
+    lines.append(element('li', {class: `grade-${line.grade}`},
       timeElement(line.utc, 'clock'),
       line.grade === 'info' ? line.text : `${line.grade}: ${line.text}`));
-    while (log.children.length > 200) log.firstChild.remove();
+    while (lines.children.length > 200) lines.firstChild.remove();
     if (atEnd) log.scrollTop = log.scrollHeight;
   }
 

@@ -11,10 +11,12 @@ function readPalette() {
   for (const name of ['dim', 'line', 'bad', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
 }
 readPalette();
-matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => {
+// Again, with the colours that the style sheet has now.
+export function repaint() {
   readPalette();
   for (const chart of made) chart.update('none');
-});
+}
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
 
 // Functions, which Chart.js asks at each update.
 const dim = () => palette.dim;

@@ -131,7 +131,7 @@ export async function showRun(name) {
   // The first is the estimator that was chosen for the run; the fits of the published protocol show the stage.
   const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
   detail.replaceChildren(
-    element('p', {}, element('a', {href: '#runs'}, 'All runs')),
+    element('p', {class: 'no-print'}, element('a', {href: '#runs'}, 'All runs')),
     element('h3', {id: 'run-name'}, run.name),
     verdict(reported, run),
     downloads(data.downloads, run),

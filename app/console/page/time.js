@@ -29,7 +29,7 @@ export function timeElement(moment, form) {
 
 // The button of the switch; `changed` is called when all times on the page are written again.
 export function offerTimes(button, changed) {
-  const show = () => { button.textContent = `Times: ${zone()}`; button.setAttribute('aria-label', `Times are ${zone()}; show ${kind === 'utc' ? 'local' : 'UTC'} times`); };
+  const show = () => { button.textContent = `Times: ${zone()}`; button.setAttribute('aria-label', `Times: ${zone()}; show ${kind === 'utc' ? 'local' : 'UTC'} times`); };
   button.addEventListener('click', () => {
     kind = kind === 'utc' ? 'local' : 'utc';
     localStorage.setItem(KEY, kind);

@@ -115,6 +115,7 @@ export class DrivenPage {
   reload() { return this.page.reload({timeout: PATIENCE}); }
   url() { return this.page.url(); }
   title() { return this.page.title(); }
+  front() { return this.page.bringToFront(); }
   close() { return this.page.close(); }
   screenshot(options) { return this.page.screenshot(options); }
   cookies() { return this.page.browserContext().cookies(); }

@@ -23,9 +23,10 @@ const preferences = (downloads) => ({'intl.accept_languages': 'en-GB, en', 'netw
   'browser.download.useDownloadDir': true, 'browser.download.alwaysOpenPanel': false});
 const modules = process.env.ABCAL_NODE_MODULES;
 // A module that scripts/setup --tests has installed.
-export const fromRegistry = (name) => createRequire(path.join(modules, 'x.js'))(name);
+export const fromRegistry = createRequire(path.join(modules || '.', 'x.js'));
 
-export const SIZES = {desk: {width: 1366, height: 768}, phone: {width: 390, height: 844}};
+// zoomed: a desk at 200 %; narrow: a desk of 1280 px at 400 %.
+export const SIZES = {desk: {width: 1366, height: 768}, phone: {width: 390, height: 844}, zoomed: {width: 683, height: 384}, narrow: {width: 320, height: 568}};
 export {PATIENCE};
 
 // What no page can be shown without, in words; null if all is there.
@@ -89,7 +90,11 @@ export class ServedPage {
   }
 
   // Another page of this visitor, or of one who is not known yet.
-  async newPage() { return this.watch(await this.browser.newPage()); }
+  async newPage() {
+    const opened = await this.browser.newPage();
+    await opened.bringToFront();
+    return this.watch(opened);
+  }
   async newVisitor() { return this.watch(await (await this.browser.createBrowserContext()).newPage()); }
 
   watch(opened) {
@@ -112,6 +117,13 @@ export class ServedPage {
       if (now.length && !now.some((name) => /\.(crdownload|part)$|^\.org\.chromium/.test(name))) return path.join(this.downloads, now[0]);
     }
     throw new Error('no file was downloaded');
+  }
+
+  // The words of the page as it is printed.
+  async print() {
+    const file = path.join(this.folder, 'printed.pdf');
+    await this.page.page.pdf({path: file, format: 'A4', preferCSSPageSize: true, printBackground: true});
+    return execFileSync('pdftotext', ['-layout', file, '-'], {encoding: 'utf8'});
   }
 
   text(selector) { return this.page.locator(selector).innerText(); }
