@@ -1,3 +1,5 @@
+import {t} from '/language.js';
+
 // Chart.js (a global of chart.js) dressed for this page: colours of the style sheet, also after light and dark change.
 const palette = {};
 const made = new Set();
@@ -91,11 +93,11 @@ export function band(canvas, {x, y, points, output, limits = null, marks = false
   const striking = marks ? {pointRadius: (point) => (outside(point) ? 7 : 4), pointStyle: (point) => (outside(point) ? 'rectRot' : 'circle'),
     pointBackgroundColor: (point) => (outside(point) ? palette.bad : palette[output])} : {};
   const datasets = [
-    {...series(output, 'value', {points: marks}), ...striking, borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
-    {...series(output, '2 std. uncertainties'), ...thin, data: edge(+1)},
+    {...series(output, t('value'), {points: marks}), ...striking, borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
+    {...series(output, t('2 std. uncertainties')), ...thin, data: edge(+1)},
     {...series(output, '_lower'), ...thin, data: edge(-1)},
   ];
-  if (limits) datasets.push(level('centre', limits.centre, []), level('limits', limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
+  if (limits) datasets.push(level(t('centre'), limits.centre, []), level(t('limits'), limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
   return plot(canvas, {x, y, datasets, xRange: {
     min: points[0]?.x, max: points.at(-1)?.x, offset: marks,
     ticks: {precision: 0, maxRotation: 0, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});

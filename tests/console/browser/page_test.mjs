@@ -129,11 +129,11 @@ async function lost() {
 // Columns of numbers that do not say their unit: in their heading, in a column "Unit", or because they count.
 async function unitless() {
   return page.evaluate(() => {
-    const counts = ['Experiment', 'n', 'Angles'];
+    const counts = ['Experiment', 'n', 'Angles', 'Winkel'];
     const found = [];
     for (const table of document.querySelectorAll('table')) {
       const heads = [...table.querySelectorAll('thead th')].map((head) => head.textContent);
-      if (heads.includes('Unit')) continue;
+      if (heads.includes('Unit') || heads.includes('Einheit')) continue;
       for (const cell of table.querySelectorAll('tbody td.number')) {
         const heading = cell.dataset.heading;
         if (!/\(.+\)$/.test(heading) && !counts.includes(heading)) found.push(`${heading}: ${cell.textContent}`);
