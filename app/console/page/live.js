@@ -2,6 +2,7 @@
 import {byId, degrees, duration, element, inEnglish, number, signed, small, table, DASH} from '/text.js';
 import {drawGimbal} from '/gimbal.js';
 import {OUTPUTS, plot, series} from '/plots.js';
+import {PagedTable} from '/pages.js';
 import {angleIn, operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
 
@@ -19,6 +20,7 @@ export class LiveView {
     this.strip = plot(byId('strip'), {x: t('time since the readings began (s)'), y: t('output (response unit)'),
       datasets: OUTPUTS.map((name) => series(name, name))});
     this.makeResponses();
+    this.makeTable();
     drawGimbal(0, 0);  // Until an angle is known; the table says that none is.
     // Drawn when the browser is ready, however fast messages come.
     const frame = () => { this.draw(); requestAnimationFrame(frame); };
@@ -34,12 +36,11 @@ export class LiveView {
       const residual = element('canvas', {role: 'img', 'aria-label': t`Residuals of experiment ${i + 1}; the table below has the numbers`});
       byId('responses').append(element('div', {}, element('h4', {}, t`Experiment ${words}`),
         element('div', {class: 'plot'}, response), element('div', {class: 'plot small'}, residual)));
-      const turn = {min: 0, max: 360, ticks: {stepSize: 90}};
+      const group = {}, turn = {min: 0, max: 360, ticks: {stepSize: 90}};
       return {
-        response: plot(response, {x: t('angle (degrees)'), y: t('output'), xRange: turn,
-alignedLeft: true,
+        response: plot(response, {x: t('angle (degrees)'), y: t('output'), xRange: turn, group,
           datasets: [...OUTPUTS.map((name) => series(name, name, {line: false, points: true})), ...OUTPUTS.map((name) => series(name, `_fit ${name}`))]}),
-        residual: plot(residual, {x: t('angle (degrees)'), y: t('residual'), xRange: turn, alignedLeft: true, legend: false,
+        residual: plot(residual, {x: t('angle (degrees)'), y: t('residual'), xRange: turn, group, legend: false,
           datasets: OUTPUTS.map((name) => series(name, name, {line: false, points: true}))}),
       };
     });
@@ -216,7 +217,7 @@ alignedLeft: true,
       byId('temperature').textContent = last ? number(last.temperature_degc, 2, '°C') : DASH;
     }
     for (const i of [0, 1, 2]) if (this.dirty.has(i)) this.drawExperiment(i);
-    if (this.dirty.has('table')) this.drawTable(this.run ? this.run.unit : '');
+    if (this.dirty.has('table')) this.drawTable();
     this.dirty.clear();
   }
 
@@ -238,16 +239,27 @@ alignedLeft: true,
     residual.update('none');
   }
 
-  drawTable(unit) {
-    const dwells = [...this.dwells.values()].sort((a, b) => a.position - b.position);
-    const flagged = dwells.filter((d) => d.flags);
-    const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
-    byId('flagged').textContent = this.run ? t`${flagged.length} of ${dwells.length}` + (flags && `: ${flags}`) : DASH;
-    const rows = dwells.map((d) => [d.experiment ? `${d.experiment}${d.closing ? t(' (closing)') : ''}` : t`check pose ${d.n}`,
+  makeTable() {
+    const unit = () => this.run?.unit ?? '';
+    const cells = (d) => [d.experiment ? `${d.experiment}${d.closing ? t(' (closing)') : ''}` : t`check pose ${d.n}`,
       d.experiment ? number(d.alpha_deg, 2) : DASH,
       ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
-      number(d.temperature_degc, 2), d.flags || t('none')]);
-    byId('dwell-table').replaceChildren(table(t`Means of the outputs and their standard uncertainty in ${unit}`,
-      [t('Experiment'), t('Angle (degrees)'), `u (${unit})`, `v (${unit})`, `w (${unit})`, t`Largest std. uncertainty (${unit})`, t('Temperature (°C)'), t('Flags')], rows));
+      number(d.temperature_degc, 2), d.flags || t('none')];
+    this.table = new PagedTable(byId('dwell-table'), {
+      follow: true,
+      caption: () => t`Means of the outputs and their standard uncertainty in ${unit()}`,
+      head: () => [t('Experiment'), t('Angle (degrees)'), `u (${unit()})`, `v (${unit()})`, `w (${unit()})`, t`Largest std. uncertainty (${unit()})`, t('Temperature (°C)'), t('Flags')],
+      rows: (from, to) => [...this.dwells.values()].sort((a, b) => a.position - b.position).slice(from, to).map(cells),
+    });
+    const folded = byId('dwell-table').closest('details');
+    folded.addEventListener('toggle', () => this.dirty.add('table'));
+    this.tableIsSeen = () => folded.open;
+  }
+
+  drawTable() {
+    const flagged = [...this.dwells.values()].filter((d) => d.flags);
+    const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
+    byId('flagged').textContent = this.run ? t`${flagged.length} of ${this.dwells.size}` + (flags && `: ${flags}`) : DASH;
+    if (this.tableIsSeen()) this.table.show(this.dwells.size);
   }
 }

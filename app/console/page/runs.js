@@ -1,6 +1,7 @@
 // The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
 import {byId, decimals, duration, element, inEnglish, number, scrollable, signed, small, table, DASH} from '/text.js';
 import {operatorIn, rolesIn, t} from '/language.js';
+import {PagedTable} from '/pages.js';
 import {timeElement, timeText} from '/time.js';
 import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 
@@ -276,10 +277,12 @@ function stepErrors(joint) {
     queueMicrotask(() => charts.push(band(canvas, {x: t('number n of the angle (1)'), y: t('step error (degrees)'), output: OUTPUTS[i],
       points: points.map((p) => ({x: p.n, y: p.value, u: p.standard_uncertainty}))})));
   });
+  const pages = scrollable('scroll', t('Step errors (degrees)'), '');
+  new PagedTable(pages, {caption: () => t('Step errors (degrees)'), rows: (from, to) => rows.slice(from, to),
+    head: () => [t('Experiment'), 'n', t('Step error (degrees)'), t('std. uncertainty (degrees)')]}).show(rows.length);
   return card(t('Step errors of the stage, from the joint estimator'), element('div', {},
     element('p', {}, t('Line: estimated error of each commanded angle; band: two standard uncertainties.')), holder,
-    element('details', {}, element('summary', {}, t('As a table')), scrollable('scroll', t('Step errors (degrees)'), table(t('Step errors (degrees)'),
-      [t('Experiment'), 'n', t('Step error (degrees)'), t('std. uncertainty (degrees)')], rows)))));
+    element('details', {}, element('summary', {}, t('As a table')), pages)));
 }
 
 // Two runs.
@@ -319,7 +322,7 @@ async function compare(a, b) {
   const simulated = list.filter((run) => [a, b].includes(run.name) && run.simulated);
   byId('compare-table').replaceChildren(
     element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), t` ${run.name} is simulated: no measurement. `]), inEnglish(pair.why)),
-    scrollable('scroll-x', t('Compare two runs'), table(t`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
+    scrollable('scroll-x', `A: ${a}. B: ${b}.`, table(t`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
       [t('Property'), t('Unit'), 'A', t('std. unc. of A'), 'B', t('std. unc. of B'), t('B minus A'), t('std. unc. of it'), 'E_n (1)'], PROPERTIES.map(row))),
     element('ul', {}, ...data.notes.map((note) => element('li', {lang: 'en'}, note))));
 }
