@@ -32,7 +32,8 @@ const Asset* find_asset(std::string_view path) {
 
 /// What the page that asks who somebody is needs itself.
 bool is_for_everybody(std::string_view path) {
-  return path == "/login.js" || path == "/style.css" || path == "/favicon-idle.svg";
+  return path == "/login.js" || path == "/language.js" || path == "/de.js" || path == "/style.css" ||
+         path == "/favicon-idle.svg";
 }
 
 HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body) {

@@ -187,7 +187,8 @@ class KilledConsoleTest : public KillTest {
     return run;
   }
 
-  void kill_servers(int times) {
+  /// @param longest_life_ms of a console
+  void kill_servers(int times, int longest_life_ms) {
     start_emulator();
     start_console();
     auto page = page_that_steers();
@@ -197,6 +198,7 @@ class KilledConsoleTest : public KillTest {
     std::size_t seen = 1;
     for (int k = 0; k < times; ++k) {
       SCOPED_TRACE(k);
+      std::this_thread::sleep_for(std::chrono::milliseconds(random() % longest_life_ms));
       server->signal(SIGKILL);
       server->wait();
       page.reset();
@@ -208,11 +210,19 @@ class KilledConsoleTest : public KillTest {
       EXPECT_GE(snapshot["run"]["dwells"].size(), seen);
       seen = snapshot["run"]["dwells"].size();
     }
-    const Json ended = page->wait_for_type("ended");
+    // What is left of the run takes minutes, an angle some seconds.
+    Json ended;
+    do
+      ended = page->wait_for([](const Json& m) { return m["type"] == "dwell" || m["type"] == "ended"; },
+                             "an angle");
+    while (ended["type"] != "ended");
     EXPECT_TRUE(ended["complete"].get<bool>()) << ended;
     const StoredRun run = RunFile::load(only_run());
     EXPECT_EQ(run.state, RunState::kComplete);
     EXPECT_EQ(run.record.continuations, 0) << "it was never interrupted";
+    EXPECT_EQ(run.measured.size(), run.header.plan.size());
+    fmt::print("{} killed consoles: all {} angles were measured, {} of them when the last was killed\n",
+               times, run.measured.size(), seen);
   }
 
   void kill_holders(int times) {
@@ -255,7 +265,7 @@ class KilledConsoleTest : public KillTest {
 
 TEST_F(KilledConsoleTest, ARunGoesOnAndTheNextConsoleFindsIt) {
   bench.motion = BenchText().motion;
-  kill_servers(3);
+  kill_servers(3, 100);
 }
 
 TEST_F(KilledConsoleTest, TheGuardHaltsTheStageOfADeadHolderAndTheRunCanBeResumed) {
@@ -265,7 +275,7 @@ TEST_F(KilledConsoleTest, TheGuardHaltsTheStageOfADeadHolderAndTheRunCanBeResume
 using LongKilledConsoleTest = KilledConsoleTest;
 TEST_F(LongKilledConsoleTest, ARunGoesOnAndTheNextConsoleFindsIt) {
   bench.protocol = "steps = 36\nstep_deg = 10.0\nsettle_s = 0.05\ndwell_readings = 40\n";
-  kill_servers(50);
+  kill_servers(50, 1500);
 }
 TEST_F(LongKilledConsoleTest, TheGuardHaltsTheStageOfADeadHolderAndTheRunCanBeResumed) {
   bench.protocol = "steps = 72\nstep_deg = 5.0\nsettle_s = 0.05\ndwell_readings = 10\n";

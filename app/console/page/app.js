@@ -1,14 +1,18 @@
-import {byId, duration} from '/text.js';
-import {Link, UNCONFIRMED_AFTER_MS} from '/link.js';
+import {byId, duration, inEnglish} from '/text.js';
+import {Link, SILENT_AFTER_MS, UNCONFIRMED_AFTER_MS} from '/link.js';
 import {LiveView} from '/live.js';
 import {canMove, stateOf} from '/state.js';
 import {offerTimes, timeElement} from '/time.js';
+import {offerLanguage, t, translate} from '/language.js';
+import {keepFocus} from '/focus.js';
+import {readyForPaper} from '/print.js';
 import {showChart, showCompare, showRun, showRuns} from '/runs.js';
 
+translate();
 const live = new LiveView();
 let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
 let hadControl = false;
-const USE_THE_SWITCH = 'use the switch on the stage';
+const USE_THE_SWITCH = t('use the switch on the stage');
 
 const link = new Link((message) => {
   if (message.type === 'you') {
@@ -17,10 +21,10 @@ const link = new Link((message) => {
     byId('person').hidden = !message.person;
     byId('person-name').textContent = message.person;
     byId('lost-control').replaceChildren();
-    if (hadControl) lostControl('this page lost its connection');
+    if (hadControl) lostControl(t('this page lost its connection'));
   }
   if (message.type === 'control') {
-    if (hadControl && message.page !== me) lostControl(message.page === null ? 'nobody has it now' : `${message.who} has taken it`);
+    if (hadControl && message.page !== me) lostControl(message.page === null ? t('nobody has it now') : t`${message.who} has taken it`);
     hadControl = message.page === me;
     steering = message;
   }
@@ -43,7 +47,7 @@ const link = new Link((message) => {
 
 function lostControl(why) {
   hadControl = false;
-  byId('lost-control').replaceChildren('This page no longer has control: ', why, ' (', timeElement(new Date(), 'clock'), ').');
+  byId('lost-control').replaceChildren(t('This page no longer has control: '), why, ' (', timeElement(new Date(), 'clock'), ').');
 }
 
 // What is known, and since when; nothing that is not known now looks as if it were.
@@ -51,14 +55,14 @@ function show() {
   const contact = link.contact, known = live.activity !== undefined;
   document.body.classList.toggle('no-contact', !contact);
   live.setContact(contact);
-  byId('link').textContent = contact ? 'Connected' : 'No contact';
+  byId('link').textContent = contact ? t('Connected') : t('No contact');
   const silent = byId('contact');
   if (contact) {
     if (silent.childNodes.length) silent.replaceChildren();
   } else if (link.heardUtc === null) {
-    silent.replaceChildren('No contact with the console yet.');
+    if (performance.now() > SILENT_AFTER_MS) silent.replaceChildren(t('No contact with the console yet.'));
   } else {
-    const words = [`No contact for ${Math.round(link.silentMs / 1000)} s, last known at `, timeElement(link.heardUtc, 'clock'), '. The stage may be moving: ', USE_THE_SWITCH, ' to stop it.'];
+    const words = [t`No contact for ${Math.round(link.silentMs / 1000)} s, last known at `, timeElement(link.heardUtc, 'clock'), t`. The stage may be moving: ${USE_THE_SWITCH} to stop it.`];
     silent.replaceChildren(...words);
   }
   const state = stateOf({known, activity: live.activity, phase: live.phase, ended: live.ended, fault: live.fault, bench});
@@ -68,20 +72,20 @@ function show() {
 
 let shown = '';
 function showState(state, contact) {
-  const word = contact ? state.word : 'No contact';
-  const sentence = contact || state.word === 'No contact' ? state.sentence : `Last known: ${state.word}. ${state.sentence}`;
-  const limit = contact && state.limit ? `Limit: ${duration(state.limit.seconds)} ${state.limit.words}.` : '';
-  const more = [state.fault && `At fault: ${state.fault}.`, limit, state.todo].filter(Boolean).join(' ');
-  const now = JSON.stringify([word, sentence, more, state.kind, state.icon]);
+  const word = contact ? state.word : t('No contact');
+  const sentence = contact || !state.known ? state.sentence : t`Last known: ${state.word}. ${state.sentence}`;
+  const limit = contact && state.limit ? t`Limit: ${duration(state.limit.seconds)} ${t(state.limit.words)}.` : '';
+  const more = [state.fault && t`At fault: ${state.fault}.`, limit, state.todo].filter(Boolean).join(' ');
+  const now = JSON.stringify([word, sentence, state.english, more, state.kind, state.icon]);
   const {measured, total} = live.progress ?? {};
-  const count = total && canMove(live.activity) ? `, ${measured} of ${total}` : '';
+  const count = total && canMove(live.activity) ? t`, ${measured} of ${total}` : '';
   document.title = `${word}${contact ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
   if (now === shown) return;
   shown = now;
   byId('banner').dataset.kind = state.kind;
   byId('banner-icon').firstElementChild.setAttribute('href', `#icon-${state.icon}`);
   byId('banner-word').textContent = word;
-  if (byId('state').textContent !== sentence) byId('state').textContent = sentence;
+  if (byId('state').textContent !== sentence + state.english) byId('state').replaceChildren(sentence, inEnglish(state.english));
   byId('banner-more').textContent = more;
   byId('favicon').href = `/favicon-${state.kind}.svg`;
 }
@@ -92,9 +96,9 @@ function offer(contact) {
   const activity = live.activity ?? {activity: 'idle', hold_asked: false, stop_asked: false}, what = activity.activity;
   const set = (id, possible) => { byId(id).disabled = !possible; };
   const other = steering.page !== null && steering.page !== me;
-  byId('take-control').textContent = steer ? 'Release control' : other ? 'Take control from the other page' : 'Take control';
-  byId('who-steers').textContent = (other ? `${steering.who} steers${steering.silent ? ', and does not answer' : ''}.` : '')
-    + (maySteer ? '' : ' You may watch and stop; steering needs the right to measure.');
+  byId('take-control').textContent = steer ? t('Release control') : other ? t('Take control from the other page') : t('Take control');
+  byId('who-steers').textContent = (other ? (steering.silent ? t`${steering.who} steers, and does not answer.` : t`${steering.who} steers.`) : '')
+    + (maySteer ? '' : t(' You may watch and stop; steering needs the right to measure.'));
   set('take-control', contact && me !== null && maySteer);
   for (const id of ['do-check', 'do-start', 'do-jog']) set(id, steer && what === 'idle');
   set('do-hold', steer && what === 'running' && !activity.hold_asked && !activity.stop_asked);
@@ -112,14 +116,14 @@ function offer(contact) {
 async function ask(name, request, {moves = true} = {}) {
   const say = (words) => { byId('reply').textContent = `${name}: ${words}`; };
   const advice = moves ? `: ${USE_THE_SWITCH}` : '';
-  say('sent');
-  const late = setTimeout(() => say(`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s${advice}`), UNCONFIRMED_AFTER_MS);
+  say(t('sent'));
+  const late = setTimeout(() => say(t`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s` + advice), UNCONFIRMED_AFTER_MS);
   const reply = await link.ask(request);
   clearTimeout(late);
-  if (reply.ok) say('done');
-  else if (reply.unsent) say(`not sent, ${reply.why}${advice}`);
-  else if (reply.lost) say(`not confirmed, ${reply.why}${advice}`);
-  else say(`refused: ${reply.why}`);
+  if (reply.ok) say(t('done'));
+  else if (reply.unsent) say(t`not sent, ${reply.why}` + advice);
+  else if (reply.lost) say(t`not confirmed, ${reply.why}` + advice);
+  else say(t`refused: ${reply.why}`);
   return reply.ok;
 }
 
@@ -128,20 +132,20 @@ let stopping = null;  // While the axes have not answered.
 async function stop() {
   clearTimeout(stopping);
   const say = (words) => { byId('halt').textContent = words; };
-  say('Stop: sent');
-  const unconfirmed = () => say(`Stop: not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s: ${USE_THE_SWITCH}`);
+  say(t('Stop: sent'));
+  const unconfirmed = () => say(t`Stop: not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s: ${USE_THE_SWITCH}`);
   stopping = setTimeout(unconfirmed, UNCONFIRMED_AFTER_MS);
   const reply = await link.ask({do: 'stop'});
   if (reply.ok) return;
   clearTimeout(stopping);
-  say(reply.unsent ? `Stop: not sent, ${reply.why}: ${USE_THE_SWITCH}` : reply.lost ? `Stop: not confirmed, ${reply.why}: ${USE_THE_SWITCH}` : `Stop: refused: ${reply.why}`);
+  say(reply.unsent ? t`Stop: not sent, ${reply.why}: ${USE_THE_SWITCH}` : reply.lost ? t`Stop: not confirmed, ${reply.why}: ${USE_THE_SWITCH}` : t`Stop: refused: ${reply.why}`);
 }
 
 function showHalt({axes, took_s: took, since}) {
   clearTimeout(stopping);
   const all = axes.x === 'halted' && axes.z === 'halted';
-  const words = {halted: 'has halted', unreachable: 'is unreachable and may be moving'};
-  byId('halt').replaceChildren(`Axis X ${words[axes.x]}. Axis Z ${words[axes.z]}. (${took.toFixed(2)} s, `, timeElement(since, 'clock'), ')', all ? '' : ` Use the switch on the stage.`);
+  const words = {halted: t('has halted'), unreachable: t('is unreachable and may be moving')};
+  byId('halt').replaceChildren(t`Axis X ${words[axes.x]}. Axis Z ${words[axes.z]}. (${took.toFixed(2)} s, `, timeElement(since, 'clock'), ')', all ? '' : t(' Use the switch on the stage.'));
 }
 
 byId('log-out').addEventListener('click', async () => {
@@ -177,45 +181,45 @@ function confirmed(title, text, yes) {
   return new Promise((resolve) => dialog.addEventListener('close', () => resolve(dialog.returnValue === 'yes'), {once: true}));
 }
 
-const CLEAR = 'Is the stage free to turn, and is everybody clear of it?';
+const CLEAR = t('Is the stage free to turn, and is everybody clear of it?');
 byId('take-control').addEventListener('click', async () => {
-  const control = (more) => ask('Control', {do: 'control', ...more}, {moves: false});
+  const control = (more) => ask(t('Control'), {do: 'control', ...more}, {moves: false});
   if (steering.page !== null && steering.page === me) {
     hadControl = false;
     return control({release: true});
   }
   if (steering.page === null) return control({});
-  if (await confirmed('Take control from the other page?', `${steering.who} steers this bench. That page will then only watch, and is told who took over.`, 'Take control'))
+  if (await confirmed(t('Take control from the other page?'), t`${steering.who} steers this bench. That page will then only watch, and is told who took over.`, t('Take control')))
     await control({from_another: true});
 });
 byId('do-check').addEventListener('click', async () => {
-  if (await confirmed('Check the bench?', `Both instruments are identified, the accelerometer is read at rest, and both axes are turned by 30 degrees. ${CLEAR}`, 'Check, and turn the stage'))
-    await ask('Check', {do: 'check', with_motion: true, confirmed: true});
+  if (await confirmed(t('Check the bench?'), t`Both instruments are identified, the accelerometer is read at rest, and both axes are turned by 30 degrees. ${CLEAR}`, t('Check, and turn the stage')))
+    await ask(t('Check'), {do: 'check', with_motion: true, confirmed: true});
 });
 byId('do-start').addEventListener('click', async () => {
-  if (await confirmed('Start a run?', `The stage moves through all three experiments. ${CLEAR}`, 'Start, and turn the stage'))
-    await ask('Start', {do: 'start', confirmed: true});
+  if (await confirmed(t('Start a run?'), t`The stage moves through all three experiments. ${CLEAR}`, t('Start, and turn the stage')))
+    await ask(t('Start'), {do: 'start', confirmed: true});
 });
-byId('do-hold').addEventListener('click', () => ask('Hold', {do: 'hold'}));
+byId('do-hold').addEventListener('click', () => ask(t('Hold'), {do: 'hold'}));
 byId('do-continue').addEventListener('click', async () => {
-  if (await confirmed('Continue the run?', `The stage moves on. ${CLEAR}`, 'Continue, and turn the stage'))
-    await ask('Continue', {do: 'continue', confirmed: true});
+  if (await confirmed(t('Continue the run?'), t`The stage moves on. ${CLEAR}`, t('Continue, and turn the stage')))
+    await ask(t('Continue'), {do: 'continue', confirmed: true});
 });
 byId('note-form').addEventListener('submit', async (event) => {
   event.preventDefault();
-  if (await ask('Note', {do: 'note', text: byId('note').value}, {moves: false})) byId('note').value = '';
+  if (await ask(t('Note'), {do: 'note', text: byId('note').value}, {moves: false})) byId('note').value = '';
 });
 byId('jog-form').addEventListener('submit', async (event) => {
   event.preventDefault();
   const axis = byId('jog-axis').value, by = Number(byId('jog-by').value);
-  if (await confirmed(`Turn axis ${axis.toUpperCase()} by ${by} degrees?`, `It is homed first if it is not homed. ${CLEAR}`, 'Turn the stage'))
-    await ask('Jog', {do: 'jog', axis, by_deg: by, confirmed: true});
+  if (await confirmed(t`Turn axis ${axis.toUpperCase()} by ${by} degrees?`, t`It is homed first if it is not homed. ${CLEAR}`, t('Turn the stage')))
+    await ask(t('Jog'), {do: 'jog', axis, by_deg: by, confirmed: true});
 });
 
 // Of a run whose angles are all measured only the analysis is missing: nothing moves.
 async function resume(run, measured) {
-  if (!measured && !(await confirmed(`Resume ${run}?`, `Both axes are homed, the last angle is measured again, and the run continues. ${CLEAR}`, 'Resume, and turn the stage'))) return;
-  if (await ask(measured ? 'Analyse' : 'Resume', {do: 'resume', run, confirmed: true}, {moves: !measured})) location.hash = '#live';
+  if (!measured && !(await confirmed(t`Resume ${run}?`, t`Both axes are homed, the last angle is measured again, and the run continues. ${CLEAR}`, t('Resume, and turn the stage')))) return;
+  if (await ask(measured ? t('Analyse') : t('Resume'), {do: 'resume', run, confirmed: true}, {moves: !measured})) location.hash = '#live';
 }
 byId('resume-interrupted').addEventListener('click', () => resume(live.interrupted.file, live.interrupted.measured === live.interrupted.planned));
 
@@ -223,6 +227,7 @@ function route() {
   const [view, ...rest] = location.hash.slice(1).split('/');
   const kiosk = view === 'kiosk';
   const name = ['live', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
+  document.body.classList.remove('loading');
   document.body.classList.toggle('kiosk', kiosk);
   if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0])) : showRuns(resume);
   if (name === 'compare') showCompare();
@@ -233,6 +238,9 @@ function route() {
   }
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
+offerLanguage(byId('language'));
 offerTimes(byId('times'), () => { live.dirty.add('strip'); if (location.hash.startsWith('#chart')) route(); });
+keepFocus(byId('top'));
+readyForPaper();
 route();
 show();

@@ -1,3 +1,5 @@
+import {t} from '/language.js';
+
 // The WebSocket: messages in, requests out; connects again by itself. Knows when the bench was last heard: each second it
 // sends a beat, which is answered.
 export const SILENT_AFTER_MS = 3000;
@@ -28,7 +30,7 @@ export class Link {
     this.socket.onopen = () => { this.wait = 500; };
     this.socket.onmessage = (event) => this.receive(JSON.parse(event.data));
     this.socket.onclose = () => {
-      for (const resolve of this.waiting.values()) resolve({ok: false, lost: true, why: 'the connection was lost before the answer'});
+      for (const resolve of this.waiting.values()) resolve({ok: false, lost: true, why: t('the connection was lost before the answer')});
       this.waiting.clear();
       this.onContact();
       this.askWho();
@@ -64,7 +66,7 @@ export class Link {
 
   // The answer: {ok, why}; `lost`: none came, and nobody knows whether the request was carried out.
   ask(request) {
-    if (!this.connected) return Promise.resolve({ok: false, unsent: true, why: 'there is no connection to the console'});
+    if (!this.connected) return Promise.resolve({ok: false, unsent: true, why: t('there is no connection to the console')});
     const id = ++this.lastId;
     return new Promise((resolve) => {
       this.waiting.set(id, resolve);

@@ -1,7 +1,9 @@
 // The live view: shows what the messages say. Knows nothing that the server has not said.
-import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {byId, degrees, duration, element, inEnglish, number, signed, small, table, DASH} from '/text.js';
 import {drawGimbal} from '/gimbal.js';
 import {OUTPUTS, plot, series} from '/plots.js';
+import {PagedTable} from '/pages.js';
+import {angleIn, operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
 
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
@@ -14,10 +16,11 @@ export class LiveView {
     this.charts = [];
     this.stripData = [];
     this.angles = {x: null, z: null};
-    this.dirty = new Set();
-    this.strip = plot(byId('strip'), {x: 'time since the readings began (s)', y: 'output (response unit)',
+    this.dirty = new Set(['strip']);
+    this.strip = plot(byId('strip'), {x: t('time since the readings began (s)'), y: t('output (response unit)'),
       datasets: OUTPUTS.map((name) => series(name, name))});
     this.makeResponses();
+    this.makeTable();
     drawGimbal(0, 0);  // Until an angle is known; the table says that none is.
     // Drawn when the browser is ready, however fast messages come.
     const frame = () => { this.draw(); requestAnimationFrame(frame); };
@@ -26,19 +29,18 @@ export class LiveView {
   }
 
   makeResponses() {
-    const about = ['1: X turns', '2: X turns, Z at −90°', '3: Z turns, X at −90°'];
+    const about = [t('1: X turns'), t('2: X turns, Z at −90°'), t('3: Z turns, X at −90°')];
     byId('responses').replaceChildren();
     this.charts = about.map((words, i) => {
-      const response = element('canvas', {role: 'img', 'aria-label': `Response of experiment ${i + 1} against angle; the table below has the numbers`});
-      const residual = element('canvas', {role: 'img', 'aria-label': `Residuals of experiment ${i + 1}; the table below has the numbers`});
-      byId('responses').append(element('div', {}, element('h4', {}, `Experiment ${words}`),
+      const response = element('canvas', {role: 'img', 'aria-label': t`Response of experiment ${i + 1} against angle; the table below has the numbers`});
+      const residual = element('canvas', {role: 'img', 'aria-label': t`Residuals of experiment ${i + 1}; the table below has the numbers`});
+      byId('responses').append(element('div', {}, element('h4', {}, t`Experiment ${words}`),
         element('div', {class: 'plot'}, response), element('div', {class: 'plot small'}, residual)));
-      const turn = {min: 0, max: 360, ticks: {stepSize: 90}};
+      const group = {}, turn = {min: 0, max: 360, ticks: {stepSize: 90}};
       return {
-        response: plot(response, {x: 'angle (degrees)', y: 'output', xRange: turn,
-alignedLeft: true,
+        response: plot(response, {x: t('angle (degrees)'), y: t('output'), xRange: turn, group,
           datasets: [...OUTPUTS.map((name) => series(name, name, {line: false, points: true})), ...OUTPUTS.map((name) => series(name, `_fit ${name}`))]}),
-        residual: plot(residual, {x: 'angle (degrees)', y: 'residual', xRange: turn, alignedLeft: true, legend: false,
+        residual: plot(residual, {x: t('angle (degrees)'), y: t('residual'), xRange: turn, group, legend: false,
           datasets: OUTPUTS.map((name) => series(name, name, {line: false, points: true}))}),
       };
     });
@@ -56,18 +58,18 @@ alignedLeft: true,
       this.setProgress(this.run.progress);
       byId('run-file').textContent = this.run.file || DASH;
       byId('item').textContent = this.run.item || DASH;
-      byId('operator').textContent = this.run.operator || DASH;
-      byId('simulated').textContent = this.run.simulated ? `SIMULATED: ${this.run.simulated}` : '';
-      byId('time').textContent = this.run.pace === null ? 'real' : `simulated, ${this.run.pace} times as fast as real time`;
+      byId('operator').textContent = operatorIn(this.run.operator) || DASH;
+      byId('simulated').textContent = this.run.simulated ? t`SIMULATED: ${rolesIn(this.run.simulated)}` : '';
+      byId('time').textContent = this.run.pace === null ? t('real') : t`simulated, ${this.run.pace} times as fast as real time`;
       for (const {response, residual} of this.charts) {
-        response.options.scales.y.title.text = `output (${this.run.unit})`;
-        residual.options.scales.y.title.text = `residual (${this.run.unit})`;
+        response.options.scales.y.title.text = t`output (${this.run.unit})`;
+        residual.options.scales.y.title.text = t`residual (${this.run.unit})`;
       }
     }
     this.stripData = message.strip;
     this.stage('x', message.stage.x);
     this.stage('z', message.stage.z);
-    byId('log').replaceChildren();
+    byId('log-lines').replaceChildren();
     for (const line of message.log) this.log(line);
     if (message.checks) this.checks(message.checks);
     this.activity = message.activity;
@@ -75,7 +77,7 @@ alignedLeft: true,
     this.fault = message.fault;
     this.ended = this.run ? this.run.ended : null;
     this.interrupted = message.interrupted;
-    byId('guard').textContent = message.guard ?? '';
+    byId('guard').replaceChildren(inEnglish(message.guard ?? ''));
     this.words();
     this.dirty = new Set(['strip', 'table', 0, 1, 2]);
   }
@@ -93,7 +95,7 @@ alignedLeft: true,
       case 'phase': this.phase = message; this.words(); break;
       case 'stage': this.stage(message.axis, message); break;
       case 'fault': this.fault = message; break;
-      case 'guard': byId('guard').textContent = message.words; break;
+      case 'guard': byId('guard').replaceChildren(inEnglish(message.words)); break;
       case 'interrupted': this.interrupted = message.run; this.words(); break;
       case 'strip':
         // The readings have begun again: what was before belongs to another axis of time.
@@ -132,8 +134,8 @@ alignedLeft: true,
     const planned = this.run && this.phase ? this.run.plan[this.phase.position] : null;
     const held = this.phase && this.phase.phase === 'held';
     byId('angle').textContent = planned && what === 'running'
-      ? `${held ? 'next: ' : ''}${planned.check ? `check pose ${planned.n}`
-        : `experiment ${planned.experiment}, ${number(planned.alpha_deg, 1, 'degrees')}${planned.closing ? ' (closing angle)' : ''}`}` : DASH;
+      ? `${held ? t('next: ') : ''}${planned.check ? t`check pose ${planned.n}`
+        : t`experiment ${planned.experiment}, ${number(planned.alpha_deg, 1)} degrees`}${planned.closing ? t(' (closing angle)') : ''}` : DASH;
     this.settling();
     this.offerInterrupted();
   }
@@ -143,15 +145,15 @@ alignedLeft: true,
     const run = this.interrupted;
     byId('interrupted').hidden = !run || this.activity.activity !== 'idle';
     if (!run) return;
-    const at = run.angle ? ` at ${run.angle}` : '';
-    byId('interrupted-words').replaceChildren(`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
-      run.words ? `${run.words} ` : '', 'Nothing moves until a person resumes it.');
+    const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
+    byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
+      ...(run.words ? [t(run.words) === run.words ? inEnglish(run.words) : t(run.words), ' '] : []), t('Nothing moves until a person resumes it.'));
   }
 
   // Whether all is still now; else how long that took at the angle measured last.
   settling() {
-    const now = {moving: 'the stage moves', settling: 'waiting until the outputs are quiet', reading: 'still', held: 'still'}[this.phase?.phase];
-    const took = this.lastDwell && Number.isFinite(this.lastDwell.settle_s) ? `last angle: ${number(this.lastDwell.settle_s, 1, 's')}` : '';
+    const now = {moving: t('the stage moves'), settling: t('waiting until the outputs are quiet'), reading: t('still'), held: t('still')}[this.phase?.phase];
+    const took = this.lastDwell && Number.isFinite(this.lastDwell.settle_s) ? t`last angle: ${number(this.lastDwell.settle_s, 1, 's')}` : '';
     const on = this.activity && this.activity.activity === 'running';
     byId('settling').textContent = [on ? now : '', took].filter(Boolean).join('; ') || DASH;
   }
@@ -160,7 +162,7 @@ alignedLeft: true,
     this.progress = progress;
     this.left = progress.left_s;
     this.leftSince = performance.now();
-    byId('measured').textContent = `${progress.measured} of ${progress.total}`;
+    byId('measured').textContent = t`${progress.measured} of ${progress.total}`;
     byId('progress').value = progress.total ? progress.measured / progress.total : 0;
     this.countDown();
   }
@@ -171,10 +173,10 @@ alignedLeft: true,
     if (!on || this.left === null || this.left === undefined) {
       if (!on) this.leftSince = performance.now();
       byId('left').textContent = this.left === undefined || this.left === null || !this.run || this.run.progress.total === 0 ? DASH
-        : (on ? DASH : this.left > 0 && this.activity && this.activity.activity === 'running' ? `${duration(this.left)} (held)` : DASH);
+        : (on ? DASH : this.left > 0 && this.activity && this.activity.activity === 'running' ? t`${duration(this.left)} (held)` : DASH);
       return;
     }
-    byId('left').textContent = `about ${duration(Math.max(0, this.left - (performance.now() - this.leftSince) / 1000))}`;
+    byId('left').textContent = t`about ${duration(Math.max(0, this.left - (performance.now() - this.leftSince) / 1000))}`;
   }
 
   stage(axis, seen) {
@@ -182,22 +184,22 @@ alignedLeft: true,
     byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
     this.angles[axis] = seen.encoder_deg;
     drawGimbal(this.angles.x ?? 0, this.angles.z ?? 0);
-    byId('gimbal-title').textContent = `The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
+    byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
   }
 
   log(line) {
-    const log = byId('log');
+    const log = byId('log'), lines = byId('log-lines');
     const atEnd = log.scrollHeight - log.scrollTop - log.clientHeight < 30;
-    log.append(element('li', {class: `grade-${line.grade}`},
+    lines.append(element('li', {class: `grade-${line.grade}`, lang: 'en'},
       timeElement(line.utc, 'clock'),
       line.grade === 'info' ? line.text : `${line.grade}: ${line.text}`));
-    while (log.children.length > 200) log.firstChild.remove();
+    while (lines.children.length > 200) lines.firstChild.remove();
     if (atEnd) log.scrollTop = log.scrollHeight;
   }
 
   checks(findings) {
-    byId('checks').replaceChildren(table('Checks of the bench and their findings', ['Check', 'Grade', 'Found', 'Advice'],
-      findings.map((f) => [f.what, element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, f.grade), f.found, f.advice])));
+    byId('checks').replaceChildren(table(t('Checks of the bench and their findings'), [t('Check'), t('Grade'), t('Found'), t('Advice')],
+      findings.map((f) => [inEnglish(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), inEnglish(f.found), inEnglish(f.advice)])));
   }
 
   draw() {
@@ -207,15 +209,15 @@ alignedLeft: true,
         this.strip.data.datasets[j].data = this.stripData.map((group) => ({x: group.time_s, y: group.mean[j]}));
       });
       const last = this.stripData.at(-1), unit = last ? last.unit : '';
-      if (unit) this.strip.options.scales.y.title.text = `output (${unit})`;
+      if (unit) this.strip.options.scales.y.title.text = t`output (${unit})`;
       this.strip.update('none');
       byId('strip-table').replaceChildren(...OUTPUTS.map((name, j) => element('tr', {},
         element('th', {scope: 'row'}, name), element('td', {}, last ? signed(last.mean[j], 6, unit) : DASH),
-        element('td', {}, last ? `${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
+        element('td', {}, last ? t`${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
       byId('temperature').textContent = last ? number(last.temperature_degc, 2, '°C') : DASH;
     }
     for (const i of [0, 1, 2]) if (this.dirty.has(i)) this.drawExperiment(i);
-    if (this.dirty.has('table')) this.drawTable(this.run ? this.run.unit : '');
+    if (this.dirty.has('table')) this.drawTable();
     this.dirty.clear();
   }
 
@@ -237,16 +239,27 @@ alignedLeft: true,
     residual.update('none');
   }
 
-  drawTable(unit) {
-    const dwells = [...this.dwells.values()].sort((a, b) => a.position - b.position);
-    const flagged = dwells.filter((d) => d.flags);
-    const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
-    byId('flagged').textContent = this.run ? `${flagged.length} of ${dwells.length}${flags && `: ${flags}`}` : DASH;
-    const rows = dwells.map((d) => [d.experiment ? `${d.experiment}${d.closing ? ' (closing)' : ''}` : `check pose ${d.n}`,
+  makeTable() {
+    const unit = () => this.run?.unit ?? '';
+    const cells = (d) => [d.experiment ? `${d.experiment}${d.closing ? t(' (closing)') : ''}` : t`check pose ${d.n}`,
       d.experiment ? number(d.alpha_deg, 2) : DASH,
       ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
-      number(d.temperature_degc, 2), d.flags || 'none']);
-    byId('dwell-table').replaceChildren(table(`Means of the outputs and their standard uncertainty in ${unit}`,
-      ['Experiment', 'Angle (degrees)', `u (${unit})`, `v (${unit})`, `w (${unit})`, `Largest std. uncertainty (${unit})`, 'Temperature (°C)', 'Flags'], rows));
+      number(d.temperature_degc, 2), d.flags || t('none')];
+    this.table = new PagedTable(byId('dwell-table'), {
+      follow: true,
+      caption: () => t`Means of the outputs and their standard uncertainty in ${unit()}`,
+      head: () => [t('Experiment'), t('Angle (degrees)'), `u (${unit()})`, `v (${unit()})`, `w (${unit()})`, t`Largest std. uncertainty (${unit()})`, t('Temperature (°C)'), t('Flags')],
+      rows: (from, to) => [...this.dwells.values()].sort((a, b) => a.position - b.position).slice(from, to).map(cells),
+    });
+    const folded = byId('dwell-table').closest('details');
+    folded.addEventListener('toggle', () => this.dirty.add('table'));
+    this.tableIsSeen = () => folded.open;
+  }
+
+  drawTable() {
+    const flagged = [...this.dwells.values()].filter((d) => d.flags);
+    const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
+    byId('flagged').textContent = this.run ? t`${flagged.length} of ${this.dwells.size}` + (flags && `: ${flags}`) : DASH;
+    if (this.tableIsSeen()) this.table.show(this.dwells.size);
   }
 }

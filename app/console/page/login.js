@@ -1,5 +1,9 @@
+import {offerLanguage, t, translate} from '/language.js';
+
 // Who it is: the form is posted once; what proves it from then on is a cookie that no script can read. A token after "#" in
 // the address is never sent as a part of it.
+translate();
+offerLanguage(document.getElementById('language'));
 const refusal = document.getElementById('refusal');
 
 async function post(fields) {
@@ -9,7 +13,7 @@ async function post(fields) {
     if (response.ok) return location.replace('/');
     refusal.textContent = (await response.text()).trim();
   } catch (error) {
-    refusal.textContent = `The console does not answer: ${error.message}`;
+    refusal.textContent = t`The console does not answer: ${error.message}`;
   }
 }
 

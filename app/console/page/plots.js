@@ -1,3 +1,6 @@
+import {t} from '/language.js';
+import {offerZoom, shade} from '/zoom.js';
+
 // Chart.js (a global of chart.js) dressed for this page: colours of the style sheet, also after light and dark change.
 const palette = {};
 const made = new Set();
@@ -11,10 +14,12 @@ function readPalette() {
   for (const name of ['dim', 'line', 'bad', ...OUTPUTS]) palette[name] = style.getPropertyValue(`--${name}`).trim();
 }
 readPalette();
-matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => {
+// Again, with the colours that the style sheet has now.
+export function repaint() {
   readPalette();
   for (const chart of made) chart.update('none');
-});
+}
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
 
 // Functions, which Chart.js asks at each update.
 const dim = () => palette.dim;
@@ -26,8 +31,26 @@ function axis(words, more = {}) {
 }
 
 // Of one width in plots that stand under each other, so that their angles do too.
-const LEFT = 78;  // px
-const aligned = {afterFit: (scale) => { scale.width = LEFT; }};
+const LEFT = 78;  // px, if that is enough
+const aligned = (group) => ({afterFit: (scale) => { scale.width = group.width = Math.max(LEFT, group.width ?? 0, scale.width); }});
+
+// What stands for an output in the legend of points with their curve: marker and dashes.
+function sample(item) {
+  const picture = document.createElement('canvas'), brush = picture.getContext('2d');
+  [picture.width, picture.height] = [34, 10];
+  brush.strokeStyle = brush.fillStyle = item.strokeStyle;
+  brush.lineWidth = 1.8;
+  brush.setLineDash(DASHES[OUTPUTS.indexOf(item.text)] ?? []);
+  brush.beginPath();
+  brush.moveTo(0, 5);
+  brush.lineTo(34, 5);
+  brush.stroke();
+  brush.setLineDash([]);
+  Chart.helpers.drawPoint(brush, {pointStyle: item.pointStyle, radius: 3.5, borderWidth: 1}, 17, 5);
+  return picture;
+}
+const samples = (chart) => Chart.defaults.plugins.legend.labels.generateLabels(chart)
+  .map((item) => (typeof item.pointStyle === 'string' && item.pointStyle !== 'line' ? {...item, pointStyle: sample(item)} : item));
 
 // "4.0e−5" where Chart.js would write 4.000000E-5.
 function tick(value, index, ticks) {
@@ -36,19 +59,21 @@ function tick(value, index, ticks) {
   return value.toExponential(1).replaceAll('-', '−');
 }
 
-function draw(canvas, type, data, {x, y, legend = true, xRange = {}, alignedLeft = false}) {
+function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = null}) {
   const linesOnly = data.datasets.every((set) => set.pointStyle === 'line');  // Wide enough to show their dashes.
   const chart = new Chart(canvas, {
     type,
     data,
+    plugins: [shade],
     options: {
       animation: false, responsive: true, maintainAspectRatio: false,
       interaction: {mode: 'nearest', intersect: false},
-      scales: {x: axis(x, xRange), y: axis(y, {...(alignedLeft ? aligned : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+      scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && !linesOnly && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
   made.add(chart);
+  if (type === 'line') offerZoom(chart);
   return chart;
 }
 
@@ -89,11 +114,11 @@ export function band(canvas, {x, y, points, output, limits = null, marks = false
   const striking = marks ? {pointRadius: (point) => (outside(point) ? 7 : 4), pointStyle: (point) => (outside(point) ? 'rectRot' : 'circle'),
     pointBackgroundColor: (point) => (outside(point) ? palette.bad : palette[output])} : {};
   const datasets = [
-    {...series(output, 'value', {points: marks}), ...striking, borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
-    {...series(output, '2 std. uncertainties'), ...thin, data: edge(+1)},
+    {...series(output, t('value'), {points: marks}), ...striking, borderDash: [], data: points.map((p) => ({x: p.x, y: p.y}))},
+    {...series(output, t('2 std. uncertainties')), ...thin, data: edge(+1)},
     {...series(output, '_lower'), ...thin, data: edge(-1)},
   ];
-  if (limits) datasets.push(level('centre', limits.centre, []), level('limits', limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
+  if (limits) datasets.push(level(t('centre'), limits.centre, []), level(t('limits'), limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
   return plot(canvas, {x, y, datasets, xRange: {
     min: points[0]?.x, max: points.at(-1)?.x, offset: marks,
     ticks: {precision: 0, maxRotation: 0, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});

@@ -1,20 +1,22 @@
 // The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
-import {byId, decimals, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {byId, decimals, duration, element, inEnglish, number, scrollable, signed, small, table, DASH} from '/text.js';
+import {operatorIn, rolesIn, t} from '/language.js';
+import {PagedTable} from '/pages.js';
 import {timeElement, timeText} from '/time.js';
 import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 
-const VERDICTS = {usable: 'Usable', doubtful: 'Doubtful', not_usable: 'Not usable'};
-const STATES = {running: 'running, or its program died', interrupted: 'interrupted', complete: 'complete', abandoned: 'abandoned', unreadable: 'cannot be read', 'not read yet': 'is being read'};
+const VERDICTS = {usable: t('Usable'), doubtful: t('Doubtful'), not_usable: t('Not usable')};
+const STATES = {running: t('running, or its program died'), interrupted: t('interrupted'), complete: t('complete'), abandoned: t('abandoned'), unreadable: t('cannot be read'), 'not read yet': t('is being read')};
 const ESTIMATORS = {abc: 'ABC', joint: 'joint', norm: 'norm'};
-const HEADINGS = ['Run', 'Item (serial number)', 'Model', 'Begun', 'State', 'Result', 'Operator', 'Measured', 'Duration', 'Go on'];
+const HEADINGS = [t('Run'), t('Item (serial number)'), t('Model'), t('Begun'), t('State'), t('Result'), t('Operator'), t('Measured'), t('Duration'), t('Go on')];
 const ROWS = 100;  // On one page of the list.
 const PROPERTIES = ['s_u', 's_v', 's_w', 'phi_uv', 'phi_vw', 'phi_wu', 'O_u', 'O_v', 'O_w'];
-const SYMBOLS = 's_ux: sensitivity of output u along axis x of the stage; s_u: its intrinsic sensitivity, independent of the mounting; phi_uv: angle between u and v; O_u: offset of u.';
+const SYMBOLS = t('s_ux: sensitivity of output u along axis x of the stage; s_u: its intrinsic sensitivity, independent of the mounting; phi_uv: angle between u and v; O_u: offset of u.');
 
 // "s_u: sensitivity of output u".
 function inWords(property) {
   const [kind, outputs] = property.split('_');
-  const words = {s: `sensitivity of output ${outputs}`, phi: `angle between outputs ${[...outputs].join(' and ')}`, O: `offset of output ${outputs}`};
+  const words = {s: t`sensitivity of output ${outputs}`, phi: t`angle between outputs ${outputs[0]} and ${outputs[1]}`, O: t`offset of output ${outputs}`};
   return `${property}: ${words[kind]}`;
 }
 
@@ -23,7 +25,7 @@ const charts = [];
 
 async function fetchJson(path) {
   const response = await fetch(path);
-  if (!response.ok) throw new Error((await response.text()).trim() || `the console answered ${response.status}`);
+  if (!response.ok) throw new Error((await response.text()).trim() || t`the console answered ${response.status}`);
   return response.json();
 }
 
@@ -51,7 +53,7 @@ export async function showRuns(resume) {
   }
   // Many runs are read in steps; what is there is shown meanwhile.
   const unread = list.filter((run) => run.state === 'not read yet').length;
-  byId('run-loading').textContent = unread ? `Reading: ${unread} of ${list.length} runs are still to come.` : '';
+  byId('run-loading').textContent = unread ? t`Reading: ${unread} of ${list.length} runs are still to come.` : '';
   if (unread) setTimeout(() => { if (location.hash === '#runs') showRuns(resume); }, 200);
   const search = byId('run-search');
   search.oninput = () => { firstRow = 0; drawList(resume); };
@@ -60,7 +62,7 @@ export async function showRuns(resume) {
 
 // A run of simulated instruments never looks like a calibration.
 export function simulatedMark(run) {
-  return element('strong', {class: 'simulated', title: `Simulated: ${run.simulated}`}, 'SIMULATED');
+  return element('strong', {class: 'simulated', title: t`Simulated: ${rolesIn(run.simulated)}`}, t('SIMULATED'));
 }
 
 function matches(run, words) {
@@ -73,14 +75,14 @@ function drawList(resume) {
   const found = list.filter((run) => matches(run, words));
   if (firstRow >= found.length) firstRow = 0;
   const shown = found.slice(firstRow, firstRow + ROWS);
-  byId('run-count').textContent = `${found.length} of ${list.length} runs${shown.length < found.length ? `; here ${firstRow + 1} to ${firstRow + shown.length}` : ''}`;
+  byId('run-count').textContent = t`${found.length} of ${list.length} runs` + (shown.length < found.length ? t`; here ${firstRow + 1} to ${firstRow + shown.length}` : '');
   drawPages(found.length, resume);
   const row = (run) => {
     const link = element('a', {href: `#runs/${encoded(run.name)}`}, run.name);
     const actions = element('td', {});
     const measured = run.state === 'complete';
     if (run.state === 'interrupted' || run.state === 'running' || (measured && run.analysed === false)) {
-      const word = measured ? 'Analyse' : 'Resume';
+      const word = measured ? t('Analyse') : t('Resume');
       const button = element('button', {type: 'button', class: 'resume', 'data-run': run.name, 'aria-label': `${word} ${run.name}`}, word);
       button.addEventListener('click', () => resume(run.name, measured));
       button.disabled = !document.body.classList.contains('may-resume');
@@ -92,15 +94,15 @@ function drawList(resume) {
       cell(1, run.item || DASH),
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
-      cell(4, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? ', not analysed' : ''}`),
+      cell(4, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? t(', not analysed') : ''}`),
       cell(5, VERDICTS[run.verdict] || DASH),
-      cell(6, run.operator || DASH),
-      cell(7, run.planned ? `${run.measured} of ${run.planned} angles` : DASH),
+      cell(6, operatorIn(run.operator) || DASH),
+      cell(7, run.planned ? t`${run.measured} of ${run.planned} angles` : DASH),
       cell(8, duration(run.duration_s)),
       actions);
   };
   byId('run-table').replaceChildren(element('table', {},
-    element('caption', {class: 'visually-hidden'}, 'Runs in the run folder, newest first'),
+    element('caption', {class: 'visually-hidden'}, t('Runs in the run folder, newest first')),
     element('thead', {}, element('tr', {}, ...HEADINGS.map((w) => element('th', {scope: 'col'}, w)))),
     element('tbody', {}, ...shown.map(row))));
 }
@@ -111,7 +113,7 @@ function drawPages(found, resume) {
     button.addEventListener('click', () => { firstRow = to; drawList(resume); byId('run-search').focus(); });
     return button;
   };
-  byId('run-pages').replaceChildren(...(found > ROWS ? [go('Newer runs', firstRow - ROWS), go('Older runs', firstRow + ROWS)] : []));
+  byId('run-pages').replaceChildren(...(found > ROWS ? [go(t('Newer runs'), firstRow - ROWS), go(t('Older runs'), firstRow + ROWS)] : []));
 }
 
 // One run.
@@ -120,7 +122,7 @@ export async function showRun(name) {
   byId('run-list').hidden = true;
   clearCharts();
   const detail = byId('run-detail');
-  detail.replaceChildren(element('p', {role: 'status'}, `Reading and analysing ${name}`));
+  detail.replaceChildren(element('p', {role: 'status'}, t`Reading and analysing ${name}`));
   let data;
   try {
     data = await fetchJson(`/runs/${encoded(name)}/result`);
@@ -131,20 +133,20 @@ export async function showRun(name) {
   // The first is the estimator that was chosen for the run; the fits of the published protocol show the stage.
   const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
   detail.replaceChildren(
-    element('p', {}, element('a', {href: '#runs'}, 'All runs')),
+    element('p', {class: 'no-print'}, element('a', {href: '#runs'}, t('All runs'))),
     element('h3', {id: 'run-name'}, run.name),
     verdict(reported, run),
     downloads(data.downloads, run),
-    card('Checks of the result', checks(reported, data.meanings)),
-    ...(reported.diagnostics.flags.length ? [card('Flagged angles', flagged(reported, data.meanings))] : []),
-    card('Estimators side by side', estimators(results)),
-    card('Other estimators in words', element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. ${r.why}`)))),
-    card('Facts', facts(data)));
+    card(t('Checks of the result'), checks(reported, data.meanings)),
+    ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
+    card(t('Estimators side by side'), estimators(results)),
+    card(t('Other estimators in words'), element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. `, inEnglish(r.why))))),
+    card(t('Facts'), facts(data)));
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
-  detail.append(card('Events', element('div', {class: 'scroll'}, table('Events of the run', ['Time', 'Kind', 'Event'],
-    data.events.map((e) => [day(e.utc), e.kind, e.text])))));
+  detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
+    data.events.map((e) => [day(e.utc), inEnglish(e.kind), inEnglish(e.text)])))));
   byId('main').focus();
 }
 
@@ -153,35 +155,35 @@ const card = (title, content) => element('section', {class: 'card block'}, eleme
 function verdict(result, run) {
   const notes = result.diagnostics.notes;
   return element('div', {class: `verdict verdict-${run.simulated ? 'simulated' : result.verdict}`, id: 'verdict'},
-    element('p', {}, ...(run.simulated ? [simulatedMark(run), ` Simulated: ${run.simulated}. These are no measurements. `] : []),
-      element('strong', {}, `${VERDICTS[result.verdict]}. `), result.why,
-      run.state === 'complete' ? '' : ` The run is ${STATES[run.state]}: ${run.measured} of ${run.planned} angles are measured.`),
-    ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {}, note)))] : []));
+    element('p', {}, ...(run.simulated ? [simulatedMark(run), t` Simulated: ${rolesIn(run.simulated)}. These are no measurements. `] : []),
+      element('strong', {}, `${VERDICTS[result.verdict]}. `), inEnglish(result.why),
+      run.state === 'complete' ? '' : t` The run is ${STATES[run.state]}: ${run.measured} of ${run.planned} angles are measured.`),
+    ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {lang: 'en'}, note)))] : []));
 }
 
 // What failed comes first, with what is wrong; of the others, what was asked.
 function checks(result, meanings) {
   const all = [...result.diagnostics.checks].sort((a, b) => a.passed - b.passed);
-  if (!all.length) return element('p', {}, 'Nothing was checked: the result has too few angles.');
+  if (!all.length) return element('p', {}, t('Nothing was checked: the result has too few angles.'));
   const figure = (value, against) => (value === null ? DASH : number(value, Math.min(9, decimals(Math.abs(value) < 1e-3 * against ? 1e-3 * against : value))).replace('-', '−'));
-  const outcome = (c) => element('span', {class: c.passed ? 'grade-good' : 'grade-problem'}, c.found === null && c.passed ? 'not made' : c.passed ? 'passed' : 'FAILED');
+  const outcome = (c) => element('span', {class: c.passed ? 'grade-good' : 'grade-problem'}, c.found === null && c.passed ? t('not made') : c.passed ? t('passed') : t('FAILED'));
   const failed = all.filter((c) => !c.passed).length;
-  return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? `${failed} of ${all.length} checks failed.` : `All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
-    ['Check', 'Outcome', 'Found', 'Limit', 'Unit', 'Meaning'],
-    all.map((c) => [c.check, outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), c.unit,
-      element('span', {}, meanings[c.check], ...(c.words ? [' ', element('strong', {}, `${c.words[0].toUpperCase()}${c.words.slice(1)}.`)] : []))])));
+  return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? t`${failed} of ${all.length} checks failed.` : t`All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
+    [t('Check'), t('Outcome'), t('Found'), t('Limit'), t('Unit'), t('Meaning')],
+    all.map((c) => [inEnglish(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), inEnglish(c.unit),
+      element('span', {lang: 'en'}, meanings[c.check], ...(c.words ? [' ', element('strong', {}, `${c.words[0].toUpperCase()}${c.words.slice(1)}.`)] : []))])));
 }
 
 function flagged(result, meanings) {
   const {flags, angles_used: used} = result.diagnostics;
-  return element('div', {class: 'stack', id: 'result-flags'}, table(`Of ${used} angles used; an angle may have several flags.`,
-    ['Flag', 'Angles', 'Meaning'], flags.map((f) => [f.flag, f.dwells, meanings[f.flag]])));
+  return element('div', {class: 'stack', id: 'result-flags'}, table(t`Of ${used} angles used; an angle may have several flags.`,
+    [t('Flag'), t('Angles'), t('Meaning')], flags.map((f) => [inEnglish(f.flag), f.dwells, inEnglish(meanings[f.flag])])));
 }
 
 function downloads(kinds, run) {
-  const bar = element('p', {class: 'bar'}, 'Download:');
+  const bar = element('p', {class: 'bar'}, t('Download:'));
   for (const {name, words} of kinds || [])
-    bar.append(element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, words));
+    bar.append(element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, t(words)));
   return bar;
 }
 
@@ -199,7 +201,7 @@ function quantities(result) {
 function estimators(results) {
   const per = results.map(quantities);
   const names = [...per[0].keys()].length ? [...per[0].keys()] : [...per[1].keys()];
-  const head = ['Quantity', 'Unit', ...results.flatMap((r) => [`${ESTIMATORS[r.estimator]}: value`, 'std. uncertainty'])];
+  const head = [t('Quantity'), t('Unit'), ...results.flatMap((r) => [t`${ESTIMATORS[r.estimator]}: value`, t('std. uncertainty')])];
   const rows = names.map((name) => {
     const unit = per.map((p) => p.get(name)).find((q) => q && q.unit)?.unit || '1';
     return [name, unit, ...per.flatMap((p) => {
@@ -207,43 +209,43 @@ function estimators(results) {
       return q ? [signed(q.value, decimals(q.standard_uncertainty)), small(q.standard_uncertainty)] : [DASH, DASH];
     })];
   });
-  const made = table(`Standard uncertainties (k = 1). A dash: this estimator does not give it. ${SYMBOLS}`, head, rows);
+  const made = table(t`Standard uncertainties (k = 1). A dash: this estimator does not give it. ${SYMBOLS}`, head, rows);
   made.id = 'estimators';
-  return element('div', {class: 'scroll-x'}, made);
+  return scrollable('scroll-x', t('Estimators side by side'), made);
 }
 
 function facts(data) {
   const dl = element('dl', {});
   const fact = (name, value) => dl.append(element('dt', {}, name), element('dd', {}, value || DASH));
   const {run, timing} = data;
-  fact('Item (serial number)', run.item);
-  fact('Bench', run.bench);
-  fact('Operator', run.operator);
-  fact('Begun', day(run.created_utc));
+  fact(t('Item (serial number)'), run.item);
+  fact(t('Bench'), run.bench);
+  fact(t('Operator'), operatorIn(run.operator));
+  fact(t('Begun'), day(run.created_utc));
   const {angles_used: used, flags} = data.results[0].diagnostics;
-  fact('Angles used', `${used}`);
-  fact('Flagged angles', flags.length ? flags.map((f) => `${f.flag}: ${f.dwells}`).join('; ') : 'none');
-  fact('Moving, settling, reading, else', [timing.moving_s, timing.settling_s, timing.dwelling_s, timing.overhead_s].map(duration).join(', '));
-  for (const i of data.instruments) fact(i.role[0].toUpperCase() + i.role.slice(1), `${i.maker} ${i.model}, serial number ${i.serial_number || 'not stated'}`);
-  fact('Program', data.program_version);
+  fact(t('Angles used'), `${used}`);
+  fact(t('Flagged angles'), flags.length ? flags.map((f) => `${f.flag}: ${f.dwells}`).join('; ') : t('none'));
+  fact(t('Moving, settling, reading, else'), [timing.moving_s, timing.settling_s, timing.dwelling_s, timing.overhead_s].map(duration).join(', '));
+  for (const i of data.instruments) fact(t(i.role[0].toUpperCase() + i.role.slice(1)), t`${i.maker} ${i.model}, serial number ${i.serial_number || t('not stated')}`);
+  fact(t('Program'), data.program_version);
   return dl;
 }
 
 function closures(result) {
   const rows = result.diagnostics.closures;
-  const canvas = element('canvas', {role: 'img', 'aria-label': 'Closures in standard uncertainties; the table has the numbers'});
-  const block = card('Closures: zero for a perfect stage', element('div', {},
+  const canvas = element('canvas', {role: 'img', 'aria-label': t('Closures in standard uncertainties; the table has the numbers')});
+  const block = card(t('Closures: zero for a perfect stage'), element('div', {},
     element('div', {class: 'plot'}, canvas),
-    element('details', {}, element('summary', {}, 'As a table'), table(`Closures and their standard uncertainty (${result.response_unit})`,
-      ['Closure', 'Output', `Value (${result.response_unit})`, `std. uncertainty (${result.response_unit})`, 'Ratio (1)'],
+    element('details', {}, element('summary', {}, t('As a table')), table(t`Closures and their standard uncertainty (${result.response_unit})`,
+      [t('Closure'), t('Output'), t`Value (${result.response_unit})`, t`std. uncertainty (${result.response_unit})`, t('Ratio (1)')],
       rows.map((c) => [c.name, c.accelerometer, small(c.value.value), small(c.value.standard_uncertainty), signed(c.value.value / c.value.standard_uncertainty, 2)])))));
-  queueMicrotask(() => charts.push(bars(canvas, {y: 'closure / std. uncertainty (1)', labels: [...new Set(rows.map((c) => c.name))],
+  queueMicrotask(() => charts.push(bars(canvas, {y: t('closure / std. uncertainty (1)'), labels: [...new Set(rows.map((c) => c.name))],
     sets: OUTPUTS.map((name) => ({output: name, values: rows.filter((c) => c.accelerometer === name).map((c) => c.value.value / c.value.standard_uncertainty)}))})));
   return block;
 }
 
 function harmonics(result) {
-  const canvas = element('canvas', {role: 'img', 'aria-label': 'Amplitudes of the harmonics 2 to 5; the table has the numbers'});
+  const canvas = element('canvas', {role: 'img', 'aria-label': t('Amplitudes of the harmonics 2 to 5; the table has the numbers')});
   const rows = [];
   for (const fit of result.diagnostics.fits) {
     for (const h of fit.harmonics.filter((x) => x.order >= 2)) {
@@ -251,15 +253,15 @@ function harmonics(result) {
         amplitude: Math.hypot(h.sin.value, h.cos.value), u: Math.hypot(h.sin.standard_uncertainty, h.cos.standard_uncertainty) / Math.SQRT2});
     }
   }
-  if (!rows.length) return card('Harmonics', element('p', {}, 'These angles do not determine harmonics.'));
+  if (!rows.length) return card(t('Harmonics'), element('p', {}, t('These angles do not determine harmonics.')));
   const unit = result.response_unit;
-  const block = card('Harmonics 2 to 5 of the response', element('div', {},
+  const block = card(t('Harmonics 2 to 5 of the response'), element('div', {},
     element('div', {class: 'plot'}, canvas),
-    element('details', {}, element('summary', {}, 'As a table'), table(`Amplitudes (${unit})`,
-      ['Experiment', 'Order (1)', 'Output', `Amplitude (${unit})`, `std. uncertainty of a coefficient (${unit})`],
+    element('details', {}, element('summary', {}, t('As a table')), table(t`Amplitudes (${unit})`,
+      [t('Experiment'), t('Order (1)'), t('Output'), t`Amplitude (${unit})`, t`std. uncertainty of a coefficient (${unit})`],
       rows.map((r) => [r.experiment, r.order, r.output, small(r.amplitude), small(r.u)])))));
   const labels = [...new Set(rows.map((r) => r.label))];
-  queueMicrotask(() => charts.push(bars(canvas, {x: 'experiment, order of the harmonic', y: `amplitude (${unit})`, labels,
+  queueMicrotask(() => charts.push(bars(canvas, {x: t('experiment, order of the harmonic'), y: t`amplitude (${unit})`, labels,
     sets: OUTPUTS.map((name) => ({output: name, values: labels.map((l) => rows.find((r) => r.label === l && r.output === name)?.amplitude ?? null)}))})));
   return block;
 }
@@ -268,17 +270,19 @@ function stepErrors(joint) {
   const holder = element('div', {class: 'plots'});
   const rows = [];
   joint.step_error.forEach((errors, i) => {
-    const canvas = element('canvas', {role: 'img', 'aria-label': `Step errors of experiment ${i + 1}; the table has the numbers`});
-    holder.append(element('div', {}, element('h4', {}, `Experiment ${i + 1}: axis ${i === 2 ? 'Z' : 'X'}`), element('div', {class: 'plot'}, canvas)));
+    const canvas = element('canvas', {role: 'img', 'aria-label': t`Step errors of experiment ${i + 1}; the table has the numbers`});
+    holder.append(element('div', {}, element('h4', {}, t`Experiment ${i + 1}: axis ${i === 2 ? 'Z' : 'X'}`), element('div', {class: 'plot'}, canvas)));
     const points = errors.map((q, k) => ({n: k + 1, ...q})).filter((q) => q.value !== null);
     for (const p of points) rows.push([i + 1, p.n, signed(p.value, 5), number(p.standard_uncertainty, 5)]);
-    queueMicrotask(() => charts.push(band(canvas, {x: 'number n of the angle (1)', y: 'step error (degrees)', output: OUTPUTS[i],
+    queueMicrotask(() => charts.push(band(canvas, {x: t('number n of the angle (1)'), y: t('step error (degrees)'), output: OUTPUTS[i],
       points: points.map((p) => ({x: p.n, y: p.value, u: p.standard_uncertainty}))})));
   });
-  return card('Step errors of the stage, from the joint estimator', element('div', {},
-    element('p', {}, 'Line: estimated error of each commanded angle; band: two standard uncertainties.'), holder,
-    element('details', {}, element('summary', {}, 'As a table'), element('div', {class: 'scroll'}, table('Step errors (degrees)',
-      ['Experiment', 'n', 'Step error (degrees)', 'std. uncertainty (degrees)'], rows)))));
+  const pages = scrollable('scroll', t('Step errors (degrees)'), '');
+  new PagedTable(pages, {caption: () => t('Step errors (degrees)'), rows: (from, to) => rows.slice(from, to),
+    head: () => [t('Experiment'), 'n', t('Step error (degrees)'), t('std. uncertainty (degrees)')]}).show(rows.length);
+  return card(t('Step errors of the stage, from the joint estimator'), element('div', {},
+    element('p', {}, t('Line: estimated error of each commanded angle; band: two standard uncertainties.')), holder,
+    element('details', {}, element('summary', {}, t('As a table')), pages)));
 }
 
 // Two runs.
@@ -291,7 +295,7 @@ export async function showCompare(first, second) {
     return say('compare-table', error);
   }
   const usable = list.filter((run) => run.state === 'complete');
-  const fill = (id, chosen) => byId(id).replaceChildren(...usable.map((run) => element('option', {value: run.name, selected: run.name === chosen}, `${run.name} (${run.item || 'no serial number'})${run.simulated ? ' SIMULATED' : ''}`)));
+  const fill = (id, chosen) => byId(id).replaceChildren(...usable.map((run) => element('option', {value: run.name, selected: run.name === chosen}, `${run.name} (${run.item || t('no serial number')})${run.simulated ? ` ${t('SIMULATED')}` : ''}`)));
   fill('compare-a', first || usable[1]?.name);
   fill('compare-b', second || usable[0]?.name);
   byId('compare-form').onsubmit = (event) => {
@@ -299,7 +303,7 @@ export async function showCompare(first, second) {
     compare(byId('compare-a').value, byId('compare-b').value);
   };
   byId('compare-form').querySelector('button').disabled = usable.length < 2;
-  if (usable.length < 2) byId('compare-table').replaceChildren(element('p', {}, 'Two complete runs are needed.'));
+  if (usable.length < 2) byId('compare-table').replaceChildren(element('p', {}, t('Two complete runs are needed.')));
 }
 
 async function compare(a, b) {
@@ -317,10 +321,10 @@ async function compare(a, b) {
   };
   const simulated = list.filter((run) => [a, b].includes(run.name) && run.simulated);
   byId('compare-table').replaceChildren(
-    element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), ` ${run.name} is simulated: no measurement. `]), pair.why),
-    element('div', {class: 'scroll-x'}, table(`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
-      ['Property', 'Unit', 'A', 'std. unc. of A', 'B', 'std. unc. of B', 'B minus A', 'std. unc. of it', 'E_n (1)'], PROPERTIES.map(row))),
-    element('ul', {}, ...data.notes.map((note) => element('li', {}, note))));
+    element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), t` ${run.name} is simulated: no measurement. `]), inEnglish(pair.why)),
+    scrollable('scroll-x', `A: ${a}. B: ${b}.`, table(t`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
+      [t('Property'), t('Unit'), 'A', t('std. unc. of A'), 'B', t('std. unc. of B'), t('B minus A'), t('std. unc. of it'), 'E_n (1)'], PROPERTIES.map(row))),
+    element('ul', {}, ...data.notes.map((note) => element('li', {lang: 'en'}, note))));
 }
 
 // The control chart.
@@ -341,7 +345,7 @@ export async function showChart(serial) {
     drawChart(byId('chart-item').value, byId('chart-property').value);
   };
   byId('chart-form').querySelector('button').disabled = items.length === 0;
-  if (!items.length) byId('chart-body').replaceChildren(element('p', {}, 'No complete run of an item with a serial number exists yet.'));
+  if (!items.length) byId('chart-body').replaceChildren(element('p', {}, t('No complete run of an item with a serial number exists yet.')));
   else drawChart(byId('chart-item').value, PROPERTIES[0]);
 }
 
@@ -356,20 +360,20 @@ async function drawChart(serial, property) {
   const points = data.runs.map((run, i) => ({run, x: i + 1, ...run.quantities.find((q) => q.name === property)})).filter((p) => p.value !== null && p.value !== undefined);
   const limits = data.limits ? data.limits[property] : null;
   const unit = points[0]?.unit || '1';
-  const canvas = element('canvas', {role: 'img', 'aria-label': `Control chart of ${inWords(property)}; the table has the numbers`});
+  const canvas = element('canvas', {role: 'img', 'aria-label': t`Control chart of ${inWords(property)}; the table has the numbers`});
   const words = limits
-    ? `Centre ${number(limits.centre, decimals(limits.standard_deviation))} ${unit}; limits ${number(limits.lower, decimals(limits.standard_deviation))} to ${number(limits.upper, decimals(limits.standard_deviation))} ${unit} (3 standard deviations from the mean moving range). ${limits.outside ? `${limits.outside} outside.` : 'All inside.'}`
-    : 'Limits need at least two runs.';
+    ? t`Centre ${number(limits.centre, decimals(limits.standard_deviation))} ${unit}; limits ${number(limits.lower, decimals(limits.standard_deviation))} to ${number(limits.upper, decimals(limits.standard_deviation))} ${unit} (3 standard deviations from the mean moving range). ` + (limits.outside ? t`${limits.outside} outside.` : t('All inside.'))
+    : t('Limits need at least two runs.');
   byId('chart-body').replaceChildren(
     element('p', {id: 'chart-words', role: 'status'}, words),
     element('div', {class: 'plot'}, canvas),
-    element('div', {class: 'scroll-x'}, table(`${inWords(property)}, of item ${serial}, oldest first`, ['Run', 'Begun', `Value (${unit})`, `std. uncertainty (${unit})`, 'Limits', 'Verdict'],
+    scrollable('scroll-x', inWords(property), table(t`${inWords(property)}, of item ${serial}, oldest first`, [t('Run'), t('Begun'), t`Value (${unit})`, t`std. uncertainty (${unit})`, t('Limits'), t('Verdict')],
       points.map((p) => [element('a', {href: `#runs/${encoded(p.run.name)}`}, `${p.x}: ${p.run.name}`), day(p.run.created_utc),
         signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), against(limits, p.value), p.run.simulated ? simulatedMark(p.run) : VERDICTS[p.run.verdict]]))));
-  charts.push(band(canvas, {x: 'number and day of the run', y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty, words: [String(p.x), timeText(p.run.created_utc, 'date')]})), limits, marks: true}));
+  charts.push(band(canvas, {x: t('number and day of the run'), y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty, words: [String(p.x), timeText(p.run.created_utc, 'date')]})), limits, marks: true}));
 }
 
 function against(limits, value) {
   if (!limits) return DASH;
-  return value < limits.lower || value > limits.upper ? element('span', {class: 'grade-problem'}, 'OUTSIDE') : 'inside';
+  return value < limits.lower || value > limits.upper ? element('span', {class: 'grade-problem'}, t('OUTSIDE')) : t('inside');
 }

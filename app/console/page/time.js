@@ -1,6 +1,7 @@
 // Times of one kind on the whole page: UTC, or local; one switch. Each time is an element <time> that says its moment and its
 // form, and is written again when the switch is turned.
 import {element, DASH} from '/text.js';
+import {t} from '/language.js';
 
 const KEY = 'abcal-times';
 let kind = localStorage.getItem(KEY) === 'local' ? 'local' : 'utc';
@@ -10,7 +11,7 @@ const parts = (date) => (kind === 'utc'
   ? [date.getUTCFullYear(), date.getUTCMonth() + 1, date.getUTCDate(), date.getUTCHours(), date.getUTCMinutes(), date.getUTCSeconds()]
   : [date.getFullYear(), date.getMonth() + 1, date.getDate(), date.getHours(), date.getMinutes(), date.getSeconds()]);
 
-export const zone = () => (kind === 'utc' ? 'UTC' : 'local');
+export const zone = () => (kind === 'utc' ? 'UTC' : t('local'));
 
 // form: 'clock' "14:03:22", 'day' "2026-03-01 14:03 UTC", 'date' "2026-03-01". moment: a Date or a text as the console sends it.
 export function timeText(moment, form) {
@@ -29,7 +30,7 @@ export function timeElement(moment, form) {
 
 // The button of the switch; `changed` is called when all times on the page are written again.
 export function offerTimes(button, changed) {
-  const show = () => { button.textContent = `Times: ${zone()}`; button.setAttribute('aria-label', `Times are ${zone()}; show ${kind === 'utc' ? 'local' : 'UTC'} times`); };
+  const show = () => { button.textContent = t`Times: ${zone()}`; button.setAttribute('aria-label', kind === 'utc' ? t`Times: ${zone()}; show local times` : t`Times: ${zone()}; show UTC times`); };
   button.addEventListener('click', () => {
     kind = kind === 'utc' ? 'local' : 'utc';
     localStorage.setItem(KEY, kind);

@@ -5,7 +5,7 @@ import {abcal, begin, complainsOfNothing, confirmDialog, look, stateIs, text} fr
 const step = begin({pace: 40, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
 
 step('compares two runs and shows the control chart of an item', async (page) => {
-  await page.getByRole('button', {name: 'Take control', exact: true}).click();
+  await page.getByRole('button', {name: 'Take control'}).click();
   await page.locator('#do-start:enabled').click();
   await confirmDialog();
   await stateIs(/^The run is complete/);

@@ -81,7 +81,7 @@ step('stops with Escape pressed twice, in a dialog and without control', async (
   await page.locator('#do-continue:enabled').click();
   assert.ok(await page.locator('#dialog-stop').isEnabled());
   assert.equal(await page.evaluate(() => document.querySelector('#confirm button').id), 'dialog-stop', 'first in the dialog');
-  const watcher = served.watch(await served.browser.newPage());
+  const watcher = await served.newPage();
   await watcher.goto(served.address);
   await watcher.locator('#do-stop:enabled').waitFor();
   await watcher.keyboard.press('Tab');
@@ -98,7 +98,7 @@ step('with the process that holds the bench killed: says so, and offers the run 
   await confirmDialog();
   await wordIs(/^(Moving|Settling|Reading)$/);
   process.kill(served.holder(), 'SIGKILL');
-  await page.locator('#interrupted:visible').waitFor();
+  await page.locator('#interrupted').waitFor();
   assert.match(await text('#interrupted-words'), /Its program died/);
   await wordIs(/^Idle$/);
 });

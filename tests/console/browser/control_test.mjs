@@ -6,7 +6,7 @@ const step = begin({pace: 10});
 let runName;
 
 step('starts a run, and holds it', async (page) => {
-  await page.getByRole('button', {name: 'Take control', exact: true}).click();
+  await page.getByRole('button', {name: 'Take control'}).click();
   await page.locator('#do-start:enabled').click();
   await confirmDialog();
   await served.pressAt(8, 'do-hold');
@@ -15,7 +15,7 @@ step('starts a run, and holds it', async (page) => {
 });
 
 step('another page watches, and steers only after it took control', async (page) => {
-  const other = served.watch(await served.browser.newPage());
+  const other = await served.newPage();
   await other.goto(served.address);
   await served.measuredAtLeast(8, other);
   assert.ok(await other.locator('#do-continue').isDisabled());
@@ -29,7 +29,7 @@ step('another page watches, and steers only after it took control', async (page)
   assert.ok(await page.locator('#do-continue').isDisabled());
   await other.close();
   // Only when the console has noticed that nobody steers: before, the button asks, and nobody would answer.
-  await page.getByRole('button', {name: 'Take control', exact: true}).click();
+  await page.getByRole('button', {name: 'Take control'}).click();
   await page.locator('#do-continue:enabled').waitFor();
 });
 
@@ -54,8 +54,8 @@ step('continues, stops at once, and resumes from the list of runs', async (page)
 });
 
 step('connects again by itself, and the bench does not depend on it', async (page) => {
-  await page.context().setOffline(true);
-  await page.context().setOffline(false);
+  await page.setOffline(true);
+  await page.setOffline(false);
   await page.reload();
   await page.waitForFunction(() => document.getElementById('link').textContent === 'Connected');
 });

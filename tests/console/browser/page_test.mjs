@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import {mkdirSync} from 'node:fs';
 import path from 'node:path';
 import {after, before, test} from 'node:test';
-import {missing, ServedPage, SIZES} from './served_page.mjs';
+import {browserName, fromRegistry, missing, ServedPage, SIZES} from './served_page.mjs';
 
 const LONGEST = 55_000;  // ms; ctest ends what is not over after 60 s
 
@@ -89,30 +89,39 @@ export function begin({pace, bench = BENCH, prepare = () => {}, enter = () => se
 
 // The last step of each test program.
 export function complainsOfNothing() {
-  assert.deepEqual(served.requests.filter((url) => !url.startsWith(served.address) && !url.startsWith('blob:')), []);
+  assert.deepEqual(served.requests.filter((url) => !url.startsWith(served.address) && !/^(blob|data):/.test(url)), []);
   assert.deepEqual(served.problems, []);
 }
 
-// What a person who cannot see the page is told of everything that can be used.
-async function unlabelled() {
+// What axe finds wrong for people who see, hear or move differently: names, order, contrast (WCAG 2.2 A and AA, good practice).
+export async function barriers(where = page) {
+  if (!(await where.evaluate(() => 'axe' in globalThis))) await where.evaluate(`${fromRegistry('axe-core').source}; 0`);
+  const {violations, passes} = await where.evaluate(() => axe.run({runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice']}));
+  assert.ok(passes.length > 10, 'axe has looked');
+  return violations.flatMap(({id, nodes}) => nodes.map(({html, failureSummary}) => `${id}: ${html.slice(0, 160)} ${failureSummary}`));
+}
+
+// What sticks out to the side, or is cut off, where nobody can scroll to it.
+async function lost() {
   return page.evaluate(() => {
-    const visible = (element) => element.checkVisibility();
-    const nameOf = (element) => {
-      const labelledBy = element.getAttribute('aria-labelledby');
-      if (labelledBy) return labelledBy.split(' ').map((id) => document.getElementById(id)?.textContent ?? '').join(' ');
-      if (element.getAttribute('aria-label')) return element.getAttribute('aria-label');
-      if (element.labels && element.labels.length) return element.labels[0].textContent;
-      return element.textContent;
-    };
     const found = [];
-    for (const element of document.querySelectorAll('button, input, select, a[href], [role="img"], canvas, svg, progress, section[aria-labelledby], table'))
-      if (visible(element) && !element.closest('[aria-hidden="true"]') && element.tagName !== 'TABLE' && !nameOf(element).trim()) found.push(element.outerHTML.slice(0, 120));
-    for (const cell of document.querySelectorAll('th')) if (!cell.scope) found.push(`th without scope: ${cell.textContent}`);
-    for (const element of document.querySelectorAll('[tabindex]')) if (element.tabIndex > 0) found.push(`tabindex: ${element.outerHTML.slice(0, 80)}`);
-    for (const element of document.querySelectorAll('[aria-labelledby]'))
-      for (const id of element.getAttribute('aria-labelledby').split(' ')) if (!document.getElementById(id)) found.push(`no element ${id}`);
-    const ids = [...document.querySelectorAll('[id]')].map((element) => element.id);
-    for (const id of ids) if (ids.indexOf(id) !== ids.lastIndexOf(id)) found.push(`id twice: ${id}`);
+    const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    while (walker.nextNode()) {
+      const element = walker.currentNode.parentElement, text = walker.currentNode.textContent.trim();
+      if (!text || !element.checkVisibility() || element.closest('svg, script, option, .visually-hidden, .skip')) continue;
+      const range = document.createRange();
+      range.selectNodeContents(walker.currentNode);
+      const {left, right} = range.getBoundingClientRect();
+      let reachable = false;
+      for (let at = element; at && !reachable; at = at.parentElement) {
+        const {overflowX} = getComputedStyle(at), box = at.getBoundingClientRect();
+        if (['auto', 'scroll'].includes(overflowX)) reachable = true;
+        else if (['hidden', 'clip'].includes(overflowX) && (right > box.right + 1 || left < box.left - 1)) break;
+      }
+      if (!reachable && (right > innerWidth + 1 || left < -1)) found.push(`${element.tagName} "${text.slice(0, 40)}": ${Math.round(left)} to ${Math.round(right)} px`);
+      const button = element.closest('button, select, a.button');
+      if (button && (button.scrollWidth > button.clientWidth + 1 || button.scrollHeight > button.clientHeight + 1)) found.push(`${button.tagName} "${text.slice(0, 40)}" is too small for its words`);
+    }
     return found;
   });
 }
@@ -120,11 +129,11 @@ async function unlabelled() {
 // Columns of numbers that do not say their unit: in their heading, in a column "Unit", or because they count.
 async function unitless() {
   return page.evaluate(() => {
-    const counts = ['Experiment', 'n', 'Angles'];
+    const counts = ['Experiment', 'n', 'Angles', 'Winkel'];
     const found = [];
     for (const table of document.querySelectorAll('table')) {
       const heads = [...table.querySelectorAll('thead th')].map((head) => head.textContent);
-      if (heads.includes('Unit')) continue;
+      if (heads.includes('Unit') || heads.includes('Einheit')) continue;
       for (const cell of table.querySelectorAll('tbody td.number')) {
         const heading = cell.dataset.heading;
         if (!/\(.+\)$/.test(heading) && !counts.includes(heading)) found.push(`${heading}: ${cell.textContent}`);
@@ -134,50 +143,23 @@ async function unitless() {
   });
 }
 
-// Texts whose contrast to what is behind them is below WCAG 2's 4.5 (what cannot be used now is exempt).
-async function faint() {
-  return page.evaluate(() => {
-    const parse = (colour) => colour.match(/[\d.]+/g).map(Number);
-    const luminance = ([r, g, b]) => {
-      const [x, y, z] = [r, g, b].map((c) => (c / 255 <= 0.03928 ? c / 255 / 12.92 : ((c / 255 + 0.055) / 1.055) ** 2.4));
-      return 0.2126 * x + 0.7152 * y + 0.0722 * z;
-    };
-    const behind = (element) => {
-      for (let at = element; at; at = at.parentElement) {
-        const colour = parse(getComputedStyle(at).backgroundColor);
-        if (colour.length < 4 || colour[3] === 1) return colour;
-      }
-      return [255, 255, 255];
-    };
-    const found = [];
-    const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-    while (walker.nextNode()) {
-      const element = walker.currentNode.parentElement;
-      if (!walker.currentNode.textContent.trim() || !element.checkVisibility() || element.closest(':disabled, svg, script, option, .visually-hidden, .skip')) continue;
-      const a = luminance(parse(getComputedStyle(element).color)), b = luminance(behind(element));
-      const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-      if (ratio < 4.5) found.push(`${ratio.toFixed(2)}: ${element.tagName} "${walker.currentNode.textContent.trim().slice(0, 30)}"`);
-    }
-    return found;
-  });
-}
-
-// At both sizes, light and dark: nothing sticks out, all is labelled, and a picture is kept.
+// At each size, light and dark: nothing sticks out, is cut off or moves by itself, axe finds nothing, and a picture is kept.
 export async function look(name) {
   for (const [size, viewport] of Object.entries(SIZES)) {
     await page.setViewportSize(viewport);
-    for (const colorScheme of ['light', 'dark']) {
-      await page.emulateMedia({colorScheme});
+    for (const colorScheme of browserName === 'chromium' && ['desk', 'phone'].includes(size) ? ['light', 'dark'] : ['light']) {
+      await page.emulateMedia({'prefers-color-scheme': colorScheme});
       await page.waitForTimeout(300);  // Plots follow the size of their place.
       const [wide, room] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
       assert.ok(wide <= room, `${name}, ${size}: ${wide} px wide in ${room} px`);
-      assert.deepEqual(await unlabelled(), [], name);
-      assert.deepEqual(await faint(), [], `${name}, ${colorScheme}`);
+      assert.deepEqual(await lost(), [], `${name}, ${size}`);
+      if (size !== 'zoomed') assert.deepEqual(await barriers(), [], `${name}, ${size}, ${colorScheme}`);
+      assert.equal(await page.evaluate(() => document.getAnimations().length), 0, 'nothing moves by itself');
       assert.deepEqual(await unitless(), [], name);
       await page.evaluate(() => scrollTo(0, 0));
-      await page.screenshot({path: path.join(pictures, `${name}-${size}-${colorScheme}.png`)});
+      await page.screenshot({path: path.join(pictures, `${name}-${size}-${colorScheme}${browserName === 'chromium' ? '' : `-${browserName}`}.png`)});
     }
   }
   await page.setViewportSize(SIZES.desk);
-  await page.emulateMedia({colorScheme: 'light'});
+  await page.emulateMedia({'prefers-color-scheme': 'light'});
 }

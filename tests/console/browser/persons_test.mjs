@@ -25,7 +25,7 @@ async function logIn(page, name, password = PASSWORD) {
   await page.locator('#password').fill(password);
   await page.getByRole('button', {name: 'Log in'}).click();
 }
-const cookieOf = async (page) => (await page.context().cookies()).find(({name}) => name.startsWith('abcal_'));
+const cookieOf = async (page) => (await page.cookies()).find(({name}) => name.startsWith('abcal_'));
 
 const step = begin({pace: 10, bench: BENCH.replace('[operator]\nname = "N. N."\n', ''), prepare: makeRegister, enter: () => {}});
 
@@ -49,7 +49,7 @@ step('who may not measure watches, and stops the run of another', async (page) =
   await confirmDialog();
   await served.measuredAtLeast(1);
   assert.equal(await text('#operator'), 'Operator N. N.');
-  watcher = await (await served.browser.newContext()).newPage();
+  watcher = await served.newVisitor();
   await watcher.goto(served.address);
   await logIn(watcher, 'Watcher N. N.');
   await watcher.locator('#who-steers', {hasText: 'steering needs the right to measure'}).waitFor();
@@ -75,9 +75,9 @@ step('a token enters by "#", is never a part of an address that is sent, and its
   const address = await served.serve('--tls', '--host', 'bench.example.org', '--pace', '10');
   assert.match(address, /^https:.*#token=[0-9a-f]{64}$/);
   const token = address.split('=')[1];
-  const page = await (await served.browser.newContext({ignoreHTTPSErrors: true})).newPage();
+  const page = await served.newVisitor();
   const sent = [];
-  page.on('request', (request) => sent.push(request.url()));
+  page.page.on('request', (request) => sent.push(request.url()));
   await page.goto(address);
   await page.waitForFunction(() => document.getElementById('link')?.textContent === 'Connected');
   assert.ok(!page.url().includes(token), page.url());

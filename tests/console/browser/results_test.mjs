@@ -1,10 +1,8 @@
 // What the page shows of a run is what abcal prints.
 import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
-import path from 'node:path';
 import {abcal, begin, complainsOfNothing, look, served, text} from './page_test.mjs';
 
-const {folder} = served;
 const runName = 'first.run';
 const step = begin({pace: 8, prepare: () => abcal('run', 'bench.toml', '-o', runName)});
 
@@ -46,7 +44,7 @@ step('shows the result that abcal analyse prints', async (page) => {
 });
 
 step('shows checks, closures, harmonics and step errors that abcal analyse prints', async (page) => {
-  const rowsOf = (caption) => page.locator('table', {has: page.locator('caption', {hasText: caption})}).locator('tbody tr')
+  const rowsOf = (caption) => page.locator('table', {hasText: caption}).locator('tbody tr')
     .evaluateAll((all) => all.map((row) => [...row.children].map((cell) => cell.textContent)));
   const abc = JSON.parse(abcal('analyse', runName, '--estimator', 'abc', '--json')), joint = JSON.parse(abcal('analyse', runName, '--estimator', 'joint', '--json'));
   const near = (shown, value, what) => assert.ok(Math.abs(Number(shown.replace('−', '-')) - value) <= Math.max(0.06 * Math.abs(value), 6e-6), `${what}: ${shown} for ${value}`);
@@ -75,16 +73,13 @@ step('shows checks, closures, harmonics and step errors that abcal analyse print
 });
 
 step('downloads readings that give the same result', async (page) => {
-  const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', {name: 'Averaged readings (CSV)'}).click()]);
-  const file = path.join(folder, 'fetched.csv');
-  await download.saveAs(file);
+  const file = await served.download(() => page.getByRole('link', {name: 'Averaged readings (CSV)'}).click());
   const rows = readFileSync(file, 'utf8').split('\n').filter((line) => /^[123],/.test(line));
   assert.ok(rows.length >= 36, String(rows.length));
   const fromCsv = JSON.parse(abcal('analyse', file, '--json')), fromRun = JSON.parse(abcal('analyse', runName, '--json'));
   fromRun.intrinsic_sensitivity.forEach((q, j) => assert.ok(Math.abs(q.value - fromCsv.intrinsic_sensitivity[j].value) < 1e-15));  // A few ulp.
-  const [report] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', {name: 'Report (HTML)'}).click()]);
-  await report.saveAs(path.join(folder, 'report.html'));
-  assert.match(readFileSync(path.join(folder, 'report.html'), 'utf8'), /SN 0417/);
+  const report = await served.download(() => page.getByRole('link', {name: 'Report (HTML)'}).click());
+  assert.match(readFileSync(report, 'utf8'), /SN 0417/);
 });
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

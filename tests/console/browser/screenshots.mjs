@@ -22,7 +22,7 @@ const page = await served.open(benchOf(1), '--pace', '400');
 async function keep(name, {kept = [], whole = false} = {}) {
   const take = async (file, viewport, colorScheme, fullPage) => {
     await page.setViewportSize(viewport);
-    await page.emulateMedia({colorScheme});
+    await page.emulateMedia({'prefers-color-scheme': colorScheme});
     await page.waitForTimeout(400);  // Plots follow the size of their place.
     await page.evaluate(() => scrollTo(0, 0));
     await page.screenshot({path: path.join(folder, file), fullPage});
@@ -34,7 +34,7 @@ async function keep(name, {kept = [], whole = false} = {}) {
     for (const [picture, viewport, colorScheme] of kept) await take(`console-${picture}.png`, viewport, colorScheme, false);
   }
   await page.setViewportSize(SIZES.desk);
-  await page.emulateMedia({colorScheme: 'light'});
+  await page.emulateMedia({'prefers-color-scheme': 'light'});
 }
 
 await keep('idle');

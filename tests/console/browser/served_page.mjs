@@ -1,22 +1,38 @@
-// The console of a simulated bench and the page in Debian's Chromium, for tests and for pictures. Set by CMake:
+// The console of a simulated bench and the page in Debian's Chromium or Firefox, for tests and for pictures. Set by CMake:
 //   ABCAL_PROGRAM         the program abcal
-//   ABCAL_NODE_MODULES    where playwright-core is installed
+//   ABCAL_NODE_MODULES    where puppeteer-core is installed
+//   ABCAL_BROWSER         chromium (without it) or firefox
 import {execFileSync, spawn} from 'node:child_process';
-import {existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
+import {existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
 import {createRequire} from 'node:module';
 import {tmpdir} from 'node:os';
 import path from 'node:path';
+import {DrivenPage, PATIENCE} from './driven_page.mjs';
 
-const CHROMIUM = process.env.ABCAL_CHROMIUM || '/usr/bin/chromium';
+export const browserName = process.env.ABCAL_BROWSER || 'chromium';
+const PROGRAM = {chromium: process.env.ABCAL_CHROMIUM || '/usr/bin/chromium', firefox: process.env.ABCAL_FIREFOX || '/usr/bin/firefox-esr'}[browserName];
+const OPTIONS = {
+  chromium: {browser: 'chrome', args: ['--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking',
+    '--disable-component-update', '--disable-sync', '--lang=en-GB']},
+  // Nothing is fetched from elsewhere.
+  firefox: {browser: 'firefox'},
+}[browserName];
+// Of Firefox, with a folder for downloads; it fetches nothing of its own.
+const preferences = (downloads) => ({'intl.accept_languages': 'en-GB, en', 'network.captive-portal-service.enabled': false,
+  'network.connectivity-service.enabled': false, 'browser.download.folderList': 2, 'browser.download.dir': downloads,
+  'browser.download.useDownloadDir': true, 'browser.download.alwaysOpenPanel': false});
 const modules = process.env.ABCAL_NODE_MODULES;
+// A module that scripts/setup --tests has installed.
+export const fromRegistry = createRequire(path.join(modules || '.', 'x.js'));
 
-export const SIZES = {desk: {width: 1366, height: 768}, phone: {width: 390, height: 844}};
-export const PATIENCE = 25_000;  // ms; a busy machine is slow, and a run takes some seconds on a fast one
+// zoomed: a desk at 200 %; narrow: a desk of 1280 px at 400 %.
+export const SIZES = {desk: {width: 1366, height: 768}, phone: {width: 390, height: 844}, zoomed: {width: 683, height: 384}, narrow: {width: 320, height: 568}};
+export {PATIENCE};
 
 // What no page can be shown without, in words; null if all is there.
 export function missing() {
-  if (!modules || !existsSync(path.join(modules, 'playwright-core'))) return 'playwright-core is not installed (scripts/setup --tests does that)';
-  return existsSync(CHROMIUM) ? null : `there is no ${CHROMIUM}`;
+  if (!modules || !existsSync(path.join(modules, 'puppeteer-core'))) return 'puppeteer-core is not installed (scripts/setup --tests does that)';
+  return existsSync(PROGRAM) ? null : `there is no ${PROGRAM} (scripts/setup --tests installs it)`;
 }
 
 export class ServedPage {
@@ -36,10 +52,12 @@ export class ServedPage {
   async goToConsole(bench, ...words) {
     this.describe(bench);
     this.address = await this.serve(...words);
-    const {chromium} = createRequire(path.join(modules, 'x.js'))('playwright-core');
-    this.browser = await chromium.launch({executablePath: CHROMIUM, headless: true, args: ['--headless', '--no-sandbox', '--disable-gpu',
-      '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync']});
-    this.page = this.watch(await this.browser.newPage({viewport: SIZES.desk, acceptDownloads: true, ignoreHTTPSErrors: true}));
+    this.downloads = path.join(this.folder, 'downloads');
+    mkdirSync(this.downloads);
+    this.browser = await fromRegistry('puppeteer-core').launch({...OPTIONS, executablePath: PROGRAM, headless: true, acceptInsecureCerts: true,
+      defaultViewport: SIZES.desk, ...(browserName === 'firefox' ? {extraPrefsFirefox: preferences(this.downloads)}
+        : {downloadBehavior: {policy: 'allow', downloadPath: this.downloads}})});
+    this.page = await this.newPage();
     await this.page.goto(this.address);
   }
 
@@ -71,16 +89,41 @@ export class ServedPage {
     });
   }
 
+  // Another page of this visitor, or of one who is not known yet.
+  async newPage() {
+    const opened = await this.browser.newPage();
+    await opened.bringToFront();
+    return this.watch(opened);
+  }
+  async newVisitor() { return this.watch(await (await this.browser.createBrowserContext()).newPage()); }
+
   watch(opened) {
-    opened.setDefaultTimeout(PATIENCE);
     opened.on('request', (request) => this.requests.push(request.url()));
     opened.on('pageerror', (error) => this.problems.push(String(error)));
-    opened.on('console', (message) => { if (['error', 'warning'].includes(message.type())) this.problems.push(message.text()); });
-    return opened;
+    opened.on('console', (message) => { if (['error', 'warn'].includes(message.type())) this.problems.push(message.text()); });
+    return new DrivenPage(opened, browserName);
   }
 
   abcal(...words) {
     return execFileSync(process.env.ABCAL_PROGRAM, words, {cwd: this.folder, encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore'], timeout: PATIENCE});
+  }
+
+  // Does what downloads a file; gives its path when it is there as a whole.
+  async download(does) {
+    const before = new Set(readdirSync(this.downloads));
+    await does();
+    for (const end = performance.now() + PATIENCE; performance.now() < end; await this.page.waitForTimeout(30)) {
+      const now = readdirSync(this.downloads).filter((name) => !before.has(name));
+      if (now.length && !now.some((name) => /\.(crdownload|part)$|^\.org\.chromium/.test(name))) return path.join(this.downloads, now[0]);
+    }
+    throw new Error('no file was downloaded');
+  }
+
+  // The words of the page as it is printed.
+  async print() {
+    const file = path.join(this.folder, 'printed.pdf');
+    await this.page.page.pdf({path: file, format: 'A4', preferCSSPageSize: true, printBackground: true});
+    return execFileSync('pdftotext', ['-layout', file, '-'], {encoding: 'utf8'});
   }
 
   text(selector) { return this.page.locator(selector).innerText(); }

@@ -63,6 +63,37 @@ step('starts a run, and points appear', async (page) => {
   assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
 });
 
+step('shows a part of a plot, by keyboard and pointer, and no label is over another', async (page) => {
+  const plots = await page.evaluate(() => [...document.querySelectorAll('#view-live canvas')].map((canvas) => {
+    const {scales: {y}, ctx, legend} = Chart.getChart(canvas);
+    ctx.font = '12px "Helvetica Neue", Helvetica, Arial, sans-serif';
+    const widest = Math.max(...y.ticks.map(({label}) => ctx.measureText(label).width)), title = y.options.title.text ? 20 : 0;
+    return {room: y.width - widest - title, samples: legend.legendItems.map(({pointStyle}) => String(pointStyle))};
+  }));
+  assert.equal(plots.length, 7);
+  for (const {room} of plots) assert.ok(room >= 0, JSON.stringify(plots));
+  assert.deepEqual(plots[1].samples, Array(3).fill('[object HTMLCanvasElement]'), 'markers with dashes');
+  const range = () => page.evaluate(() => { const {min, max} = Chart.getChart(document.querySelector('#responses canvas')).scales.x; return [min, max]; });
+  const canvas = page.locator('#responses canvas').first();
+  await canvas.press('+');
+  assert.deepEqual(await range(), [90, 270]);
+  await canvas.press('ArrowRight');
+  assert.deepEqual(await range(), [112.5, 292.5]);
+  await canvas.press('-');
+  assert.deepEqual(await range(), [22.5, 360]);
+  await canvas.press('0');
+  assert.deepEqual(await range(), [0, 360]);
+  const box = await (await canvas.one('visible')).boundingBox();
+  await page.mouse.move(box.x + box.width * 0.5, box.y + box.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(box.x + box.width * 0.75, box.y + box.height / 2);
+  await page.mouse.up();
+  const [from, to] = await range();
+  assert.ok(from > 90 && to < 300 && to - from > 60 && to - from < 150, `${from} to ${to}`);
+  await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2, {count: 2});
+  assert.deepEqual(await range(), [0, 360]);
+});
+
 step('holds after an angle, and keeps a note', async (page) => {
   await stateIs(/^Held/);
   await page.waitForFunction(() => /^(\d+ min )?\d+ s \(held\)$/.test(document.getElementById('left').textContent));  // Told each second.

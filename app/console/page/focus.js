@@ -1,0 +1,26 @@
+// Focus is never lost: when what has it can no longer be used, or is gone, the nearest thing that can be used gets it. And it is
+// never under the banner.
+const CONTROLS = 'button:enabled, a[href], input:enabled, select:enabled, summary, [tabindex="0"]';
+let around = [];  // What had focus last, and all that it was in.
+
+const usable = (element) => element.isConnected && element.checkVisibility({visibilityProperty: true}) && !element.matches(':disabled');
+
+function keep() {
+  const now = document.activeElement, [last, ...outer] = around;
+  if (!last || usable(last) || (now !== document.body && now !== null && now !== last)) return;
+  for (const place of outer) {
+    const heir = place.isConnected && [...place.querySelectorAll(CONTROLS)].find(usable);
+    if (heir) return heir.focus({preventScroll: true});
+  }
+}
+
+export function keepFocus(banner) {
+  addEventListener('focusin', ({target}) => {
+    around = [];
+    for (let at = target; at && at !== document.documentElement; at = at.parentElement) around.push(at);
+  });
+  // Who clicks beside everything wants it nowhere.
+  addEventListener('pointerdown', () => { around = []; }, {capture: true});
+  new MutationObserver(keep).observe(document.body, {subtree: true, childList: true, attributes: true, attributeFilter: ['disabled', 'hidden', 'class']});
+  new ResizeObserver(() => { document.documentElement.style.scrollPaddingTop = `${banner.offsetHeight + 8}px`; }).observe(banner);
+}

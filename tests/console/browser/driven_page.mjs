@@ -1,0 +1,128 @@
+// A page of a browser that puppeteer-core drives. What is asked for is waited for, up to PATIENCE. It is looked for again
+// and again from here: puppeteer's own waiting puts a function into the page as text, which the console's policy forbids.
+export const PATIENCE = 25_000;  // ms; a busy machine is slow, and a run takes some seconds on a fast one
+
+const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+
+// What `look` gives, as soon as it is true.
+async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
+  const end = performance.now() + timeout;
+  for (;;) {
+    let problem = '';
+    try {
+      const seen = await look();
+      if (seen) return seen;
+    } catch (error) {  // E.g. the page was loaded again meanwhile.
+      problem = `: ${error.message}`;
+    }
+    if (performance.now() > end) throw new Error(`waited ${timeout} ms in vain for ${what}${problem}`);
+    await pause(30);
+  }
+}
+
+// In the page: all elements that the steps lead to.
+function found(steps) {
+  let all = [document];
+  for (const {css, text, pattern, exact, innermost, first} of steps) {
+    if (css) all = [...new Set(all.flatMap((root) => [...root.querySelectorAll(css)]))];
+    if (text !== undefined || pattern) {
+      const says = (element) => {
+        const said = element.textContent.replace(/\s+/g, ' ').trim();
+        return pattern ? new RegExp(pattern).test(said) : exact ? said === text : said.includes(text);
+      };
+      all = all.filter((element) => says(element) && !(innermost && [...element.children].some(says)));
+    }
+    if (first) all = all.slice(0, 1);
+  }
+  return all;
+}
+
+const words = (text) => (text instanceof RegExp ? {pattern: text.source} : text === undefined ? {} : {text});
+const STATES = {
+  attached: () => true,
+  visible: (element) => element.checkVisibility({visibilityProperty: true}),
+  usable: (element) => element.checkVisibility({visibilityProperty: true}) && !element.matches(':disabled'),
+  reachable: (element) => {
+    element.scrollIntoView({block: 'center', behavior: 'instant'});
+    const {x, y, width, height} = element.getBoundingClientRect();
+    return element.contains(document.elementFromPoint(x + width / 2, y + height / 2));
+  },
+};
+
+// Elements by what they are and say; the first of them is meant where one is asked for.
+class Elements {
+  constructor(page, steps) {
+    this.page = page;
+    this.steps = steps;
+  }
+
+  locator(css, {hasText} = {}) { return new Elements(this.page, [...this.steps, {css, ...words(hasText)}]); }
+  first() { return new Elements(this.page, [...this.steps, {first: true}]); }
+  evaluateAll(does) { return this.page.evaluateHandle(found, this.steps).then((all) => all.evaluate(does)); }
+  count() { return this.evaluateAll((all) => all.length); }
+  allInnerTexts() { return this.evaluateAll((all) => all.map((element) => element.innerText)); }
+  isVisible() { return this.evaluateAll((all) => all.some((element) => element.checkVisibility({visibilityProperty: true}))); }
+  async isHidden() { return !(await this.isVisible()); }
+  async isDisabled() { return (await this.one('attached')).evaluate((element) => element.disabled); }
+  async isEnabled() { return !(await this.isDisabled()); }
+  async innerText() { return (await this.one('attached')).evaluate((element) => element.innerText); }
+  waitFor() { return this.one('visible'); }
+
+  one(state) {
+    return until(async () => {
+      for (const property of (await (await this.page.evaluateHandle(found, this.steps)).getProperties()).values()) {
+        const element = property.asElement();
+        if (element && await element.evaluate(STATES[state])) return element;
+      }
+      return null;
+    }, {what: `${JSON.stringify(this.steps)} to be ${state}`});
+  }
+
+  async click() {
+    const element = await this.one('usable');
+    await until(() => element.evaluate(STATES.reachable), {what: `${JSON.stringify(this.steps)} to be in nobody's shade`});
+    await element.click();
+  }
+  async fill(value) {
+    await (await this.one('usable')).evaluate((element, text) => {
+      element.focus();
+      element.value = text;
+      for (const kind of ['input', 'change']) element.dispatchEvent(new Event(kind, {bubbles: true}));
+    }, value);
+  }
+  async press(key) { await (await this.one('usable')).press(key); }
+  async selectOption(value) { await (await this.one('usable')).select(value); }
+}
+
+const ROLES = {button: 'button', link: 'a[href]'};
+
+export class DrivenPage {
+  constructor(page, browserName) {
+    this.page = page;
+    this.browserName = browserName;
+    this.keyboard = page.keyboard;
+    this.mouse = page.mouse;
+  }
+
+  locator(css, {hasText} = {}) { return new Elements(this.page, [{css, ...words(hasText)}]); }
+  getByText(text) { return new Elements(this.page, [{css: 'body *:not(script)', ...words(text), innermost: true}]); }
+  getByRole(role, {name}) { return new Elements(this.page, [{css: ROLES[role], ...words(name), exact: true}]); }
+  waitForFunction(does, argument, options) { return until(() => this.page.evaluate(does, argument), {what: String(does), ...options}); }
+  waitForTimeout(ms) { return pause(ms); }
+
+  evaluate(...all) { return this.page.evaluate(...all); }
+  goto(address) { return this.page.goto(address, {timeout: PATIENCE}); }
+  reload() { return this.page.reload({timeout: PATIENCE}); }
+  url() { return this.page.url(); }
+  title() { return this.page.title(); }
+  front() { return this.page.bringToFront(); }
+  close() { return this.page.close(); }
+  screenshot(options) { return this.page.screenshot(options); }
+  cookies() { return this.page.browserContext().cookies(); }
+  setOffline(offline) { return this.page.setOfflineMode(offline); }
+  setViewportSize(size) { return this.page.setViewport(size); }
+  // E.g. {'prefers-color-scheme': 'dark'}; of Firefox puppeteer-core cannot ask that.
+  async emulateMedia(features) {
+    if (this.browserName === 'chromium') await this.page.emulateMediaFeatures(Object.entries(features).map(([name, value]) => ({name, value})));
+  }
+}

@@ -1,0 +1,87 @@
+// English and German: every text of the page has German words, and a German page shows no English but what is marked so.
+import assert from 'node:assert/strict';
+import {readdirSync, readFileSync} from 'node:fs';
+import path from 'node:path';
+import {fileURLToPath, pathToFileURL} from 'node:url';
+import {abcal, barriers, begin, complainsOfNothing, confirmDialog, look, served, stateIs} from './page_test.mjs';
+
+const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/console/page');
+const {default: german} = await import(pathToFileURL(path.join(folder, 'de.js')));
+const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
+const SAME = new Set(['abcal', 'abcal serve', 'abcal compare --shared', 'Deutsch', 'Esc Esc']);  // In every language.
+
+// The texts that stand in the sources as t`...` or t('...').
+function textsOfScripts() {
+  const texts = new Set();
+  for (const name of readdirSync(folder).filter((file) => file.endsWith('.js') && !['de.js', 'language.js'].includes(file))) {
+    const source = readFileSync(path.join(folder, name), 'utf8');
+    for (const [, text] of source.matchAll(/\bt`([^`]*)`/g)) texts.add(text.replace(/\$\{[^{}]*\}/g, '{}'));
+    for (const [, text] of source.matchAll(/\bt\('([^']*)'\)/g)) texts.add(text);
+  }
+  return texts;
+}
+
+// The texts of a page before any script has touched them.
+const textsOfPage = (name) => served.page.evaluate((html) => {
+  const page = new DOMParser().parseFromString(html, 'text/html'), texts = [page.title];
+  const walker = page.createTreeWalker(page.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) texts.push(walker.currentNode.data.replace(/\s+/g, ' ').trim());
+  for (const attribute of ['aria-label', 'title', 'placeholder'])
+    for (const element of page.querySelectorAll(`[${attribute}]`)) texts.push(element.getAttribute(attribute));
+  return texts.filter((text) => /\p{L}{2}/u.test(text));
+}, readFileSync(path.join(folder, name), 'utf8'));
+
+step('every text has German words with the same values in them', async () => {
+  const texts = new Set([...textsOfScripts(), ...await textsOfPage('index.html'), ...await textsOfPage('person.html'), ...await textsOfPage('token.html')]);
+  assert.ok(texts.size > 250, String(texts.size));
+  assert.deepEqual([...texts].filter((text) => !(text in german) && !SAME.has(text) && !/^abcal console$/.test(text)), []);
+  const values = (text) => text.split('{}').length;
+  assert.deepEqual(Object.keys(german).filter((text) => values(text) !== values(german[text])), []);
+});
+
+// English words that stand anywhere where none is expected.
+const english = () => served.page.evaluate(() => {
+  const word = /\b(the|of|is|are|and|to|by|with|for|has|its|this|that|no|run|runs|value|angles?|stage|settling|held|taken|time|times|unit|check|show|start|output)\b/i;
+  const found = [];
+  const say = (element, text) => { if (word.test(text) && !element.closest('[lang=en], code, script')) found.push(`${element.tagName}#${element.id}: ${text.trim().slice(0, 80)}`); };
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) say(walker.currentNode.parentElement, walker.currentNode.data.replace(/\S+\.(run|toml)\b/g, ''));
+  for (const name of ['aria-label', 'title']) for (const element of document.querySelectorAll(`[${name}]`)) say(element, element.getAttribute(name).replace(/\S+\.(run|toml)\b/g, ''));
+  for (const canvas of document.querySelectorAll('canvas'))
+    for (const axis of Object.values(Chart.getChart(canvas)?.options.scales ?? {})) say(canvas, axis.title.text);
+  return found;
+});
+
+step('a switch chooses German, which stays', async (page) => {
+  assert.equal(await page.evaluate(() => document.documentElement.lang), 'en');
+  await page.locator('#language').click();
+  await page.waitForFunction(() => document.documentElement.lang === 'de' && document.getElementById('link').textContent === 'Verbunden');
+  await page.locator('#banner-word', {hasText: 'Bereit'}).waitFor();
+  assert.deepEqual(await english(), []);
+  assert.deepEqual(await barriers(), []);
+});
+
+step('a run is German from its first question to its result', async (page) => {
+  await page.locator('#take-control').click();
+  await page.locator('#do-start:enabled').click();
+  await page.locator('#confirm-title', {hasText: 'Lauf beginnen?'}).waitFor();
+  assert.deepEqual(await english(), []);
+  await confirmDialog();
+  await served.measuredAtLeast(4);
+  assert.deepEqual(await english(), []);
+  await page.locator('#do-stop').click();
+  await stateIs(/^Der Lauf ist unterbrochen/);
+  await page.locator('#halt', {hasText: 'Achse X steht. Achse Z steht.'}).waitFor();
+  assert.deepEqual(await english(), []);
+});
+
+for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first.run': '#estimators', compare: '#compare-form', chart: '#chart-words'})) {
+  step(`${view} is German`, async (page) => {
+    await page.goto(`${served.address}#${view}`);
+    await page.locator(last).waitFor();
+    assert.deepEqual(await english(), []);
+    if (view === 'runs/first.run') await look('result-german');
+  });
+}
+
+step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

@@ -1,0 +1,25 @@
+// Lighthouse, in Chromium: accessibility, and how much the page shifts while it is loaded.
+import assert from 'node:assert/strict';
+import path from 'node:path';
+import {pathToFileURL} from 'node:url';
+import {abcal, begin, served} from './page_test.mjs';
+import {fromRegistry} from './served_page.mjs';
+
+const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
+const {default: lighthouse} = await import(pathToFileURL(fromRegistry.resolve('lighthouse')));
+
+// Each takes 14 s on two busy processors; shift_test.mjs measures the same of all views.
+for (const view of ['live', 'runs/first.run']) {
+  step(view, async () => {
+    const page = await served.newPage();
+    const {lhr} = await lighthouse(`${served.address}#${view}`, {onlyCategories: ['accessibility'], onlyAudits: ['cumulative-layout-shift', 'layout-shifts'],
+      formFactor: 'desktop', screenEmulation: {disabled: true}, throttlingMethod: 'provided', logLevel: 'error', maxWaitForLoad: 5000, disableFullPageScreenshot: true}, undefined, page.page);
+    await page.close();
+    const failed = Object.values(lhr.audits).filter(({score}) => score !== null && score < 1).map(({id}) => id);
+    const shift = lhr.audits['cumulative-layout-shift'].numericValue;
+    console.log(`${view}: accessibility ${100 * lhr.categories.accessibility.score}, cumulative layout shift ${shift.toFixed(4)}`);
+    for (const {node} of lhr.audits['layout-shifts']?.details?.items ?? []) console.log(`  ${node?.snippet}`);
+    assert.equal(lhr.categories.accessibility.score, 1, failed.join(', '));
+    assert.ok(shift < 0.05, `${shift}`);
+  });
+}
