@@ -2,6 +2,7 @@
 
 #include <array>
 #include <map>
+#include <mutex>
 #include <sstream>
 #include <stdexcept>
 #include <string_view>
@@ -9,6 +10,7 @@
 
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
+#include "sim/firmware/newport_xps_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/text_line_firmware.h"
@@ -210,6 +212,32 @@ std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, c
   return std::make_shared<sim::ZaberAsciiFirmware>(std::move(world), settings);
 }
 
+/// The connections to one controller: the first makes it, the others belong to the last one that was made in
+/// this world.
+std::shared_ptr<sim::Firmware> newport_xps_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  static std::mutex mutex;
+  static std::map<std::weak_ptr<sim::SimBench>, std::weak_ptr<sim::Firmware>, std::owner_less<>> first_ones;
+  const std::lock_guard lock(mutex);
+  std::erase_if(first_ones,
+                [](const auto& entry) { return entry.first.expired() || entry.second.expired(); });
+  if (port.connection > 0) {
+    const auto found = first_ones.find(world);
+    const auto first = found == first_ones.end() ? nullptr : found->second.lock();
+    if (!first) throw std::invalid_argument("newport_xps: the first connection to its controller is gone");
+    return first->another_session();
+  }
+  auto settings = stage_firmware_settings<sim::NewportXpsSettings>(config.stage, port);
+  using Profile = ModelProfile<sim::NewportXpsSettings>;
+  static const std::array kModels{
+      Profile{"XPS-C8", [](sim::NewportXpsSettings&) {}},
+      Profile{"XPS-D", [](sim::NewportXpsSettings& s) { s.version = "XPS-D-N13006"; }}};
+  apply_model(settings, config.emulator.stage_model, "stage_model", kModels);
+  auto first = std::make_shared<sim::NewportXpsFirmware>(world, settings);
+  first_ones[world] = first;
+  return first;
+}
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const InstrumentPort&,
                                                         std::shared_ptr<sim::SimBench>);
 
@@ -217,6 +245,7 @@ using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, cons
 const std::map<std::string, MakeFirmware>& firmwares() {
   static const std::map<std::string, MakeFirmware> all{{"microstrain_mip", mip_firmware},
                                                        {"newport_esp", newport_esp_firmware},
+                                                       {"newport_xps", newport_xps_firmware},
                                                        {"pi_gcs", pi_gcs_firmware},
                                                        {"scpi_single", scpi_single_firmware},
                                                        {"scpi_voltmeter", scpi_voltmeter_firmware},
@@ -242,11 +271,21 @@ std::array<std::string, 2> InstrumentPort::axis_names(const StageConfig& stage) 
 
 std::vector<InstrumentPort> stage_ports(const StageConfig& stage) {
   if (stage.split()) {
-    return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address, 0, StageAxis::kX},
-            {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address, 1, StageAxis::kZ}};
+    return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address, 0, 0, StageAxis::kX},
+            {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address, 1, 0, StageAxis::kZ}};
   }
   if (!has_bytes(stage.driver)) return {};
   return {{"stage", stage.driver, stage.port, stage.baud, stage.address}};
+}
+
+std::vector<InstrumentPort> connections_of(const InstrumentPort& port, std::size_t count) {
+  std::vector<InstrumentPort> all{port};
+  while (all.size() < count) {
+    all.push_back(port);
+    all.back().connection = all.size() - 1;
+    all.back().name += "-" + std::to_string(all.size());
+  }
+  return all;
 }
 
 std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accelerometer) {

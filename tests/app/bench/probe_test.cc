@@ -12,6 +12,7 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
+#include "sim/firmware/newport_xps_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/text_line_firmware.h"
@@ -54,6 +55,9 @@ std::vector<Known> known_instruments() {
   const std::string meter_questions = "CONF?\nROUT:SCAN?\nTRIG:COUN?\nSENS:VOLT:DC:NPLC?\n";
   return {{"pi_gcs", made<sim::PiGcsFirmware>, "SVO?\nFRF?\nVEL?\nACC?\nMOV?\nPOS?\nSPA?\nCCL?\n"},
           {"newport_esp", made<sim::NewportEspFirmware>, "1MO?;1TP;1VA?;1AC?;1SN?;1SL?;1SR?;2MO?;2TP;2VA?\r"},
+          {"newport_xps", made<sim::NewportXpsFirmware>,
+           "GroupStatusGet(Group1,int *)GroupPositionCurrentGet(Group1.Pos,double *)"
+           "PositionerSGammaParametersGet(Group1.Pos,double *,double *,double *,double *)"},
           {"zaber_ascii", made<sim::ZaberAsciiFirmware>,
            "/1 get pos\n/1 get maxspeed\n/1 get accel\n/1 get limit.min\n/1 get comm.alert\n/1 warnings\n"},
           {"microstrain_mip", made<sim::MipFirmware>},
