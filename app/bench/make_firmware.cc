@@ -14,6 +14,7 @@
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/text_line_firmware.h"
+#include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/firmware/xsens_mti_firmware.h"
@@ -238,6 +239,37 @@ std::shared_ptr<sim::Firmware> newport_xps_firmware(const BenchConfig& config, c
   return first;
 }
 
+std::shared_ptr<sim::Firmware> thorlabs_apt_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                     std::shared_ptr<sim::SimBench> world) {
+  auto settings = stage_firmware_settings<sim::ThorlabsAptSettings>(config.stage, port);
+  const auto stepper = [](sim::ThorlabsAptSettings& s) {
+    s.velocity_per_count_s = 53.68;
+    s.servo = false;
+  };
+  const bool one_axis = settings.axis_names[0].empty() || settings.axis_names[1].empty();
+  std::string model = config.emulator.stage_model;
+  if (model.empty()) model = "BBD202";
+  if (model == "K10CR1") {
+    stepper(settings);
+    settings.model = model;
+    settings.counts_per_degree = 409600.0 / 3.0;
+    if (!one_axis)
+      throw std::invalid_argument(
+          "[emulator] stage_model = \"K10CR1\": it has one axis; required: [stage.x] and [stage.z] with a "
+          "port "
+          "each");
+  } else if (model == "BSC202") {
+    stepper(settings);
+    settings.model = model;
+    settings.stage = "HDR50";
+    settings.counts_per_degree = 75091.0 / 0.99997;
+  } else if (model != "BBD202") {
+    throw std::invalid_argument("[emulator] stage_model is \"" + model +
+                                "\"; required: one of BBD202, BSC202, K10CR1, or nothing");
+  }
+  return std::make_shared<sim::ThorlabsAptFirmware>(std::move(world), settings);
+}
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const InstrumentPort&,
                                                         std::shared_ptr<sim::SimBench>);
 
@@ -250,6 +282,7 @@ const std::map<std::string, MakeFirmware>& firmwares() {
                                                        {"scpi_single", scpi_single_firmware},
                                                        {"scpi_voltmeter", scpi_voltmeter_firmware},
                                                        {"text_line", text_line_firmware},
+                                                       {"thorlabs_apt", thorlabs_apt_firmware},
                                                        {"vectornav", vectornav_firmware},
                                                        {"witmotion", witmotion_firmware},
                                                        {"xsens_mti", xsens_mti_firmware},

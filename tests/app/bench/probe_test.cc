@@ -16,6 +16,7 @@
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/text_line_firmware.h"
+#include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/firmware/xsens_mti_firmware.h"
@@ -58,6 +59,8 @@ std::vector<Known> known_instruments() {
           {"newport_xps", made<sim::NewportXpsFirmware>,
            "GroupStatusGet(Group1,int *)GroupPositionCurrentGet(Group1.Pos,double *)"
            "PositionerSGammaParametersGet(Group1.Pos,double *,double *,double *,double *)"},
+          {"thorlabs_apt", made<sim::ThorlabsAptFirmware>,
+           std::string("\x14\x04\x01\x00\x21\x01\x90\x04\x01\x00\x22\x01", 12)},
           {"zaber_ascii", made<sim::ZaberAsciiFirmware>,
            "/1 get pos\n/1 get maxspeed\n/1 get accel\n/1 get limit.min\n/1 get comm.alert\n/1 warnings\n"},
           {"microstrain_mip", made<sim::MipFirmware>},
@@ -88,6 +91,18 @@ class ProbeTest : public testing::Test {
 
   sim::SimClock clock;
 };
+
+TEST_F(ProbeTest, AControllerWithOneAxisIsFoundToo) {
+  sim::ThorlabsAptSettings settings;
+  settings.model = "K10CR1";
+  settings.axis_names = {"1", ""};
+  settings.servo = false;
+  const auto found = probe(std::make_shared<sim::ThorlabsAptFirmware>(
+      std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now()), settings));
+  ASSERT_TRUE(found);
+  EXPECT_EQ(found->driver, "thorlabs_apt");
+  EXPECT_EQ(found->model, "K10CR1");
+}
 
 TEST_F(ProbeTest, EveryKnownInstrumentIsFoundWithinThreeSeconds) {
   for (const Known& known : known_instruments()) {
