@@ -8,6 +8,7 @@
 #include <string_view>
 #include <utility>
 
+#include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
 #include "sim/firmware/newport_xps_firmware.h"
@@ -101,6 +102,22 @@ std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, const Ins
                                           }}};
   apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> mavlink_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                std::shared_ptr<sim::SimBench> world) {
+  sim::MavlinkSettings settings;
+  const std::string& serial_number = config.accelerometer.serial_number;
+  if (!serial_number.empty()) settings.serial_number = serial_number;
+  using Profile = ModelProfile<sim::MavlinkSettings>;
+  static const std::array kModels{Profile{"PX4", [](sim::MavlinkSettings&) {}},
+                                  Profile{"ArduPilot", [](sim::MavlinkSettings& s) { s.autopilot = 3; }},
+                                  Profile{"SCALED_IMU", [](sim::MavlinkSettings& s) {
+                                            s.version = 1;
+                                            s.has_highres = false;
+                                          }}};
+  apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
+  return std::make_shared<sim::MavlinkFirmware>(std::move(world), settings);
 }
 
 std::shared_ptr<sim::Firmware> newport_esp_firmware(const BenchConfig& config, const InstrumentPort& port,
@@ -275,7 +292,8 @@ using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, cons
 
 /// Driver name -> the simulated instrument that it talks to.
 const std::map<std::string, MakeFirmware>& firmwares() {
-  static const std::map<std::string, MakeFirmware> all{{"microstrain_mip", mip_firmware},
+  static const std::map<std::string, MakeFirmware> all{{"mavlink", mavlink_firmware},
+                                                       {"microstrain_mip", mip_firmware},
                                                        {"newport_esp", newport_esp_firmware},
                                                        {"newport_xps", newport_xps_firmware},
                                                        {"pi_gcs", pi_gcs_firmware},

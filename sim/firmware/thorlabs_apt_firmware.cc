@@ -145,8 +145,9 @@ ThorlabsAptFirmware::Controller::Controller(std::shared_ptr<SimBench> bench, Tho
     axes_[k].address = unit() ? kUnitAddress : 0x20U + static_cast<unsigned>(number);
     const MotionLimits limits = bench_->motion_limits(kStageAxes[k]);
     const double factor = settings_.counts_per_degree * settings_.velocity_per_count_s;
-    axes_[k].velocity = static_cast<std::int32_t>(std::lround(limits.speed_deg_per_s * factor));
-    axes_[k].acceleration = static_cast<std::int32_t>(std::lround(limits.acceleration_deg_per_s2));
+    // A world may turn faster than the counter of a real stage can say.
+    axes_[k].velocity = static_cast<std::int32_t>(std::min(limits.speed_deg_per_s * factor, 2147483647.0));
+    axes_[k].acceleration = static_cast<std::int32_t>(limits.acceleration_deg_per_s2);
     axes_[k].offset_deg = -controller_deg(k, bench_->target(kStageAxes[k], now_));  // Reads 0 until homed.
   }
   if (axes_[0].address == axes_[1].address)

@@ -112,6 +112,7 @@ Nature nature_of(const std::string& driver, Clock::Instant now = {}) {
   if (driver == "xsens_mti") return {.checksums = true, .refusal = xbus::make_message(xbus::kError, "\x04")};
   if (driver == "scpi_voltmeter" || driver == "scpi_single")
     return {.measures_rate = true, .deadline = kVoltmeterDeadline, .refusal = "-222,\"Data out of range\"\n"};
+  if (driver == "mavlink") return {.checksums = true};
   if (driver == "witmotion") return {.checksums = true, .talks_by_itself = true, .measures_rate = true};
   if (driver == "text_line") return {.talks_by_itself = true, .measures_rate = true};
   return {};  // Nothing is known of its protocol: it has no checksums, and refuses nothing.

@@ -83,33 +83,31 @@ void check_values(const Bytes& bytes, const apt::Message& message) {
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  std::string_view rest(reinterpret_cast<const char*>(data), size);
-  while (!rest.empty()) {
-    Bytes bytes;
-    for (const char c : rest) bytes.push_back(static_cast<unsigned char>(c));
-    std::size_t begin = 0;
-    while (begin < bytes.size() && !may_begin(bytes, begin)) ++begin;
-    std::size_t length = begin;
-    if (begin == 0) {
+  const std::string_view text(reinterpret_cast<const char*>(data), size);
+  const Bytes all(data, data + size);
+  for (std::size_t at = 0; at < size;) {
+    std::size_t begin = at;
+    while (begin < size && !may_begin(all, begin)) ++begin;
+    std::size_t length = begin - at;
+    if (begin == at) {
       length = 6;
-      if (bytes.size() >= 6 && bytes[4] == 0x81) length += bytes[2];
+      if (size - at >= 6 && all[at + 4] == 0x81) length += all[at + 2];
     }
+    const std::string_view rest = text.substr(at);
     const auto verdict = apt::check_message(rest);
-    if (length > bytes.size()) {
+    if (length > rest.size()) {
       require(verdict.check == abcal::wire::FrameCheck::kNeedMore, "a message that is not whole");
       require(!apt::parse_message(rest), "a half message is read");
       return 0;
     }
     require(verdict.check == abcal::wire::FrameCheck::kComplete && verdict.length == length, "length");
-    const auto message = apt::parse_message(rest.substr(0, length));
-    if (begin > 0) {
-      rest.remove_prefix(length);
-      continue;
+    if (begin == at) {
+      const auto message = apt::parse_message(rest.substr(0, length));
+      require(message.has_value(), "a message that is not read");
+      const auto first = all.begin() + static_cast<std::ptrdiff_t>(at);
+      check_values(Bytes(first, first + static_cast<std::ptrdiff_t>(length)), *message);
     }
-    require(message.has_value(), "a message that is not read");
-    bytes.resize(length);
-    check_values(bytes, *message);
-    rest.remove_prefix(length);
+    at += length;
   }
   return 0;
 }
