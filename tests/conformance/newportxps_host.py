@@ -2,13 +2,21 @@
 """The functions of newportxps with the emulated XPS controller. Its upper class also wants FTP, for system.ini, which
 is not emulated."""
 
+import pathlib
+import sys
 import threading
 import time
+import types
 
 import emulated
 
 
 def run(arguments, checks):
+    if arguments.host:
+        # Without its __init__.py, which wants libraries for FTP and SFTP.
+        package = types.ModuleType("newportxps")
+        package.__path__ = [str(pathlib.Path(arguments.host) / "newportxps")]
+        sys.modules["newportxps"] = package
     try:
         from newportxps.XPS_C8_drivers import XPS
     except ImportError:
