@@ -37,10 +37,14 @@ struct StageDriver {
   std::string name;         ///< As in a bench file, e.g. "pi_gcs".
   std::string description;  ///< For lists and error messages.
   SerialDefaults serial;
-  std::function<std::unique_ptr<RotationStage>(std::unique_ptr<wire::ByteStream>, Clock&,
+  /// From as many streams as there are connections. identify() uses the first one only.
+  std::function<std::unique_ptr<RotationStage>(std::vector<std::unique_ptr<wire::ByteStream>>, Clock&,
                                                const StageSettings&)>
       make;
   Recognition recognition{};
+  /// To the same port: a controller on the network may need one for each motion that it carries out. The axes
+  /// are halted by the first one.
+  std::size_t connections = 1;
 };
 
 /// A driver of accelerometers, recognised in the same way.
@@ -76,9 +80,9 @@ const std::vector<AccelerometerDriver>& accelerometer_drivers();
 // For registrations: a driver that is made of one stream, the clock and its settings.
 
 template <class Driver>
-std::unique_ptr<RotationStage> make_stage_of(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
-                                             const StageSettings& settings) {
-  return std::make_unique<Driver>(std::move(stream), clock, settings);
+std::unique_ptr<RotationStage> make_stage_of(std::vector<std::unique_ptr<wire::ByteStream>> streams,
+                                             Clock& clock, const StageSettings& settings) {
+  return std::make_unique<Driver>(std::move(streams.at(0)), clock, settings);
 }
 
 template <class Driver>

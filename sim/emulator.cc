@@ -20,6 +20,7 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
+#include <list>
 #include <stdexcept>
 #include <system_error>
 #include <utility>
@@ -35,6 +36,7 @@ constexpr std::size_t kReadSize = 4096;
 // What a device holds that its serial line has not carried yet.
 constexpr std::size_t kDeviceBuffer = 4096;
 constexpr int kWaitingClients = 16;
+constexpr int kMostSessions = 100;
 // The loop looks up this often even if nothing is due.
 constexpr Clock::Duration kLongestWait = std::chrono::milliseconds(500);
 
@@ -131,6 +133,7 @@ struct Emulator::Port {
   // TCP.
   FileDescriptor listener;
   FileDescriptor connection;
+  bool session = false;  ///< One more client of a port that serves several; goes with its connection.
 
   /// The speed of its line, if that matters.
   std::optional<unsigned> line_speed() const {
@@ -142,8 +145,9 @@ struct Emulator::Port {
 struct Emulator::Loop {
   Clock& clock;
   double clock_rate;
-  std::vector<Port> ports;
+  std::list<Port> ports;
   FileDescriptor wake;
+  std::vector<std::string> addresses{};  ///< Those of the endpoints, which do not change.
   std::atomic<std::uint64_t> dropped{0};
 
   ~Loop();
@@ -289,12 +293,23 @@ void Emulator::Loop::accept_client(Port& port) {
   FileDescriptor fresh(::accept4(port.listener.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
   // The client before may have gone already, and be noticed only now.
   if (port.connection.open()) read_from(port);
-  if (!fresh.open() || port.connection.open()) return;  // one client at a time: the second is hung up on
-  port.firmware->session_starts();
+  if (!fresh.open()) return;
   const int on = 1;
   ::setsockopt(fresh.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
-  port.connection = std::move(fresh);
-  port.client = true;
+  Port* taken = &port;
+  if (port.connection.open()) {
+    auto session = port.firmware->another_session();
+    const auto sessions =
+        std::count_if(ports.begin(), ports.end(), [](const Port& each) { return each.session; });
+    if (!session || sessions >= kMostSessions) return;  // one client at a time: the second is hung up on
+    taken = &ports.emplace_back();
+    taken->firmware = std::move(session);
+    taken->session = true;
+  } else {
+    port.firmware->session_starts();
+  }
+  taken->connection = std::move(fresh);
+  taken->client = true;
 }
 
 /// Until there is no more: what a client that has gone still sent, and that it has gone.
@@ -385,6 +400,7 @@ Emulator::Emulator(std::vector<Endpoint> endpoints, Clock& clock, double clock_r
     // A free port was asked for: the one that was given stays the instrument's.
     if (auto* tcp = std::get_if<TcpPort>(&port.where))
       tcp->port = static_cast<std::uint16_t>(std::stoi(port.address.substr(port.address.rfind(':') + 1)));
+    loop_->addresses.push_back(port.address);
   }
 }
 
@@ -426,20 +442,21 @@ void Emulator::run(std::stop_token stop) {
     if (::ppoll(polled.data(), polled.size(), &timeout, nullptr) < 0 && errno != EINTR)
       fail("its ports", "cannot wait");
 
-    for (std::size_t n = 0; n < loop_->ports.size(); ++n) {
-      Port& port = loop_->ports[n];
-      const auto ready = [&](std::size_t which) { return polled[1 + 3 * n + which].revents != 0; };
+    std::size_t first = 1;
+    for (Port& port : loop_->ports) {
+      if (first >= polled.size()) break;  // a client that has just come
+      const auto ready = [&](std::size_t which) { return polled[first + which].revents != 0; };
       if (ready(1)) loop_->follow_clients(port);
-      if (ready(0) && port.io() == polled[1 + 3 * n].fd) loop_->read_from(port);
+      if (ready(0) && port.io() == polled[first].fd) loop_->read_from(port);
       if (ready(2)) loop_->accept_client(port);
+      first += 3;
     }
+    loop_->ports.remove_if([](const Port& port) { return port.session && !port.connection.open(); });
   }
 }
 
 std::vector<std::string> Emulator::addresses() const {
-  std::vector<std::string> addresses;
-  for (const Port& port : loop_->ports) addresses.push_back(port.address);
-  return addresses;
+  return loop_->addresses;
 }
 
 std::uint64_t Emulator::dropped_bytes() const {

@@ -28,8 +28,8 @@ struct PtyLink {
   LineModel line = LineModel::kIdeal;
 };
 
-/// A listening TCP port, one client at a time, whose half command ends with its connection; port 0: any free
-/// one.
+/// A listening TCP port; port 0: any free one. One client at a time, unless the instrument serves several
+/// (Firmware::another_session). The half command of a client ends with its connection.
 struct TcpPort {
   std::string host = "127.0.0.1";
   std::uint16_t port = 0;

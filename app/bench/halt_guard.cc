@@ -47,7 +47,9 @@ Json recipe_json(const HaltRecipe& recipe) {
           {"end_partial", recipe.end_partial},
           {"stop", recipe.stop},
           {"questions", std::move(questions)},
-          {"reply_time_ms", recipe.reply_time.count()}};
+          {"reply_time_ms", recipe.reply_time.count()},
+          {"reply_end", recipe.reply_end},
+          {"binary", recipe.binary}};
 }
 
 HaltRecipe recipe_from(const Json& json) {
@@ -57,6 +59,8 @@ HaltRecipe recipe_from(const Json& json) {
   recipe.end_partial = json.at("end_partial").get<std::string>();
   recipe.stop = json.at("stop").get<std::string>();
   recipe.reply_time = std::chrono::milliseconds(json.at("reply_time_ms").get<std::int64_t>());
+  recipe.reply_end = json.at("reply_end").get<std::string>();
+  recipe.binary = json.at("binary").get<bool>();
   for (const Json& each : json.at("questions"))
     recipe.questions.push_back({each.at("bytes").get<std::string>(), each.at("reply").get<std::string>(),
                                 each.at("standing").get<std::string>(),

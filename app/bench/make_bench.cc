@@ -137,7 +137,10 @@ class Opener {
     std::vector<std::unique_ptr<RotationStage>> parts;
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
       const StageDriver& driver = find_driver(stage_drivers(), port.driver);
-      parts.push_back(driver.make(open(port, driver.serial), clock_, stage_settings(config_, port)));
+      std::vector<std::unique_ptr<wire::ByteStream>> streams;
+      for (const InstrumentPort& connection : connections_of(port, driver.connections))
+        streams.push_back(open(connection, driver.serial));
+      parts.push_back(driver.make(std::move(streams), clock_, stage_settings(config_, port)));
       if (wire::ReopenableStream* real = opened_.at(port.name).port)
         parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), guard_, port.name,
                                                       [real] { return real->descriptor(); });

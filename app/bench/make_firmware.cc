@@ -2,16 +2,20 @@
 
 #include <array>
 #include <map>
+#include <mutex>
 #include <sstream>
 #include <stdexcept>
 #include <string_view>
 #include <utility>
 
+#include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
+#include "sim/firmware/newport_xps_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/text_line_firmware.h"
+#include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/firmware/xsens_mti_firmware.h"
@@ -98,6 +102,22 @@ std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, const Ins
                                           }}};
   apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> mavlink_firmware(const BenchConfig& config, const InstrumentPort&,
+                                                std::shared_ptr<sim::SimBench> world) {
+  sim::MavlinkSettings settings;
+  const std::string& serial_number = config.accelerometer.serial_number;
+  if (!serial_number.empty()) settings.serial_number = serial_number;
+  using Profile = ModelProfile<sim::MavlinkSettings>;
+  static const std::array kModels{Profile{"PX4", [](sim::MavlinkSettings&) {}},
+                                  Profile{"ArduPilot", [](sim::MavlinkSettings& s) { s.autopilot = 3; }},
+                                  Profile{"SCALED_IMU", [](sim::MavlinkSettings& s) {
+                                            s.version = 1;
+                                            s.has_highres = false;
+                                          }}};
+  apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
+  return std::make_shared<sim::MavlinkFirmware>(std::move(world), settings);
 }
 
 std::shared_ptr<sim::Firmware> newport_esp_firmware(const BenchConfig& config, const InstrumentPort& port,
@@ -210,17 +230,77 @@ std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, c
   return std::make_shared<sim::ZaberAsciiFirmware>(std::move(world), settings);
 }
 
+/// The connections to one controller: the first makes it, the others belong to the last one that was made in
+/// this world.
+std::shared_ptr<sim::Firmware> newport_xps_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                    std::shared_ptr<sim::SimBench> world) {
+  static std::mutex mutex;
+  static std::map<std::weak_ptr<sim::SimBench>, std::weak_ptr<sim::Firmware>, std::owner_less<>> first_ones;
+  const std::lock_guard lock(mutex);
+  std::erase_if(first_ones,
+                [](const auto& entry) { return entry.first.expired() || entry.second.expired(); });
+  if (port.connection > 0) {
+    const auto found = first_ones.find(world);
+    const auto first = found == first_ones.end() ? nullptr : found->second.lock();
+    if (!first) throw std::invalid_argument("newport_xps: the first connection to its controller is gone");
+    return first->another_session();
+  }
+  auto settings = stage_firmware_settings<sim::NewportXpsSettings>(config.stage, port);
+  using Profile = ModelProfile<sim::NewportXpsSettings>;
+  static const std::array kModels{
+      Profile{"XPS-C8", [](sim::NewportXpsSettings&) {}},
+      Profile{"XPS-D", [](sim::NewportXpsSettings& s) { s.version = "XPS-D-N13006"; }}};
+  apply_model(settings, config.emulator.stage_model, "stage_model", kModels);
+  auto first = std::make_shared<sim::NewportXpsFirmware>(world, settings);
+  first_ones[world] = first;
+  return first;
+}
+
+std::shared_ptr<sim::Firmware> thorlabs_apt_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                     std::shared_ptr<sim::SimBench> world) {
+  auto settings = stage_firmware_settings<sim::ThorlabsAptSettings>(config.stage, port);
+  const auto stepper = [](sim::ThorlabsAptSettings& s) {
+    s.velocity_per_count_s = 53.68;
+    s.servo = false;
+  };
+  const bool one_axis = settings.axis_names[0].empty() || settings.axis_names[1].empty();
+  std::string model = config.emulator.stage_model;
+  if (model.empty()) model = "BBD202";
+  if (model == "K10CR1") {
+    stepper(settings);
+    settings.model = model;
+    settings.counts_per_degree = 409600.0 / 3.0;
+    if (!one_axis)
+      throw std::invalid_argument(
+          "[emulator] stage_model = \"K10CR1\": it has one axis; required: [stage.x] and [stage.z] with a "
+          "port "
+          "each");
+  } else if (model == "BSC202") {
+    stepper(settings);
+    settings.model = model;
+    settings.stage = "HDR50";
+    settings.counts_per_degree = 75091.0 / 0.99997;
+  } else if (model != "BBD202") {
+    throw std::invalid_argument("[emulator] stage_model is \"" + model +
+                                "\"; required: one of BBD202, BSC202, K10CR1, or nothing");
+  }
+  return std::make_shared<sim::ThorlabsAptFirmware>(std::move(world), settings);
+}
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const InstrumentPort&,
                                                         std::shared_ptr<sim::SimBench>);
 
 /// Driver name -> the simulated instrument that it talks to.
 const std::map<std::string, MakeFirmware>& firmwares() {
-  static const std::map<std::string, MakeFirmware> all{{"microstrain_mip", mip_firmware},
+  static const std::map<std::string, MakeFirmware> all{{"mavlink", mavlink_firmware},
+                                                       {"microstrain_mip", mip_firmware},
                                                        {"newport_esp", newport_esp_firmware},
+                                                       {"newport_xps", newport_xps_firmware},
                                                        {"pi_gcs", pi_gcs_firmware},
                                                        {"scpi_single", scpi_single_firmware},
                                                        {"scpi_voltmeter", scpi_voltmeter_firmware},
                                                        {"text_line", text_line_firmware},
+                                                       {"thorlabs_apt", thorlabs_apt_firmware},
                                                        {"vectornav", vectornav_firmware},
                                                        {"witmotion", witmotion_firmware},
                                                        {"xsens_mti", xsens_mti_firmware},
@@ -242,11 +322,21 @@ std::array<std::string, 2> InstrumentPort::axis_names(const StageConfig& stage) 
 
 std::vector<InstrumentPort> stage_ports(const StageConfig& stage) {
   if (stage.split()) {
-    return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address, 0, StageAxis::kX},
-            {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address, 1, StageAxis::kZ}};
+    return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address, 0, 0, StageAxis::kX},
+            {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address, 1, 0, StageAxis::kZ}};
   }
   if (!has_bytes(stage.driver)) return {};
   return {{"stage", stage.driver, stage.port, stage.baud, stage.address}};
+}
+
+std::vector<InstrumentPort> connections_of(const InstrumentPort& port, std::size_t count) {
+  std::vector<InstrumentPort> all{port};
+  while (all.size() < count) {
+    all.push_back(port);
+    all.back().connection = all.size() - 1;
+    all.back().name += "-" + std::to_string(all.size());
+  }
+  return all;
 }
 
 std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accelerometer) {

@@ -20,6 +20,7 @@ struct InstrumentPort {
   std::optional<int> baud;
   std::string address{};
   std::size_t part = 0;             ///< Of several ports of one instrument: which.
+  std::size_t connection = 0;       ///< Of several connections to one port: which.
   std::optional<StageAxis> axis{};  ///< Of a stage's controller that has one axis only: which.
 
   /// The controller's names of X and Z; empty: not on this controller.
@@ -28,6 +29,8 @@ struct InstrumentPort {
 
 /// The stage's controller, or one for each axis. Empty for a stage without bytes.
 std::vector<InstrumentPort> stage_ports(const StageConfig& stage);
+/// The connections to a stage's port: itself, and "NAME-2" and so on for the others.
+std::vector<InstrumentPort> connections_of(const InstrumentPort& port, std::size_t count);
 /// The accelerometer's port, or several of them ("PORT PORT PORT"). Empty for one without bytes.
 std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accelerometer);
 /// The port of the thermometer and hygrometer, if there is one.

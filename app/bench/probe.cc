@@ -17,7 +17,7 @@ using std::chrono::milliseconds;
 // An instrument that streams is recognised in this time, before anything is sent.
 constexpr Clock::Duration kListens = milliseconds(100);
 // An instrument that is at rest answers within 100 ms, and a line of 60 characters takes 60 ms at 9600 Bd.
-constexpr Clock::Duration kAnswers = milliseconds(350);
+constexpr Clock::Duration kAnswers = milliseconds(300);
 // Of what only streams, once a second or faster.
 constexpr Clock::Duration kStreams = milliseconds(1200);
 constexpr std::size_t kMostHeard = 65536;
@@ -30,7 +30,8 @@ struct Candidate {
   bool stage;
   bool generic;
   std::size_t ports;
-  std::function<ProbeAnswer(std::unique_ptr<wire::ByteStream>, Clock&)> identify;
+  /// `axes`: of a stage, how many it is asked for.
+  std::function<ProbeAnswer(std::unique_ptr<wire::ByteStream>, Clock&, std::size_t axes)> identify;
 };
 
 ProbeAnswer answer(const std::string& driver, bool stage, const auto& info) {
@@ -41,14 +42,18 @@ std::vector<Candidate> all_candidates() {
   std::vector<Candidate> all;
   for (const StageDriver& driver : stage_drivers()) {
     all.push_back({driver.name, driver.serial, &driver.recognition, true, false, 1,
-                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock) {
+                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, std::size_t axes) {
+                     std::vector<std::unique_ptr<wire::ByteStream>> streams;
+                     streams.push_back(std::move(stream));
+                     StageSettings settings;
+                     if (axes == 1) settings.axis_names[1].clear();
                      return answer(driver.name, true,
-                                   driver.make(std::move(stream), clock, StageSettings{})->identify());
+                                   driver.make(std::move(streams), clock, settings)->identify());
                    }});
   }
   for (const AccelerometerDriver& driver : accelerometer_drivers()) {
     all.push_back({driver.name, driver.serial, &driver.recognition, false, driver.generic, driver.ports,
-                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock) {
+                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, std::size_t) {
                      std::vector<std::unique_ptr<wire::ByteStream>> streams;
                      streams.push_back(std::move(stream));
                      return answer(
@@ -175,12 +180,17 @@ class Probe {
   }
 
   std::optional<ProbeAnswer> identify(const Candidate& candidate) {
-    try {
-      return candidate.identify(open_(candidate.serial), clock_);
-    } catch (const InstrumentError& error) {
-      if (!is_another_instrument(error)) throw;
-      return std::nullopt;
+    // A stage's controller may have one axis only.
+    for (const std::size_t axes : {2U, 1U}) {
+      try {
+        return candidate.identify(open_(candidate.serial), clock_, axes);
+      } catch (const InstrumentError& error) {
+        if (!is_another_instrument(error)) throw;
+        if (!candidate.stage || !candidate.recognition->knows || error.fault() != Fault::kWrongIdentity)
+          break;
+      }
     }
+    return std::nullopt;
   }
 
   const ProbeOpener& open_;

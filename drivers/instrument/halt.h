@@ -33,7 +33,8 @@ std::string in_words(const HaltReport& report);
 /// after this one has died in the middle of a command: plain data. wire::carry_out() does it.
 struct HaltRecipe {
   /// A question whose reply says whether the axes stand still, or, without `standing`, that all replies
-  /// before it belong to the past. Patterns are ECMAScript regular expressions for one whole line.
+  /// before it belong to the past. Patterns are ECMAScript regular expressions for one whole reply (of a
+  /// binary protocol: for a part of the hexadecimal digits of all that came since the question).
   struct Question {
     std::string bytes;
     std::string reply;     ///< A line that answers this question; other lines are passed over.
@@ -48,6 +49,10 @@ struct HaltRecipe {
   std::string stop;                            ///< Stops all axes; no reply to it is waited for.
   std::vector<Question> questions;             ///< In this order, after each stop.
   std::chrono::milliseconds reply_time{1000};  ///< For a reply; a stop is repeated after it.
+  std::string reply_end{};                     ///< What ends a reply; empty: CR, LF or both.
+  /// Replies have no end that can be seen: patterns are searched for in the digits of what came, two
+  /// lower-case ones for each byte.
+  bool binary = false;
 };
 
 }  // namespace abcal

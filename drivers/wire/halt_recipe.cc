@@ -9,6 +9,7 @@
 #include <optional>
 #include <regex>
 #include <system_error>
+#include <utility>
 
 #include "drivers/instrument/instrument_error.h"
 
@@ -17,50 +18,86 @@ namespace {
 
 constexpr std::chrono::milliseconds kBetweenStops{20};
 constexpr std::size_t kLongestHaltLine = 65536;
+constexpr std::size_t kLongestBinary = 1024;
 
-/// The lines of what comes, ended by CR, LF or both.
-class LineInput {
+/// The replies in what comes: lines, what ends with the recipe's own end, or, of a binary protocol, the
+/// digits of all that has come.
+class ReplyInput {
  public:
-  LineInput(ByteStream& port, Clock& clock) : port_(port), clock_(clock) {}
+  ReplyInput(const HaltRecipe& recipe, ByteStream& port, Clock& clock)
+      : recipe_(recipe), port_(port), clock_(clock) {}
 
   std::optional<std::string> next(Clock::Instant deadline) {
     for (;;) {
-      const std::size_t end = received_.find_first_of("\r\n");
-      if (end != std::string::npos) {
-        std::string line = received_.substr(0, end);
-        received_.erase(0, end + 1);
-        if (!line.empty()) return line;
+      if (auto reply = take()) {
+        if (!reply->empty()) return reply;
         continue;
       }
-      if (received_.size() > kLongestHaltLine) received_.clear();  // Nothing that a controller says.
-      const bool last_look = clock_.now() >= deadline;             // A stream that never pauses.
+      if (received_.size() > (recipe_.binary ? kLongestBinary : kLongestHaltLine))
+        received_.clear();                              // Nothing that a controller says.
+      const bool last_look = clock_.now() >= deadline;  // A stream that never pauses.
       const ReceivedBytes more = port_.read_until(deadline);
       received_ += more.bytes;
-      if (more.bytes.empty() || (last_look && received_.find_first_of("\r\n") == std::string::npos))
-        return std::nullopt;
+      fresh_ = !more.bytes.empty();
+      if (!fresh_ || (last_look && end().first == std::string::npos && !recipe_.binary)) return std::nullopt;
     }
   }
 
  private:
+  /// Where the first reply ends, and how many bytes its end has.
+  std::pair<std::size_t, std::size_t> end() const {
+    if (recipe_.reply_end.empty()) return {received_.find_first_of("\r\n"), 1};
+    return {received_.find(recipe_.reply_end), recipe_.reply_end.size()};
+  }
+
+  std::optional<std::string> take() {
+    if (recipe_.binary) {
+      if (!std::exchange(fresh_, false)) return std::nullopt;
+      return hexadecimal_digits(received_);
+    }
+    const auto [at, length] = end();
+    if (at == std::string::npos) return std::nullopt;
+    std::string reply = received_.substr(0, at);
+    received_.erase(0, at + length);
+    return reply;
+  }
+
+  static std::string hexadecimal_digits(std::string_view bytes) {
+    constexpr std::string_view kDigits = "0123456789abcdef";
+    std::string digits;
+    for (const char c : bytes) {
+      const auto value = static_cast<unsigned char>(c);
+      digits += kDigits[value >> 4U];
+      digits += kDigits[value & 15U];
+    }
+    return digits;
+  }
+
+  const HaltRecipe& recipe_;
+  bool fresh_ = false;
   ByteStream& port_;
   Clock& clock_;
   std::string received_;
 };
 
-bool is_whole(const std::string& line, const std::string& pattern) {
-  return std::regex_match(line, std::regex(pattern));
+bool fits(const HaltRecipe& recipe, const std::string& reply, const std::string& pattern) {
+  const std::regex wanted(pattern);
+  if (!recipe.binary) return std::regex_match(reply, wanted);
+  for (auto at = reply.begin(); at < reply.end(); at += 2)  // At any byte.
+    if (std::regex_search(at, reply.end(), wanted, std::regex_constants::match_continuous)) return true;
+  return false;
 }
 
 /// Whether all that answers the question says that the axes stand still.
-bool all_stand(const HaltRecipe::Question& question, std::chrono::milliseconds reply_time, ByteStream& port,
-               Clock& clock, Clock::Instant deadline) {
-  LineInput lines(port, clock);
+bool all_stand(const HaltRecipe& recipe, const HaltRecipe::Question& question, ByteStream& port, Clock& clock,
+               Clock::Instant deadline) {
+  ReplyInput replies(recipe, port, clock);
   port.write(question.bytes);
-  Clock::Instant until = std::min(deadline, clock.now() + reply_time);
+  Clock::Instant until = std::min(deadline, clock.now() + recipe.reply_time);
   bool answered = false;
-  while (const auto line = lines.next(until)) {
-    if (!is_whole(*line, question.reply)) continue;
-    if (!question.standing.empty() && !is_whole(*line, question.standing)) return false;
+  while (const auto reply = replies.next(until)) {
+    if (!fits(recipe, *reply, question.reply)) continue;
+    if (!question.standing.empty() && !fits(recipe, *reply, question.standing)) return false;
     answered = true;
     if (question.listen.count() == 0) return true;
     until = std::min(deadline, clock.now() + question.listen);
@@ -79,10 +116,10 @@ bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::
     try {
       port.write(recipe.stop);
       port.discard_input();
-      const bool standing = std::all_of(
-          recipe.questions.begin(), recipe.questions.end(), [&](const HaltRecipe::Question& question) {
-            return all_stand(question, recipe.reply_time, port, clock, deadline);
-          });
+      const bool standing = std::all_of(recipe.questions.begin(), recipe.questions.end(),
+                                        [&](const HaltRecipe::Question& question) {
+                                          return all_stand(recipe, question, port, clock, deadline);
+                                        });
       if (standing && !recipe.questions.empty()) return true;
     } catch (const InstrumentError& error) {
       if (error.fault() == Fault::kLinkLost) return false;

@@ -88,6 +88,21 @@ void LineExchange::identify(const std::function<bool(const std::string& frame)>&
                                   manner_.show(heard), if_foreign, manner_.identity_name));
 }
 
+void LineExchange::identify_twice(const std::function<bool(const std::string& frame)>& accept,
+                                  std::string_view if_silent, std::string_view if_foreign,
+                                  std::size_t most_bytes) {
+  constexpr int kTries = 4;
+  std::string last;
+  for (int n = 0; n < kTries; ++n) {
+    identify(accept, if_silent, if_foreign, most_bytes);
+    if (identity_ == last) return;
+    last = identity_;
+  }
+  throw line_.failure(Fault::kBadFrame,
+                      fmt::format("\"{}\" was answered differently each time, last with \"{}\"",
+                                  manner_.identity_name, manner_.show(last)));
+}
+
 int LineExchange::error_in(std::optional<std::string> reply, std::string_view after) {
   if (!reply) {
     in_step_ = false;

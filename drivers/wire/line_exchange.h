@@ -70,6 +70,11 @@ class LineExchange {
   void identify(const std::function<bool(const std::string& frame)>& accept, std::string_view if_silent,
                 std::string_view if_foreign, std::size_t most_bytes);
 
+  /// As identify(), until the same answer has come twice in a row: where replies have no checksum a damaged
+  /// identity would never be heard again. @throws InstrumentError also kBadFrame.
+  void identify_twice(const std::function<bool(const std::string& frame)>& accept, std::string_view if_silent,
+                      std::string_view if_foreign, std::size_t most_bytes);
+
   /// Throws away what has come, sends, and waits for one reply; nothing at the deadline.
   std::optional<std::string> exchange(std::string_view request, Clock::Duration patience);
 
@@ -118,6 +123,9 @@ class LineExchange {
 
   /// Asks the error query once. Never twice: the code would be gone.
   int ask_error(std::string_view after);
+
+  /// Something was sent whose reply nobody waits for: the next query begins with the identity.
+  void expect_stray_reply() { in_step_ = identity_.empty(); }
 
   /// The controller may hold an error that belongs to the past (after a halt, say), or holds none.
   void error_may_wait(bool may) { error_may_wait_ = may; }

@@ -22,6 +22,8 @@ class FaultyPort final : public Firmware {
   std::optional<Clock::Instant> next_due() const override;
   bool plugged_in() const override { return !stream_.unplugged(); }
   void session_starts() override { inner_->session_starts(); }
+  /// Without the faults, which are those of the first connection.
+  std::shared_ptr<Firmware> another_session() override { return inner_->another_session(); }
   std::optional<unsigned> line_speed() const override { return inner_->line_speed(); }
   UnservedCommands& unserved() override { return inner_->unserved(); }
 

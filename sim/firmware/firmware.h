@@ -1,5 +1,6 @@
 #pragma once
 
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -31,6 +32,10 @@ class Firmware {
   /// what was to be answered to it. Motion, settings and the rest of the instrument's state go on. Not called
   /// on serial lines: there the half stays.
   virtual void session_starts() {}
+
+  /// Another connection to the same instrument while one is open, with its own commands and replies; null: it
+  /// serves one client at a time.
+  virtual std::shared_ptr<Firmware> another_session() { return nullptr; }
 
   /// The speed of its serial port as it is set now, in Bd; nothing: it has none (USB, network).
   virtual std::optional<unsigned> line_speed() const { return std::nullopt; }

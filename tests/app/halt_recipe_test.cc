@@ -60,9 +60,15 @@ struct HaltRig {
   explicit HaltRig(const std::string& name) {
     BenchConfig config;
     config.stage.driver = name;
-    port = std::make_shared<sim::FirmwareStream>(
-        make_firmware(config, stage_ports(config.stage).at(0), world), clock);
-    driver = stage_driver(name).make(std::make_unique<NotedStream>(port, written), clock, StageSettings());
+    std::vector<std::unique_ptr<wire::ByteStream>> streams;
+    for (const InstrumentPort& connection :
+         connections_of(stage_ports(config.stage).at(0), stage_driver(name).connections)) {
+      auto stream = std::make_shared<sim::FirmwareStream>(make_firmware(config, connection, world), clock);
+      if (!port) port = stream;
+      std::vector<std::string>& notes = port == stream ? written : written_elsewhere;
+      streams.push_back(std::make_unique<NotedStream>(std::move(stream), notes));
+    }
+    driver = stage_driver(name).make(std::move(streams), clock, StageSettings());
   }
 
   void home() {
@@ -80,6 +86,7 @@ struct HaltRig {
   std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock.now());
   std::shared_ptr<wire::ByteStream> port;
   std::vector<std::string> written;
+  std::vector<std::string> written_elsewhere;  ///< On further connections to the same controller.
   std::unique_ptr<RotationStage> driver;
 };
 
@@ -186,14 +193,18 @@ TEST(SplitStageHalts, TheAxisThatIsLeftWhereTheOtherOnesPortIsGone) {
       std::array<sim::FaultyStream*, 2> links{};
       std::array<std::unique_ptr<RotationStage>, 2> parts;
       for (const StageAxis axis : kStageAxes) {
-        auto link = std::make_unique<sim::FaultyStream>(
-            std::make_unique<sim::FirmwareStream>(
-                make_firmware(config, stage_ports(config.stage).at(0), world), clock),
-            clock, std::vector<sim::WireFault>{});
-        links[index(axis)] = link.get();
+        std::vector<std::unique_ptr<wire::ByteStream>> streams;
+        for (const InstrumentPort& connection :
+             connections_of(stage_ports(config.stage).at(0), driver.connections)) {
+          auto link = std::make_unique<sim::FaultyStream>(
+              std::make_unique<sim::FirmwareStream>(make_firmware(config, connection, world), clock), clock,
+              std::vector<sim::WireFault>{});
+          if (streams.empty()) links[index(axis)] = link.get();
+          streams.push_back(std::move(link));
+        }
         StageSettings settings;
         settings.axis_names[1 - index(axis)].clear();
-        parts[index(axis)] = driver.make(std::move(link), clock, settings);
+        parts[index(axis)] = driver.make(std::move(streams), clock, settings);
       }
       SplitStage stage(std::move(parts[0]), std::move(parts[1]));
       stage.identify();

@@ -10,11 +10,14 @@
 #include <vector>
 
 #include "sim/firmware/firmware_stream.h"
+#include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
+#include "sim/firmware/newport_xps_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/firmware/text_line_firmware.h"
+#include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/firmware/xsens_mti_firmware.h"
@@ -54,8 +57,14 @@ std::vector<Known> known_instruments() {
   const std::string meter_questions = "CONF?\nROUT:SCAN?\nTRIG:COUN?\nSENS:VOLT:DC:NPLC?\n";
   return {{"pi_gcs", made<sim::PiGcsFirmware>, "SVO?\nFRF?\nVEL?\nACC?\nMOV?\nPOS?\nSPA?\nCCL?\n"},
           {"newport_esp", made<sim::NewportEspFirmware>, "1MO?;1TP;1VA?;1AC?;1SN?;1SL?;1SR?;2MO?;2TP;2VA?\r"},
+          {"newport_xps", made<sim::NewportXpsFirmware>,
+           "GroupStatusGet(Group1,int *)GroupPositionCurrentGet(Group1.Pos,double *)"
+           "PositionerSGammaParametersGet(Group1.Pos,double *,double *,double *,double *)"},
+          {"thorlabs_apt", made<sim::ThorlabsAptFirmware>,
+           std::string("\x14\x04\x01\x00\x21\x01\x90\x04\x01\x00\x22\x01", 12)},
           {"zaber_ascii", made<sim::ZaberAsciiFirmware>,
            "/1 get pos\n/1 get maxspeed\n/1 get accel\n/1 get limit.min\n/1 get comm.alert\n/1 warnings\n"},
+          {"mavlink", made<sim::MavlinkFirmware>},
           {"microstrain_mip", made<sim::MipFirmware>},
           {"vectornav", made<sim::VectorNavFirmware>,
            "$VNRRG,05*XX\r\n$VNRRG,06*XX\r\n$VNRRG,07*XX\r\n$VNRRG,25*XX\r\n$VNRRG,75*XX\r\n"},
@@ -84,6 +93,18 @@ class ProbeTest : public testing::Test {
 
   sim::SimClock clock;
 };
+
+TEST_F(ProbeTest, AControllerWithOneAxisIsFoundToo) {
+  sim::ThorlabsAptSettings settings;
+  settings.model = "K10CR1";
+  settings.axis_names = {"1", ""};
+  settings.servo = false;
+  const auto found = probe(std::make_shared<sim::ThorlabsAptFirmware>(
+      std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now()), settings));
+  ASSERT_TRUE(found);
+  EXPECT_EQ(found->driver, "thorlabs_apt");
+  EXPECT_EQ(found->model, "K10CR1");
+}
 
 TEST_F(ProbeTest, EveryKnownInstrumentIsFoundWithinThreeSeconds) {
   for (const Known& known : known_instruments()) {

@@ -1,0 +1,197 @@
+#include "drivers/mavlink/accelerometer.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "drivers/wire/readable_bytes.h"
+
+namespace abcal {
+namespace {
+
+using mavlink::Frame;
+using Exchange = wire::PacketExchange<mavlink::FrameParser>;
+
+/// A heartbeat comes once a second.
+constexpr std::chrono::milliseconds kAnswerTime{1500};
+constexpr std::uint64_t kHeartbeatLost_us = 5'000'000;
+/// Of a HIGHRES_IMU, version 2; other messages may share the link.
+constexpr double kMessageBytes = 75.0;
+constexpr double kResolutionOfScaled_mps2 = 9.80665e-3;
+
+/// What the controller says to a command, whichever of its components answers.
+std::optional<wire::PacketAnswer> acknowledgement_of(const Frame& frame, std::uint16_t command) {
+  constexpr unsigned kInProgress = 5;
+  const auto said = mavlink::decode_acknowledgement(frame);
+  if (!said || said->command != command || said->result == kInProgress) return std::nullopt;
+  if (said->result == 0) return wire::PacketAnswer{{}, std::nullopt};
+  return wire::PacketAnswer{{}, said->result};
+}
+
+/// Always answered, if only with "not supported", and asked for nothing else.
+Exchange::Command barrier() {
+  return {mavlink::command_long(0, 0, mavlink::kGetMessageInterval, {0.0F, 0.0F}),
+          "\"message interval\" (510)", [](const Frame& frame) -> std::optional<wire::PacketAnswer> {
+            if (!acknowledgement_of(frame, mavlink::kGetMessageInterval)) return std::nullopt;
+            return wire::PacketAnswer{};
+          }};
+}
+
+Exchange::Manner manner() {
+  return {.packet = "MAVLink frame",
+          .damaged = "with a wrong checksum",
+          .show = wire::bytes_in_hex,
+          .answer_time = kAnswerTime,
+          .barrier = barrier()};
+}
+
+}  // namespace
+
+MavlinkAccelerometer::MavlinkAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
+                                           const AccelerometerSettings& settings)
+    : PacketAccelerometer("mavlink", std::move(stream), clock, settings, manner()) {}
+
+/// An error in an acknowledgement names its command, but not which of two like it.
+MavlinkAccelerometer::Command MavlinkAccelerometer::command(std::uint16_t number, float first, float second,
+                                                            std::string_view name) const {
+  return {mavlink::command_long(system_, component_, number, {first, second}),
+          fmt::format("\"{}\" ({})", name, number), [this, number](const Frame& frame) {
+            return frame.system == system_ ? acknowledgement_of(frame, number) : std::nullopt;
+          }};
+}
+
+AccelerometerInfo MavlinkAccelerometer::interrogate() {
+  exchange_.restart(mavlink::FrameParser());
+  // A controller sends its heartbeat by itself; some begin once they have heard one.
+  exchange_.ask({mavlink::our_heartbeat(), "a heartbeat",
+                 [this](const Frame& frame) -> std::optional<wire::PacketAnswer> {
+                   const auto heartbeat = mavlink::decode_heartbeat(frame);
+                   if (!heartbeat || !heartbeat->is_vehicle()) return std::nullopt;
+                   system_ = frame.system;
+                   component_ = frame.component;
+                   autopilot_ = heartbeat->autopilot;
+                   return wire::PacketAnswer{};
+                 }});
+  mavlink::Version version;
+  Command ask_version = command(mavlink::kRequestMessage, static_cast<float>(mavlink::kAutopilotVersion),
+                                0.0F, "request autopilot version");
+  ask_version.match = [this, &version](const Frame& frame) -> std::optional<wire::PacketAnswer> {
+    if (frame.system != system_) return std::nullopt;
+    if (const auto told = mavlink::decode_version(frame)) {
+      version = *told;
+      return wire::PacketAnswer{};
+    }
+    // Accepted: the message itself follows.
+    const auto said = acknowledgement_of(frame, mavlink::kRequestMessage);
+    return said && said->error ? said : std::nullopt;
+  };
+  exchange_.ask(ask_version);  // An old one does not know it: then it has no serial number.
+  const std::string model = mavlink::autopilot_name(autopilot_);
+  name_it(model, version.serial_number);
+  return AccelerometerInfo{
+      .maker = "MAVLink",
+      .model = model,
+      .serial_number = version.serial_number,
+      .firmware = version.firmware,
+      .output_unit = "m/s2",
+      .full_scale = settings_.full_scale,  // It does not say.
+      .resolution = message_ == mavlink::kScaledImu ? std::optional(kResolutionOfScaled_mps2) : std::nullopt,
+      .rate_hz = settings_.rate_hz,
+  };
+}
+
+/// @return the result if it is not accepted
+std::optional<unsigned> MavlinkAccelerometer::set_interval(std::uint32_t message, double interval_us) {
+  return exchange_
+      .ask(command(mavlink::kSetMessageInterval, static_cast<float>(message), static_cast<float>(interval_us),
+                   "set message interval"))
+      .error;
+}
+
+void MavlinkAccelerometer::start() {
+  message_ = mavlink::kHighresImu;
+  interrogate();
+  interval_us_ = std::round(1e6 / settings_.rate_hz);
+  check_link(settings_.rate_hz, settings_.rate_hz * kMessageBytes, settings_.link_bytes_per_s,
+             settings_.link_bytes_per_s.value_or(0.0) / kMessageBytes);
+  // A float holds whole microseconds up to 16 s.
+  auto refused = set_interval(mavlink::kHighresImu, interval_us_);
+  if (refused) {
+    message_ = mavlink::kScaledImu;
+    refused = set_interval(mavlink::kScaledImu, interval_us_);
+  }
+  if (refused) {
+    fail(Fault::kRefused, fmt::format("it sends neither HIGHRES_IMU nor SCALED_IMU {:.6g} times a second: "
+                                      "\"set message interval\" (511) was answered {} ({})",
+                                      settings_.rate_hz, *refused, mavlink::result_in_words(*refused)));
+  }
+  asked_for_ = true;
+  readings_.listen(mavlink::FrameParser());
+  last_sequence_.reset();
+  last_time_us_.reset();
+  gap_ = false;
+  heartbeat_time_us_.reset();
+  readings_.start();
+}
+
+void MavlinkAccelerometer::make_quiet() {
+  exchange_.restart(mavlink::FrameParser());
+  if (!std::exchange(asked_for_, false)) return;
+  // Its own rate again; nobody waits for the answer.
+  stream_->write(mavlink::command_long(system_, component_, mavlink::kSetMessageInterval,
+                                       {static_cast<float>(message_), 0.0F}));
+}
+
+// Data.
+
+wire::DecodedFrame MavlinkAccelerometer::decode(const Frame& frame) {
+  if (frame.system != system_ || frame.component != component_) return {};
+  const auto last = std::exchange(last_sequence_, frame.sequence);
+  if (last && static_cast<std::uint8_t>(frame.sequence - *last) != 1) gap_ = true;
+  if (mavlink::decode_heartbeat(frame)) {
+    heartbeat_time_us_ = last_time_us_;
+    return {};
+  }
+  if (frame.id != message_) return {};
+  const auto acceleration = mavlink::decode_acceleration(frame);
+  if (!acceleration) return {};
+  return decode_acceleration(*acceleration);
+}
+
+wire::DecodedFrame MavlinkAccelerometer::decode_acceleration(const mavlink::Acceleration& acceleration) {
+  const auto last = std::exchange(last_time_us_, acceleration.time_us);
+  std::uint64_t steps = 1;
+  if (last) {
+    std::uint64_t now = acceleration.time_us;
+    // A time of 32 bits in milliseconds begins again after 50 days.
+    const bool wrapped = acceleration.time_span_us != 0 && now + acceleration.time_span_us / 2 < *last;
+    if (wrapped) now += acceleration.time_span_us;
+    if (now == *last) return {.malformed = true};  // The same reading twice is no second one.
+    if (now < *last)
+      end_and_fail(Fault::kNotReady, fmt::format("its time went back from {} to {} us: it was restarted",
+                                                 *last, acceleration.time_us));
+    // Only where messages are missing: the controller's times are not evenly spaced.
+    if (gap_) {
+      const double passed = std::round(static_cast<double>(now - *last) / interval_us_);
+      steps = static_cast<std::uint64_t>(std::max(1.0, passed));
+    }
+  }
+  gap_ = false;
+  // By its own time: what waited on the line has no other.
+  if (!heartbeat_time_us_ || *heartbeat_time_us_ > acceleration.time_us)
+    heartbeat_time_us_ = acceleration.time_us;
+  if (const std::uint64_t since = acceleration.time_us - *heartbeat_time_us_; since > kHeartbeatLost_us)
+    end_and_fail(Fault::kNotReady,
+                 fmt::format("no heartbeat for {:.1f} s, although readings come: the autopilot hangs, or "
+                             "another program sends them",
+                             static_cast<double>(since) / 1e6));
+  Reading reading;
+  reading.output = acceleration.output_mps2;
+  reading.temperature_degc = acceleration.temperature_degc;
+  reading.over_range = acceleration.clipped;
+  return {.reading = std::move(reading), .steps = steps};
+}
+
+}  // namespace abcal

@@ -1,0 +1,44 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "sim/firmware/firmware.h"
+#include "sim/firmware/reply_queue.h"
+#include "sim/sim_bench.h"
+
+namespace abcal::sim {
+
+struct MavlinkSettings {
+  int version = 2;                                 ///< Of what it sends; it hears both.
+  bool has_highres = true;                         ///< HIGHRES_IMU; else SCALED_IMU only.
+  bool streams_at_power_on = false;                ///< HIGHRES_IMU, 50 a second.
+  std::string serial_number = "0000000000000042";  ///< 16 hexadecimal digits.
+  unsigned autopilot = 12;                         ///< PX4
+  Clock::Duration reply_delay = std::chrono::milliseconds(1);
+};
+
+/// A flight controller that speaks MAVLink (docs/protocols/mavlink.md), reading the world of a SimBench. Its
+/// output unit R is m/s2. Sends a heartbeat once a second; HIGHRES_IMU and SCALED_IMU as often as
+/// MAV_CMD_SET_MESSAGE_INTERVAL says, AUTOPILOT_VERSION when it is asked for. Other commands are answered
+/// "not supported" and noted (unserved()). Gyroscope and magnetometer read 0.
+class MavlinkFirmware final : public Firmware {
+ public:
+  explicit MavlinkFirmware(std::shared_ptr<SimBench> bench, MavlinkSettings settings = {});
+  ~MavlinkFirmware() override;
+  /// Switched off and on: everything is as `bench` and `settings` say, from the start.
+  void restart(std::shared_ptr<SimBench> bench, MavlinkSettings settings);
+
+  void receive(std::string_view bytes, Clock::Instant now) override;
+  std::string transmit(Clock::Instant now) override;
+  std::optional<Clock::Instant> next_due() const override;
+  void session_starts() override;
+
+ private:
+  class Device;
+  std::unique_ptr<Device> device_;
+};
+
+}  // namespace abcal::sim

@@ -1,0 +1,168 @@
+#include "drivers/thorlabs_apt/stage.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <stdexcept>
+
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/thorlabs_apt/codec.h"
+#include "sim/firmware/firmware_stream.h"
+#include "sim/firmware/thorlabs_apt_firmware.h"
+#include "sim/sim_clock.h"
+
+namespace abcal::thorlabs_apt {
+namespace {
+
+using namespace std::chrono_literals;
+using ::testing::HasSubstr;
+
+class ThorlabsAptStageTest : public ::testing::Test {
+ protected:
+  std::unique_ptr<ThorlabsAptStage> connect(const StageSettings& settings = {},
+                                            sim::ThorlabsAptSettings controller = {}) {
+    controller.axis_names = settings.axis_names;
+    firmware_ = std::make_shared<sim::ThorlabsAptFirmware>(world_, controller);
+    return std::make_unique<ThorlabsAptStage>(std::make_unique<sim::FirmwareStream>(firmware_, clock_),
+                                              clock_, settings);
+  }
+
+  static sim::ThorlabsAptSettings k10cr1() {
+    sim::ThorlabsAptSettings controller;
+    controller.model = "K10CR1";
+    controller.serial_number = "55000001";
+    controller.counts_per_degree = 409600.0 / 3.0;
+    controller.velocity_per_count_s = 53.68;
+    controller.servo = false;
+    return controller;
+  }
+
+  void wait(ThorlabsAptStage& stage, StageAxis axis) {
+    while (stage.motion_state(axis) == MotionState::kMoving) clock_.sleep_until(clock_.now() + 20ms);
+  }
+
+  template <class Call>
+  InstrumentError error_of(Call call) {
+    try {
+      call();
+    } catch (const InstrumentError& error) {
+      return error;
+    }
+    ADD_FAILURE() << "nothing was thrown";
+    return {"", Fault::kImplausible, "nothing was thrown"};
+  }
+
+  sim::SimClock clock_;
+  std::shared_ptr<sim::SimBench> world_ = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock_.now());
+  std::shared_ptr<sim::ThorlabsAptFirmware> firmware_;
+};
+
+TEST_F(ThorlabsAptStageTest, SaysWhatTheControllerIs) {
+  const StageInfo info = connect()->identify();
+  EXPECT_EQ(info.maker, "Thorlabs");
+  EXPECT_EQ(info.model, "BBD202");
+  EXPECT_EQ(info.serial_number, "73123456");
+  EXPECT_EQ(info.firmware, "2.0.4");
+  EXPECT_EQ(info.axes[0].stage_name, "DDR100");
+  EXPECT_NEAR(info.axes[0].speed_deg_per_s, 20.0, 1e-3);
+  EXPECT_FALSE(info.axes[1].referenced);
+}
+
+TEST_F(ThorlabsAptStageTest, AUnitIsOneAxis) {
+  StageSettings settings;
+  settings.axis_names = {"", "1"};
+  const auto stage = connect(settings, k10cr1());
+  const StageInfo info = stage->identify();
+  EXPECT_EQ(info.model, "K10CR1");
+  EXPECT_EQ(info.axes[1].stage_name, "K10CR1");
+  stage->home(StageAxis::kZ);
+  wait(*stage, StageAxis::kZ);
+  EXPECT_TRUE(stage->identify().axes[1].referenced);
+  stage->move_to(StageAxis::kZ, Angle::degrees(-33.3));
+  wait(*stage, StageAxis::kZ);
+  EXPECT_NEAR(stage->encoder_angle(StageAxis::kZ).deg(), -33.3, 1e-3);
+  EXPECT_NEAR(world_->commanded_angle(StageAxis::kZ, clock_.now()).deg(), -33.3, 1e-3);
+  EXPECT_EQ(error_of([&] { stage->home(StageAxis::kX); }).fault(), Fault::kNotReady);
+}
+
+TEST_F(ThorlabsAptStageTest, WhichStageAStepperControllerDrivesMustBeSaid) {
+  sim::ThorlabsAptSettings controller = k10cr1();
+  controller.model = "BSC202";
+  controller.counts_per_degree = 75091.0 / 0.99997;
+  const auto unknown = connect({}, controller);
+  const auto error = error_of([&] { unknown->identify(); });
+  EXPECT_EQ(error.fault(), Fault::kWrongIdentity);
+  EXPECT_THAT(error.detail(), HasSubstr("axis = \"1 HDR50\""));
+
+  StageSettings settings;
+  settings.axis_names = {"1 HDR50", "2 HDR50"};
+  const auto stage = connect(settings, controller);
+  EXPECT_EQ(stage->identify().axes[0].stage_name, "HDR50");
+  stage->home(StageAxis::kX);
+  wait(*stage, StageAxis::kX);
+  stage->move_to(StageAxis::kX, Angle::degrees(90.0));
+  wait(*stage, StageAxis::kX);
+  EXPECT_NEAR(world_->commanded_angle(StageAxis::kX, clock_.now()).deg(), 90.0, 1e-3);
+}
+
+TEST_F(ThorlabsAptStageTest, TheSpeedOfTheBenchFileIsSetAndReadBack) {
+  StageSettings settings;
+  settings.speed_deg_per_s[0] = 7.5;
+  const auto stage = connect(settings);
+  stage->home(StageAxis::kX);
+  EXPECT_NEAR(world_->motion_limits(StageAxis::kX).speed_deg_per_s, 7.5, 1e-3);
+}
+
+TEST_F(ThorlabsAptStageTest, AMoveBeforeHomingIsNotReady) {
+  const auto stage = connect();
+  EXPECT_EQ(error_of([&] { stage->move_to(StageAxis::kX, Angle::degrees(1.0)); }).fault(), Fault::kNotReady);
+}
+
+TEST_F(ThorlabsAptStageTest, AMotionThatSomebodyElseStopsIsNoArrival) {
+  const auto stage = connect();
+  stage->home(StageAxis::kX);
+  wait(*stage, StageAxis::kX);
+  stage->move_to(StageAxis::kX, Angle::degrees(100.0));
+  world_->halt(StageAxis::kX, clock_.now());
+  clock_.sleep_until(clock_.now() + 2s);
+  const auto error = error_of([&] { stage->motion_state(StageAxis::kX); });
+  EXPECT_EQ(error.fault(), Fault::kRefused);
+  EXPECT_THAT(error.detail(), HasSubstr("from its target"));
+  EXPECT_EQ(stage->motion_state(StageAxis::kX), MotionState::kStopped);
+}
+
+TEST_F(ThorlabsAptStageTest, SettingsThatCannotBeAreRefused) {
+  StageSettings settings;
+  for (const std::array<std::string, 2>& names : {std::array<std::string, 2>{"1", "1"},
+                                                  {"0", "1"},
+                                                  {"X", "1"},
+                                                  {"1 LTS150", "2"},
+                                                  {"1 HDR50 2", "2"}}) {
+    settings.axis_names = names;
+    EXPECT_THROW(ThorlabsAptStage(std::make_unique<sim::FirmwareStream>(nullptr, clock_), clock_, settings),
+                 std::invalid_argument)
+        << names[0];
+  }
+}
+
+// ---- The simulated controller
+
+TEST_F(ThorlabsAptStageTest, HalfAMessageIsDroppedAfterAWhile) {
+  connect();
+  firmware_->receive("*IDN?\r\n", clock_.now());
+  clock_.sleep_until(clock_.now() + 200ms);
+  firmware_->receive(short_message(kRequestInfo, 0, 0, kRack), clock_.now());
+  clock_.sleep_until(clock_.now() + 200ms);
+  EXPECT_EQ(firmware_->transmit(clock_.now()).size(), 90U);
+}
+
+TEST_F(ThorlabsAptStageTest, MessagesForOthersArePassedOver) {
+  connect();
+  firmware_->receive(short_message(kRequestInfo, 0, 0, kUnit), clock_.now());
+  firmware_->receive(short_message(kRequestServoStatus, 1, 0, 0x25), clock_.now());
+  clock_.sleep_until(clock_.now() + 200ms);
+  EXPECT_EQ(firmware_->transmit(clock_.now()), "");
+}
+
+}  // namespace
+}  // namespace abcal::thorlabs_apt

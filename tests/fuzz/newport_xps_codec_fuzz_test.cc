@@ -1,0 +1,47 @@
+#include <gtest/gtest.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <iterator>
+#include <random>
+#include <string>
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+
+namespace abcal {
+namespace {
+
+/// Replies as a controller sends them, then changed at a few places.
+std::string mutated_replies(std::mt19937& random) {
+  static const std::string kReplies[] = {"0,XPS-C8 Firmware V2.6.0,EndOfAPI",
+                                         "0,,EndOfAPI",
+                                         "0,12.5,-3.25,EndOfAPI",
+                                         "0,44,EndOfAPI",
+                                         "-22,GroupInitialize(G),EndOfAPI",
+                                         "0,20,80,0.02,0.02,EndOfAPI",
+                                         "-1,GroupStatusGet(Group1,int *),EndOfAPI",
+                                         "0,1.5e-07,EndOfAPI"};
+  std::string bytes;
+  for (std::size_t replies = 1 + random() % 4; replies > 0; --replies)
+    bytes += kReplies[random() % std::size(kReplies)];
+  for (std::size_t changes = random() % 4; changes > 0 && !bytes.empty(); --changes) {
+    const std::size_t at = random() % bytes.size();
+    if (random() % 2 == 0) {
+      bytes.erase(at, 1);
+    } else {
+      bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
+    }
+  }
+  return bytes;
+}
+
+TEST(NewportXpsCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
+  std::mt19937 random(5001);
+  for (int i = 0; i < 5'000; ++i) {
+    const std::string input = mutated_replies(random);
+    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
+  }
+}
+
+}  // namespace
+}  // namespace abcal

@@ -1,0 +1,49 @@
+#include <gtest/gtest.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <iterator>
+#include <random>
+#include <string>
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+
+namespace abcal {
+namespace {
+
+using namespace std::string_literals;
+
+/// Messages as controllers send them, then changed at a few places.
+std::string mutated_messages(std::mt19937& random) {
+  static const std::string kMessages[] = {
+      "\x91\x04\x0E\x00\x81\x21\x01\x00\x00\x20\x03\x00\x00\x00\x00\x00\x00\x34\x00\x90"s,
+      "\x81\x04\x0E\x00\x81\x50\x01\x00\x00\x20\x03\x00\x00\x20\x03\x00\x10\x04\x00\x80"s,
+      "\x64\x04\x01\x00\x01\x50"s,
+      "\x15\x04\x0E\x00\x81\x22\x01\x00\x00\x00\x00\x00\x05\x00\x00\x00\x00\x00\x10\x00"s,
+      "\x06\x00\x54\x00\x81\x11"s + "\x40\xE2\x01\x00"s + "BBD202\0\0"s + std::string(72, '\x01'),
+      "\xF2\x04\x4A\x00\x81\x21\x01\x00\x00\x00\x00\x00"s + "DDR100"s + std::string(62, '\0'),
+      "\x81\x00\x44\x00\x81\x21\x53\x04\x04\x00"s + "No"s + std::string(62, '\0')};
+  std::string bytes;
+  for (std::size_t messages = 1 + random() % 4; messages > 0; --messages)
+    bytes += kMessages[random() % std::size(kMessages)];
+  for (std::size_t changes = random() % 4; changes > 0 && !bytes.empty(); --changes) {
+    const std::size_t at = random() % bytes.size();
+    if (random() % 2 == 0) {
+      bytes.erase(at, 1);
+    } else {
+      bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
+    }
+  }
+  return bytes;
+}
+
+TEST(ThorlabsAptCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
+  std::mt19937 random(1152);
+  for (int i = 0; i < 5'000; ++i) {
+    const std::string input = mutated_messages(random);
+    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
+  }
+}
+
+}  // namespace
+}  // namespace abcal
