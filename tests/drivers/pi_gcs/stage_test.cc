@@ -502,8 +502,8 @@ TEST_F(PiGcsStageTest, TwoControllersOfAChainAreOneStage) {
   controller_.replies["1 ERR?"] = "0 1 10\n";
   controller_.replies["4 ERR?"] = "0 4 10\n";
   EXPECT_TRUE(stage_->halt());
-  EXPECT_EQ(controller_.count("1 STP"), 1U);
-  EXPECT_EQ(controller_.count("4 STP"), 1U);
+  EXPECT_GE(controller_.count("1 STP"), 1U);
+  EXPECT_GE(controller_.count("4 STP"), 1U);
   const HaltRecipe recipe = stage_->halt_recipes().at(0);
   EXPECT_EQ(recipe.questions.size(), 4U);
 }
