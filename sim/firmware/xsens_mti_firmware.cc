@@ -483,7 +483,9 @@ std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_vie
     default:
       throw Refusal{kInvalidMessage};
   }
-  if (!data.empty()) throw Refusal{kInvalidParameter};  // Those can only be asked.
+  // Those can only be asked. The maker's library asks for the configuration with the data of the request
+  // before it, and takes a refusal for a device that cannot be used.
+  if (!data.empty() && id != kReqConfiguration) throw Refusal{kInvalidParameter};
   std::string answer;
   switch (id) {
     case kReqProductCode:

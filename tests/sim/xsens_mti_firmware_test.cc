@@ -184,6 +184,7 @@ TEST_F(XsensMtiFirmwareTest, SaysWhatItIs) {
   EXPECT_EQ(ask(0x12), "13 0108020000003F00000000");
   const std::string block = ask(0x0C);
   EXPECT_EQ(block.size(), 3U + 2 * 118);
+  EXPECT_EQ(ask(0x0C, "00FF"), block) << "as the maker's library asks after ReqEmts";
   EXPECT_THAT(block, StartsWith("0D 037003F8"));
   EXPECT_EQ(block.substr(3 + 2 * 98, 8), "037003F8");
   EXPECT_EQ(ask(0x62).size(), 3U + 2 * 3 * 22);
