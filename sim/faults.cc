@@ -22,6 +22,8 @@ const std::vector<FaultDescription>& fault_descriptions() {
       {FaultKind::kLateReply, "late-reply", "replies are late", true},
       {FaultKind::kReplacedReply, "replaced-reply", "replies are replaced by a text, e.g. a refusal", true},
       {FaultKind::kUnplug, "unplug", "the port is gone", true},
+      {FaultKind::kPowerCycle, "power-cycle",
+       "the port is gone and the instrument without power; it starts as at power on", true},
       {FaultKind::kStuckOutput, "stuck-output", "an output keeps its value", false},
       {FaultKind::kClippedOutput, "clipped-output", "the output clips at a small full scale", false},
       {FaultKind::kNotFinite, "not-finite", "the output is NaN", false},
@@ -74,7 +76,19 @@ void FaultyStream::clear() {
 
 bool FaultyStream::unplugged() const {
   const std::lock_guard lock(mutex_);
-  return active(FaultKind::kUnplug) != nullptr;
+  return active(FaultKind::kUnplug) != nullptr || active(FaultKind::kPowerCycle) != nullptr;
+}
+
+void FaultyStream::on_power(std::function<void(bool)> power) {
+  const std::lock_guard lock(mutex_);
+  power_ = std::move(power);
+}
+
+void FaultyStream::follow_power() {
+  const bool on = active(FaultKind::kPowerCycle) == nullptr;
+  if (std::exchange(powered_, on) == on || !power_) return;
+  held_.clear();
+  power_(on);
 }
 
 std::vector<FaultKind> FaultyStream::active() const {
@@ -88,6 +102,15 @@ std::vector<FaultKind> FaultyStream::active() const {
 std::optional<Clock::Instant> FaultyStream::next_due() const {
   const std::lock_guard lock(mutex_);
   return held_.empty() ? std::nullopt : std::optional(held_.front().due);
+}
+
+std::optional<Clock::Instant> FaultyStream::next_change() const {
+  const std::lock_guard lock(mutex_);
+  std::optional<Clock::Instant> due;
+  for (const WireFault& fault : faults_)
+    for (const auto& change : {fault.at, fault.until})
+      if (change && *change > clock_.now()) due = due ? std::min(*due, *change) : *change;
+  return due;
 }
 
 std::size_t FaultyStream::writes() const {
@@ -107,9 +130,11 @@ const WireFault* FaultyStream::active(FaultKind kind) const {
   return nullptr;
 }
 
-void FaultyStream::throw_if_unplugged() const {
-  if (active(FaultKind::kUnplug) != nullptr)
-    throw InstrumentError(inner_->name(), Fault::kLinkLost, "unplugged (scripted fault)");
+void FaultyStream::throw_if_unplugged() {
+  follow_power();
+  if (unplugged())
+    throw InstrumentError(inner_->name(), Fault::kLinkLost,
+                          powered_ ? "unplugged (scripted fault)" : "without power (scripted fault)");
 }
 
 std::uint64_t FaultyStream::draw() {

@@ -28,6 +28,7 @@ enum class FaultKind {
   kLateReply,      ///< What comes back comes later.
   kReplacedReply,  ///< Another text comes back, e.g. a refusal.
   kUnplug,         ///< The port is gone: every call throws kLinkLost.
+  kPowerCycle,     ///< As kUnplug, and the instrument is without power: it starts anew when the fault ends.
   // In the world.
   kStuckOutput,    ///< The output stays at the value it had.
   kClippedOutput,  ///< The output clips at a small full scale, and the instrument says so.
@@ -94,12 +95,17 @@ class FaultyStream final : public wire::ByteStream {
   std::size_t dropped_bytes() const override { return inner_->dropped_bytes(); }
   std::string name() const override { return inner_->name(); }
 
+  /// `power` is told when kPowerCycle begins (false) and ends (true), in the thread that uses the stream. A
+  /// stream without it treats kPowerCycle as kUnplug.
+  void on_power(std::function<void(bool on)> power);
+
   void add(WireFault fault);
-  void clear();                ///< Takes all faults back, those in force and those to come.
-  std::size_t writes() const;  ///< How many there have been.
-  bool unplugged() const;
-  std::vector<FaultKind> active() const;           ///< In force now.
-  std::optional<Clock::Instant> next_due() const;  ///< When held bytes come out; nothing: none are held.
+  void clear();                           ///< Takes all faults back, those in force and those to come.
+  std::size_t writes() const;             ///< How many there have been.
+  bool unplugged() const;                 ///< Or without power.
+  std::vector<FaultKind> active() const;  ///< In force now.
+  std::optional<Clock::Instant> next_due() const;     ///< When held bytes come out; nothing: none are held.
+  std::optional<Clock::Instant> next_change() const;  ///< When a fault begins or ends next by its time.
 
  private:
   struct Held {
@@ -107,7 +113,8 @@ class FaultyStream final : public wire::ByteStream {
     std::string bytes;
   };
   const WireFault* active(FaultKind kind) const;
-  void throw_if_unplugged() const;
+  void throw_if_unplugged();
+  void follow_power();
   std::string distort(std::string bytes);
   std::uint64_t draw();
 
@@ -120,6 +127,8 @@ class FaultyStream final : public wire::ByteStream {
   std::size_t writes_ = 0;
   std::size_t replaced_for_write_ = 0;
   std::vector<Held> held_;
+  std::function<void(bool)> power_;
+  bool powered_ = true;
   mutable std::recursive_mutex mutex_;
 };
 

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/Geometry>
+#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -24,6 +25,8 @@ constexpr double kMicro = 1e-6;
 constexpr int kDrawnErrorOrders = 6;   // docs/effects.md, smooth step errors
 constexpr int kDrawnWobbleOrders = 3;  // docs/effects.md, wobble
 constexpr double kSmallestSpanS = 1e-3;
+constexpr double kFieldNorthGauss = 0.25;
+constexpr double kFieldDownGauss = 0.45;
 
 /// The pose as an integer, so that a target reached by different sums is the same pose.
 std::uint64_t canonical(Angle angle) {
@@ -404,12 +407,56 @@ double SimBench::span_time(Clock::Instant t) const {
   return to_seconds(t - start_) / truth_.span_s - 0.5;
 }
 
-/// Up, seen from the base of the stage, which may tilt slowly.
+/// The base of the stage, which may tilt slowly, to the LGCS.
+Eigen::Matrix3d SimBench::floor_tilt(Clock::Instant t) const {
+  const Eigen::Vector3d tilt(truth_.floor_tilt_x_urad, truth_.floor_tilt_y_urad, 0.0);
+  return turned_by(kMicro * span_time(t) * tilt);
+}
+
+/// Up, seen from the base of the stage.
 Eigen::Vector3d SimBench::up_in_base(Clock::Instant t) const {
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  // specific force at rest: up, not down
   if (truth_.floor_tilt_x_urad == 0.0 && truth_.floor_tilt_y_urad == 0.0) return up;
-  const Eigen::Vector3d tilt(truth_.floor_tilt_x_urad, truth_.floor_tilt_y_urad, 0.0);
-  return turned_by(kMicro * span_time(t) * tilt).transpose() * up;
+  return floor_tilt(t).transpose() * up;
+}
+
+SimBench::Turn SimBench::turn_at(const Epoch& epoch, Clock::Instant t) const {
+  Turn turn;
+  for (std::size_t k = 0; k < 2; ++k) {
+    const double shift_deg_k =
+        shift_deg(FaultKind::kMissedStep, k, t) + shift_deg(FaultKind::kMovedAxis, k, t);
+    const double position_deg = epoch.motion[k].position(t).deg();
+    turn.actual[k] = reduced_rad(position_deg + error_deg(epoch, k, t) + shift_deg_k);
+    turn.commanded[k] = reduced_rad(position_deg);
+  }
+  return turn;
+}
+
+BodyMotion SimBench::body_motion(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  const Epoch& epoch = epoch_at(t);
+  const Turn turn = turn_at(epoch, t);
+  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation(turn.actual, turn.commanded);
+  // The rotation closest to the directions of the outputs (polar decomposition), right-handed in any case.
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(mounted_matrix(truth_at(t), t).rowwise().normalized(),
+                                              Eigen::ComputeFullU | Eigen::ComputeFullV);
+  const double handed = (svd.matrixU() * svd.matrixV().transpose()).determinant();
+  const Eigen::Matrix3d R_BP =
+      svd.matrixU() * Eigen::Vector3d(1.0, 1.0, handed).asDiagonal() * svd.matrixV().transpose();
+
+  std::array<double, 2> rate_radps{};
+  for (std::size_t k = 0; k < 2; ++k) {
+    double rate_degps = epoch.motion[k].velocity_deg_per_s(t);
+    if (t < epoch.settled && t >= epoch.start)
+      rate_degps +=
+          (epoch.error_to_deg[k] - epoch.error_from_deg[k]) / to_seconds(epoch.settled - epoch.start);
+    rate_radps[k] = Angle::degrees(rate_degps).rad();
+  }
+  const Eigen::Vector3d rate_L =
+      rate_radps[0] * axis_x_ + rate_radps[1] * (Eigen::AngleAxisd(turn.actual[0], axis_x_) * axis_z_);
+  const Eigen::Matrix3d R_LB = R_LP * R_BP.transpose();
+  const Eigen::Vector3d field_L(kFieldNorthGauss, 0.0, -kFieldDownGauss);
+  return {R_LB, R_LB.transpose() * rate_L, R_LB.transpose() * field_L};
 }
 
 Eigen::Vector3d SimBench::force(const Epoch& epoch, Clock::Instant t) const {
@@ -420,15 +467,9 @@ Eigen::Vector3d SimBench::force(const Epoch& epoch, Clock::Instant t) const {
   const bool at_rest = level && shift[0] == 0.0 && shift[1] == 0.0 && t >= epoch.settled &&
                        !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
   if (at_rest && epoch.force_at_rest) return *epoch.force_at_rest;
-  std::array<double, 2> turn{};
-  std::array<double, 2> commanded{};
-  for (std::size_t k = 0; k < 2; ++k) {
-    const double position_deg = epoch.motion[k].position(t).deg();
-    turn[k] = reduced_rad(position_deg + error_deg(epoch, k, t) + shift[k]);
-    commanded[k] = reduced_rad(position_deg);
-  }
+  const Turn turn = turn_at(epoch, t);
   const Eigen::Vector3d f_L = up_in_base(t);
-  const Eigen::Vector3d f_P = orientation(turn, commanded).transpose() * f_L;
+  const Eigen::Vector3d f_P = orientation(turn.actual, turn.commanded).transpose() * f_L;
   if (at_rest) epoch.force_at_rest = f_P;
   return f_P;
 }
@@ -616,9 +657,7 @@ TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
   const OutputTruth& truth = truth_at(t);
   // Up in the platter's frame is what the accelerometer feels; at the pose (0, 0) that frame, as it really
   // is, defines x, y, z.
-  const Eigen::Vector3d tilt(truth_.floor_tilt_x_urad, truth_.floor_tilt_y_urad, 0.0);
-  const Eigen::Matrix3d R_LB = turned_by(kMicro * span_time(t) * tilt);
-  const Eigen::Matrix3d R_LP = R_LB * orientation({0.0, 0.0}, {0.0, 0.0});
+  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation({0.0, 0.0}, {0.0, 0.0});
   const Eigen::Array3d gains = gain(truth, t);
   const Eigen::Matrix3d s = gains.matrix().asDiagonal() * mounted_matrix(truth, t) * R_LP.transpose();
 

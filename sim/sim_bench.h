@@ -12,6 +12,7 @@
 #include "drivers/instrument/rotation_stage.h"
 #include "sim/axis_motion.h"
 #include "sim/bench_truth.h"
+#include "sim/body_motion.h"
 #include "sim/faults.h"
 #include "sim/slow_noise.h"
 
@@ -102,6 +103,11 @@ class SimBench {
                    Clock::Duration sample_period = Clock::Duration::zero()) const;
   double temperature_degc(Clock::Instant t) const;
 
+  /// The instrument's body, for sensors other than its accelerometer. Exact: without errors, bias and noise
+  /// of its own; the earth does not turn. Wobble, sag and the tilt of the floor are in the attitude, and not
+  /// in the rate.
+  BodyMotion body_motion(Clock::Instant t) const;
+
   /// From `at` on the accelerometer and the room are as `truth` says: a mounting slip, a jump of the
   /// temperature, vibration. Time of drift and temperature goes on from the start; the temperature that
   /// offset_per_degc counts from stays the first.
@@ -149,10 +155,16 @@ class SimBench {
   double error_deg(const Epoch& epoch, std::size_t axis, Clock::Instant t) const;
   double shift_deg(FaultKind kind, std::size_t axis, Clock::Instant t) const;
   Eigen::Vector3d force(const Epoch& epoch, Clock::Instant t) const;
+  struct Turn {  ///< Of both axes, rad.
+    std::array<double, 2> actual{};
+    std::array<double, 2> commanded{};
+  };
+  Turn turn_at(const Epoch& epoch, Clock::Instant t) const;
   void draw_stage();
   Eigen::Matrix3d wobble(std::size_t axis, double turn_rad) const;
   Eigen::Matrix3d orientation(const std::array<double, 2>& actual_rad,
                               const std::array<double, 2>& commanded_rad) const;
+  Eigen::Matrix3d floor_tilt(Clock::Instant t) const;
   Eigen::Vector3d up_in_base(Clock::Instant t) const;
   double span_time(Clock::Instant t) const;
   Eigen::Array3d gain(const OutputTruth& truth, Clock::Instant t) const;

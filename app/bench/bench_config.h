@@ -46,6 +46,8 @@ struct StageConfig {
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }
+  /// Of two controllers: in a daisy chain, both on one port.
+  bool chained() const { return split() && x.port == z.port && x.port != "simulated"; }
 
   StageConfig() {
     x.axis = "1";
@@ -90,6 +92,7 @@ struct EmulatorConfig {
   std::string line = "real";        ///< Of pseudo-terminals: "real" or "ideal".
   std::string stage_model;          ///< Empty: the usual one of the driver.
   std::string accelerometer_model;  ///< Empty: the usual one of the driver.
+  std::string at_power_on;  ///< Of the accelerometer: "streaming", "silent", or empty: as its maker ships it.
 };
 
 /// [notify]: who is told of faults and the end of a run. Empty: nobody.

@@ -2,10 +2,12 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
 #include "app/bench/bench_keys.h"
+#include "drivers/registry.h"
 #include "drivers/text/text.h"
 #include "protocol/gravity/local_gravity.h"
 #include "protocol/plan/limits.h"
@@ -14,6 +16,25 @@ namespace abcal {
 namespace {
 
 constexpr const char* kPortWords = "a port: a path, usb:VID:PID[:SERIAL], tcp:HOST:PORT, or \"simulated\"";
+
+/// Two controllers on one port: of one maker, in a daisy chain, told apart by their addresses.
+void check_chain(TomlReader& reader, const StageConfig& stage) {
+  const bool chains = stage.x.driver == "pi_gcs" || stage.x.driver == "zaber_ascii";
+  if (stage.x.driver != stage.z.driver || !chains) {
+    reader.add_problem("stage.z.port", "\"" + stage.z.port + "\", the port of [stage.x]",
+                       "another port; or the driver pi_gcs or zaber_ascii for both, in a daisy chain");
+    return;
+  }
+  if (stage.x.baud != stage.z.baud)
+    reader.add_problem("stage.z.baud", "another one than that of [stage.x]",
+                       "the same, as both are on one port");
+  if (stage.x.driver == "pi_gcs" && (stage.x.address.empty() || stage.z.address.empty()))
+    reader.add_problem("stage.z.address", "no address of one or both of the controllers on one port",
+                       "address under [stage.x] and [stage.z]");
+  if (stage.x.address == stage.z.address && stage.x.axis == stage.z.axis)
+    reader.add_problem("stage.z.axis", "\"" + stage.z.axis + "\", the same as [stage.x] axis",
+                       "two different axes");
+}
 
 /// One controller for both axes, or one for each; a driver that exchanges bytes has a port.
 void check_stage_ports(TomlReader& reader, StageConfig& stage) {
@@ -43,6 +64,7 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
       reader.add_problem(std::string(section) + ".driver", "nothing", "a driver, as the other axis has one");
     if (axis->port.empty()) reader.add_problem(std::string(section) + ".port", "nothing", kPortWords);
   }
+  if (!stage.x.port.empty() && stage.chained()) check_chain(reader, stage);
 }
 
 void check_gravity(TomlReader& reader, const toml::table& root, BenchConfig& c) {
@@ -119,6 +141,13 @@ void check_sensor_ports(TomlReader& reader, BenchConfig& c) {
   }
 }
 
+/// An instrument that outputs m/s2 has 9.8 of them for 1 g_loc, whatever is simulated.
+void check_simulated_unit(TomlReader& reader, const BenchConfig& c) {
+  if (c.accelerometer.port != "simulated") return;
+  if (const auto problem = simulated_unit_problem(c))
+    reader.add_problem(problem->where, problem->found, problem->required);
+}
+
 void check_notify(TomlReader& reader, const NotifyConfig& notify) {
   const auto begins = [](const std::string& text, std::initializer_list<std::string_view> words) {
     return std::ranges::any_of(words, [&](std::string_view word) { return text.starts_with(word); });
@@ -166,6 +195,26 @@ void check_stated_once(TomlReader& reader, const toml::table& root) {
 
 }  // namespace
 
+std::optional<Problem> simulated_unit_problem(const BenchConfig& c) {
+  // A factor between the units is 9.8; no accelerometer is off by half of that.
+  constexpr double kLargestRatio = 3.0;
+  const auto& drivers = accelerometer_drivers();
+  const auto driver =
+      std::ranges::find_if(drivers, [&](const auto& d) { return d.name == c.accelerometer.driver; });
+  if (driver == drivers.end() || (driver->output_unit != "g" && driver->output_unit != "m/s2"))
+    return std::nullopt;
+  const double nominal = driver->output_unit == "g" ? 1.0 : kStandardGravity;
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    const double norm = c.simulation.sensitivity_matrix.row(j).norm();
+    if (norm == 0.0 || (norm < kLargestRatio * nominal && norm > nominal / kLargestRatio)) continue;
+    return Problem{"simulation.sensitivity_matrix",
+                   fmt::format("a row with norm {:.4g} for {}, whose output is in {}", norm,
+                               c.accelerometer.driver, driver->output_unit),
+                   fmt::format("about {:.4g} {} per g_loc", nominal, driver->output_unit)};
+  }
+  return std::nullopt;
+}
+
 void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c) {
   check_gravity(reader, root, c);
   check_stage_axes(reader, c.stage);
@@ -173,6 +222,7 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
   check_stated_once(reader, root);
   check_stage_ports(reader, c.stage);
   check_sensor_ports(reader, c);
+  check_simulated_unit(reader, c);
   check_notify(reader, c.notify);
   check_faults_and_changes(reader, c);
 }

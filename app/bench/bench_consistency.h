@@ -10,4 +10,8 @@ namespace abcal {
 /// @param root  the file that `reader` reads
 void check_together(TomlReader& reader, const toml::table& root, BenchConfig& config);
 
+/// The [simulation] does not fit the unit in which the instrument speaks: sensitivities in g/g_loc for one
+/// that outputs m/s2, or the other way round. Matters where the accelerometer is simulated or emulated.
+std::optional<Problem> simulated_unit_problem(const BenchConfig& config);
+
 }  // namespace abcal

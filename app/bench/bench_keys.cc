@@ -232,6 +232,7 @@ void visit_emulator(KeyVisitor& keys, EmulatorConfig& emulator) {
   keys.text("line", emulator.line, {"real", "ideal"});
   keys.text("stage_model", emulator.stage_model);
   keys.text("accelerometer_model", emulator.accelerometer_model);
+  keys.text("at_power_on", emulator.at_power_on, {"", "streaming", "silent"});
 }
 
 }  // namespace

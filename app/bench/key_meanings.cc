@@ -332,6 +332,10 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
        {"Model of the simulated accelerometer or voltmeter ([emulate](emulate.md#models)). Empty: the "
         "default model.",
         ""}},
+      {"emulator.at_power_on",
+       {"Whether the simulated accelerometer outputs readings as soon as it is switched on: `streaming` or "
+        "`silent` (`microstrain_mip`, `vectornav`, `witmotion`). Empty: as its maker ships it.",
+        ""}},
       {"fault.kind", {"Kind of fault; [emulate](emulate.md#faults) describes each.", ""}},
       {"fault.instrument",
        {"Faults of the wire: the instrument. Use `stage-x`, `accelerometer-u` and so on if each has its own "

@@ -1,6 +1,7 @@
 #include "app/bench/make_bench.h"
 
 #include <algorithm>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <stdexcept>
@@ -227,8 +228,11 @@ class Opener {
     const bool simulated = port.port == kSimulated;
     Opened opened;
     std::unique_ptr<wire::ByteStream> stream;
+    std::function<void(bool)> power;
     if (simulated) {
-      stream = std::make_unique<sim::FirmwareStream>(make_firmware(config_, port, world_), clock_);
+      auto firmware = std::make_unique<sim::FirmwareStream>(make_firmware(config_, port, world_), clock_);
+      power = [inside = firmware.get()](bool on) { inside->power(on); };
+      stream = std::move(firmware);
     } else {
       wire::SerialSettings settings;
       settings.baud = port.baud ? static_cast<unsigned>(*port.baud) : defaults.baud;
@@ -241,8 +245,10 @@ class Opener {
     auto faults = wire_faults(config_.faults, port.name, clock_.now());
     const sim::LinkTiming timing = simulated ? config_.link : sim::LinkTiming{};
     if (!faults.empty() || timing.latency + timing.jitter > Clock::Duration::zero()) {
-      stream = std::make_unique<sim::FaultyStream>(std::move(stream), clock_, std::move(faults),
-                                                   config_.simulation.seed, timing);
+      auto faulty = std::make_unique<sim::FaultyStream>(std::move(stream), clock_, std::move(faults),
+                                                        config_.simulation.seed, timing);
+      faulty->on_power(power);
+      stream = std::move(faulty);
     }
     opened.stream = streams_.wrap ? streams_.wrap(port.name, std::move(stream), clock_) : std::move(stream);
     return opened;

@@ -8,6 +8,7 @@
 #include <string_view>
 #include <utility>
 
+#include "drivers/registry.h"
 #include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
@@ -24,6 +25,18 @@
 namespace abcal {
 namespace {
 
+/// The speed of the line as the bench file has it, else as the driver sets it.
+std::optional<unsigned> line_baud(const InstrumentPort& port) {
+  if (port.baud) return static_cast<unsigned>(*port.baud);
+  const auto of = [&](const auto& drivers) -> std::optional<unsigned> {
+    for (const auto& driver : drivers)
+      if (driver.name == port.driver) return driver.serial.baud;
+    return std::nullopt;
+  };
+  const auto found = of(stage_drivers());
+  return found ? found : of(accelerometer_drivers());
+}
+
 /// Settings that every stage's firmware has: axis names, signs and zeros, serial number.
 template <class Settings>
 Settings stage_firmware_settings(const StageConfig& stage, const InstrumentPort& port) {
@@ -32,6 +45,14 @@ Settings stage_firmware_settings(const StageConfig& stage, const InstrumentPort&
   settings.sign = {stage.x.sign, stage.z.sign};
   settings.zero = {stage.x.zero, stage.z.zero};
   if (!stage.serial_number.empty()) settings.serial_number = stage.serial_number;
+  // Of two devices on one line: "12345/67890", as the driver gives it.
+  if constexpr (requires { settings.z_serial_number; }) {
+    if (const auto slash = settings.serial_number.find('/'); slash != std::string::npos) {
+      settings.z_serial_number = settings.serial_number.substr(slash + 1);
+      settings.serial_number.resize(slash);
+    }
+  }
+  if (const auto baud = line_baud(port)) settings.baud = *baud;
   return settings;
 }
 
@@ -101,6 +122,7 @@ std::shared_ptr<sim::Firmware> mip_firmware(const BenchConfig& config, const Ins
                                             s.legacy_commands = false;
                                           }}};
   apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
+  settings.streaming_at_power_on = config.emulator.at_power_on == "streaming";
   return std::make_shared<sim::MipFirmware>(std::move(world), settings);
 }
 
@@ -142,10 +164,11 @@ std::shared_ptr<sim::Firmware> vectornav_firmware(const BenchConfig& config, con
       Profile{"VN-100", [](sim::VectorNavSettings&) {}},
       Profile{"VN-200", [](sim::VectorNavSettings& s) { s.model = "VN-200T-CR"; }}};
   apply_model(settings, config.emulator.accelerometer_model, "accelerometer_model", kModels);
+  if (config.emulator.at_power_on == "silent") settings.async_type = 0;
   return std::make_shared<sim::VectorNavFirmware>(std::move(world), settings);
 }
 
-std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config, const InstrumentPort&,
+std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                   std::shared_ptr<sim::SimBench> world) {
   const AccelerometerConfig& accelerometer = config.accelerometer;
   sim::TextLineSettings settings;
@@ -154,6 +177,7 @@ std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config, con
   settings.names = accelerometer.names;
   settings.number_unit = accelerometer.number_unit;
   settings.decimal_mark = accelerometer.decimal_mark;
+  if (port.baud) settings.baud = static_cast<unsigned>(*port.baud);
   for (std::size_t j = 0; j < 3; ++j) {
     settings.scale[j] = accelerometer.scale[static_cast<Eigen::Index>(j)];
     settings.bias[j] = accelerometer.bias[static_cast<Eigen::Index>(j)];
@@ -165,16 +189,19 @@ std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config, con
                                                   std::shared_ptr<sim::SimBench> world) {
   sim::WitMotionSettings settings;
   if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  constexpr unsigned kNoOutput = 0x0D;
+  if (config.emulator.at_power_on == "silent") settings.rate_code = kNoOutput;
   return std::make_shared<sim::WitMotionFirmware>(std::move(world), settings);
 }
 
-std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config, const InstrumentPort&,
+std::shared_ptr<sim::Firmware> scpi_voltmeter_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                        std::shared_ptr<sim::SimBench> world) {
   sim::ScpiVoltmeterSettings settings;
   if (!config.emulator.accelerometer_model.empty())
     settings = sim::scpi_model(config.emulator.accelerometer_model);
   if (!config.accelerometer.serial_number.empty())
     settings.serial_number = config.accelerometer.serial_number;
+  settings.baud = line_baud(port).value_or(settings.baud);
   return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
 }
 
@@ -186,16 +213,18 @@ std::shared_ptr<sim::Firmware> scpi_single_firmware(const BenchConfig& config, c
   if (!config.emulator.accelerometer_model.empty())
     settings = sim::scpi_model(config.emulator.accelerometer_model);
   settings.single_channel = port.part;
+  settings.baud = line_baud(port).value_or(settings.baud);
   settings.serial_number += "uvw"[port.part];
   return std::make_shared<sim::ScpiVoltmeterFirmware>(std::move(world), settings);
 }
 
-std::shared_ptr<sim::Firmware> environment_firmware(const BenchConfig& config, const InstrumentPort&,
+std::shared_ptr<sim::Firmware> environment_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                     std::shared_ptr<sim::SimBench> world) {
   sim::TextLineSettings settings;
   settings.content = sim::TextLineSettings::Content::kEnvironment;
   settings.rate_hz = 1.0;
   settings.separator = config.environment.separator;
+  if (port.baud) settings.baud = static_cast<unsigned>(*port.baud);
   return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
 }
 
@@ -218,11 +247,6 @@ std::shared_ptr<sim::Firmware> zaber_ascii_firmware(const BenchConfig& config, c
                                                     std::shared_ptr<sim::SimBench> world) {
   auto settings = stage_firmware_settings<sim::ZaberAsciiSettings>(config.stage, port);
   if (!port.address.empty()) settings.address = std::stoi(port.address);
-  // Of two devices: "12345/67890", as the driver gives it.
-  if (const auto slash = settings.serial_number.find('/'); slash != std::string::npos) {
-    settings.z_serial_number = settings.serial_number.substr(slash + 1);
-    settings.serial_number.resize(slash);
-  }
   using Profile = ModelProfile<sim::ZaberAsciiSettings>;
   static const std::array kModels{Profile{"X-MCC2", [](sim::ZaberAsciiSettings&) {}},
                                   Profile{"A-MCB2", [](sim::ZaberAsciiSettings& s) { s.version = "6.28"; }}};
@@ -316,11 +340,16 @@ bool has_bytes(const std::string& driver) {
 
 std::array<std::string, 2> InstrumentPort::axis_names(const StageConfig& stage) const {
   std::array<std::string, 2> names{stage.x.axis, stage.z.axis};
+  if (stage.chained()) {
+    if (!stage.x.address.empty()) names[0] = stage.x.address + " " + names[0];
+    if (!stage.z.address.empty()) names[1] = stage.z.address + " " + names[1];
+  }
   if (axis) names[1 - index(*axis)].clear();
   return names;
 }
 
 std::vector<InstrumentPort> stage_ports(const StageConfig& stage) {
+  if (stage.chained()) return {{"stage", stage.x.driver, stage.x.port, stage.x.baud}};
   if (stage.split()) {
     return {{"stage-x", stage.x.driver, stage.x.port, stage.x.baud, stage.x.address, 0, 0, StageAxis::kX},
             {"stage-z", stage.z.driver, stage.z.port, stage.z.baud, stage.z.address, 1, 0, StageAxis::kZ}};

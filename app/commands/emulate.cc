@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/bench_consistency.h"
 #include "app/bench/bench_records.h"
 #include "app/bench/make_bench.h"
 #include "app/bench/make_firmware.h"
@@ -146,6 +147,8 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
 /// Serves until interrupted.
 void serve_instruments(const EmulateCommand& command) {
   const BenchConfig config = read_bench(command.bench_file, register_records());
+  if (auto problem = simulated_unit_problem(config))
+    throw BenchError(command.bench_file, {std::move(*problem)});
   if (!std::isfinite(command.speed)) throw CLI::ValidationError("--speed", "must be a finite number");
   ScaledClock clock(command.speed);
   const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());

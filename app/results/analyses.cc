@@ -69,8 +69,9 @@ void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record
   }
   if (record.reconnections > 0) {
     result.diagnostics.notes.push_back(
-        fmt::format("the port of an instrument vanished and came back {}; each time it was the same "
-                    "instrument, and the repeated last angle agreed",
+        fmt::format("the port of an instrument vanished and came back {}; each time an instrument of "
+                    "the same model answered, with the same serial number where it has one, and the repeated "
+                    "last angle agreed",
                     times(record.reconnections)));
   }
 }

@@ -71,7 +71,7 @@ struct PortLostEvent {
   std::string text;
 };
 
-/// The port is back, with the same instrument; the run continues.
+/// The port is back, with an instrument of the same model and serial number; the run continues.
 struct PortBackEvent {
   static constexpr const char* kName = "port_back";
   std::string text;

@@ -190,6 +190,24 @@ std::optional<int> parse_error_code(const std::vector<std::string>& lines) {
   return whole_number<int>(lines.front());
 }
 
+std::optional<std::vector<std::string>> parse_help(const std::vector<std::string>& lines) {
+  std::vector<std::string> commands;
+  for (const std::string& line : lines) {
+    const std::vector<std::string_view> words = pieces::words(line, " \t");
+    if (words.empty()) continue;
+    std::string_view word = words.front();
+    const std::string_view letters = word.front() == '#' || word.front() == '*' ? word.substr(1) : word;
+    const bool is_command =
+        letters.size() <= 8 &&
+        letters.find_first_not_of("ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789?") == letters.npos;
+    if (is_command && !letters.empty()) commands.emplace_back(word);
+  }
+  // One that is a list of commands has these.
+  for (const std::string_view must : {"MOV", "POS?"})
+    if (std::find(commands.begin(), commands.end(), must) == commands.end()) return std::nullopt;
+  return commands;
+}
+
 std::optional<std::uint64_t> parse_motion_mask(const std::vector<std::string>& lines) {
   if (lines.size() != 1) return std::nullopt;
   return whole_number<std::uint64_t>(without_hex_prefix(lines.front()), 16);

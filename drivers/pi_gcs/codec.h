@@ -73,6 +73,9 @@ std::optional<double> parse_number(std::string_view text);
 /// The reply to ERR?.
 std::optional<int> parse_error_code(const std::vector<std::string>& lines);
 
+/// The commands in a reply to HLP?: "MOV", "#5", "*IDN?"; nothing if it is no such list.
+std::optional<std::vector<std::string>> parse_help(const std::vector<std::string>& lines);
+
 /// The reply to #5: bit k-1 is axis k in the order of SAI?.
 std::optional<std::uint64_t> parse_motion_mask(const std::vector<std::string>& lines);
 

@@ -18,6 +18,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/pi_gcs/codec.h"
+#include "drivers/text/text.h"
 #include "drivers/wire/line_exchange.h"
 
 namespace abcal::pi_gcs {
@@ -38,37 +39,69 @@ constexpr unsigned kCountsDenominator = 15;
 constexpr unsigned kUserUnit = 0x7000601;
 constexpr int kErrorUnknownParameter = 54;
 
+/// Where an axis is: "2 1" is axis 1 of the controller with address 2, "1" that of the address given for all.
+struct AxisPlace {
+  std::string address;
+  std::string name;  ///< Empty: not on this line.
+};
+
+AxisPlace place_of(const std::string& axis_name, const std::string& address) {
+  const std::vector<std::string_view> words = pieces::words(axis_name, " ");
+  if (words.size() == 2) return {std::string(words[0]), std::string(words[1])};
+  return {address, axis_name};
+}
+
+bool is_address(std::string_view text) {
+  return text.find_first_not_of("0123456789") == std::string_view::npos;
+}
+
 void check_settings(const wire::ByteStream* stream, const StageSettings& settings) {
   wire::check_stage_settings("PI", "the controller's name", stream, settings);
   for (const std::string& name : settings.axis_names) {
-    if (name.find_first_of(" \t\r\n=") != std::string::npos) {
+    const AxisPlace place = place_of(name, settings.address);
+    if (place.name.find_first_of(" \t\r\n=") != std::string::npos || !is_address(place.address)) {
       throw std::invalid_argument(
-          fmt::format("PI stage: axis name \"{}\" contains a blank or '='; required: a name without them",
+          fmt::format("PI stage: axis name \"{}\" contains a blank or '='; required: a name without them, or "
+                      "\"<address> <name>\" in a daisy chain",
                       printable(name)));
     }
   }
-  if (settings.address.find_first_not_of("0123456789") != std::string::npos) {
+  const AxisPlace x = place_of(settings.axis_names[0], settings.address);
+  const AxisPlace z = place_of(settings.axis_names[1], settings.address);
+  if (!x.name.empty() && !z.name.empty() && x.address != z.address &&
+      (x.address.empty() || z.address.empty())) {
+    throw std::invalid_argument(
+        "PI stage: one axis has an address, the other has none; required: both, in a daisy chain");
+  }
+  if (!is_address(settings.address)) {
     throw std::invalid_argument(fmt::format(
         "PI stage: address \"{}\"; required: the controller's number in the daisy chain, or nothing",
         printable(settings.address)));
   }
 }
 
+/// The addresses of the controllers on the line, X's first; empty text: no chain.
+std::vector<std::string> addresses_of(const StageSettings& settings) {
+  std::vector<std::string> found;
+  for (const std::string& axis_name : settings.axis_names) {
+    const AxisPlace place = place_of(axis_name, settings.address);
+    if (!place.name.empty() && std::find(found.begin(), found.end(), place.address) == found.end())
+      found.push_back(place.address);
+  }
+  return found;
+}
+
 std::string stop_command(const StageSettings& settings) {
   std::string stop(1, kStopAllAxes);
   // Alone it reaches the first controller of a chain, not surely the others.
-  if (!settings.address.empty()) stop += command_line("STP", settings.address);
+  for (const std::string& address : addresses_of(settings))
+    if (!address.empty()) stop += command_line("STP", address);
   return stop;
 }
 
-wire::LineExchange::Manner manner(const StageSettings& settings) {
-  return {.identity_request = command_line(kIdentityQuery, settings.address),
-          .identity_name = kIdentityQuery,
-          .error_request = command_line("ERR?", settings.address),
-          .error_name = "ERR?",
-          .patience = kReplyDeadline,
-          .normal = [](std::string_view reply) { return std::string(reply); },
-          .show = printable};
+/// Two texts of the controllers as one.
+std::string joined(const std::string& first, const std::string& second) {
+  return first.empty() || first == second ? second : first + "/" + second;
 }
 
 class PiGcsController final : public wire::LineController {
@@ -76,15 +109,57 @@ class PiGcsController final : public wire::LineController {
   PiGcsController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
       : LineController("PI stage", std::move(stream), clock, check_reply,
                        {stop_command(settings), kHaltDeadline, kHaltWaitsForExchange, kHaltRetryInterval}),
-        settings_(settings),
-        replies_(line(), manner(settings),
-                 {[this](std::string_view after) { return read_error(after); },
-                  [this](const std::string& reply) {
-                    const auto lines = reply_lines(reply, settings_.address);
-                    return lines ? parse_error_code(*lines) : std::nullopt;
-                  }}) {}
+        settings_(settings) {
+    const std::vector<std::string> addresses = addresses_of(settings);
+    for (const std::string& address : addresses) add_member(address, addresses.size() > 1);
+    for (const StageAxis axis : kStageAxes) {
+      places_[index(axis)] = place_of(settings.axis_names[index(axis)], settings.address);
+      for (std::size_t n = 0; n < addresses.size(); ++n)
+        if (addresses[n] == places_[index(axis)].address) member_of_[index(axis)] = n;
+    }
+  }
 
   enum class MotionQuery { kMask, kStatus, kOnTarget };
+
+  /// One controller of the line: in most cases the only one.
+  struct Member {
+    std::string address;
+    std::string identity_name;  ///< The query of its identity, for messages.
+    std::unique_ptr<wire::LineExchange> replies;
+    Identity identity;
+    bool known = false;
+    Lines axes;      ///< SAI?
+    Lines commands;  ///< HLP?; empty: it does not say what it knows.
+    MotionQuery motion_query = MotionQuery::kMask;
+
+    bool may_know(std::string_view command) const {
+      return commands.empty() || std::find(commands.begin(), commands.end(), command) != commands.end();
+    }
+  };
+
+  void add_member(const std::string& address, bool in_chain) {
+    auto member = std::make_unique<Member>();
+    Member& m = *member;
+    m.address = address;
+    m.identity_name = in_chain ? address + " *IDN?" : std::string(kIdentityQuery);
+    m.replies = std::make_unique<wire::LineExchange>(
+        line(),
+        wire::LineExchange::Manner{.identity_request = command_line(kIdentityQuery, address),
+                                   .identity_name = m.identity_name,
+                                   .error_request = command_line("ERR?", address),
+                                   .error_name = "ERR?",
+                                   .patience = kReplyDeadline,
+                                   .normal = [](std::string_view reply) { return std::string(reply); },
+                                   .show = printable},
+        wire::LineExchange::Errors{[this, &m](std::string_view after) { return read_error(m, after); },
+                                   [&m](const std::string& reply) {
+                                     const auto lines = reply_lines(reply, m.address);
+                                     return lines ? parse_error_code(*lines) : std::nullopt;
+                                   }});
+    members_.push_back(std::move(member));
+  }
+
+  Member& member_of(StageAxis axis) { return *members_[member_of_[index(axis)]]; }
 
   // ---- Errors
 
@@ -97,31 +172,33 @@ class PiGcsController final : public wire::LineController {
 
   /// A parser of the lines of a reply, for the reply itself.
   template <class Parse>
-  auto of_lines(Parse parse) {
+  auto of_lines(const Member& m, Parse parse) {
     using Value = std::invoke_result_t<Parse, const Lines&>;
-    return [this, parse](const std::string& reply) {
-      const auto lines = reply_lines(reply, settings_.address);
+    return [&m, parse](const std::string& reply) {
+      const auto lines = reply_lines(reply, m.address);
       return lines ? parse(*lines) : Value();
     };
   }
 
   template <class Parse>
-  auto ask(const std::string& request, std::string_view shown, Parse parse) {
-    return replies_.ask(request, shown, of_lines(parse), kReplyDeadline);
+  auto ask(Member& m, const std::string& request, std::string_view shown, Parse parse) {
+    return m.replies->ask(request, shown, of_lines(m, parse), kReplyDeadline);
   }
 
   /// Asks for what the controller must know.
   template <class Parse>
-  auto require(std::string_view text, Parse parse) {
-    return replies_.require(command_line(text, settings_.address), text, of_lines(parse),
-                            [this](int code, std::string_view query) { return refusal(code, query); });
+  auto require(Member& m, std::string_view text, Parse parse) {
+    return m.replies->require(command_line(text, m.address), text, of_lines(m, parse),
+                              [this](int code, std::string_view query) { return refusal(code, query); });
   }
 
   /// Asks for what it need not know: nothing if it does not.
   template <class Parse>
-  auto ask_optional(std::string_view text, Parse parse) {
-    auto answer =
-        replies_.ask(command_line(text, settings_.address), text, of_lines(parse), kOptionalReplyDeadline);
+  auto ask_optional(Member& m, std::string_view text, Parse parse,
+                    Clock::Duration patience = kOptionalReplyDeadline) {
+    using Value = std::invoke_result_t<Parse, const Lines&>;
+    if (!m.may_know(text.substr(0, text.find(' ')))) return Value();
+    auto answer = m.replies->ask(command_line(text, m.address), text, of_lines(m, parse), patience);
     if (!answer.value && answer.error != 0 && answer.error != kErrorUnknownCommand &&
         answer.error != kErrorUnknownParameter) {
       throw refusal(answer.error, text);
@@ -133,55 +210,82 @@ class PiGcsController final : public wire::LineController {
 
   /// Reads and thereby clears the error code. That a halt has stopped the axes is not the answer to anything
   /// that is asked here.
-  int read_error(std::string_view after) {
-    const int code = replies_.ask_error(after);
-    replies_.error_may_wait(false);
+  static int read_error(Member& m, std::string_view after) {
+    const int code = m.replies->ask_error(after);
+    m.replies->error_may_wait(false);
     return code == kErrorStoppedByCommand ? 0 : code;
   }
 
   /// Sends a set command, once, and returns what the controller says to it.
-  int execute(std::string_view command) {
+  int execute(Member& m, std::string_view command) {
     const std::uint64_t halts = line().halts();
-    int code = replies_.execute(command_line(command, settings_.address), command);
-    replies_.error_may_wait(false);
+    int code = m.replies->execute(command_line(command, m.address), command);
+    m.replies->error_may_wait(false);
     // Only a stop causes error 10. Of one that came before the command, its line being slow, it says nothing
     // of the command: that would have set a code of its own in place of it.
     if (code == kErrorStoppedByCommand && line().halts() == halts && !line().halting())
-      code = read_error(command);
+      code = read_error(m, command);
     return code;
   }
 
-  void execute_or_throw(std::string_view command) {
-    if (const int code = execute(command); code != 0) throw refusal(code, command);
+  void execute_or_throw(Member& m, std::string_view command) {
+    if (const int code = execute(m, command); code != 0) throw refusal(code, command);
   }
 
   // ---- The controller
 
-  void identify_controller() {
-    known_ = false;
-    const auto accept = [this](const std::string& reply) {
-      const auto lines = reply_lines(reply, settings_.address);
+  void identify_controller(Member& m) {
+    m.known = false;
+    const Identity before = std::exchange(m.identity, {});
+    const auto accept = [&m](const std::string& reply) {
+      const auto lines = reply_lines(reply, m.address);
       const auto identity = lines ? parse_identity(*lines) : std::nullopt;
-      if (identity) identity_ = *identity;
+      if (identity) m.identity = *identity;
       return identity.has_value();
     };
-    replies_.identify(accept,
-                      "is the controller on, is the cable in the right connector, and are baud rate and "
-                      "address as in the bench file?",
-                      "a PI controller", kLongestReply);
-    std::string who = "stage " + identity_.model;
-    if (!identity_.serial_number.empty()) who += " (SN " + identity_.serial_number + ")";
-    if (!settings_.address.empty()) who += " at address " + settings_.address;
+    m.replies->identify(accept,
+                        "is the controller on, is the cable in the right connector, and are baud rate and "
+                        "address as in the bench file?",
+                        "a PI controller", kLongestReply);
+    if (m.identity.model != before.model || m.identity.firmware != before.firmware) m.commands.clear();
+    const Identity all = identity_of_all();
+    std::string who = "stage " + all.model;
+    if (!all.serial_number.empty()) who += " (SN " + all.serial_number + ")";
+    if (!m.address.empty()) who += members_.size() == 1 ? " at address " + m.address : " in a daisy chain";
     line().rename(who);
   }
 
+  Identity identity_of_all() const {
+    Identity all;
+    for (const auto& m : members_) {
+      all.maker = joined(all.maker, m->identity.maker);
+      all.model = joined(all.model, m->identity.model);
+      all.firmware = joined(all.firmware, m->identity.firmware);
+      if (!all.serial_number.empty()) all.serial_number += "/";
+      all.serial_number += m->identity.serial_number;
+    }
+    return all;
+  }
+
+  /// What it knows, by its own list; a controller without one is asked as it goes.
+  void read_commands(Member& m) {
+    if (!m.commands.empty()) return;
+    m.commands = ask_optional(m, "HLP?", parse_help, kHelpDeadline).value_or(Lines{});
+    m.motion_query = m.may_know("#5")   ? MotionQuery::kMask
+                     : m.may_know("#4") ? MotionQuery::kStatus
+                                        : MotionQuery::kOnTarget;
+  }
+
+  void ensure_known(StageAxis axis) { ensure_known(member_of(axis)); }
+
   /// Once, before anything else is asked: a PI controller, which has our axes, in degrees.
-  void ensure_known() {
-    if (known_) return;
-    identify_controller();
-    replies_.error_may_wait(true);
-    read_error("an earlier program");
-    axes_ = require("SAI?", [](const Lines& lines) -> std::optional<Lines> {
+  void ensure_known(Member& m) {
+    if (m.known) return;
+    identify_controller(m);
+    m.replies->error_may_wait(true);
+    read_error(m, "an earlier program");
+    read_commands(m);
+    m.axes = require(m, "SAI?", [](const Lines& lines) -> std::optional<Lines> {
       const bool plausible =
           !lines.empty() && std::all_of(lines.begin(), lines.end(), [](const std::string& line) {
             return !line.empty() && line.size() <= 16 && line.find_first_of("= ,") == std::string::npos;
@@ -189,25 +293,25 @@ class PiGcsController final : public wire::LineController {
       return plausible ? std::optional(lines) : std::nullopt;
     });
     for (const StageAxis axis : kStageAxes) {
-      const std::string& name = settings_.axis_names[index(axis)];
-      if (name.empty()) continue;
-      const auto found = std::find(axes_.begin(), axes_.end(), name);
-      if (found == axes_.end()) {
+      const std::string& name = places_[index(axis)].name;
+      if (name.empty() || &member_of(axis) != &m) continue;
+      const auto found = std::find(m.axes.begin(), m.axes.end(), name);
+      if (found == m.axes.end()) {
         throw failure(Fault::kWrongIdentity, fmt::format("has no axis \"{}\" (for {}); its axes are {}", name,
-                                                         to_string(axis), fmt::join(axes_, ", ")));
+                                                         to_string(axis), fmt::join(m.axes, ", ")));
       }
-      position_[index(axis)] = static_cast<std::size_t>(found - axes_.begin());
-      require_degrees(name);
+      position_[index(axis)] = static_cast<std::size_t>(found - m.axes.begin());
+      require_degrees(m, name);
     }
-    known_ = true;
+    m.known = true;
   }
 
   /// By PUN?, else by the axis' parameter, else as the bench file says.
-  void require_degrees(const std::string& name) {
-    auto unit = ask_optional(fmt::format("PUN? {}", name),
+  void require_degrees(Member& m, const std::string& name) {
+    auto unit = ask_optional(m, fmt::format("PUN? {}", name),
                              [&name](const Lines& lines) { return axis_value(lines, name); });
     if (!unit) {
-      unit = ask_optional(fmt::format("SPA? {} 0x{:X}", name, kUserUnit),
+      unit = ask_optional(m, fmt::format("SPA? {} 0x{:X}", name, kUserUnit),
                           [](const Lines& lines) { return parameter_text(lines, kUserUnit); });
     }
     if (!unit && settings_.unit.empty()) {
@@ -226,7 +330,7 @@ class PiGcsController final : public wire::LineController {
   }
 
   const std::string& name_of(StageAxis axis) const {
-    const std::string& name = settings_.axis_names[index(axis)];
+    const std::string& name = places_[index(axis)].name;
     if (name.empty())
       throw failure(Fault::kNotReady, fmt::format("axis {} is not on this controller", to_string(axis)));
     return name;
@@ -241,18 +345,19 @@ class PiGcsController final : public wire::LineController {
 
   StageAxisInfo axis_info(StageAxis axis) {
     const std::string& name = name_of(axis);
+    Member& m = member_of(axis);
     StageAxisInfo info;
-    info.stage_name = ask_optional(fmt::format("CST? {}", name), [&name](const Lines& lines) {
+    info.stage_name = ask_optional(m, fmt::format("CST? {}", name), [&name](const Lines& lines) {
                         return axis_value(lines, name);
                       }).value_or("");
-    info.travel_min = Angle::degrees(require(fmt::format("TMN? {}", name), number_of(name)));
-    info.travel_max = Angle::degrees(require(fmt::format("TMX? {}", name), number_of(name)));
-    info.referenced = require(fmt::format("FRF? {}", name), flag_of(name));
+    info.travel_min = Angle::degrees(require(m, fmt::format("TMN? {}", name), number_of(name)));
+    info.travel_max = Angle::degrees(require(m, fmt::format("TMX? {}", name), number_of(name)));
+    info.referenced = require(m, fmt::format("FRF? {}", name), flag_of(name));
     // The speed that moves will have: the bench file's is set before the first one.
-    const auto speed = ask_optional(fmt::format("VEL? {}", name), number_of(name));
+    const auto speed = ask_optional(m, fmt::format("VEL? {}", name), number_of(name));
     info.speed_deg_per_s = settings_.speed_deg_per_s[index(axis)].value_or(speed.value_or(0.0));
-    const auto counts = [this, &name](unsigned parameter) {
-      return ask_optional(fmt::format("SPA? {} {}", name, parameter),
+    const auto counts = [this, &name, &m](unsigned parameter) {
+      return ask_optional(m, fmt::format("SPA? {} {}", name, parameter),
                           [parameter](const Lines& lines) { return parameter_number(lines, parameter); });
     };
     if (const auto numerator = counts(kCountsNumerator); numerator && *numerator != 0.0) {
@@ -263,18 +368,20 @@ class PiGcsController final : public wire::LineController {
   }
 
   StageInfo identify() override {
-    known_ = false;  // A controller that was swapped or switched off and on since is noticed.
     servo_on_ = {false, false};
     speed_set_ = {false, false};
-    motion_query_ = MotionQuery::kMask;
-    ensure_known();
+    for (const auto& m : members_) {
+      m->known = false;  // A controller that was swapped or switched off and on since is noticed.
+      ensure_known(*m);
+    }
+    const Identity all = identity_of_all();
     StageInfo info;
-    info.maker = identity_.maker;
-    info.model = identity_.model;
-    info.serial_number = identity_.serial_number;
-    info.firmware = identity_.firmware;
+    info.maker = all.maker;
+    info.model = all.model;
+    info.serial_number = all.serial_number;
+    info.firmware = all.firmware;
     for (const StageAxis axis : kStageAxes) {
-      if (!settings_.axis_names[index(axis)].empty()) info.axes[index(axis)] = axis_info(axis);
+      if (!places_[index(axis)].name.empty()) info.axes[index(axis)] = axis_info(axis);
     }
     return info;
   }
@@ -282,24 +389,27 @@ class PiGcsController final : public wire::LineController {
   void apply_speed(StageAxis axis) {
     const auto& speed = settings_.speed_deg_per_s[index(axis)];
     if (!speed || speed_set_[index(axis)]) return;
-    execute_or_throw(fmt::format("VEL {} {:.6f}", name_of(axis), *speed));
+    execute_or_throw(member_of(axis), fmt::format("VEL {} {:.6f}", name_of(axis), *speed));
     speed_set_[index(axis)] = true;
   }
 
   void home(StageAxis axis) override {
     const std::string& name = name_of(axis);
-    ensure_known();
-    const std::string enable = fmt::format("EAX {} 1", name);
-    if (const int code = execute(enable); code != 0 && code != kErrorUnknownCommand)
-      throw refusal(code, enable);
-    execute_or_throw(fmt::format("SVO {} 1", name));
+    ensure_known(axis);
+    Member& m = member_of(axis);
+    if (m.may_know("EAX")) {
+      const std::string enable = fmt::format("EAX {} 1", name);
+      if (const int code = execute(m, enable); code != 0 && code != kErrorUnknownCommand)
+        throw refusal(code, enable);
+    }
+    execute_or_throw(m, fmt::format("SVO {} 1", name));
     servo_on_[index(axis)] = true;
     apply_speed(axis);
     // A controller that does not know TRS? is taken to have the switch: FRF itself will say if not.
-    if (ask_optional(fmt::format("TRS? {}", name), flag_of(name)).value_or(true)) {
-      execute_or_throw(fmt::format("FRF {}", name));
-    } else if (ask_optional(fmt::format("LIM? {}", name), flag_of(name)).value_or(false)) {
-      execute_or_throw(fmt::format("FNL {}", name));
+    if (ask_optional(m, fmt::format("TRS? {}", name), flag_of(name)).value_or(true)) {
+      execute_or_throw(m, fmt::format("FRF {}", name));
+    } else if (ask_optional(m, fmt::format("LIM? {}", name), flag_of(name)).value_or(false)) {
+      execute_or_throw(m, fmt::format("FNL {}", name));
     } else {
       throw failure(
           Fault::kNotReady,
@@ -315,26 +425,27 @@ class PiGcsController final : public wire::LineController {
       throw failure(Fault::kOutOfTravel,
                     fmt::format("target {} of axis \"{}\" is not a number", target.deg(), name));
     }
-    ensure_known();
+    ensure_known(axis);
+    Member& m = member_of(axis);
     if (!servo_on_[index(axis)]) {
-      if (!require(fmt::format("SVO? {}", name), flag_of(name)))
-        execute_or_throw(fmt::format("SVO {} 1", name));
+      if (!require(m, fmt::format("SVO? {}", name), flag_of(name)))
+        execute_or_throw(m, fmt::format("SVO {} 1", name));
       servo_on_[index(axis)] = true;
     }
     apply_speed(axis);
     const std::string command = move_command(name, target);
-    const int code = execute(command);
+    const int code = execute(m, command);
     if (code == 0) return;
     servo_on_[index(axis)] = false;  // Ask again before the next move.
     if (code == kErrorUnreferencedOrServoOff || code == kErrorNoReference)
-      throw not_ready(name, code, command);
+      throw not_ready(m, name, code, command);
     throw refusal(code, command);
   }
 
   /// Error 5 has two causes; the controller knows which.
-  InstrumentError not_ready(const std::string& name, int code, const std::string& command) {
+  InstrumentError not_ready(Member& m, const std::string& name, int code, const std::string& command) {
     const std::string said = fmt::format("error {} ({}) to \"{}\"", code, error_text(code), command);
-    if (code == kErrorUnreferencedOrServoOff && require(fmt::format("FRF? {}", name), flag_of(name))) {
+    if (code == kErrorUnreferencedOrServoOff && require(m, fmt::format("FRF? {}", name), flag_of(name))) {
       return failure(
           Fault::kNotReady,
           fmt::format("the servo of axis \"{}\" is off although the axis has its reference: {}", name, said));
@@ -343,93 +454,101 @@ class PiGcsController final : public wire::LineController {
                    fmt::format("axis \"{}\" has lost its reference; home it: {}", name, said));
   }
 
-  /// Whether the controller knows #5, #4 or only ONT? is found out by asking, in this order.
+  /// Whether the controller knows #5, #4 or only ONT? is found out by asking, in this order, unless it has
+  /// said so.
   bool moving(StageAxis axis) {
+    Member& m = member_of(axis);
     const std::size_t position = position_[index(axis)];
-    if (motion_query_ == MotionQuery::kMask) {
-      const auto mask = ask(single_byte(kAskMotion, settings_.address), "#5", parse_motion_mask);
+    if (m.motion_query == MotionQuery::kMask) {
+      const auto mask = ask(m, single_byte(kAskMotion, m.address), "#5", parse_motion_mask);
       if (mask.value) return ((*mask.value >> position) & 1U) != 0;
-      motion_query_ = MotionQuery::kStatus;
+      m.motion_query = MotionQuery::kStatus;
     }
-    if (motion_query_ == MotionQuery::kStatus) {
-      const auto status =
-          ask(single_byte(kAskStatus, settings_.address), "#4", [position](const Lines& lines) {
-            auto words = parse_status(lines);
-            if (words && words->size() <= position) words.reset();
-            return words;
-          });
+    if (m.motion_query == MotionQuery::kStatus) {
+      const auto status = ask(m, single_byte(kAskStatus, m.address), "#4", [position](const Lines& lines) {
+        auto words = parse_status(lines);
+        if (words && words->size() <= position) words.reset();
+        return words;
+      });
       if (status.value) {
         const AxisStatus& word = (*status.value)[position];
         return word.moving || word.homing;
       }
-      motion_query_ = MotionQuery::kOnTarget;
+      m.motion_query = MotionQuery::kOnTarget;
     }
     const std::string& name = name_of(axis);
-    return !require(fmt::format("ONT? {}", name), flag_of(name));
+    return !require(m, fmt::format("ONT? {}", name), flag_of(name));
   }
 
   MotionState motion_state(StageAxis axis) override {
     name_of(axis);
-    ensure_known();
+    ensure_known(axis);
     return moving(axis) ? MotionState::kMoving : MotionState::kStopped;
   }
 
   Angle encoder_angle(StageAxis axis) override {
     const std::string& name = name_of(axis);
-    ensure_known();
-    return Angle::degrees(require(fmt::format("POS? {}", name), number_of(name)));
+    ensure_known(axis);
+    return Angle::degrees(require(member_of(axis), fmt::format("POS? {}", name), number_of(name)));
   }
 
   // ---- Halt
 
   void forget_motion() override {
     servo_on_ = {false, false};
-    replies_.error_may_wait(true);
+    for (const auto& m : members_) m->replies->error_may_wait(true);
   }
 
   Clock::Duration reply_deadline() const override { return kReplyDeadline; }
 
   bool has_stopped() override {
-    if (replies_.identity().empty()) identify_controller();
-    const int code = replies_.ask_error("#24");
-    replies_.error_may_wait(false);
+    return std::all_of(members_.begin(), members_.end(), [this](const auto& m) { return has_stopped(*m); });
+  }
+
+  bool has_stopped(Member& m) {
+    if (m.replies->identity().empty()) identify_controller(m);
+    const int code = m.replies->ask_error("#24");
+    m.replies->error_may_wait(false);
     if (code == kErrorStoppedByCommand) return true;
-    if (motion_query_ == MotionQuery::kMask) {
-      const auto mask = ask(single_byte(kAskMotion, settings_.address), "#5", parse_motion_mask);
+    if (m.motion_query == MotionQuery::kMask) {
+      const auto mask = ask(m, single_byte(kAskMotion, m.address), "#5", parse_motion_mask);
       return mask.value == std::uint64_t{0};
     }
-    return std::none_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
-      return !settings_.axis_names[index(axis)].empty() && moving(axis);
+    return std::none_of(kStageAxes.begin(), kStageAxes.end(), [&](StageAxis axis) {
+      return !places_[index(axis)].name.empty() && &member_of(axis) == &m && moving(axis);
     });
   }
 
   /// A half-written command becomes one with a word too many, which the controller refuses. The identity
   /// comes in between, so that an older reply does not pass for the mask.
   HaltRecipe halt_recipe() const override {
-    const std::string chained = settings_.address.empty() ? "" : "0 " + settings_.address + " ";
-    return {.driver = "pi_gcs",
-            .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
-            .end_partial = " x\n",
-            .stop = stop_command(settings_),
-            .questions = {{.bytes = command_line(kIdentityQuery, settings_.address),
-                           .reply = ".*Physik Instrumente.*",
-                           .standing = {}},
-                          {.bytes = single_byte(kAskMotion, settings_.address),
-                           .reply = chained + "[0-9A-Fa-f]+",
-                           .standing = chained + "0+"}},
-            .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
+    HaltRecipe recipe{.driver = "pi_gcs",
+                      .axes = {!places_[0].name.empty(), !places_[1].name.empty()},
+                      .end_partial = " x\n",
+                      .stop = stop_command(settings_),
+                      .questions = {},
+                      .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
+    for (const auto& m : members_) {
+      const std::string chained = m->address.empty() ? "" : "0 " + m->address + " ";
+      const std::string identified = members_.size() == 1 ? "" : chained;
+      recipe.questions.push_back({.bytes = command_line(kIdentityQuery, m->address),
+                                  .reply = identified + ".*Physik Instrumente.*",
+                                  .standing = {}});
+      recipe.questions.push_back({.bytes = single_byte(kAskMotion, m->address),
+                                  .reply = chained + "[0-9A-Fa-f]+",
+                                  .standing = chained + "0+"});
+    }
+    return recipe;
   }
 
  private:
   const StageSettings settings_;
-  wire::LineExchange replies_;
-  Identity identity_;
-  bool known_ = false;
-  Lines axes_;                             ///< SAI?
-  std::array<std::size_t, 2> position_{};  ///< Of our axes in it.
+  std::vector<std::unique_ptr<Member>> members_;
+  std::array<AxisPlace, 2> places_;
+  std::array<std::size_t, 2> member_of_{};
+  std::array<std::size_t, 2> position_{};  ///< Of our axes among those of their controller.
   std::array<bool, 2> servo_on_{};
   std::array<bool, 2> speed_set_{};
-  MotionQuery motion_query_ = MotionQuery::kMask;
 };
 
 }  // namespace

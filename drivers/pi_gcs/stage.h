@@ -18,10 +18,16 @@ inline constexpr Clock::Duration kReplyDeadline = std::chrono::seconds(2);
 /// 2).
 inline constexpr Clock::Duration kOptionalReplyDeadline = std::chrono::milliseconds(500);
 
+/// For HLP?: up to 20 kB, which a line of 38400 baud takes 5 s to carry.
+inline constexpr Clock::Duration kHelpDeadline = std::chrono::seconds(8);
+
 /// Within this time after the call halt() has returned (a write that is stuck adds its own deadline of 2 s).
 inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(5);
 
 /// Two axes of a PI controller that speaks GCS 2.0 (C-884, C-863, E-861, ...), over serial or TCP.
+///
+/// In a daisy chain the axes may be on two controllers of the line: StageSettings::axis_names are then
+/// "<address> <name>" each. What a controller does not list in HLP? is not asked of it.
 ///
 /// Angles are the controller's own, in degrees: the controller's unit is checked before anything else. The
 /// controller is identified at the first call, whichever it is. StageSettings::axis_names may leave one name

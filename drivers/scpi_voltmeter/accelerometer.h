@@ -34,10 +34,11 @@ class VoltmeterAccelerometer : public Accelerometer {
   /// @throws InstrumentError kWrongIdentity for what is none of the models known, which it names; kNoReply.
   AccelerometerInfo identify() override;
 
-  /// Identifies, resets (*RST) and sets the voltmeters, and takes one scan, which is not delivered.
+  /// Identifies, resets (*RST) and sets the voltmeters, and takes one scan, which is not delivered
+  /// (eleven if the first one was slower than the rate).
   /// @throws InstrumentError kRefused: in the voltmeter's words; or rate_hz is more than the integration time
-  ///   permits (computed before anything is set), or than the one scan took; kImplausible: it says that it
-  ///   scans other channels than it was told; kBadFrame: its reply has other channels.
+  ///   permits (computed before anything is set), or than these scans took in the mean; kImplausible: it says
+  ///   that it scans other channels than it was told; kBadFrame: its reply has other channels.
   void start() override;
 
   /// @throws InstrumentError kNoReply and kBadFrame if three scans in a row are lost; kRefused if the
@@ -62,7 +63,8 @@ class VoltmeterAccelerometer : public Accelerometer {
   Family family_of(const scpi::Meter& meter, const scpi::Identity& identity) const;
   std::vector<std::string> setup(Family family) const;
   void check_rate_against_integration() const;
-  void take_trial_scan();
+  void check_rate_by_trial();
+  double trial_scan_s();
   void begin_scans();
   bool collect(Clock::Instant deadline);
   std::optional<std::size_t> loser() const;

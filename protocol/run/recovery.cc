@@ -15,6 +15,7 @@ bool may_come_back(Fault fault) {
   return fault == Fault::kCannotOpen || fault == Fault::kLinkLost || fault == Fault::kNoReply;
 }
 
+/// As far as they say which they are.
 void require_same(const std::string& name, const std::string& before, const std::string& now) {
   if (before == now) return;
   throw InstrumentError(
@@ -59,8 +60,15 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
     throw InstrumentError(context_.stage_name(), Fault::kNoReply,
                           "it came back but does not acknowledge the halt: stop it by its own switch");
   }
-  journal.notify(kReconnectedEvent, fmt::format("{} is back; the run continues{}", name,
-                                                stage_lost ? " after homing both axes again" : ""));
+  const std::string& serial_number =
+      stage_lost ? context_.stage_info.serial_number : context_.accelerometer_info.serial_number;
+  journal.notify(
+      kReconnectedEvent,
+      fmt::format("{} is back{}; the run continues{}", name,
+                  serial_number.empty()
+                      ? " (it reports no serial number: another one of the same model would not be noticed)"
+                      : "",
+                  stage_lost ? " after homing both axes again" : ""));
   return stage_lost;
 }
 

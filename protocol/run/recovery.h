@@ -29,7 +29,8 @@ struct RunInstruments {
   Reconnector* reconnector = nullptr;  ///< Null: a port that vanishes ends the run.
 };
 
-/// Waits for ports that vanished and makes sure that the same instruments come back.
+/// Waits for ports that vanished and makes sure that what comes back has the same model and the
+/// same serial number, if it has one.
 class Recovery {
  public:
   /// Both must outlive this.

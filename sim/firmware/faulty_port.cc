@@ -11,8 +11,15 @@ namespace abcal::sim {
 FaultyPort::FaultyPort(std::shared_ptr<Firmware> inner, Clock& clock, std::vector<WireFault> faults,
                        std::uint64_t seed, LinkTiming timing)
     : inner_(inner),
-      stream_(std::make_unique<FirmwareStream>(std::move(inner), clock), clock, std::move(faults), seed,
-              timing) {}
+      stream_(
+          [&] {
+            auto stream = std::make_unique<FirmwareStream>(std::move(inner), clock);
+            power_ = [firmware = stream.get()](bool on) { firmware->power(on); };
+            return stream;
+          }(),
+          clock, std::move(faults), seed, timing) {
+  stream_.on_power(power_);
+}
 
 void FaultyPort::receive(std::string_view bytes, Clock::Instant) {
   try {
@@ -40,10 +47,10 @@ std::string FaultyPort::transmit(Clock::Instant now) {
 }
 
 std::optional<Clock::Instant> FaultyPort::next_due() const {
-  const auto inner = inner_->next_due();
-  const auto held = stream_.next_due();
-  if (inner && held) return std::min(*inner, *held);
-  return inner ? inner : held;
+  std::optional<Clock::Instant> first;
+  for (const auto& due : {inner_->next_due(), stream_.next_due(), stream_.next_change()})
+    if (due) first = first ? std::min(*first, *due) : *due;
+  return first;
 }
 
 }  // namespace abcal::sim

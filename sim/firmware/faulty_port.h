@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -31,6 +32,7 @@ class FaultyPort final : public Firmware {
 
  private:
   std::shared_ptr<Firmware> inner_;
+  std::function<void(bool)> power_;
   FaultyStream stream_;
 };
 

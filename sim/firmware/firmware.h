@@ -36,6 +36,10 @@ class Firmware {
   /// Another connection to the same instrument while one is open, with its own commands and replies; null: it
   /// serves one client at a time.
   virtual std::shared_ptr<Firmware> another_session() { return nullptr; }
+  /// Its supply fails (false) or is back (true): motion ends, what it does not keep without power is lost,
+  /// and it starts as its maker lets it start, streaming or not. Nothing is received in between, and what it
+  /// transmits is lost.
+  virtual void power(bool /*on*/, Clock::Instant /*now*/) {}
 
   /// The speed of its serial port as it is set now, in Bd; nothing: it has none (USB, network).
   virtual std::optional<unsigned> line_speed() const { return std::nullopt; }

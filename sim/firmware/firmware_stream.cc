@@ -56,6 +56,14 @@ void FirmwareStream::discard_input() {
   buffer_.clear();
 }
 
+void FirmwareStream::power(bool on) {
+  const std::lock_guard lock(mutex_);
+  const Clock::Instant now = clock_.now();
+  collect(now);
+  buffer_.clear();
+  firmware_->power(on, now);
+}
+
 std::size_t FirmwareStream::dropped_bytes() const {
   const std::lock_guard lock(mutex_);
   return dropped_;

@@ -26,6 +26,9 @@ class FirmwareStream final : public wire::ByteStream {
   std::size_t dropped_bytes() const override;
   std::string name() const override { return name_; }
 
+  /// Firmware::power() of the instrument, now; what it had put out is lost.
+  void power(bool on);
+
  private:
   void collect(Clock::Instant now);
 

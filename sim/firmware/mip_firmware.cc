@@ -71,6 +71,7 @@ constexpr std::array kFilterFields{
     kCompensatedAcceleration, kSharedGpsTime, kReferenceTime,  kReferenceTimeDelta};
 
 constexpr double kPressureMbar = 1013.25;
+constexpr double kStandardGravity = 9.80665;  // m/s2
 // From a reset of the filter until it has a solution [unverified against a device].
 constexpr Clock::Duration kFilterStart = std::chrono::seconds(1);
 enum FilterState : std::uint16_t { kFilterInitialises = 1, kFilterRuns = 2, kFilterRunsWithHeading = 3 };
@@ -89,6 +90,7 @@ struct Kept {
   std::string_view initial = {};  ///< Of the value; zeros where it is shorter.
 };
 constexpr std::uint8_t kAccelBias = 0x37;
+constexpr std::uint8_t kGyroBias = 0x38;
 // Layouts: docs/protocols/mip.md. The replies of the set 0D are [unverified against a device].
 constexpr auto kKept = std::to_array<Kept>({
     {k3dmSet, 0x2B, 0xB5, Family::kModern, 1, 1},               // event control
@@ -98,7 +100,7 @@ constexpr auto kKept = std::to_array<Kept>({
     {k3dmSet, 0x32, 0xB2, Family::kModern, 0, 16, "\x3F\x80"},  // ... quaternion
     {k3dmSet, 0x33, 0xB3, Family::kModern, 0, 36},              // ... matrix
     {k3dmSet, kAccelBias, 0x9A, Family::kAll, 0, 12},           // accelerometer bias
-    {k3dmSet, 0x38, 0x9B, Family::kAll, 0, 12},                 // gyro bias
+    {k3dmSet, kGyroBias, 0x9B, Family::kAll, 0, 12},            // gyro bias
     {k3dmSet, 0x3E, 0x9E, Family::kAll, 0, 1, "\x01"},          // coning and sculling
     {k3dmSet, 0x50, 0x8B, Family::kLegacy, 1, 5},               // low-pass filter
     {k3dmSet, 0x51, 0x97, Family::kLegacy, 0, 10, "\x01\x01"},  // complementary filter
@@ -224,6 +226,7 @@ class MipFirmware::Device {
   Device(std::shared_ptr<SimBench> bench, MipSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void power(bool on, Clock::Instant now);
   void forget_session() {
     input_.clear();
     replies_.clear();
@@ -256,7 +259,9 @@ class MipFirmware::Device {
   Answer event_support(Arguments arguments) const;
   static Answer event_status(bool of_triggers, Arguments arguments);
   std::optional<Answer> message_format(bool modern, std::uint8_t legacy_set, Arguments arguments);
-  Eigen::Vector3d accelerometer_bias() const;
+  Eigen::Vector3d bias_of(std::uint8_t command) const;
+  Eigen::Vector3d accelerometer_bias() const { return bias_of(kAccelBias); }
+  Eigen::Vector3d gyro_bias() const { return bias_of(kGyroBias); }
   std::optional<Answer> stream_control(Arguments arguments);
   std::optional<Answer> baud_rate(bool modern, Arguments arguments);
   void device_settings(Arguments arguments);
@@ -295,6 +300,7 @@ class MipFirmware::Device {
   Clock::Duration takes_ = Clock::Duration::zero();  ///< The command in hand, before it is answered.
   unsigned line_speed_;
   Clock::Instant filter_since_;  ///< Its last reset.
+  Clock::Instant powered_since_;
   Clock::Instant now_;
 };
 
@@ -306,6 +312,7 @@ MipFirmware::Device::Device(std::shared_ptr<SimBench> bench, MipSettings setting
       idle_(!settings_.streaming_at_power_on),
       line_speed_(settings_.baud),
       filter_since_(bench_->start()),
+      powered_since_(bench_->start()),
       now_(bench_->start()) {
   if (settings_.base_rate_hz < 1 || settings_.base_rate_hz > 10000)
     throw std::invalid_argument(fmt::format(
@@ -325,6 +332,18 @@ Stored MipFirmware::Device::factory() const {
                       {kFilterData, {{}, true}}},
           .baud = settings_.baud,
           .kept = {}};
+}
+
+void MipFirmware::Device::power(bool on, Clock::Instant now) {
+  now_ = now;
+  forget_session();
+  idle_ = true;
+  if (!on) return;
+  current_ = saved_;
+  line_speed_ = current_.baud;
+  filter_since_ = powered_since_ = now;
+  idle_ = !settings_.streaming_at_power_on;
+  stream_from(now);
 }
 
 // Bytes.
@@ -834,9 +853,9 @@ const SimOutput& MipFirmware::Device::output_at(std::uint64_t tick) const {
   return last_output_->second;
 }
 
-Eigen::Vector3d MipFirmware::Device::accelerometer_bias() const {
+Eigen::Vector3d MipFirmware::Device::bias_of(std::uint8_t command) const {
   Eigen::Vector3d bias = Eigen::Vector3d::Zero();
-  const auto found = current_.kept.find(kept_name(k3dmSet, kAccelBias, ""));
+  const auto found = current_.kept.find(kept_name(k3dmSet, command, ""));
   if (found == current_.kept.end()) return bias;
   Arguments numbers(found->second);
   for (int j = 0; j < 3; ++j) bias[j] = static_cast<double>(std::bit_cast<float>(numbers.u32()));
@@ -866,7 +885,7 @@ std::string MipFirmware::Device::shared_field(std::uint8_t set, std::uint8_t fie
       put(data, 0);  // None: it is the stream's.
       return data;
     case kReferenceTime:
-      put_big_endian(data, static_cast<std::uint64_t>((t - bench_->start()).count()));
+      put_big_endian(data, static_cast<std::uint64_t>((t - powered_since_).count()));
       return data;
     case kReferenceTimeDelta: {  // Since the packet before.
       std::uint64_t before = 0;
@@ -892,7 +911,9 @@ std::string MipFirmware::Device::sensor_field(std::uint8_t field, std::uint64_t 
       for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j] / settings_.base_rate_hz);
       break;
     case kInternalTime:  // ticks of the base rate
-      put_big_endian(data, static_cast<std::uint32_t>(tick));
+      put_big_endian(data,
+                     static_cast<std::uint32_t>(
+                         tick - (powered_since_ > bench_->start() ? grid_.first_after(powered_since_) : 0)));
       break;
     case kTemperature:  // lowest, highest, mean
       for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.temperature_degc);
@@ -907,7 +928,19 @@ std::string MipFirmware::Device::sensor_field(std::uint8_t field, std::uint64_t 
       put_big_endian(data, static_cast<std::uint16_t>(bits));
       break;
     }
-    default:  // gyro, magnetometer, angle increment, GPS time: not simulated, 12 bytes each
+    case kGyro:
+    case kDeltaTheta: {
+      const Eigen::Vector3d rate = bench_->body_motion(grid_.time(tick)).rate_B_radps - gyro_bias();
+      const double over_s = field == kGyro ? 1.0 : 1.0 / settings_.base_rate_hz;
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, rate[j] * over_s);
+      break;
+    }
+    case kMagnetometer: {
+      const Eigen::Vector3d field_gauss = bench_->body_motion(grid_.time(tick)).field_B_gauss;
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, field_gauss[j]);
+      break;
+    }
+    default:  // GPS time: not valid
       data.assign(12, '\0');
   }
   return data;
@@ -933,16 +966,32 @@ std::string MipFirmware::Device::filter_field(std::uint8_t field, std::uint64_t 
       put_big_endian(data, std::bit_cast<std::uint64_t>(to_seconds(t - bench_->start())));
       put_big_endian(data, std::uint16_t{0});
       break;
-    case kFilterQuaternion:
-      put_big_endian_float(data, 1.0);
-      data.append(12, '\0');
+    case kFilterQuaternion: {  // w, x, y, z; of the body in north, east, down
+      const Eigen::Quaterniond q = quaternion_of(bench_->body_motion(t).to_ned());
+      for (const double part : {q.w(), q.x(), q.y(), q.z()}) put_big_endian_float(data, part);
       break;
+    }
+    case kFilterEuler: {  // roll, pitch, yaw
+      const Eigen::Vector3d angles = roll_pitch_yaw_of(bench_->body_motion(t).to_ned());
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, angles[j]);
+      break;
+    }
+    case kAngularRate: {
+      const Eigen::Vector3d rate = bench_->body_motion(t).rate_B_radps - gyro_bias();
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, rate[j]);
+      break;
+    }
     case kCompensatedAcceleration:
-    case kGravity:
       // In m/s2, as the filter has it; from g.
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j] * 9.80665);
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j] * kStandardGravity);
       break;
-    default:  // attitude, biases, linear acceleration and rate: at rest
+    case kGravity: {  // downwards
+      const Eigen::Vector3d gravity = -kStandardGravity * bench_->body_motion(t).R_LB.row(2).transpose();
+      for (int j = 0; j < 3; ++j) put_big_endian_float(data, gravity[j]);
+      break;
+    }
+    default:  // biases that it has found, linear acceleration: the axes of the stage meet in the
+              // accelerometer
       data.append(12, '\0');
   }
   put_valid();
@@ -996,6 +1045,10 @@ std::optional<Clock::Instant> MipFirmware::next_due() const {
 
 void MipFirmware::session_starts() {
   device_->forget_session();
+}
+
+void MipFirmware::power(bool on, Clock::Instant now) {
+  device_->power(on, now);
 }
 
 std::optional<unsigned> MipFirmware::line_speed() const {

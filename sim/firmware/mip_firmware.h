@@ -27,8 +27,9 @@ struct MipSettings {
 
 /// A MicroStrain accelerometer that speaks MIP (docs/protocols/mip.md), reading the world of a SimBench. Its
 /// output unit R is g (field 80,04). Samples lie on the grid of its base rate, from the start of the world's
-/// time. Its accelerometer bias (0C,37) is subtracted. Its filter (data set 82) comes up a second after it is
-/// reset and shows rest; events can be set and are not carried out. Commands that it does not know are
+/// time. Its biases of accelerometer and gyro (0C,37 and 0C,38) are subtracted. Gyro, magnetometer and the
+/// filter (data set 82), which comes up a second after it is reset, show the motion of the platter
+/// (SimBench::body_motion); events can be set and are not carried out. Commands that it does not know are
 /// refused by code 1, and noted (unserved()). A new baud rate holds from the end of its answer on.
 class MipFirmware final : public Firmware {
  public:
@@ -40,6 +41,7 @@ class MipFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
   std::optional<unsigned> line_speed() const override;
 
  private:

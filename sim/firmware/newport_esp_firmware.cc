@@ -174,6 +174,8 @@ class NewportEspFirmware::Controller {
   }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
+  void power(bool on, Clock::Instant now);
+  unsigned baud() const { return settings_.baud; }
 
  private:
   /// One command of a line.
@@ -1067,6 +1069,19 @@ std::optional<std::string> NewportEspFirmware::Controller::reset(const Command&)
   return std::nullopt;
 }
 
+void NewportEspFirmware::Controller::power(bool on, Clock::Instant now) {
+  now_ = now;
+  update();
+  forget_session();
+  entered_program_.reset();
+  if (!on) {
+    for (std::size_t k = 0; k < 2; ++k)
+      if (numbers_[k] != 0) stop(k, true);
+  } else {
+    reset({});
+  }
+}
+
 int NewportEspFirmware::Controller::program_number(const Command& c) const {
   const int program = c.axis != 0 ? static_cast<int>(c.axis)
                                   : whole_number(pieces::split(c.parameter, ',').front(), 1, kPrograms);
@@ -1124,6 +1139,14 @@ std::optional<Clock::Instant> NewportEspFirmware::next_due() const {
 
 void NewportEspFirmware::session_starts() {
   controller_->forget_session();
+}
+
+void NewportEspFirmware::power(bool on, Clock::Instant now) {
+  controller_->power(on, now);
+}
+
+std::optional<unsigned> NewportEspFirmware::line_speed() const {
+  return controller_->baud();
 }
 
 }  // namespace abcal::sim

@@ -27,6 +27,7 @@ struct NewportEspSettings {
   std::string line_end = "\r\n";             ///< Some units and emulators end replies with CR alone.
   bool unsolicited_errors = false;           ///< Says "E37" and the like at once, for errors 35 to 42.
   Clock::Duration silence_after_limit = std::chrono::seconds(3);  ///< 2 to 5 s are seen.
+  unsigned baud = 19200;
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
 };
 
@@ -48,6 +49,8 @@ class NewportEspFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override;
 
  private:
   class Controller;

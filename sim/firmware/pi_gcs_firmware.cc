@@ -115,6 +115,9 @@ class PiGcsFirmware::Controller {
     replies.clear();
   }
 
+  void power(bool on, Clock::Instant now);
+  unsigned baud() const { return settings_.baud; }
+
   ReplyQueue replies;
 
  private:
@@ -241,6 +244,7 @@ class PiGcsFirmware::Controller {
   Lines get_spa(const Words& a);
   Lines get_err(const Words&);
   Lines rbt(const Words&);
+  void start_again();
 
   std::shared_ptr<SimBench> bench_;
   PiGcsSettings settings_;
@@ -986,33 +990,95 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::get_err(const Words&
 
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::rbt(const Words&) {
   stop_all(true);
+  start_again();
+  return {};
+}
+
+/// With the parameters of its memory; axes have no reference, and servos are off.
+void PiGcsFirmware::Controller::start_again() {
   replies.clear();
   power_on();
   for (const std::size_t k : axes_or_all({}))
     for (const unsigned live : {pi_id::kVelocity, pi_id::kAcceleration, pi_id::kDeceleration})
       set_parameter(k, *pi_parameter(live), memory_[k].at(live));
-  return {};
 }
 
-PiGcsFirmware::PiGcsFirmware(std::shared_ptr<SimBench> bench, PiGcsSettings settings)
-    : controller_(std::make_unique<Controller>(std::move(bench), std::move(settings), unserved())) {}
+void PiGcsFirmware::Controller::power(bool on, Clock::Instant now) {
+  now_ = now;
+  update();
+  if (on) {
+    start_again();
+  } else {
+    stop_all(true);
+  }
+}
+
+namespace {
+
+/// The settings of each controller of the line.
+std::vector<PiGcsSettings> controllers_of(const PiGcsSettings& settings) {
+  std::vector<PiGcsSettings> found;
+  for (std::size_t k = 0; k < 2; ++k) {
+    if (settings.axis_names[k].empty()) continue;
+    const std::vector<std::string> words = split(settings.axis_names[k]);
+    if (words.empty() || words.size() > 2 || (words.size() == 2 && !is_number(words[0])))
+      throw std::invalid_argument(
+          fmt::format("simulated GCS controller: axis \"{}\", required: a name, or \"<address> <name>\"",
+                      settings.axis_names[k]));
+    const int address = words.size() == 2 ? std::stoi(words[0]) : settings.address;
+    auto same = std::find_if(found.begin(), found.end(),
+                             [&](const PiGcsSettings& one) { return one.address == address; });
+    if (same == found.end()) {
+      same = found.insert(found.end(), settings);
+      same->address = address;
+      same->axis_names = {};
+      if (k == 1) same->serial_number = settings.z_serial_number;
+    }
+    same->axis_names[k] = words.back();
+  }
+  if (found.empty()) found.push_back(settings);
+  // One alone has one number, whichever axes are on it.
+  if (found.size() == 1) found.front().serial_number = settings.serial_number;
+  return found;
+}
+
+}  // namespace
+
+PiGcsFirmware::PiGcsFirmware(std::shared_ptr<SimBench> bench, PiGcsSettings settings) {
+  for (PiGcsSettings& one : controllers_of(settings))
+    controllers_.push_back(std::make_unique<Controller>(bench, std::move(one), unserved()));
+}
 
 PiGcsFirmware::~PiGcsFirmware() = default;
 
 void PiGcsFirmware::receive(std::string_view bytes, Clock::Instant now) {
-  controller_->receive(bytes, now);
+  for (const auto& controller : controllers_) controller->receive(bytes, now);
 }
 
 std::string PiGcsFirmware::transmit(Clock::Instant now) {
-  return controller_->replies.take(now);
+  std::string out;
+  for (auto due = next_due(); due && *due <= now; due = next_due())
+    for (const auto& controller : controllers_) out += controller->replies.take(*due);
+  return out;
 }
 
 std::optional<Clock::Instant> PiGcsFirmware::next_due() const {
-  return controller_->replies.next_due();
+  std::optional<Clock::Instant> first;
+  for (const auto& controller : controllers_)
+    if (const auto due = controller->replies.next_due()) first = first ? std::min(*first, *due) : *due;
+  return first;
 }
 
 void PiGcsFirmware::session_starts() {
-  controller_->forget_session();
+  for (const auto& controller : controllers_) controller->forget_session();
+}
+
+void PiGcsFirmware::power(bool on, Clock::Instant now) {
+  for (const auto& controller : controllers_) controller->power(on, now);
+}
+
+std::optional<unsigned> PiGcsFirmware::line_speed() const {
+  return controllers_.front()->baud();
 }
 
 }  // namespace abcal::sim

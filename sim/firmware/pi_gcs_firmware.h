@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "sim/firmware/firmware.h"
 #include "sim/sim_bench.h"
@@ -11,13 +12,16 @@
 namespace abcal::sim {
 
 struct PiGcsSettings {
-  /// The controller's names of X and Z; empty: that axis is not on this controller.
+  /// The controller's names of X and Z; empty: that axis is not on this line. "2 1" is axis 1 of controller 2
+  /// of a daisy chain, a lone "1" that of controller `address`. So {"1 1", "2 1"} is a chain of two
+  /// controllers.
   std::array<std::string, 2> axis_names{"1", "2"};
   /// controller angle = zero + sign * protocol angle
   std::array<int, 2> sign{+1, +1};
   std::array<Angle, 2> zero{};
   std::string model = "C-884.4DC";
   std::string serial_number = "118001234";
+  std::string z_serial_number = "118001235";  ///< Of the controller of Z, if it is another one.
   std::string firmware_version = "1.2.3.4";
   std::array<std::string, 2> stage_names{"M-060.PD", "M-060.PD"};
   int address = 1;  ///< In a daisy chain; 1 answers without an address as well.
@@ -28,10 +32,12 @@ struct PiGcsSettings {
   /// "..., E-861 Version 7.2.0": model and firmware in one field and no serial number, as older firmware
   /// says.
   bool short_identity = false;
+  unsigned baud = 115200;
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 
-/// A PI controller that speaks GCS 2.0 (docs/protocols/pi_gcs.md), turning the axes of a SimBench. Accepts
+/// One PI controller that speaks GCS 2.0 (docs/protocols/pi_gcs.md), or two of them in a daisy chain, each of
+/// which hears every byte and answers what has its address; turning the axes of a SimBench. Accepts
 /// what host programs send in their differing styles: any case, CR LF, several blanks, with or without axes,
 /// with or without address, parameters by decimal or hexadecimal number. What it does not know is answered as
 /// the maker does, by error 2 and silence, and noted (unserved()).
@@ -44,10 +50,12 @@ class PiGcsFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override;
 
  private:
   class Controller;
-  std::unique_ptr<Controller> controller_;
+  std::vector<std::unique_ptr<Controller>> controllers_;
 };
 
 }  // namespace abcal::sim

@@ -230,6 +230,8 @@ class ScpiVoltmeterFirmware::Meter {
   }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
+  void power(bool on, Clock::Instant now);
+  unsigned baud() const { return settings_.baud; }
 
  private:
   struct Command {
@@ -407,6 +409,7 @@ class ScpiVoltmeterFirmware::Meter {
 
   bool remote_ = false;
   UnservedCommands& unserved_;
+  ScpiStatusLayout layout_;
   ScpiStatus status_;
   bool tells_completion_ = false;  ///< After *OPC.
   bool measuring_ = false;         ///< A measurement has begun whose end has not been seen yet.
@@ -450,6 +453,19 @@ ScpiVoltmeterFirmware::Meter::Meter(std::shared_ptr<SimBench> bench, ScpiVoltmet
     if (const std::size_t hole = settings_.identity.find("{}"); hole != std::string::npos)
       settings_.identity.replace(hole, 2, settings_.serial_number);
   }
+  layout_ = model.layout;
+  power_on();
+}
+
+/// Back at the settings of *RST, with nothing of before but the bit that says so.
+void ScpiVoltmeterFirmware::Meter::power(bool on, Clock::Instant now) {
+  now_ = now;
+  measured_until_ = std::min(measured_until_, now);
+  forget_session();
+  busy_until_.reset();
+  if (!on) return;
+  errors_.clear();
+  status_ = ScpiStatus(layout_);
   power_on();
 }
 
@@ -1349,6 +1365,14 @@ std::optional<Clock::Instant> ScpiVoltmeterFirmware::next_due() const {
 
 void ScpiVoltmeterFirmware::session_starts() {
   meter_->forget_session();
+}
+
+void ScpiVoltmeterFirmware::power(bool on, Clock::Instant now) {
+  meter_->power(on, now);
+}
+
+std::optional<unsigned> ScpiVoltmeterFirmware::line_speed() const {
+  return meter_->baud();
 }
 
 ScpiVoltmeterSettings scpi_model(const std::string& model) {

@@ -33,6 +33,7 @@ struct ScpiVoltmeterSettings {
   bool needs_remote = false;  ///< Refuses measurements before SYST:REM, as a 34401A on a serial line.
   Clock::Duration channel_overhead =
       std::chrono::milliseconds(4);  ///< Switching and settling of one channel.
+  unsigned baud = 9600;              ///< Of its RS-232 port.
   Clock::Duration reply_delay = std::chrono::microseconds(500);
 };
 
@@ -58,6 +59,8 @@ class ScpiVoltmeterFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override;
 
  private:
   class Meter;

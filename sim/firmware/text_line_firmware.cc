@@ -37,6 +37,12 @@ std::string TextLineFirmware::transmit(Clock::Instant now) {
   return out;
 }
 
+void TextLineFirmware::power(bool on, Clock::Instant now) {
+  if (!on) return;
+  header_is_due_ = !settings_.header.empty();
+  while (line_time(next_index_) <= now) ++next_index_;
+}
+
 std::optional<Clock::Instant> TextLineFirmware::next_due() const {
   return header_is_due_ ? bench_->start() : line_time(next_index_);
 }

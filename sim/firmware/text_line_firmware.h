@@ -32,6 +32,7 @@ struct TextLineSettings {
   bool crlf = true;                ///< False: lines end with LF.
   double humidity_percent = 45.0;
   double pressure_hpa = 1013.25;
+  std::optional<unsigned> baud{};  ///< Of its serial line; nothing: USB, which has no speed.
 };
 
 /// A board with a program of somebody's own that prints numbers as lines of text, reading the world of a
@@ -45,6 +46,8 @@ class TextLineFirmware final : public Firmware {
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override { return settings_.baud; }
 
  private:
   Clock::Instant line_time(std::uint64_t index) const;

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <numbers>
 #include <stdexcept>
 #include <string_view>
 #include <utility>
@@ -43,8 +44,7 @@ constexpr std::array<unsigned, 9> kBaudRates{9600,   19200,  38400,  57600, 1152
 constexpr std::array<unsigned, 11> kAsyncRates{1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200};
 constexpr std::array<unsigned, 13> kAsyncTypes{0, 1, 2, 8, 10, 11, 12, 13, 14, 16, 17, 19, 20};
 
-// A still earth field and no rotation: neither is part of the world.
-constexpr std::array<double, 3> kMagneticField{0.25, 0.0, 0.45};  // gauss
+constexpr double kDegreesPerRadian = 180.0 / std::numbers::pi;
 constexpr double kPressureKpa = 101.325;
 
 /// Thrown by a command that is refused.
@@ -164,6 +164,15 @@ struct Stored {
   std::map<unsigned, std::vector<double>> vectors;        ///< Of vectornav_registers().
 };
 
+Eigen::Vector3d yaw_pitch_roll_deg(const BodyMotion& body) {
+  return roll_pitch_yaw_of(body.to_ned()).reverse() * kDegreesPerRadian;
+}
+
+/// Over a period of the IMU.
+Eigen::Vector3d delta_angle_deg(const BodyMotion& body, double period_s) {
+  return body.rate_B_radps * period_s * kDegreesPerRadian;
+}
+
 std::string async_name(unsigned type) {
   switch (type) {
     case 1:
@@ -198,6 +207,7 @@ class VectorNavFirmware::Device {
   Device(std::shared_ptr<SimBench> bench, VectorNavSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void power(bool on, Clock::Instant now);
   void forget_session() {
     in_command_ = false;
     replies_.clear();
@@ -233,13 +243,15 @@ class VectorNavFirmware::Device {
     Eigen::Vector3d uncompensated = Eigen::Vector3d::Zero();
     Eigen::Vector3d acceleration = Eigen::Vector3d::Zero();
     double temperature_degc = 0.0;
+    BodyMotion body{Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()};
   };
   Sample sample(std::uint64_t tick) const;
-  std::string vector_text(std::string_view what, const Sample& sample) const;
+  static std::string vector_text(std::string_view what, const Sample& sample);
   std::string async_text(unsigned type, const Sample& sample) const;
   static std::string delta_text(const Sample& sample);
   std::string async_sentence(const Sample& sample) const;
   std::string binary_packet(const BinaryOutput& output, const Sample& sample) const;
+  void put_part(std::string& packet, const Part& part, const Sample& sample) const;
 
   std::shared_ptr<SimBench> bench_;
   VectorNavSettings settings_;
@@ -294,6 +306,15 @@ void VectorNavFirmware::Device::restart() {
   streaming_ = true;
   started_ = silent_until_ = now_ + settings_.reset_time;
   stream_from(silent_until_);
+}
+
+void VectorNavFirmware::Device::power(bool on, Clock::Instant now) {
+  now_ = now;
+  forget_session();
+  streaming_ = false;
+  if (!on) return;
+  restart();
+  line_speed_ = current_.baud;
 }
 
 // Commands.
@@ -625,7 +646,8 @@ void VectorNavFirmware::Device::advance_tick() {
 VectorNavFirmware::Device::Sample VectorNavFirmware::Device::sample(std::uint64_t tick) const {
   if (last_sample_ && last_sample_->tick == tick) return *last_sample_;
   const SimOutput output = bench_->output(grid_.time(tick), tick, grid_.period());
-  Sample made{tick, output.value, Eigen::Vector3d::Zero(), output.temperature_degc};
+  Sample made{tick, output.value, Eigen::Vector3d::Zero(), output.temperature_degc,
+              bench_->body_motion(grid_.time(tick))};
   // Register 25: matrix times (measured - offset), as the maker applies it.
   const std::vector<double>& c = current_.vectors.at(25);
   const Eigen::Vector3d centred = output.value - Eigen::Vector3d(c[9], c[10], c[11]);
@@ -638,14 +660,16 @@ VectorNavFirmware::Device::Sample VectorNavFirmware::Device::sample(std::uint64_
   return made;
 }
 
-std::string VectorNavFirmware::Device::vector_text(std::string_view what, const Sample& sample) const {
-  const auto& a = sample.acceleration;
-  if (what == "acc") return fmt::format("{:+07.3f},{:+07.3f},{:+07.3f}", a[0], a[1], a[2]);
-  if (what == "mag")
-    return fmt::format("{:+08.4f},{:+08.4f},{:+08.4f}", kMagneticField[0], kMagneticField[1],
-                       kMagneticField[2]);
-  if (what == "ypr") return fmt::format("{:+08.3f},{:+08.3f},{:+08.3f}", 0.0, 0.0, 0.0);
-  return fmt::format("{:+010.6f},{:+010.6f},{:+010.6f}", 0.0, 0.0, 0.0);  // gyro
+std::string VectorNavFirmware::Device::vector_text(std::string_view what, const Sample& sample) {
+  const auto three = [](const Eigen::Vector3d& v, std::string_view form) {
+    return fmt::format(fmt::runtime(form), v[0], v[1], v[2]);
+  };
+  if (what == "acc") return three(sample.acceleration, "{:+07.3f},{:+07.3f},{:+07.3f}");
+  if (what == "acc_ned")
+    return three(sample.body.to_ned() * sample.acceleration, "{:+07.3f},{:+07.3f},{:+07.3f}");
+  if (what == "mag") return three(sample.body.field_B_gauss, "{:+08.4f},{:+08.4f},{:+08.4f}");
+  if (what == "ypr") return three(yaw_pitch_roll_deg(sample.body), "{:+08.3f},{:+08.3f},{:+08.3f}");
+  return three(sample.body.rate_B_radps, "{:+010.6f},{:+010.6f},{:+010.6f}");  // gyro
 }
 
 std::string VectorNavFirmware::Device::async_text(unsigned type, const Sample& sample) const {
@@ -657,14 +681,17 @@ std::string VectorNavFirmware::Device::async_text(unsigned type, const Sample& s
     }
     return text;
   };
-  constexpr std::string_view kQuaternion = "+0.000000,+0.000000,+0.000000,+1.000000";
+  const auto quaternion = [&] {  // The scalar last.
+    const Eigen::Quaterniond q = quaternion_of(sample.body.to_ned());
+    return fmt::format("{:+.6f},{:+.6f},{:+.6f},{:+.6f}", q.x(), q.y(), q.z(), q.w());
+  };
   switch (type) {
     case 1:
       return join({"ypr"});
     case 2:
-      return std::string(kQuaternion);
+      return quaternion();
     case 8:
-      return fmt::format("{},{}", kQuaternion, join({"mag", "acc", "gyr"}));
+      return fmt::format("{},{}", quaternion(), join({"mag", "acc", "gyr"}));
     case 10:
       return join({"mag"});
     case 11:
@@ -676,8 +703,9 @@ std::string VectorNavFirmware::Device::async_text(unsigned type, const Sample& s
     case 14:
       return join({"ypr", "mag", "acc", "gyr"});
     case 16:
-    case 17:
       return join({"ypr", "acc", "gyr"});
+    case 17:  // The acceleration along north, east, down.
+      return join({"ypr", "acc_ned", "gyr"});
     default:
       return fmt::format("{},{:+05.1f},{:+08.3f}", join({"mag", "acc", "gyr"}), sample.temperature_degc,
                          kPressureKpa);
@@ -687,9 +715,10 @@ std::string VectorNavFirmware::Device::async_text(unsigned type, const Sample& s
 /// Time, angle and velocity of one period.
 std::string VectorNavFirmware::Device::delta_text(const Sample& sample) {
   constexpr double kPeriod_s = 1.0 / kImuRateHz;
+  const Eigen::Vector3d angle = delta_angle_deg(sample.body, kPeriod_s);
   const Eigen::Vector3d velocity = sample.acceleration * kPeriod_s;
   return fmt::format("{:+09.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f},{:+011.6f}", kPeriod_s,
-                     0.0, 0.0, 0.0, velocity[0], velocity[1], velocity[2]);
+                     angle[0], angle[1], angle[2], velocity[0], velocity[1], velocity[2]);
 }
 
 std::string VectorNavFirmware::Device::async_sentence(const Sample& sample) const {
@@ -704,35 +733,61 @@ std::string VectorNavFirmware::Device::binary_packet(const BinaryOutput& output,
   std::string packet;
   put(packet, static_cast<std::uint8_t>(output.groups));
   for (const std::uint16_t mask : output.masks) put(packet, mask);
-  output.each_part([&](const Part& part) {
-    switch (part.content) {
-      case Content::kTime:
-        put(packet, static_cast<std::uint64_t>(
-                        std::max<std::int64_t>(0, (grid_.time(sample.tick) - started_).count())));
-        break;
-      case Content::kAcceleration:
-        for (int j = 0; j < 3; ++j) put_float(packet, sample.acceleration[j]);
-        break;
-      case Content::kUncompensated:
-        for (int j = 0; j < 3; ++j) put_float(packet, sample.uncompensated[j]);
-        break;
-      case Content::kMagnetic:
-        for (const double value : kMagneticField) put_float(packet, value);
-        break;
-      case Content::kTemperature:
-        put_float(packet, sample.temperature_degc);
-        break;
-      case Content::kPressure:
-        put_float(packet, kPressureKpa);
-        break;
-      case Content::kZero:
-        packet.append(part.bytes, '\0');
-    }
-  });
+  output.each_part([&](const Part& part) { put_part(packet, part, sample); });
   const std::uint16_t crc = crc_of(packet);
   packet.push_back(static_cast<char>(crc >> 8U));
   packet.push_back(static_cast<char>(crc & 0xFFU));
   return '\xFA' + packet;
+}
+
+void VectorNavFirmware::Device::put_part(std::string& packet, const Part& part, const Sample& sample) const {
+  constexpr double kPeriod_s = 1.0 / kImuRateHz;
+  const BodyMotion& body = sample.body;
+  const auto put_vector = [&](const Eigen::Vector3d& v) {
+    for (const double value : v) put_float(packet, value);
+  };
+  switch (part.content) {
+    case Content::kTime:
+      return put(packet, static_cast<std::uint64_t>(
+                             std::max<std::int64_t>(0, (grid_.time(sample.tick) - started_).count())));
+    case Content::kAcceleration:
+      return put_vector(sample.acceleration);
+    case Content::kUncompensated:
+      return put_vector(sample.uncompensated);
+    case Content::kMagnetic:
+      return put_vector(body.field_B_gauss);
+    case Content::kTemperature:
+      return put_float(packet, sample.temperature_degc);
+    case Content::kPressure:
+      return put_float(packet, kPressureKpa);
+    case Content::kYawPitchRoll:
+      return put_vector(yaw_pitch_roll_deg(body));
+    case Content::kQuaternion: {  // The scalar last.
+      const Eigen::Quaterniond q = quaternion_of(body.to_ned());
+      for (const double value : {q.x(), q.y(), q.z(), q.w()}) put_float(packet, value);
+      return;
+    }
+    case Content::kRate:
+      return put_vector(body.rate_B_radps);
+    case Content::kDeltaTime:
+      return put_float(packet, kPeriod_s);
+    case Content::kDeltaAngle:
+      return put_vector(delta_angle_deg(body, kPeriod_s));
+    case Content::kDeltaVelocity:
+      return put_vector(sample.acceleration * kPeriod_s);
+    case Content::kRotationMatrix: {  // Row by row, north, east, down to the body [unverified against a
+                                      // device].
+      const Eigen::Matrix3d R_BN = body.to_ned().transpose();
+      for (Eigen::Index row = 0; row < 3; ++row) put_vector(R_BN.row(row).transpose());
+      return;
+    }
+    case Content::kMagneticNed:
+      return put_vector(body.to_ned() * body.field_B_gauss);
+    case Content::kAccelerationNed:
+      return put_vector(body.to_ned() * sample.acceleration);
+    case Content::kZero:
+      packet.append(part.bytes, '\0');
+  }
 }
 
 std::string VectorNavFirmware::Device::transmit(Clock::Instant now) {
@@ -779,6 +834,10 @@ std::optional<Clock::Instant> VectorNavFirmware::next_due() const {
 
 void VectorNavFirmware::session_starts() {
   device_->forget_session();
+}
+
+void VectorNavFirmware::power(bool on, Clock::Instant now) {
+  device_->power(on, now);
 }
 
 std::optional<unsigned> VectorNavFirmware::line_speed() const {

@@ -27,8 +27,9 @@ struct VectorNavSettings {
 /// m/s2: a truth of about 9.8 R per g_loc makes an ideal one. ASCII, asynchronous ASCII and binary outputs;
 /// both checksums. Samples lie on the grid of its 800 Hz IMU, from the start of the world's time. The port is
 /// its serial port 1. Registers that tune the maker's filter are kept and change nothing. Register 25 is
-/// applied. What it does not know is refused by VNERR, and noted (unserved()). A new baud rate holds from the
-/// end of its answer on.
+/// applied. Attitude, gyro and magnetometer show the motion of the platter (SimBench::body_motion), from the
+/// start on. What it does not know is refused by VNERR, and noted (unserved()). A new baud rate holds from
+/// the end of its answer on.
 class VectorNavFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a baud rate, type or output rate that a VN-100 does not have.
@@ -39,6 +40,7 @@ class VectorNavFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
   std::optional<unsigned> line_speed() const override;
 
  private:

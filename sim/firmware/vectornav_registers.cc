@@ -123,28 +123,42 @@ const std::vector<BinaryField>& fields_of_group(unsigned group) {
       {{C::kTime, 8}},                                                // time since startup
       {{C::kZero, 8}},                                                // GPS time
       {{C::kTime, 8}},                                                // time since the last sync-in
-      {{C::kZero, 12}},                                               // yaw, pitch, roll
-      {{C::kZero, 16}},                                               // quaternion
-      {{C::kZero, 12}},                                               // angular rate
+      {{C::kYawPitchRoll, 12}},                                       // yaw, pitch, roll
+      {{C::kQuaternion, 16}},                                         // quaternion
+      {{C::kRate, 12}},                                               // angular rate
       {{C::kZero, 24}},                                               // latitude, longitude, altitude
       {{C::kZero, 12}},                                               // velocity
       {{C::kAcceleration, 12}},                                       // acceleration
-      {{C::kUncompensated, 12}, {C::kZero, 12}},                      // IMU: acceleration, gyro
+      {{C::kUncompensated, 12}, {C::kRate, 12}},                      // IMU: acceleration, gyro
       {{C::kMagnetic, 12}, {C::kTemperature, 4}, {C::kPressure, 4}},  // magnetic field, temperature, pressure
-      {{C::kZero, 28}},                                               // delta time, angle, velocity
-      {{C::kZero, 2}},                                                // status
-      {{C::kZero, 4}},                                                // sync-in count
-      {{C::kZero, 8}}};                                               // time since the GPS pulse
+      {{C::kDeltaTime, 4}, {C::kDeltaAngle, 12}, {C::kDeltaVelocity, 12}},
+      {{C::kZero, 2}},   // status
+      {{C::kZero, 4}},   // sync-in count
+      {{C::kZero, 8}}};  // time since the GPS pulse
   static const std::vector<BinaryField> time{
       {{C::kTime, 8}}, {{C::kZero, 8}}, {{C::kZero, 8}}, {{C::kZero, 2}}, {{C::kTime, 8}},
       {{C::kZero, 8}}, {{C::kZero, 8}}, {{C::kZero, 4}}, {{C::kZero, 4}}, {{C::kZero, 1}}};
-  static const std::vector<BinaryField> imu{
-      {{C::kZero, 2}},        {{C::kMagnetic, 12}},     {{C::kUncompensated, 12}}, {{C::kZero, 12}},
-      {{C::kTemperature, 4}}, {{C::kPressure, 4}},      {{C::kZero, 16}},          {{C::kZero, 12}},
-      {{C::kMagnetic, 12}},   {{C::kAcceleration, 12}}, {{C::kZero, 12}},          {{C::kZero, 2}},
-      {{C::kZero, 40}}};
+  static const std::vector<BinaryField> imu{{{C::kZero, 2}},
+                                            {{C::kMagnetic, 12}},
+                                            {{C::kUncompensated, 12}},
+                                            {{C::kRate, 12}},
+                                            {{C::kTemperature, 4}},
+                                            {{C::kPressure, 4}},
+                                            {{C::kDeltaTime, 4}, {C::kDeltaAngle, 12}},
+                                            {{C::kDeltaVelocity, 12}},
+                                            {{C::kMagnetic, 12}},
+                                            {{C::kAcceleration, 12}},
+                                            {{C::kRate, 12}},
+                                            {{C::kZero, 2}},
+                                            {{C::kZero, 40}}};
   static const std::vector<BinaryField> gnss = zeros({8, 8, 2, 1, 1, 24, 24, 12, 12, 12, 4, 4, 2, 28});
-  static const std::vector<BinaryField> attitude = zeros({2, 12, 16, 36, 12, 12, 12, 12, 12, 12, 28, 24, 12});
+  static const std::vector<BinaryField> attitude{{{C::kZero, 2}},         {{C::kYawPitchRoll, 12}},
+                                                 {{C::kQuaternion, 16}},  {{C::kRotationMatrix, 36}},
+                                                 {{C::kMagneticNed, 12}}, {{C::kAccelerationNed, 12}},
+                                                 {{C::kZero, 12}},        {{C::kZero, 12}},
+                                                 {{C::kZero, 12}},        {{C::kZero, 12}},
+                                                 {{C::kZero, 28}},        {{C::kZero, 24}},
+                                                 {{C::kZero, 12}}};
   static const std::vector<BinaryField> ins = zeros({2, 24, 24, 12, 12, 12, 12, 12, 12, 4, 4, 68, 64});
   static const std::vector<BinaryField> none;
   switch (group) {

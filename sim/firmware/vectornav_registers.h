@@ -38,7 +38,16 @@ enum class Content : std::uint8_t {
   kUncompensated,
   kMagnetic,
   kTemperature,
-  kPressure
+  kPressure,
+  kYawPitchRoll,
+  kQuaternion,
+  kRate,
+  kDeltaTime,
+  kDeltaAngle,
+  kDeltaVelocity,
+  kRotationMatrix,
+  kMagneticNed,
+  kAccelerationNed
 };
 struct Part {
   Content content;

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdint>
 #include <map>
+#include <numbers>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -27,11 +28,17 @@ constexpr std::uint8_t kAccelerationRange = 0x21;
 constexpr std::uint8_t kRead = 0x27;
 constexpr std::uint8_t kVersion = 0x2E;
 constexpr std::uint8_t kAcceleration = 0x34;
+constexpr std::uint8_t kRateOfTurn = 0x37;
+constexpr std::uint8_t kField = 0x3A;
+constexpr std::uint8_t kAngles = 0x3D;
 constexpr std::uint8_t kTemperature = 0x40;
 constexpr std::uint8_t kUnlock = 0x69;
 constexpr std::uint16_t kUnlockKey = 0xB588;
 
-constexpr double kFullScale = 16.0;  // g
+constexpr double kFullScale = 16.0;        // g
+constexpr double kRateFullScale = 2000.0;  // deg/s
+/// The unit of the magnetic field differs between models [unverified against a device].
+constexpr double kFieldFullScaleGauss = 20.0;
 constexpr double kCounts = 32768.0;
 
 /// An unlocked sensor locks itself again [unverified against a device].
@@ -80,6 +87,11 @@ std::int16_t to_counts(double value) {
   return static_cast<std::int16_t>(std::clamp(std::round(value), -32768.0, 32767.0));
 }
 
+/// The first three words: parts of the full scale.
+void put_vector(std::array<std::int16_t, 4>& words, const Eigen::Vector3d& parts) {
+  for (std::size_t j = 0; j < 3; ++j) words[j] = to_counts(parts[static_cast<Eigen::Index>(j)] * kCounts);
+}
+
 std::string frame(std::uint8_t type, const std::array<std::int16_t, 4>& words) {
   std::string bytes{'\x55', static_cast<char>(type)};
   for (const std::int16_t word : words) {
@@ -102,6 +114,8 @@ class WitMotionFirmware::Device {
   void receive(std::string_view bytes, Clock::Instant now);
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
+  void power(bool on, Clock::Instant now);
+  unsigned line_speed() const { return line_speed_; }
 
  private:
   using Registers = std::map<std::uint8_t, std::uint16_t>;
@@ -109,6 +123,7 @@ class WitMotionFirmware::Device {
   void write(std::uint8_t reg, std::uint16_t value);
   void read(std::uint8_t first);
   std::int16_t value_of(std::uint8_t reg) const;
+  Eigen::Vector3d motion_parts(std::uint8_t reg, Clock::Instant t) const;
   Registers factory() const;
   unsigned period() const { return period_ms(registers_.at(kRate)).value_or(0); }
   void stream_from(Clock::Instant t);
@@ -121,13 +136,18 @@ class WitMotionFirmware::Device {
   Registers saved_;
   std::uint64_t next_sample_ = 0;  ///< In periods, from the start of the world's time.
   Clock::Instant unlocked_until_;
+  unsigned line_speed_;
   std::string input_;
   ReplyQueue replies_;
   Clock::Instant now_;
 };
 
 WitMotionFirmware::Device::Device(std::shared_ptr<SimBench> bench, WitMotionSettings settings)
-    : bench_(std::move(bench)), settings_(settings), unlocked_until_(bench_->start()), now_(bench_->start()) {
+    : bench_(std::move(bench)),
+      settings_(settings),
+      unlocked_until_(bench_->start()),
+      line_speed_(settings_.baud),
+      now_(bench_->start()) {
   if (std::find(kBaudRates.begin() + 1, kBaudRates.end(), settings_.baud) == kBaudRates.end())
     throw std::invalid_argument(
         fmt::format("simulated WitMotion sensor: it has no baud rate {}", settings_.baud));
@@ -183,6 +203,7 @@ void WitMotionFirmware::Device::write(std::uint8_t reg, std::uint16_t value) {
       if (value == 0) saved_ = registers_;
       if (value == 1) registers_ = saved_ = factory();
       if (value == 0xFF) registers_ = saved_;  // restart [unverified against a device]
+      line_speed_ = kBaudRates[registers_.at(kBaud)];
       stream_from(now_);
       return;
     case kCalibrate:
@@ -198,14 +219,27 @@ void WitMotionFirmware::Device::write(std::uint8_t reg, std::uint16_t value) {
         replies_.push(frames(now_, 0, 1), now_ + settings_.reply_delay);
       return;
     case kBaud:
-      // A pseudo-terminal has no line rate: it is kept, and nothing changes.
-      if (value >= 1 && value < kBaudRates.size()) registers_[reg] = value;
+      // At once [unverified against a device].
+      if (value < 1 || value >= kBaudRates.size()) return;
+      registers_[reg] = value;
+      line_speed_ = kBaudRates[value];
       return;
     case kVersion:
       return;
     default:
       if (reg < kAcceleration || reg > kTemperature) registers_[reg] = value;
   }
+}
+
+void WitMotionFirmware::Device::power(bool on, Clock::Instant now) {
+  now_ = now;
+  input_.clear();
+  replies_.clear();
+  unlocked_until_ = now;
+  if (!on) return;
+  registers_ = saved_;
+  line_speed_ = kBaudRates[registers_.at(kBaud)];
+  stream_from(now);
 }
 
 void WitMotionFirmware::Device::read(std::uint8_t first) {
@@ -219,9 +253,22 @@ std::int16_t WitMotionFirmware::Device::value_of(std::uint8_t reg) const {
     const SimOutput output = bench_->output(now_, 0, std::chrono::milliseconds(1));
     return to_counts(output.value[reg - kAcceleration] / kFullScale * kCounts);
   }
+  if (reg >= kRateOfTurn && reg < kTemperature) {
+    std::array<std::int16_t, 4> words{};
+    put_vector(words, motion_parts(reg, now_));
+    return words[(reg - kRateOfTurn) % 3U];
+  }
   if (reg == kTemperature) return to_counts(bench_->temperature_degc(now_) * 100.0);
   const auto found = registers_.find(reg);
   return found == registers_.end() ? std::int16_t{0} : static_cast<std::int16_t>(found->second);
+}
+
+/// Rate of turn, field or roll, pitch, yaw, by their registers; as parts of the full scale.
+Eigen::Vector3d WitMotionFirmware::Device::motion_parts(std::uint8_t reg, Clock::Instant t) const {
+  const BodyMotion body = bench_->body_motion(t);
+  if (reg < kField) return body.rate_B_radps * (180.0 / std::numbers::pi) / kRateFullScale;
+  if (reg < kAngles) return body.field_B_gauss / kFieldFullScaleGauss;
+  return roll_pitch_yaw_of(body.to_enu()) / std::numbers::pi;
 }
 
 // Output.
@@ -242,8 +289,7 @@ std::string WitMotionFirmware::Device::frames(Clock::Instant t, std::uint64_t in
   const unsigned mask = registers_.at(kOutputMask);
   const std::int16_t temperature = to_counts(output.temperature_degc * 100.0);
   std::string out;
-  // From time (50) to quaternion (59), one bit of the mask each; only what an accelerometer at rest shows is
-  // not zero.
+  // From time (50) to quaternion (59), one bit of the mask each.
   for (unsigned bit = 0; bit < 10; ++bit) {
     if ((mask >> bit & 1U) == 0) continue;
     std::array<std::int16_t, 4> words{};
@@ -261,17 +307,23 @@ std::string WitMotionFirmware::Device::frames(Clock::Instant t, std::uint64_t in
         words[3] = temperature;
         break;
       case 2:
+        put_vector(words, motion_parts(kRateOfTurn, t));
         words[3] = temperature;
         break;
-      case 3:
+      case 3:  // roll, pitch, yaw
+        put_vector(words, motion_parts(kAngles, t));
         words[3] = static_cast<std::int16_t>(registers_.at(kVersion));
         break;
       case 4:
+        put_vector(words, motion_parts(kField, t));
         words[3] = temperature;
         break;
-      case 9:
-        words[0] = 32767;  // no rotation
+      case 9: {
+        const Eigen::Quaterniond q = quaternion_of(bench_->body_motion(t).to_enu());
+        words = {to_counts(q.w() * kCounts), to_counts(q.x() * kCounts), to_counts(q.y() * kCounts),
+                 to_counts(q.z() * kCounts)};
         break;
+      }
       default:
         break;
     }
@@ -312,6 +364,14 @@ std::string WitMotionFirmware::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> WitMotionFirmware::next_due() const {
   return device_->next_due();
+}
+
+void WitMotionFirmware::power(bool on, Clock::Instant now) {
+  device_->power(on, now);
+}
+
+std::optional<unsigned> WitMotionFirmware::line_speed() const {
+  return device_->line_speed();
 }
 
 }  // namespace abcal::sim

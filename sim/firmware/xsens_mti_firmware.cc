@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <numbers>
 #include <stdexcept>
 #include <string_view>
 #include <utility>
@@ -255,6 +256,7 @@ class XsensMtiFirmware::Device {
   Device(std::shared_ptr<SimBench> bench, XsensMtiSettings settings, UnservedCommands& unserved);
 
   void receive(std::string_view bytes, Clock::Instant now);
+  void power(bool on, Clock::Instant now);
   void forget_session() {
     input_.clear();
     replies_.clear();
@@ -299,6 +301,7 @@ class XsensMtiFirmware::Device {
   void advance_tick();
   std::string packet(std::uint64_t tick);
   std::string item(const Output& output, const SimOutput& sample, Clock::Instant t) const;
+  static std::string motion_item(const Output& output, const BodyMotion& body);
   std::string utc_time(Clock::Instant t) const;
 
   std::shared_ptr<SimBench> bench_;
@@ -480,7 +483,9 @@ std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_vie
     default:
       throw Refusal{kInvalidMessage};
   }
-  if (!data.empty()) throw Refusal{kInvalidParameter};  // Those can only be asked.
+  // Those can only be asked. The maker's library asks for the configuration with the data of the request
+  // before it, and takes a refusal for a device that cannot be used.
+  if (!data.empty() && id != kReqConfiguration) throw Refusal{kInvalidParameter};
   std::string answer;
   switch (id) {
     case kReqProductCode:
@@ -677,6 +682,16 @@ void XsensMtiFirmware::Device::switch_on(Clock::Instant t) {
   replies_.push(message(kWakeUp, {}), t);
 }
 
+/// Its output configuration is kept without power.
+void XsensMtiFirmware::Device::power(bool on, Clock::Instant now) {
+  now_ = now;
+  end_measurement(now);
+  forget_session();
+  state_ = State::kSwitchedOff;
+  changes_state_ = Clock::Instant::max();
+  if (on) switch_on(now);
+}
+
 /// What has changed by itself until `now`.
 void XsensMtiFirmware::Device::update(Clock::Instant now) {
   if (state_ == State::kSwitchedOff && changes_state_ <= now) switch_on(changes_state_);
@@ -755,9 +770,6 @@ std::string XsensMtiFirmware::Device::item(const Output& output, const SimOutput
     case kPressure:
       put_big_endian(data, static_cast<std::uint32_t>(kPressurePa));
       break;
-    case kRotationMatrix:
-      put_reals({1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0});
-      break;
     case kAltitude:
       put_reals({0.0});
       break;
@@ -767,9 +779,13 @@ std::string XsensMtiFirmware::Device::item(const Output& output, const SimOutput
     case kGnssPvt:
       return std::string(kGnssPvtSize, '\0');  // No fix.
     case kQuaternion:
+    case kRotationMatrix:
+    case kEuler:
     case kDeltaQuaternion:
-      put_reals({1.0, 0.0, 0.0, 0.0});
-      break;
+    case kRateOfTurn:
+    case kRateOfTurnHr:
+    case kMagneticField:
+      return motion_item(output, bench_->body_motion(t));
     case kStatusByte:
       put_u8(data, 0x03);  // Self-test passed, filter valid.
       break;
@@ -780,8 +796,44 @@ std::string XsensMtiFirmware::Device::item(const Output& output, const SimOutput
       put_big_endian(data, word);
       break;
     }
-    default:
+    default:  // Velocity; free acceleration: the axes of the stage meet in the accelerometer.
       put_reals({0.0, 0.0, 0.0});
+  }
+  return data;
+}
+
+/// What its other sensors and its filter show.
+std::string XsensMtiFirmware::Device::motion_item(const Output& output, const BodyMotion& body) {
+  std::string data;
+  const auto put_vector = [&](const Eigen::Vector3d& v) {
+    for (const double value : v) put_real(data, output.id, value);
+  };
+  const auto put_quaternion = [&](const Eigen::Quaterniond& q) {
+    for (const double value : {q.w(), q.x(), q.y(), q.z()}) put_real(data, output.id, value);
+  };
+  const unsigned frame = output.id & 0xCU;
+  const Eigen::Matrix3d R_FB = frame == 0x4 ? body.to_ned() : frame == 0x8 ? body.to_nwu() : body.to_enu();
+  switch (output.kind()) {
+    case kQuaternion:
+      put_quaternion(quaternion_of(R_FB));
+      break;
+    case kRotationMatrix:  // Column by column [unverified against a device].
+      for (Eigen::Index column = 0; column < 3; ++column) put_vector(R_FB.col(column));
+      break;
+    case kEuler:  // Roll, pitch, yaw in degrees.
+      put_vector(roll_pitch_yaw_of(R_FB) * (180.0 / std::numbers::pi));
+      break;
+    case kDeltaQuaternion: {  // Over the period of this output.
+      const double angle = body.rate_B_radps.norm() / output.rate_hz;
+      const Eigen::Vector3d axis = angle > 0.0 ? body.rate_B_radps.normalized() : Eigen::Vector3d::UnitX();
+      put_quaternion(Eigen::Quaterniond(Eigen::AngleAxisd(angle, axis)));
+      break;
+    }
+    case kMagneticField:  // Of norm 1 here.
+      put_vector(body.field_B_gauss.normalized());
+      break;
+    default:
+      put_vector(body.rate_B_radps);
   }
   return data;
 }
@@ -844,6 +896,10 @@ std::optional<Clock::Instant> XsensMtiFirmware::next_due() const {
 
 void XsensMtiFirmware::session_starts() {
   device_->forget_session();
+}
+
+void XsensMtiFirmware::power(bool on, Clock::Instant now) {
+  device_->power(on, now);
 }
 
 std::optional<unsigned> XsensMtiFirmware::line_speed() const {

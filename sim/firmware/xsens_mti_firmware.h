@@ -27,8 +27,8 @@ struct XsensMtiSettings {
 
 /// An Xsens (Movella) MTi that speaks Xbus (docs/protocols/xbus.md), reading the world of a SimBench. Its
 /// output unit R is m/s2: a truth of about 9.8 R per g_loc makes an ideal one. Samples lie on the grid of its
-/// base rate, from the start of the world's time. Gyroscope, magnetometer and orientation are not simulated:
-/// they show rest.
+/// base rate, from the start of the world's time. Gyroscope, magnetometer and orientation show the motion of
+/// the platter (SimBench::body_motion), in the frame that the data id names.
 ///
 /// Switched on, it says WakeUp and begins to measure 500 ms later unless a command says otherwise, with
 /// its last output configuration. A new baud rate holds from the next reset on. Messages that it does not
@@ -43,6 +43,7 @@ class XsensMtiFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
   std::optional<unsigned> line_speed() const override;
 
  private:

@@ -115,6 +115,8 @@ class ZaberAsciiFirmware::Chain {
   }
   std::string transmit(Clock::Instant now);
   std::optional<Clock::Instant> next_due() const;
+  void power(bool on, Clock::Instant now);
+  unsigned baud() const { return settings_.baud; }
 
  private:
   struct Axis {
@@ -562,6 +564,19 @@ void ZaberAsciiFirmware::Chain::power_on(std::size_t k) {
   a.offset_deg = settings_.keeps_position_without_power
                      ? before.offset_deg
                      : -controller_deg(k, bench_->target(kStageAxes[k], now_));  // Reads 0 until homed.
+}
+
+/// Of the whole line.
+void ZaberAsciiFirmware::Chain::power(bool on, Clock::Instant now) {
+  advance(now);
+  forget_session();
+  for (const Device& device : devices_) {
+    for (const auto k : device.axes) {
+      if (!k) continue;
+      if (!on) stop_axis(*k, true);
+      if (on) power_on(*k);
+    }
+  }
 }
 
 /// What has happened by `now`, each thing at its time.
@@ -1073,6 +1088,14 @@ std::optional<Clock::Instant> ZaberAsciiFirmware::next_due() const {
 
 void ZaberAsciiFirmware::session_starts() {
   chain_->forget_session();
+}
+
+void ZaberAsciiFirmware::power(bool on, Clock::Instant now) {
+  chain_->power(on, now);
+}
+
+std::optional<unsigned> ZaberAsciiFirmware::line_speed() const {
+  return chain_->baud();
 }
 
 }  // namespace abcal::sim

@@ -35,6 +35,7 @@ struct ZaberAsciiSettings {
   bool alerts = false;                        ///< comm.alert at power on.
   bool checksums = false;                     ///< comm.checksum at power on.
   bool detects_stalls = true;                 ///< By its encoder: flag FS; else it is busy for ever.
+  unsigned baud = 115200;
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
 };
 
@@ -54,6 +55,8 @@ class ZaberAsciiFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
+  std::optional<unsigned> line_speed() const override;
 
  private:
   class Chain;

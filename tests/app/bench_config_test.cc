@@ -5,6 +5,8 @@
 
 #include <filesystem>
 
+#include "app/bench/make_firmware.h"
+#include "tests/app/instrument_cases.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
@@ -156,6 +158,50 @@ TEST(BenchConfigTest, ReadsEveryExampleFile) {
     ++count;
   }
   EXPECT_GE(count, 3);
+}
+
+TEST(BenchConfigTest, TwoControllersOnOnePortAreADaisyChain) {
+  const std::string toml = R"(
+[bench]
+g_loc_mps2 = 9.81
+[stage.x]
+driver = "pi_gcs"
+port = "/dev/stage"
+address = "1"
+axis = "1"
+[stage.z]
+driver = "pi_gcs"
+port = "/dev/stage"
+address = "2"
+axis = "1"
+[accelerometer]
+driver = "microstrain_mip"
+port = "simulated"
+)";
+  const BenchConfig config = parse_bench(toml, "bench.toml");
+  EXPECT_TRUE(config.stage.chained());
+  const std::vector<InstrumentPort> ports = stage_ports(config.stage);
+  ASSERT_EQ(ports.size(), 1U);
+  EXPECT_EQ(ports[0].name, "stage");
+  EXPECT_THAT(ports[0].axis_names(config.stage), testing::ElementsAre("1 1", "2 1"));
+  EXPECT_THAT(problems_of(replaced(toml, "address = \"1\"\n", "")), HasSubstr("[stage.z] address"));
+  EXPECT_THAT(problems_of(replaced(toml, "address = \"2\"", "address = \"1\"")),
+              HasSubstr("two different axes"));
+  EXPECT_THAT(problems_of(replaced(toml, "pi_gcs", "newport_esp")), HasSubstr("in a daisy chain"));
+}
+
+TEST(BenchConfigTest, ASimulatedSensitivityInAnotherUnitIsAProblem) {
+  const std::string toml = replaced(kSmallest, "microstrain_mip", "vectornav");
+  EXPECT_THAT(problems_of(toml), testing::AllOf(HasSubstr("[simulation] sensitivity_matrix"),
+                                                HasSubstr("output is in m/s2"), HasSubstr("about 9.807")));
+  const std::string matrix =
+      "[simulation]\nsensitivity_matrix = [[9.8, 0.0, 0.0], [0.0, 9.8, 0.0], [0.0, 0.0, 9.8]]\n";
+  EXPECT_NO_THROW(parse_bench(toml + matrix, "bench.toml"));
+  EXPECT_THAT(problems_of(kSmallest + matrix), HasSubstr("output is in g"));
+  // What is not simulated has no such problem.
+  EXPECT_NO_THROW(parse_bench(
+      replaced(toml, "\"vectornav\"\nport = \"simulated\"", "\"vectornav\"\nport = \"/dev/ttyUSB0\""),
+      "bench.toml"));
 }
 
 }  // namespace

@@ -174,6 +174,7 @@ std::set<Fault> right_faults(FaultKind kind) {
     case FaultKind::kReplacedReply:
       return {kRefused, kBadFrame, kNoReply, kOutOfTravel, kNotReady, kWrongIdentity, kImplausible};
     case FaultKind::kUnplug:
+    case FaultKind::kPowerCycle:
       return {kLinkLost};
     case FaultKind::kStuckOutput:
     case FaultKind::kClippedOutput:

@@ -5,6 +5,7 @@
 // With clang: -fsanitize=fuzzer,address,undefined (CMake option ABCAL_FUZZ). With any compiler:
 // pi_gcs_codec_fuzz_test feeds it a fixed number of seeded inputs.
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -244,6 +245,23 @@ void check_line(const std::string& line) {
           "unit");
 }
 
+void check_help(const Lines& lines) {
+  Lines expected;
+  for (const std::string& line : lines) {
+    const std::size_t begin = line.find_first_not_of(" \t");
+    if (begin == std::string::npos) continue;
+    const std::string word = line.substr(begin, line.find_first_of(" \t", begin) - begin);
+    const std::string letters = word[0] == '#' || word[0] == '*' ? word.substr(1) : word;
+    bool is_command = !letters.empty() && letters.size() <= 8;
+    for (const char c : letters)
+      is_command = is_command && ((c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '?');
+    if (is_command) expected.push_back(word);
+  }
+  const bool is_list = std::count(expected.begin(), expected.end(), "MOV") > 0 &&
+                       std::count(expected.begin(), expected.end(), "POS?") > 0;
+  require(gcs::parse_help(lines) == (is_list ? std::optional(expected) : std::nullopt), "commands");
+}
+
 void check_reply(const std::string& reply) {
   for (const std::string address : {"", "2", "16"}) {
     const auto expected = reference_lines(reply, address);
@@ -251,6 +269,7 @@ void check_reply(const std::string& reply) {
     require(lines == expected, "lines");
     if (!lines) continue;
     check_values(*lines);
+    check_help(*lines);
     for (const std::string& line : *lines) check_line(line);
     if (lines->size() == 1) continue;
     require(!gcs::parse_error_code(*lines) && !gcs::parse_motion_mask(*lines) && !gcs::parse_status(*lines) &&

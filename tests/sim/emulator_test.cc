@@ -19,6 +19,7 @@
 #include <string>
 #include <thread>
 
+#include "sim/firmware/faulty_port.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 
@@ -422,6 +423,42 @@ TEST_F(EmulatorTest, AStreamOfOneKilohertzCostsLittleAndLosesNothing) {
   EXPECT_EQ(emulator->dropped_bytes(), 0U);
   RecordProperty("cpu_per_cent_of_a_core", static_cast<int>(100.0 * share));
   EXPECT_LT(share, 0.5);  // emulator and reader together; the sanitizers cost their share
+}
+
+TEST_F(EmulatorTest, AStagesLineHasASpeedToo) {
+  PiGcsSettings settings;
+  settings.baud = 38400;
+  serve({{std::make_shared<PiGcsFirmware>(bench, settings), PtyLink{link("stage"), LineModel::kReal}}});
+  Client client = Client::terminal(link("stage"));
+  set_speed(client, B9600);
+  client.send("CSV?\n");
+  EXPECT_EQ(client.receive(4, milliseconds(200)), "") << "the controller sees noise only";
+  set_speed(client, B38400);
+  client.send("\n");  // ends what it has heard
+  EXPECT_EQ(client.ask("CSV?\n", 4), kVersion);
+}
+
+TEST_F(EmulatorTest, APowerCycleTakesThePortAwayAndTheReferenceWithIt) {
+  const auto port = std::make_shared<FaultyPort>(stage(), clock);
+  serve({{port, PtyLink{link("stage")}}});
+  {
+    Client client = Client::terminal(link("stage"));
+    client.send("SVO 1 1\nFRF 1\n");
+    while (client.ask("FRF? 1\n", 4) != "1=1\n") {
+    }
+  }
+  const Clock::Instant now = clock.now();
+  port->link().add({.kind = FaultKind::kPowerCycle, .at = now, .until = now + milliseconds(300)});
+  const auto deadline = std::chrono::steady_clock::now() + seconds(10);
+  const auto wait_for = [&](bool there) {
+    while (std::filesystem::exists(std::filesystem::symlink_status(link("stage"))) != there &&
+           std::chrono::steady_clock::now() < deadline)
+      std::this_thread::yield();
+  };
+  wait_for(false);
+  wait_for(true);
+  Client again = Client::terminal(link("stage"));
+  EXPECT_EQ(again.ask("FRF? 1\n", 4), "1=0\n");
 }
 
 }  // namespace

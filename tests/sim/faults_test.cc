@@ -144,7 +144,7 @@ TEST_F(FaultyStreamTest, DiscardingForgetsWhatHasComeOnly) {
 }
 
 TEST(FaultsTest, EveryFaultHasAnOwnNameByWhichItIsFound) {
-  EXPECT_EQ(fault_descriptions().size(), 18U);
+  EXPECT_EQ(fault_descriptions().size(), 19U);
   for (const FaultDescription& description : fault_descriptions()) {
     EXPECT_EQ(fault_kind(description.name), description.kind);
     EXPECT_FALSE(description.what.empty());
@@ -160,6 +160,22 @@ TEST(FaultsTest, EveryFaultHasAnOwnNameByWhichItIsFound) {
 
 TEST_F(FaultyStreamTest, RefusesAFaultOfTheWorld) {
   EXPECT_THROW(with({.kind = FaultKind::kStalledAxis}), std::invalid_argument);
+}
+
+TEST_F(FaultyStreamTest, APowerCycleIsALostLinkAndTellsTheInstrument) {
+  std::vector<std::pair<bool, Clock::Instant>> told;
+  with({.kind = FaultKind::kPowerCycle, .at = clock.now() + seconds(2), .until = clock.now() + seconds(5)});
+  stream->on_power([&](bool on) { told.emplace_back(on, clock.now()); });
+  const Clock::Instant begin = clock.now();
+  EXPECT_THROW(stream->read_until(begin + seconds(10)), InstrumentError);
+  EXPECT_EQ(clock.now(), begin + seconds(2));
+  EXPECT_EQ(stream->next_change(), begin + seconds(5));
+  EXPECT_THROW(stream->write("x"), InstrumentError);
+  clock.sleep_until(begin + seconds(5));
+  stream->read_until(begin + seconds(6));
+  ASSERT_EQ(told.size(), 2U);
+  EXPECT_EQ(told[0], std::pair(false, begin + seconds(2)));
+  EXPECT_EQ(told[1], std::pair(true, begin + seconds(5)));
 }
 
 }  // namespace

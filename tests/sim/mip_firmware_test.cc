@@ -476,5 +476,84 @@ TEST(MipSettingsTest, RefusesTextsAndRatesThatDoNotFit) {
   EXPECT_THROW(MipFirmware(bench, {.base_rate_hz = 0}), std::invalid_argument);
 }
 
+// While X turns, the gyro shows its rate, and the filter its angle; both are known from the world.
+TEST_F(MipFirmwareTest, GyroMagnetometerAndFilterFollowTheStage) {
+  MipSettings settings;
+  settings.model_name = "3DM-CV7-AHRS";
+  MipFirmware ahrs(bench, settings);
+  FirmwareHost ahrs_host(ahrs);
+  const auto poll = [&](unsigned set, const std::string& fields_hex) {
+    const auto answer = fields_of(ahrs_host.exchange(command(0x0C, fields_hex)));
+    std::vector<Field> data;
+    for (const Field& field : answer)
+      if (field.set == set) data.push_back(field);
+    return data;
+  };
+  ahrs_host.listen(seconds(2));
+  bench->move(StageAxis::kX, Angle::degrees(90.0), ahrs_host.clock().now());
+  ahrs_host.listen(seconds(1));
+  // 20 deg/s about x, in rad/s; over a period of 1 ms.
+  const auto moving = poll(0x80, "080D 80 00 03 05 06 07");
+  ASSERT_EQ(moving.size(), 3U);
+  EXPECT_FLOAT_EQ(as_float(moving[0].data, 0), 0.34906585F);
+  EXPECT_EQ(as_float(moving[0].data, 1), 0.0F);
+  EXPECT_FLOAT_EQ(as_float(moving[2].data, 0), 0.34906585e-3F);
+  const auto rate = poll(0x82, "060D 82 00 01 0E");
+  ASSERT_EQ(rate.size(), 1U);
+  EXPECT_FLOAT_EQ(as_float(rate[0].data, 0), 0.34906585F);
+  ahrs_host.listen(seconds(10));
+  const auto still = poll(0x80, "070D 80 00 02 05 06");
+  EXPECT_EQ(as_float(still.at(0).data, 0), 0.0F);
+  // After a quarter of a turn about north, down is along -y of the body.
+  EXPECT_FLOAT_EQ(as_float(still.at(1).data, 0), 0.25F);
+  EXPECT_FLOAT_EQ(as_float(still.at(1).data, 1), -0.45F);
+  EXPECT_NEAR(as_float(still.at(1).data, 2), 0.0F, 1e-7F);
+  const auto attitude = poll(0x82, "080D 82 00 03 05 03 13");
+  ASSERT_EQ(attitude.size(), 3U);
+  // From z up (roll 180 degrees), a quarter of a turn on: -90 degrees.
+  EXPECT_NEAR(as_float(attitude[0].data, 0), -1.5707963F, 1e-6F);
+  EXPECT_NEAR(as_float(attitude[0].data, 2), 0.0F, 1e-6F);
+  EXPECT_NEAR(as_float(attitude[1].data, 0), 0.70710678F, 1e-6F);
+  EXPECT_NEAR(as_float(attitude[1].data, 1), -0.70710678F, 1e-6F);
+  EXPECT_NEAR(as_float(attitude[2].data, 1), -9.80665F, 1e-5F);
+}
+
+TEST_F(MipFirmwareTest, TheGyroBiasIsSubtracted) {
+  ASSERT_EQ(code(0x0C, "0F38 01 3F800000 00000000 00000000"), 0U);  // 1 rad/s
+  const auto data = ask(0x0C, "060D 80 00 01 05");
+  ASSERT_EQ(data.size(), 2U);
+  EXPECT_EQ(as_float(data[1].data, 0), -1.0F);
+}
+
+TEST_F(MipFirmwareTest, WithoutPowerItForgetsWhatWasNotSaved) {
+  EXPECT_EQ(code(0x0C, "0740 01 00070800"), 0U);  // 460800 Bd
+  host.listen(milliseconds(10));
+  EXPECT_EQ(firmware.line_speed(), 460800U);
+  EXPECT_EQ(code(0x01, "0206"), 0U);
+  EXPECT_NE(host.listen(seconds(1)), "");
+  firmware.power(false, host.clock().now());
+  EXPECT_EQ(host.listen(seconds(1)), "");
+  firmware.power(true, host.clock().now());
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+  EXPECT_EQ(host.listen(seconds(1)), "") << "idle, by its settings";
+  EXPECT_EQ(code(0x01, "0206"), 0U);
+  const auto data = fields_of(host.listen(milliseconds(15)));
+  ASSERT_GE(data.size(), 2U);
+  EXPECT_LT(big_endian(data[1].data, 0, 8), 1'100'000'000U) << "its time counts from power on";
+}
+
+class MipStreamingTest : public MipFirmwareTest {
+ protected:
+  MipStreamingTest() : MipFirmwareTest({.streaming_at_power_on = true}) {}
+};
+
+TEST_F(MipStreamingTest, StreamsAgainWhenPowerIsBack) {
+  EXPECT_EQ(code(0x01, "0202"), 0U);
+  EXPECT_EQ(host.listen(seconds(1)), "");
+  firmware.power(false, host.clock().now());
+  firmware.power(true, host.clock().now());
+  EXPECT_EQ(fields_of(host.listen(seconds(1))).size(), 200U);
+}
+
 }  // namespace
 }  // namespace abcal::sim

@@ -369,5 +369,21 @@ TEST(NewportEspSettingsTest, RefusesWhatCannotBe) {
   EXPECT_THROW(NewportEspFirmware(bench, {.axis_names = {"A", "2"}}), std::invalid_argument);
 }
 
+TEST_F(NewportEspFirmwareTest, WithoutPowerItStopsAndReadsZeroThen) {
+  home_both();
+  EXPECT_EQ(command("1VA5;1PA90"), "0\r\n");
+  host.listen(seconds(2));
+  firmware.power(false, now());
+  host.listen(seconds(2));
+  firmware.power(true, now());
+  EXPECT_NEAR(std::stod(ask("1TP?")), 0.0, 1e-4) << "one step of the encoder";
+  EXPECT_EQ(ask("1MO?"), "0\r\n");
+  EXPECT_EQ(ask("TE?"), "0\r\n");
+  const double angle = bench->commanded_angle(StageAxis::kX, now()).deg();
+  EXPECT_GT(angle, 1.0);
+  EXPECT_LT(angle, 20.0);
+  EXPECT_EQ(firmware.line_speed(), 19200U);
+}
+
 }  // namespace
 }  // namespace abcal::sim

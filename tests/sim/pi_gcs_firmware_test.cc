@@ -487,5 +487,64 @@ TEST(PiGcsSettingsTest, AnE861TellsItsUnitByAParameterOnly) {
   EXPECT_THAT(host.exchange("HLP?\n"), testing::Not(HasSubstr("PUN?")));
 }
 
+TEST_F(PiGcsFirmwareTest, WithoutPowerItStopsAndStartsWithoutReference) {
+  reference();
+  EXPECT_EQ(command("VEL 1 5"), "0\n");
+  EXPECT_EQ(command("MOV 1 90"), "0\n");
+  host.listen(seconds(1));
+  firmware.power(false, host.clock().now());
+  const double there = bench->commanded_angle(StageAxis::kX, host.clock().now() + seconds(1)).deg();
+  EXPECT_GT(there, 1.0);
+  EXPECT_LT(there, 10.0);
+  host.listen(seconds(5));
+  firmware.power(true, host.clock().now());
+  EXPECT_EQ(ask("FRF?"), "1=0 \n2=0\n");
+  EXPECT_EQ(ask("SVO?"), "1=0 \n2=0\n");
+  EXPECT_EQ(ask("VEL? 1"), "1=20.000000\n") << "not saved";
+  EXPECT_EQ(ask("ERR?"), "0\n");
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kX, host.clock().now()).deg(), there);
+}
+
+class PiGcsTwoInAChainTest : public PiGcsFirmwareTest {
+ protected:
+  PiGcsTwoInAChainTest() : PiGcsFirmwareTest({.axis_names = {"1 1", "3 1"}, .model = "C-863.12"}) {}
+};
+
+TEST_F(PiGcsTwoInAChainTest, EachControllerAnswersToItsAddress) {
+  EXPECT_THAT(ask("*IDN?"), HasSubstr("118001234")) << "the first one also without an address";
+  EXPECT_THAT(ask("1 *IDN?"), StartsWith("0 1 (c)"));
+  EXPECT_THAT(ask("3 *IDN?"), testing::AllOf(StartsWith("0 3 (c)"), HasSubstr("118001235")));
+  EXPECT_EQ(ask("2 *IDN?"), "");
+  EXPECT_EQ(ask("3 SAI?"), "0 3 1\n");
+  EXPECT_EQ(ask("3 NOPE"), "");
+  EXPECT_EQ(ask("1 ERR?"), "0 1 0\n") << "the other one's errors are not its own";
+  EXPECT_EQ(ask("3 ERR?"), "0 3 2\n");
+}
+
+TEST_F(PiGcsTwoInAChainTest, TheirAxesAreTheTwoOfTheWorld) {
+  for (const std::string address : {"1 ", "3 "}) {
+    ask(address + "SVO 1 1");
+    ask(address + "FRF 1");
+  }
+  host.listen(seconds(1));
+  ask("3 MOV 1 10");
+  EXPECT_EQ(host.exchange("3 \x05\n"), "0 3 1\n");
+  EXPECT_EQ(host.exchange("1 \x05\n"), "0 1 0\n");
+  host.listen(seconds(5));
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kZ, host.clock().now()).deg(), 10.0);
+  EXPECT_EQ(bench->commanded_angle(StageAxis::kX, host.clock().now()).deg(), 0.0);
+  // Alone #24 stops the first one only.
+  ask("1 MOV 1 90");
+  ask("3 MOV 1 90");
+  host.send("\x18");
+  EXPECT_EQ(ask("1 ERR?"), "0 1 10\n");
+  EXPECT_EQ(ask("3 ERR?"), "0 3 0\n");
+  host.listen(seconds(1));
+  EXPECT_EQ(host.exchange("3 \x05\n"), "0 3 1\n");
+  ask("3 STP");
+  host.listen(milliseconds(100));
+  EXPECT_EQ(host.exchange("3 \x05\n"), "0 3 0\n");
+}
+
 }  // namespace
 }  // namespace abcal::sim

@@ -375,5 +375,19 @@ TEST(ScpiSettingsTest, RefusesWhatCannotBe) {
   EXPECT_THROW(ScpiVoltmeterFirmware(bench, {.line_frequency_hz = 0.0}), std::invalid_argument);
 }
 
+TEST_F(Keysight34970aTest, WithoutPowerItForgetsAndSaysSo) {
+  EXPECT_EQ(command("CONF:VOLT:DC 1,MAX,(@101)"), kNoError);
+  ask("*ESR?");
+  ask("*SRE 32");
+  ask("NOPE");
+  firmware.power(false, host.clock().now());
+  firmware.power(true, host.clock().now());
+  EXPECT_EQ(ask("*ESR?"), "+128\n");
+  EXPECT_EQ(ask("*SRE?"), "+0\n");
+  EXPECT_EQ(ask("SYST:ERR?"), kNoError);
+  EXPECT_EQ(ask("ROUT:SCAN?"), "#13(@)\n");
+  EXPECT_EQ(firmware.line_speed(), 9600U);
+}
+
 }  // namespace
 }  // namespace abcal::sim

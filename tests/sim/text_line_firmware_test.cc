@@ -132,5 +132,20 @@ TEST(TextLineFirmwareTest, RefusesSettingsThatCannotBe) {
   EXPECT_NO_THROW(make(100.0, 0));
 }
 
+TEST(TextLineFirmwareTest, PrintsItsHeaderAgainWhenPowerIsBack) {
+  TextLineSettings settings;
+  settings.rate_hz = 10.0;
+  settings.header = "# u,v,w";
+  TextLineFirmware firmware(std::make_shared<SimBench>(with_offset()), settings);
+  FirmwareHost host(firmware);
+  EXPECT_EQ(lines_of(host.listen(seconds(1))), 11U);
+  firmware.power(false, host.clock().now());
+  host.clock().sleep_until(host.clock().now() + seconds(5));
+  firmware.power(true, host.clock().now());
+  const std::string again = host.listen(seconds(1));
+  EXPECT_EQ(again.substr(0, 7), "# u,v,w");
+  EXPECT_EQ(lines_of(again), 11U) << "nothing of the time without power";
+}
+
 }  // namespace
 }  // namespace abcal::sim

@@ -412,5 +412,64 @@ TEST(VectorNavFirmwareAtPowerOnTest, AFaultyWorldMakesNoReadings) {
   EXPECT_THAT(host.exchange("$VNRRG,01*XX\r\n"), StartsWith("$VNRRG,01,"));
 }
 
+TEST_F(VectorNavFirmwareTest, GyroMagnetometerAndAttitudeFollowTheStage) {
+  // z up is a roll of 180 degrees: z of this instrument points down where it is mounted as the maker draws
+  // it.
+  EXPECT_EQ(ask("VNRRG,08"), "VNRRG,08,+000.000,+000.000,+180.000");
+  bench->move(StageAxis::kX, Angle::degrees(90.0), host.clock().now());
+  host.listen(seconds(1));
+  EXPECT_EQ(ask("VNRRG,19"), "VNRRG,19,+00.349066,+00.000000,+00.000000");
+  const std::vector<double> delta = numbers_of(ask("VNRRG,80"));
+  EXPECT_NEAR(delta.at(2), 20.0 / 800.0, 1e-6) << "degrees in a period of the IMU";
+  host.listen(seconds(10));
+  EXPECT_EQ(ask("VNRRG,08"), "VNRRG,08,+000.000,+000.000,-090.000");
+  const std::vector<double> quaternion = numbers_of(ask("VNRRG,09"));
+  EXPECT_NEAR(quaternion.at(1), -0.707107, 1e-6);
+  EXPECT_NEAR(quaternion.at(4), 0.707107, 1e-6) << "the scalar comes last";
+  const std::vector<double> all = numbers_of(ask("VNRRG,20"));
+  EXPECT_NEAR(all.at(1), 0.25, 1e-4);
+  EXPECT_NEAR(all.at(2), -0.45, 1e-4);
+  EXPECT_NEAR(all.at(5), 9.81, 1e-3) << "up, along y now";
+  // Along north, east, down it is -g whatever the attitude.
+  const std::vector<double> inertial = numbers_of(ask("VNRRG,240"));
+  EXPECT_NEAR(inertial.at(4), 0.0, 1e-3);
+  EXPECT_NEAR(inertial.at(6), -9.81, 1e-3);
+}
+
+TEST_F(VectorNavFirmwareTest, BinaryFieldsOfMotionAreThoseOfTheText) {
+  bench->move(StageAxis::kX, Angle::degrees(90.0), host.clock().now());
+  host.listen(seconds(1));
+  // Common: yaw pitch roll, quaternion, rate; IMU: gyro; attitude: field and acceleration in NED. One packet.
+  EXPECT_EQ(ask("VNWRG,75,0,1,15,0038,0008,0030"), "VNWRG,75,0,1,15,0038,0008,0030");
+  const std::string bytes = raw("$VNBOM,1*XX\r\n");
+  const std::size_t start = bytes.find('\xFA');
+  ASSERT_NE(start, std::string::npos) << bytes;
+  const std::size_t payload = start + 8;
+  const auto value = [&](std::size_t n) {
+    std::uint32_t bits = 0;
+    for (std::size_t k = 0; k < 4; ++k)
+      bits |= static_cast<std::uint32_t>(static_cast<unsigned char>(bytes.at(payload + 4 * n + k))) << 8 * k;
+    return std::bit_cast<float>(bits);
+  };
+  EXPECT_NEAR(value(2), -162.5F, 0.1F) << "180 degrees and 17.5 more: 1 s at 20 deg/s after 0.25 s of ramp";
+  EXPECT_FLOAT_EQ(value(7), 0.34906585F);
+  EXPECT_FLOAT_EQ(value(10), 0.34906585F);
+  EXPECT_NEAR(value(13), 0.25F, 1e-6F) << "north";
+  EXPECT_NEAR(value(15), 0.45F, 1e-6F) << "down";
+  EXPECT_NEAR(value(18), -9.81F, 1e-4F);
+}
+
+TEST_F(VectorNavFirmwareTest, WithoutPowerItForgetsWhatWasNotSaved) {
+  EXPECT_EQ(ask("VNWRG,05,921600"), "VNWRG,05,921600");
+  EXPECT_EQ(ask("VNWRG,06,1"), "VNWRG,06,1");
+  EXPECT_NE(host.listen(seconds(1)), "");
+  firmware.power(false, host.clock().now());
+  EXPECT_EQ(host.listen(seconds(1)), "");
+  firmware.power(true, host.clock().now());
+  host.listen(seconds(1));
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+  EXPECT_EQ(ask("VNRRG,06"), "VNRRG,06,0");
+}
+
 }  // namespace
 }  // namespace abcal::sim

@@ -193,5 +193,36 @@ TEST(WitMotionFirmwareSettingsTest, AFaultyWorldMakesNoReadings) {
   EXPECT_THAT(host.listen(seconds(1)), IsEmpty());
 }
 
+TEST_F(WitMotionFirmwareTest, GyroMagnetometerAndAnglesFollowTheStage) {
+  bench->move(StageAxis::kX, Angle::degrees(45.0), host.clock().now());
+  host.listen(seconds(1));
+  // 20 deg/s of 2000.
+  EXPECT_EQ(read(0x37)[0], 328);
+  host.listen(seconds(5));
+  EXPECT_EQ(read(0x37)[0], 0);
+  EXPECT_EQ(read(0x3D)[2], 16384) << "yaw: x points north, a quarter of a turn from east";
+  EXPECT_EQ(read(0x3D)[0], 8192) << "roll of 45 degrees";
+  const auto frames = frames_of(host.listen(milliseconds(100)));
+  ASSERT_EQ(frames.size(), 4U);
+  EXPECT_EQ(frames[1].type, 0x52);
+  EXPECT_EQ(frames[1].words[0], 0);
+  EXPECT_EQ(frames[2].type, 0x53);
+  EXPECT_EQ(frames[2].words[0], 8192);
+  EXPECT_EQ(frames[3].type, 0x54);
+  EXPECT_EQ(frames[3].words[0], 410) << "0.25 of 20 gauss";
+}
+
+TEST_F(WitMotionFirmwareTest, WithoutPowerItForgetsWhatWasNotSaved) {
+  write(0x03, 0x09);  // 100 Hz
+  write(0x04, 2);     // 9600 Bd
+  EXPECT_EQ(firmware.line_speed(), 9600U);
+  host.listen(milliseconds(105));
+  EXPECT_EQ(frames_of(host.listen(seconds(1))).size(), 4U * 100U);
+  firmware.power(false, host.clock().now());
+  firmware.power(true, host.clock().now());
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+  EXPECT_EQ(frames_of(host.listen(seconds(1))).size(), 4U * 10U);
+}
+
 }  // namespace
 }  // namespace abcal::sim

@@ -184,6 +184,7 @@ TEST_F(XsensMtiFirmwareTest, SaysWhatItIs) {
   EXPECT_EQ(ask(0x12), "13 0108020000003F00000000");
   const std::string block = ask(0x0C);
   EXPECT_EQ(block.size(), 3U + 2 * 118);
+  EXPECT_EQ(ask(0x0C, "00FF"), block) << "as the maker's library asks after ReqEmts";
   EXPECT_THAT(block, StartsWith("0D 037003F8"));
   EXPECT_EQ(block.substr(3 + 2 * 98, 8), "037003F8");
   EXPECT_EQ(ask(0x62).size(), 3U + 2 * 3 * 22);
@@ -223,7 +224,9 @@ TEST_F(XsensMtiFirmwareTest, TakesTheOutputConfigurationOfTheRosDriver) {
   ask(0xC0, "20100064 20200064 30100064 E020FFFF");
   ask(0x10);
   const auto items = data_of(milliseconds(15)).back();
-  EXPECT_EQ(to_hex(items.at(0x2010)), "3F800000000000000000000000000000");
+  // x points north, a quarter of a turn from east; the outputs are not aligned to better than 0.02.
+  EXPECT_NEAR(real_of(0, items.at(0x2010), 0), std::sqrt(0.5), 0.02);
+  EXPECT_NEAR(real_of(0, items.at(0x2010), 3), std::sqrt(0.5), 0.02);
   EXPECT_EQ(items.at(0x2020).size(), 36U);
   EXPECT_EQ(to_hex(items.at(0x3010)), "00018BCD");  // 101325 Pa
 }
@@ -632,6 +635,59 @@ TEST_F(XsensDriverTest, ARateThatItDoesNotMakeIsRefused) {
     EXPECT_EQ(error.fault(), Fault::kRefused);
     EXPECT_THAT(error.what(), HasSubstr("it set its acceleration output to 100"));
   }
+}
+
+TEST(XsensMtiMotionTest, GyroMagnetometerAndAttitudeFollowTheStage) {
+  BenchTruth truth;
+  truth.sensitivity_matrix *= 9.8;
+  const auto bench = std::make_shared<SimBench>(truth);
+  XsensMtiFirmware firmware(bench);
+  FirmwareHost host(firmware);
+  host.listen(milliseconds(10));
+  host.exchange(command(0x30));
+  // Euler in all three frames, rate of turn, delta quaternion, magnetic field, rotation matrix, quaternion.
+  host.exchange(command(0xC0, "2030000A 2034000A 2038000A 8020000A 8030000A C020000A 2020000A 2010000A"));
+  host.exchange(command(0x10));
+  const auto last_of = [&](Clock::Duration duration) {
+    const auto messages = messages_of(host.listen(duration));
+    return items_of(messages.back());
+  };
+  const auto value = [](const std::map<std::uint64_t, std::string>& items, std::uint64_t id, std::size_t n) {
+    return real_of(0, items.at(id), n);
+  };
+  auto items = last_of(seconds(1));
+  EXPECT_NEAR(value(items, 0x2030, 2), 90.0, 1e-5) << "x points north, from east";
+  EXPECT_NEAR(value(items, 0x2034, 0), 180.0, 1e-5) << "z is up, from down";
+  EXPECT_NEAR(value(items, 0x2038, 2), 0.0, 1e-5);
+  bench->move(StageAxis::kX, Angle::degrees(90.0), host.clock().now());
+  items = last_of(seconds(1));
+  EXPECT_NEAR(value(items, 0x8020, 0), 0.34906585, 1e-7);
+  EXPECT_NEAR(value(items, 0x8030, 1), std::sin(0.5 * 0.034906585), 1e-7) << "a tenth of a second";
+  items = last_of(seconds(10));
+  EXPECT_EQ(value(items, 0x8020, 0), 0.0);
+  EXPECT_EQ(value(items, 0x8030, 0), 1.0);
+  EXPECT_NEAR(value(items, 0x2038, 0), 90.0, 1e-4);
+  EXPECT_NEAR(value(items, 0xC020, 0), 0.25 / std::hypot(0.25, 0.45), 1e-6);
+  EXPECT_NEAR(value(items, 0xC020, 1), -0.45 / std::hypot(0.25, 0.45), 1e-6);
+  // y of the body is up: second column of the matrix.
+  EXPECT_NEAR(value(items, 0x2020, 5), 1.0, 1e-6);
+  const Eigen::Quaterniond q(value(items, 0x2010, 0), value(items, 0x2010, 1), value(items, 0x2010, 2),
+                             value(items, 0x2010, 3));
+  EXPECT_TRUE((q * Eigen::Vector3d::UnitY()).isApprox(Eigen::Vector3d::UnitZ(), 1e-6));
+}
+
+TEST_F(XsensMtiFirmwareTest, WithoutPowerItIsSilentAndWakesUpThen) {
+  go_to_config();
+  host.exchange(command(0x10));
+  EXPECT_FALSE(data_of(seconds(1)).empty());
+  firmware.power(false, now());
+  EXPECT_EQ(host.listen(seconds(1)), "");
+  EXPECT_EQ(host.exchange(command(0x30)), "");
+  firmware.power(true, now());
+  const auto messages = messages_of(host.listen(seconds(1)));
+  ASSERT_GT(messages.size(), 10U);
+  EXPECT_EQ(messages.front().id, 0x3EU) << "WakeUp";
+  EXPECT_EQ(messages[1].id, 0x36U) << "then it measures";
 }
 
 }  // namespace

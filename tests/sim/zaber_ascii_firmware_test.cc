@@ -558,5 +558,19 @@ INSTANTIATE_TEST_SUITE_P(
                     DriverCase{"ChainTheOtherWayRound", {.axis_names = {"2", "1"}, .address = 1}}),
     [](const auto& each) { return std::string(each.param.name); });
 
+TEST_F(ZaberAsciiFirmwareTest, WithoutPowerItStopsAndHasNoReferenceThen) {
+  home_all();
+  ask("/1 1 set maxspeed 10000");
+  ask("/1 1 move abs 384000");
+  host.listen(seconds(1));
+  firmware.power(false, now());
+  host.listen(seconds(2));
+  firmware.power(true, now());
+  EXPECT_EQ(ask("/1 1 get pos"), "@01 1 OK IDLE WR 0\r\n");
+  EXPECT_GT(angle_deg(StageAxis::kX), 1.0);
+  EXPECT_LT(angle_deg(StageAxis::kX), 300.0);
+  EXPECT_EQ(firmware.line_speed(), 115200U);
+}
+
 }  // namespace
 }  // namespace abcal::sim

@@ -167,6 +167,14 @@ TEST_F(PiGcsStageTest, SettingsThatCannotBeMeantAreRefused) {
   settings = {};
   settings.address = "two";
   EXPECT_THROW(with(settings), std::invalid_argument);
+  for (const std::string name : {"two 1", "1 2 3"}) {
+    settings = {};
+    settings.axis_names = {name, "1 2"};
+    EXPECT_THROW(with(settings), std::invalid_argument) << name;
+  }
+  settings = {};
+  settings.axis_names = {"2 1", "1"};  // One has no address.
+  EXPECT_THROW(with(settings), std::invalid_argument);
 }
 
 TEST_F(PiGcsStageTest, AnAxisOnAnotherControllerIsNotThisOnes) {
@@ -466,6 +474,68 @@ TEST_F(PiGcsStageTest, SpeaksToAControllerInADaisyChain) {
   EXPECT_EQ(controller_.count("2 MOV 1 5.000000"), 1U);
   EXPECT_EQ(stage_->motion_state(StageAxis::kX), MotionState::kMoving);
   EXPECT_EQ(stage_->motion_state(StageAxis::kZ), MotionState::kStopped);
+}
+
+TEST_F(PiGcsStageTest, TwoControllersOfAChainAreOneStage) {
+  std::map<std::string, std::string> chained;
+  for (const std::string address : {"1", "4"}) {
+    for (const auto& [command, reply] : controller_.replies) {
+      if (command.size() > 1) chained[address + " " + command] = "0 " + address + " " + reply;
+    }
+    chained[address + " ERR?"] = "0 " + address + " 0\n";
+    chained[address + " \x05"] = "0 " + address + " 0\n";
+  }
+  chained["4 *IDN?"] = "0 4 (c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-863.12, 777, 1.2.3\n";
+  chained["4 \x05"] = "0 4 1\n";
+  chained["4 POS? 1"] = "0 4 1=-7.5\n";
+  controller_.replies = chained;
+  connect({.axis_names = {"1 1", "4 1"}, .speed_deg_per_s = {}, .address = {}, .unit = {}});
+  const StageInfo info = stage_->identify();
+  EXPECT_EQ(info.model, "C-884.4DC/C-863.12");
+  EXPECT_EQ(info.serial_number, "123456/777");
+  stage_->move_to(StageAxis::kZ, Angle::degrees(5.0));
+  EXPECT_EQ(controller_.count("4 MOV 1 5.000000"), 1U);
+  EXPECT_EQ(stage_->motion_state(StageAxis::kX), MotionState::kStopped);
+  EXPECT_EQ(stage_->motion_state(StageAxis::kZ), MotionState::kMoving);
+  EXPECT_EQ(stage_->encoder_angle(StageAxis::kZ).deg(), -7.5);
+  // A halt reaches both, and is acknowledged by both.
+  controller_.replies["1 ERR?"] = "0 1 10\n";
+  controller_.replies["4 ERR?"] = "0 4 10\n";
+  EXPECT_TRUE(stage_->halt());
+  EXPECT_GE(controller_.count("1 STP"), 1U);
+  EXPECT_GE(controller_.count("4 STP"), 1U);
+  const HaltRecipe recipe = stage_->halt_recipes().at(0);
+  EXPECT_EQ(recipe.questions.size(), 4U);
+}
+
+TEST_F(PiGcsStageTest, AControllerOfAChainThatIsSilentIsNamedByItsAddress) {
+  std::map<std::string, std::string> chained;
+  for (const auto& [command, reply] : controller_.replies) {
+    if (command.size() > 1) chained["1 " + command] = "0 1 " + reply;
+  }
+  chained["1 ERR?"] = "0 1 0\n";
+  controller_.replies = chained;
+  connect({.axis_names = {"1 1", "4 1"}, .speed_deg_per_s = {}, .address = {}, .unit = {}});
+  const InstrumentError error = error_of([&] { stage_->identify(); });
+  EXPECT_EQ(error.fault(), Fault::kNoReply);
+  EXPECT_THAT(error.what(), HasSubstr("\"4 *IDN?\""));
+}
+
+TEST_F(PiGcsStageTest, WhatIsNotInTheControllersListIsNotAskedOfIt) {
+  controller_.replies["HLP?"] =
+      "The following commands are valid: \n#4 Request Status Register \n#24 Stop All Axes \n"
+      "*IDN? Get Device Identification \nERR? Get Error Number \nFRF {<AxisID>} Reference \n"
+      "FRF? Get Referencing Result \nMOV {<AxisID> <Position>} Set Target \nPOS? Get Position \n"
+      "PUN? Get Unit \nSAI? Get Axes \nSVO Set Servo \nSVO? Get Servo \nTMN? Min \nTMX? Max \n"
+      "TRS? Reference Switch \nend of help\n";
+  controller_.replies["\x04"] = "0x100050001000\n";
+  connect();
+  stage_->identify();
+  stage_->home(StageAxis::kX);
+  EXPECT_EQ(stage_->motion_state(StageAxis::kZ), MotionState::kMoving);
+  for (const char* unknown : {"EAX 1 1", "\x05", "CST? 1", "VEL? 1", "SPA? 1 14"})
+    EXPECT_EQ(controller_.count(unknown), 0U) << unknown;
+  EXPECT_EQ(controller_.count("FRF 1"), 1U);
 }
 
 // ---- Halt
