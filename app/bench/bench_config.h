@@ -19,7 +19,7 @@
 namespace abcal {
 
 struct ItemConfig {
-  std::string maker, model, serial_number, range, filter, firmware, supply;
+  std::string maker, model, serial_number, customer_number, range, filter, firmware, supply;
 };
 
 struct StageAxisConfig {

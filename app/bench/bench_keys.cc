@@ -93,6 +93,7 @@ void visit_item(KeyVisitor& keys, BenchConfig& c) {
   keys.text("maker", c.item.maker);
   keys.text("model", c.item.model);
   keys.text("serial_number", c.item.serial_number);
+  keys.text("customer_number", c.item.customer_number);
   keys.text("range", c.item.range);
   keys.text("filter", c.item.filter);
   keys.text("firmware", c.item.firmware);

@@ -30,6 +30,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"item.maker", {"Maker of the accelerometer under test.", ""}},
       {"item.model", {"Model.", ""}},
       {"item.serial_number", {"Serial number.", ""}},
+      {"item.customer_number", {"The number that its owner gave it.", ""}},
       {"item.range", {"Measuring range as set, in words.", ""}},
       {"item.filter", {"Filter or bandwidth as set, in words.", ""}},
       {"item.firmware", {"Firmware version.", ""}},

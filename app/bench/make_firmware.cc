@@ -404,13 +404,16 @@ std::vector<std::string> simulated_serial_numbers(const std::string& driver) {
   static const std::map<std::string, std::vector<std::string>> all = [] {
     const std::string voltmeter = sim::ScpiVoltmeterSettings{}.serial_number;
     const sim::NewportEspSettings newport;
+    const sim::PiGcsSettings pi;
     const sim::ZaberAsciiSettings zaber;
     return std::map<std::string, std::vector<std::string>>{
+        {"mavlink", {sim::MavlinkSettings{}.serial_number}},
         {"microstrain_mip", {sim::MipSettings{}.serial_number}},
         {"newport_esp", {newport.serial_number, newport.z_serial_number}},
-        {"pi_gcs", {sim::PiGcsSettings{}.serial_number}},
+        {"pi_gcs", {pi.serial_number, pi.z_serial_number}},
         {"scpi_single", {voltmeter + "u", voltmeter + "v", voltmeter + "w"}},
         {"scpi_voltmeter", {voltmeter}},
+        {"thorlabs_apt", {sim::ThorlabsAptSettings{}.serial_number}},
         {"vectornav", {sim::VectorNavSettings{}.serial_number}},
         {"xsens_mti", {sim::XsensMtiSettings{}.device_id}},
         {"zaber_ascii", {zaber.serial_number, zaber.z_serial_number}}};

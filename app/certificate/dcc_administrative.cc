@@ -95,8 +95,11 @@ void add_items(XmlElement& administrative, const Certificate& certificate) {
   XmlElement identifications = item.add("dcc:identifications");
   add_identification(identifications, "manufacturer", data.label("item.serial_number"),
                      words("Serial number"));
-  if (!one_line(job.owner_id).empty())
-    add_identification(identifications, "customer", job.owner_id, words("Number of the owner"));
+  // As it was entered for this run; the laboratory file may serve several items.
+  const std::string entered = data.label("item.customer_number");
+  const std::string owner_id = entered.empty() ? job.owner_id : entered;
+  if (!one_line(owner_id).empty())
+    add_identification(identifications, "customer", owner_id, words("Number of the owner"));
 
   XmlElement settings;
   for (const auto& [key, name] : {std::pair{"item.range", words("Range")},

@@ -12,13 +12,11 @@
 #include "app/results/load_record.h"
 #include "app/results/result_text.h"
 #include "app/session/level_plan.h"
+#include "app/session/levelling.h"
 #include "app/session/register_records.h"
 #include "app/session/run_session.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
-#include "app/system/version.h"
-#include "protocol/analysis/level.h"
-#include "protocol/plan/limits.h"
 
 namespace abcal {
 namespace {
@@ -32,12 +30,6 @@ struct LevelOptions {
   bool json = false;
 };
 
-/// What the readings of a levelling say.
-struct Levelling {
-  TiltOfZ tilt;
-  XZero x_zero;
-};
-
 /// In R per g_loc: that of the given run, or the nominal one of the output's unit.
 Eigen::Matrix3d sensitivity_for(const LevelOptions& options, const std::string& output_unit,
                                 double g_loc_mps2) {
@@ -46,38 +38,12 @@ Eigen::Matrix3d sensitivity_for(const LevelOptions& options, const std::string& 
     if (abc.verdict == Verdict::kNotUsable) throw std::runtime_error(options.sensitivity + ": " + abc.why);
     return abc.sensitivity_values();
   }
-  const auto response = nominal_response({}, output_unit, g_loc_mps2);
-  if (!response) {
+  const auto nominal = nominal_sensitivity(output_unit, g_loc_mps2);
+  if (!nominal) {
     throw std::invalid_argument("the output is in " + output_unit +
                                 "; give a run of this accelerometer with --sensitivity");
   }
-  return Eigen::Matrix3d::Identity() * *response;
-}
-
-Levelling evaluate(const StoredRun& run, const Eigen::Matrix3d& sensitivity) {
-  const std::vector<DwellRecord>& dwells = run.record.dwells;
-  const auto spin_end = dwells.end() - static_cast<std::ptrdiff_t>(kReversalPositions);
-  return {tilt_from_spin({dwells.begin(), spin_end}, sensitivity),
-          x_zero_from_reversal({spin_end, dwells.end()}, sensitivity, run.record.tolerances)};
-}
-
-LevelFile level_file_of(const Levelling& levelling, const StoredRun& run) {
-  const auto stored = [](const Quantity& q) { return MeasuredValue{q.value, q.standard_uncertainty}; };
-  const TiltOfZ& tilt = levelling.tilt;
-  const XZero& x_zero = levelling.x_zero;
-  LevelFile level;
-  level.utc = run.events.back().utc;
-  level.program_version = program_version();
-  for (const InstrumentIdentity& instrument : run.header.instruments) {
-    if (instrument.role == "stage") level.stage_serial_number = instrument.serial_number;
-  }
-  level.alignment.zx = stored(tilt.zx);
-  level.alignment.zy = stored(tilt.zy);
-  level.alignment.xz = {x_zero.zx_plus_xz.value - tilt.zx.value,
-                        std::hypot(x_zero.zx_plus_xz.standard_uncertainty, tilt.zx.standard_uncertainty)};
-  level.x_zero_deg = stored(x_zero.error);
-  level.delta_z = stored(tilt.delta_z);
-  return level;
+  return *nominal;
 }
 
 void print_levelling(const Levelling& levelling, std::size_t angles, const std::filesystem::path& output,
@@ -142,7 +108,7 @@ void run_level(const LevelOptions& options) {
     throw std::invalid_argument(output.string() + ": exists already; choose another name with -o");
   }
   const MeasuredLevelling measured = is_measured ? load_levelling(options) : measure(options);
-  const Levelling levelling = evaluate(measured.run, measured.sensitivity);
+  const Levelling levelling = evaluate_levelling(measured.run, measured.sensitivity);
   const LevelFile level = level_file_of(levelling, measured.run);
   write_level_file(output, level);
   if (options.json) {

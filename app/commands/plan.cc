@@ -7,6 +7,7 @@
 #include "app/bench/key_reference.h"
 #include "app/commands/commands.h"
 #include "app/commands/plan_reach.h"
+#include "app/planner/known_bench.h"
 #include "app/results/effect_words.h"
 #include "app/session/register_records.h"
 #include "app/system/exit_code.h"
@@ -17,29 +18,6 @@
 namespace abcal {
 namespace {
 
-/// What is known of an axis without asking the stage.
-struct KnownAxis {
-  AxisTravel travel;
-  AxisSpeed speed;
-  bool travel_assumed = false;
-};
-
-KnownAxis known_axis(const StageConfig& stage, const StageAxisConfig& axis, const sim::AxisTruth& truth) {
-  KnownAxis known;
-  const bool simulated = stage.port == "simulated";
-  if (simulated) {
-    known.travel = {truth.travel_min, truth.travel_max};
-    known.speed = {truth.speed_deg_per_s, truth.acceleration_deg_per_s2};
-  }
-  if (axis.travel_min_deg)
-    known.travel.min = std::max(known.travel.min, Angle::degrees(*axis.travel_min_deg));
-  if (axis.travel_max_deg)
-    known.travel.max = std::min(known.travel.max, Angle::degrees(*axis.travel_max_deg));
-  if (axis.speed_deg_per_s) known.speed.deg_per_s = *axis.speed_deg_per_s;
-  known.travel_assumed = !simulated && !(axis.travel_min_deg && axis.travel_max_deg);
-  return known;
-}
-
 /// What `abcal plan` shows.
 struct ShownPlan {
   std::vector<PlannedAngle> angles;
@@ -48,11 +26,6 @@ struct ShownPlan {
   bool speeds_known = false;
   bool travel_assumed = false;
 };
-
-std::array<KnownAxis, 2> known_axes(const BenchConfig& config) {
-  return {known_axis(config.stage, config.stage.x, config.simulation.x),
-          known_axis(config.stage, config.stage.z, config.simulation.z)};
-}
 
 ShownPlan make_shown_plan(const BenchConfig& config) {
   const auto [x, z] = known_axes(config);
@@ -183,8 +156,7 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
     if (options->reach.asked()) {
       options->reach.bench_file = options->bench_file;
       options->reach.json = options->json;
-      const auto [x, z] = known_axes(config);
-      exit_code = run_reach(options->reach, {config, {x.travel, z.travel}, {x.speed, z.speed}});
+      exit_code = run_reach(options->reach, planning_bench(config, 0.0));
       return;
     }
     const ShownPlan plan = make_shown_plan(config);

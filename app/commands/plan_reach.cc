@@ -12,17 +12,15 @@
 
 #include "app/bench/real_clock.h"
 #include "app/document/gnuplot.h"
+#include "app/planner/known_bench.h"
 #include "app/planner/plan_search.h"
 #include "app/planner/write_plan.h"
-#include "app/results/analyses.h"
-#include "app/results/load_record.h"
 #include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/progress.h"
 #include "app/system/read_file.h"
-#include "protocol/analysis/analyse.h"
 
 namespace abcal {
 namespace {
@@ -44,45 +42,24 @@ double seconds_of(const std::string& text) {
   return value;
 }
 
-/// Standard deviation of one reading over the sensitivity: median over the angles and outputs of a run.
-double noise_of_run(const std::string& path) {
-  const LoadedRecord loaded = load_record(path);
-  const CalibrationResult result = analyse_abc(loaded.record);
-  if (!result.sensitivity_matrix)
-    throw std::invalid_argument(fmt::format("--noise {}: {}", path, result.why));
-  std::vector<double> noise;
-  for (const DwellRecord& dwell : loaded.record.dwells) {
-    if (!dwell.u_mean || dwell.count < 1) continue;
-    for (Eigen::Index j = 0; j < 3; ++j) {
-      // From the mean's uncertainty: the correlation of the readings is in it.
-      noise.push_back((*dwell.u_mean)[j] * std::sqrt(static_cast<double>(dwell.count)) /
-                      result.intrinsic_sensitivity[static_cast<std::size_t>(j)].value);
-    }
-  }
-  if (noise.empty()) {
-    throw std::invalid_argument(fmt::format(
-        "--noise {}: no mean with its uncertainty and its number of readings; required: a run, or a number",
-        path));
-  }
-  const auto middle = noise.begin() + static_cast<std::ptrdiff_t>(noise.size() / 2);
-  std::nth_element(noise.begin(), middle, noise.end());
-  return *middle;
-}
-
 double noise_of(const ReachOptions& options, const BenchConfig& config) {
   if (!options.noise.empty()) {
     double value = 0.0;
     const char* const end = options.noise.data() + options.noise.size();
     const auto [stopped, error] = std::from_chars(options.noise.data(), end, value);
-    if (error != std::errc() || stopped != end) return noise_of_run(options.noise);
+    if (error != std::errc() || stopped != end) {
+      try {
+        return noise_of_run(options.noise);
+      } catch (const std::invalid_argument& problem) {
+        throw std::invalid_argument(fmt::format("--noise {}", problem.what()));
+      }
+    }
     if (!(value > 0.0) || value > 1.0)
       throw std::invalid_argument(
           fmt::format("--noise {}: required: above 0 and at most 1 (g_loc)", options.noise));
     return value;
   }
-  const Eigen::Vector3d scale = config.simulation.sensitivity_matrix.rowwise().norm();
-  if (config.accelerometer.port == "simulated" && config.simulation.noise > 0.0)
-    return config.simulation.noise / scale.minCoeff();
+  if (const auto simulated = simulated_noise(config)) return *simulated;
   throw std::invalid_argument(
       "the noise of a reading is not known; required: --noise RUN (an earlier run of such an item) or "
       "--noise VALUE "

@@ -16,7 +16,7 @@ namespace abcal {
 const Tool kWeasyPrint{"weasyprint", "a PDF needs", "weasyprint"};
 
 void print_pdf(const std::string& html, const std::filesystem::path& pdf,
-               const std::optional<Attachment>& attachment) {
+               const std::optional<Attachment>& attachment, const std::function<bool()>& cancelled) {
   const TemporaryFolder folder;
   const std::filesystem::path page = folder / "page.html", tagged = folder / "tagged.pdf";
   std::ofstream file(page, std::ios::binary);
@@ -26,7 +26,8 @@ void print_pdf(const std::string& html, const std::filesystem::path& pdf,
   // A page of thousands of rows takes tens of seconds.
   constexpr std::chrono::minutes kLongest{5};
   if (const ToolResult result = run_tool_for_words(
-          kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/ua-1", page.string(), tagged.string()}, kLongest);
+          kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/ua-1", page.string(), tagged.string()}, kLongest,
+          cancelled);
       result.exit_code != 0)
     throw std::runtime_error(
         fmt::format("weasyprint failed with exit code {}: {}", result.exit_code, result.words));

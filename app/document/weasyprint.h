@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 
@@ -26,9 +27,10 @@ struct Attachment {
 /// Makes a PDF of a page: tagged (as PDF/UA-1 asks for, by WeasyPrint), and with the structure of PDF/A-3
 /// (output intent, metadata, attachments with their relation; by the helper program abcal-pdf). Whether it
 /// conforms to either is for a validator to say.
+/// @param cancelled  asked each 0.1 s; true ends it
 /// @throws ProgramMissing, RunInterrupted, std::runtime_error
 void print_pdf(const std::string& html, const std::filesystem::path& pdf,
-               const std::optional<Attachment>& attachment);
+               const std::optional<Attachment>& attachment, const std::function<bool()>& cancelled = {});
 
 /// The data file inside a PDF of print_pdf(); empty: it has none.
 /// @throws ProgramMissing, RunInterrupted, std::runtime_error (no PDF)

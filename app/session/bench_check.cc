@@ -33,12 +33,6 @@ constexpr double kRateTolerance = 0.05;
 constexpr double kShortestLookS = 1.0;
 constexpr int kMostReadings = 200;
 
-/// Specific force (g_loc) in the platter's frame at a pose of an ideal stage: Rot(X, x) Rot(Z, z) undone.
-Eigen::Vector3d gravity_at(Angle x, Angle z) {
-  return Eigen::AngleAxisd(-z.rad(), Eigen::Vector3d::UnitZ()) *
-         (Eigen::AngleAxisd(-x.rad(), Eigen::Vector3d::UnitX()) * Eigen::Vector3d::UnitZ());
-}
-
 /// A simple difference between bench and bench file that may explain the readings.
 struct Hypothesis {
   std::string words;
@@ -285,6 +279,11 @@ class Checker {
 };
 
 }  // namespace
+
+Eigen::Vector3d gravity_at(Angle x, Angle z) {
+  return Eigen::AngleAxisd(-z.rad(), Eigen::Vector3d::UnitZ()) *
+         (Eigen::AngleAxisd(-x.rad(), Eigen::Vector3d::UnitX()) * Eigen::Vector3d::UnitZ());
+}
 
 Finding judge_signs(const std::vector<PoseReading>& poses) {
   Finding finding{Grade::kGood, "signs and axes", "", ""};

@@ -42,6 +42,9 @@ struct PoseReading {
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
 };
 
+/// Specific force (g_loc) in the platter's frame at a pose of an ideal stage: Rot(X, x) Rot(Z, z) undone.
+Eigen::Vector3d gravity_at(Angle x, Angle z);
+
 /// Checks whether the readings change between poses as gravity requires of an accelerometer whose u, v, w
 /// point roughly along the platter's x, y, z. If not, names every simple reason that would explain them: a
 /// sign of a stage axis, swapped or reversed accelerometer axes. The first pose is the one compared with.

@@ -108,6 +108,7 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   label("item.maker", config.item.maker);
   label("item.model", config.item.model);
   label("item.serial_number", config.item.serial_number);
+  label("item.customer_number", config.item.customer_number);
   label("item.range", config.item.range);
   label("item.filter", config.item.filter);
   label("item.firmware", config.item.firmware);

@@ -103,7 +103,7 @@ class Child {
   ~Child() { stop(); }
 
   /// Waits for the end, and reads what comes from `words` meanwhile (-1: nothing).
-  ToolResult wait(int words, std::chrono::seconds longest) {
+  ToolResult wait(int words, std::chrono::seconds longest, const std::function<bool()>& cancelled = {}) {
     // The header of glibc 2.36 declares pidfd_open() for C alone.
     const Descriptor ended(static_cast<int>(::syscall(SYS_pidfd_open, pid_, 0)));
     if (ended.number() < 0)
@@ -117,6 +117,8 @@ class Child {
       if (wanted[1].revents != 0 && !read_some(words, result.words)) wanted[1].fd = -1;
       if (interrupt_token().stop_requested())
         throw RunInterrupted(fmt::format("interrupted while {} was at work", tool_.program));
+      if (cancelled && cancelled())
+        throw RunInterrupted(fmt::format("cancelled while {} was at work", tool_.program));
       if (steady_clock::now() > deadline)
         throw std::runtime_error(
             fmt::format("{} took longer than {} s and was ended", tool_.program, longest.count()));
@@ -175,7 +177,7 @@ int run_tool(const Tool& tool, const std::vector<std::string>& arguments, ToolOu
 }
 
 ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments,
-                              std::chrono::seconds longest) {
+                              std::chrono::seconds longest, const std::function<bool()>& cancelled) {
   std::array<int, 2> ends{};
   if (::pipe2(ends.data(), O_CLOEXEC | O_NONBLOCK) != 0)
     throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
@@ -185,7 +187,7 @@ ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& 
   ::fcntl(writing.number(), F_SETFL, 0);
   Child child(tool, arguments, writing.number());
   writing.close();
-  return child.wait(reading.number(), longest);
+  return child.wait(reading.number(), longest, cancelled);
 }
 
 }  // namespace abcal

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <functional>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -50,8 +51,10 @@ struct ToolResult {
 };
 
 /// The same for a program whose output becomes the message of its failure.
-/// @throws ProgramMissing, RunInterrupted (Ctrl-C meanwhile), std::runtime_error
+/// @param cancelled  asked each 0.1 s; true ends the program
+/// @throws ProgramMissing, RunInterrupted (Ctrl-C, or cancelled), std::runtime_error
 ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments,
-                              std::chrono::seconds longest = kLongestTool);
+                              std::chrono::seconds longest = kLongestTool,
+                              const std::function<bool()>& cancelled = {});
 
 }  // namespace abcal

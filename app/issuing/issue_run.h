@@ -1,0 +1,51 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/certificate/report_certificate.h"
+#include "app/laboratory/register.h"
+#include "drivers/instrument/clock.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// What is asked for when a certificate is issued. Empty: as the meaning says.
+struct IssueAsked {
+  std::string run;                   ///< Path of the run file.
+  std::string number;                ///< Without a register; with one: none.
+  std::string measured_by;           ///< Who measured, as the events of the run say: they.
+  std::string approved_by;           ///< Without a register.
+  std::string date;                  ///< "2026-03-01"; today, UTC.
+  std::string replaces, reason;      ///< The certificate that this one amends, and why.
+  std::string key, key_certificate;  ///< PEM files of the approver; not signed.
+  CertificateFiles certificate;
+};
+
+/// The register that gives the number, and who approves.
+struct Registered {
+  lab::Register opened;
+  lab::LoggedIn approver;
+};
+
+struct IssueOutcome {
+  /// Nothing was issued now: the certificate was kept with the run, and the register knows it now.
+  std::string known_now;  ///< Its number; empty: one was issued.
+  IssuedCertificate issued;
+  bool training = false, is_signed = false, verified = false;
+  std::string operators;  ///< Who measured, in words.
+  std::vector<std::string> warnings;
+};
+
+/// Issues the certificate of a complete run: checks it, takes its number from the register, keeps it with the
+/// run, and tells the register. Whoever issues it, however they ask, goes this way.
+/// @param registered  null: there is no register
+/// @throws as make_certificate(), issue_certificate(); lab::RegisterError; std::invalid_argument
+IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::UtcTime now);
+
+/// Whether whoever approves may: the right, and not one of those who measured.
+/// @return why not, in words; nothing: they may
+std::optional<std::string> why_not_approve(const lab::Person& approver, const StoredRun& run);
+
+}  // namespace abcal

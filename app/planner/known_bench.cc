@@ -1,0 +1,74 @@
+#include "app/planner/known_bench.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <vector>
+
+#include "app/results/load_record.h"
+#include "protocol/analysis/analyse.h"
+
+namespace abcal {
+namespace {
+
+KnownAxis known_axis(const StageConfig& stage, const StageAxisConfig& axis, const sim::AxisTruth& truth) {
+  KnownAxis known;
+  const bool simulated = stage.port == "simulated";
+  if (simulated) {
+    known.travel = {truth.travel_min, truth.travel_max};
+    known.speed = {truth.speed_deg_per_s, truth.acceleration_deg_per_s2};
+  }
+  if (axis.travel_min_deg)
+    known.travel.min = std::max(known.travel.min, Angle::degrees(*axis.travel_min_deg));
+  if (axis.travel_max_deg)
+    known.travel.max = std::min(known.travel.max, Angle::degrees(*axis.travel_max_deg));
+  if (axis.speed_deg_per_s) known.speed.deg_per_s = *axis.speed_deg_per_s;
+  known.travel_assumed = !simulated && !(axis.travel_min_deg && axis.travel_max_deg);
+  return known;
+}
+
+}  // namespace
+
+std::array<KnownAxis, 2> known_axes(const BenchConfig& config) {
+  return {known_axis(config.stage, config.stage.x, config.simulation.x),
+          known_axis(config.stage, config.stage.z, config.simulation.z)};
+}
+
+double noise_of_run(const std::filesystem::path& run) {
+  const LoadedRecord loaded = load_record(run);
+  const CalibrationResult result = analyse_abc(loaded.record);
+  if (!result.sensitivity_matrix)
+    throw std::invalid_argument(fmt::format("{}: {}", run.string(), result.why));
+  std::vector<double> noise;
+  for (const DwellRecord& dwell : loaded.record.dwells) {
+    if (!dwell.u_mean || dwell.count < 1) continue;
+    for (Eigen::Index j = 0; j < 3; ++j) {
+      // From the mean's uncertainty: the correlation of the readings is in it.
+      noise.push_back((*dwell.u_mean)[j] * std::sqrt(static_cast<double>(dwell.count)) /
+                      result.intrinsic_sensitivity[static_cast<std::size_t>(j)].value);
+    }
+  }
+  if (noise.empty()) {
+    throw std::invalid_argument(fmt::format(
+        "{}: no mean with its uncertainty and its number of readings; required: a run, or a number",
+        run.string()));
+  }
+  const auto middle = noise.begin() + static_cast<std::ptrdiff_t>(noise.size() / 2);
+  std::nth_element(noise.begin(), middle, noise.end());
+  return *middle;
+}
+
+std::optional<double> simulated_noise(const BenchConfig& config) {
+  if (config.accelerometer.port != "simulated" || !(config.simulation.noise > 0.0)) return std::nullopt;
+  const Eigen::Vector3d scale = config.simulation.sensitivity_matrix.rowwise().norm();
+  return config.simulation.noise / scale.minCoeff();
+}
+
+PlanningBench planning_bench(const BenchConfig& config, double noise) {
+  const auto [x, z] = known_axes(config);
+  return {config, {x.travel, z.travel}, {x.speed, z.speed}, noise};
+}
+
+}  // namespace abcal
