@@ -267,6 +267,7 @@ RequirementSection reporting() {
            {"TraceabilityTest.EveryReasonAgainstItIsListedAndRefusesACertificate",
             "TraceabilityTest.ACalibrationHoldsOnTheDayOfTheRun",
             "TraceabilityTest.SerialNumbersMatchExactly",
+            "TraceabilityTest.TheCalibrationIsThatOfTheInstrumentThatMeasured",
             "TraceabilityTest.DatesAgreeWithEachOtherAndWithTheClock"}},
           {"the register: one change one transaction, on both databases; changes behind its back are found; "
            "numbers are given once, also by parallel programs; backups are restored",
@@ -280,6 +281,8 @@ RequirementSection reporting() {
            "A person approves own work; a simulation is issued as a calibration.",
            {"TraceabilityTest.WhoMeasuredIsWhoTheEventsSay",
             "IssueTest.ASimulatedRunIsIssuedByATrainingRegisterOnly",
+            "NotRealTest.EverySimulatedInstrumentIsKnownByItsSerialNumber",
+            "NotRealTest.ABenchFileWithASimulationIsThatOfAnEmulator",
             "IssueTest.TheRegisterFindsWhatIsTakenAwayFromARun"}},
           {"two persons, numbers given once, amendments (7.8.8)",
            "A certificate is approved by one person alone, or cannot be traced to what it replaced.",
