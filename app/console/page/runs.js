@@ -1,5 +1,7 @@
 // The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
 import {byId, decimals, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {certificateCard} from '/approve.js';
+import {askForView, savesPatiently} from '/making.js';
 import {timeElement, timeText} from '/time.js';
 import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 
@@ -120,13 +122,13 @@ export async function showRun(name) {
   byId('run-list').hidden = true;
   clearCharts();
   const detail = byId('run-detail');
-  detail.replaceChildren(element('p', {role: 'status'}, `Reading and analysing ${name}`));
   let data;
   try {
-    data = await fetchJson(`/runs/${encoded(name)}/result`);
+    data = await askForView(`/runs/${encoded(name)}/result`, detail, `Reading and analysing ${name}`);
   } catch (error) {
     return say('run-detail', error);
   }
+  if (!data) return;
   const {run, results} = data;
   // The first is the estimator that was chosen for the run; the fits of the published protocol show the stage.
   const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
@@ -143,6 +145,7 @@ export async function showRun(name) {
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
+  detail.append(certificateCard(run, () => showRun(name)));
   detail.append(card('Events', element('div', {class: 'scroll'}, table('Events of the run', ['Time', 'Kind', 'Event'],
     data.events.map((e) => [day(e.utc), e.kind, e.text])))));
   byId('main').focus();
@@ -179,10 +182,12 @@ function flagged(result, meanings) {
 }
 
 function downloads(kinds, run) {
-  const bar = element('p', {class: 'bar'}, 'Download:');
-  for (const {name, words} of kinds || [])
-    bar.append(element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, words));
-  return bar;
+  const bar = element('p', {class: 'bar'}, 'Download:'), making = element('div', {class: 'bar'});
+  for (const {name, words} of kinds || []) {
+    const link = element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, words);
+    bar.append(name.endsWith('.pdf') ? savesPatiently(link, making) : link);
+  }
+  return element('div', {}, bar, making);
 }
 
 function quantities(result) {
