@@ -52,7 +52,9 @@ Settings stage_firmware_settings(const StageConfig& stage, const InstrumentPort&
       settings.serial_number.resize(slash);
     }
   }
-  if (const auto baud = line_baud(port)) settings.baud = *baud;
+  if constexpr (requires { settings.baud; }) {  // Not on a network or a USB of its own.
+    if (const auto baud = line_baud(port)) settings.baud = *baud;
+  }
   return settings;
 }
 

@@ -13,6 +13,7 @@
 #include "app/bench/bench_config.h"
 #include "app/bench/bench_records.h"
 #include "app/bench/real_clock.h"
+#include "app/certificate/laboratory_file.h"
 #include "app/commands/bench.h"
 #include "app/commands/commands.h"
 #include "app/console/bench_service.h"
@@ -168,6 +169,8 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
       ->capture_default_str();
   command->add_option("--bench-socket", options->server.bench_socket,
                       "where the process that holds the bench listens, if a service of its own starts it");
+  command->add_option("--laboratory", options->server.laboratory_file,
+                      "laboratory file of the certificates that are approved on the page; needs a register");
   command->add_option("--token-file", options->token_file,
                       "file with the token that every page must send (default: made if required)");
   command->add_option("--host", options->server.access.hosts,
@@ -183,6 +186,7 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
     read_bench(options->bench.bench_file,
                register_records());  // Its problems are reported at once, not to the first page.
     choose_folder(options->bench);
+    if (!options->server.laboratory_file.empty()) (void)read_laboratory_file(options->server.laboratory_file);
     const bool made = choose_access(*options);
     choose_tls(*options);
     console::Server server(options->server, options->bench);

@@ -26,6 +26,7 @@
 #include "app/console/bench_channel.h"
 #include "app/console/interrupted_run.h"
 #include "app/console/live_view.h"
+#include "app/console/queue_desk.h"
 #include "app/console/run_library.h"
 #include "app/system/version.h"
 #include "protocol/record/run_file.h"
@@ -123,6 +124,7 @@ struct BenchService::Impl {
   bool ending = false;
   bool was_on = false;
   std::unique_ptr<Session> session;
+  std::unique_ptr<QueueDesk> desk;
   std::jthread ender;
 };
 
@@ -145,6 +147,9 @@ BenchService::Impl::Impl(Options the_options)
   acceptor.listen();
   live.apply(InterruptedSeen{find_interrupted_run(options.bench.runs)});
   session = std::make_unique<Session>(options.bench, [this](Event event) { pass_on(std::move(event)); });
+  desk = std::make_unique<QueueDesk>(
+      options.bench.runs / fmt::format(".{}.queue.json", options.bench.bench_file.stem().string()), *session,
+      [this](Event event) { pass_on(std::move(event)); });
   accept();
   beat();
   end_if_not_needed();
@@ -213,9 +218,9 @@ Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& c
     Impl& impl;
     const Asker& by;
     Session::Refusal operator()(const CheckBench& check) const {
-      return impl.session->check(check.with_motion);
+      return impl.session->check(check.with_motion, by);
     }
-    Session::Refusal operator()(const StartRun&) const { return impl.session->start(by); }
+    Session::Refusal operator()(const StartRun& start) const { return impl.session->start(start.choice, by); }
     Session::Refusal operator()(const HoldRun&) const { return impl.session->hold(by); }
     Session::Refusal operator()(const ContinueRun&) const { return impl.session->continue_run(by); }
     Session::Refusal operator()(const Stop&) const { return impl.session->stop(by); }
@@ -226,6 +231,9 @@ Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& c
     }
     Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog); }
     Session::Refusal operator()(const Note& note) const { return impl.session->note(note.text, by); }
+    Session::Refusal operator()(const Level&) const { return impl.session->level(by); }
+    Session::Refusal operator()(const Probe&) const { return impl.session->probe(); }
+    Session::Refusal operator()(const QueueCommand& queue) const { return impl.desk->carry_out(by, queue); }
     Session::Refusal operator()(const Beat&) const { return std::nullopt; }
     Session::Refusal operator()(const TakeControl&) const { return std::nullopt; }
     Session::Refusal operator()(const ReleaseControl&) const { return std::nullopt; }
@@ -245,6 +253,7 @@ void BenchService::Impl::pass_on(Event event) {
       end_if_not_needed();
     }
     broadcast(live.apply(event));
+    desk->see(event);
   });
 }
 

@@ -7,6 +7,7 @@
 #include "app/certificate/certificate_page.h"
 #include "app/certificate/issue.h"
 #include "app/certificate/report_certificate.h"
+#include "app/console/workshop.h"
 #include "app/document/document_html.h"
 #include "app/document/weasyprint.h"
 #include "app/report/calibration_document.h"
@@ -39,7 +40,7 @@ bool is_certified(const Path& run) {
 }
 
 /// As it was issued, byte for byte. Issuing is not for a page: `abcal issue`.
-std::string certificate(const Path& run) {
+std::string certificate(const Path& run, const std::stop_token&) {
   const auto issued = current_certificate(run);
   if (!issued) throw std::runtime_error("no certificate has been issued for this run; see `abcal issue`");
   return issued->xml;
@@ -51,33 +52,40 @@ struct Shown {
   std::string certificate_xml;  ///< Empty: there is none.
 };
 
-Shown shown(const Path& run) {
+Shown shown(const Path& run, const std::stop_token& cancelled) {
   const ReportData data = data_of(run);
+  require_wanted(cancelled);
   if (!is_certified(run)) return {document_html(calibration_document(data)).html, {}};
   std::string xml = certificate_for_report(data, {}, /*draft=*/false, RealClock().utc_now());
   return {document_html(certificate_page(xml)).html, std::move(xml)};
 }
 
-std::string report(const Path& run) {
-  return shown(run).html;
+std::string report(const Path& run, const std::stop_token& cancelled) {
+  return shown(run, cancelled).html;
 }
 
-std::string printed_report(const Path& run) {
+std::string printed_report(const Path& run, const std::stop_token& cancelled) {
   return bytes_of([&](const Path& file) {
-    const Shown page = shown(run);
-    if (page.certificate_xml.empty()) return print_pdf(page.html, file, std::nullopt);
+    const Shown page = shown(run, cancelled);
+    require_wanted(cancelled);
+    const auto is_cancelled = [&cancelled] { return cancelled.stop_requested(); };
+    if (page.certificate_xml.empty()) return print_pdf(page.html, file, std::nullopt, is_cancelled);
     const TemporaryFolder folder;
     const Path attachment = folder / "certificate.xml";
     std::ofstream(attachment, std::ios::binary) << page.certificate_xml;
-    print_pdf(page.html, file, Attachment{attachment, AttachmentKind::kData});
+    print_pdf(page.html, file, Attachment{attachment, AttachmentKind::kData}, is_cancelled);
   });
 }
 
-std::string single_readings(const Path& run) {
+std::string averaged_readings(const Path& run, const std::stop_token&) {
+  return averaged_csv(data_of(run));
+}
+
+std::string single_readings(const Path& run, const std::stop_token&) {
   return bytes_of([&](const Path& file) { write_raw_csv(data_of(run), file); });
 }
 
-std::string hdf5(const Path& run) {
+std::string hdf5(const Path& run, const std::stop_token&) {
   return bytes_of([&](const Path& file) { export_hdf5(data_of(run), file, run.stem().string() + ".h5"); });
 }
 
@@ -87,10 +95,9 @@ const std::vector<Download>& downloads() {
   static const std::vector<Download> all{
       {"report.html", "Report (HTML)", "text/html; charset=utf-8", report, nullptr},
       {"report.pdf", "Report (PDF)", "application/pdf", printed_report,
-       [](const Path&) { return is_installed(kWeasyPrint); }},
+       [](const Path&) { return is_installed(kWeasyPrint); }, true},
       {"certificate.xml", "Certificate (DCC XML)", "application/xml", certificate, is_certified},
-      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8",
-       [](const Path& run) { return averaged_csv(data_of(run)); }, nullptr},
+      {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings, nullptr},
       {"single-readings.csv", "Single readings (CSV)", "text/csv; charset=utf-8", single_readings, nullptr},
       {"run.h5", "Everything (HDF5)", "application/x-hdf5", hdf5, nullptr},
   };

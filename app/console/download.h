@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <stop_token>
 #include <string>
 #include <vector>
 
@@ -12,10 +13,12 @@ struct Download {
   std::string name;          ///< Last part of the path, and ending of the file's name: "readings.csv".
   std::string words;         ///< "Averaged readings (CSV)"
   std::string content_type;  ///< "text/csv; charset=utf-8"
-  /// Called in the reading thread. What it throws is shown to the person.
-  std::function<std::string(const std::filesystem::path& run)> make;
+  /// Called in a thread of a pool; `cancelled`: nobody waits for it any more. What it throws is shown to the
+  /// person.
+  std::function<std::string(const std::filesystem::path& run, const std::stop_token& cancelled)> make;
   /// Whether a run has it; null: each has.
   std::function<bool(const std::filesystem::path& run)> available;
+  bool is_printed = false;  ///< Takes seconds of another program.
 };
 
 const std::vector<Download>& downloads();

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <utility>
@@ -10,6 +12,7 @@
 #include "app/console/interrupted_run.h"
 #include "app/console/watched.h"
 #include "app/session/bench_check.h"
+#include "app/session/item_check.h"
 #include "drivers/instrument/clock.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/run_record.h"
@@ -84,6 +87,29 @@ struct ChecksSeen {
   std::vector<Finding> findings;
 };
 
+/// An item that waits in the queue was looked at.
+struct ItemChecked {
+  std::int64_t entry = 0;
+  ItemCheck check;
+};
+
+/// The ports of this computer and who answered on them, for pages.
+struct PortsSeen {
+  nlohmann::ordered_json ports;
+};
+
+/// A levelling and its outcome, for pages.
+struct LevelSeen {
+  std::string file;                  ///< For `level_file` in the bench file; empty: none was written.
+  nlohmann::ordered_json levelling;  ///< As in the file.
+  std::string words;
+};
+
+/// The queue as it is now, for pages.
+struct QueueSeen {
+  nlohmann::ordered_json queue;
+};
+
 struct RunEnded {
   std::string file;
   bool complete = false;
@@ -91,6 +117,7 @@ struct RunEnded {
 };
 
 using Event = std::variant<ActivitySeen, RunBegan, PhaseSeen, DwellSeen, StageSeen, StripSeen, LogLine,
-                           ChecksSeen, RunEnded, HaltSeen, FaultSeen, GuardSeen, InterruptedSeen>;
+                           ChecksSeen, RunEnded, HaltSeen, FaultSeen, GuardSeen, InterruptedSeen, ItemChecked,
+                           QueueSeen, PortsSeen, LevelSeen>;
 
 }  // namespace abcal::console

@@ -97,17 +97,6 @@ Json stage_json(const StageSeen& seen) {
   return {{"encoder_deg", degrees(seen.encoder)}, {"target_deg", degrees(seen.target)}};
 }
 
-Json findings_json(const ChecksSeen& seen) {
-  Json list = Json::array();
-  for (const Finding& finding : seen.findings) {
-    list.push_back({{"grade", name(finding.grade)},
-                    {"what", finding.what},
-                    {"found", finding.found},
-                    {"advice", finding.advice}});
-  }
-  return list;
-}
-
 Json ended_json(const RunEnded& ended) {
   return {{"file", ended.file}, {"complete", ended.complete}, {"words", ended.words}};
 }
@@ -144,6 +133,17 @@ std::string text_of(const Json& message) {
 }
 
 }  // namespace
+
+nlohmann::ordered_json findings_json(const std::vector<Finding>& findings) {
+  Json list = Json::array();
+  for (const Finding& finding : findings) {
+    list.push_back({{"grade", name(finding.grade)},
+                    {"what", finding.what},
+                    {"found", finding.found},
+                    {"advice", finding.advice}});
+  }
+  return list;
+}
 
 LiveView::LiveView(Json about, const Clock& clock) : about_(std::move(about)), clock_(clock) {}
 
@@ -290,7 +290,29 @@ Json LiveView::on(const LogLine& line) {
 
 Json LiveView::on(const ChecksSeen& seen) {
   checks_ = seen;
-  return {{"type", "checks"}, {"findings", findings_json(seen)}};
+  return {{"type", "checks"}, {"findings", findings_json(seen.findings)}};
+}
+
+Json LiveView::on(const ItemChecked& seen) {
+  return on(ChecksSeen{seen.check.findings});
+}
+
+Json LiveView::on(const QueueSeen& seen) {
+  queue_ = seen.queue;
+  Json message = seen.queue;
+  message["type"] = "queue";
+  return message;
+}
+
+Json LiveView::on(const PortsSeen& seen) {
+  ports_ = {{"type", "ports"}, {"ports", seen.ports}};
+  return ports_;
+}
+
+Json LiveView::on(const LevelSeen& seen) {
+  levelling_ = {
+      {"type", "levelling"}, {"file", seen.file}, {"levelling", seen.levelling}, {"words", seen.words}};
+  return levelling_;
 }
 
 Json LiveView::on(const RunEnded& ended) {
@@ -369,7 +391,10 @@ std::string LiveView::snapshot() const {
   json["stage"] = {{"x", stage_json(stage_[0])}, {"z", stage_json(stage_[1])}};
   json["strip"] = strip_;
   json["log"] = log_;
-  json["checks"] = checks_ ? findings_json(*checks_) : Json(nullptr);
+  json["checks"] = checks_ ? findings_json(checks_->findings) : Json(nullptr);
+  json["queue"] = queue_;
+  json["ports"] = ports_;
+  json["levelling"] = levelling_;
   return text_of(json);
 }
 

@@ -14,6 +14,9 @@
 
 namespace abcal::console {
 
+/// Findings of a check, for pages.
+nlohmann::ordered_json findings_json(const std::vector<Finding>& findings);
+
 /// What a page shows of the bench, put together from events: each event becomes one message, and snapshot()
 /// is all that a page needs to begin with, or to catch up. Messages are JSON (docs/console.md). Of what can
 /// grow without end only the latest is kept. For one thread.
@@ -40,6 +43,10 @@ class LiveView {
   Json on(const StripSeen& seen);
   Json on(const LogLine& line);
   Json on(const ChecksSeen& seen);
+  Json on(const ItemChecked& seen);
+  Json on(const QueueSeen& seen);
+  Json on(const PortsSeen& seen);
+  Json on(const LevelSeen& seen);
   Json on(const RunEnded& ended);
   Json on(const HaltSeen& seen);
   Json on(const FaultSeen& seen);
@@ -63,6 +70,7 @@ class LiveView {
   std::string guard_;
   std::optional<InterruptedRun> interrupted_;
   std::optional<ChecksSeen> checks_;
+  Json queue_, ports_, levelling_;
   std::array<StageSeen, 2> stage_{StageSeen{StageAxis::kX, {}, {}}, StageSeen{StageAxis::kZ, {}, {}}};
   std::deque<Json> strip_;
   std::deque<Json> log_;

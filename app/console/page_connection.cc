@@ -1,4 +1,5 @@
 #include <fmt/format.h>
+#include <poll.h>
 
 #include <algorithm>
 #include <boost/asio/post.hpp>
@@ -292,12 +293,43 @@ void Server::Impl::HttpConnection::admit(const Persons::Known& person) {
 
 void Server::Impl::HttpConnection::carry_out(Slow slow) {
   stream_.next_layer().expires_never();
+  if (slow.workshop != nullptr) return carry_out_order(std::move(slow));
   asio::post(*slow.where, [self = shared_from_this(), job = std::move(slow.job)]() mutable {
     Slow::Finish finish = job();
     // Moved, so that this connection ends in the thread of the connections.
     asio::io_context& connections = self->server_.io;
     asio::post(connections,
                [self = std::move(self), finish = std::move(finish)]() mutable { self->write(finish()); });
+  });
+}
+
+void Server::Impl::HttpConnection::carry_out_order(Slow slow) {
+  look_.emplace(server_.io);
+  order_ = slow.workshop->order(slow.name, std::move(slow.make),
+                                [self = shared_from_this(),
+                                 head = std::move(slow.head)](const std::shared_ptr<const Product>& product) {
+                                  self->order_.reset();
+                                  self->look_->cancel();
+                                  HttpResponse response = respond(head, http::status(product->status),
+                                                                  product->content_type, product->body);
+                                  // A report has styles of its own, which this page's policy forbids.
+                                  if (product->is_file)
+                                    response.set(http::field::content_disposition, "attachment");
+                                  self->write(std::move(response));
+                                });
+  watch_client();
+}
+
+void Server::Impl::HttpConnection::watch_client() {
+  constexpr std::chrono::milliseconds kLook{200};
+  look_->expires_after(kLook);
+  look_->async_wait([self = shared_from_this()](beast::error_code cancelled) {
+    if (cancelled || !self->order_) return;
+    pollfd end{self->stream_.next_layer().socket().native_handle(), POLLRDHUP, 0};
+    if (::poll(&end, 1, 0) <= 0 || (end.revents & (POLLRDHUP | POLLHUP | POLLERR)) == 0)
+      return self->watch_client();
+    self->order_.reset();
+    self->stream_.next_layer().close();
   });
 }
 

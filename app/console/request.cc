@@ -44,6 +44,11 @@ class Keys {
       throw RequestError("\"id\" is no whole number from 0 to 1000000000");
     return found->get<std::int64_t>();
   }
+  /// What a person chose for a run; its own keys are looked at there.
+  RunChoice choice() {
+    seen_.insert({"item", "steps", "dwell_readings", "estimator", "bench_sha256", "form"});
+    return parse_run_choice(object_);
+  }
   void require_confirmation() {
     if (!flag("confirmed"))
       throw RequestError("this moves the stage; required: \"confirmed\": true, which a person has given");
@@ -90,7 +95,39 @@ std::string note_of(std::string text) {
   return text;
 }
 
+constexpr double kMostEntry = 1e9;
+constexpr int kMostRunsOfEntry = 100;
+constexpr int kMostPlaces = 200;
+
+int whole(const char* key, double number, double least, double most) {
+  if (!(number >= least && number <= most) || number != std::floor(number))
+    throw RequestError(fmt::format("\"{}\" is no whole number from {} to {}", key, least, most));
+  return static_cast<int>(number);
+}
+
+QueueCommand queue_command_of(const std::string& what, Keys& keys) {
+  if (what == "queue_add") {
+    QueueAdd add{keys.choice(), whole("runs", keys.number("runs"), 1, kMostRunsOfEntry)};
+    if (!add.choice.item) throw RequestError("\"item\" is missing");
+    return add;
+  }
+  if (what == "queue_pause") return QueuePause{!keys.flag("go_on")};
+  if (what == "queue_start") keys.require_confirmation();
+  const std::int64_t entry = whole("entry", keys.number("entry"), 1, kMostEntry);
+  if (what == "queue_move")
+    return QueueMove{entry, whole("by", keys.number("by"), -kMostPlaces, kMostPlaces)};
+  if (what == "queue_remove") return QueueRemove{entry};
+  if (what == "queue_repeat") return QueueRepeat{entry};
+  if (what == "queue_mounted") return QueueMounted{entry};
+  if (what == "queue_start") return QueueStart{entry};
+  throw RequestError(
+      "of the queue, \"do\" must be queue_add, queue_move, queue_remove, queue_repeat, queue_pause, "
+      "queue_mounted "
+      "or queue_start");
+}
+
 Command command_of(const std::string& what, Keys& keys) {
+  if (what.starts_with("queue_")) return queue_command_of(what, keys);
   if (what == "beat") return Beat{};
   if (what == "control") {
     if (keys.flag("release")) return ReleaseControl{};
@@ -103,8 +140,13 @@ Command command_of(const std::string& what, Keys& keys) {
   }
   if (what == "start") {
     keys.require_confirmation();
-    return StartRun{};
+    return StartRun{keys.choice()};
   }
+  if (what == "level") {
+    keys.require_confirmation();
+    return Level{};
+  }
+  if (what == "probe") return Probe{};
   if (what == "hold") return HoldRun{};
   if (what == "continue") {
     keys.require_confirmation();
@@ -120,7 +162,9 @@ Command command_of(const std::string& what, Keys& keys) {
     return Jog{axis_of(keys.text("axis")), turn_of(keys.number("by_deg"))};
   }
   if (what == "note") return Note{note_of(keys.text("text"))};
-  throw RequestError("\"do\" must be beat, control, check, start, hold, continue, stop, resume, jog or note");
+  throw RequestError(
+      "\"do\" must be beat, control, check, start, hold, continue, stop, resume, jog, note, level, probe or "
+      "queue_...");
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <string_view>
 #include <variant>
 
+#include "app/console/run_choice.h"
 #include "drivers/instrument/angle.h"
 #include "drivers/instrument/rotation_stage.h"
 
@@ -28,7 +29,9 @@ struct ReleaseControl {};
 struct CheckBench {
   bool with_motion = false;
 };
-struct StartRun {};
+struct StartRun {
+  RunChoice choice;
+};
 struct HoldRun {};
 struct ContinueRun {};
 struct Stop {};
@@ -43,8 +46,41 @@ struct Note {
   std::string text;
 };
 
+/// Measures the tilt of the Z axis and the zero of X.
+struct Level {};
+/// Asks every free port who answers; nothing moves.
+struct Probe {};
+
+/// What becomes of the queue of items; nothing of it moves but QueueStart.
+struct QueueAdd {
+  RunChoice choice;  ///< With an item.
+  int runs = 1;
+};
+struct QueueMove {
+  std::int64_t entry = 0;
+  int by = 0;  ///< Places towards the end.
+};
+struct QueueRemove {
+  std::int64_t entry = 0;
+};
+struct QueueRepeat {
+  std::int64_t entry = 0;
+};
+struct QueuePause {
+  bool paused = true;
+};
+/// The item is mounted, as a person says: looks at it.
+struct QueueMounted {
+  std::int64_t entry = 0;
+};
+struct QueueStart {
+  std::int64_t entry = 0;
+};
+using QueueCommand =
+    std::variant<QueueAdd, QueueMove, QueueRemove, QueueRepeat, QueuePause, QueueMounted, QueueStart>;
+
 using Command = std::variant<Beat, TakeControl, ReleaseControl, CheckBench, StartRun, HoldRun, ContinueRun,
-                             Stop, ResumeRun, Jog, Note>;
+                             Stop, ResumeRun, Jog, Note, Level, Probe, QueueCommand>;
 
 struct Request {
   std::int64_t id = 0;  ///< Comes back with the answer.

@@ -1,9 +1,6 @@
 #include "app/console/server.h"
 
 #include <fmt/format.h>
-#include <sys/resource.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <boost/asio/ip/address.hpp>
 #include <boost/asio/post.hpp>
@@ -92,7 +89,11 @@ void RefusalLog::operator()(const Peer& peer, std::string_view what, std::string
 }
 
 Server::Impl::Impl(ServerOptions the_options, Session::Options bench_options)
-    : options(std::move(the_options)), library(bench_options.runs), silent(options.silent) {
+    : options(std::move(the_options)),
+      bench_file(bench_options.bench_file),
+      runs(bench_options.runs),
+      library(bench_options.runs),
+      silent(options.silent) {
   options.access.persons = !options.register_location.empty();
   require_protection(options, asio::ip::make_address(options.address));
   if (options.tls) tls.emplace(tls_context(*options.tls));
@@ -101,11 +102,6 @@ Server::Impl::Impl(ServerOptions the_options, Session::Options bench_options)
   options.access.cookie = fmt::format("abcal_token_{}", port);
   login_cookie = fmt::format("abcal_login_{}", port);
   make_bench_link(std::move(bench_options));
-  asio::post(reader, [] {
-    // Reading an old run leaves the processor to the current run.
-    constexpr int kLessThanMeasuring = 10;
-    ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kLessThanMeasuring);
-  });
   accept();
   look_around();
   bench->begin();
@@ -144,10 +140,10 @@ void Server::Impl::make_bench_link(Session::Options bench_options) {
 Server::Impl::~Impl() {
   io.stop();
   thread = {};
-  for (asio::thread_pool* pool : {&reader, &door}) {
-    pool->stop();
-    pool->join();
-  }
+  for (Workshop* workshop : {&lists, &analyses, &prints}) workshop->close();
+  door.stop();
+  door.join();
+  seal.join();  // A certificate that was begun is issued.
   controller = nullptr;
   pages.clear();
 }

@@ -25,6 +25,7 @@ struct ServerOptions {
   std::filesystem::path bench_socket;
   /// Where the register is whose persons use the console; empty: none.
   std::string register_location;
+  std::filesystem::path laboratory_file;    ///< Of the certificates; empty: none are issued on the page.
   std::chrono::minutes login_time{8 * 60};  ///< A working day.
   std::optional<TlsIdentity> tls;           ///< Required where others than this computer can connect.
   /// Addresses of proxies: what they say of where a request comes from is taken as true.

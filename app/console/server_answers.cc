@@ -1,15 +1,19 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <boost/asio/post.hpp>
 #include <cmath>
 #include <utility>
 
+#include "app/console/approval.h"
 #include "app/console/asset.h"
 #include "app/console/download.h"
 #include "app/console/server_impl.h"
+#include "app/console/start_form.h"
 #include "app/console/visible_text.h"
 #include "app/system/output.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal::console {
 namespace {
@@ -36,10 +40,17 @@ bool is_for_everybody(std::string_view path) {
          path == "/favicon-idle.svg";
 }
 
+std::string answer_text(const nlohmann::ordered_json& body) {
+  return with_visible_direction_controls(
+      body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace));
+}
+
 HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body) {
-  return respond(to, http::status::ok, "application/json",
-                 with_visible_direction_controls(
-                     body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace)));
+  return respond(to, http::status::ok, "application/json", answer_text(body));
+}
+
+std::shared_ptr<const Product> made_of_json(const nlohmann::ordered_json& body) {
+  return std::make_shared<const Product>(Product{200, "application/json", answer_text(body)});
 }
 
 }  // namespace
@@ -109,6 +120,7 @@ HttpResponse Server::Impl::answer(const Asked& asked, Slow& later) {
   if (path == "/login" && request.method() == http::verb::post && !is_open()) return log_in(asked, later);
   if (asked.access == Access::kNoToken) return ask_who(asked, path);
   if (path == "/logout" && request.method() == http::verb::post) return log_out(asked);
+  if (path == "/approve" && request.method() == http::verb::post) return approve_certificate(asked, later);
   if (!reads) return refuse(asked, http::status::method_not_allowed, "Only GET is answered here.");
 
   if (const Asset* asset = find_asset(path == "/" ? "/index.html" : path))
@@ -117,15 +129,32 @@ HttpResponse Server::Impl::answer(const Asked& asked, Slow& later) {
     const Visitor& visitor = asked.visitor;
     return json_answer(request, {{"person", visitor.who.name}, {"may_steer", visitor.may_steer}});
   }
-  if (const std::function<HttpResponse()> job = library_job(target->words, request)) {
-    later = {&reader, [job] {
-               // Copied once; the answer may be large.
-               const auto response = std::make_shared<HttpResponse>(job());
-               return Slow::Finish([response] { return std::move(*response); });
-             }};
+  if (path == "/start-form") {
+    if (order_start_form(asked, later)) return {};
+    return refuse(asked, http::status::bad_request, "The fields of the form cannot be read.");
+  }
+  if (order_of_library(target->words, later) || order_approval(target->words, asked.visitor, later)) {
+    later.head = head_of(request);
     return {};
   }
   return refuse(asked, http::status::not_found, "There is no such page.");
+}
+
+/// GET /start-form?steps=...&serial_number=...: what would be started. @return false: the fields cannot be
+/// read
+bool Server::Impl::order_start_form(const Asked& asked, Slow& later) {
+  const std::string_view target = view(asked.request.target());
+  const std::size_t query = target.find('?');
+  const auto fields =
+      parse_form(query == std::string_view::npos ? std::string_view() : target.substr(query + 1));
+  if (!fields) return false;
+  later.head = head_of(asked.request);
+  later.workshop = &analyses;
+  later.make = [this, fields = *fields, who = asked.visitor.who](const std::stop_token&) {
+    const StartFormAsked form{bench_file, runs, options.register_location, who, parse_run_choice(fields)};
+    return made_of_json(start_form(form, library, clock.utc_now()));
+  };
+  return true;
 }
 
 // ---- Who it is
@@ -239,18 +268,107 @@ HttpResponse Server::Impl::log_in(const Asked& asked, Slow& later) {
     set_cookie(then, response, login_cookie, person->login, options.login_time);
     return response;
   };
-  later = {&door, [this, attempt, password, finish] {
-             try {
-               attempt->person = register_of_persons::log_in(options.register_location, attempt->name,
-                                                             password, clock.utc_now(), options.login_time);
-             } catch (const LoginRefused& error) {
-               attempt->refusal = error.what();
-             } catch (const std::exception& error) {
-               attempt->problem = error.what();
-             }
-             return Slow::Finish(finish);
-           }};
+  later.where = &door;
+  later.job = [this, attempt, password, finish] {
+    try {
+      attempt->person = register_of_persons::log_in(options.register_location, attempt->name, password,
+                                                    clock.utc_now(), options.login_time);
+    } catch (const LoginRefused& error) {
+      attempt->refusal = error.what();
+    } catch (const std::exception& error) {
+      attempt->problem = error.what();
+    }
+    return Slow::Finish(finish);
+  };
   return {};
+}
+
+/// POST /approve: a form with `run`, `run_sha256`, `name` and `password` of who approves, and `replaces` and
+/// `reason` where there is a certificate already. The login of the page does not count: approving is done by
+/// a person who is there.
+HttpResponse Server::Impl::approve_certificate(const Asked& asked, Slow& later) {
+  const auto form = parse_form(asked.request.body());
+  if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
+  const auto field = [&](const char* name) {
+    const auto found = form->find(name);
+    return found == form->end() ? std::string() : found->second;
+  };
+  const auto run = library.find(field("run"));
+  if (!run) return refuse(asked, http::status::not_found, "There is no such run.");
+  const ApprovalForm filled{
+      *run, field("run_sha256"), field("name"), field("password"), field("replaces"), field("reason")};
+  if (options.register_location.empty() || filled.approver.empty() || filled.password.empty())
+    return refuse(asked, http::status::bad_request,
+                  "Required: a register, and name and password of a person who may approve.");
+  try {
+    require_plain_text("reason", filled.reason, kLongestNote);
+  } catch (const RequestError& error) {
+    return refuse(asked, http::status::bad_request, error.what());
+  }
+  if (const auto wait = throttle.wait(filled.approver, asked.peer.client, clock.now());
+      wait > Clock::Duration::zero())
+    return too_many_failures(asked, wait);
+
+  // The request is gone when the certificate is made.
+  struct Attempt {
+    Peer peer;
+    HttpRequest head;
+    std::string name, run, by;
+    nlohmann::ordered_json issued;
+    http::status status = http::status::ok;
+    std::string problem;
+    bool wrong_password = false;
+  };
+  auto attempt = std::make_shared<Attempt>();
+  attempt->peer = asked.peer;
+  attempt->head = head_of(asked.request);
+  attempt->head.target("/approve");
+  attempt->head.method(http::verb::post);
+  attempt->name = filled.approver;
+  attempt->run = run->filename().string();
+  const auto finish = [this, attempt]() -> HttpResponse {
+    const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
+    if (attempt->wrong_password) throttle.failed(attempt->name, attempt->peer.client, clock.now());
+    if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
+    throttle.succeeded(attempt->name, attempt->peer.client);
+    print_log("console: certificate {} of {}, approved by {} at {}\n",
+              attempt->issued.at("number").get<std::string>(), attempt->run, attempt->name,
+              attempt->peer.remote);
+    return json_answer(attempt->head, attempt->issued);
+  };
+  const ApprovalPlace place{options.register_location, options.laboratory_file};
+  later.where = &seal;
+  later.job = [this, attempt, filled, place, finish] {
+    try {
+      attempt->issued = approve(filled, place, clock.utc_now());
+    } catch (const LoginRefused&) {
+      attempt->wrong_password = true;
+      attempt->status = http::status::unprocessable_entity;
+      attempt->problem = "Name or password is not right.";
+    } catch (const StaleApproval& stale) {
+      attempt->status = http::status::conflict;
+      attempt->problem = stale.what();
+    } catch (const std::exception& error) {
+      attempt->status = http::status::unprocessable_entity;
+      attempt->problem = error.what();
+    }
+    return Slow::Finish(finish);
+  };
+  return {};
+}
+
+/// GET /runs/NAME/approval
+bool Server::Impl::order_approval(const std::vector<std::string>& words, const Visitor& visitor,
+                                  Slow& later) {
+  if (words.size() != 3 || words[0] != "runs" || words[2] != "approval") return false;
+  const auto run = library.find(words[1]);
+  if (!run) return false;
+  later.workshop = &analyses;
+  later.name.clear();  // Each person sees their own.
+  later.make = [run = *run, visitor,
+                place = ApprovalPlace{options.register_location, options.laboratory_file}](
+                   const std::stop_token&) { return made_of_json(approval_json(run, place, visitor)); };
+  return true;
 }
 
 /// POST /logout: ends the login, its pages and its cookies.
@@ -326,48 +444,63 @@ std::shared_ptr<void> Server::Impl::take_seat(const std::string& address) {
 
 // ---- Runs
 
-/// Reads runs: /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME[/shared-stage],
-/// /history/SERIAL. Nothing for other paths.
-std::function<HttpResponse()> Server::Impl::library_job(const std::vector<std::string>& words,
-                                                        const HttpRequest& request) {
-  const auto job = [head = head_of(request)](auto make) {
-    return [head, make = std::move(make)] {
-      try {
-        return make(head);
-      } catch (const std::exception& error) {
-        return plain(head, http::status::unprocessable_entity, error.what());
-      }
-    };
+Workshop::Make Server::Impl::kept(const std::string& what, std::vector<std::filesystem::path> files,
+                                  std::function<Product(const std::stop_token&)> make) {
+  return [this, what, files = std::move(files), make = std::move(make)](const std::stop_token& cancelled) {
+    const std::string key = products.key_of(what, files);
+    if (!key.empty())
+      if (std::shared_ptr<const Product> known = products.find(key)) return known;
+    auto product = std::make_shared<const Product>(make(cancelled));
+    // Of files that have not changed meanwhile.
+    if (!key.empty() && products.key_of(what, files) == key) products.keep(key, product);
+    return product;
   };
-  if (words == std::vector<std::string>{"runs"})
-    return job([this](const HttpRequest& to) { return json_answer(to, library.list()); });
-  if (words.size() == 2 && words[0] == "history")
-    return job([this, serial = words[1]](const HttpRequest& to) {
-      return json_answer(to, library.history(serial));
-    });
+}
+
+/// /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME[/shared-stage], /history/SERIAL
+bool Server::Impl::order_of_library(const std::vector<std::string>& words, Slow& later) {
+  later.workshop = &analyses;
+  if (words == std::vector<std::string>{"runs"}) {
+    later.workshop = &lists;
+    later.make = [this](const std::stop_token&) { return made_of_json(library.list()); };
+    return true;
+  }
+  if (words.size() == 2 && words[0] == "history") {
+    later.make = [this, serial = words[1]](const std::stop_token&) {
+      return made_of_json(library.history(serial));
+    };
+    return true;
+  }
+  later.name = fmt::format("{}", fmt::join(words, "/"));
   const bool shared_stage = words.size() == 4 && words[3] == "shared-stage";
   if ((words.size() == 3 || shared_stage) && words[0] == "compare") {
     const auto first = library.find(words[1]), second = library.find(words[2]);
-    if (!first || !second) return nullptr;
-    return job([first = *first, second = *second, shared_stage](const HttpRequest& to) {
-      return json_answer(to, RunLibrary::compare(first, second, shared_stage));
-    });
+    if (!first || !second) return false;
+    later.make = kept(shared_stage ? "compare, shared stage" : "compare", {*first, *second},
+                      [first = *first, second = *second, shared_stage](const std::stop_token&) {
+                        return *made_of_json(RunLibrary::compare(first, second, shared_stage));
+                      });
+    return true;
   }
-  if (words.size() != 3 || words[0] != "runs") return nullptr;
+  if (words.size() != 3 || words[0] != "runs") return false;
   const auto path = library.find(words[1]);
-  if (!path) return nullptr;
-  if (words[2] == "result")
-    return job([this, run = *path](const HttpRequest& to) { return json_answer(to, library.result(run)); });
-  for (const Download& download : downloads()) {
-    if (words[2] == download.name)
-      return job([run = *path, download](const HttpRequest& to) {
-        HttpResponse response = respond(to, http::status::ok, download.content_type, download.make(run));
-        // To be kept, not to be shown: a report has styles of its own, which this page's policy forbids.
-        response.set(http::field::content_disposition, "attachment");
-        return response;
-      });
+  if (!path) return false;
+  const std::vector<std::filesystem::path> files{*path, ResultsFile::path_beside(*path)};
+  if (words[2] == "result") {
+    later.make = kept("result", files, [this, run = *path](const std::stop_token&) {
+      return *made_of_json(library.result(run));
+    });
+    return true;
   }
-  return nullptr;
+  for (const Download& download : downloads()) {
+    if (words[2] != download.name) continue;
+    if (download.is_printed) later.workshop = &prints;
+    later.make = kept(download.name, files, [run = *path, download](const std::stop_token& cancelled) {
+      return Product{200, download.content_type, download.make(run, cancelled), true};
+    });
+    return true;
+  }
+  return false;
 }
 
 }  // namespace abcal::console

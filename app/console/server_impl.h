@@ -33,12 +33,18 @@
 #include "app/console/silent_connections.h"
 #include "app/console/stream.h"
 #include "app/console/target.h"
+#include "app/console/workshop.h"
 
 namespace abcal::console {
 
 using HttpRequest = boost::beast::http::request<boost::beast::http::string_body>;
 using HttpResponse = boost::beast::http::response<boost::beast::http::string_body>;
 using SharedText = std::shared_ptr<const std::string>;
+
+/// What was made of runs and is kept for who asks again: some hundred results, some tens of PDFs.
+inline constexpr std::size_t kMostKept = 64 * 1024 * 1024;
+/// As many analyses at a time; two processors are the least on which a bench is run.
+inline constexpr std::size_t kAnalysts = 2;
 
 /// Who speaks, for the log and for the rules of access.
 struct Peer {
@@ -60,12 +66,18 @@ struct Asked {
 };
 
 /// What takes its time: `job` is carried out in `where`, and what it returns in the thread of the
-/// connections.
+/// connections. Or what is made in a workshop, and is not made to its end if the client goes.
 struct Slow {
   using Finish = std::function<HttpResponse()>;
   boost::asio::thread_pool* where = nullptr;
   std::function<Finish()> job;
-  explicit operator bool() const { return where != nullptr; }
+
+  Workshop* workshop = nullptr;
+  std::string name;  ///< Of the order.
+  Workshop::Make make;
+  HttpRequest head;  ///< Of whoever asks.
+
+  explicit operator bool() const { return where != nullptr || workshop != nullptr; }
 };
 
 /// Logs refusals with their origin and reason, at a limited rate so that a flood does not hide other lines.
@@ -139,13 +151,20 @@ struct Server::Impl {
   HttpResponse log_in(const Asked& asked, Slow& later);
   HttpResponse log_in_by_token(const Asked& asked, const std::string& token);
   HttpResponse log_out(const Asked& asked);
+  HttpResponse approve_certificate(const Asked& asked, Slow& later);
   HttpResponse too_many_failures(const Asked& asked, Clock::Duration wait);
   void set_cookie(const Asked& asked, HttpResponse& response, const std::string& name,
                   const std::string& value, std::chrono::seconds life) const;
-  std::function<HttpResponse()> library_job(const std::vector<std::string>& words,
-                                            const HttpRequest& request);
+  /// Reads runs and makes something of them. Nothing for other paths.
+  bool order_of_library(const std::vector<std::string>& words, Slow& later);
+  bool order_approval(const std::vector<std::string>& words, const Visitor& visitor, Slow& later);
+  bool order_start_form(const Asked& asked, Slow& later);
+  /// What is made of files, and kept.
+  Workshop::Make kept(const std::string& what, std::vector<std::filesystem::path> files,
+                      std::function<Product(const std::stop_token&)> make);
 
   ServerOptions options;
+  const std::filesystem::path bench_file, runs;
   RealClock clock;
   RefusalLog log_refusal{clock};
   RunLibrary library;
@@ -179,8 +198,13 @@ struct Server::Impl {
   Page* controller = nullptr;
   bool controller_silent = false;
   std::int64_t pages_so_far = 0;
-  boost::asio::thread_pool reader{1};  ///< Reads and analyses runs.
-  boost::asio::thread_pool door{1};    ///< Asks the register.
+  boost::asio::thread_pool door{1};  ///< Asks the register.
+  boost::asio::thread_pool seal{1};  ///< Issues certificates, one after another.
+  // What takes seconds has threads of its own: nothing else waits for them.
+  ProductCache products{kMostKept};
+  Workshop lists{io, 1};
+  Workshop analyses{io, kAnalysts};
+  Workshop prints{io, 1};
   std::jthread thread;
 };
 
@@ -249,6 +273,9 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
   /// @param person  null: nobody who is logged in
   void admit(const Persons::Known& person);
   void carry_out(Slow slow);
+  void carry_out_order(Slow slow);
+  /// Whether the client is still there; what it waits for is given up if not.
+  void watch_client();
   void write(HttpResponse response);
   void drain(std::size_t most);
 
@@ -260,6 +287,8 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
   std::optional<HttpResponse> response_;
   std::optional<SilentConnections::Ticket> ticket_;
   std::shared_ptr<void> seat_;
+  Workshop::Ticket order_;  ///< What it waits for.
+  std::optional<boost::asio::steady_timer> look_;
 };
 
 }  // namespace abcal::console

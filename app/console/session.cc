@@ -9,12 +9,20 @@
 
 #include "app/bench/bench_records.h"
 #include "app/bench/guarded_stage.h"
+#include "app/bench/probe_ports.h"
 #include "app/bench/real_clock.h"
+#include "app/console/chosen_run.h"
 #include "app/console/jog.h"
+#include "app/console/last_check.h"
 #include "app/console/paced_clock.h"
+#include "app/results/result_text.h"
+#include "app/session/levelling.h"
 #include "app/session/register_records.h"
 #include "app/session/run_bench.h"
+#include "app/system/read_file.h"
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/sha256.h"
 
 namespace abcal::console {
 namespace {
@@ -28,6 +36,15 @@ constexpr const char* kBusy =
 std::string in_words(const InstrumentSummary& instrument) {
   return fmt::format("{} {}, serial number {}", instrument.maker, instrument.model,
                      instrument.serial_number.empty() ? "not reported" : instrument.serial_number);
+}
+
+/// "BENCH-20260301T120000Z.run"; of a run that begins in the second of another one "BENCH-...Z-2.run".
+std::string free_name(const Session::Options& options, const std::string& extension) {
+  const std::string stem = output_path("", options.bench_file.filename().string(), "").filename().string();
+  std::string name = stem + extension;
+  for (int n = 2; std::filesystem::exists(options.runs / name); ++n)
+    name = fmt::format("{}-{}{}", stem, n, extension);
+  return name;
 }
 
 std::string file_name(const std::string& path) {
@@ -114,6 +131,11 @@ void Session::tell_activity() {
   tell_(seen);
 }
 
+bool Session::is_idle() const {
+  const std::lock_guard lock(mutex_);
+  return activity_ == Activity::kIdle;
+}
+
 Session::Refusal Session::begin(Activity activity, std::function<void()> job, const Asker& by) {
   {
     const std::lock_guard lock(mutex_);
@@ -137,20 +159,56 @@ Session::Refusal Session::begin(Activity activity, std::function<void()> job, co
   return std::nullopt;
 }
 
-Session::Refusal Session::check(bool with_motion) {
-  return begin(Activity::kChecking, [this, with_motion] { do_check(with_motion); });
+Session::Refusal Session::check(bool with_motion, const Asker& by) {
+  return begin(Activity::kChecking, [this, with_motion, by] { do_check(with_motion, by); });
 }
 
-Session::Refusal Session::start(const Asker& by) {
-  const std::string name =
-      output_path("", options_.bench_file.filename().string(), ".run").filename().string();
-  return begin(
-      Activity::kRunning, [this, name] { do_start(name); }, by);
+Session::Refusal Session::check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before) {
+  return begin(Activity::kChecking, [this, entry, choice, before] { do_check_item(entry, choice, before); });
+}
+
+/// Why a form starts nothing any more.
+Session::Refusal Session::stale(const RunChoice& choice) const {
+  if (!choice.form.empty()) {
+    const std::lock_guard lock(mutex_);
+    if (std::find(forms_.begin(), forms_.end(), choice.form) != forms_.end())
+      return "this form has started a run already; open the form again";
+  }
+  if (choice.bench_sha256.empty()) return std::nullopt;
+  try {
+    if (sha256_of(read_file(options_.bench_file)) == choice.bench_sha256) return std::nullopt;
+  } catch (const std::invalid_argument& unreadable) {
+    return unreadable.what();
+  }
+  return "the bench file has changed since the form was opened; open the form again";
+}
+
+Session::Refusal Session::start(const RunChoice& choice, const Asker& by) {
+  if (Refusal refusal = stale(choice)) return refusal;
+  const std::string name = free_name(options_, ".run");
+  Refusal refusal = begin(
+      Activity::kRunning, [this, name, choice] { do_start(name, choice); }, by);
+  if (refusal || choice.form.empty()) return refusal;
+  constexpr std::size_t kMostForms = 100;
+  const std::lock_guard lock(mutex_);
+  forms_.push_back(choice.form);
+  if (forms_.size() > kMostForms) forms_.pop_front();
+  return std::nullopt;
 }
 
 Session::Refusal Session::resume(const std::filesystem::path& run, const Asker& by) {
   return begin(
       Activity::kRunning, [this, run] { do_resume(run); }, by);
+}
+
+Session::Refusal Session::level(const Asker& by) {
+  const std::filesystem::path run = options_.runs / free_name(options_, ".level.run");
+  return begin(
+      Activity::kRunning, [this, run] { do_level(run); }, by);
+}
+
+Session::Refusal Session::probe() {
+  return begin(Activity::kChecking, [this] { do_probe(); });
 }
 
 Session::Refusal Session::jog(const Jog& jog) {
@@ -313,10 +371,13 @@ void Session::show(const SessionEvent& event) {
             fmt::format("All angles of run {} were measured already; it is closed and analysed now: {}.",
                         name, end.verdict));
       } else if (end.complete) {
-        session.log(fmt::format("Run {} is complete: {}.", name, end.verdict));
+        session.log(
+            fmt::format("Run {} is complete: {}.", name, end.verdict.empty() ? "a levelling" : end.verdict));
       }
-      session.tell_(RunEnded{name, end.complete,
-                             end.complete ? fmt::format("{}: {}", end.verdict, end.reason) : end.reason});
+      std::string words = end.reason;
+      if (end.complete)
+        words = end.verdict.empty() ? "a levelling" : fmt::format("{}: {}", end.verdict, end.reason);
+      session.tell_(RunEnded{name, end.complete, std::move(words)});
     }
     void operator()(const AngleBegunEvent&) const {}
     void operator()(const HeldEvent&) const {}
@@ -327,24 +388,80 @@ void Session::show(const SessionEvent& event) {
   std::visit(Show{*this}, event);
 }
 
-void Session::do_check(bool with_motion) {
+void Session::do_check(bool with_motion, const Asker& by) {
   const BenchConfig config = read_bench(options_.bench_file, register_records());
   Bench bench = open(config);
   std::vector<Finding> findings = check_bench(
       bench, config, {!with_motion, [this](const SessionEvent& event) { show(event); }, stop_.get_token()});
-  const auto of = [&](Finding::Grade grade) {
-    return std::count_if(findings.begin(), findings.end(),
-                         [&](const Finding& f) { return f.grade == grade; });
-  };
-  log(fmt::format("The bench is checked: {} good, {} warnings, {} problems.", of(Finding::Grade::kGood),
-                  of(Finding::Grade::kWarning), of(Finding::Grade::kProblem)));
+  LastCheck check = count_findings(findings);
+  check.utc = format_utc(RealClock().utc_now());
+  check.by = by.for_people();
+  check.with_motion = with_motion;
+  log(fmt::format("The bench is checked: {} good, {} warnings, {} problems.", check.good, check.warnings,
+                  check.problems));
+  if (!keep_check(options_.runs, options_.bench_file, check))
+    tell_(LogLine{LogLine::Grade::kWarning, "The outcome of the check cannot be kept in the run folder."});
   tell_(ChecksSeen{std::move(findings)});
 }
 
-void Session::do_start(const std::string& name) {
-  const BenchConfig config = read_bench(options_.bench_file, register_records());
+void Session::do_check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before) {
+  const BenchConfig config = choose_run(read_bench(options_.bench_file, register_records()), choice).config;
+  Bench bench = open(config);
+  ItemCheck check = check_mounted_item(bench, config, before, stop_.get_token());
+  log(fmt::format("The item is checked: {}.",
+                  check.passed() ? "nothing speaks against starting" : "there is a problem"));
+  tell_(ItemChecked{entry, std::move(check)});
+}
+
+void Session::do_start(const std::string& name, const RunChoice& choice) {
+  ChosenRun chosen = choose_run(read_bench(options_.bench_file, register_records()), choice);
+  const BenchConfig& config = chosen.config;
+  for (std::string& warning : chosen.warnings) tell_(LogLine{LogLine::Grade::kWarning, std::move(warning)});
   for (const std::string& warning : config.warnings) tell_(LogLine{LogLine::Grade::kWarning, warning});
   run_->start({write_bench(config), options_.bench_file.string(), (options_.runs / name).string(), false});
+}
+
+void Session::do_level(const std::filesystem::path& run) {
+  const BenchConfig config = read_bench(options_.bench_file, register_records());
+  const StartRequest request{write_bench(config), options_.bench_file.string(), run.string(), false};
+  const std::string unit = run_->identify_instruments(request).accelerometer.output_unit;
+  const auto sensitivity = nominal_sensitivity(unit, config.g_loc.value_mps2);
+  if (!sensitivity)
+    throw std::invalid_argument(fmt::format(
+        "the output is in {}; required on this page: g or m/s2. Level it by `abcal level --sensitivity RUN`",
+        unit));
+  const RunOutcome outcome = run_->level(request);
+  const Levelling levelling = evaluate_levelling(outcome.stored, *sensitivity);
+  const LevelFile level = level_file_of(levelling, outcome.stored);
+  const std::filesystem::path file = std::filesystem::path(run).replace_extension(".json");
+  write_level_file(file, level);
+  LevelSeen seen;
+  seen.file = file.filename().string();
+  seen.levelling = level_json(level);
+  const auto words = [](const char* name, const Quantity& q) {
+    return fmt::format("{} {} {}", name, value_with_uncertainty(q), q.unit);
+  };
+  seen.words = fmt::format("{}; {}; {}; {}", words("tilt of the Z axis", levelling.tilt.delta_z),
+                           words("Zx", levelling.tilt.zx), words("Zy", levelling.tilt.zy),
+                           words("zero of X", levelling.x_zero.error));
+  log(fmt::format("Levelled: {}. Stored in {}.", seen.words, seen.file));
+  tell_(std::move(seen));
+}
+
+void Session::do_probe() {
+  jog_bench_.reset();  // Its ports are asked as well.
+  const std::vector<wire::PortInfo> ports = wire::list_ports();
+  const std::vector<Probed> probed = probe_ports(ports_to_ask(ports), [](const auto&, const auto&) {});
+  nlohmann::ordered_json list = nlohmann::ordered_json::array();
+  for (const wire::PortInfo& port : ports) {
+    nlohmann::ordered_json json = port_json(port);
+    const auto found =
+        std::find_if(probed.begin(), probed.end(), [&](const Probed& one) { return one.port == port.path; });
+    json["found"] = found == probed.end() ? "" : in_words(*found);
+    list.push_back(std::move(json));
+  }
+  log(fmt::format("{} ports are asked, of {}.", probed.size(), ports.size()));
+  tell_(PortsSeen{std::move(list)});
 }
 
 void Session::do_resume(const std::filesystem::path& path) {

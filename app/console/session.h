@@ -1,6 +1,7 @@
 #pragma once
 
 #include <condition_variable>
+#include <deque>
 #include <filesystem>
 #include <functional>
 #include <memory>
@@ -15,6 +16,7 @@
 #include "app/console/asker.h"
 #include "app/console/event.h"
 #include "app/console/request.h"
+#include "app/console/run_choice.h"
 #include "app/session/run_session.h"
 
 namespace abcal::console {
@@ -40,10 +42,17 @@ class Session {
   /// Stops the current activity, halts the stage, and waits for the end. Nothing can be begun afterwards.
   void close();
 
-  Refusal check(bool with_motion);
-  /// A run of this person: with a register the one who is logged in, else as the bench file states.
-  Refusal start(const Asker& by);
+  Refusal check(bool with_motion, const Asker& by);
+  /// A run of this person: with a register the one who is logged in, else as the bench file states. Refused
+  /// if the form was used already, or the bench file has changed since the person looked at it.
+  Refusal start(const RunChoice& choice, const Asker& by);
+  /// Looks at the item of an entry of the queue, which a person has mounted; nothing moves.
+  Refusal check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
   Refusal resume(const std::filesystem::path& run, const Asker& by);
+  /// As `abcal level`, into the run folder.
+  Refusal level(const Asker& by);
+  /// As `abcal instruments --probe`.
+  Refusal probe();
   Refusal hold(const Asker& by);
   Refusal continue_run(const Asker& by);
   Refusal jog(const Jog& jog);
@@ -51,6 +60,8 @@ class Session {
   Refusal note(std::string text, const Asker& by);
   /// Halts the stage at once and ends the current activity.
   Refusal stop(const Asker& by);
+  /// Nothing is in progress now; an event that says otherwise may be on its way still.
+  bool is_idle() const;
   /// Somebody steers from now on; the event log of the current run says so.
   void control_taken(const Asker& by);
 
@@ -69,9 +80,13 @@ class Session {
   Bench open(const BenchConfig& config);
   /// How long a phase may last, in real time.
   std::optional<TimeLimit> limit_of(RunPhase phase) const;
-  void do_check(bool with_motion);
-  void do_start(const std::string& name);
+  void do_check(bool with_motion, const Asker& by);
+  void do_check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
+  void do_start(const std::string& name, const RunChoice& choice);
+  Refusal stale(const RunChoice& choice) const;
   void do_resume(const std::filesystem::path& run);
+  void do_level(const std::filesystem::path& run);
+  void do_probe();
   void do_jog(const Jog& jog);
 
   Options options_;
@@ -85,6 +100,7 @@ class Session {
   std::stop_source stop_;            ///< Of the current activity.
   std::shared_ptr<RunSession> run_;  ///< Null: no run is in progress.
   Asker operator_;                   ///< Who began it.
+  std::deque<std::string> forms_;    ///< Used already; the latest of them.
 
   /// Kept open between jogs; of the measuring thread alone.
   struct JogBench {

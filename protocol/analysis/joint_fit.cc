@@ -352,34 +352,6 @@ class ScaledCholesky {
   Eigen::LLT<JointMatrix> llt_;
 };
 
-void add_residuals(const Problem& problem, const JointVector& value, const std::vector<double>& step,
-                   const JointMatrix& covariance, const Normal& normal, JointFit& fit) {
-  const std::array<Circle, 3> circles = circles_of(value.tail<kGeometryUnknowns>());
-  fit.residuals.resize(problem.readings.size());
-  Point point;
-  for (std::size_t i = 0; i < problem.readings.size(); ++i) {
-    const JointReading& at = problem.readings[i];
-    const auto group = static_cast<std::size_t>(at.step_error);
-    evaluate(at, circles[static_cast<std::size_t>(at.experiment - 1)], value, step[group], point);
-    const Eliminated& eliminated = normal.eliminated[group];
-    // Covariance of f with the 28: -C v / A; its variance: 1/A + v' C v / A^2.
-    const JointVector with_step = -(covariance * eliminated.link) / eliminated.diagonal;
-    const double step_variance =
-        1.0 / eliminated.diagonal - eliminated.link.dot(with_step) / eliminated.diagonal;
-    for (int j = 0; j < 3; ++j) {
-      JointVector row = JointVector::Zero();
-      for (int a = 0; a < kLocal; ++a) row(column(j, a)) = point.local[j][a];
-      const double h = point.by_step[j];
-      const double variance =
-          row.dot(covariance * row) + 2.0 * h * row.dot(with_step) + h * h * step_variance;
-      const double residual = problem.value[i](j) - point.reading[j];
-      fit.residuals[i](j) = residual * problem.unit(j);
-      fit.sum_weighted_squares(j) += problem.weight[i](j) * residual * residual;
-      fit.redundancy(j) += 1.0 - problem.weight[i](j) * variance;
-    }
-  }
-}
-
 /// Checks the readings and numbers their step errors. @return the linear solution at a perfect stage
 KnownAcsFit start_of(Problem& problem) {
   std::vector<Eigen::Vector3d> gravity;
@@ -432,6 +404,33 @@ struct Iterate {
   Normal normal;  ///< Where the last step began.
   JointMatrix covariance = JointMatrix::Zero();
 };
+
+void add_residuals(const Problem& problem, const Iterate& found, JointFit& fit) {
+  const std::array<Circle, 3> circles = circles_of(found.value.tail<kGeometryUnknowns>());
+  fit.residuals.resize(problem.readings.size());
+  Point point;
+  for (std::size_t i = 0; i < problem.readings.size(); ++i) {
+    const JointReading& at = problem.readings[i];
+    const auto group = static_cast<std::size_t>(at.step_error);
+    evaluate(at, circles[static_cast<std::size_t>(at.experiment - 1)], found.value, found.step[group], point);
+    const Eliminated& eliminated = found.normal.eliminated[group];
+    // Covariance of f with the 28: -C v / A; its variance: 1/A + v' C v / A^2.
+    const JointVector with_step = -(found.covariance * eliminated.link) / eliminated.diagonal;
+    const double step_variance =
+        1.0 / eliminated.diagonal - eliminated.link.dot(with_step) / eliminated.diagonal;
+    for (int j = 0; j < 3; ++j) {
+      JointVector row = JointVector::Zero();
+      for (int a = 0; a < kLocal; ++a) row(column(j, a)) = point.local[j][a];
+      const double h = point.by_step[j];
+      const double variance =
+          row.dot(found.covariance * row) + 2.0 * h * row.dot(with_step) + h * h * step_variance;
+      const double residual = problem.value[i](j) - point.reading[j];
+      fit.residuals[i](j) = residual * problem.unit(j);
+      fit.sum_weighted_squares(j) += problem.weight[i](j) * residual * residual;
+      fit.redundancy(j) += 1.0 - problem.weight[i](j) * variance;
+    }
+  }
+}
 
 /// Gauss-Newton. Leaves `fit` as not converged where there is no solution.
 void iterate(const Problem& problem, Iterate& at, JointFit& fit) {
@@ -564,7 +563,7 @@ JointFit joint_fit(std::span<const JointReading> readings, const JointPriors& pr
   fit.value = at.value.cwiseProduct(units);
   fit.covariance = units.asDiagonal() * at.covariance * units.asDiagonal();
   fit.covariance_type_b = units.asDiagonal() * type_b * units.asDiagonal();
-  if (with_residuals) add_residuals(problem, at.value, at.step, at.covariance, at.normal, fit);
+  if (with_residuals) add_residuals(problem, at, fit);
   return fit;
 }
 

@@ -13,20 +13,20 @@ double normal_quantile(double p) {
   return boost::math::quantile(boost::math::normal(), p);
 }
 
-GumValidation validate_gum(double y, double u, const CoverageInterval& monte_carlo, double trials, double p,
-                           int digits) {
+GumValidation validate_gum(const GumEstimate& estimate, const MonteCarloInterval& monte_carlo, int digits) {
   GumValidation validation;
-  const double k = normal_quantile(0.5 + 0.5 * p);
+  const auto [y, u] = estimate;
+  const double k = normal_quantile(0.5 + 0.5 * monte_carlo.p);
   validation.expanded_uncertainty = k * u;
-  validation.d_low = std::abs(y - validation.expanded_uncertainty - monte_carlo.low);
-  validation.d_high = std::abs(y + validation.expanded_uncertainty - monte_carlo.high);
+  validation.d_low = std::abs(y - validation.expanded_uncertainty - monte_carlo.interval.low);
+  validation.d_high = std::abs(y + validation.expanded_uncertainty - monte_carlo.interval.high);
   validation.tolerance = numerical_tolerance(u, digits);
   validation.validated =
       validation.d_low <= validation.tolerance && validation.d_high <= validation.tolerance;
   // Standard deviation of a quantile of M normal values.
-  const double tail = 0.5 * (1.0 - p);
+  const double tail = 0.5 * (1.0 - monte_carlo.p);
   const double end_point =
-      u * std::sqrt(tail * (1.0 - tail) / trials) / boost::math::pdf(boost::math::normal(), k);
+      u * std::sqrt(tail * (1.0 - tail) / monte_carlo.trials) / boost::math::pdf(boost::math::normal(), k);
   validation.decided = 2.0 * end_point <= validation.tolerance / 5.0;
   return validation;
 }

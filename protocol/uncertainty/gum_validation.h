@@ -17,13 +17,22 @@ struct GumValidation {
   bool decided = false;
 };
 
-/// @param y         estimate by the GUM framework
-/// @param u         its standard uncertainty
-/// @param monte_carlo  probabilistically symmetric interval of `trials` trials
-/// @param digits    significant digits of u that are meaningful, 1 or 2
+/// An estimate by the GUM framework.
+struct GumEstimate {
+  double y = 0.0;
+  double u = 0.0;  ///< Its standard uncertainty.
+};
+
+/// The Monte Carlo result with which it is compared.
+struct MonteCarloInterval {
+  CoverageInterval interval;  ///< Probabilistically symmetric.
+  double trials = 0.0;
+  double p = 0.95;  ///< Coverage probability.
+};
+
+/// @param digits  significant digits of u that are meaningful, 1 or 2
 /// @throws std::invalid_argument if p is not within (0, 1)
-GumValidation validate_gum(double y, double u, const CoverageInterval& monte_carlo, double trials, double p,
-                           int digits);
+GumValidation validate_gum(const GumEstimate& estimate, const MonteCarloInterval& monte_carlo, int digits);
 
 /// The quantile of the standard normal distribution.
 /// @throws std::invalid_argument if p is not within (0, 1)

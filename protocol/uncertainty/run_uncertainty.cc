@@ -123,10 +123,11 @@ RunUncertainty run_uncertainty(const RunRecord& record, const UncertaintyOptions
   }
   if (study.combined.interval_method != IntervalMethod::kNone) {
     for (int k = 0; k < kStudyOutputs; ++k) {
-      study.validation.push_back(validate_gum(
-          0.0, study.budget.combined(k), study.combined.coverage[static_cast<std::size_t>(k)].symmetric,
-          static_cast<double>(study.combined.trials), study.combined.coverage_probability,
-          options.validation_digits));
+      study.validation.push_back(
+          validate_gum({0.0, study.budget.combined(k)},
+                       {study.combined.coverage[static_cast<std::size_t>(k)].symmetric,
+                        static_cast<double>(study.combined.trials), study.combined.coverage_probability},
+                       options.validation_digits));
     }
   }
   return study;

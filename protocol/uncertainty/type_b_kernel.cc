@@ -96,6 +96,8 @@ HWY_INLINE void add_angle(D d, const double* HWY_RESTRICT table, V f, V (&w)[6])
   }
 }
 
+// Vectors whose size only the machine knows cannot be members of a struct: they are passed one by one.
+// NOLINTBEGIN(readability-function-size)
 // The sums with step errors that are independent.
 template <bool is_tiny, class D, class VU, class V = hn::Vec<D>>
 HWY_INLINE void add_independent_steps(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& keys, VU trial,
@@ -164,6 +166,7 @@ HWY_INLINE void rotation_sums(D d, const TypeBSampler::Plan& plan, const PhiloxK
   }
   for (int k = 0; k < 6; ++k) w[k] = hn::Add(hn::Set(d, plan.nominal[i][static_cast<std::size_t>(k)]), w[k]);
 }
+// NOLINTEND(readability-function-size)
 
 // Estimate minus truth of the angle between rows a and b (degrees): the angle of the difference of the two
 // directions.

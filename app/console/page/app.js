@@ -1,6 +1,10 @@
 import {byId, duration, inEnglish} from '/text.js';
+import {BenchView} from '/bench.js';
 import {Link, SILENT_AFTER_MS, UNCONFIRMED_AFTER_MS} from '/link.js';
 import {LiveView} from '/live.js';
+import {endMaking} from '/making.js';
+import {QueueView} from '/queue.js';
+import {StartForm} from '/start.js';
 import {canMove, stateOf} from '/state.js';
 import {offerTimes, timeElement} from '/time.js';
 import {offerLanguage, t, translate} from '/language.js';
@@ -13,6 +17,8 @@ const live = new LiveView();
 let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
 let hadControl = false;
 const USE_THE_SWITCH = t('use the switch on the stage');
+
+let dayViews = [];  // Of a day's work, each with receive(message) and offer(may, idle).
 
 const link = new Link((message) => {
   if (message.type === 'you') {
@@ -39,6 +45,7 @@ const link = new Link((message) => {
   if (message.type === 'activity' && message.activity !== 'idle' && live.activity?.activity === 'idle') byId('halt').textContent = '';
   if (message.type === 'halt') showHalt(message);
   live.receive(message);
+  for (const view of dayViews) view.receive(message);
   show();
 }, () => {
   if (!link.connected) { me = null; steering = {page: null}; }
@@ -107,6 +114,7 @@ function offer(contact) {
   const mayMove = canMove(activity) || (!contact && link.heardUtc !== null) || bench.state !== 'on';
   for (const id of ['do-stop', 'dialog-stop']) set(id, mayMove);
   const mayResume = steer && what === 'idle';
+  for (const view of dayViews) view.offer(steer, what === 'idle');
   document.body.classList.toggle('may-resume', mayResume);
   for (const button of document.querySelectorAll('button.resume')) button.disabled = !mayResume;
   for (const control of byId('note-form').elements) control.disabled = !(steer && what === 'running');
@@ -170,11 +178,15 @@ addEventListener('keydown', (event) => {
 }, {capture: true});
 
 // A person's yes, by a dialog that begins at "Cancel".
-function confirmed(title, text, yes) {
+// more: a form that stands in it (open(holder, yes)).
+function confirmed(title, text, yes, more = null) {
   const dialog = byId('confirm');
   byId('confirm-title').textContent = title;
   byId('confirm-text').textContent = text;
   byId('confirm-yes').textContent = yes;
+  byId('confirm-yes').disabled = false;
+  byId('confirm-more').replaceChildren();
+  more?.open(byId('confirm-more'), byId('confirm-yes'));
   dialog.returnValue = 'no';
   dialog.showModal();
   byId('confirm-no').focus();
@@ -182,6 +194,8 @@ function confirmed(title, text, yes) {
 }
 
 const CLEAR = t('Is the stage free to turn, and is everybody clear of it?');
+const page = {ask, confirmed, clear: CLEAR, pace: () => live.about?.pace ?? 1};
+dayViews = [new QueueView(page), new BenchView(page)];
 byId('take-control').addEventListener('click', async () => {
   const control = (more) => ask(t('Control'), {do: 'control', ...more}, {moves: false});
   if (steering.page !== null && steering.page === me) {
@@ -197,8 +211,9 @@ byId('do-check').addEventListener('click', async () => {
     await ask(t('Check'), {do: 'check', with_motion: true, confirmed: true});
 });
 byId('do-start').addEventListener('click', async () => {
-  if (await confirmed(t('Start a run?'), t`The stage moves through all three experiments. ${CLEAR}`, t('Start, and turn the stage')))
-    await ask(t('Start'), {do: 'start', confirmed: true});
+  const form = new StartForm(live.about?.pace ?? 1);
+  if (await confirmed(t('Start a run?'), t`The stage moves through all three experiments. ${CLEAR}`, t('Start, and turn the stage'), form))
+    await ask(t('Start'), {do: 'start', confirmed: true, ...form.choice()});
 });
 byId('do-hold').addEventListener('click', () => ask(t('Hold'), {do: 'hold'}));
 byId('do-continue').addEventListener('click', async () => {
@@ -224,9 +239,10 @@ async function resume(run, measured) {
 byId('resume-interrupted').addEventListener('click', () => resume(live.interrupted.file, live.interrupted.measured === live.interrupted.planned));
 
 function route() {
+  endMaking();
   const [view, ...rest] = location.hash.slice(1).split('/');
   const kiosk = view === 'kiosk';
-  const name = ['live', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
+  const name = ['live', 'queue', 'bench', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
   document.body.classList.remove('loading');
   document.body.classList.toggle('kiosk', kiosk);
   if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0])) : showRuns(resume);

@@ -2,6 +2,8 @@
 import {byId, decimals, duration, element, inEnglish, number, scrollable, signed, small, table, DASH} from '/text.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {PagedTable} from '/pages.js';
+import {certificateCard} from '/approve.js';
+import {askForView, savesPatiently} from '/making.js';
 import {timeElement, timeText} from '/time.js';
 import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
 
@@ -122,13 +124,13 @@ export async function showRun(name) {
   byId('run-list').hidden = true;
   clearCharts();
   const detail = byId('run-detail');
-  detail.replaceChildren(element('p', {role: 'status'}, t`Reading and analysing ${name}`));
   let data;
   try {
-    data = await fetchJson(`/runs/${encoded(name)}/result`);
+    data = await askForView(`/runs/${encoded(name)}/result`, detail, t`Reading and analysing ${name}`);
   } catch (error) {
     return say('run-detail', error);
   }
+  if (!data) return;
   const {run, results} = data;
   // The first is the estimator that was chosen for the run; the fits of the published protocol show the stage.
   const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
@@ -145,6 +147,7 @@ export async function showRun(name) {
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
+  detail.append(certificateCard(run, () => showRun(name)));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
     data.events.map((e) => [day(e.utc), inEnglish(e.kind), inEnglish(e.text)])))));
   byId('main').focus();
@@ -181,10 +184,12 @@ function flagged(result, meanings) {
 }
 
 function downloads(kinds, run) {
-  const bar = element('p', {class: 'bar'}, t('Download:'));
-  for (const {name, words} of kinds || [])
-    bar.append(element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, t(words)));
-  return bar;
+  const bar = element('p', {class: 'bar'}, t('Download:')), making = element('div', {class: 'bar'});
+  for (const {name, words} of kinds || []) {
+    const link = element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, t(words));
+    bar.append(name.endsWith('.pdf') ? savesPatiently(link, making) : link);
+  }
+  return element('div', {}, bar, making);
 }
 
 function quantities(result) {

@@ -61,7 +61,7 @@ export const confirmDialog = () => page.locator('#confirm-yes').click();
 // Opens the page of a console that serves the bench; `prepare` is done before, e.g. runs are made, and `enter` until the page
 // of the bench is there. Says at the end of the
 // test program which step it was in, if that took too long.
-export function begin({pace, bench = BENCH, prepare = () => {}, enter = () => served.entered()}) {
+export function begin({pace, bench = BENCH, prepare = () => {}, serve = [], enter = () => served.entered()}) {
   let step = 'opening the page';
   const watchdog = setTimeout(() => {
     console.error(`not over after ${LONGEST / 1000} s, in: ${step}`);
@@ -72,7 +72,7 @@ export function begin({pace, bench = BENCH, prepare = () => {}, enter = () => se
     mkdirSync(pictures, {recursive: true});
     served.describe(bench);
     await prepare();
-    await served.goToConsole(bench, '--pace', String(pace));
+    await served.goToConsole(bench, '--pace', String(pace), ...serve);
     page = served.page;
     await enter();
   });

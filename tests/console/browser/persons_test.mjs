@@ -1,33 +1,11 @@
 // Who it is: persons of the register log in on the page; a token enters by "#", over TLS.
 import assert from 'node:assert/strict';
-import {chmodSync, writeFileSync} from 'node:fs';
-import path from 'node:path';
 import {begin, BENCH, confirmDialog, look, served, stateIs, text} from './page_test.mjs';
+import {logIn, makeRegister} from './training_register.mjs';
 
-const PASSWORD = 'correct horse 7';
-const {folder} = served;
-
-function makeRegister() {
-  process.env.XDG_STATE_HOME = path.join(folder, 'state');
-  const password = path.join(folder, 'password');
-  writeFileSync(password, `${PASSWORD}\n`);
-  chmodSync(password, 0o600);
-  process.env.ABCAL_REGISTER = path.join(folder, 'register.db');
-  const lab = (...words) => served.abcal('lab', ...words, '--password-file', password);
-  lab('init', '--laboratory', 'Example laboratory', '--administrator', 'Admin N. N.', '--training');
-  lab('login', 'Admin N. N.');
-  lab('add', 'person', 'Operator N. N.', '--role', 'technician', '--may', 'measure');
-  lab('add', 'person', 'Watcher N. N.', '--role', 'guest');
-}
-
-async function logIn(page, name, password = PASSWORD) {
-  await page.locator('#name').fill(name);
-  await page.locator('#password').fill(password);
-  await page.getByRole('button', {name: 'Log in'}).click();
-}
 const cookieOf = async (page) => (await page.cookies()).find(({name}) => name.startsWith('abcal_'));
 
-const step = begin({pace: 10, bench: BENCH.replace('[operator]\nname = "N. N."\n', ''), prepare: makeRegister, enter: () => {}});
+const step = begin({pace: 10, bench: BENCH.replace('[operator]\nname = "N. N."\n', ''), prepare: () => makeRegister(served), enter: () => {}});
 
 step('asks for a person, and says that a password is not right', async (page) => {
   await logIn(page, 'Operator N. N.', 'another horse 7');

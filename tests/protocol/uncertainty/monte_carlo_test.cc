@@ -42,7 +42,7 @@ TEST(MonteCarloTest, SumOfFourNormals) {
   EXPECT_NEAR(result.standard_deviation(0), 2.0, 5.0 * 2.0 / std::sqrt(4e5));
   EXPECT_NEAR(result.coverage[0].symmetric.low, -3.92, 0.06);
   EXPECT_NEAR(result.coverage[0].symmetric.high, 3.92, 0.06);
-  EXPECT_TRUE(validate_gum(0.0, 2.0, result.coverage[0].symmetric, 2e5, 0.95, 1).validated);
+  EXPECT_TRUE(validate_gum({0.0, 2.0}, {result.coverage[0].symmetric, 2e5, 0.95}, 1).validated);
 }
 
 // 9.2.3: four rectangular distributions of standard deviation 1.
@@ -68,7 +68,7 @@ TEST(MonteCarloTest, ADominantRectangularIsNotValidated) {
   EXPECT_NEAR(result.standard_deviation(0), 10.1, 0.1);
   EXPECT_NEAR(result.coverage[0].symmetric.high, 17.0, 0.1);
   EXPECT_NEAR(result.coverage[0].symmetric.low, -17.0, 0.1);
-  const GumValidation validation = validate_gum(0.0, u, result.coverage[0].symmetric, 2e5, 0.95, 2);
+  const GumValidation validation = validate_gum({0.0, u}, {result.coverage[0].symmetric, 2e5, 0.95}, 2);
   EXPECT_NEAR(validation.expanded_uncertainty, 19.9, 0.05);
   EXPECT_FALSE(validation.validated);
 }
@@ -90,7 +90,7 @@ TEST(MonteCarloTest, MassCalibration) {
   EXPECT_NEAR(result.standard_deviation(0), 0.0754, 0.0006);
   EXPECT_NEAR(result.coverage[0].shortest.low, 1.084, 0.006);
   EXPECT_NEAR(result.coverage[0].shortest.high, 1.384, 0.006);
-  EXPECT_FALSE(validate_gum(1.234, 0.0539, result.coverage[0].symmetric, 2e5, 0.95, 1).validated);
+  EXPECT_FALSE(validate_gum({1.234, 0.0539}, {result.coverage[0].symmetric, 2e5, 0.95}, 1).validated);
 }
 
 TEST(MonteCarloTest, AnAdaptiveRunStopsWhenTheDigitsAreReached) {

@@ -1,0 +1,119 @@
+#include "app/console/approval.h"
+
+#include <fmt/format.h>
+
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "app/issuing/issue_run.h"
+#include "protocol/record/run_operator.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal::console {
+namespace {
+
+using ApprovalJson = nlohmann::ordered_json;
+
+ApprovalJson certificates_of(const std::filesystem::path& run) {
+  ApprovalJson list = ApprovalJson::array();
+  for (const IssuedCertificate& issued : ResultsFile::certificates(run))
+    list.push_back({{"number", issued.number},
+                    {"date", issued.date},
+                    {"measured_by", issued.measured_by},
+                    {"approved_by", issued.approved_by},
+                    {"replaces", issued.replaces},
+                    {"reason", issued.reason},
+                    {"sha256", sha256_of(issued.xml)}});
+  return list;
+}
+
+/// Why nothing can be issued on this page, for everybody; empty: it can.
+std::string why_not_here(const std::filesystem::path& run, const StoredRun& stored,
+                         const ApprovalPlace& place) {
+  if (place.register_location.empty())
+    return "Certificates are issued on this page with a register only (ABCAL_REGISTER); see `abcal issue`.";
+  if (place.laboratory_file.empty())
+    return "The console knows no laboratory file; start it with `abcal serve --laboratory FILE`.";
+  if (stored.state != RunState::kComplete || !RunFile::is_closed(run))
+    return "The run is not complete and closed.";
+  if (!has_experiments(stored.header.plan)) return "This is a levelling, no calibration.";
+  return {};
+}
+
+/// Logged in for one approval, and out again.
+class Approver {
+ public:
+  Approver(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now)
+      : now_(now), opened_(lab::Register::open(place.register_location, now)) {
+    constexpr std::chrono::minutes kForOneApproval{10};
+    try {
+      login_ = opened_.log_in(form.approver, form.password, now, kForOneApproval);
+    } catch (const lab::RegisterError& refused) {
+      (void)opened_.find_person({});  // A register that is lost throws here.
+      throw LoginRefused(refused.what());
+    }
+  }
+  Approver(const Approver&) = delete;
+  Approver& operator=(const Approver&) = delete;
+  ~Approver() {
+    try {
+      opened_.log_out(login_, now_);
+    } catch (const std::exception&) {
+      return;  // It ends by itself.
+    }
+  }
+  lab::LoggedIn who() { return opened_.who(login_, now_); }
+
+ private:
+  Clock::UtcTime now_;
+  lab::Register opened_;
+  std::string login_;
+};
+
+void require_current(const ApprovalForm& form) {
+  if (sha256_of_file(form.run) != form.run_sha256)
+    throw StaleApproval("the run is not the one that was looked at; open its result again");
+  const std::vector<IssuedCertificate> issued = ResultsFile::certificates(form.run);
+  const std::string last = issued.empty() ? std::string() : issued.back().number;
+  if (last != form.replaces)
+    throw StaleApproval(fmt::format("certificate {} was issued for this run meanwhile; open its result again",
+                                    last.empty() ? "none" : last));
+}
+
+}  // namespace
+
+ApprovalJson approval_json(const std::filesystem::path& run, const ApprovalPlace& place,
+                           const Visitor& visitor) {
+  const StoredRun stored = RunFile::load(run);
+  const std::string why = why_not_here(run, stored, place);
+  return {{"run_sha256", why.empty() ? sha256_of_file(run) : ""},
+          {"measured_by", describe(operators_of(stored))},
+          {"person", visitor.who.name},
+          {"why_not", why},
+          {"certificates", certificates_of(run)}};
+}
+
+ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now) {
+  const StoredRun stored = RunFile::load(form.run);
+  if (const std::string why = why_not_here(form.run, stored, place); !why.empty())
+    throw std::invalid_argument(why);
+  require_current(form);
+  Approver approver(form, place, now);
+  const lab::LoggedIn who = approver.who();
+  if (const auto why = why_not_approve(who.person(), stored)) throw std::invalid_argument(*why);
+  IssueAsked asked;
+  asked.run = form.run.string();
+  asked.certificate.laboratory = place.laboratory_file.string();
+  asked.replaces = form.replaces;
+  asked.reason = form.reason;
+  Registered registered{lab::Register::open(place.register_location, now), who};
+  const IssueOutcome outcome = issue_run(asked, &registered, now);
+  const std::string number = outcome.known_now.empty() ? outcome.issued.number : outcome.known_now;
+  return {{"number", number},
+          {"training", registered.opened.facts().training},
+          {"approved_by", who.name()},
+          {"warnings", outcome.warnings}};
+}
+
+}  // namespace abcal::console

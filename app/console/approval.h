@@ -1,0 +1,42 @@
+#pragma once
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "app/console/persons.h"
+#include "drivers/instrument/clock.h"
+
+namespace abcal::console {
+
+/// Where certificates come from.
+struct ApprovalPlace {
+  std::string register_location;          ///< Empty: there is none.
+  std::filesystem::path laboratory_file;  ///< Empty: none was given.
+};
+
+/// What a person fills in to approve a certificate.
+struct ApprovalForm {
+  std::filesystem::path run;
+  std::string run_sha256;          ///< Of the run that the person looked at.
+  std::string approver, password;  ///< As they log in.
+  std::string replaces, reason;    ///< Empty: it replaces none.
+};
+
+/// The run has changed since, or another certificate was issued meanwhile. what() says so.
+class StaleApproval : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// What stands before the approval of a run: its hash, who measured it, its certificates, and why none can be
+/// issued here ("why_not"). Reads the run and opens the register.
+nlohmann::ordered_json approval_json(const std::filesystem::path& run, const ApprovalPlace& place,
+                                     const Visitor& visitor);
+
+/// Approves and issues, as `abcal issue` does. The approver proves with their password who they are.
+/// @return the certificate, for pages
+/// @throws LoginRefused (name or password), StaleApproval, what issue_run() throws
+nlohmann::ordered_json approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now);
+
+}  // namespace abcal::console

@@ -1,0 +1,58 @@
+// What is done at a bench beside runs: check without motion, levelling, and who answers on the ports.
+import {byId, element, table, DASH} from '/text.js';
+
+// Everything that people read here.
+const TEXT = {
+  check: 'Check without motion', level: 'Level', probe: 'Ask the ports',
+  levelTitle: 'Level the stage?', levelText: 'The Z axis makes a whole turn with X at zero, then both axes go to four positions. The tilt of Z and the zero of X are stored in the run folder.', levelYes: 'Level, and turn the stage',
+  probeTitle: 'Ask every free port who answers?', probeText: 'Nothing moves and no setting is stored. Instruments that send by themselves may be stopped until they are opened again.', probeYes: 'Ask the ports',
+  levelled: 'The last levelling', stored: 'Stored in', use: 'Under [stage] of the bench file this gives it to the joint estimator:', notLevelled: 'Not levelled from this console yet.',
+  ports: 'Ports of this computer', heading: ['Port', 'Who answers', 'As a bench file names it', 'Description', 'State'], noPorts: 'There are no serial ports.', notAsked: 'Not asked yet.',
+  free: 'free', notPermitted: 'not permitted for the user of the console', held: 'in use by', jog: 'Jogging is on the view Live.',
+};
+
+export class BenchView {
+  constructor({ask, confirmed, clear}) {
+    const button = (id, words, act) => {
+      const made = element('button', {type: 'button', id}, words);
+      made.addEventListener('click', act);
+      return made;
+    };
+    this.buttons = [
+      button('bench-check', TEXT.check, () => ask(TEXT.check, {do: 'check'}, {moves: false})),
+      button('bench-level', TEXT.level, async () => {
+        if (await confirmed(TEXT.levelTitle, `${TEXT.levelText} ${clear}`, TEXT.levelYes)) await ask(TEXT.level, {do: 'level', confirmed: true});
+      }),
+      button('bench-probe', TEXT.probe, async () => {
+        if (await confirmed(TEXT.probeTitle, TEXT.probeText, TEXT.probeYes)) await ask(TEXT.probe, {do: 'probe'}, {moves: false});
+      })];
+    this.levelling = element('div', {id: 'levelling', role: 'status'}, TEXT.notLevelled);
+    this.ports = element('div', {id: 'ports', class: 'stack', role: 'status'}, TEXT.notAsked);
+    const card = (title, content) => element('section', {class: 'card block'}, element('h3', {}, title), content);
+    byId('bench-body').replaceChildren(element('div', {class: 'bar'}, ...this.buttons), element('p', {}, TEXT.jog), card(TEXT.levelled, this.levelling), card(TEXT.ports, this.ports));
+  }
+
+  receive(message) {
+    if (message.type === 'snapshot') {
+      if (message.levelling) this.showLevelling(message.levelling);
+      if (message.ports) this.showPorts(message.ports);
+    }
+    if (message.type === 'levelling') this.showLevelling(message);
+    if (message.type === 'ports') this.showPorts(message);
+  }
+
+  offer(may, idle) {
+    for (const button of this.buttons) button.disabled = !may || !idle;
+  }
+
+  showLevelling({file, words}) {
+    this.levelling.replaceChildren(element('ul', {}, ...words.split('; ').map((line) => element('li', {}, line))),
+      element('p', {}, `${TEXT.stored} ${file}. ${TEXT.use} `, element('code', {}, `level_file = "${file}"`)));
+  }
+
+  showPorts({ports}) {
+    if (!ports.length) return this.ports.replaceChildren(TEXT.noPorts);
+    const state = (port) => (port.holder ? `${TEXT.held} ${port.holder}` : port.permitted ? TEXT.free : TEXT.notPermitted);
+    this.ports.replaceChildren(table(TEXT.ports, TEXT.heading, ports.map((port) => [port.path, port.found || DASH, port.usb ? `port = "${port.usb}"` : '', port.description || DASH, state(port)])));
+  }
+}

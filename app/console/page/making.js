@@ -1,0 +1,55 @@
+// What takes seconds at the console: asked for with a word on what is done and a button that ends it, at the console too.
+import {element} from '/text.js';
+
+const TEXT = {cancel: 'Cancel', cancelled: 'Cancelled.', printing: 'The PDF is being made.', answered: 'the console answered'};
+
+let ofView = null;  // What the view waits for; another view ends it.
+
+export function endMaking() {
+  ofView?.abort();
+  ofView = null;
+}
+
+// What `read` makes of the response; null: the person has cancelled it, or has gone to another view.
+async function ask(path, holder, words, read, ends) {
+  const cancel = element('button', {type: 'button', class: 'cancel'}, TEXT.cancel);
+  cancel.addEventListener('click', () => { ends.abort(); holder.replaceChildren(element('p', {role: 'status'}, TEXT.cancelled)); });
+  holder.replaceChildren(element('p', {role: 'status'}, words), cancel);
+  try {
+    const response = await fetch(path, {signal: ends.signal});
+    if (!response.ok) throw new Error((await response.text()).trim() || `${TEXT.answered} ${response.status}`);
+    return await read(response);
+  } catch (error) {
+    if (ends.signal.aborted) return null;
+    throw error;
+  }
+}
+
+// The JSON of a view, of which there is one at a time.
+export function askForView(path, holder, words) {
+  endMaking();
+  ofView = new AbortController();
+  return ask(path, holder, words, (response) => response.json(), ofView);
+}
+
+// A link to something that is made in seconds: says so in `holder`, and saves what came.
+export function savesPatiently(link, holder) {
+  link.addEventListener('click', async (event) => {
+    event.preventDefault();
+    if (link.getAttribute('aria-disabled') === 'true') return;
+    link.setAttribute('aria-disabled', 'true');
+    try {
+      const made = await ask(link.href, holder, TEXT.printing, (response) => response.blob(), new AbortController());
+      if (!made) return;
+      const saved = element('a', {href: URL.createObjectURL(made), download: link.download});
+      saved.click();
+      setTimeout(() => URL.revokeObjectURL(saved.href), 60_000);
+      holder.replaceChildren();
+    } catch (error) {
+      holder.replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, String(error.message || error)));
+    } finally {
+      link.removeAttribute('aria-disabled');
+    }
+  });
+  return link;
+}

@@ -1,0 +1,163 @@
+// From result to certificate on the page: who may approve, four eyes, and that no flow stands twice.
+
+#include "app/console/approval.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+
+#include "app/certificate/issue.h"
+#include "tests/console/console_fixture.h"
+#include "tests/support/project_paths.h"
+#include "tests/support/training_register.h"
+
+namespace abcal::console {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+using Json = nlohmann::json;
+
+/// A run that Operator N. N. has measured, and a console at which Approver N. N. may approve.
+class ApprovalTest : public ConsoleTest {
+ protected:
+  ApprovalTest() {
+    registered.log_in("Operator N. N.");
+    std::string text = test::read_file(examples / "simulated.toml");
+    replace(text, "[operator]\nname = \"Operator N. N.\"\n", "");
+    replace(text, "steps = 72\nstep_deg = 5.0", "steps = 12\nstep_deg = 30.0");
+    replace(text, "dwell_readings = 1000", "dwell_readings = 50");
+    test::write_file(folder / "measured.toml", text);
+    std::filesystem::create_directories(runs());
+    const auto ran = test::run_program({"run", "measured.toml", "-o", "runs/a.run"}, folder.path());
+    EXPECT_EQ(ran.exit_code, 0) << ran.err;
+    options.register_location = (folder / "register.db").string();
+    options.laboratory_file = examples / "laboratory.toml";
+  }
+  ~ApprovalTest() override { close(); }
+
+  static void replace(std::string& text, const std::string& what, const std::string& by) {
+    const std::size_t at = text.find(what);
+    ASSERT_NE(at, std::string::npos) << what;
+    text.replace(at, what.size(), by);
+  }
+  static std::string plus(std::string text) {
+    for (char& c : text)
+      if (c == ' ') c = '+';
+    return text;
+  }
+  test::Headers logged_in(const std::string& name) {
+    const test::Answer answer =
+        test::http_post(port, "/login", "name=" + plus(name) + "&password=correct+horse+7");
+    EXPECT_EQ(answer.status, 303U) << answer.body;
+    const std::string cookie = answer.headers.at("Set-Cookie");
+    return {{"Cookie", cookie.substr(0, cookie.find(';'))}};
+  }
+  Json state() {
+    const test::Answer answer = test::http_get(port, "/runs/a.run/approval", person);
+    EXPECT_EQ(answer.status, 200U) << answer.body;
+    return Json::parse(answer.body);
+  }
+  test::Answer approve(const std::string& name, const std::string& more = "",
+                       const std::string& password = "correct horse 7") {
+    return test::http_post(
+        port, "/approve",
+        "run=a.run&run_sha256=" + sha256 + "&name=" + plus(name) + "&password=" + plus(password) + more,
+        person);
+  }
+  void look() {
+    person = logged_in("Operator N. N.");
+    sha256 = state()["run_sha256"];
+  }
+
+  const std::filesystem::path examples = test::source_folder() / "docs/examples";
+  test::TrainingRegister registered{folder.path()};
+  test::Headers person;
+  std::string sha256;
+};
+
+TEST_F(ApprovalTest, ASecondPersonApprovesWithTheirPassword) {
+  open();
+  look();
+  EXPECT_EQ(state()["why_not"], "");
+  EXPECT_EQ(state()["measured_by"], "Operator N. N.");
+  const test::Answer issued = approve("Approver N. N.");
+  ASSERT_EQ(issued.status, 200U) << issued.body;
+  const std::string number = Json::parse(issued.body)["number"];
+  EXPECT_THAT(number, StartsWith("T-"));
+  EXPECT_EQ(Json::parse(issued.body)["training"], true);
+  EXPECT_TRUE(is_logged("certificate " + number + " of a.run, approved by Approver N. N."));
+  // As the command line has it.
+  const auto kept = current_certificate(runs() / "a.run");
+  ASSERT_TRUE(kept);
+  EXPECT_EQ(kept->number, number);
+  EXPECT_EQ(kept->approved_by, "Approver N. N.");
+  EXPECT_EQ(test::http_get(port, "/runs/a.run/certificate.xml", person).body, kept->xml);
+  const auto verified = test::run_program({"verify", "runs/a.run"}, folder.path());
+  EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
+  const auto audit = registered.lab({"verify"});
+  EXPECT_THAT(audit, HasSubstr("certificate numbers: 1 given"));
+
+  // A double click, or a page that was open before: the form is stale.
+  const test::Answer again = approve("Approver N. N.");
+  EXPECT_EQ(again.status, 409U) << again.body;
+  EXPECT_THAT(again.body, HasSubstr(number));
+  const test::Answer amended = approve("Approver N. N.", "&replaces=" + number + "&reason=a+wrong+customer");
+  EXPECT_EQ(amended.status, 200U) << amended.body;
+  ASSERT_EQ(state()["certificates"].size(), 2U);
+  EXPECT_EQ(state()["certificates"][1]["replaces"], number);
+}
+
+TEST_F(ApprovalTest, RefusesWhoMayNot) {
+  open();
+  look();
+  const test::Answer own = approve("Operator N. N.");
+  EXPECT_EQ(own.status, 422U);
+  EXPECT_THAT(own.body, HasSubstr("may not approve"));
+  const test::Answer wrong = approve("Approver N. N.", "", "another horse 7");
+  EXPECT_EQ(wrong.status, 422U);
+  EXPECT_THAT(wrong.body, HasSubstr("Name or password is not right."));
+  sha256 = std::string(64, '0');
+  EXPECT_EQ(approve("Approver N. N.").status, 409U);
+  EXPECT_EQ(test::http_post(port, "/approve", "run=../a.run&name=a&password=b", person).status, 404U);
+  EXPECT_EQ(test::http_post(port, "/approve", "run=a.run", person).status, 400U);
+  EXPECT_EQ(test::http_post(port, "/approve", "run=a.run&name=a&password=b").status, 401U) << "nobody";
+  test::Headers elsewhere = person;
+  elsewhere["Origin"] = "http://evil.example.org";
+  EXPECT_EQ(test::http_post(port, "/approve", "run=a.run&name=a&password=b", elsewhere).status, 403U);
+  EXPECT_FALSE(current_certificate(runs() / "a.run"));
+}
+
+TEST_F(ApprovalTest, FourEyes) {
+  registered.log_in("Approver N. N.");
+  const auto ran = test::run_program({"run", "measured.toml", "-o", "runs/own.run"}, folder.path());
+  ASSERT_EQ(ran.exit_code, 0) << ran.err;
+  open();
+  person = logged_in("Approver N. N.");
+  const Json own = Json::parse(test::http_get(port, "/runs/own.run/approval", person).body);
+  const test::Answer answer =
+      test::http_post(port, "/approve",
+                      "run=own.run&run_sha256=" + own["run_sha256"].get<std::string>() +
+                          "&name=Approver+N.+N.&password=correct+horse+7",
+                      person);
+  EXPECT_EQ(answer.status, 422U);
+  EXPECT_THAT(answer.body, HasSubstr("Approver N. N. has measured the run"));
+}
+
+TEST_F(ApprovalTest, FailuresSlowDown) {
+  open();
+  look();
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(approve("Approver N. N.", "", "wrong").status, 422U);
+  EXPECT_EQ(approve("Approver N. N.").status, 429U);
+}
+
+TEST_F(ApprovalTest, SaysWhyNothingIsIssuedHere) {
+  options.laboratory_file.clear();
+  open();
+  person = logged_in("Operator N. N.");
+  EXPECT_THAT(state()["why_not"].get<std::string>(), HasSubstr("--laboratory"));
+}
+
+}  // namespace
+}  // namespace abcal::console

@@ -1,0 +1,106 @@
+// A day's work on the page alone: check, queue, scanner, mounting, runs, result, approval by a second person, certificate.
+import assert from 'node:assert/strict';
+import {readFileSync} from 'node:fs';
+import path from 'node:path';
+import {fileURLToPath} from 'node:url';
+import {begin, confirmDialog, look, served, text} from './page_test.mjs';
+import {logIn, makeRegister, PASSWORD} from './training_register.mjs';
+
+const examples = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/examples');
+const bench = readFileSync(path.join(examples, 'simulated.toml'), 'utf8').replace('[operator]\nname = "Operator N. N."\n', '')
+  .replace('steps = 72\nstep_deg = 5.0', 'steps = 12\nstep_deg = 30.0').replace('dwell_readings = 1000', 'dwell_readings = 50');
+
+const step = begin({pace: 500, bench, serve: ['--laboratory', path.join(examples, 'laboratory.toml')], enter: () => {}, prepare: () => {
+  const lab = makeRegister(served);
+  lab('add', 'item', '--maker', 'simulated', '--model', '3DM-GV7', '--serial-number', 'SN 0500');
+}});
+const idle = (page) => page.waitForFunction(() => document.getElementById('banner').dataset.kind !== 'busy');
+
+step('checks the bench without motion, and levels it', async (page) => {
+  await logIn(page, 'Operator N. N.');
+  await served.entered();
+  await page.locator('#take-control').click();
+  await served.goTo('bench');
+  await page.locator('#bench-check:enabled').click();
+  await page.locator('#bench-level:enabled').click();
+  await confirmDialog();
+  await page.locator('#levelling', {hasText: 'tilt of the Z axis'}).waitFor();
+  assert.match(await text('#levelling'), /level_file = "bench-.*\.level\.json"/);
+  await page.locator('#bench-probe:enabled').click();
+  await confirmDialog();
+  await page.locator('#ports', {hasNotText: 'Not asked yet.'}).waitFor();
+  await look('bench');
+});
+
+step('fills the queue by a scanner, and reorders it', async (page) => {
+  await served.goTo('queue');
+  for (const serial of ['<b>SN 0501</b>', 'SN 0500']) {
+    await page.locator('#queue-add:enabled').click();
+    await page.locator('#confirm-yes:enabled').waitFor();
+    await page.keyboard.type(serial);
+    await page.keyboard.press('Enter');
+    await page.waitForFunction((typed) => !document.getElementById('confirm-yes').disabled && document.getElementById('start-serial-number').value === typed, serial);
+    await page.locator('#start-customer-number').fill('INV-7');
+    await confirmDialog();
+    await page.locator('#queue-list', {hasText: serial}).waitFor();
+  }
+  assert.equal(await page.locator('#queue-list b').count(), 0, 'a serial number is text');
+  await page.getByRole('button', {name: 'Up: SN 0500'}).click();
+  await page.locator('#queue-list tbody tr:first-child', {hasText: 'SN 0500'}).waitFor();
+  assert.ok(await page.locator('#queue-next').isHidden(), 'paused at first');
+  await page.getByRole('button', {name: 'Let the queue go on'}).click();
+  await page.locator('#queue-next', {hasText: 'Mount SN 0500'}).waitFor();
+  await look('queue');
+});
+
+step('starts only the item that was checked, and asks for the next one', async (page) => {
+  assert.equal(await page.locator('.queue-start').count(), 0);
+  await page.locator('.queue-check:enabled').click();
+  await page.locator('.queue-start:enabled').click();
+  assert.match(await text('#confirm-title'), /Start SN 0500/);
+  await confirmDialog();
+  await page.waitForFunction(() => location.hash === '#live');
+  await page.locator('#queue-asks', {hasText: 'SN 0501'}).waitFor();
+  await idle(page);
+  assert.match(await text('#state'), /^The run is complete/);
+  assert.equal(await text('#item'), 'SN 0500');
+});
+
+step('issues the certificate, which a second person approves with a password', async (page) => {
+  await served.goTo('queue');
+  await page.locator('#queue-list a').first().click();
+  await page.locator('#approve-form').waitFor();
+  assert.match(await text('#verdict'), /SIMULATED/);
+  assert.equal(await page.locator('#approve-name').inputValue(), '', 'who measured is not proposed');
+  const approve = async (name, password) => {
+    await page.locator('#approve-name').fill(name);
+    await page.locator('#approve-password').fill(password);
+    await page.locator('#approve-seen').check();
+    await page.locator('#approve-form button.go:enabled').click();
+  };
+  await approve('Operator N. N.', PASSWORD);
+  await page.getByText('Operator N. N. may not approve').waitFor();
+  await approve('Admin N. N.', 'another horse 7');
+  await page.getByText('Name or password is not right.').waitFor();
+  await approve('Admin N. N.', PASSWORD);
+  await page.locator('#certificate', {hasText: 'approved by Admin N. N.'}).waitFor();
+  const number = (await text('#certificate')).match(/T-\d{4}-\d{4}/)[0];
+  const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', {name: 'Certificate (DCC XML)'}).click()]);
+  const file = path.join(served.folder, 'certificate.xml');
+  await download.saveAs(file);
+  const xml = readFileSync(file, 'utf8');
+  for (const words of [number, 'INV-7', 'SN 0500']) assert.ok(xml.includes(words), words);
+  await look('certificate');
+});
+
+step('a restarted server has the queue, paused', async (page) => {
+  const ended = new Promise((resolve) => served.server.on('exit', resolve));
+  served.server.kill('SIGINT');
+  await ended;
+  served.problems.length = 0;  // The page has told of the lost connection.
+  await served.serveAgain('--pace', '500');
+  await served.goTo('queue');
+  await page.locator('#queue-state', {hasText: 'paused'}).waitFor();
+  await page.locator('#queue-list', {hasText: '<b>SN 0501</b>'}).waitFor();
+  assert.ok(await page.locator('#queue-next').isHidden());
+});

@@ -1,0 +1,157 @@
+// The start form: what a person sees before a run, and what it starts.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <string>
+
+#include "app/console/request.h"
+#include "app/console/run_choice.h"
+#include "protocol/record/run_file.h"
+#include "tests/console/console_fixture.h"
+
+namespace abcal::console {
+namespace {
+
+using testing::Contains;
+using testing::HasSubstr;
+using testing::Not;
+using Json = test::PageClient::Json;
+
+class StartFormTest : public ConsoleTest {
+ protected:
+  Json form(const std::string& query = "") {
+    const test::Answer answer = test::http_get(port, "/start-form" + query);
+    EXPECT_EQ(answer.status, 200U) << answer.body;
+    return Json::parse(answer.body);
+  }
+  static std::vector<std::string> lines(const Json& list) { return list.get<std::vector<std::string>>(); }
+  /// What the page sends of a form.
+  static Json start_of(const Json& form) {
+    Json start = {{"do", "start"},
+                  {"confirmed", true},
+                  {"form", form["form"]},
+                  {"bench_sha256", form["bench_sha256"]},
+                  {"steps", form["plan"]["steps"]},
+                  {"dwell_readings", form["plan"]["dwell_readings"]},
+                  {"estimator", form["plan"]["estimator"]}};
+    if (!form["item"]["serial_number"].get<std::string>().empty()) start["item"] = form["item"];
+    return start;
+  }
+};
+
+TEST_F(StartFormTest, ShowsWhatWouldBeStarted) {
+  open();
+  const Json shown = form();
+  EXPECT_EQ(shown["problems"], Json::array());
+  EXPECT_EQ(shown["plan"]["steps"], 12);
+  EXPECT_GT(shown["duration"]["total_s"].get<double>(), 1.0);
+  ASSERT_EQ(shown["predicted"].size(), 4U);
+  EXPECT_GT(shown["predicted"][0]["standard_uncertainty"].get<double>(), 0.0);
+  EXPECT_GT(shown["disk"]["free_bytes"].get<double>(), shown["disk"]["needed_bytes"].get<double>());
+  EXPECT_TRUE(shown["last_check"].is_null());
+  EXPECT_THAT(lines(shown["warnings"]), Contains(HasSubstr("has not been checked")));
+
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok({{"do", "check"}, {"with_motion", true}, {"confirmed", true}}));
+  page->wait_for_type("checks");
+  page->wait_for_activity("idle");
+  const Json checked = form();
+  EXPECT_GT(checked["last_check"]["good"].get<int>(), 3);
+  EXPECT_EQ(checked["last_check"]["problems"], 0);
+  EXPECT_THAT(lines(checked["warnings"]), Not(Contains(HasSubstr("has not been checked"))));
+}
+
+TEST_F(StartFormTest, PredictsLessUncertaintyOfMoreReadings) {
+  open();
+  const auto u = [&](const std::string& query) {
+    return form(query)["predicted"][0]["standard_uncertainty"].get<double>();
+  };
+  EXPECT_LT(u("?dwell_readings=10000"), u("?dwell_readings=20"));
+}
+
+TEST_F(StartFormTest, StartsTheItemAndThePlanThatWereChosen) {
+  bench.protocol += "[item]\nmodel = \"TA-3\"\n";
+  open();
+  const Json shown = form(
+      "?serial_number=%3Cb%3ESN+7%3C/b%3E&maker=Other&model=TA-9&customer_number=INV-42&steps=16&"
+      "estimator=joint");
+  EXPECT_THAT(lines(shown["warnings"]), Contains(HasSubstr("TA-9")));
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(start_of(shown)));
+  const Json ended = page->wait_for_type("ended");
+  EXPECT_TRUE(ended["complete"].get<bool>()) << ended;
+  const StoredRun run = RunFile::load(runs() / ended["file"].get<std::string>());
+  EXPECT_EQ(run.header.labels.at("item.serial_number"), "<b>SN 7</b>");
+  EXPECT_EQ(run.header.labels.at("item.model"), "TA-9");
+  EXPECT_EQ(run.header.labels.at("item.customer_number"), "INV-42");
+  EXPECT_EQ(run.header.steps, 16);
+  EXPECT_EQ(run.record.estimator, "joint");
+}
+
+TEST_F(StartFormTest, OneFormStartsOneRun) {
+  pace = 20.0;
+  open();
+  auto page = steering_page();
+  const Json start = start_of(form());
+  ASSERT_TRUE(page->ok(start));
+  EXPECT_FALSE(page->ok(start));  // A double click.
+  ASSERT_TRUE(page->ok({{"do", "stop"}}));
+  page->wait_for_activity("idle");
+  const Json reply = page->ask(start);
+  EXPECT_FALSE(reply["ok"].get<bool>());
+  EXPECT_THAT(reply["why"].get<std::string>(), HasSubstr("has started a run already"));
+  EXPECT_EQ(run_files(), 1U);
+}
+
+TEST_F(StartFormTest, AFormOfAnotherBenchFileStartsNothing) {
+  open();
+  auto page = steering_page();
+  const Json start = start_of(form());
+  std::ofstream(folder / "bench.toml", std::ios::app) << "# changed meanwhile\n";
+  const Json reply = page->ask(start);
+  EXPECT_FALSE(reply["ok"].get<bool>());
+  EXPECT_THAT(reply["why"].get<std::string>(), HasSubstr("the bench file has changed"));
+  EXPECT_EQ(run_files(), 0U);
+}
+
+TEST_F(StartFormTest, WhatCannotBeStartedIsSaidBefore) {
+  open();
+  EXPECT_NE(form("?dwell_readings=20&steps=7")["plan"], Json());
+  std::ofstream(folder / "bench.toml", std::ios::app) << "[protocol]\nstips = 3\n";
+  EXPECT_THAT(lines(form()["problems"]), Contains(HasSubstr("bench.toml")));
+}
+
+TEST_F(StartFormTest, RefusesTextsThatAreNoSerialNumbers) {
+  open();
+  for (const std::string& query :
+       {"?serial_number=" + std::string(kLongestItemText + 1, 'a'), std::string("?serial_number=a%0Ab"),
+        std::string("?serial_number=%E2%80%AE"), std::string("?serial_number=%FF"),
+        std::string("?steps=many"), std::string("?steps=99999999999999999999"), std::string("?model=TA-3"),
+        std::string("?colour=red")})
+    EXPECT_EQ(test::http_get(port, "/start-form" + query).status, 422U) << query;
+  EXPECT_EQ(test::http_get(port, "/start-form?serial_number=" + std::string(5000, 'a')).status, 422U);
+  EXPECT_EQ(test::http_get(port, "/start-form?serial_number=" + std::string(20000, 'a')).status, 431U);
+}
+
+TEST(RunChoiceTest, ReadsOnlyWhatItKnows) {
+  const auto start = [](const std::string& more) {
+    return std::get<StartRun>(parse_request(R"({"do":"start","confirmed":true,)" + more + "}").command)
+        .choice;
+  };
+  const RunChoice choice = start(R"("item":{"serial_number":"SN 1"},"steps":36,"form":"f")");
+  EXPECT_EQ(choice.item->serial_number, "SN 1");
+  EXPECT_EQ(choice.steps, 36);
+  EXPECT_EQ(choice.form, "f");
+  EXPECT_THROW(start(R"("item":{"model":"TA-3"})"), RequestError);
+  EXPECT_THROW(start(R"("item":{"serial_number":"a","colour":"red"})"), RequestError);
+  EXPECT_THROW(start(R"("item":"SN 1")"), RequestError);
+  EXPECT_THROW(start(R"("steps":3)"), RequestError);
+  EXPECT_THROW(start(R"("steps":12.5)"), RequestError);
+  EXPECT_THROW(start(R"("dwell_readings":0)"), RequestError);
+  EXPECT_THROW(start(R"("item":{"serial_number":"a\nb"})"), RequestError);
+}
+
+}  // namespace
+}  // namespace abcal::console
