@@ -43,7 +43,7 @@ function axis(words, more = {}) {
 const LEFT = 78;  // px, if that is enough
 const aligned = (group) => ({afterFit: (scale) => { scale.width = group.width = Math.max(LEFT, group.width ?? 0, scale.width); }});
 
-// What stands for an output in the legend of points with their curve: marker and dashes.
+// What stands for an output in the legend of lines: its dashes, and its marker if it has one.
 function sample(item) {
   const picture = document.createElement('canvas'), brush = picture.getContext('2d');
   [picture.width, picture.height] = [34, 10];
@@ -55,11 +55,11 @@ function sample(item) {
   brush.lineTo(34, 5);
   brush.stroke();
   brush.setLineDash([]);
-  Chart.helpers.drawPoint(brush, {pointStyle: item.pointStyle, radius: 3.5, borderWidth: 1}, 17, 5);
+  if (item.pointStyle !== 'line') Chart.helpers.drawPoint(brush, {pointStyle: item.pointStyle, radius: 3.5, borderWidth: 1}, 17, 5);
   return picture;
 }
 const samples = (chart) => Chart.defaults.plugins.legend.labels.generateLabels(chart)
-  .map((item) => (typeof item.pointStyle === 'string' && item.pointStyle !== 'line' ? {...item, pointStyle: sample(item)} : item));
+  .map((item) => (OUTPUTS.includes(item.text) ? {...item, pointStyle: sample(item)} : item));
 
 // "4.0e−5" where Chart.js would write 4.000000E-5.
 function tick(value, index, ticks) {
@@ -78,7 +78,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = nul
       animation: false, responsive: true, maintainAspectRatio: false,
       interaction: {mode: 'nearest', intersect: false},
       scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && !linesOnly && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
   made.add(chart);
