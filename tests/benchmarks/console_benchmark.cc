@@ -70,7 +70,8 @@ class ServedBench {
 
   /// @return duration of the run by its own account, s.
   double run(test::PageClient& page) {
-    if (!page.ok({{"do", "start"}, {"confirmed", true}})) throw std::runtime_error("no run was started");
+    const Json begun = page.ask({{"do", "start"}, {"confirmed", true}});
+    if (!begun["ok"].get<bool>()) throw std::runtime_error("no run was started: " + begun.dump());
     Json ended;
     const auto end = std::chrono::steady_clock::now() + 5min;
     while (ended.is_null()) {
@@ -135,6 +136,7 @@ void BM_FiftyPagesWatch(benchmark::State& state) {
   for (auto _ : state) {
     ServedBench bench;
     test::PageClient page(bench.port);
+    page.wait_for_type("snapshot");  // The process that holds the bench is there.
     page.ok({{"do", "control"}});
     bench.run(page);  // Everything is in memory once.
     const double before_kb = bench.memory_kb("VmRSS");

@@ -282,6 +282,31 @@ TEST_F(LongKilledConsoleTest, TheGuardHaltsTheStageOfADeadHolderAndTheRunCanBeRe
   kill_holders(50);
 }
 
+TEST_F(KilledConsoleTest, AStopIsConfirmedForEachAxisWithinHalfASecond) {
+  start_emulator();
+  start_console();
+  auto page = page_that_steers();
+  std::mt19937_64 random(20261127);
+  double slowest_s = 0.0;
+  for (int k = 0; k < 5; ++k) {
+    SCOPED_TRACE(k);
+    const Json resume = {{"do", "resume"}, {"run", only_run().filename().string()}, {"confirmed", true}};
+    ASSERT_TRUE(page->ok(k == 0 ? kStart : resume));
+    wait_until_in_motion(random);
+    const auto asked = std::chrono::steady_clock::now();
+    ASSERT_TRUE(page->ok({{"do", "stop"}}));
+    const Json halt = page->wait_for_type("halt");
+    const std::chrono::duration<double> took = std::chrono::steady_clock::now() - asked;
+    EXPECT_EQ(halt["axes"]["x"], "halted");
+    EXPECT_EQ(halt["axes"]["z"], "halted");
+    EXPECT_LE(took.count(), 0.5) << halt;
+    EXPECT_FALSE(control->anything_moves());
+    slowest_s = std::max(slowest_s, took.count());
+    page->wait_for_activity("idle");
+  }
+  fmt::print("5 stops: both axes were confirmed after {:.0f} ms at the latest\n", 1e3 * slowest_s);
+}
+
 TEST_F(KilledConsoleTest, AConsoleThatIsStoppedByItsServiceLeavesTheRunAlone) {
   start_emulator();
   start_console();

@@ -20,6 +20,13 @@ const USE_THE_SWITCH = t('use the switch on the stage');
 
 let dayViews = [];  // Of a day's work, each with receive(message) and offer(may, idle).
 
+// What comes many times a second changes the banner once for all of it.
+const OFTEN = new Set(['dwell', 'log', 'phase', 'stage', 'strip']);
+let showing = null;
+function showSoon() {
+  showing ??= setTimeout(() => { showing = null; show(); }, 50);
+}
+
 const link = new Link((message) => {
   if (message.type === 'you') {
     me = message.number;
@@ -46,7 +53,7 @@ const link = new Link((message) => {
   if (message.type === 'halt') showHalt(message);
   live.receive(message);
   for (const view of dayViews) view.receive(message);
-  show();
+  if (OFTEN.has(message.type)) showSoon(); else show();
 }, () => {
   if (!link.connected) { me = null; steering = {page: null}; }
   show();
@@ -86,7 +93,8 @@ function showState(state, contact) {
   const now = JSON.stringify([word, sentence, state.english, more, state.kind, state.icon]);
   const {measured, total} = live.progress ?? {};
   const count = total && canMove(live.activity) ? t`, ${measured} of ${total}` : '';
-  document.title = `${word}${contact ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
+  const title = `${word}${contact ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
+  if (document.title !== title) document.title = title;
   if (now === shown) return;
   shown = now;
   byId('banner').dataset.kind = state.kind;

@@ -7,7 +7,7 @@ const usable = (element) => element.isConnected && element.checkVisibility({visi
 
 function keep() {
   const now = document.activeElement, [last, ...outer] = around;
-  if (!last || usable(last) || (now !== document.body && now !== null && now !== last)) return;
+  if (!last || (now === last && !last.disabled) || usable(last) || (now !== document.body && now !== null && now !== last)) return;
   for (const place of outer) {
     const heir = place.isConnected && [...place.querySelectorAll(CONTROLS)].find(usable);
     if (heir) return heir.focus({preventScroll: true});

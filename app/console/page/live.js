@@ -1,11 +1,12 @@
 // The live view: shows what the messages say. Knows nothing that the server has not said.
 import {byId, degrees, duration, element, inEnglish, number, signed, small, table, DASH} from '/text.js';
 import {drawGimbal} from '/gimbal.js';
-import {OUTPUTS, plot, series} from '/plots.js';
+import {OUTPUTS, plot, pointRadius, series} from '/plots.js';
 import {PagedTable} from '/pages.js';
 import {angleIn, operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
 
+const REDRAWN_AFTER_MS = 100;
 const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 
 export class LiveView {
@@ -23,7 +24,8 @@ export class LiveView {
     this.makeTable();
     drawGimbal(0, 0);  // Until an angle is known; the table says that none is.
     // Drawn when the browser is ready, however fast messages come.
-    const frame = () => { this.draw(); requestAnimationFrame(frame); };
+    this.drawn = new Map();
+    const frame = (now) => { this.draw(now); requestAnimationFrame(frame); };
     requestAnimationFrame(frame);
     setInterval(() => this.countDown(), 1000);
   }
@@ -79,7 +81,7 @@ export class LiveView {
     this.interrupted = message.interrupted;
     byId('guard').replaceChildren(inEnglish(message.guard ?? ''));
     this.words();
-    this.dirty = new Set(['strip', 'table', 0, 1, 2]);
+    this.dirty = new Set(['strip', 'table', 'stage', 0, 1, 2]);
   }
 
   receive(message) {
@@ -183,8 +185,7 @@ export class LiveView {
     byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
     byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
     this.angles[axis] = seen.encoder_deg;
-    drawGimbal(this.angles.x ?? 0, this.angles.z ?? 0);
-    byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
+    this.dirty.add('stage');
   }
 
   log(line) {
@@ -202,9 +203,13 @@ export class LiveView {
       findings.map((f) => [inEnglish(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), inEnglish(f.found), inEnglish(f.advice)])));
   }
 
-  draw() {
-    if (this.dirty.size === 0) return;
-    if (this.dirty.has('strip')) {
+  // One part in a frame, each at most ten times a second: the page can be used however fast messages come.
+  draw(now) {
+    const part = [...this.dirty].find((name) => now - (this.drawn.get(name) ?? -Infinity) >= REDRAWN_AFTER_MS);
+    if (part === undefined) return;
+    this.dirty.delete(part);
+    this.drawn.set(part, now);
+    if (part === 'strip') {
       OUTPUTS.forEach((name, j) => {
         this.strip.data.datasets[j].data = this.stripData.map((group) => ({x: group.time_s, y: group.mean[j]}));
       });
@@ -216,9 +221,12 @@ export class LiveView {
         element('td', {}, last ? t`${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
       byId('temperature').textContent = last ? number(last.temperature_degc, 2, '°C') : DASH;
     }
-    for (const i of [0, 1, 2]) if (this.dirty.has(i)) this.drawExperiment(i);
-    if (this.dirty.has('table')) this.drawTable();
-    this.dirty.clear();
+    if (part === 'stage') {
+      drawGimbal(this.angles.x ?? 0, this.angles.z ?? 0);
+      byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
+    }
+    if (typeof part === 'number') this.drawExperiment(part);
+    if (part === 'table') this.drawTable();
   }
 
   fitted(fit, alphaDeg) {
@@ -231,6 +239,7 @@ export class LiveView {
     const dwells = [...this.dwells.values()].filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
     OUTPUTS.forEach((name, j) => {
       const fit = this.fits[i] ? this.fits[i][j] : null;
+      response.data.datasets[j].pointRadius = residual.data.datasets[j].pointRadius = pointRadius(dwells);
       response.data.datasets[j].data = dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j]}));
       response.data.datasets[3 + j].data = fit ? Array.from({length: 73}, (_, k) => ({x: 5 * k, y: this.fitted(fit, 5 * k)})) : [];
       residual.data.datasets[j].data = fit ? dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j] - this.fitted(fit, d.alpha_deg)})) : [];

@@ -17,14 +17,23 @@ readPalette();
 // Again, with the colours that the style sheet has now.
 export function repaint() {
   readPalette();
-  for (const chart of made) chart.update('none');
+  for (const chart of made) {
+    for (const set of chart.data.datasets) {
+      for (const [name, colour] of Object.entries(coloursOf(set.output))) if (typeof set[name] !== 'function') set[name] = colour;
+    }
+    chart.update('none');
+  }
 }
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
 
 // Functions, which Chart.js asks at each update.
 const dim = () => palette.dim;
 const line = () => palette.line;
-const of = (output) => () => palette[output] ?? palette.dim;
+// Of a dataset they are values: functions would be asked for each point.
+function coloursOf(output) {
+  const colour = palette[output] ?? palette.dim;
+  return {borderColor: colour, backgroundColor: colour, pointBackgroundColor: colour, pointBorderColor: colour};
+}
 
 function axis(words, more = {}) {
   return {...more, title: {display: words !== '', text: words, color: dim}, ticks: {...more.ticks, format: {useGrouping: false}, color: dim}, grid: {color: line}};
@@ -34,7 +43,7 @@ function axis(words, more = {}) {
 const LEFT = 78;  // px, if that is enough
 const aligned = (group) => ({afterFit: (scale) => { scale.width = group.width = Math.max(LEFT, group.width ?? 0, scale.width); }});
 
-// What stands for an output in the legend of points with their curve: marker and dashes.
+// What stands for an output in the legend of lines: its dashes, and its marker if it has one.
 function sample(item) {
   const picture = document.createElement('canvas'), brush = picture.getContext('2d');
   [picture.width, picture.height] = [34, 10];
@@ -46,11 +55,11 @@ function sample(item) {
   brush.lineTo(34, 5);
   brush.stroke();
   brush.setLineDash([]);
-  Chart.helpers.drawPoint(brush, {pointStyle: item.pointStyle, radius: 3.5, borderWidth: 1}, 17, 5);
+  if (item.pointStyle !== 'line') Chart.helpers.drawPoint(brush, {pointStyle: item.pointStyle, radius: 3.5, borderWidth: 1}, 17, 5);
   return picture;
 }
 const samples = (chart) => Chart.defaults.plugins.legend.labels.generateLabels(chart)
-  .map((item) => (typeof item.pointStyle === 'string' && item.pointStyle !== 'line' ? {...item, pointStyle: sample(item)} : item));
+  .map((item) => (OUTPUTS.includes(item.text) ? {...item, pointStyle: sample(item)} : item));
 
 // "4.0e−5" where Chart.js would write 4.000000E-5.
 function tick(value, index, ticks) {
@@ -69,7 +78,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = nul
       animation: false, responsive: true, maintainAspectRatio: false,
       interaction: {mode: 'nearest', intersect: false},
       scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && !linesOnly && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
   made.add(chart);
@@ -88,18 +97,18 @@ export function plot(canvas, {datasets, xRange = {}, ...words}) {
 }
 
 // Small where there are many.
-const pointRadius = (context) => (context.dataset.data.length > 40 ? 1.8 : 3);
+export const pointRadius = (points) => (points.length > 40 ? 1.8 : 3);
 
 // A line through points, or points alone.
 export function series(output, label, {line: joined = true, points = false} = {}) {
   const i = Math.max(0, OUTPUTS.indexOf(output));
-  return {label, data: [], borderColor: of(output), backgroundColor: of(output), pointBackgroundColor: of(output), pointBorderColor: of(output),
-    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? pointRadius : 0, pointStyle: points ? POINTS[i] : 'line', pointHitRadius: 8};
+  return {label, output, data: [], ...coloursOf(output),
+    borderWidth: joined ? 1.8 : 0, showLine: joined, borderDash: DASHES[i], pointRadius: points ? 3 : 0, pointStyle: points ? POINTS[i] : 'line', pointHitRadius: 8};
 }
 
 // Groups of bars, one colour an output.
 export function bars(canvas, {x = '', y, labels, sets}) {
-  const datasets = sets.map((set) => ({label: set.output, data: set.values, backgroundColor: of(set.output), pointStyle: POINTS[OUTPUTS.indexOf(set.output)]}));
+  const datasets = sets.map((set) => ({label: set.output, output: set.output, data: set.values, ...coloursOf(set.output), pointStyle: POINTS[OUTPUTS.indexOf(set.output)]}));
   return draw(canvas, 'bar', {labels, datasets}, {x, y, xRange: {type: 'category'}});
 }
 

@@ -72,7 +72,7 @@ step('shows a part of a plot, by keyboard and pointer, and no label is over anot
   }));
   assert.equal(plots.length, 7);
   for (const {room} of plots) assert.ok(room >= 0, JSON.stringify(plots));
-  assert.deepEqual(plots[1].samples, Array(3).fill('[object HTMLCanvasElement]'), 'markers with dashes');
+  for (const i of [0, 1, 3, 5]) assert.deepEqual(plots[i].samples.slice(0, 3), Array(3).fill('[object HTMLCanvasElement]'), 'dashes, and markers');
   const range = () => page.evaluate(() => { const {min, max} = Chart.getChart(document.querySelector('#responses canvas')).scales.x; return [min, max]; });
   const canvas = page.locator('#responses canvas').first();
   await canvas.press('+');
