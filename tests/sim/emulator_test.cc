@@ -21,6 +21,7 @@
 
 #include "sim/firmware/faulty_port.h"
 #include "sim/firmware/mip_firmware.h"
+#include "sim/firmware/newport_xps_firmware.h"
 #include "sim/firmware/pi_gcs_firmware.h"
 
 namespace abcal::sim {
@@ -204,6 +205,29 @@ TEST_F(EmulatorTest, TcpServesOneClientAtATime) {
   EXPECT_EQ(second.receive(1), "");
   EXPECT_TRUE(second.hung_up);
   EXPECT_EQ(first.ask("CSV?\n", 4), kVersion);
+}
+
+TEST_F(EmulatorTest, SeveralClientsOfOneInstrumentThatServesThem) {
+  serve({{std::make_shared<NewportXpsFirmware>(std::make_shared<SimBench>(BenchTruth(), clock.now())),
+          TcpPort{}}});
+  const std::string address = emulator->addresses()[0];
+  Client motion = Client::tcp(address);
+  EXPECT_EQ(motion.ask("GroupInitialize(Group1)", 11), "0,,EndOfAPI");
+  Client status = Client::tcp(address);
+  // The search blocks its own connection until it has ended, 0.2 s later.
+  motion.send("GroupHomeSearch(Group1)");
+  while (status.ask("GroupStatusGet(Group1,int *)", 13) != "0,43,EndOfAPI") {
+  }
+  EXPECT_EQ(motion.receive(11), "0,,EndOfAPI");
+  EXPECT_EQ(status.ask("GroupStatusGet(Group1,int *)", 13), "0,11,EndOfAPI");
+  // More than may be there at a time, one after the other.
+  for (int n = 0; n < 150; ++n)
+    EXPECT_EQ(Client::tcp(address).ask("GroupStatusGet(Group1,int *)", 13), "0,11,EndOfAPI") << n;
+  // The first one leaves; the others stay, and a new one is served.
+  motion.close();
+  EXPECT_EQ(status.ask("GroupStatusGet(Group1,int *)", 13), "0,11,EndOfAPI");
+  EXPECT_EQ(Client::tcp(address).ask("GroupStatusGet(Group1,int *)", 13), "0,11,EndOfAPI");
+  EXPECT_EQ(emulator->addresses(), std::vector<std::string>{address});
 }
 
 // "MOV 1 1" and a broken connection must not become "MOV 1 120" with the next client's bytes.
