@@ -100,7 +100,8 @@ struct ServedBench {
       last_ns = ns;
       offsets_s.push_back(now_s - static_cast<double>(ns) * 1e-9 / speed);
     }
-    input.erase(0, std::min(at, input.size()));
+    // The beginning of a packet may be at the end.
+    input.erase(0, at != std::string::npos ? at : input.size() - std::min<std::size_t>(input.size(), 2));
   }
   void take_answer() {
     std::string bytes;
