@@ -332,7 +332,10 @@ void Emulator::Loop::read_from(Port& port) {
 void Emulator::Loop::take(Port& port, std::string_view bytes) {
   pump(port);  // what was put out before these bytes came
   if (const auto speed = port.line_speed()) {
-    port.to_device.send(bytes, terminal_speed(port.slave.get()).value_or(*speed), speed, clock.now());
+    const unsigned sent = terminal_speed(port.slave.get()).value_or(*speed);
+    // Framing errors: the device's UART drops such bytes, so that a host that tries several speeds does not
+    // leave noise before its first command [unverified against a device].
+    if (SerialLine::fits(sent, *speed)) port.to_device.send(bytes, sent, speed, clock.now());
   } else {
     port.firmware->receive(bytes, clock.now());
   }

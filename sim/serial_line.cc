@@ -26,13 +26,17 @@ Clock::Instant SerialLine::Piece::time_of(std::size_t count) const {
   return start + from_seconds(static_cast<double>(count) / bytes_per_s);
 }
 
+bool SerialLine::fits(unsigned sent, unsigned read) {
+  return std::abs(static_cast<double>(read) / sent - 1.0) <= kBearableMismatch;
+}
+
 void SerialLine::send(std::string_view bytes, unsigned speed, std::optional<unsigned> read_at,
                       Clock::Instant now) {
   if (bytes.empty()) return;
   const double lasts_s = kBitsPerByte * static_cast<double>(bytes.size()) / speed;
   Piece piece{std::max(now, free_at_), static_cast<double>(bytes.size()) / lasts_s, std::string(bytes)};
   const double ratio = read_at ? static_cast<double>(*read_at) / speed : 1.0;
-  if (std::abs(ratio - 1.0) > kBearableMismatch) {
+  if (!fits(speed, read_at.value_or(speed))) {
     const double count = std::ceil(static_cast<double>(bytes.size()) * std::min(ratio, kMostNoise));
     piece.bytes.assign(static_cast<std::size_t>(count), '\0');
     // The high bit: stop bits and data bits run into each other.

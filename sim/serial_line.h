@@ -18,6 +18,9 @@ class SerialLine {
   /// Bytes at a time.
   static constexpr std::size_t kFifo = 16;
 
+  /// Whether bytes sent at one speed can be read at the other.
+  static bool fits(unsigned sent, unsigned read);
+
   /// `bytes` are sent behind what is under way, at `speed` Bd. `read_at`: the speed of the other end;
   /// nothing: the same.
   void send(std::string_view bytes, unsigned speed, std::optional<unsigned> read_at, Clock::Instant now);

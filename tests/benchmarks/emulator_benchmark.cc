@@ -1,0 +1,213 @@
+// Eight benches at once: eight `abcal emulate` in processes of their own, each with a stage that is asked for
+// its position 20 times a second and an accelerometer that streams at 100 Hz times the speed, over
+// pseudo-terminals with real lines. A sample is late by its arrival minus its own time stamp, counted from
+// the earliest one.
+
+#include <benchmark/benchmark.h>
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <poll.h>
+#include <sys/resource.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "tests/support/program.h"
+#include "tests/support/temporary_folder.h"
+
+namespace {
+
+using namespace abcal;
+using namespace std::chrono_literals;
+using std::chrono::steady_clock;
+
+constexpr int kBenches = 8;
+constexpr auto kListened = 60s;
+constexpr auto kAskedEvery = 50ms;
+constexpr double kLateMs = 10.0;
+// Header, acceleration, reference time, checksum.
+constexpr std::size_t kPacket = 30;
+constexpr std::size_t kTimeAt = 20;
+
+double seconds_between(steady_clock::time_point from, steady_clock::time_point to) {
+  return std::chrono::duration<double>(to - from).count();
+}
+
+double cpu_of_children_s() {
+  rusage usage{};
+  ::getrusage(RUSAGE_CHILDREN, &usage);
+  const auto seconds = [](const timeval& t) {
+    return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
+  };
+  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
+}
+
+/// A pseudo-terminal at 115200 Bd.
+class Terminal {
+ public:
+  explicit Terminal(const std::filesystem::path& path)
+      : fd_(::open(path.c_str(), O_RDWR | O_NOCTTY | O_NONBLOCK)) {
+    termios settings{};
+    ::tcgetattr(fd_, &settings);
+    ::cfmakeraw(&settings);
+    ::cfsetspeed(&settings, B115200);
+    ::tcsetattr(fd_, TCSANOW, &settings);
+  }
+  Terminal(const Terminal&) = delete;
+  Terminal& operator=(const Terminal&) = delete;
+  ~Terminal() { ::close(fd_); }
+
+  int fd() const { return fd_; }
+  void read_into(std::string& bytes) const {
+    std::array<char, 4096> buffer{};
+    for (ssize_t size; (size = ::read(fd_, buffer.data(), buffer.size())) > 0;)
+      bytes.append(buffer.data(), static_cast<std::size_t>(size));
+  }
+  void write(std::string_view bytes) const {
+    if (::write(fd_, bytes.data(), bytes.size()) < 0) throw std::runtime_error("cannot write to a stage");
+  }
+
+ private:
+  int fd_;
+};
+
+struct ServedBench {
+  std::unique_ptr<test::Program> program;
+  std::unique_ptr<Terminal> stage, accelerometer;
+  std::string input;
+  std::vector<double> offsets_s;  ///< Arrival minus time stamp of each packet.
+  std::size_t lost = 0;
+  std::uint64_t last_ns = 0;
+  bool asked = false;
+  steady_clock::time_point asked_at;
+  std::vector<double> answers_ms;
+
+  void take_packets(steady_clock::time_point start, double speed) {
+    accelerometer->read_into(input);
+    const double now_s = seconds_between(start, steady_clock::now());
+    std::size_t at = 0;
+    for (; (at = input.find("\x75\x65\x80", at)) != std::string::npos && at + kPacket <= input.size();
+         at += kPacket) {
+      std::uint64_t ns = 0;
+      for (std::size_t n = 0; n < 8; ++n) ns = ns << 8U | static_cast<unsigned char>(input[at + kTimeAt + n]);
+      if (last_ns != 0) lost += static_cast<std::size_t>((ns - last_ns + 5'000'000) / 10'000'000) - 1;
+      last_ns = ns;
+      offsets_s.push_back(now_s - static_cast<double>(ns) * 1e-9 / speed);
+    }
+    // The beginning of a packet may be at the end.
+    input.erase(0, at != std::string::npos ? at : input.size() - std::min<std::size_t>(input.size(), 2));
+  }
+  void take_answer() {
+    std::string bytes;
+    stage->read_into(bytes);
+    if (bytes.find('\n') == std::string::npos) return;
+    asked = false;
+    answers_ms.push_back(1e3 * seconds_between(asked_at, steady_clock::now()));
+  }
+  void ask() {
+    if (asked) return;
+    asked = true;
+    asked_at = steady_clock::now();
+    stage->write("POS? 1\n");
+  }
+};
+
+double quantile(std::vector<double> values, double p) {
+  if (values.empty()) return 0.0;
+  std::sort(values.begin(), values.end());
+  return values[static_cast<std::size_t>(p * static_cast<double>(values.size() - 1))];
+}
+
+std::unique_ptr<ServedBench> serve(const test::TemporaryFolder& folder, int number, double speed) {
+  const std::string name = fmt::format("bench-{}", number);
+  test::write_file(folder / (name + ".toml"),
+                   "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"pi_gcs\"\nport = \"simulated\"\n"
+                   "[accelerometer]\ndriver = \"microstrain_mip\"\nport = \"simulated\"\n"
+                   "[emulator]\nat_power_on = \"streaming\"\n[simulation]\nnoise = 1e-4\n");
+  auto bench = std::make_unique<ServedBench>();
+  bench->program =
+      std::make_unique<test::Program>(std::vector<std::string>{"emulate", name + ".toml", "--link-dir", name,
+                                                               "--speed", fmt::format("{}", speed)},
+                                      folder.path());
+  if (!test::wait_for([&] { return std::filesystem::exists(folder / name / "accelerometer"); }, 60s))
+    throw std::runtime_error(bench->program->err());
+  bench->stage = std::make_unique<Terminal>(folder / name / "stage");
+  bench->accelerometer = std::make_unique<Terminal>(folder / name / "accelerometer");
+  return bench;
+}
+
+void listen(std::vector<std::unique_ptr<ServedBench>>& benches, double speed) {
+  std::vector<pollfd> polled;
+  for (const auto& bench : benches) {
+    polled.push_back({bench->accelerometer->fd(), POLLIN, 0});
+    polled.push_back({bench->stage->fd(), POLLIN, 0});
+  }
+  const auto start = steady_clock::now();
+  auto next_question = start;
+  while (steady_clock::now() - start < kListened) {
+    ::poll(polled.data(), polled.size(), 10);
+    for (std::size_t n = 0; n < benches.size(); ++n) {
+      if (polled[2 * n].revents != 0) benches[n]->take_packets(start, speed);
+      if (polled[2 * n + 1].revents != 0) benches[n]->take_answer();
+    }
+    if (steady_clock::now() < next_question) continue;
+    for (const auto& bench : benches) bench->ask();
+    next_question += kAskedEvery;
+  }
+}
+
+void BM_EightBenches(benchmark::State& state) {
+  const double speed = static_cast<double>(state.range(0)) / 10.0;
+  for (auto _ : state) {
+    const test::TemporaryFolder folder;
+    std::vector<std::unique_ptr<ServedBench>> benches;
+    for (int n = 0; n < kBenches; ++n) benches.push_back(serve(folder, n, speed));
+    listen(benches, speed);
+    const double cpu_before_s = cpu_of_children_s();
+    std::vector<double> late_ms;
+    std::vector<double> answers_ms;
+    std::size_t lost = 0;
+    for (const auto& bench : benches) {
+      bench->program->signal(SIGINT);
+      bench->program->wait();
+      // Those of the first second lay in the terminal before it was listened to.
+      const auto skipped = std::min(bench->offsets_s.size(), static_cast<std::size_t>(100.0 * speed) + 1);
+      bench->offsets_s.erase(bench->offsets_s.begin(),
+                             bench->offsets_s.begin() + static_cast<std::ptrdiff_t>(skipped));
+      const double earliest = quantile(bench->offsets_s, 0.0);
+      for (const double offset : bench->offsets_s) late_ms.push_back(1e3 * (offset - earliest));
+      answers_ms.insert(answers_ms.end(), bench->answers_ms.begin(), bench->answers_ms.end());
+      lost += bench->lost;
+    }
+    const double listened_s = std::chrono::duration<double>(kListened).count();
+    state.counters["samples"] = static_cast<double>(late_ms.size());
+    state.counters["samples_per_s"] = static_cast<double>(late_ms.size()) / listened_s / kBenches;
+    state.counters["lost"] = static_cast<double>(lost);
+    state.counters["late_p50_ms"] = quantile(late_ms, 0.5);
+    state.counters["late_p999_ms"] = quantile(late_ms, 0.999);
+    state.counters["late_max_ms"] = quantile(late_ms, 1.0);  // Required: below 10 ms at speed 1.
+    state.counters["beyond_10ms"] =
+        static_cast<double>(std::ranges::count_if(late_ms, [](double ms) { return ms > kLateMs; }));
+    state.counters["answer_p50_ms"] = quantile(answers_ms, 0.5);
+    state.counters["answer_max_ms"] = quantile(answers_ms, 1.0);
+    // Of all eight, with their start.
+    state.counters["cpu_percent"] = 100.0 * (cpu_of_children_s() - cpu_before_s) / listened_s;
+  }
+}
+BENCHMARK(BM_EightBenches)
+    ->ArgName("tenths_of_real_speed")
+    ->Arg(1)
+    ->Arg(10)
+    ->Arg(200)
+    ->Iterations(1)
+    ->Unit(benchmark::kSecond);
+
+}  // namespace
+
+BENCHMARK_MAIN();
