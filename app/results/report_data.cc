@@ -14,6 +14,15 @@
 #include "protocol/record/sha256.h"
 
 namespace abcal {
+namespace {
+
+/// Its calibration must hold (traceability), but no effect of the table stands for its uncertainty.
+bool measured_by_voltmeter(const ReportData& data) {
+  return data.record.response_unit.ends_with("V") ||
+         (data.bench && data.bench->accelerometer.driver.starts_with("scpi_"));
+}
+
+}  // namespace
 std::string ReportData::label(const std::string& key) const {
   return run ? label_of(run->header.labels, key) : std::string();
 }
@@ -97,8 +106,11 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
       data.integrity.push_back(std::move(check));
   }
   if (const CalibrationResult& result = data.result();
-      result.verdict != Verdict::kNotUsable && result.sensitivity_matrix)
+      result.verdict != Verdict::kNotUsable && result.sensitivity_matrix) {
     data.budget = make_budget(data.record, result);
+    if (measured_by_voltmeter(data))
+      data.budget->not_covered.emplace_back("gain and offset of the voltmeter");
+  }
   return data;
 }
 
