@@ -46,8 +46,11 @@ struct StageConfig {
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }
-  /// Of two controllers: in a daisy chain, both on one port.
-  bool chained() const { return split() && x.port == z.port && x.port != "simulated"; }
+  /// Of two controllers: in a daisy chain, both on one port. TCP port 0, any free one, is another one each
+  /// time.
+  bool chained() const {
+    return split() && x.port == z.port && x.port != "simulated" && !x.port.ends_with(":0");
+  }
 
   StageConfig() {
     x.axis = "1";

@@ -187,10 +187,10 @@ std::shared_ptr<sim::Firmware> text_line_firmware(const BenchConfig& config, con
   return std::make_shared<sim::TextLineFirmware>(std::move(world), settings);
 }
 
-std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config, const InstrumentPort&,
+std::shared_ptr<sim::Firmware> witmotion_firmware(const BenchConfig& config, const InstrumentPort& port,
                                                   std::shared_ptr<sim::SimBench> world) {
   sim::WitMotionSettings settings;
-  if (config.accelerometer.baud) settings.baud = static_cast<unsigned>(*config.accelerometer.baud);
+  settings.baud = line_baud(port).value_or(settings.baud);
   constexpr unsigned kNoOutput = 0x0D;
   if (config.emulator.at_power_on == "silent") settings.rate_code = kNoOutput;
   return std::make_shared<sim::WitMotionFirmware>(std::move(world), settings);

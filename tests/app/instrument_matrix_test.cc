@@ -59,7 +59,8 @@ TEST_P(WiredInstruments, CalibrateToWithinFourStandardUncertainties) {
   const AccelerometerCase& accelerometer = named(accelerometers(), GetParam().accelerometer);
   // Served on a free port that is not known before: two bench files, for the emulator and for the run.
   const std::string any = GetParam().tcp ? "tcp:127.0.0.1:0" : "links/none";
-  test::write_file(folder / "emulated.toml", bench_text(stage, accelerometer, any, any, any, any));
+  test::write_file(folder / "emulated.toml",
+                   bench_text(stage, accelerometer, any, any, GetParam().tcp ? any : "links/another", any));
   test::Program emulator({"emulate", "emulated.toml", "--link-dir", "links"}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return emulator.out().find("Serving") != std::string::npos; },
                              std::chrono::seconds(20)))
