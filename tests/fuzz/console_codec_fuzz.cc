@@ -38,7 +38,11 @@ struct Write {
     if (c.with_motion) json["confirmed"] = true;
     return json;
   }
-  Json operator()(const StartRun&) const { return {{"do", "start"}, {"confirmed", true}}; }
+  Json operator()(const StartRun& s) const {
+    Json json = with_choice("start", s.choice);
+    json["confirmed"] = true;
+    return json;
+  }
   Json operator()(const HoldRun&) const { return {{"do", "hold"}}; }
   Json operator()(const ContinueRun&) const { return {{"do", "continue"}, {"confirmed", true}}; }
   Json operator()(const Stop&) const { return {{"do", "stop"}}; }
@@ -57,12 +61,45 @@ struct Write {
     require(n.text.find('\n') == std::string::npos, "a note of several lines");
     return {{"do", "note"}, {"text", n.text}};
   }
+  Json operator()(const Level&) const { return {{"do", "level"}, {"confirmed", true}}; }
+  Json operator()(const Probe&) const { return {{"do", "probe"}}; }
+  Json operator()(const QueueAdd& q) const {
+    require(q.choice.item.has_value(), "an entry of the queue without an item");
+    Json json = with_choice("queue_add", q.choice);
+    json["runs"] = q.runs;
+    return json;
+  }
+  Json operator()(const QueueMove& q) const {
+    return {{"do", "queue_move"}, {"entry", q.entry}, {"by", q.by}};
+  }
+  Json operator()(const QueueRemove& q) const { return {{"do", "queue_remove"}, {"entry", q.entry}}; }
+  Json operator()(const QueueRepeat& q) const { return {{"do", "queue_repeat"}, {"entry", q.entry}}; }
+  Json operator()(const QueuePause& q) const { return {{"do", "queue_pause"}, {"go_on", !q.paused}}; }
+  Json operator()(const QueueMounted& q) const { return {{"do", "queue_mounted"}, {"entry", q.entry}}; }
+  Json operator()(const QueueStart& q) const {
+    return {{"do", "queue_start"}, {"entry", q.entry}, {"confirmed", true}};
+  }
+  Json operator()(const QueueCommand& command) const { return std::visit(*this, command); }
+
+ private:
+  static Json with_choice(const char* what, const RunChoice& choice) {
+    if (choice.item) {
+      require(!choice.item->serial_number.empty(), "an item without a serial number");
+      require(choice.item->serial_number.size() <= kLongestItemText, "a serial number too long");
+    }
+    Json json = to_json(choice);
+    json["do"] = what;
+    return json;
+  }
 };
 
 bool moves(const Command& command) {
   if (const auto* check = std::get_if<CheckBench>(&command)) return check->with_motion;
+  if (const auto* queue = std::get_if<QueueCommand>(&command))
+    return std::holds_alternative<QueueStart>(*queue);
   return std::holds_alternative<StartRun>(command) || std::holds_alternative<ContinueRun>(command) ||
-         std::holds_alternative<ResumeRun>(command) || std::holds_alternative<Jog>(command);
+         std::holds_alternative<ResumeRun>(command) || std::holds_alternative<Jog>(command) ||
+         std::holds_alternative<Level>(command);
 }
 
 }  // namespace
