@@ -60,9 +60,7 @@ step('a form that another page has overtaken starts nothing', async (page) => {
   await page.locator('#do-start:enabled').click();
   await page.locator(yes).waitFor();
   assert.match(await text('#start-notices'), /was interrupted/);
-  const context = await served.browser.newContext();
-  await context.addCookies(await page.context().cookies());
-  const other = served.watch(await context.newPage());
+  const other = await served.newPage();  // Of the same person.
   await other.goto(served.address);
   await other.getByRole('button', {name: 'Take control from the other page'}).click();
   await other.locator('#confirm-yes').click();
