@@ -45,7 +45,7 @@ const STATES = {
   usable: (element) => element.checkVisibility({visibilityProperty: true}) && !element.matches(':disabled'),
   reachable: (element) => {
     element.scrollIntoView({block: 'center', behavior: 'instant'});
-    const {x, y, width, height} = element.getBoundingClientRect();
+    const {x, y, width, height} = element.getClientRects()[0];  // Of its first line.
     return element.contains(document.elementFromPoint(x + width / 2, y + height / 2));
   },
 };

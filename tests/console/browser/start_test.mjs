@@ -65,6 +65,7 @@ step('a form that another page has overtaken starts nothing', async (page) => {
   await other.getByRole('button', {name: 'Take control from the other page'}).click();
   await other.locator('#confirm-yes').click();
   await page.getByText(/This page no longer has control/).waitFor();
+  await page.front();
   await confirmDialog();
   await page.getByText('Start: refused: this page only watches; take control first').waitFor();
   await other.close();
