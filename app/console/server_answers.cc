@@ -137,6 +137,7 @@ HttpResponse Server::Impl::answer(const Asked& asked, Slow& later) {
     later.head = head_of(request);
     return {};
   }
+  later = {};  // Of what was not found nothing is made.
   return refuse(asked, http::status::not_found, "There is no such page.");
 }
 

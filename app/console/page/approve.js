@@ -1,17 +1,17 @@
 // The certificate of a run: what was issued, and the approval. Whoever approves proves it with a password, here and now.
-import {element, DASH} from '/text.js';
+import {element, inEnglish, DASH} from '/text.js';
+import {t} from '/language.js';
 
 const TEXT = {
-  title: 'Certificate', none: 'No certificate has been issued for this run.', reading: 'Reading',
-  issued: 'issued', approvedBy: 'approved by', replaces: 'replaces', measuredBy: 'Measured by', fourEyes: 'Whoever measured cannot approve.',
-  approver: 'Approved by (a person who may approve)', password: 'Password of this person', reason: 'Why the certificate is amended',
-  seen: 'I have looked at the result, its checks and its pictures, and approve it.', approve: 'Approve and issue', amend: 'Approve and replace it',
-  busy: 'The certificate is being made', done: 'Issued', training: 'TRAINING: it certifies nothing.', amended: 'Amend it',
+  title: t('Certificate'), none: t('No certificate has been issued for this run.'), reading: t('Reading what was issued'),
+  fourEyes: t('Whoever measured cannot approve.'),
+  approver: t('Approved by (a person who may approve)'), password: t('Password of this person'), reason: t('Why the certificate is amended'),
+  seen: t('I have looked at the result, its checks and its pictures, and approve it.'), approve: t('Approve and issue'), amend: t('Approve and replace it'),
+  busy: t('The certificate is being made'), training: t('TRAINING: it certifies nothing.'), amended: t('Amend it'),
 };
 
 const encoded = (name) => encodeURIComponent(name);
-const line = (certificate) => `${certificate.number}, ${TEXT.issued} ${certificate.date}, ${TEXT.approvedBy} ${certificate.approved_by}`
-  + (certificate.replaces ? `; ${TEXT.replaces} ${certificate.replaces}: ${certificate.reason}` : '');
+const line = ({number, date, approved_by: approver, replaces, reason}) => t`${number}, issued ${date}, approved by ${approver}` + (replaces ? t`; replaces ${replaces}: ${reason}` : '');
 
 // A card that fills itself; `changed` is called when a certificate was issued.
 export function certificateCard(run, changed) {
@@ -28,11 +28,11 @@ async function fill(run, body, changed) {
     if (!response.ok) throw new Error((await response.text()).trim());
     state = await response.json();
   } catch (error) {
-    return body.replaceChildren(problem(String(error.message || error)));
+    return body.replaceChildren(problem(inEnglish(error.message || error)));
   }
   const {certificates} = state;
   const list = certificates.length ? element('ul', {}, ...certificates.map((one) => element('li', {}, line(one)))) : element('p', {}, TEXT.none);
-  if (state.why_not) return body.replaceChildren(list, element('p', {}, state.why_not));
+  if (state.why_not) return body.replaceChildren(list, element('p', {}, inEnglish(state.why_not)));
   const form = approvalForm(run, state, changed);
   body.replaceChildren(list, ...(certificates.length ? [element('details', {}, element('summary', {}, TEXT.amended), form)] : [form]));
 }
@@ -44,8 +44,8 @@ function approvalForm(run, state, changed) {
   const approver = input('name'), password = input('password', {type: 'password'}), reason = input('reason'), seen = input('seen', {type: 'checkbox'});
   approver.value = state.measured_by.split(', ').includes(state.person) ? '' : state.person;
   const button = element('button', {class: 'go'}, last ? TEXT.amend : TEXT.approve), said = element('p', {id: 'approve-said', role: 'status'});
-  const form = element('form', {id: 'approve-form'},
-    element('p', {}, `${TEXT.measuredBy} ${state.measured_by || DASH}. ${TEXT.fourEyes}`),
+  const form = element('form', {id: 'approve-form', class: 'no-print'},
+    element('p', {}, t`Measured by ${state.measured_by || DASH}. `, TEXT.fourEyes),
     element('div', {class: 'pair'}, labelled(TEXT.approver, approver), labelled(TEXT.password, password), ...(last ? [labelled(TEXT.reason, reason)] : [])),
     element('label', {class: 'check'}, seen, element('span', {}, TEXT.seen)), button, said);
   form.addEventListener('submit', async (event) => {
@@ -61,11 +61,11 @@ function approvalForm(run, state, changed) {
       const response = await fetch('/approve', {method: 'POST', body: new URLSearchParams(fields)});
       if (!response.ok) throw new Error((await response.text()).trim());
       const issued = await response.json();
-      said.textContent = `${TEXT.done}: ${issued.number}. ${issued.training ? TEXT.training : ''} ${issued.warnings.join(' ')}`;
+      said.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', inEnglish(issued.warnings.join(' ')));
       changed();
     } catch (error) {
       said.className = 'grade-problem';
-      said.textContent = String(error.message || error);
+      said.replaceChildren(inEnglish(error.message || error));
       button.disabled = false;
     }
   });

@@ -1,14 +1,15 @@
 // What is done at a bench beside runs: check without motion, levelling, and who answers on the ports.
-import {byId, element, table, DASH} from '/text.js';
+import {byId, element, inEnglish, table, DASH} from '/text.js';
+import {t} from '/language.js';
 
-// Everything that people read here.
+// What people read here and that has no values in it.
 const TEXT = {
-  check: 'Check without motion', level: 'Level', probe: 'Ask the ports',
-  levelTitle: 'Level the stage?', levelText: 'The Z axis makes a whole turn with X at zero, then both axes go to four positions. The tilt of Z and the zero of X are stored in the run folder.', levelYes: 'Level, and turn the stage',
-  probeTitle: 'Ask every free port who answers?', probeText: 'Nothing moves and no setting is stored. Instruments that send by themselves may be stopped until they are opened again.', probeYes: 'Ask the ports',
-  levelled: 'The last levelling', stored: 'Stored in', use: 'Under [stage] of the bench file this gives it to the joint estimator:', notLevelled: 'Not levelled from this console yet.',
-  ports: 'Ports of this computer', heading: ['Port', 'Who answers', 'As a bench file names it', 'Description', 'State'], noPorts: 'There are no serial ports.', notAsked: 'Not asked yet.',
-  free: 'free', notPermitted: 'not permitted for the user of the console', held: 'in use by', jog: 'Jogging is on the view Live.',
+  check: t('Check without motion'), level: t('Level'), probe: t('Ask the ports'),
+  levelTitle: t('Level the stage?'), levelText: t('The Z axis makes a whole turn with X at zero, then both axes go to four positions. The tilt of Z and the zero of X are stored in the run folder.'), levelYes: t('Level, and turn the stage'),
+  probeTitle: t('Ask every free port who answers?'), probeText: t('Nothing moves and no setting is stored. Instruments that send by themselves may be stopped until they are opened again.'), probeYes: t('Ask the ports'),
+  levelled: t('The last levelling'), notLevelled: t('Not levelled from this console yet.'),
+  ports: t('Ports of this computer'), heading: [t('Port'), t('Who answers'), t('As a bench file names it'), t('Description'), t('State')], noPorts: t('There are no serial ports.'), notAsked: t('Not asked yet.'),
+  free: t('free'), notPermitted: t('not permitted for the user of the console'), jog: t('Jogging is on the view Live.'),
 };
 
 export class BenchView {
@@ -46,13 +47,13 @@ export class BenchView {
   }
 
   showLevelling({file, words}) {
-    this.levelling.replaceChildren(element('ul', {}, ...words.split('; ').map((line) => element('li', {}, line))),
-      element('p', {}, `${TEXT.stored} ${file}. ${TEXT.use} `, element('code', {}, `level_file = "${file}"`)));
+    this.levelling.replaceChildren(element('ul', {}, ...words.split('; ').map((line) => element('li', {lang: 'en'}, line))),
+      element('p', {}, t`Stored in ${file}. Under [stage] of the bench file this gives it to the joint estimator: `, element('code', {}, `level_file = "${file}"`)));
   }
 
   showPorts({ports}) {
     if (!ports.length) return this.ports.replaceChildren(TEXT.noPorts);
-    const state = (port) => (port.holder ? `${TEXT.held} ${port.holder}` : port.permitted ? TEXT.free : TEXT.notPermitted);
-    this.ports.replaceChildren(table(TEXT.ports, TEXT.heading, ports.map((port) => [port.path, port.found || DASH, port.usb ? `port = "${port.usb}"` : '', port.description || DASH, state(port)])));
+    const state = (port) => (port.holder ? t`in use by ${port.holder}` : port.permitted ? TEXT.free : TEXT.notPermitted);
+    this.ports.replaceChildren(table(TEXT.ports, TEXT.heading, ports.map((port) => [port.path, port.found ? inEnglish(port.found) : DASH, port.usb ? `port = "${port.usb}"` : '', port.description || DASH, state(port)])));
   }
 }

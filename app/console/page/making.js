@@ -1,7 +1,8 @@
 // What takes seconds at the console: asked for with a word on what is done and a button that ends it, at the console too.
-import {element} from '/text.js';
+import {element, inEnglish} from '/text.js';
+import {t} from '/language.js';
 
-const TEXT = {cancel: 'Cancel', cancelled: 'Cancelled.', printing: 'The PDF is being made.', answered: 'the console answered'};
+const TEXT = {cancel: t('Cancel'), cancelled: t('Cancelled.'), printing: t('The PDF is being made.')};
 
 let ofView = null;  // What the view waits for; another view ends it.
 
@@ -17,7 +18,7 @@ async function ask(path, holder, words, read, ends) {
   holder.replaceChildren(element('p', {role: 'status'}, words), cancel);
   try {
     const response = await fetch(path, {signal: ends.signal});
-    if (!response.ok) throw new Error((await response.text()).trim() || `${TEXT.answered} ${response.status}`);
+    if (!response.ok) throw new Error((await response.text()).trim() || t`the console answered ${response.status}`);
     return await read(response);
   } catch (error) {
     if (ends.signal.aborted) return null;
@@ -46,7 +47,7 @@ export function savesPatiently(link, holder) {
       setTimeout(() => URL.revokeObjectURL(saved.href), 60_000);
       holder.replaceChildren();
     } catch (error) {
-      holder.replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, String(error.message || error)));
+      holder.replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, inEnglish(error.message || error)));
     } finally {
       link.removeAttribute('aria-disabled');
     }

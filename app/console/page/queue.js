@@ -1,21 +1,23 @@
 // The queue of items and plans: add, reorder, repeat, remove, pause; between two items the next one is mounted and checked.
 // Nothing here starts by itself but a further run of the item that stays mounted.
-import {byId, element, table, DASH} from '/text.js';
+import {byId, element, inEnglish, table, DASH} from '/text.js';
+import {t} from '/language.js';
 import {StartForm} from '/start.js';
 
-// Everything that people read here.
+// What people read here and that has no values in it.
 const TEXT = {
-  title: 'Queue', add: 'Add an item', goOn: 'Let the queue go on', pause: 'Pause the queue', paused: 'The queue is paused: nothing of it is asked for or started.',
-  goes: 'The queue goes on. Nothing moves to the next item until a person confirms.', empty: 'The queue is empty.', nothingLeft: 'All that was in the queue is done.',
-  mount: 'Mount', check: 'It is mounted: check it', start: 'Start', again: 'Check it again', next: 'Next',
-  checkFirst: 'Its identity is asked, and it is read at rest where the stage stands. Nothing moves.', passed: 'Nothing speaks against starting.', failed: 'It cannot be started.',
-  up: 'Up', down: 'Down', repeat: 'Once more', remove: 'Remove', waits: 'waits', now: 'is measured', done: 'done', runs: 'Runs',
-  caption: 'Items in the order in which they are measured', addTitle: 'Add to the queue?', addText: 'Nothing moves now.', addYes: 'Add', resumeHint: 'resume it in the list of runs, or let the queue go on: then it begins anew',
-  startTitle: (item) => `Start ${item}?`, startYes: 'Start, and turn the stage', moves: 'The stage moves through all three experiments.',
-  heading: ['Item', 'Model', 'Plan', 'Runs', 'State', 'Change'], plan: ({steps, dwell_readings: readings, estimator}) => [steps && `3 x ${steps} angles`, readings && `${readings} readings`, estimator].filter(Boolean).join(', ') || 'as the bench file',
-  live: 'The queue asks for an item to be mounted:', open: 'Open the queue', grades: ['Check', 'Grade', 'Found', 'Advice'], findings: 'What was found of the item',
+  title: t('Queue'), add: t('Add an item'), goOn: t('Let the queue go on'), pause: t('Pause the queue'), paused: t('The queue is paused: nothing of it is asked for or started.'),
+  goes: t('The queue goes on. Nothing moves to the next item until a person confirms.'), empty: t('The queue is empty.'), nothingLeft: t('All that was in the queue is done.'),
+  check: t('It is mounted: check it'), start: t('Start'), again: t('Check it again'), next: t('Next'),
+  checkFirst: t('Its identity is asked, and it is read at rest where the stage stands. Nothing moves.'), passed: t('Nothing speaks against starting.'), failed: t('It cannot be started.'),
+  up: t('Up'), down: t('Down'), repeat: t('Once more'), remove: t('Remove'), waits: t('waits'), now: t('is measured'), done: t('done'),
+  caption: t('Items in the order in which they are measured'), addTitle: t('Add to the queue?'), addText: t('Nothing moves now.'), addYes: t('Add'), resumeHint: t('resume it in the list of runs, or let the queue go on: then it begins anew'),
+  startYes: t('Start, and turn the stage'),
+  heading: [t('Item'), t('Model'), t('Plan'), t('Runs'), t('State'), t('Change')], asBench: t('as the bench file'),
+  open: t('Open the queue'), grades: [t('Check'), t('Grade'), t('Found'), t('Advice')], findings: t('What was found of the item'),
 };
 
+const planWords = ({steps, dwell_readings: readings, estimator}) => [steps && t`3 x ${steps} angles`, readings && t`${readings} readings`, estimator].filter(Boolean).join(', ') || TEXT.asBench;
 const itemWords = ({maker, model, serial_number: serial, customer_number: number}) => [serial, [maker, model].filter(Boolean).join(' '), number && `(${number})`].filter(Boolean).join(', ');
 
 export class QueueView {
@@ -56,7 +58,7 @@ export class QueueView {
     this.queue = queue;
     const {entries, paused} = queue, next = entries.find(({number}) => number === queue.next);
     this.pauses.textContent = paused ? TEXT.goOn : TEXT.pause;
-    this.state.textContent = queue.problem || (!entries.length ? TEXT.empty : paused ? TEXT.paused : !next ? TEXT.nothingLeft : TEXT.goes);
+    this.state.replaceChildren(queue.problem ? inEnglish(queue.problem) : !entries.length ? TEXT.empty : paused ? TEXT.paused : !next ? TEXT.nothingLeft : TEXT.goes);
     this.state.className = queue.problem ? 'grade-problem' : '';
     this.showNext(paused ? null : next);
     this.showList(entries);
@@ -76,18 +78,18 @@ export class QueueView {
     hint.hidden = this.next.hidden;
     if (this.next.hidden) return;
     const item = itemWords(next.choice.item), {check} = this.queue;
-    hint.replaceChildren(`${TEXT.live} ${item}. `, element('a', {href: '#queue'}, TEXT.open));
+    hint.replaceChildren(t`The queue asks for an item to be mounted: ${item}. `, element('a', {href: '#queue'}, TEXT.open));
     const checked = check && check.of === next.number ? check : null;
-    this.next.replaceChildren(element('h3', {}, `${TEXT.mount} ${item}`), element('p', {}, TEXT.checkFirst),
+    this.next.replaceChildren(element('h3', {}, t`Mount ${item}`), element('p', {}, TEXT.checkFirst),
       ...(checked ? [element('p', {class: checked.passed ? 'grade-good' : 'grade-problem', role: 'status'}, checked.passed ? TEXT.passed : TEXT.failed),
-        element('div', {class: 'stack'}, table(TEXT.findings, TEXT.grades, checked.findings.map((f) => [f.what, element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, f.grade), f.found, f.advice || DASH])))] : []),
+        element('div', {class: 'stack'}, table(TEXT.findings, TEXT.grades, checked.findings.map((f) => [inEnglish(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), inEnglish(f.found), f.advice ? inEnglish(f.advice) : DASH])))] : []),
       element('div', {class: 'bar'},
         this.button(checked ? TEXT.again : TEXT.check, () => this.ask(TEXT.check, {do: 'queue_mounted', entry: next.number}, {moves: false}), {needs: 'idle', kind: 'queue-check'}),
         ...(checked?.passed ? [this.button(TEXT.start, () => this.start(next, item), {needs: 'idle', kind: 'queue-start go'})] : [])));
   }
 
   async start(entry, item) {
-    if (await this.confirmed(TEXT.startTitle(item), `${TEXT.moves} ${this.clear}`, TEXT.startYes) && await this.ask(TEXT.start, {do: 'queue_start', entry: entry.number, confirmed: true}))
+    if (await this.confirmed(t`Start ${item}?`, t`The stage moves through all three experiments. ${this.clear}`, TEXT.startYes) && await this.ask(TEXT.start, {do: 'queue_start', entry: entry.number, confirmed: true}))
       location.hash = '#live';
   }
 
@@ -97,9 +99,9 @@ export class QueueView {
     this.list.replaceChildren(table(TEXT.caption, TEXT.heading, entries.map((entry) => {
       const item = itemWords(entry.choice.item), done = entry.made.length >= entry.wanted, fixed = done || Boolean(entry.now);
       const button = (words, request, more = {}) => this.button(words, () => change(entry, request), {label: `${words}: ${item}`, ...more});
-      const runs = element('span', {}, `${entry.made.length} of ${entry.wanted}`, ...entry.made.flatMap((name) => [' ', element('a', {href: `#runs/${encodeURIComponent(name)}`}, name)]));
-      const state = entry.now ? TEXT.now : done ? TEXT.done : entry.problem ? `${entry.problem}${entry.interrupted ? `: ${TEXT.resumeHint}` : ''}` : TEXT.waits;
-      return [itemWords({...entry.choice.item, maker: '', model: ''}), [entry.choice.item.maker, entry.choice.item.model].filter(Boolean).join(' ') || DASH, TEXT.plan(entry.choice), runs, state,
+      const runs = element('span', {}, t`${entry.made.length} of ${entry.wanted}`, ...entry.made.flatMap((name) => [' ', element('a', {href: `#runs/${encodeURIComponent(name)}`}, name)]));
+      const state = entry.now ? TEXT.now : done ? TEXT.done : entry.problem ? element('span', {}, inEnglish(entry.problem), entry.interrupted ? `: ${TEXT.resumeHint}` : '') : TEXT.waits;
+      return [itemWords({...entry.choice.item, maker: '', model: ''}), [entry.choice.item.maker, entry.choice.item.model].filter(Boolean).join(' ') || DASH, planWords(entry.choice), runs, state,
         element('span', {class: 'bar'}, button(TEXT.up, {do: 'queue_move', by: -1}, {never: fixed}), button(TEXT.down, {do: 'queue_move', by: 1}, {never: fixed}),
           button(TEXT.repeat, {do: 'queue_repeat'}), button(TEXT.remove, {do: 'queue_remove'}, {never: Boolean(entry.now)}))];
     })));

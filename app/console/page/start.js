@@ -1,21 +1,22 @@
 // The start form: which item, by whom, by which plan; what is predicted; warnings before the start. It stands in the dialog that
 // asks whether to start, and knows nothing that the console has not said.
-import {duration, element, small, DASH} from '/text.js';
+import {duration, element, inEnglish, small, DASH} from '/text.js';
+import {operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
 
-// Everything that people read here.
+// What people read here and that has no values in it.
 const TEXT = {
-  choose: 'From the register, or type or scan its serial number', typed: 'as typed below',
-  serial: 'Serial number', model: 'Model', maker: 'Maker', customer: "Customer's number",
-  steps: 'Angles of each experiment', readings: 'Readings at each angle', estimator: 'Estimator of the result', runs: 'Runs of this item, without mounting it anew', noSerial: 'An item of the queue has a serial number: type or scan it.',
-  bench: 'Bench', operator: 'Operator', verified: 'logged in', stated: 'as the bench file says, not verified', nobody: 'nobody',
-  time: 'Predicted duration', simulatedTime: 'simulated, shown in about', plusMoves: 'plus the moves: the bench file gives no speed',
-  uncertainty: 'Predicted standard uncertainties', noNoise: 'not known: there is no earlier run of this item or model', noPrediction: 'not predicted for this estimator',
-  noise: 'Noise of a reading', from: 'from', mostly: 'mostly', disk: 'Free disk space', needed: 'needed', check: 'Last check of this bench', never: 'none from the console',
-  good: 'good', warnings: 'warnings', problems: 'problems', noMotion: 'without motion', before: 'Before the start', refused: 'It cannot be started',
-  reading: 'Reading the bench file, predicting', asBench: 'as the bench file', simulated: 'SIMULATED', angles: 'angles',
+  choose: t('From the register, or type or scan its serial number'), typed: t('as typed below'),
+  serial: t('Serial number'), model: t('Model'), maker: t('Maker'), customer: t`Customer's number`,
+  steps: t('Angles of each experiment'), readings: t('Readings at each angle'), estimator: t('Estimator of the result'), runs: t('Runs of this item, without mounting it anew'), noSerial: t('An item of the queue has a serial number: type or scan it.'),
+  bench: t('Bench'), operator: t('Operator'), nobody: t('nobody'),
+  time: t('Predicted duration'), plusMoves: t('plus the moves: the bench file gives no speed'),
+  uncertainty: t('Predicted standard uncertainties'), noNoise: t('not known: there is no earlier run of this item or model'), noPrediction: t('not predicted for this estimator'),
+  noise: t('Noise of a reading'), disk: t('Free disk space'), check: t('Last check of this bench'), never: t('none from the console'),
+  noMotion: t('without motion'), before: t('Before the start'), refused: t('It cannot be started'),
+  reading: t('Reading the bench file, predicting'), asBench: t('as the bench file'),
 };
-const SYMBOLS = {s: 's (sensitivity, relative)', off: 'off-diagonal, relative to s', O: 'O (offset), relative to s', phi: 'phi (angles between the outputs)'};
+const SYMBOLS = {s: t('s (sensitivity, relative)'), off: t('off-diagonal, relative to s'), O: t('O (offset), relative to s'), phi: t('phi (angles between the outputs)')};
 const QUIET_MS = 300;  // After the last key, before the console is asked.
 
 const megabytes = (bytes) => (bytes === null ? DASH : bytes > 1e10 ? `${(bytes / 1e9).toFixed(0)} GB` : `${(bytes / 1e6).toFixed(0)} MB`);
@@ -141,7 +142,7 @@ export class StartForm {
   }
 
   show(answer) {
-    const list = (title, kind, lines) => (lines.length ? [element('h3', {}, title), element('ul', {class: `grade-${kind}`}, ...lines.map((line) => element('li', {}, line)))] : []);
+    const list = (title, kind, lines) => (lines.length ? [element('h3', {}, title), element('ul', {class: `grade-${kind}`}, ...lines.map((line) => element('li', {}, line === TEXT.noSerial ? line : inEnglish(line))))] : []);
     this.notices.replaceChildren(...list(TEXT.refused, 'problem', answer.problems), ...list(TEXT.before, 'warning', answer.warnings));
     this.facts.hidden = !answer.plan;
     if (!answer.plan) return;
@@ -161,18 +162,19 @@ export class StartForm {
     const facts = [];
     const fact = (name, ...content) => facts.push(element('dt', {}, name), element('dd', {}, ...content));
     const {operator, duration: time, disk, last_check: check, plan, noise} = answer;
-    fact(TEXT.bench, answer.bench || answer.bench_file, ...(answer.simulated ? [' ', element('strong', {class: 'simulated'}, `${TEXT.simulated}: ${answer.simulated}`)] : []));
-    fact(TEXT.operator, operator.name ? `${operator.name} (${operator.verified ? TEXT.verified : TEXT.stated})` : TEXT.nobody);
-    fact(TEXT.time, `${duration(time.total_s)}${time.speeds_known ? '' : `, ${TEXT.plusMoves}`}; ${plan.angles} ${TEXT.angles}${answer.simulated && this.pace > 1 ? `; ${TEXT.simulatedTime} ${duration(time.total_s / this.pace)}` : ''}`);
+    fact(TEXT.bench, answer.bench || answer.bench_file, ...(answer.simulated ? [' ', element('strong', {class: 'simulated'}, t`SIMULATED: ${rolesIn(answer.simulated)}`)] : []));
+    fact(TEXT.operator, !operator.name ? TEXT.nobody : operator.verified ? t`${operator.name} (logged in)` : t`${operator.name} (as the bench file says, not verified)`);
+    const total = duration(time.total_s), shown = duration(time.total_s / this.pace);
+    fact(TEXT.time, total, time.speeds_known ? '' : `, ${TEXT.plusMoves}`, t`; ${plan.angles} angles`, answer.simulated && this.pace > 1 ? t`; simulated, shown in about ${shown}` : '');
     if (answer.predicted.length) {
       fact(TEXT.uncertainty, element('ul', {}, ...answer.predicted.map((p) => element('li', {},
-        `${SYMBOLS[p.symbol]}: ${scientific(p.standard_uncertainty, p.unit)}; ${TEXT.mostly} ${p.largest_part}`))));
-      fact(TEXT.noise, `${scientific(noise.value, 'g_loc')}, ${TEXT.from} ${noise.source}`);
+        `${SYMBOLS[p.symbol]}: ${scientific(p.standard_uncertainty, p.unit)}; `, t('mostly '), inEnglish(p.largest_part)))));
+      fact(TEXT.noise, scientific(noise.value, 'g_loc'), t(', from '), inEnglish(noise.source));
     } else {
       fact(TEXT.uncertainty, plan.estimator === 'norm' ? TEXT.noPrediction : TEXT.noNoise);
     }
-    fact(TEXT.disk, `${megabytes(disk.free_bytes)}, ${TEXT.needed} ${megabytes(disk.needed_bytes)}`);
-    if (check) fact(TEXT.check, timeElement(check.utc, 'day'), `: ${check.good} ${TEXT.good}, ${check.warnings} ${TEXT.warnings}, ${check.problems} ${TEXT.problems}${check.with_motion ? '' : `, ${TEXT.noMotion}`} (${check.by})`);
+    fact(TEXT.disk, t`${megabytes(disk.free_bytes)}, needed ${megabytes(disk.needed_bytes)}`);
+    if (check) fact(TEXT.check, timeElement(check.utc, 'day'), t`: ${check.good} good, ${check.warnings} warnings, ${check.problems} problems`, check.with_motion ? '' : `, ${TEXT.noMotion}`, ' (', operatorIn(check.by), ')');
     else fact(TEXT.check, TEXT.never);
     this.facts.replaceChildren(...facts);
   }

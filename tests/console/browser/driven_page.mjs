@@ -23,7 +23,7 @@ async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
 // In the page: all elements that the steps lead to.
 function found(steps) {
   let all = [document];
-  for (const {css, text, pattern, exact, innermost, first} of steps) {
+  for (const {css, text, pattern, without, exact, innermost, first} of steps) {
     if (css) all = [...new Set(all.flatMap((root) => [...root.querySelectorAll(css)]))];
     if (text !== undefined || pattern) {
       const says = (element) => {
@@ -32,6 +32,7 @@ function found(steps) {
       };
       all = all.filter((element) => says(element) && !(innermost && [...element.children].some(says)));
     }
+    if (without !== undefined) all = all.filter((element) => !element.textContent.includes(without));
     if (first) all = all.slice(0, 1);
   }
   return all;
@@ -44,7 +45,7 @@ const STATES = {
   usable: (element) => element.checkVisibility({visibilityProperty: true}) && !element.matches(':disabled'),
   reachable: (element) => {
     element.scrollIntoView({block: 'center', behavior: 'instant'});
-    const {x, y, width, height} = element.getBoundingClientRect();
+    const {x, y, width, height} = element.getClientRects()[0];  // Of its first line.
     return element.contains(document.elementFromPoint(x + width / 2, y + height / 2));
   },
 };
@@ -56,7 +57,7 @@ class Elements {
     this.steps = steps;
   }
 
-  locator(css, {hasText} = {}) { return new Elements(this.page, [...this.steps, {css, ...words(hasText)}]); }
+  locator(css, {hasText, hasNotText} = {}) { return new Elements(this.page, [...this.steps, {css, without: hasNotText, ...words(hasText)}]); }
   first() { return new Elements(this.page, [...this.steps, {first: true}]); }
   evaluateAll(does) { return this.page.evaluateHandle(found, this.steps).then((all) => all.evaluate(does)); }
   count() { return this.evaluateAll((all) => all.length); }
@@ -66,6 +67,7 @@ class Elements {
   async isDisabled() { return (await this.one('attached')).evaluate((element) => element.disabled); }
   async isEnabled() { return !(await this.isDisabled()); }
   async innerText() { return (await this.one('attached')).evaluate((element) => element.innerText); }
+  async inputValue() { return (await this.one('attached')).evaluate((element) => element.value); }
   waitFor() { return this.one('visible'); }
 
   one(state) {
@@ -78,11 +80,13 @@ class Elements {
     }, {what: `${JSON.stringify(this.steps)} to be ${state}`});
   }
 
-  async click() {
+  async click(options) {
     const element = await this.one('usable');
     await until(() => element.evaluate(STATES.reachable), {what: `${JSON.stringify(this.steps)} to be in nobody's shade`});
-    await element.click();
+    await element.click(options);
   }
+  dblclick() { return this.click({count: 2}); }
+  async check() { if (!(await (await this.one('usable')).evaluate((element) => element.checked))) await this.click(); }
   async fill(value) {
     await (await this.one('usable')).evaluate((element, text) => {
       element.focus();
@@ -104,7 +108,7 @@ export class DrivenPage {
     this.mouse = page.mouse;
   }
 
-  locator(css, {hasText} = {}) { return new Elements(this.page, [{css, ...words(hasText)}]); }
+  locator(css, {hasText, hasNotText} = {}) { return new Elements(this.page, [{css, without: hasNotText, ...words(hasText)}]); }
   getByText(text) { return new Elements(this.page, [{css: 'body *:not(script)', ...words(text), innermost: true}]); }
   getByRole(role, {name}) { return new Elements(this.page, [{css: ROLES[role], ...words(name), exact: true}]); }
   waitForFunction(does, argument, options) { return until(() => this.page.evaluate(does, argument), {what: String(does), ...options}); }

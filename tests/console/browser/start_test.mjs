@@ -60,13 +60,12 @@ step('a form that another page has overtaken starts nothing', async (page) => {
   await page.locator('#do-start:enabled').click();
   await page.locator(yes).waitFor();
   assert.match(await text('#start-notices'), /was interrupted/);
-  const context = await served.browser.newContext();
-  await context.addCookies(await page.context().cookies());
-  const other = served.watch(await context.newPage());
+  const other = await served.newPage();  // Of the same person.
   await other.goto(served.address);
   await other.getByRole('button', {name: 'Take control from the other page'}).click();
   await other.locator('#confirm-yes').click();
   await page.getByText(/This page no longer has control/).waitFor();
+  await page.front();
   await confirmDialog();
   await page.getByText('Start: refused: this page only watches; take control first').waitFor();
   await other.close();
