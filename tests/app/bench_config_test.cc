@@ -52,8 +52,8 @@ TEST(BenchConfigTest, AnUnknownDriverIsToldOnceWithThoseThatAreKnown) {
   toml.replace(toml.find("pi_gcs"), 6, "nope");
   EXPECT_EQ(problems_of(toml),
             "bench file bench.toml: 1 problem\n"
-            "  line 5, [stage] driver: found \"nope\"; required: one of \"newport_esp\", \"pi_gcs\", "
-            "\"zaber_ascii\", \"simulated\", \"manual_stage\"");
+            "  line 5, [stage] driver: found \"nope\"; required: one of \"newport_esp\", \"newport_xps\", "
+            "\"pi_gcs\", \"thorlabs_apt\", \"zaber_ascii\", \"simulated\", \"manual_stage\"");
 }
 
 TEST(BenchConfigTest, WritesEveryDefaultOutAndReadsItBackToTheSame) {

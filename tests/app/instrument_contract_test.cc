@@ -14,10 +14,13 @@ namespace {
 
 Bench simulated_bench(const std::string& stage, const std::string& accelerometer,
                       const std::string& accelerometer_lines) {
+  const bool in_mps2 = accelerometer == "mavlink" || accelerometer == "vectornav" || accelerometer == "xsens_mti";
+  const std::string matrix =
+      in_mps2 ? "sensitivity_matrix = [[9.81, 0.0, 0.0], [0.0, 9.81, 0.0], [0.0, 0.0, 9.81]]\n" : "";
   return make_bench(parse_bench("[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"" + stage +
                                     "\"\nport = \"simulated\"\n[accelerometer]\ndriver = \"" + accelerometer +
                                     "\"\nport = \"simulated\"\n" + accelerometer_lines +
-                                    "[simulation]\nnoise = 1e-3\n[simulation.x]\ntravel_min_deg = "
+                                    "[simulation]\nnoise = 1e-3\n" + matrix + "[simulation.x]\ntravel_min_deg = "
                                     "-200.0\ntravel_max_deg = 200.0\n",
                                 "contract"));
 }

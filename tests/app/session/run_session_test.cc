@@ -296,6 +296,7 @@ TEST_F(RunSessionTest, TheItemIsCalibratedWithItsOwnCorrectionsAndOnlyWithThose)
   BenchText text = repeatable_bench();
   text.stage_driver = "simulated";
   text.accelerometer_driver = "vectornav";
+  text.simulation += "sensitivity_matrix = [[9.81, 0.0, 0.0], [0.0, 9.81, 0.0], [0.0, 0.0, 9.81]]\n";
   bench_toml = text.text();
   std::unique_ptr<RunSession> first = session();
   on_event = [&](const SessionEvent&) {
