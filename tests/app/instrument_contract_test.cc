@@ -12,15 +12,20 @@
 namespace abcal::contract {
 namespace {
 
+bool in_mps2(const std::string& driver) {
+  return driver == "mavlink" || driver == "vectornav" || driver == "xsens_mti";
+}
+
 Bench simulated_bench(const std::string& stage, const std::string& accelerometer,
                       const std::string& accelerometer_lines) {
-  const bool in_mps2 = accelerometer == "mavlink" || accelerometer == "vectornav" || accelerometer == "xsens_mti";
   const std::string matrix =
-      in_mps2 ? "sensitivity_matrix = [[9.81, 0.0, 0.0], [0.0, 9.81, 0.0], [0.0, 0.0, 9.81]]\n" : "";
+      in_mps2(accelerometer) ? "sensitivity_matrix = [[9.81, 0.0, 0.0], [0.0, 9.81, 0.0], [0.0, 0.0, 9.81]]\n"
+                             : "";
   return make_bench(parse_bench("[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"" + stage +
                                     "\"\nport = \"simulated\"\n[accelerometer]\ndriver = \"" + accelerometer +
                                     "\"\nport = \"simulated\"\n" + accelerometer_lines +
-                                    "[simulation]\nnoise = 1e-3\n" + matrix + "[simulation.x]\ntravel_min_deg = "
+                                    "[simulation]\nnoise = 1e-3\n" + matrix +
+                                    "[simulation.x]\ntravel_min_deg = "
                                     "-200.0\ntravel_max_deg = 200.0\n",
                                 "contract"));
 }
@@ -38,7 +43,9 @@ StageCase stage_case(const std::string& driver) {
 AccelerometerCase accelerometer_case(const std::string& driver, const std::string& lines) {
   return {driver, [driver, lines] {
             const auto bench = std::make_shared<Bench>(simulated_bench("simulated", driver, lines));
-            return AccelerometerBench{{bench, bench->clock.get()}, {bench, bench->accelerometer.get()}};
+            return AccelerometerBench{{bench, bench->clock.get()},
+                                      {bench, bench->accelerometer.get()},
+                                      Eigen::Vector3d(0.0, 0.0, in_mps2(driver) ? 9.81 : 1.0)};
           }};
 }
 

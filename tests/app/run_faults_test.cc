@@ -316,7 +316,8 @@ TEST_P(RunFaults, EndInTimeWithTheRightFaultAndGoOnOrCompleteWithoutAWrongNumber
   ASSERT_TRUE(whole.finished());
   EXPECT_EQ(whole.finished()->results.front().verdict, Verdict::kUsable)
       << whole.finished()->results.front().why;
-  // Between the first angle and the last: an axis that slips before the first one is an item mounted otherwise.
+  // Between the first angle and the last: an axis that slips before the first one is an item mounted
+  // otherwise.
   const std::vector<DwellRecord>& dwells = whole.finished()->stored.record.dwells;
   const double measured_s = dwells.back().time_s.value() - dwells.front().time_s.value();
   for (const double part : {0.25, 0.7}) {

@@ -17,10 +17,9 @@ using testing::IsEmpty;
 BenchConfig on_ports(const StageCase& stage, const AccelerometerCase& accelerometer,
                      const std::string& port) {
   const std::string three = port == "simulated" ? port : port + " " + port + "v " + port + "w";
-  return parse_bench(
-      bench_text(stage, accelerometer, port, port, port == "simulated" ? port : port + "z",
-                 accelerometer.name == "scpi_single" ? three : port),
-      "bench");
+  return parse_bench(bench_text(stage, accelerometer, port, port, port == "simulated" ? port : port + "z",
+                                accelerometer.name == "scpi_single" ? three : port),
+                     "bench");
 }
 
 RunHeader with(const std::string& role, const std::string& serial_number) {
