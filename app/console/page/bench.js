@@ -48,7 +48,7 @@ export class BenchView {
 
   showLevelling({file, words}) {
     this.levelling.replaceChildren(element('ul', {}, ...words.split('; ').map((line) => element('li', {lang: 'en'}, line))),
-      element('p', {}, t`Stored in ${file}. Under [stage] of the bench file this gives it to the joint estimator: `, element('code', {}, `level_file = "${file}"`)));
+      element('p', {}, t`Stored in ${file}. In the bench file this gives it to the joint estimator: `, element('code', {}, '[stage]'), ' ', element('code', {}, `level_file = "${file}"`)));
   }
 
   showPorts({ports}) {

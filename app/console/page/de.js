@@ -471,7 +471,7 @@ export default {
   'Nothing moves and no setting is stored. Instruments that send by themselves may be stopped until they are opened again.': 'Nichts bewegt sich, und keine Einstellung wird gespeichert. Geräte, die von selbst senden, hören vielleicht damit auf, bis sie wieder geöffnet werden.',
   'The last levelling': 'Die letzte Nivellierung',
   'Not levelled from this console yet.': 'Von dieser Konsole aus noch nicht nivelliert.',
-  'Stored in {}. Under [stage] of the bench file this gives it to the joint estimator: ': 'Gespeichert in {}. So erhält sie das gemeinsame Verfahren (joint), im Abschnitt [stage] der Messplatzdatei: ',
+  'Stored in {}. In the bench file this gives it to the joint estimator: ': 'Gespeichert in {}. So erhält sie das gemeinsame Verfahren (joint), in der Messplatzdatei: ',
   'Ports of this computer': 'Anschlüsse dieses Rechners',
   'Port': 'Anschluss',
   'Who answers': 'Wer antwortet',

@@ -56,6 +56,7 @@ export class QueueView {
 
   show(queue) {
     this.queue = queue;
+    const label = byId('queue-body').contains(document.activeElement) && document.activeElement.getAttribute('aria-label');
     const {entries, paused} = queue, next = entries.find(({number}) => number === queue.next);
     this.pauses.textContent = paused ? TEXT.goOn : TEXT.pause;
     this.state.replaceChildren(queue.problem ? inEnglish(queue.problem) : !entries.length ? TEXT.empty : paused ? TEXT.paused : !next ? TEXT.nothingLeft : TEXT.goes);
@@ -63,6 +64,8 @@ export class QueueView {
     this.showNext(paused ? null : next);
     this.showList(entries);
     this.enable();
+    // The button that was pressed is made anew, perhaps in another row: it keeps the focus.
+    if (label && document.activeElement === document.body) [...byId('queue-body').querySelectorAll('button:enabled')].find((button) => button.getAttribute('aria-label') === label)?.focus();
   }
 
   button(words, act, {needs = '', never = false, label = words, kind = ''} = {}) {

@@ -5,7 +5,7 @@ import {PagedTable} from '/pages.js';
 import {certificateCard} from '/approve.js';
 import {askForView, savesPatiently} from '/making.js';
 import {timeElement, timeText} from '/time.js';
-import {OUTPUTS, band, bars, discard, plot, series} from '/plots.js';
+import {OUTPUTS, band, bars, discard} from '/plots.js';
 
 const VERDICTS = {usable: t('Usable'), doubtful: t('Doubtful'), not_usable: t('Not usable')};
 const STATES = {running: t('running, or its program died'), interrupted: t('interrupted'), complete: t('complete'), abandoned: t('abandoned'), unreadable: t('cannot be read'), 'not read yet': t('is being read')};

@@ -48,7 +48,7 @@ export function element(tag, attributes = {}, ...children) {
 // A table: head is a list of words, rows are lists of cells; a row's first cell is its heading. Columns of numbers are set
 // to the right. Each cell knows its heading, for narrow screens (.stack in the style sheet).
 export function table(caption, head, rows) {
-  const numeric = head.map((_, i) => i > 0 && rows.every((row) => /^[-+−]?\d[\d.e+−]*$|^–$/.test(String(row[i]))));
+  const numeric = head.map((_, i) => i > 0 && rows.every((row) => /^[-+−]?\d[\d.e+−]*$|^–$/.test(String(row[i]))) && rows.some((row) => String(row[i]) !== DASH));
   const kind = (i) => numeric[i] && 'number';
   return element('table', {},
     element('caption', {}, caption),

@@ -9,6 +9,7 @@ step('before anything was done', () => look('idle'));
 step('in a dialog', async (page) => {
   await page.locator('#take-control').click();
   await page.locator('#do-start:enabled').click();
+  await page.locator('#confirm-yes:enabled').waitFor();
   await look('dialog');
   await page.locator('#confirm-no').click();
 });

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
 import path from 'node:path';
 import {fileURLToPath} from 'node:url';
-import {begin, confirmDialog, look, served, text} from './page_test.mjs';
+import {barriers, begin, confirmDialog, english, look, served, text} from './page_test.mjs';
 import {logIn, makeRegister, PASSWORD} from './training_register.mjs';
 
 const examples = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/examples');
@@ -47,6 +47,7 @@ step('fills the queue by a scanner, and reorders it', async (page) => {
   assert.equal(await page.locator('#queue-list b').count(), 0, 'a serial number is text');
   await page.locator('[aria-label^="Up: SN 0500"]').click();
   await page.locator('#queue-list tbody tr:first-child', {hasText: 'SN 0500'}).waitFor();
+  assert.match(await page.evaluate(() => document.activeElement.getAttribute('aria-label')), /^Up: SN 0500/, 'it keeps the focus');
   assert.ok(await page.locator('#queue-next').isHidden(), 'paused at first');
   await page.getByRole('button', {name: 'Let the queue go on'}).click();
   await page.locator('#queue-next', {hasText: 'Mount SN 0500'}).waitFor();
@@ -88,6 +89,14 @@ step('issues the certificate, which a second person approves with a password', a
   const xml = readFileSync(await served.download(() => page.getByRole('link', {name: 'Certificate (DCC XML)'}).click()), 'utf8');
   for (const words of [number, 'INV-7', 'SN 0500']) assert.ok(xml.includes(words), words);
   await look('certificate');
+  await page.locator('#language').click();
+  await page.locator('#certificate', {hasText: 'freigegeben von Admin N. N.'}).waitFor();
+  await page.locator('#certificate summary').click();
+  await page.locator('#approve-reason').waitFor();
+  assert.deepEqual(await english(), []);
+  assert.deepEqual(await barriers(), []);
+  await page.locator('#language').click();
+  await page.locator('#certificate', {hasText: 'approved by Admin N. N.'}).waitFor();
 });
 
 step('a restarted server has the queue, paused', async (page) => {

@@ -35,12 +35,12 @@ async function tour(page, {back = false} = {}) {
 }
 const begins = (page) => page.evaluate(() => { document.activeElement?.blur(); getSelection().removeAllRanges(); scrollTo(0, 0); });
 
-for (const view of ['live', 'runs', 'runs/first.run', 'compare', 'chart']) {
+for (const view of ['live', 'queue', 'bench', 'runs', 'runs/first.run', 'compare', 'chart']) {
   step(`Tab leads through ${view} and back, and one sees where`, async () => {
     const page = await served.newPage();  // Where nothing has had the focus.
     await page.goto(`${served.address}#${view}`);
     await page.waitForFunction(() => document.getElementById('link').textContent === 'Connected');
-    await page.locator({live: '#take-control:enabled', runs: '#run-table table', 'runs/first.run': '#estimators', compare: '#compare-form', chart: '#chart-words'}[view]).waitFor();
+    await page.locator({live: '#take-control:enabled', queue: '#queue-add', bench: '#ports', runs: '#run-table table', 'runs/first.run': '#estimators', compare: '#compare-form', chart: '#chart-words'}[view]).waitFor();
     await page.setViewportSize({width: 683, height: 384});  // Where the banner takes most of the room.
     const there = await tour(page);
     assert.ok(there > 8, String(there));
@@ -65,6 +65,7 @@ step('keeps the focus in what it steers, through all that a run does', async (pa
   };
   await page.locator('#take-control').press('Enter');
   await page.locator('#do-start:enabled').press('Enter');
+  await page.locator('#confirm-yes:enabled').waitFor();
   await page.keyboard.press('Tab');
   assert.equal(await focused(page), 'confirm-yes');
   await page.keyboard.press('Enter');

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import {readdirSync, readFileSync} from 'node:fs';
 import path from 'node:path';
 import {fileURLToPath, pathToFileURL} from 'node:url';
-import {abcal, barriers, begin, complainsOfNothing, confirmDialog, look, served, stateIs} from './page_test.mjs';
+import {abcal, barriers, begin, complainsOfNothing, confirmDialog, english, look, served, stateIs} from './page_test.mjs';
 
 const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/console/page');
 const {default: german} = await import(pathToFileURL(path.join(folder, 'de.js')));
@@ -39,19 +39,6 @@ step('every text has German words with the same values in them', async () => {
   assert.deepEqual(Object.keys(german).filter((text) => values(text) !== values(german[text])), []);
 });
 
-// English words that stand anywhere where none is expected.
-const english = () => served.page.evaluate(() => {
-  const word = /\b(the|of|is|are|and|to|by|with|for|has|its|this|that|no|run|runs|value|angles?|stage|settling|held|taken|time|times|unit|check|show|start|output)\b/i;
-  const found = [];
-  const say = (element, text) => { if (word.test(text) && !element.closest('[lang=en], code, script')) found.push(`${element.tagName}#${element.id}: ${text.trim().slice(0, 80)}`); };
-  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-  while (walker.nextNode()) say(walker.currentNode.parentElement, walker.currentNode.data.replace(/\S+\.(run|toml)\b/g, ''));
-  for (const name of ['aria-label', 'title']) for (const element of document.querySelectorAll(`[${name}]`)) say(element, element.getAttribute(name).replace(/\S+\.(run|toml)\b/g, ''));
-  for (const canvas of document.querySelectorAll('canvas'))
-    for (const axis of Object.values(Chart.getChart(canvas)?.options.scales ?? {})) say(canvas, axis.title.text);
-  return found;
-});
-
 step('a switch chooses German, which stays', async (page) => {
   assert.equal(await page.evaluate(() => document.documentElement.lang), 'en');
   await page.locator('#language').click();
@@ -65,6 +52,8 @@ step('a run is German from its first question to its result', async (page) => {
   await page.locator('#take-control').click();
   await page.locator('#do-start:enabled').click();
   await page.locator('#confirm-title', {hasText: 'Lauf beginnen?'}).waitFor();
+  await page.locator('#confirm-yes:enabled').waitFor();
+  await page.locator('#start-facts', {hasText: 'Vorhergesagte Standardunsicherheiten'}).waitFor();
   assert.deepEqual(await english(), []);
   await confirmDialog();
   await served.measuredAtLeast(4);
@@ -75,7 +64,7 @@ step('a run is German from its first question to its result', async (page) => {
   assert.deepEqual(await english(), []);
 });
 
-for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first.run': '#estimators', compare: '#compare-form', chart: '#chart-words'})) {
+for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first.run': '#certificate [lang=en]', compare: '#compare-form', chart: '#chart-words'})) {
   step(`${view} is German`, async (page) => {
     await page.goto(`${served.address}#${view}`);
     await page.locator(last).waitFor();
@@ -83,5 +72,35 @@ for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first
     if (view === 'runs/first.run') await look('result-german');
   });
 }
+
+step('the bench is German, and what is asked before it is levelled', async (page) => {
+  await served.goTo('bench');
+  await page.locator('#bench-level:enabled').click();
+  await page.locator('#confirm-title', {hasText: 'Drehtisch nivellieren?'}).waitFor();
+  assert.deepEqual(await english(), []);
+  await page.locator('#confirm-no').click();
+  await page.locator('#bench-probe:enabled').click();
+  await confirmDialog();
+  await page.locator('#ports', {hasNotText: 'Noch nicht abgefragt.'}).waitFor();
+  assert.deepEqual(await english(), []);
+});
+
+step('the queue is German until an item is mounted and checked', async (page) => {
+  await served.goTo('queue');
+  await page.locator('#queue-add:enabled').click();
+  await page.locator('#start-runs').fill('2');
+  await page.locator('#confirm-yes:enabled').waitFor();
+  assert.deepEqual(await english(), []);
+  await confirmDialog();
+  await page.locator('#queue-list', {hasText: 'SN 0417'}).waitFor();
+  await page.locator('#queue-pause:enabled').click();
+  await page.locator('.queue-check:enabled').click();
+  await page.locator('.queue-start:enabled').click();
+  await page.locator('#confirm-title', {hasText: 'SN 0417'}).waitFor();
+  assert.deepEqual(await english(), []);
+  assert.deepEqual(await barriers(), []);
+  await page.locator('#confirm-no').click();
+  await look('queue-german');
+});
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

@@ -101,6 +101,19 @@ export async function barriers(where = page) {
   return violations.flatMap(({id, nodes}) => nodes.map(({html, failureSummary}) => `${id}: ${html.slice(0, 160)} ${failureSummary}`));
 }
 
+// English words on a German page where none is expected.
+export const english = () => served.page.evaluate(() => {
+  const word = /\b(the|of|is|are|and|to|by|with|for|has|its|this|that|no|run|runs|value|angles?|stage|settling|held|taken|time|times|unit|check|show|start|output)\b/i;
+  const found = [];
+  const say = (element, text) => { if (word.test(text) && !element.closest('[lang=en], code, script')) found.push(`${element.tagName}#${element.id}: ${text.trim().slice(0, 80)}`); };
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) say(walker.currentNode.parentElement, walker.currentNode.data.replace(/\S+\.(run|toml)\b/g, ''));
+  for (const name of ['aria-label', 'title']) for (const element of document.querySelectorAll(`[${name}]`)) say(element, element.getAttribute(name).replace(/\S+\.(run|toml)\b/g, ''));
+  for (const canvas of document.querySelectorAll('canvas'))
+    for (const axis of Object.values(Chart.getChart(canvas)?.options.scales ?? {})) say(canvas, axis.title.text);
+  return found;
+});
+
 // What sticks out to the side, or is cut off, where nobody can scroll to it.
 async function lost() {
   return page.evaluate(() => {

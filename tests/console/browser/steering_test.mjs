@@ -52,13 +52,10 @@ step('starts a run, and points appear', async (page) => {
   await served.measuredAtLeast(5);  // Two check poses come first.
   runName = await text('#run-file');
   assert.match(runName, /^bench-\d{8}T\d{6}Z\.run$/);
-  const drawn = await page.evaluate(() => {
-    const [response, residual] = document.querySelectorAll('#responses canvas');
-    const points = (canvas) => Chart.getChart(canvas).data.datasets.map((set) => set.data.length);
-    return {response: points(response), residual: points(residual), strip: points(document.getElementById('strip'))};
-  });
-  for (const n of drawn.response.slice(0, 3)) assert.ok(n >= 3, JSON.stringify(drawn));
-  for (const n of drawn.strip) assert.ok(n >= 2, JSON.stringify(drawn));
+  // Plots are drawn a moment after the number has changed.
+  await page.waitForFunction(() => Chart.getChart(document.querySelector('#responses canvas')).data.datasets.slice(0, 3).every((set) => set.data.length >= 3));
+  const drawn = await page.evaluate(() => Chart.getChart(document.getElementById('strip')).data.datasets.map((set) => set.data.length));
+  for (const n of drawn) assert.ok(n >= 2, JSON.stringify(drawn));
   assert.match(await text('#x-encoder'), /^−?\d+\.\d{4}°$/);
   assert.match(await text('#strip-table'), /[+−]\d\.\d{6} g/);
 });
