@@ -80,10 +80,14 @@ class Elements {
     }, {what: `${JSON.stringify(this.steps)} to be ${state}`});
   }
 
-  async click(options) {
-    const element = await this.one('usable');
-    await until(() => element.evaluate(STATES.reachable), {what: `${JSON.stringify(this.steps)} to be in nobody's shade`});
-    await element.click(options);
+  // Looked for anew if it was made anew before it was pressed, as the rows of a list are.
+  click(options) {
+    return until(async () => {
+      const element = await this.one('usable');
+      if (!await element.evaluate(STATES.reachable)) return false;
+      await element.click(options);
+      return true;
+    }, {what: `${JSON.stringify(this.steps)} to be in nobody's shade`});
   }
   dblclick() { return this.click({count: 2}); }
   async check() { if (!(await (await this.one('usable')).evaluate((element) => element.checked))) await this.click(); }
