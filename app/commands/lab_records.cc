@@ -1,9 +1,13 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
+#include <cctype>
 #include <charconv>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <stdexcept>
+#include <string_view>
 #include <vector>
 
 #include "app/bench/real_clock.h"
@@ -233,6 +237,71 @@ void add_list(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& 
   });
 }
 
+/// Whether a text names a serial number, and not one that only contains it.
+bool names(const std::string& text, const std::string& serial_number) {
+  const auto belongs = [](char c) {
+    return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '-';
+  };
+  for (std::size_t at = text.find(serial_number); at != std::string::npos;
+       at = text.find(serial_number, at + 1)) {
+    const std::size_t end = at + serial_number.size();
+    if ((at == 0 || !belongs(text[at - 1])) && (end == text.size() || !belongs(text[end]))) return true;
+  }
+  return false;
+}
+
+/// What the register knows of an item: its record, its certificates, its charts and their runs.
+nlohmann::ordered_json history_of(lab::Register& opened, const std::string& serial_number) {
+  const nlohmann::ordered_json tables = nlohmann::ordered_json::parse(opened.export_json())["tables"];
+  nlohmann::ordered_json history = nlohmann::ordered_json::object();
+  std::set<std::string> charts;
+  for (const char* table : {"item", "certificate", "check_standard", "check_point", "check_run"}) {
+    history[table] = nlohmann::ordered_json::array();
+    for (const nlohmann::ordered_json& row : tables.at(table)) {
+      const auto of = [&](const char* column) {
+        return row.contains(column) ? row[column].get<std::string>() : "";
+      };
+      const bool own = names(of("serial_number"), serial_number) || names(of("item"), serial_number) ||
+                       charts.contains(of("check_standard"));
+      if (!own) continue;
+      if (table == std::string_view("check_standard")) charts.insert(of("name"));
+      history[table].push_back(row);
+    }
+  }
+  return history;
+}
+
+void add_history(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
+  struct Options {
+    std::string serial_number;
+    bool json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand(
+      "history", "List what is known of an item: certificates, control charts and their runs");
+  command->add_option("SERIAL_NUMBER", options->serial_number, "of the item")->required();
+  command->add_flag("--json", options->json, "print one JSON object");
+  command->callback([shared, options, &exit_code] {
+    lab::Register opened = open_register(*shared);
+    const nlohmann::ordered_json history = history_of(opened, options->serial_number);
+    const bool known = std::ranges::any_of(history, [](const auto& rows) { return !rows.empty(); });
+    exit_code = known ? kExitDone : kExitFailed;
+    if (options->json) {
+      print_result("{}\n", nlohmann::ordered_json{{"schema", "abcal.register_history/1"},
+                                                  {"serial_number", options->serial_number},
+                                                  {"records", history}}
+                               .dump(2));
+      return;
+    }
+    for (const auto& [table, rows] : history.items()) {
+      if (rows.empty()) continue;
+      print_result("{}\n", table);
+      print_table(rows);
+    }
+    if (!known) print_result("no record names an item {}\n", options->serial_number);
+  });
+}
+
 }  // namespace
 
 void add_lab_records(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
@@ -243,6 +312,7 @@ void add_lab_records(CLI::App& parent, const std::shared_ptr<LabOptions>& shared
   add_add_scope(*add, shared, exit_code);
   add_key(parent, shared, exit_code);
   add_list(parent, shared, exit_code);
+  add_history(parent, shared, exit_code);
 }
 
 }  // namespace abcal

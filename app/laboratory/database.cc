@@ -74,6 +74,18 @@ bool is_postgresql(const std::string& location) {
   return location.starts_with("postgresql://") || location.starts_with("postgres://");
 }
 
+namespace {
+
+/// A server that does not answer must not hold up the end of a run.
+std::string with_connect_timeout(const std::string& location) {
+  constexpr int kConnectTimeoutS = 10;
+  if (location.find("connect_timeout=") != std::string::npos) return location;
+  return fmt::format("{}{}connect_timeout={}", location, location.find('?') == std::string::npos ? '?' : '&',
+                     kConnectTimeoutS);
+}
+
+}  // namespace
+
 struct Database::Impl {
   std::string location;
   bool one_file = true;
@@ -90,7 +102,7 @@ Database::Database(const std::string& location) : impl_(std::make_unique<Impl>()
       impl_->session << "pragma synchronous=full";
       impl_->session << "pragma foreign_keys=on";
     } else {
-      impl_->session.open(backend("postgresql"), location);
+      impl_->session.open(backend("postgresql"), with_connect_timeout(location));
     }
   } catch (const soci::soci_error& error) {
     rethrow(location, error);

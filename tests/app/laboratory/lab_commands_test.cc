@@ -104,6 +104,15 @@ TEST_F(ChartCommands, ARunOutsideEndsWith1AndBlocksIssueUntilAPersonLiftsIt) {
                     HasSubstr("mount tightened"), HasSubstr("in control")));
   EXPECT_EQ(abcal({"lab", "verify"}).exit_code, 0);
   EXPECT_THAT(registered.lab({"list", "audit"}), HasSubstr("block lifted: mount tightened"));
+
+  const auto history = nlohmann::json::parse(registered.lab({"history", "SN-42", "--json"}))["records"];
+  EXPECT_EQ(history["item"].size(), 1U);
+  EXPECT_EQ(history["check_standard"].size(), 1U);
+  EXPECT_EQ(history["check_point"].size(), 3U);
+  EXPECT_EQ(history["certificate"].size(), 1U);
+  const auto nobody = abcal({"lab", "history", "N-4"});  // A part of its number is another number.
+  EXPECT_EQ(nobody.exit_code, 1);
+  EXPECT_THAT(nobody.out, HasSubstr("no record names an item N-4"));
 }
 
 TEST_F(ChartCommands, ARunOfTheCheckStandardSaysThatItsChartWaitsForIt) {
