@@ -81,7 +81,7 @@ MeasuredDwell DwellMeasurement::measure_once(std::size_t position, const Planned
   const auto lost_unseen = static_cast<std::int64_t>(parts_.readings.lost() - lost_before);
   statistics.lost = std::max(statistics.lost, lost_unseen);
   parts_.plausibility.require_possible(angle, statistics, readings.size());
-  parts_.settling.learn(readings);
+  parts_.settling.learn(readings, statistics);
 
   MeasuredDwell measured{dwell_record(angle, statistics, window), {}};
   measured.readings.reserve(readings.size());

@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
-#include "protocol/record/reading_statistics.h"
 #include "protocol/run/dwell.h"
 #include "protocol/run/plausibility.h"
 
@@ -73,27 +72,18 @@ std::optional<Eigen::Vector3d> SpreadHistory::median() const {
   return median;
 }
 
-Eigen::Vector3d creep_of(std::span<const Reading> readings, double resolution) {
+Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info) {
   const std::size_t quarter = readings.size() / 4;
   Eigen::Vector3d creep = Eigen::Vector3d::Zero();
   if (quarter == 0) return creep;
-  const auto outputs_of = [](std::span<const Reading> some) {
-    std::vector<Eigen::Vector3d> outputs;
-    for (const Reading& reading : some) {
-      if (reading.output.allFinite()) outputs.push_back(reading.output);
-    }
-    return outputs;
-  };
-  const std::vector<Eigen::Vector3d> first = outputs_of(readings.first(quarter));
-  const std::vector<Eigen::Vector3d> rest = outputs_of(readings.subspan(quarter));
-  const std::vector<Eigen::Vector3d> later = outputs_of(readings.subspan(readings.size() / 2));
-  if (first.empty() || later.size() < 2) return creep;
-  const Eigen::Vector3d difference = mean_and_spread(first).mean - mean_and_spread(rest).mean;
+  const DwellStatistics first = dwell_statistics(readings.first(quarter), info);
+  const DwellStatistics later = dwell_statistics(readings.subspan(readings.size() / 2), info);
+  if (first.count == 0 || later.count < 2) return creep;
+  const Eigen::Vector3d difference = first.mean - dwell_statistics(readings.subspan(quarter), info).mean;
   // Variance of a mean of n of N readings: u^2(later half) (N/2) / n; n is N/4 and 3N/4.
   const double scale = std::sqrt(8.0 / 3.0);
-  const Eigen::Vector3d u_later = reading_statistics(later, resolution).u_mean;
   for (int j = 0; j < 3; ++j) {
-    if (difference[j] != 0.0) creep[j] = difference[j] / (scale * u_later[j]);
+    if (difference[j] != 0.0) creep[j] = difference[j] / (scale * later.u_mean[j]);
   }
   return creep;
 }
@@ -228,7 +218,7 @@ bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
   if (!protocol.settle_auto) return true;
   const Clock::Instant last = context_.clock.now() + from_seconds(protocol.quiet_timeout_s);
   const std::size_t quarter = std::max<std::size_t>(1, readings.size() / 4);
-  while (creep_of(readings, resolution()).cwiseAbs().maxCoeff() > kCreepLimit) {
+  while (creep_of(readings, context_.accelerometer_info).cwiseAbs().maxCoeff() > kCreepLimit) {
     if (context_.clock.now() >= last) return false;
     readings.erase(readings.begin(), readings.begin() + static_cast<std::ptrdiff_t>(quarter));
     const std::vector<Reading> later = readings_.read(quarter);
@@ -237,10 +227,10 @@ bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
   return true;
 }
 
-void Settling::learn(std::span<const Reading> readings) {
+void Settling::learn(std::span<const Reading> readings, const DwellStatistics& statistics) {
   if (!context_.settings.protocol.settle_auto) return;
-  const DwellStatistics statistics = dwell_statistics(readings, context_.accelerometer_info);
-  if (!lesson_.add(creep_of(readings, resolution()), statistics.mean, statistics.spread)) return;
+  if (!lesson_.add(creep_of(readings, context_.accelerometer_info), statistics.mean, statistics.spread))
+    return;
   context_.journal.notify(
       "settling",
       fmt::format("the outputs of many angles together still creep towards their rest in the first quarter "

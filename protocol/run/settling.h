@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "protocol/run/dwell.h"
 #include "protocol/run/reading_source.h"
 #include "protocol/run/run_context.h"
 
@@ -29,8 +30,7 @@ class SpreadHistory {
 /// How far the mean of the first quarter of a dwell's readings lies from that of the others, over the
 /// standard uncertainty of this difference, output by output. Its noise is that of the later half,
 /// autocorrelation included. Of an item that is still coming to rest it has one sign.
-/// @param resolution  R; 0: not known
-Eigen::Vector3d creep_of(std::span<const Reading> readings, double resolution);
+Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info);
 
 /// Learns from the dwells of a run how long the item needs (settle_s = "auto"). A creep that is too small to
 /// be seen in one dwell goes with the direction of the last change of an output: so it adds up from angle to
@@ -80,7 +80,7 @@ class Settling {
   bool read_until_at_rest(std::vector<Reading>& readings);
 
   /// With "auto": learns from a dwell, and tells the observer where the next ones will wait longer.
-  void learn(std::span<const Reading> readings);
+  void learn(std::span<const Reading> readings, const DwellStatistics& statistics);
 
   SpreadHistory& spreads() { return spreads_; }
   std::size_t window_size() const;

@@ -109,7 +109,7 @@ TEST(CreepTest, OfNoiseIsAStandardNormalOfItsSize) {
   for (int d = 0; d < kDwells; ++d) {
     std::vector<Reading> readings(200);
     for (Reading& reading : readings) reading.output = {normal(engine), normal(engine), 0.0};
-    const Eigen::Vector3d creep = creep_of(readings, 0.0);
+    const Eigen::Vector3d creep = creep_of(readings, {});
     squares += (creep[0] * creep[0] + creep[1] * creep[1]) / (2.0 * kDwells);
     EXPECT_EQ(creep[2], 0.0);
   }
