@@ -2,9 +2,10 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <iterator>
 #include <random>
 #include <string>
+
+#include "tests/fuzz/mutated_samples.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
 
@@ -21,18 +22,7 @@ std::string mutated_frames(std::mt19937& random) {
       "\xfd\x09\x00\x00\x00\x01\x01\x00\x00\x00\x00\x00\x00\x00\x02\x03\x00\x04\x03\x4a\xd7"s,
       "\xfd\x0e\x00\x00\x0b\x01\x01\x1b\x00\x00\x40\x42\x0f\x00\x00\x00\x00\x00\x01\x00\x02\x00\x18\xfc\x57\x7d"s,
       "\xfd\x02\x00\x00\x0b\x01\x01\xf0\x00\x00\x40\x42\x12\x34"s};
-  std::string bytes;
-  for (std::size_t frames = 1 + random() % 5; frames > 0; --frames)
-    bytes += kFrames[random() % std::size(kFrames)];
-  for (std::size_t changes = random() % 4; changes > 0 && !bytes.empty(); --changes) {
-    const std::size_t at = random() % bytes.size();
-    if (random() % 2 == 0) {
-      bytes.erase(at, 1);
-    } else {
-      bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
-    }
-  }
-  return bytes;
+  return test::mutated(kFrames, 5, random);
 }
 
 TEST(MavlinkCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {

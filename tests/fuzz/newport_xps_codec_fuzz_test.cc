@@ -2,9 +2,10 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <iterator>
 #include <random>
 #include <string>
+
+#include "tests/fuzz/mutated_samples.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
 
@@ -21,18 +22,7 @@ std::string mutated_replies(std::mt19937& random) {
                                          "0,20,80,0.02,0.02,EndOfAPI",
                                          "-1,GroupStatusGet(Group1,int *),EndOfAPI",
                                          "0,1.5e-07,EndOfAPI"};
-  std::string bytes;
-  for (std::size_t replies = 1 + random() % 4; replies > 0; --replies)
-    bytes += kReplies[random() % std::size(kReplies)];
-  for (std::size_t changes = random() % 4; changes > 0 && !bytes.empty(); --changes) {
-    const std::size_t at = random() % bytes.size();
-    if (random() % 2 == 0) {
-      bytes.erase(at, 1);
-    } else {
-      bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
-    }
-  }
-  return bytes;
+  return test::mutated(kReplies, 4, random);
 }
 
 TEST(NewportXpsCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {

@@ -2,9 +2,10 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <iterator>
 #include <random>
 #include <string>
+
+#include "tests/fuzz/mutated_samples.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
 
@@ -23,18 +24,7 @@ std::string mutated_messages(std::mt19937& random) {
       "\x06\x00\x54\x00\x81\x11"s + "\x40\xE2\x01\x00"s + "BBD202\0\0"s + std::string(72, '\x01'),
       "\xF2\x04\x4A\x00\x81\x21\x01\x00\x00\x00\x00\x00"s + "DDR100"s + std::string(62, '\0'),
       "\x81\x00\x44\x00\x81\x21\x53\x04\x04\x00"s + "No"s + std::string(62, '\0')};
-  std::string bytes;
-  for (std::size_t messages = 1 + random() % 4; messages > 0; --messages)
-    bytes += kMessages[random() % std::size(kMessages)];
-  for (std::size_t changes = random() % 4; changes > 0 && !bytes.empty(); --changes) {
-    const std::size_t at = random() % bytes.size();
-    if (random() % 2 == 0) {
-      bytes.erase(at, 1);
-    } else {
-      bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
-    }
-  }
-  return bytes;
+  return test::mutated(kMessages, 4, random);
 }
 
 TEST(ThorlabsAptCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
