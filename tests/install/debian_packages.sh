@@ -31,13 +31,14 @@ done
 grep -q '/cmake/abcal/abcal-config.cmake$' "$work/library.list" || fail "libabcal-dev has no abcal-config.cmake"
 grep -q '/libabcal_estimators.a$' "$work/library.list" || fail "libabcal-dev has no libabcal_estimators.a"
 if grep -E '\.(a|h|cmake)$' "$work/program.list"; then fail "these belong into libabcal-dev"; fi
-dpkg-deb --fsys-tarfile "$program" | tar -xO ./usr/lib/systemd/system/abcal-console.service |
-  grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' || fail "the service starts another program"
+# Unpacked once: a reader that ends early would break the pipe of dpkg-deb.
+dpkg-deb -x "$program" "$work/root"
+services=$work/root/usr/lib/systemd/system
+grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' "$services/abcal-console.service" || fail "the service starts another program"
 # What a process that is attacked could reach: systemd's figure, 0 to 10.
 if command -v systemd-analyze >/dev/null; then
   for service in abcal-bench abcal-console; do
-    dpkg-deb --fsys-tarfile "$program" | tar -xO "./usr/lib/systemd/system/$service.service" >"$work/$service.service"
-    systemd-analyze security --offline=true --threshold=20 --no-pager "$work/$service.service" >"$work/exposure" ||
+    systemd-analyze security --offline=true --threshold=20 --no-pager "$services/$service.service" >"$work/exposure" ||
       fail "$service.service: $(tail -1 "$work/exposure"); required: at most 2.0"
   done
 fi
@@ -45,7 +46,6 @@ fi
 if grep -q 'systemd/system/.*\.wants/' "$work/program.list"; then fail "the service is enabled"; fi
 
 # The program in the package works, from an empty folder, with the examples in the package.
-dpkg-deb -x "$program" "$work/root"
 mkdir "$work/empty" && cd "$work/empty"
 "$work/root/usr/bin/abcal" plan "$work/root/usr/share/doc/abcal/examples/simulated.toml" >/dev/null
 

@@ -5,7 +5,7 @@ set -eu
 program=$1
 failed=0
 expect() {  # what, pattern, text
-  if ! printf '%s\n' "$3" | grep -q "$2"; then
+  if ! printf '%s\n' "$3" | grep "$2" >/dev/null; then
     echo "$program: $1 is missing (no $2)" >&2
     failed=1
   fi
@@ -17,7 +17,7 @@ symbols=$(LC_ALL=C readelf --dyn-syms --wide "$program")
 expect 'the stack protector' __stack_chk_fail "$symbols"
 expect 'checked copies' '__mem[a-z]*_chk\|__read_chk\|__snprintf_chk' "$symbols"
 for library in libhwy libhdf5 libmpi libxmlsec; do
-  if LC_ALL=C readelf --dynamic "$program" | grep -q "NEEDED.*$library"; then
+  if LC_ALL=C readelf --dynamic "$program" | grep "NEEDED.*$library" >/dev/null; then
     echo "$program: loads $library at every start" >&2
     failed=1
   fi
