@@ -69,7 +69,7 @@ std::vector<Chain> chains_of(const ReportData& data) {
   std::vector<Chain> chains{
       {"angle", serial_numbers_of(*data.run, "stage")}, {"gravity", {}}, {"temperature", {}}};
   const bool by_voltmeter = data.bench && data.bench->accelerometer.driver.starts_with("scpi_");
-  if (by_voltmeter || data.record.response_unit.ends_with("V"))
+  if (measured_by_voltmeter(data))
     chains.push_back(
         {"voltage", by_voltmeter ? serial_numbers_of(*data.run, "accelerometer") : std::string()});
   return chains;
@@ -112,6 +112,11 @@ std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, cons
                         "a survey: a formula has no calibration"});
   if (const std::string words = default_effects_words(data.record.tolerances); !words.empty())
     problems.push_back({which + ", effects", words, "a source for each"});
+  if (const std::vector<std::string> unstated = unstated_voltmeter(data); !unstated.empty())
+    problems.push_back(
+        {which + ", voltmeter", fmt::format("not stated: {}", fmt::join(unstated, ", ")),
+         "[item_uncertainty] voltmeter_gain and voltmeter_offset, each with its source (0 where "
+         "the other covers it)"});
   return problems;
 }
 

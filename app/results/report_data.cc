@@ -14,15 +14,23 @@
 #include "protocol/record/sha256.h"
 
 namespace abcal {
-namespace {
+namespace {}  // namespace
 
-/// Its calibration must hold (traceability), but no effect of the table stands for its uncertainty.
 bool measured_by_voltmeter(const ReportData& data) {
   return data.record.response_unit.ends_with("V") ||
          (data.bench && data.bench->accelerometer.driver.starts_with("scpi_"));
 }
 
-}  // namespace
+std::vector<std::string> unstated_voltmeter(const ReportData& data) {
+  std::vector<std::string> words;
+  if (!measured_by_voltmeter(data)) return words;
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    if (key.key.starts_with("voltmeter_") && !data.record.tolerances.sources.contains(key.key))
+      words.emplace_back(key.words);
+  }
+  return words;
+}
+
 std::string ReportData::label(const std::string& key) const {
   return run ? label_of(run->header.labels, key) : std::string();
 }
@@ -108,8 +116,7 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
   if (const CalibrationResult& result = data.result();
       result.verdict != Verdict::kNotUsable && result.sensitivity_matrix) {
     data.budget = make_budget(data.record, result);
-    if (measured_by_voltmeter(data))
-      data.budget->not_covered.emplace_back("gain and offset of the voltmeter");
+    for (std::string& words : unstated_voltmeter(data)) data.budget->not_covered.push_back(std::move(words));
   }
   return data;
 }

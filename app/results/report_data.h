@@ -52,6 +52,13 @@ struct ReportData {
   std::pair<double, double> settle_times_s() const;
 };
 
+/// Whether a voltmeter read the item's outputs: its calibration is part of the traceability.
+bool measured_by_voltmeter(const ReportData& data);
+
+/// What of the voltmeter that measured has no stated uncertainty: "gain of the voltmeter". Empty where none
+/// measured.
+std::vector<std::string> unstated_voltmeter(const ReportData& data);
+
 /// The warnings at the top of every report of the data: not complete, not usable, doubtful, simulated, not
 /// consistent, a bench file that this program cannot read. Empty: there are none.
 std::vector<std::string> cautions(const ReportData& data);

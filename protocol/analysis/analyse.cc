@@ -24,6 +24,7 @@
 #include "protocol/analysis/run_time.h"
 #include "protocol/analysis/sensitivity_matrix.h"
 #include "protocol/analysis/undetermined.h"
+#include "protocol/analysis/voltmeter.h"
 
 namespace abcal {
 
@@ -930,6 +931,7 @@ CalibrationResult analyse_abc(const RunRecord& record, const AnalysisOptions& op
   judge_effects(record, estimate, result, objections);
   note_missing_angles(record, selection, result);
   note_type_a(selection, estimate, result, objections);
+  add_voltmeter(record.tolerances, result);  // After the checks: no reading shows it.
 
   if (!objections.empty()) {
     result.verdict = Verdict::kDoubtful;

@@ -22,6 +22,7 @@
 #include "protocol/analysis/objection.h"
 #include "protocol/analysis/undetermined.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/analysis/voltmeter.h"
 
 namespace abcal {
 namespace {
@@ -416,6 +417,7 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
     result.joint->contradicted_sizes.push_back(words);
   }
   object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
+  add_voltmeter(record.tolerances, result);  // After the checks: no reading shows it.
   return result;
 }
 

@@ -17,6 +17,7 @@
 #include "protocol/analysis/norm_model.h"
 #include "protocol/analysis/run_time.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/analysis/voltmeter.h"
 #include "protocol/plan/limits.h"
 
 namespace abcal {
@@ -421,6 +422,7 @@ CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& s
   result.estimator = "norm";
   result.g_loc.unit = "m/s2";
   analyse_into(poses, sizes, result);
+  add_voltmeter(sizes, result);
   return result;
 }
 
@@ -456,6 +458,7 @@ CalibrationResult analyse_norm(const RunRecord& record) {
   }
   analyse_into(all.poses, record.tolerances, result);
   object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
+  add_voltmeter(record.tolerances, result);
   return result;
 }
 

@@ -62,6 +62,8 @@ constexpr std::array kKeys{
     value<&EffectSizes::k3>(kItem, "k3", "1", 0.1, "non-linearity of order 3"),
     angle<&EffectSizes::orthogonality>(kItem, "orthogonality_deg", 45.0,
                                        "angles between the item's axes about 90 degrees", false),
+    value<&EffectSizes::voltmeter_gain>(kItem, "voltmeter_gain", "1", 0.1, "gain of the voltmeter"),
+    value<&EffectSizes::voltmeter_offset>(kItem, "voltmeter_offset", "1", 0.1, "offset of the voltmeter"),
 };
 
 std::string full_name(const EffectSizeKey& key) {

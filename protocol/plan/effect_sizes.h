@@ -38,6 +38,10 @@ struct EffectSizes {
   /// Of the angles between the item's axes about 90 degrees; 0: not stated. Only the norm estimator reads it,
   /// where fewer than nine poses were measured.
   Angle orthogonality = Angle::degrees(0.0);
+  /// Of the instrument that reads the item's voltages (protocol/analysis/voltmeter.h); 0: not stated, or the
+  /// item's outputs are numbers.
+  double voltmeter_gain = 0.0;    ///< Relative; one for all three outputs.
+  double voltmeter_offset = 0.0;  ///< Relative to S_j, for each output.
 
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
   /// is absent was not stated: its size is the default, and results say so.

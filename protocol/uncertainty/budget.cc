@@ -16,6 +16,7 @@
 #include "protocol/analysis/analyse.h"
 #include "protocol/analysis/check_poses.h"
 #include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/analysis/voltmeter.h"
 
 namespace abcal {
 
@@ -69,6 +70,29 @@ void add_gravity_to(const RunRecord& record, Budget& budget) {
 
 OutputVector contributions(const OutputJacobian& jacobian, const Covariance12& covariance) {
   return (jacobian * covariance * jacobian.transpose()).diagonal().cwiseMax(0.0).cwiseSqrt();
+}
+
+/// What the voltmeter adds, of which no angle tells anything.
+/// @return its covariance, of s row by row and O
+Covariance12 add_voltmeter_to(const RunRecord& record, const CalibrationResult& result,
+                              const OutputJacobian& jacobian, Budget& budget) {
+  const EffectSizes& sizes = record.tolerances;
+  const VoltmeterShare share = voltmeter_share(result.sensitivity_values(), result.offset_values(), sizes);
+  const auto add = [&](const char* input, double size, const char* unit, const Covariance12& covariance) {
+    if (!(size > 0.0)) return;
+    BudgetLine line;
+    line.input = input;
+    line.value = "0";
+    line.unit = unit;
+    line.distribution = "normal";
+    line.standard_uncertainty = size;
+    line.contribution = contributions(jacobian, covariance);
+    line.sensitivity = line.contribution / size;
+    budget.lines.push_back(std::move(line));
+  };
+  add("gain of the voltmeter", sizes.voltmeter_gain, "1", share.gain);
+  add("offset of the voltmeter", sizes.voltmeter_offset, "of S", share.offset);
+  return share.gain + share.offset;
 }
 
 /// The scatter of the readings; without the one standard uncertainty that all of them might have.
@@ -150,6 +174,7 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
     readings -= share.covariance;
     budget.lines.push_back(std::move(line));
   }
+  readings -= add_voltmeter_to(record, result, jacobian, budget);
   budget.lines.push_back(readings_line("readings (noise, and its process from angle to angle)", record,
                                        contributions(jacobian, readings)));
   add_check_poses_to(record, budget);
@@ -179,6 +204,7 @@ class BudgetMaker {
 
   Budget make(std::optional<double> resolution) {
     add_effects();
+    budget_.other_covariance += add_voltmeter_to(record_, result_, jacobian_, budget_);
     add_readings();
     if (resolution) add_resolution(*resolution);
     add_check_poses_to(record_, budget_);

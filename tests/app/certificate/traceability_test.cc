@@ -101,6 +101,9 @@ TEST_F(TraceabilityTest, TheCalibrationIsThatOfTheInstrumentThatMeasured) {
   EXPECT_THAT(refusal(asked), HasSubstr("equipment for voltage with serial number MY-1 and"));
   asked.laboratory = issuable(example_laboratory() + replaced(voltmeter, "MY-12", "MY-1")).laboratory;
   EXPECT_EQ(refusal(asked), "");
+  // U without the voltmeter's part is not that of the calibration.
+  asked.run.record.tolerances.sources.erase("voltmeter_gain");
+  EXPECT_THAT(refusal(asked), HasSubstr("run, voltmeter: found not stated: gain of the voltmeter"));
 }
 
 TEST_F(TraceabilityTest, SerialNumbersMatchExactly) {
