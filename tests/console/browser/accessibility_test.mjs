@@ -1,6 +1,6 @@
 // For everybody: what the other tests do not look at.
 import assert from 'node:assert/strict';
-import {abcal, begin, complainsOfNothing, look, served, text} from './page_test.mjs';
+import {abcal, begin, complainsOfNothing, look, says, served} from './page_test.mjs';
 
 const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
 
@@ -16,8 +16,10 @@ step('in a dialog', async (page) => {
 
 step('on a wall', async (page) => {
   await page.locator('nav a[href="#kiosk"]').click();
+  await page.waitForFunction(() => document.body.classList.contains('kiosk'));
   await look('kiosk');
   await page.locator('#leave-kiosk').click();
+  await page.waitForFunction(() => !document.body.classList.contains('kiosk'));
 });
 
 step('a result is printed as a whole, without what can only be pressed', async (page) => {
@@ -28,8 +30,8 @@ step('a result is printed as a whole, without what can only be pressed', async (
   for (const words of ['Checks of the result', 'Estimators side by side', 'Closures and their standard uncertainty', 'Amplitudes', 'Step errors (degrees)', 'Events of the run'])
     assert.ok(pages.includes(words), words);
   assert.ok(!/Stop|Take control|Download|All runs|Log out/.test(pages), pages);
-  assert.ok(await page.locator('#estimators').isVisible());
-  assert.equal(await text('#banner-word'), 'Idle');
+  await page.locator('#estimators').waitFor();
+  await says('#banner-word', 'Idle');
 });
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

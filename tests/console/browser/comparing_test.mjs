@@ -1,6 +1,5 @@
 // Two runs of an item side by side, and its control chart.
-import assert from 'node:assert/strict';
-import {abcal, begin, complainsOfNothing, confirmDialog, look, stateIs, text} from './page_test.mjs';
+import {abcal, begin, complainsOfNothing, confirmDialog, look, says, stateIs} from './page_test.mjs';
 
 const step = begin({pace: 40, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
 
@@ -12,13 +11,12 @@ step('compares two runs and shows the control chart of an item', async (page) =>
   await page.locator('nav a[href="#compare"]').click();
   await page.locator('#compare-form button').click();
   await page.locator('#compare-words').waitFor();
-  assert.equal(await page.locator('#compare-table tbody tr').count(), 9);
+  await page.locator('#compare-table tbody tr').countIs(9);
   await look('compare');
   await page.locator('nav a[href="#chart"]').click();
   await page.locator('#chart-words').waitFor();
-  await page.waitForFunction(() => document.querySelectorAll('#chart-body tbody tr').length >= 2);
-  assert.equal(await page.locator('#chart-body tbody tr').count(), 2);
-  assert.match(await text('#chart-words'), /^Centre [\d.]+ g\/g_loc; limits/);
+  await page.locator('#chart-body tbody tr').countIs(2);
+  await says('#chart-words', /^Centre [\d.]+ g\/g_loc; limits/);
   await look('chart');
 });
 

@@ -1,6 +1,6 @@
 // Two pages of one bench; stopping and resuming a run.
 import assert from 'node:assert/strict';
-import {ANGLES, begin, complainsOfNothing, confirmDialog, measured, served, stateIs, text} from './page_test.mjs';
+import {ANGLES, begin, complainsOfNothing, confirmDialog, eventually, measured, says, served, stateIs, text} from './page_test.mjs';
 
 const step = begin({pace: 10});
 let runName;
@@ -18,15 +18,15 @@ step('another page watches, and steers only after it took control', async (page)
   const other = await served.newPage();
   await other.goto(served.address);
   await served.measuredAtLeast(8, other);
+  await other.locator('#do-stop').becomesEnabled();  // Who watches may stop.
   assert.ok(await other.locator('#do-continue').isDisabled());
-  assert.ok(await other.locator('#do-stop').isEnabled(), 'who watches may stop');
-  assert.match(await other.locator('#who-steers').innerText(), /^page \d+ at 127\.0\.0\.1:\d+ steers\.$/);
+  await other.locator('#who-steers').says(/^page \d+ at 127\.0\.0\.1:\d+ steers\.$/);
   await other.getByRole('button', {name: 'Take control from the other page'}).click();
   await other.locator('#confirm-yes').click();
   await other.locator('#do-continue:enabled').waitFor();
   // The page that lost it is told by whom.
   await page.getByText(/This page no longer has control: page \d+ at 127\.0\.0\.1:\d+ has taken it/).waitFor();
-  assert.ok(await page.locator('#do-continue').isDisabled());
+  await page.locator('#do-continue').becomesDisabled();
   await other.close();
   // Only when the console has noticed that nobody steers: before, the button asks, and nobody would answer.
   await page.getByRole('button', {name: 'Take control'}).click();
@@ -46,11 +46,11 @@ step('continues, stops at once, and resumes from the list of runs', async (page)
   await confirmDialog();
   await page.locator('#view-live').waitFor();
   await stateIs(/^The run is complete\. Result: usable/);
-  assert.equal(await measured(), ANGLES);
+  await eventually(async () => assert.equal(await measured(), ANGLES));
   await page.locator('nav a[href="#runs"]').click();
   await page.getByRole('link', {name: runName}).click();
   await page.locator('#estimators').waitFor();
-  assert.match(await text('#verdict'), /interrupted and resumed once/);
+  await says('#verdict', /interrupted and resumed once/);
 });
 
 step('connects again by itself, and the bench does not depend on it', async (page) => {

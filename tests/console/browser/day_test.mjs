@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
 import path from 'node:path';
 import {fileURLToPath} from 'node:url';
-import {barriers, begin, confirmDialog, english, look, served, text} from './page_test.mjs';
+import {barriers, begin, confirmDialog, look, noEnglish, says, served, stateIs, text} from './page_test.mjs';
 import {logIn, makeRegister, PASSWORD} from './training_register.mjs';
 
 const examples = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/examples');
@@ -14,7 +14,6 @@ const step = begin({pace: 500, bench, serve: ['--laboratory', path.join(examples
   const lab = makeRegister(served);
   lab('add', 'item', '--maker', 'simulated', '--model', '3DM-GV7', '--serial-number', 'SN 0500');
 }});
-const idle = (page) => page.waitForFunction(() => document.getElementById('banner').dataset.kind !== 'busy');
 
 step('checks the bench without motion, and levels it', async (page) => {
   await logIn(page, 'Operator N. N.');
@@ -25,7 +24,7 @@ step('checks the bench without motion, and levels it', async (page) => {
   await page.locator('#bench-level:enabled').click();
   await confirmDialog();
   await page.locator('#levelling', {hasText: 'tilt of the Z axis'}).waitFor();
-  assert.match(await text('#levelling'), /level_file = "bench-.*\.level\.json"/);
+  await says('#levelling', /level_file = "bench-.*\.level\.json"/);
   await page.locator('#bench-probe:enabled').click();
   await confirmDialog();
   await page.locator('#ports', {hasNotText: 'Not asked yet.'}).waitFor();
@@ -47,31 +46,29 @@ step('fills the queue by a scanner, and reorders it', async (page) => {
   assert.equal(await page.locator('#queue-list b').count(), 0, 'a serial number is text');
   await page.locator('[aria-label^="Up: SN 0500"]').click();
   await page.locator('#queue-list tbody tr:first-child', {hasText: 'SN 0500'}).waitFor();
-  assert.match(await page.evaluate(() => document.activeElement.getAttribute('aria-label')), /^Up: SN 0500/, 'it keeps the focus');
+  await page.waitForFunction(() => /^Up: SN 0500/.test(document.activeElement.getAttribute('aria-label')));  // It keeps the focus.
   assert.ok(await page.locator('#queue-next').isHidden(), 'paused at first');
   await page.getByRole('button', {name: 'Let the queue go on'}).click();
   await page.locator('#queue-next', {hasText: 'Mount SN 0500'}).waitFor();
-  await look('queue');
 });
 
 step('starts only the item that was checked, and asks for the next one', async (page) => {
   assert.equal(await page.locator('.queue-start').count(), 0);
   await page.locator('.queue-check:enabled').click();
   await page.locator('.queue-start:enabled').click();
-  assert.match(await text('#confirm-title'), /Start SN 0500/);
+  await says('#confirm-title', /Start SN 0500/);
   await confirmDialog();
   await page.waitForFunction(() => location.hash === '#live');
   await page.locator('#queue-asks', {hasText: 'SN 0501'}).waitFor();
-  await idle(page);
-  assert.match(await text('#state'), /^The run is complete/);
-  assert.equal(await text('#item'), 'SN 0500');
+  await stateIs(/^The run is complete/);
+  await says('#item', 'SN 0500');
 });
 
 step('issues the certificate, which a second person approves with a password', async (page) => {
   await served.goTo('queue');
   await page.locator('#queue-list a').first().click();
   await page.locator('#approve-form').waitFor();
-  assert.match(await text('#verdict'), /SIMULATED/);
+  await says('#verdict', /SIMULATED/);
   assert.equal(await page.locator('#approve-name').inputValue(), '', 'who measured is not proposed');
   const approve = async (name, password) => {
     await page.locator('#approve-name').fill(name);
@@ -93,7 +90,7 @@ step('issues the certificate, which a second person approves with a password', a
   await page.locator('#certificate', {hasText: 'freigegeben von Admin N. N.'}).waitFor();
   await page.locator('#certificate summary').click();
   await page.locator('#approve-reason').waitFor();
-  assert.deepEqual(await english(), []);
+  await noEnglish();
   assert.deepEqual(await barriers(), []);
   await page.locator('#language').click();
   await page.locator('#certificate', {hasText: 'approved by Admin N. N.'}).waitFor();

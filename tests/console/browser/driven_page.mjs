@@ -1,11 +1,13 @@
 // A page of a browser that puppeteer-core drives. What is asked for is waited for, up to PATIENCE. It is looked for again
 // and again from here: puppeteer's own waiting puts a function into the page as text, which the console's policy forbids.
+import assert from 'node:assert/strict';
+
 export const PATIENCE = 25_000;  // ms; a busy machine is slow, and a run takes some seconds on a fast one
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 // What `look` gives, as soon as it is true.
-async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
+export async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
   const end = performance.now() + timeout;
   for (;;) {
     let problem = '';
@@ -17,6 +19,17 @@ async function until(look, {timeout = PATIENCE, what = 'it'} = {}) {
     }
     if (performance.now() > end) throw new Error(`waited ${timeout} ms in vain for ${what}${problem}`);
     await pause(30);
+  }
+}
+
+// Asserts again and again until nothing is thrown. What the page does a moment after a click, a key or a message is asserted so.
+export async function eventually(assertion) {
+  for (const end = performance.now() + PATIENCE;; await pause(30)) {
+    try {
+      return await assertion();
+    } catch (error) {
+      if (performance.now() > end) throw error;
+    }
   }
 }
 
@@ -69,6 +82,18 @@ class Elements {
   async innerText() { return (await this.one('attached')).evaluate((element) => element.innerText); }
   async inputValue() { return (await this.one('attached')).evaluate((element) => element.value); }
   waitFor() { return this.one('visible'); }
+  becomesHidden() { return until(() => this.isHidden(), {what: `${JSON.stringify(this.steps)} to be hidden`}); }
+  becomesDisabled() { return until(() => this.isDisabled(), {what: `${JSON.stringify(this.steps)} to be disabled`}); }
+  becomesEnabled() { return this.one('usable'); }
+  countIs(n) { return eventually(async () => assert.equal(await this.count(), n, JSON.stringify(this.steps))); }
+  // A text: the whole of it; or a pattern.
+  says(words) {
+    return eventually(async () => {
+      const said = await this.innerText();
+      if (words instanceof RegExp) assert.match(said, words, JSON.stringify(this.steps));
+      else assert.equal(said, words, JSON.stringify(this.steps));
+    });
+  }
 
   one(state) {
     return until(async () => {
@@ -100,6 +125,29 @@ class Elements {
   }
   async press(key) { await (await this.one('usable')).press(key); }
   async selectOption(value) { await (await this.one('usable')).select(value); }
+}
+
+// A slow computer and a slow line: the page's work takes `times` as long, and what it is told, and the change of a view, comes
+// late. Run in the page before its scripts. (Firefox is only told late.)
+function late(times) {
+  const wait = () => 40 * times * Math.random();
+  let last = 0;  // In the order in which they came.
+  const queued = (does) => {
+    last = Math.max(last, performance.now() + wait());
+    setTimeout(does, last - performance.now());
+  };
+  globalThis.WebSocket = class extends WebSocket {
+    set onmessage(does) { super.onmessage = (event) => queued(() => { if (this.readyState === WebSocket.OPEN) does(event); }); }
+  };
+  const ask = globalThis.fetch;
+  globalThis.fetch = async (...words) => { const response = await ask(...words); await new Promise((done) => setTimeout(done, wait())); return response; };
+  const listen = globalThis.addEventListener;
+  globalThis.addEventListener = (kind, does, ...more) => listen(kind, kind === 'hashchange' ? (event) => setTimeout(() => does(event), wait()) : does, ...more);
+}
+
+export async function slowDown(page, browserName, times) {
+  if (browserName === 'chromium') await page.emulateCPUThrottling(times);
+  await page.evaluateOnNewDocument(late, times);
 }
 
 const ROLES = {button: 'button', link: 'a[href]'};

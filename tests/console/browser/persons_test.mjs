@@ -1,11 +1,11 @@
 // Who it is: persons of the register log in on the page; a token enters by "#", over TLS.
 import assert from 'node:assert/strict';
-import {begin, BENCH, confirmDialog, look, served, stateIs, text} from './page_test.mjs';
+import {begin, confirmDialog, ENDLESS, look, says, served, stateIs} from './page_test.mjs';
 import {logIn, makeRegister} from './training_register.mjs';
 
 const cookieOf = async (page) => (await page.cookies()).find(({name}) => name.startsWith('abcal_'));
 
-const step = begin({pace: 10, bench: BENCH.replace('[operator]\nname = "N. N."\n', ''), prepare: () => makeRegister(served), enter: () => {}});
+const step = begin({pace: 5, bench: ENDLESS.replace('[operator]\nname = "N. N."\n', ''), prepare: () => makeRegister(served), enter: () => {}});
 
 step('asks for a person, and says that a password is not right', async (page) => {
   await logIn(page, 'Operator N. N.', 'another horse 7');
@@ -13,7 +13,7 @@ step('asks for a person, and says that a password is not right', async (page) =>
   await look('login');
   await logIn(page, 'Operator N. N.');
   await served.entered();
-  assert.equal(await text('#person-name'), 'Operator N. N.');
+  await says('#person-name', 'Operator N. N.');
   const cookie = await cookieOf(page);
   assert.equal(cookie.httpOnly, true);
   assert.equal(cookie.sameSite, 'Strict');
@@ -26,13 +26,13 @@ step('who may not measure watches, and stops the run of another', async (page) =
   await page.locator('#do-start:enabled').click();
   await confirmDialog();
   await served.measuredAtLeast(1);
-  assert.equal(await text('#operator'), 'Operator N. N.');
+  await says('#operator', 'Operator N. N.');
   watcher = await served.newVisitor();
   await watcher.goto(served.address);
   await logIn(watcher, 'Watcher N. N.');
   await watcher.locator('#who-steers', {hasText: 'steering needs the right to measure'}).waitFor();
-  assert.ok(await watcher.locator('#take-control').isDisabled());
-  assert.match(await watcher.locator('#who-steers').innerText(), /^Operator N\. N\., page \d+ at .* steers\./);
+  await watcher.locator('#take-control').becomesDisabled();
+  await watcher.locator('#who-steers').says(/^Operator N\. N\., page \d+ at .* steers\./);
   await watcher.locator('#do-stop:enabled').click();
   await stateIs(/^The run is interrupted/);
   await page.getByText(/Stop, asked for by Watcher N\. N\., page/).waitFor();
@@ -42,7 +42,7 @@ step('who logs out is asked again', async () => {
   await watcher.getByRole('button', {name: 'Log out'}).click();
   await watcher.locator('#password').waitFor();
   assert.equal(await cookieOf(watcher), undefined);
-  assert.equal(await text('#person-name'), 'Operator N. N.', 'others stay');
+  await says('#person-name', 'Operator N. N.');  // Others stay.
 });
 
 step('a token enters by "#", is never a part of an address that is sent, and its cookie stays with TLS', async () => {
@@ -61,5 +61,5 @@ step('a token enters by "#", is never a part of an address that is sent, and its
   assert.ok(!page.url().includes(token), page.url());
   assert.ok(sent.length > 3 && sent.every((url) => !url.split('#')[0].includes(token)), sent.join(' '));
   assert.equal((await cookieOf(page)).secure, true);
-  assert.equal(await page.evaluate(() => document.getElementById('person').hidden), true);
+  await page.locator('#person').becomesHidden();
 });

@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import {copyFileSync} from 'node:fs';
 import path from 'node:path';
-import {abcal, begin, complainsOfNothing, look, served, text} from './page_test.mjs';
+import {abcal, begin, complainsOfNothing, look, says, served} from './page_test.mjs';
 
 const RUNS = 150;
 const step = begin({
@@ -15,8 +15,7 @@ const step = begin({
     }
   },
 });
-const count = () => text('#run-count');
-const countIs = (words) => served.page.waitForFunction((expected) => document.getElementById('run-count').textContent === expected, words);
+const countIs = (words) => says('#run-count', words);
 
 step('shows a hundred at a time, with result and operator', async (page) => {
   await served.goTo('runs');
@@ -25,17 +24,17 @@ step('shows a hundred at a time, with result and operator', async (page) => {
   const cells = await page.locator('#run-table tbody tr').first().locator('td').allInnerTexts();
   assert.ok(cells.includes('Usable'), cells.join(' | '));
   assert.ok(cells.includes('N. N. (stated, not verified)'), cells.join(' | '));
-  assert.ok(await page.getByRole('button', {name: 'Newer runs'}).isDisabled());
+  await page.getByRole('button', {name: 'Newer runs'}).becomesDisabled();
   await page.getByRole('button', {name: 'Older runs'}).click();
-  assert.equal(await count(), `${RUNS} of ${RUNS} runs; here 101 to ${RUNS}`);
-  assert.equal(await page.locator('#run-table tbody tr').count(), RUNS - 100);
+  await countIs(`${RUNS} of ${RUNS} runs; here 101 to ${RUNS}`);
+  await page.locator('#run-table tbody tr').countIs(RUNS - 100);
   await look('long-list');
 });
 
 step('searches all pages', async (page) => {
   await page.locator('#run-search').fill('run-07 usable');
-  assert.equal(await count(), `10 of ${RUNS} runs`);
-  assert.equal(await page.getByRole('button', {name: 'Older runs'}).count(), 0);
+  await countIs(`10 of ${RUNS} runs`);
+  await page.getByRole('button', {name: 'Older runs'}).countIs(0);
 });
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

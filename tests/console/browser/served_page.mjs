@@ -2,12 +2,14 @@
 //   ABCAL_PROGRAM         the program abcal
 //   ABCAL_NODE_MODULES    where puppeteer-core is installed
 //   ABCAL_BROWSER         chromium (without it) or firefox
+// By hand, to find what a test does not wait for:
+//   ABCAL_THROTTLE        e.g. 6: the page works so many times slower, and is told late
 import {execFileSync, spawn} from 'node:child_process';
 import {existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
 import {createRequire} from 'node:module';
 import {tmpdir} from 'node:os';
 import path from 'node:path';
-import {DrivenPage, PATIENCE} from './driven_page.mjs';
+import {DrivenPage, PATIENCE, slowDown} from './driven_page.mjs';
 
 export const browserName = process.env.ABCAL_BROWSER || 'chromium';
 const PROGRAM = {chromium: process.env.ABCAL_CHROMIUM || '/usr/bin/chromium', firefox: process.env.ABCAL_FIREFOX || '/usr/bin/firefox-esr'}[browserName];
@@ -97,7 +99,8 @@ export class ServedPage {
   }
   async newVisitor() { return this.watch(await (await this.browser.createBrowserContext()).newPage()); }
 
-  watch(opened) {
+  async watch(opened) {
+    if (process.env.ABCAL_THROTTLE) await slowDown(opened, browserName, Number(process.env.ABCAL_THROTTLE));
     opened.on('request', (request) => this.requests.push(request.url()));
     opened.on('pageerror', (error) => this.problems.push(String(error)));
     opened.on('console', (message) => { if (['error', 'warn'].includes(message.type())) this.problems.push(message.text()); });
@@ -128,6 +131,15 @@ export class ServedPage {
 
   text(selector) { return this.page.locator(selector).innerText(); }
   async measured() { return Number((await this.text('#measured')).split(' ')[0]); }
+  // All texts that an element has had from now on; gives what reads them.
+  async recorded(id) {
+    await this.page.evaluate((name) => {
+      const element = document.getElementById(name), texts = [];
+      new MutationObserver(() => texts.push(element.textContent)).observe(element, {childList: true, characterData: true, subtree: true});
+      (globalThis.recorded ??= {})[name] = texts;
+    }, id);
+    return () => this.page.evaluate((name) => globalThis.recorded[name], id);
+  }
   measuredAtLeast(n, page = this.page) {
     return page.waitForFunction((least) => Number(document.getElementById('measured').textContent.split(' ')[0]) >= least, n, {timeout: PATIENCE});
   }

@@ -14,7 +14,7 @@ step('what comes later moves nothing (cumulative layout shift)', async () => {
     if (LATE[view]) await page.locator(LATE[view]).waitFor();
     const shift = await page.evaluate(() => new Promise((resolve) => {
       new PerformanceObserver((list) => resolve(list.getEntries().reduce((sum, {value}) => sum + value, 0))).observe({type: 'layout-shift', buffered: true});
-      setTimeout(() => resolve(0), 500);
+      setTimeout(() => resolve(0), 500);  // No shift is told as nothing.
     }));
     assert.ok(shift < 0.05, `${view}: ${shift}`);
     await page.close();

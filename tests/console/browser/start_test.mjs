@@ -1,15 +1,15 @@
 // The start form: a scanner, the register's items, two pages, and texts that are no texts.
 import assert from 'node:assert/strict';
-import {begin, BENCH, complainsOfNothing, confirmDialog, look, served, stateIs, text} from './page_test.mjs';
+import {begin, complainsOfNothing, confirmDialog, ENDLESS, eventually, look, says, served, stateIs, text} from './page_test.mjs';
 import {logIn, makeRegister} from './training_register.mjs';
 
-const step = begin({pace: 10, bench: BENCH.replace('[operator]\nname = "N. N."\n', ''), enter: () => {}, prepare: () => {
+const step = begin({pace: 5, bench: ENDLESS.replace('[operator]\nname = "N. N."\n', ''), enter: () => {}, prepare: () => {
   const lab = makeRegister(served);
   lab('add', 'item', '--maker', 'Example', '--model', 'TA-3', '--serial-number', 'SN 0500', '--owner', 'A customer');
 }});
 
 const yes = '#confirm-yes:enabled';
-const value = (page, id) => page.locator(`#start-${id}`).inputValue();
+const valueIs = (page, id, expected) => eventually(async () => assert.equal(await page.locator(`#start-${id}`).inputValue(), expected));
 
 step('shows before the start what will be done, and what to look at', async (page) => {
   await logIn(page, 'Operator N. N.');
@@ -19,20 +19,20 @@ step('shows before the start what will be done, and what to look at', async (pag
   await page.locator('#do-start:enabled').click();
   await page.locator(yes).waitFor();
   const facts = await text('#start-facts');
-  for (const words of ['Bench 3', 'SIMULATED', 'Operator N. N. (logged in)', 'Predicted duration', '47 angles', 's (sensitivity, relative): ', 'Free disk space', 'none from the console'])
+  for (const words of ['Bench 3', 'SIMULATED', 'Operator N. N. (logged in)', 'Predicted duration', '119 angles', 's (sensitivity, relative): ', 'Free disk space', 'none from the console'])
     assert.ok(facts.includes(words), `${words} in ${facts}`);
-  assert.match(await text('#start-notices'), /The register has no item TA-3 SN 0417/);
-  assert.equal(await page.evaluate(() => document.activeElement.id), 'confirm-no');
+  await says('#start-notices', /The register has no item TA-3 SN 0417/);
+  await page.waitForFunction(() => document.activeElement.id === 'confirm-no');
   await look('start-form');
 });
 
 step('takes a serial number from a scanner, which types and ends with Enter', async (page) => {
   await page.keyboard.type('SN 0500');
   await page.keyboard.press('Enter');
+  await valueIs(page, 'item', '0');
+  await valueIs(page, 'serial-number', 'SN 0500');
   await page.locator(yes).waitFor();
-  assert.equal(await value(page, 'serial-number'), 'SN 0500');
-  assert.equal(await value(page, 'item'), '0');
-  assert.doesNotMatch(await text('#start-notices'), /The register has no item/);
+  await says('#start-notices', /^(?![^]*The register has no item)/);
   assert.ok(await page.locator('#confirm').isVisible(), 'Enter of a scanner starts and cancels nothing');
   await page.keyboard.type('<img src=x onerror=alert(1)>');
   await page.keyboard.press('Enter');
@@ -40,18 +40,19 @@ step('takes a serial number from a scanner, which types and ends with Enter', as
   assert.equal(await page.locator('#confirm img').count(), 0);
   await page.keyboard.type('SN 0500');
   await page.keyboard.press('Enter');
+  await valueIs(page, 'item', '0');
   await page.locator(yes).waitFor();
 });
 
 step('two presses start one run, of the item and the plan that were chosen', async (page) => {
-  await page.locator('#start-steps').selectOption('16');
-  await page.locator(yes).waitFor();
+  await page.locator('#start-steps').selectOption('72');
   await page.locator('#start-customer-number').fill('INV-42');
+  await says('#start-facts', /227 angles/);
   await page.locator(yes).waitFor();
   await page.locator('#confirm-yes').dblclick();
   await served.measuredAtLeast(2);
-  assert.equal(await text('#item'), 'SN 0500');
-  assert.equal(await text('#measured').then((words) => words.split(' of ')[1]), '59');
+  await says('#item', 'SN 0500');
+  await says('#measured', /^\d+ of 227$/);
   await page.locator('#do-stop:enabled').click();
   await stateIs(/^The run is interrupted/);
 });
@@ -59,7 +60,7 @@ step('two presses start one run, of the item and the plan that were chosen', asy
 step('a form that another page has overtaken starts nothing', async (page) => {
   await page.locator('#do-start:enabled').click();
   await page.locator(yes).waitFor();
-  assert.match(await text('#start-notices'), /was interrupted/);
+  await says('#start-notices', /was interrupted/);
   const other = await served.newPage();  // Of the same person.
   await other.goto(served.address);
   await other.getByRole('button', {name: 'Take control from the other page'}).click();

@@ -1,0 +1,40 @@
+// In German, what is done at the bench and with the queue: no English but what is marked so.
+import assert from 'node:assert/strict';
+import {abcal, barriers, begin, complainsOfNothing, confirmDialog, inGerman, look, noEnglish, served} from './page_test.mjs';
+
+const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run'), enter: async () => {
+  await inGerman();
+  await served.page.locator('#take-control').click();
+}});
+
+step('the bench is German, and what is asked before it is levelled', async (page) => {
+  await served.goTo('bench');
+  await page.locator('#bench-level:enabled').click();
+  await page.locator('#confirm-title', {hasText: 'Drehtisch nivellieren?'}).waitFor();
+  await noEnglish();
+  await page.locator('#confirm-no').click();
+  await page.locator('#bench-probe:enabled').click();
+  await confirmDialog();
+  await page.locator('#ports', {hasNotText: 'Noch nicht abgefragt.'}).waitFor();
+  await noEnglish();
+});
+
+step('the queue is German until an item is mounted and checked', async (page) => {
+  await served.goTo('queue');
+  await page.locator('#queue-add:enabled').click();
+  await page.locator('#start-runs').fill('2');
+  await page.locator('#confirm-yes:enabled').waitFor();
+  await noEnglish();
+  await confirmDialog();
+  await page.locator('#queue-list', {hasText: 'SN 0417'}).waitFor();
+  await page.locator('#queue-pause:enabled').click();
+  await page.locator('.queue-check:enabled').click();
+  await page.locator('.queue-start:enabled').click();
+  await page.locator('#confirm-title', {hasText: 'SN 0417'}).waitFor();
+  await noEnglish();
+  assert.deepEqual(await barriers(), []);
+  await page.locator('#confirm-no').click();
+  await look('queue-german');
+});
+
+step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);

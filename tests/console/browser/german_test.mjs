@@ -1,0 +1,15 @@
+// In German, what there is of runs: no English but what is marked so.
+import {abcal, begin, complainsOfNothing, inGerman, look, noEnglish, served} from './page_test.mjs';
+
+const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run'), enter: inGerman});
+
+for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first.run': '#certificate [lang=en]', compare: '#compare-form', chart: '#chart-words'})) {
+  step(`${view} is German`, async (page) => {
+    await page.goto(`${served.address}#${view}`);
+    await page.locator(last).waitFor();
+    await noEnglish();
+    if (view === 'runs/first.run') await look('result-german');
+  });
+}
+
+step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);
