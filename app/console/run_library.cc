@@ -319,25 +319,41 @@ Json RunLibrary::compare(const std::filesystem::path& first, const std::filesyst
   return compare_json(compare_results(std::move(results), options));
 }
 
-Json RunLibrary::history(const std::string& serial_number) {
+/// The lock is held while a summary is looked up or stored, never while a run is analysed: the list of runs
+/// waits for nobody's chart.
+std::optional<Json> RunLibrary::point_of_chart(const std::string& name, const std::string& serial_number) {
+  Json point;
+  std::filesystem::file_time_type time;
+  {
+    const std::lock_guard lock(mutex_);
+    const Entry& known = entry(name);
+    if (known.summary["item"] != serial_number || known.summary["state"] != "complete") return std::nullopt;
+    time = known.time;
+    point = {{"name", name},
+             {"created_utc", known.summary["created_utc"]},
+             {"simulated", known.summary["simulated"]}};
+    if (known.intrinsic) {
+      point.update(*known.intrinsic);
+      return point;
+    }
+  }
+  const CalibrationResult result =
+      analyse(RunFile::load(folder_ / name).record, std::string(kPublishedEstimator));
+  const Json intrinsic = {{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
+  point.update(intrinsic);
   const std::lock_guard lock(mutex_);
+  const auto known = known_.find(name);  // It may have been deleted or have changed meanwhile.
+  if (known != known_.end() && known->second.time == time) known->second.intrinsic = intrinsic;
+  return point;
+}
+
+Json RunLibrary::history(const std::string& serial_number) {
   Json list = Json::array();
   std::vector<std::string> oldest_first = names();
   std::reverse(oldest_first.begin(), oldest_first.end());
   for (const std::string& name : oldest_first) {
     try {
-      Entry& known = entry(name);
-      if (known.summary["item"] != serial_number || known.summary["state"] != "complete") continue;
-      if (!known.intrinsic) {
-        const CalibrationResult result =
-            analyse(RunFile::load(folder_ / name).record, std::string(kPublishedEstimator));
-        known.intrinsic = Json{{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
-      }
-      Json point = {{"name", name},
-                    {"created_utc", known.summary["created_utc"]},
-                    {"simulated", known.summary["simulated"]}};
-      point.update(*known.intrinsic);
-      list.push_back(std::move(point));
+      if (auto point = point_of_chart(name, serial_number)) list.push_back(std::move(*point));
     } catch (const RunFileError&) {
       continue;  // list() reports the reason.
     }

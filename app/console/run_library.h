@@ -59,6 +59,9 @@ class RunLibrary {
   };
 
   std::vector<std::string> names() const;
+  /// Nothing: the run is not a complete one of this item. Throws RunFileError.
+  std::optional<nlohmann::ordered_json> point_of_chart(const std::string& name,
+                                                       const std::string& serial_number);
   Entry& entry(const std::string& name);
   void find_verdict(const std::string& name, Entry& known);
   bool is_known(const std::string& name) const;

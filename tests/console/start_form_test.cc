@@ -97,6 +97,7 @@ TEST_F(StartFormTest, OneFormStartsOneRun) {
   const Json start = start_of(form());
   ASSERT_TRUE(page->ok(start));
   EXPECT_FALSE(page->ok(start));  // A double click.
+  ASSERT_TRUE(test::wait_for([&] { return run_files() == 1U; }, test::kPatience));
   ASSERT_TRUE(page->ok({{"do", "stop"}}));
   page->wait_for_activity("idle");
   const Json reply = page->ask(start);

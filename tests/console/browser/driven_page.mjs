@@ -2,7 +2,8 @@
 // and again from here: puppeteer's own waiting puts a function into the page as text, which the console's policy forbids.
 import assert from 'node:assert/strict';
 
-export const PATIENCE = 25_000;  // ms; a busy machine is slow, and a run takes some seconds on a fast one
+// ms; a busy machine is slow, and a run takes some seconds on a fast one, but minutes in real time.
+export const PATIENCE = 1000 * Number(process.env.ABCAL_PATIENCE_S || 25);
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 

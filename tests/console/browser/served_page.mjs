@@ -9,7 +9,7 @@ import {existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, w
 import {createRequire} from 'node:module';
 import {tmpdir} from 'node:os';
 import path from 'node:path';
-import {DrivenPage, PATIENCE, slowDown} from './driven_page.mjs';
+import {DrivenPage, PATIENCE, slowDown, until} from './driven_page.mjs';
 
 export const browserName = process.env.ABCAL_BROWSER || 'chromium';
 const PROGRAM = {chromium: process.env.ABCAL_CHROMIUM || '/usr/bin/chromium', firefox: process.env.ABCAL_FIREFOX || '/usr/bin/firefox-esr'}[browserName];
@@ -165,9 +165,16 @@ export class ServedPage {
   }
   goTo(view) { return this.page.locator(`nav a[href="#${view}"]`).click(); }
 
+  // Emulated instruments on pseudo-terminals in the folder `links`, in real time.
+  emulate() {
+    this.emulator = spawn(process.env.ABCAL_PROGRAM, ['emulate', 'bench.toml', '--link-dir', 'links'], {cwd: this.folder, stdio: 'ignore'});
+    return until(() => ['stage', 'accelerometer'].every((name) => existsSync(path.join(this.folder, 'links', name))), {what: 'the emulated instruments'});
+  }
+
   // At once, for a test that takes too long; the browser ends with this process.
   kill() {
     this.server?.kill('SIGKILL');
+    this.emulator?.kill('SIGKILL');
     try { process.kill(this.holder(), 'SIGKILL'); } catch { /* It has ended. */ }
     rmSync(this.folder, {recursive: true, force: true});
   }
@@ -175,6 +182,7 @@ export class ServedPage {
   async close() {
     await this.browser?.close();
     this.server?.kill('SIGINT');
+    this.emulator?.kill('SIGINT');
     rmSync(this.folder, {recursive: true, force: true});
   }
 }
