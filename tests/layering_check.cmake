@@ -81,7 +81,7 @@ layer(drivers/manual_stage MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ 
 file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")
 foreach(registration IN LISTS registrations)
   get_filename_component(driver ${registration} DIRECTORY)
-  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ fmt/ Eigen/)
+  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ fmt/ Eigen/ libxml/)
 endforeach()
 layer(drivers TOP MAY drivers/ FOREIGN fmt/)
 

@@ -133,7 +133,9 @@ void check_sensor_ports(TomlReader& reader, BenchConfig& c) {
   if (c.environment.driver.empty() != c.environment.port.empty())
     reader.add_problem(c.environment.port.empty() ? "environment.port" : "environment.driver", "nothing",
                        "driver and port, or neither");
-  if (const std::size_t names = pieces::words(c.accelerometer.names).size(); names != 0 && names != 3)
+  const bool names_a_device = c.accelerometer.driver == "iio";
+  if (const std::size_t names = pieces::words(c.accelerometer.names).size();
+      names != 0 && names != 3 && !names_a_device)
     reader.add_problem("accelerometer.names", "\"" + c.accelerometer.names + "\"",
                        "the names of u, v and w, with blanks between");
   for (int j = 0; j < 3; ++j) {

@@ -103,8 +103,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"accelerometer.comment", {"Lines of text: a line that begins with this is skipped. Empty: none.", ""}},
       {"accelerometer.names",
        {"Lines of text: names of u, v, w in front of their numbers, in place of columns, as \"ax ay az\". "
-        "Empty: "
-        "columns.",
+        "Empty: columns. Driver iio: name or id of the accelerometer, where there are several.",
         ""}},
       {"accelerometer.number_unit",
        {"Lines of text: what may follow a number at once, as \"g\" of `0.01g`.", ""}},

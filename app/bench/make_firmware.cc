@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "drivers/registry.h"
+#include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
@@ -313,24 +314,27 @@ std::shared_ptr<sim::Firmware> thorlabs_apt_firmware(const BenchConfig& config, 
   return std::make_shared<sim::ThorlabsAptFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> iio_firmware(const BenchConfig& config, const InstrumentPort&,
+                                            std::shared_ptr<sim::SimBench> world) {
+  sim::IioSettings settings;
+  const std::string& serial_number = config.accelerometer.serial_number;
+  if (!serial_number.empty()) settings.serial_number = serial_number;
+  return std::make_shared<sim::IioFirmware>(std::move(world), settings);
+}
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const InstrumentPort&,
                                                         std::shared_ptr<sim::SimBench>);
 
 /// Driver name -> the simulated instrument that it talks to.
 const std::map<std::string, MakeFirmware>& firmwares() {
-  static const std::map<std::string, MakeFirmware> all{{"mavlink", mavlink_firmware},
-                                                       {"microstrain_mip", mip_firmware},
-                                                       {"newport_esp", newport_esp_firmware},
-                                                       {"newport_xps", newport_xps_firmware},
-                                                       {"pi_gcs", pi_gcs_firmware},
-                                                       {"scpi_single", scpi_single_firmware},
-                                                       {"scpi_voltmeter", scpi_voltmeter_firmware},
-                                                       {"text_line", text_line_firmware},
-                                                       {"thorlabs_apt", thorlabs_apt_firmware},
-                                                       {"vectornav", vectornav_firmware},
-                                                       {"witmotion", witmotion_firmware},
-                                                       {"xsens_mti", xsens_mti_firmware},
-                                                       {"zaber_ascii", zaber_ascii_firmware}};
+  static const std::map<std::string, MakeFirmware> all{
+      {"mavlink", mavlink_firmware},         {"iio", iio_firmware},
+      {"microstrain_mip", mip_firmware},     {"newport_esp", newport_esp_firmware},
+      {"newport_xps", newport_xps_firmware}, {"pi_gcs", pi_gcs_firmware},
+      {"scpi_single", scpi_single_firmware}, {"scpi_voltmeter", scpi_voltmeter_firmware},
+      {"text_line", text_line_firmware},     {"thorlabs_apt", thorlabs_apt_firmware},
+      {"vectornav", vectornav_firmware},     {"witmotion", witmotion_firmware},
+      {"xsens_mti", xsens_mti_firmware},     {"zaber_ascii", zaber_ascii_firmware}};
   return all;
 }
 
@@ -409,6 +413,7 @@ std::vector<std::string> simulated_serial_numbers(const std::string& driver) {
     const sim::PiGcsSettings pi;
     const sim::ZaberAsciiSettings zaber;
     return std::map<std::string, std::vector<std::string>>{
+        {"iio", {sim::IioSettings{}.serial_number}},
         {"mavlink", {sim::MavlinkSettings{}.serial_number}},
         {"microstrain_mip", {sim::MipSettings{}.serial_number}},
         {"newport_esp", {newport.serial_number, newport.z_serial_number}},

@@ -13,7 +13,7 @@ namespace abcal::contract {
 namespace {
 
 bool in_mps2(const std::string& driver) {
-  return driver == "mavlink" || driver == "vectornav" || driver == "xsens_mti";
+  return driver == "iio" || driver == "mavlink" || driver == "vectornav" || driver == "xsens_mti";
 }
 
 Bench simulated_bench(const std::string& stage, const std::string& accelerometer,

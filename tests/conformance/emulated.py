@@ -123,19 +123,25 @@ class Checks:
         return None
 
 
-def main(host, instrument, run):
-    """`run(arguments, checks)` returns the version of the host program, or None if it is not there."""
+def main(host, instrument, run, *more):
+    """`run(arguments, checks)` returns the version of the host program, or None if it is not there. `more`: further
+    instruments, or other ways to them, each followed by its own `run`."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--abcal", required=True, help="the program abcal")
     parser.add_argument("--host", help="checkout of the host program, if it is not installed")
     arguments = parser.parse_args()
     if arguments.host:
         sys.path.insert(0, arguments.host)
-    checks = Checks()
-    version = run(arguments, checks)
-    if version is None:
-        print(f"{host}: not installed, and no --host given", file=sys.stderr)
-        sys.exit(SKIPPED)
-    verdict = "all" if not checks.failed else "; ".join(checks.failed)
-    print(f"| {host} {version} | {instrument} | {', '.join(checks.passed)} | {verdict} |")
-    sys.exit(1 if checks.failed else 0)
+    failed = False
+    rows = [instrument, run, *more]
+    for name, run_one in zip(rows[::2], rows[1::2]):
+        checks = Checks()
+        version = run_one(arguments, checks)
+        if version is None:
+            print(f"{host}: not installed, and no --host given", file=sys.stderr)
+            sys.exit(SKIPPED)
+        verdict = "-" if not checks.failed else "; ".join(checks.failed)
+        print(f"| {host} {version} | {name} | {', '.join(checks.passed)} | {verdict} | {time.strftime('%Y-%m-%d')} |",
+              flush=True)
+        failed = failed or bool(checks.failed)
+    sys.exit(1 if failed else 0)

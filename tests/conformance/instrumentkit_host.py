@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
 """InstrumentKit with the emulated ESP301."""
 
+import functools
 import sys
 import types
 
 import emulated
 
 
-def run(arguments, checks):
+def run(arguments, checks, port):
     # Transports that are not used here and that Debian does not have.
     for name in ("usbtmc", "vxi11"):
         sys.modules.setdefault(name, types.ModuleType(name))
@@ -24,9 +25,11 @@ def run(arguments, checks):
     version = getattr(instruments, "__version__", "of the checkout")
 
     with emulated.bench(arguments.abcal,
-                        emulated.STAGE.format(driver="newport_esp", port="tcp:0")) as bench:
-        host, port = bench.tcp("stage")
-        controller = instruments.newport.NewportESP301.open_tcpip(host, port)
+                        emulated.STAGE.format(driver="newport_esp", port=port)) as bench:
+        if port == "pty":
+            controller = instruments.newport.NewportESP301.open_serial(bench.ports["stage"], 19200)
+        else:
+            controller = instruments.newport.NewportESP301.open_tcpip(*bench.tcp("stage"))
         axis = controller.axis[0]
         degree = instruments.units.degree
         checks.step("enable", axis.enable)
@@ -43,4 +46,5 @@ def run(arguments, checks):
     return version
 
 
-emulated.main("InstrumentKit", "Newport ESP301 (newport_esp), TCP", run)
+emulated.main("InstrumentKit", "Newport ESP301 (newport_esp), TCP", functools.partial(run, port="tcp:0"),
+              "Newport ESP301 (newport_esp), line of 19200 Bd", functools.partial(run, port="pty"))

@@ -1,22 +1,30 @@
 #!/usr/bin/env python3
 """PI's own library for Python with the emulated PI controller."""
 
+import functools
+
 import emulated
 
 
-def run(arguments, checks):
+def run(arguments, checks, port):
     try:
         from pipython import pitools
         from pipython.pidevice.gcscommands import GCSCommands
         from pipython.pidevice.gcsmessages import GCSMessages
+        from pipython.pidevice.interfaces.piserial import PISerial
         from pipython.pidevice.interfaces.pisocket import PISocket
     except ImportError:
         return None
     from pipython.version import __version__ as version
 
-    with emulated.bench(arguments.abcal, emulated.STAGE.format(driver="pi_gcs", port="tcp:0")) as bench:
-        host, port = bench.tcp("stage")
-        with PISocket(host=host, port=port) as gateway, GCSCommands(GCSMessages(gateway)) as device:
+    with emulated.bench(arguments.abcal, emulated.STAGE.format(driver="pi_gcs", port=port)) as bench:
+        def connect():
+            if port == "pty":
+                return PISerial(bench.ports["stage"], 115200)
+            host, number = bench.tcp("stage")
+            return PISocket(host=host, port=number)
+
+        with connect() as gateway, GCSCommands(GCSMessages(gateway)) as device:
             checks.step("identify", device.qIDN, lambda text: "C-884" in text)
             checks.step("startup", lambda: pitools.startup(device, stages=None, refmodes=["FRF", "FRF"]))
             checks.step("referenced", lambda: all(device.qFRF().values()), True)
@@ -33,4 +41,5 @@ def run(arguments, checks):
     return version
 
 
-emulated.main("PIPython", "PI C-884 (pi_gcs), TCP", run)
+emulated.main("PIPython", "PI C-884 (pi_gcs), TCP", functools.partial(run, port="tcp:0"),
+              "PI C-884 (pi_gcs), line of 115200 Bd", functools.partial(run, port="pty"))

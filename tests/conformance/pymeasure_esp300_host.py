@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
 """pymeasure with the emulated ESP301, through pyvisa-py."""
 
+import functools
+import os
+
 import emulated
 
 
-def run(arguments, checks):
+def run(arguments, checks, port):
     try:
         import pymeasure
         from pymeasure.instruments.newport import ESP300
@@ -12,11 +15,16 @@ def run(arguments, checks):
         return None
 
     with emulated.bench(arguments.abcal,
-                        emulated.STAGE.format(driver="newport_esp", port="tcp:0")) as bench:
-        host, port = bench.tcp("stage")
+                        emulated.STAGE.format(driver="newport_esp", port=port)) as bench:
+        if port == "pty":
+            # pyvisa-py takes only names of ports in /dev.
+            resource = "ASRL" + os.path.realpath(bench.ports["stage"]) + "::INSTR"
+            line = {"baud_rate": 19200}
+        else:
+            resource = "TCPIP::{}::{}::SOCKET".format(*bench.tcp("stage"))
+            line = {}
         controller = checks.step("open", lambda: ESP300(
-            f"TCPIP::{host}::{port}::SOCKET", visa_library="@py", timeout=5000,
-            write_termination="\r", read_termination="\r\n"))
+            resource, visa_library="@py", timeout=5000, write_termination="\r", read_termination="\r\n", **line))
         if controller is None:
             return pymeasure.__version__
         axis = controller.x
@@ -38,4 +46,5 @@ def run(arguments, checks):
     return pymeasure.__version__
 
 
-emulated.main("pymeasure", "Newport ESP300 (newport_esp), TCP", run)
+emulated.main("pymeasure", "Newport ESP300 (newport_esp), TCP", functools.partial(run, port="tcp:0"),
+              "Newport ESP300 (newport_esp), line of 19200 Bd", functools.partial(run, port="pty"))

@@ -34,7 +34,7 @@ inline FastAccelerometer fastest(const std::string& driver) {
   if (driver == "microstrain_mip") return {.rate_hz = 1000.0};
   if (driver == "vectornav") return {.rate_hz = 800.0, .baud = 921600};
   if (driver == "xsens_mti") return {.rate_hz = 400.0};
-  if (driver == "mavlink") return {.rate_hz = 1000.0};
+  if (driver == "iio" || driver == "mavlink") return {.rate_hz = 1000.0};
   if (driver == "witmotion") return {.rate_hz = 200.0, .baud = 115200};
   if (driver == "text_line") return {.rate_hz = 1000.0};
   // A scan of three channels takes 15 ms with the shortest integration time, a measurement of one 5 ms; the

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "sim/firmware/firmware_stream.h"
+#include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"
 #include "sim/firmware/mip_firmware.h"
 #include "sim/firmware/newport_esp_firmware.h"
@@ -64,6 +65,7 @@ std::vector<Known> known_instruments() {
            std::string("\x14\x04\x01\x00\x21\x01\x90\x04\x01\x00\x22\x01", 12)},
           {"zaber_ascii", made<sim::ZaberAsciiFirmware>,
            "/1 get pos\n/1 get maxspeed\n/1 get accel\n/1 get limit.min\n/1 get comm.alert\n/1 warnings\n"},
+          {"iio", made<sim::IioFirmware>},
           {"mavlink", made<sim::MavlinkFirmware>},
           {"microstrain_mip", made<sim::MipFirmware>},
           {"vectornav", made<sim::VectorNavFirmware>,
