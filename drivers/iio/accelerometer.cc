@@ -18,7 +18,7 @@ using namespace std::string_view_literals;
 
 constexpr std::array<std::string_view, 3> kAxes{"accel_x", "accel_y", "accel_z"};
 constexpr double kRateTolerance = 0.01;
-constexpr double kBlock_s = 0.02;
+constexpr double kBlockSeconds = 0.02;
 constexpr int kBlocksInKernel = 128;
 constexpr int kMostLostInARow = 3;
 constexpr std::size_t kExaminedPeriods = 9;
@@ -215,7 +215,10 @@ void IioAccelerometer::start() {
   set_trigger();
   if (device().has("current_timestamp_clock"))
     session_.number(fmt::format("WRITE {} current_timestamp_clock 10", device().id), "monotonic\0"sv);
-  block_scans_ = static_cast<std::size_t>(std::max(1.0, std::round(settings_.rate_hz * kBlock_s)));
+  block_scans_ = static_cast<std::size_t>(std::max(1.0, std::round(settings_.rate_hz * kBlockSeconds)));
+  // Its own patience is 1 s, too short for slow rates; longer than ours, it would not tell us of it.
+  session_.number(
+      fmt::format("TIMEOUT {:.0f}", 1500.0 + 1000.0 * static_cast<double>(block_scans_) / settings_.rate_hz));
   open_buffer();
   readings_.restart();
   bad_blocks_ = 0;

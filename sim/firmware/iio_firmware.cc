@@ -21,8 +21,8 @@ namespace {
 
 constexpr const char* kDevice = "iio:device0";
 constexpr const char* kTrigger = "trigger0";
-constexpr double kAccelerationScale_mps2 = 3.7409e-8;  // 80 m/s2 over 31 bits
-constexpr double kRateScale_radps = 5.326e-9;
+constexpr double kAccelerationScale = 3.7409e-8;  // m/s2; 80 m/s2 over 31 bits
+constexpr double kRateScale = 5.326e-9;           // rad/s
 constexpr std::size_t kMostBytes = std::size_t{1} << 24U;
 
 // Errors of the system, as iiod answers them.
@@ -66,8 +66,8 @@ class IioFirmware::Machine {
       : bench_(std::move(bench)), settings_(settings), rate_hz_(settings.rate_hz) {
     set_rate(settings.rate_hz, bench_->start());
     for (const std::string axis : {"x", "y", "z"}) {
-      values_["anglvel_" + axis + " scale"] = fmt::format("{:.12f}", kRateScale_radps);
-      values_["accel_" + axis + " scale"] = fmt::format("{:.12f}", kAccelerationScale_mps2);
+      values_["anglvel_" + axis + " scale"] = fmt::format("{:.12f}", kRateScale);
+      values_["accel_" + axis + " scale"] = fmt::format("{:.12f}", kAccelerationScale);
       values_["accel_" + axis + " calibbias"] = "0";
       values_["accel_" + axis + " calibscale"] = "1.000000";
     }
@@ -162,7 +162,7 @@ std::int64_t IioFirmware::Machine::raw_acceleration(const SimOutput& output, int
   const std::string axis = std::string("accel_") + "xyz"[j];
   const double bias = std::strtod(values_.at(axis + " calibbias").c_str(), nullptr);
   const double factor = std::strtod(values_.at(axis + " calibscale").c_str(), nullptr);
-  const double raw = output.value[j] * factor / kAccelerationScale_mps2 + bias;
+  const double raw = output.value[j] * factor / kAccelerationScale + bias;
   return std::isfinite(raw) ? std::llround(std::clamp(raw, -2147483648.0, 2147483647.0)) : -2147483648LL;
 }
 
@@ -180,9 +180,8 @@ std::string IioFirmware::Machine::scan(std::uint64_t tick, std::uint32_t mask) c
     }
     const int j = static_cast<int>(n % 3);
     const std::int64_t raw =
-        n < 3
-            ? std::llround(std::clamp(motion.rate_B_radps[j] / kRateScale_radps, -2147483648.0, 2147483647.0))
-            : raw_acceleration(output, j);
+        n < 3 ? std::llround(std::clamp(motion.rate_B_radps[j] / kRateScale, -2147483648.0, 2147483647.0))
+              : raw_acceleration(output, j);
     put(bytes, static_cast<std::uint64_t>(raw), 4, true);
   }
   return bytes;
@@ -203,7 +202,7 @@ std::optional<std::string> IioFirmware::Machine::read(const std::string& channel
       return fmt::format(
           "{}", raw_acceleration(bench_->output(now, first_after(now), from_seconds(1.0 / rate_hz_)), j));
     if (channel == std::string("anglvel_") + "xyz"[j])
-      return fmt::format("{}", std::llround(bench_->body_motion(now).rate_B_radps[j] / kRateScale_radps));
+      return fmt::format("{}", std::llround(bench_->body_motion(now).rate_B_radps[j] / kRateScale));
   }
   return std::nullopt;
 }

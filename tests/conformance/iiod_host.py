@@ -51,7 +51,8 @@ xz = 1e-4
 def namespace_words():
     """How a command is run in a mount namespace; None if this machine does not permit it."""
     for words in (["unshare", "-m"], ["unshare", "-rm"]):
-        if shutil.which("unshare") and subprocess.run([*words, "mount", "-t", "tmpfs", "none", "/mnt"],
+        attempt = "mount -t tmpfs none /mnt && mkdir /mnt/x && mount --bind /mnt/x /sys/bus && mount --rbind /mnt/x /dev"
+        if shutil.which("unshare") and subprocess.run([*words, "sh", "-c", attempt],
                                                       capture_output=True).returncode == 0:
             return words
     return None

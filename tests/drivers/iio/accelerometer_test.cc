@@ -101,6 +101,13 @@ TEST_F(IioTest, SetsTheRateAndRefusesOneThatTheDeviceDoesNotHave) {
   EXPECT_THAT(complaint([&] { too_fast.start(); }, Fault::kRefused), HasSubstr("sampling_frequency"));
 }
 
+TEST_F(IioTest, ASlowRateHasBlocksOfOneSample) {
+  auto driver = make(0.5);
+  driver.start();
+  EXPECT_TRUE(driver.next(clock.now() + 3s));
+  EXPECT_TRUE(driver.next(clock.now() + 3s));
+}
+
 TEST_F(IioTest, ATriggerIsSetWhereThereIsNone) {
   EXPECT_EQ(ask("SETTRIG iio:device0\r\nGETTRIG iio:device0\r\n"), "0\n0\n");
   auto driver = make();
