@@ -16,10 +16,10 @@ using Exchange = wire::PacketExchange<mavlink::FrameParser>;
 
 /// A heartbeat comes once a second.
 constexpr std::chrono::milliseconds kAnswerTime{1500};
-constexpr std::uint64_t kHeartbeatLost_us = 5'000'000;
+constexpr std::uint64_t kHeartbeatLostMicroseconds = 5'000'000;
 /// Of a HIGHRES_IMU, version 2; other messages may share the link.
 constexpr double kMessageBytes = 75.0;
-constexpr double kResolutionOfScaled_mps2 = 9.80665e-3;
+constexpr double kScaledResolution = 9.80665e-3;  // m/s2
 
 /// What the controller says to a command, whichever of its components answers.
 std::optional<wire::PacketAnswer> acknowledgement_of(const Frame& frame, std::uint16_t command) {
@@ -97,7 +97,7 @@ AccelerometerInfo MavlinkAccelerometer::interrogate() {
       .firmware = version.firmware,
       .output_unit = "m/s2",
       .full_scale = settings_.full_scale,  // It does not say.
-      .resolution = message_ == mavlink::kScaledImu ? std::optional(kResolutionOfScaled_mps2) : std::nullopt,
+      .resolution = message_ == mavlink::kScaledImu ? std::optional(kScaledResolution) : std::nullopt,
       .rate_hz = settings_.rate_hz,
   };
 }
@@ -182,7 +182,8 @@ wire::DecodedFrame MavlinkAccelerometer::decode_acceleration(const mavlink::Acce
   // By its own time: what waited on the line has no other.
   if (!heartbeat_time_us_ || *heartbeat_time_us_ > acceleration.time_us)
     heartbeat_time_us_ = acceleration.time_us;
-  if (const std::uint64_t since = acceleration.time_us - *heartbeat_time_us_; since > kHeartbeatLost_us)
+  if (const std::uint64_t since = acceleration.time_us - *heartbeat_time_us_;
+      since > kHeartbeatLostMicroseconds)
     end_and_fail(Fault::kNotReady,
                  fmt::format("no heartbeat for {:.1f} s, although readings come: the autopilot hangs, or "
                              "another program sends them",

@@ -18,7 +18,7 @@ constexpr Clock::Duration kHeartbeatPeriod = std::chrono::seconds(1);
 constexpr unsigned kOurSystem = 1;
 constexpr unsigned kOurComponent = 1;
 constexpr double kGravity = 9.80665;
-constexpr std::int64_t kShortestInterval_us = 1000;
+constexpr std::int64_t kShortestIntervalMicroseconds = 1000;
 
 // Numbers of messages, and the byte that each puts into its checksum.
 constexpr unsigned kHeartbeatMessage = 0;
@@ -135,9 +135,9 @@ MavlinkFirmware::Device::Device(std::shared_ptr<SimBench> bench, MavlinkSettings
   if (settings_.version != 1 && settings_.version != 2)
     throw std::invalid_argument(
         fmt::format("simulated MAVLink device: version {}, required: 1 or 2", settings_.version));
-  constexpr std::int64_t kAtPowerOn_us = 20'000;
+  constexpr std::int64_t kAtPowerOnMicroseconds = 20'000;
   if (settings_.streams_at_power_on && settings_.has_highres)
-    streams_[0].default_us = streams_[0].interval_us = kAtPowerOn_us;
+    streams_[0].default_us = streams_[0].interval_us = kAtPowerOnMicroseconds;
   streams_[0].from = streams_[1].from = now_;
 }
 
@@ -228,7 +228,7 @@ unsigned MavlinkFirmware::Device::set_interval(double message, double interval_u
       continue;
     if (!(interval_us >= -1.0 && interval_us <= 1e9)) return kDenied;
     const auto wanted = static_cast<std::int64_t>(std::llround(interval_us));
-    if (wanted > 0 && wanted < kShortestInterval_us) return kDenied;
+    if (wanted > 0 && wanted < kShortestIntervalMicroseconds) return kDenied;
     stream.interval_us = wanted < 0 ? 0 : (wanted == 0 ? stream.default_us : wanted);
     stream.from = now_;
     stream.next = 1;
