@@ -27,9 +27,9 @@ constexpr Clock::Duration kDiscovery = std::chrono::milliseconds(300);
 constexpr Clock::Duration kStartPatience = std::chrono::milliseconds(1500);
 constexpr Clock::Duration kPollInterval = std::chrono::milliseconds(10);
 constexpr std::string_view kIdentityName = "HW_REQ_INFO";
-constexpr double kTravel_deg = 360.0;
+constexpr double kTravelDegrees = 360.0;
 /// A motion that has ended so far from its target was ended by something else.
-constexpr double kFarFromTarget_deg = 0.5;
+constexpr double kFarFromTargetDegrees = 0.5;
 constexpr std::uint8_t kProfiled = 2;
 /// The longest message that can be half written is shorter.
 constexpr std::size_t kLongestHalf = 24;
@@ -340,8 +340,8 @@ class ThorlabsAptController final : public wire::LineController {
       a.speed_set = false;
       StageAxisInfo& told = info.axes[index(axis)];
       told.stage_name = a.stage;
-      told.travel_min = Angle::degrees(-kTravel_deg);
-      told.travel_max = Angle::degrees(kTravel_deg);
+      told.travel_min = Angle::degrees(-kTravelDegrees);
+      told.travel_max = Angle::degrees(kTravelDegrees);
       told.resolution = to_angle(a, 1);
       const double speed = velocity(axis).maximum / velocity_factor(a);
       told.speed_deg_per_s = settings_.speed_deg_per_s[index(axis)].value_or(speed);
@@ -403,10 +403,10 @@ class ThorlabsAptController final : public wire::LineController {
 
   void move_to(StageAxis axis, Angle target) override {
     on_this_line(axis);
-    if (!(std::abs(target.deg()) <= kTravel_deg))
+    if (!(std::abs(target.deg()) <= kTravelDegrees))
       throw failure(Fault::kOutOfTravel,
                     fmt::format("axis {} to {:.6f} deg; required: at most {:.0f} deg either way",
-                                axes_[index(axis)].name.number, target.deg(), kTravel_deg));
+                                axes_[index(axis)].name.number, target.deg(), kTravelDegrees));
     Axis& a = known(axis);
     const Status before = status(axis);
     check_faults(a, before);
@@ -419,7 +419,7 @@ class ThorlabsAptController final : public wire::LineController {
     const Status seen = command(axis, move_absolute(where.destination, where.channel, counts), "the move");
     const auto arrived = [&a, counts](const Status& status) {
       return std::abs(static_cast<double>(status.position) - counts) <=
-             kFarFromTarget_deg * a.counts_per_degree;
+             kFarFromTargetDegrees * a.counts_per_degree;
     };
     wait_for_start(axis, seen, "it was told to move", arrived);
     a.target = counts;
@@ -433,7 +433,7 @@ class ThorlabsAptController final : public wire::LineController {
     check_faults(a, now);
     if (target && !a.halted) {
       const double off = (static_cast<double>(now.position) - *target) / a.counts_per_degree;
-      if (std::abs(off) > kFarFromTarget_deg)
+      if (std::abs(off) > kFarFromTargetDegrees)
         throw failure(Fault::kRefused,
                       fmt::format("axis {} has stopped {:.3f} deg from its target", a.name.number, off));
     }
