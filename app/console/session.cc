@@ -376,7 +376,7 @@ void Session::show(const SessionEvent& event) {
       }
       std::string words = end.reason;
       if (end.complete)
-        words = end.verdict.empty() ? "a levelling" : fmt::format("{}: {}", end.verdict, end.reason);
+        words = end.verdict.empty() ? "" : fmt::format("{}: {}", end.verdict, end.reason);
       session.tell_(RunEnded{name, end.complete, std::move(words)});
     }
     void operator()(const AngleBegunEvent&) const {}

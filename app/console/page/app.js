@@ -1,4 +1,5 @@
-import {byId, duration, inEnglish} from '/text.js';
+import {byId, duration} from '/text.js';
+import {said} from '/said.js';
 import {BenchView} from '/bench.js';
 import {Link, SILENT_AFTER_MS, UNCONFIRMED_AFTER_MS} from '/link.js';
 import {LiveView} from '/live.js';
@@ -100,7 +101,7 @@ function showState(state, contact) {
   byId('banner').dataset.kind = state.kind;
   byId('banner-icon').firstElementChild.setAttribute('href', `#icon-${state.icon}`);
   byId('banner-word').textContent = word;
-  if (byId('state').textContent !== sentence + state.english) byId('state').replaceChildren(sentence, inEnglish(state.english));
+  if (byId('state').textContent !== sentence + state.english) byId('state').replaceChildren(sentence, said(state.english));
   byId('banner-more').textContent = more;
   byId('favicon').href = `/favicon-${state.kind}.svg`;
 }

@@ -1,5 +1,6 @@
 // The certificate of a run: what was issued, and the approval. Whoever approves proves it with a password, here and now.
-import {element, inEnglish, DASH} from '/text.js';
+import {element, DASH} from '/text.js';
+import {said} from '/said.js';
 import {t} from '/language.js';
 
 const TEXT = {
@@ -28,11 +29,11 @@ async function fill(run, body, changed) {
     if (!response.ok) throw new Error((await response.text()).trim());
     state = await response.json();
   } catch (error) {
-    return body.replaceChildren(problem(inEnglish(error.message || error)));
+    return body.replaceChildren(problem(said(error.message || error)));
   }
   const {certificates} = state;
   const list = certificates.length ? element('ul', {}, ...certificates.map((one) => element('li', {}, line(one)))) : element('p', {}, TEXT.none);
-  if (state.why_not) return body.replaceChildren(list, element('p', {}, inEnglish(state.why_not)));
+  if (state.why_not) return body.replaceChildren(list, element('p', {}, said(state.why_not)));
   const form = approvalForm(run, state, changed);
   body.replaceChildren(list, ...(certificates.length ? [element('details', {}, element('summary', {}, TEXT.amended), form)] : [form]));
 }
@@ -43,17 +44,17 @@ function approvalForm(run, state, changed) {
   const labelled = (words, control) => element('div', {}, element('label', {for: control.id}, words), control);
   const approver = input('name'), password = input('password', {type: 'password'}), reason = input('reason'), seen = input('seen', {type: 'checkbox'});
   approver.value = state.measured_by.split(', ').includes(state.person) ? '' : state.person;
-  const button = element('button', {class: 'go'}, last ? TEXT.amend : TEXT.approve), said = element('p', {id: 'approve-said', role: 'status'});
+  const button = element('button', {class: 'go'}, last ? TEXT.amend : TEXT.approve), told = element('p', {id: 'approve-said', role: 'status'});
   const form = element('form', {id: 'approve-form', class: 'no-print'},
     element('p', {}, t`Measured by ${state.measured_by || DASH}. `, TEXT.fourEyes),
     element('div', {class: 'pair'}, labelled(TEXT.approver, approver), labelled(TEXT.password, password), ...(last ? [labelled(TEXT.reason, reason)] : [])),
-    element('label', {class: 'check'}, seen, element('span', {}, TEXT.seen)), button, said);
+    element('label', {class: 'check'}, seen, element('span', {}, TEXT.seen)), button, told);
   form.addEventListener('submit', async (event) => {
     event.preventDefault();
     if (button.disabled) return;
     button.disabled = true;
-    said.className = '';
-    said.textContent = TEXT.busy;
+    told.className = '';
+    told.textContent = TEXT.busy;
     const fields = {run: run.name, run_sha256: state.run_sha256, name: approver.value, password: password.value};
     if (last) Object.assign(fields, {replaces: last.number, reason: reason.value});
     password.value = '';
@@ -61,11 +62,11 @@ function approvalForm(run, state, changed) {
       const response = await fetch('/approve', {method: 'POST', body: new URLSearchParams(fields)});
       if (!response.ok) throw new Error((await response.text()).trim());
       const issued = await response.json();
-      said.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', inEnglish(issued.warnings.join(' ')));
+      told.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', said(issued.warnings.join(' ')));
       changed();
     } catch (error) {
-      said.className = 'grade-problem';
-      said.replaceChildren(inEnglish(error.message || error));
+      told.className = 'grade-problem';
+      told.replaceChildren(said(error.message || error));
       button.disabled = false;
     }
   });

@@ -1,5 +1,6 @@
 // What is done at a bench beside runs: check without motion, levelling, and who answers on the ports.
-import {byId, element, inEnglish, table, DASH} from '/text.js';
+import {byId, element, table, DASH} from '/text.js';
+import {said} from '/said.js';
 import {t} from '/language.js';
 
 // What people read here and that has no values in it.
@@ -47,13 +48,13 @@ export class BenchView {
   }
 
   showLevelling({file, words}) {
-    this.levelling.replaceChildren(element('ul', {}, ...words.split('; ').map((line) => element('li', {lang: 'en'}, line))),
+    this.levelling.replaceChildren(element('ul', {}, ...words.split('; ').map((line) => element('li', {}, said(line)))),
       element('p', {}, t`Stored in ${file}. In the bench file this gives it to the joint estimator: `, element('code', {}, '[stage]'), ' ', element('code', {}, `level_file = "${file}"`)));
   }
 
   showPorts({ports}) {
     if (!ports.length) return this.ports.replaceChildren(TEXT.noPorts);
     const state = (port) => (port.holder ? t`in use by ${port.holder}` : port.permitted ? TEXT.free : TEXT.notPermitted);
-    this.ports.replaceChildren(table(TEXT.ports, TEXT.heading, ports.map((port) => [port.path, port.found ? inEnglish(port.found) : DASH, port.usb ? `port = "${port.usb}"` : '', port.description || DASH, state(port)])));
+    this.ports.replaceChildren(table(TEXT.ports, TEXT.heading, ports.map((port) => [port.path, port.found ? said(port.found) : DASH, port.usb ? `port = "${port.usb}"` : '', port.description || DASH, state(port)])));
   }
 }

@@ -502,4 +502,5 @@ export default {
   'Issued: {}. ': 'Ausgestellt: {}. ',
   'Cancelled.': 'Abgebrochen.',
   'The PDF is being made.': 'Das PDF wird erstellt.',
+  'The levelling is complete. Its result is on the view Bench.': 'Die Nivellierung ist fertig. Ihr Ergebnis steht in der Ansicht Messplatz.',
 };

@@ -1,5 +1,6 @@
 // The live view: shows what the messages say. Knows nothing that the server has not said.
-import {byId, degrees, duration, element, inEnglish, number, signed, small, table, DASH} from '/text.js';
+import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {said} from '/said.js';
 import {drawGimbal} from '/gimbal.js';
 import {OUTPUTS, plot, pointRadius, series} from '/plots.js';
 import {PagedTable} from '/pages.js';
@@ -79,9 +80,9 @@ export class LiveView {
     this.fault = message.fault;
     this.ended = this.run ? this.run.ended : null;
     this.interrupted = message.interrupted;
-    byId('guard').replaceChildren(inEnglish(message.guard ?? ''));
+    byId('guard').replaceChildren(said(message.guard ?? ''));
     this.words();
-    this.dirty = new Set(['strip', 'table', 'stage', 0, 1, 2]);
+    this.dirty = new Set(['strip', 'table', 'stage', ...[1, 2, 3].flatMap((n) => [`response ${n}`, `residual ${n}`])]);
   }
 
   receive(message) {
@@ -97,7 +98,7 @@ export class LiveView {
       case 'phase': this.phase = message; this.words(); break;
       case 'stage': this.stage(message.axis, message); break;
       case 'fault': this.fault = message; break;
-      case 'guard': byId('guard').replaceChildren(inEnglish(message.words)); break;
+      case 'guard': byId('guard').replaceChildren(said(message.words)); break;
       case 'interrupted': this.interrupted = message.run; this.words(); break;
       case 'strip':
         // The readings have begun again: what was before belongs to another axis of time.
@@ -114,7 +115,7 @@ export class LiveView {
         this.dirty.add('table');
         if (message.fit.experiment > 0) {  // A check pose is of no experiment.
           this.fits[message.fit.experiment - 1] = message.fit.outputs;
-          this.dirty.add(message.fit.experiment - 1);
+          this.dirty.add(`response ${message.fit.experiment}`).add(`residual ${message.fit.experiment}`);
         }
         break;
       case 'log': this.log(message.line); break;
@@ -149,7 +150,7 @@ export class LiveView {
     if (!run) return;
     const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
     byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
-      ...(run.words ? [t(run.words) === run.words ? inEnglish(run.words) : t(run.words), ' '] : []), t('Nothing moves until a person resumes it.'));
+      ...(run.words ? [said(run.words), ' '] : []), t('Nothing moves until a person resumes it.'));
   }
 
   // Whether all is still now; else how long that took at the angle measured last.
@@ -191,16 +192,16 @@ export class LiveView {
   log(line) {
     const log = byId('log'), lines = byId('log-lines');
     const atEnd = log.scrollHeight - log.scrollTop - log.clientHeight < 30;
-    lines.append(element('li', {class: `grade-${line.grade}`, lang: 'en'},
+    lines.append(element('li', {class: `grade-${line.grade}`},
       timeElement(line.utc, 'clock'),
-      line.grade === 'info' ? line.text : `${line.grade}: ${line.text}`));
+      ...(line.grade === 'info' ? [] : [`${t(line.grade)}: `]), said(line.text)));
     while (lines.children.length > 200) lines.firstChild.remove();
     if (atEnd) log.scrollTop = log.scrollHeight;
   }
 
   checks(findings) {
     byId('checks').replaceChildren(table(t('Checks of the bench and their findings'), [t('Check'), t('Grade'), t('Found'), t('Advice')],
-      findings.map((f) => [inEnglish(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), inEnglish(f.found), inEnglish(f.advice)])));
+      findings.map((f) => [said(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), said(f.found), said(f.advice)])));
   }
 
   // One part in a frame, each at most ten times a second: the page can be used however fast messages come.
@@ -225,7 +226,8 @@ export class LiveView {
       drawGimbal(this.angles.x ?? 0, this.angles.z ?? 0);
       byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
     }
-    if (typeof part === 'number') this.drawExperiment(part);
+    const [plotted, experiment] = part.split(' ');
+    if (experiment) this.drawExperiment(plotted, Number(experiment) - 1);
     if (part === 'table') this.drawTable();
   }
 
@@ -234,18 +236,21 @@ export class LiveView {
     return fit.constant + fit.sine * Math.sin(a) + fit.cosine * Math.cos(a);
   }
 
-  drawExperiment(i) {
-    const {response, residual} = this.charts[i];
+  // The response of experiment i, or its residual.
+  drawExperiment(plotted, i) {
+    const chart = this.charts[i][plotted], fits = this.fits[i];
     const dwells = [...this.dwells.values()].filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
     OUTPUTS.forEach((name, j) => {
-      const fit = this.fits[i] ? this.fits[i][j] : null;
-      response.data.datasets[j].pointRadius = residual.data.datasets[j].pointRadius = pointRadius(dwells);
-      response.data.datasets[j].data = dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j]}));
-      response.data.datasets[3 + j].data = fit ? Array.from({length: 73}, (_, k) => ({x: 5 * k, y: this.fitted(fit, 5 * k)})) : [];
-      residual.data.datasets[j].data = fit ? dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j] - this.fitted(fit, d.alpha_deg)})) : [];
+      const fit = fits ? fits[j] : null, points = chart.data.datasets[j];
+      points.pointRadius = pointRadius(dwells);
+      if (plotted === 'residual') {
+        points.data = fit ? dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j] - this.fitted(fit, d.alpha_deg)})) : [];
+      } else {
+        points.data = dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j]}));
+        chart.data.datasets[3 + j].data = fit ? Array.from({length: 73}, (_, k) => ({x: 5 * k, y: this.fitted(fit, 5 * k)})) : [];
+      }
     });
-    response.update('none');
-    residual.update('none');
+    chart.update('none');
   }
 
   makeTable() {

@@ -1,5 +1,6 @@
 // What takes seconds at the console: asked for with a word on what is done and a button that ends it, at the console too.
-import {element, inEnglish} from '/text.js';
+import {element} from '/text.js';
+import {said} from '/said.js';
 import {t} from '/language.js';
 
 const TEXT = {cancel: t('Cancel'), cancelled: t('Cancelled.'), printing: t('The PDF is being made.')};
@@ -47,7 +48,7 @@ export function savesPatiently(link, holder) {
       setTimeout(() => URL.revokeObjectURL(saved.href), 60_000);
       holder.replaceChildren();
     } catch (error) {
-      holder.replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, inEnglish(error.message || error)));
+      holder.replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, said(error.message || error)));
     } finally {
       link.removeAttribute('aria-disabled');
     }

@@ -43,8 +43,15 @@ function axis(words, more = {}) {
 const LEFT = 78;  // px, if that is enough
 const aligned = (group) => ({afterFit: (scale) => { scale.width = group.width = Math.max(LEFT, group.width ?? 0, scale.width); }});
 
-// What stands for an output in the legend of lines: its dashes, and its marker if it has one.
+// What stands for an output in the legend of lines: its dashes, and its marker if it has one. Drawn once: the legend asks at
+// each update.
+const drawnSamples = new Map();
 function sample(item) {
+  const key = `${item.text} ${item.pointStyle} ${item.strokeStyle}`;
+  if (!drawnSamples.has(key)) drawnSamples.set(key, drawSample(item));
+  return drawnSamples.get(key);
+}
+function drawSample(item) {
   const picture = document.createElement('canvas'), brush = picture.getContext('2d');
   [picture.width, picture.height] = [34, 10];
   brush.strokeStyle = brush.fillStyle = item.strokeStyle;
@@ -76,6 +83,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = nul
     plugins: [shade],
     options: {
       animation: false, responsive: true, maintainAspectRatio: false,
+      ...(type === 'line' && {parsing: false}),  // Points come as {x, y}, in numbers.
       interaction: {mode: 'nearest', intersect: false},
       scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
       plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},

@@ -1,6 +1,7 @@
 // The queue of items and plans: add, reorder, repeat, remove, pause; between two items the next one is mounted and checked.
 // Nothing here starts by itself but a further run of the item that stays mounted.
-import {byId, element, inEnglish, table, DASH} from '/text.js';
+import {byId, element, table, DASH} from '/text.js';
+import {said} from '/said.js';
 import {t} from '/language.js';
 import {StartForm} from '/start.js';
 
@@ -59,7 +60,7 @@ export class QueueView {
     const label = byId('queue-body').contains(document.activeElement) && document.activeElement.getAttribute('aria-label');
     const {entries, paused} = queue, next = entries.find(({number}) => number === queue.next);
     this.pauses.textContent = paused ? TEXT.goOn : TEXT.pause;
-    this.state.replaceChildren(queue.problem ? inEnglish(queue.problem) : !entries.length ? TEXT.empty : paused ? TEXT.paused : !next ? TEXT.nothingLeft : TEXT.goes);
+    this.state.replaceChildren(queue.problem ? said(queue.problem) : !entries.length ? TEXT.empty : paused ? TEXT.paused : !next ? TEXT.nothingLeft : TEXT.goes);
     this.state.className = queue.problem ? 'grade-problem' : '';
     this.showNext(paused ? null : next);
     this.showList(entries);
@@ -85,7 +86,7 @@ export class QueueView {
     const checked = check && check.of === next.number ? check : null;
     this.next.replaceChildren(element('h3', {}, t`Mount ${item}`), element('p', {}, TEXT.checkFirst),
       ...(checked ? [element('p', {class: checked.passed ? 'grade-good' : 'grade-problem', role: 'status'}, checked.passed ? TEXT.passed : TEXT.failed),
-        element('div', {class: 'stack'}, table(TEXT.findings, TEXT.grades, checked.findings.map((f) => [inEnglish(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), inEnglish(f.found), f.advice ? inEnglish(f.advice) : DASH])))] : []),
+        element('div', {class: 'stack'}, table(TEXT.findings, TEXT.grades, checked.findings.map((f) => [said(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), said(f.found), f.advice ? said(f.advice) : DASH])))] : []),
       element('div', {class: 'bar'},
         this.button(checked ? TEXT.again : TEXT.check, () => this.ask(TEXT.check, {do: 'queue_mounted', entry: next.number}, {moves: false}), {needs: 'idle', kind: 'queue-check'}),
         ...(checked?.passed ? [this.button(TEXT.start, () => this.start(next, item), {needs: 'idle', kind: 'queue-start go'})] : [])));
@@ -103,7 +104,7 @@ export class QueueView {
       const item = itemWords(entry.choice.item), done = entry.made.length >= entry.wanted, fixed = done || Boolean(entry.now);
       const button = (words, request, more = {}) => this.button(words, () => change(entry, request), {label: `${words}: ${item}`, ...more});
       const runs = element('span', {}, t`${entry.made.length} of ${entry.wanted}`, ...entry.made.flatMap((name) => [' ', element('a', {href: `#runs/${encodeURIComponent(name)}`}, name)]));
-      const state = entry.now ? TEXT.now : done ? TEXT.done : entry.problem ? element('span', {}, inEnglish(entry.problem), entry.interrupted ? `: ${TEXT.resumeHint}` : '') : TEXT.waits;
+      const state = entry.now ? TEXT.now : done ? TEXT.done : entry.problem ? element('span', {}, said(entry.problem), entry.interrupted ? `: ${TEXT.resumeHint}` : '') : TEXT.waits;
       return [itemWords({...entry.choice.item, maker: '', model: ''}), [entry.choice.item.maker, entry.choice.item.model].filter(Boolean).join(' ') || DASH, planWords(entry.choice), runs, state,
         element('span', {class: 'bar'}, button(TEXT.up, {do: 'queue_move', by: -1}, {never: fixed}), button(TEXT.down, {do: 'queue_move', by: 1}, {never: fixed}),
           button(TEXT.repeat, {do: 'queue_repeat'}), button(TEXT.remove, {do: 'queue_remove'}, {never: Boolean(entry.now)}))];

@@ -1,5 +1,6 @@
 // The runs of the folder: list with search, one run's results, comparison of two, control chart of one item.
-import {byId, decimals, duration, element, inEnglish, number, scrollable, signed, small, table, DASH} from '/text.js';
+import {byId, decimals, duration, element, number, scrollable, signed, small, table, DASH} from '/text.js';
+import {said} from '/said.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {PagedTable} from '/pages.js';
 import {certificateCard} from '/approve.js';
@@ -142,14 +143,14 @@ export async function showRun(name) {
     card(t('Checks of the result'), checks(reported, data.meanings)),
     ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
     card(t('Estimators side by side'), estimators(results)),
-    card(t('Other estimators in words'), element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. `, inEnglish(r.why))))),
+    card(t('Other estimators in words'), element('ul', {}, ...results.slice(1).map((r) => element('li', {}, `${ESTIMATORS[r.estimator]}: ${VERDICTS[r.verdict]}. `, said(r.why))))),
     card(t('Facts'), facts(data)));
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
   detail.append(certificateCard(run, () => showRun(name)));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
-    data.events.map((e) => [day(e.utc), inEnglish(e.kind), inEnglish(e.text)])))));
+    data.events.map((e) => [day(e.utc), said(e.kind), said(e.text)])))));
   byId('main').focus();
 }
 
@@ -159,9 +160,9 @@ function verdict(result, run) {
   const notes = result.diagnostics.notes;
   return element('div', {class: `verdict verdict-${run.simulated ? 'simulated' : result.verdict}`, id: 'verdict'},
     element('p', {}, ...(run.simulated ? [simulatedMark(run), t` Simulated: ${rolesIn(run.simulated)}. These are no measurements. `] : []),
-      element('strong', {}, `${VERDICTS[result.verdict]}. `), inEnglish(result.why),
+      element('strong', {}, `${VERDICTS[result.verdict]}. `), said(result.why),
       run.state === 'complete' ? '' : t` The run is ${STATES[run.state]}: ${run.measured} of ${run.planned} angles are measured.`),
-    ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {lang: 'en'}, note)))] : []));
+    ...(notes.length ? [element('ul', {}, ...notes.map((note) => element('li', {}, said(note))))] : []));
 }
 
 // What failed comes first, with what is wrong; of the others, what was asked.
@@ -173,14 +174,14 @@ function checks(result, meanings) {
   const failed = all.filter((c) => !c.passed).length;
   return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? t`${failed} of ${all.length} checks failed.` : t`All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
     [t('Check'), t('Outcome'), t('Found'), t('Limit'), t('Unit'), t('Meaning')],
-    all.map((c) => [inEnglish(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), inEnglish(c.unit),
-      element('span', {lang: 'en'}, meanings[c.check], ...(c.words ? [' ', element('strong', {}, `${c.words[0].toUpperCase()}${c.words.slice(1)}.`)] : []))])));
+    all.map((c) => [said(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), said(c.unit),
+      element('span', {}, said(meanings[c.check]), ...(c.words ? [' ', element('strong', {}, said(c.words, {capital: true}), '.')] : []))])));
 }
 
 function flagged(result, meanings) {
   const {flags, angles_used: used} = result.diagnostics;
   return element('div', {class: 'stack', id: 'result-flags'}, table(t`Of ${used} angles used; an angle may have several flags.`,
-    [t('Flag'), t('Angles'), t('Meaning')], flags.map((f) => [inEnglish(f.flag), f.dwells, inEnglish(meanings[f.flag])])));
+    [t('Flag'), t('Angles'), t('Meaning')], flags.map((f) => [said(f.flag), f.dwells, said(meanings[f.flag])])));
 }
 
 function downloads(kinds, run) {
@@ -326,10 +327,10 @@ async function compare(a, b) {
   };
   const simulated = list.filter((run) => [a, b].includes(run.name) && run.simulated);
   byId('compare-table').replaceChildren(
-    element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), t` ${run.name} is simulated: no measurement. `]), inEnglish(pair.why)),
+    element('p', {id: 'compare-words', role: 'status'}, ...simulated.flatMap((run) => [simulatedMark(run), t` ${run.name} is simulated: no measurement. `]), said(pair.why)),
     scrollable('scroll-x', `A: ${a}. B: ${b}.`, table(t`Properties that do not depend on mounting, by the ABC estimator; E_n with U = 2 u. A: ${a}. B: ${b}.`,
       [t('Property'), t('Unit'), 'A', t('std. unc. of A'), 'B', t('std. unc. of B'), t('B minus A'), t('std. unc. of it'), 'E_n (1)'], PROPERTIES.map(row))),
-    element('ul', {}, ...data.notes.map((note) => element('li', {lang: 'en'}, note))));
+    element('ul', {}, ...data.notes.map((note) => element('li', {}, said(note)))));
 }
 
 // The control chart.

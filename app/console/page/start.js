@@ -1,6 +1,7 @@
 // The start form: which item, by whom, by which plan; what is predicted; warnings before the start. It stands in the dialog that
 // asks whether to start, and knows nothing that the console has not said.
-import {duration, element, inEnglish, small, DASH} from '/text.js';
+import {duration, element, small, DASH} from '/text.js';
+import {said} from '/said.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
 
@@ -142,7 +143,7 @@ export class StartForm {
   }
 
   show(answer) {
-    const list = (title, kind, lines) => (lines.length ? [element('h3', {}, title), element('ul', {class: `grade-${kind}`}, ...lines.map((line) => element('li', {}, line === TEXT.noSerial ? line : inEnglish(line))))] : []);
+    const list = (title, kind, lines) => (lines.length ? [element('h3', {}, title), element('ul', {class: `grade-${kind}`}, ...lines.map((line) => element('li', {}, line === TEXT.noSerial ? line : said(line))))] : []);
     this.notices.replaceChildren(...list(TEXT.refused, 'problem', answer.problems), ...list(TEXT.before, 'warning', answer.warnings));
     this.facts.hidden = !answer.plan;
     if (!answer.plan) return;
@@ -168,8 +169,8 @@ export class StartForm {
     fact(TEXT.time, total, time.speeds_known ? '' : `, ${TEXT.plusMoves}`, t`; ${plan.angles} angles`, answer.simulated && this.pace > 1 ? t`; simulated, shown in about ${shown}` : '');
     if (answer.predicted.length) {
       fact(TEXT.uncertainty, element('ul', {}, ...answer.predicted.map((p) => element('li', {},
-        `${SYMBOLS[p.symbol]}: ${scientific(p.standard_uncertainty, p.unit)}; `, t('mostly '), inEnglish(p.largest_part)))));
-      fact(TEXT.noise, scientific(noise.value, 'g_loc'), t(', from '), inEnglish(noise.source));
+        `${SYMBOLS[p.symbol]}: ${scientific(p.standard_uncertainty, p.unit)}; `, t('mostly '), said(p.largest_part)))));
+      fact(TEXT.noise, scientific(noise.value, 'g_loc'), t(', from '), said(noise.source));
     } else {
       fact(TEXT.uncertainty, plan.estimator === 'norm' ? TEXT.noPrediction : TEXT.noNoise);
     }

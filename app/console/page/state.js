@@ -55,6 +55,7 @@ export function stateOf({known, activity, phase, ended, fault, bench}) {
     const interrupted = ended && !ended.complete ? t('The run is interrupted and can be resumed: ') : '';
     return made(t('Faulted'), 'fault', 'fault', interrupted, {english: fault.words, fault: fault.instrument, todo: ADVICE[fault.fault] ?? t('Look at the log; then check the bench.')});
   }
+  if (ended && ended.complete && !ended.words) return made(t('Finished'), 'done', 'done', t('The levelling is complete. Its result is on the view Bench.'));
   if (ended && ended.complete) return made(t('Finished'), 'done', 'done', t('The run is complete. Result: '), {english: ended.words});
   if (ended) return made(t('Interrupted'), 'held', 'stop', t('The run is interrupted and can be resumed: '), {english: ended.words, todo: t('Resume it when the stage is clear.')});
   return made(t('Idle'), 'idle', 'idle', t('No run is in progress.'));

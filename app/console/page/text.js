@@ -60,7 +60,4 @@ export function table(caption, head, rows) {
 // What is wider or longer than its place, and can be scrolled with the keyboard.
 export const scrollable = (kind, name, content) => element('div', {class: kind, tabindex: 0, role: 'region', 'aria-label': name}, content);
 
-// What the program says in English alone.
-export const inEnglish = (words) => element('span', {lang: 'en'}, words);
-
 export const byId = (id) => document.getElementById(id);

@@ -30,6 +30,7 @@ step('checks the bench without motion, and levels it', async (page) => {
   await page.locator('#bench-level:enabled').click();
   await confirmDialog();
   await page.locator('#levelling', {hasText: 'tilt of the Z axis'}).waitFor();
+  await stateIs(/^The levelling is complete/);
   await says('#levelling', /level_file = "bench-.*\.level\.json"/);
   await page.locator('#bench-probe:enabled').click();
   await confirmDialog();

@@ -1,14 +1,19 @@
 // In German, what there is of runs: no English but what is marked so.
-import {abcal, begin, complainsOfNothing, inGerman, look, noEnglish, served} from './page_test.mjs';
+import assert from 'node:assert/strict';
+import {abcal, begin, complainsOfNothing, inGerman, look, noEnglish, says, served} from './page_test.mjs';
 
 const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run'), enter: inGerman});
 
-for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first.run': '#certificate [lang=en]', compare: '#compare-form', chart: '#chart-words'})) {
+for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first.run': '#certificate p', compare: '#compare-form', chart: '#chart-words'})) {
   step(`${view} is German`, async (page) => {
     await page.goto(`${served.address}#${view}`);
     await page.locator(last).waitFor();
     await noEnglish();
-    if (view === 'runs/first.run') await look('result-german');
+    if (view !== 'runs/first.run') return;
+    await says('#verdict', /Chi-Quadrat|die Ablesungen haben keine Unsicherheit/);
+    await says('#result-checks', /Verrutschen/);
+    assert.deepEqual(await page.evaluate(() => [...document.querySelectorAll('#result-checks [lang=en], #verdict [lang=en]')].map((each) => each.textContent)), []);
+    await look('result-german');
   });
 }
 

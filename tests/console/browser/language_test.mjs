@@ -13,7 +13,7 @@ const SAME = new Set(['abcal', 'abcal serve', 'abcal compare --shared', 'Deutsch
 // The texts that stand in the sources as t`...` or t('...').
 function textsOfScripts() {
   const texts = new Set();
-  for (const name of readdirSync(folder).filter((file) => file.endsWith('.js') && !['de.js', 'language.js'].includes(file))) {
+  for (const name of readdirSync(folder).filter((file) => file.endsWith('.js') && !['de.js', 'language.js', 'program_de.js'].includes(file))) {
     const source = readFileSync(path.join(folder, name), 'utf8');
     for (const [, text] of source.matchAll(/\bt`([^`]*)`/g)) texts.add(text.replace(/\$\{[^{}]*\}/g, '{}'));
     for (const [, text] of source.matchAll(/\bt\('([^']*)'\)/g)) texts.add(text);
@@ -37,6 +37,17 @@ step('every text has German words with the same values in them', async () => {
   assert.deepEqual([...texts].filter((text) => !(text in german) && !SAME.has(text) && !/^abcal console$/.test(text)), []);
   const values = (text) => text.split('{}').length;
   assert.deepEqual(Object.keys(german).filter((text) => values(text) !== values(german[text])), []);
+});
+
+// What the program says has its words in tables of its own; these are the sentences that it always has.
+step('checks, flags and what they mean have German words', async () => {
+  const {default: program} = await import(pathToFileURL(path.join(folder, 'program_de.js')));
+  const source = readFileSync(path.join(folder, '../../../protocol/analysis/check_meanings.cc'), 'utf8');
+  const pairs = [...source.matchAll(/\{"([^"]+)",\s*"([^"]+)"\}/g)];
+  assert.ok(pairs.length >= 30, String(pairs.length));
+  assert.deepEqual(pairs.flatMap(([, name, meaning]) => [name, meaning]).filter((words) => !(words in program)), []);
+  const values = (text) => text.split('{}').length;
+  assert.deepEqual(Object.keys(program).filter((text) => values(text) !== values(program[text])), []);
 });
 
 step('a switch chooses German, which stays', async (page) => {
