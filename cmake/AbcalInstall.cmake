@@ -42,7 +42,7 @@ install(FILES ${manual_folder}/_abcal DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/v
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal)
 # The pages that messages and the command line's help name; the changelog has its own place.
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal
-  FILES_MATCHING PATTERN "*.md" PATTERN "images/*.png" PATTERN "changelog.md" EXCLUDE
+  FILES_MATCHING PATTERN "*.md" PATTERN "*.ipynb" PATTERN "images/*.png" PATTERN "changelog.md" EXCLUDE
   PATTERN "decisions" EXCLUDE PATTERN "examples" EXCLUDE PATTERN "udev" EXCLUDE)
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
 # The services name the program by its path, which only the installation knows (cmake --install --prefix).
@@ -68,7 +68,25 @@ foreach(folder drivers/instrument tests/contract protocol/plan protocol/model pr
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/${folder}
     COMPONENT dev FILES_MATCHING PATTERN "*.h")
 endforeach()
+
+# --- the library with the stable face, and its module for Python -------------------------------------------------------
+install(TARGETS abcal_library EXPORT abcal-library-targets
+  LIBRARY COMPONENT library NAMELINK_COMPONENT dev INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
+    ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/app/library/abcal/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal COMPONENT dev
+  FILES_MATCHING PATTERN "*.h")
+install(FILES ${PROJECT_SOURCE_DIR}/drivers/registry.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/drivers COMPONENT dev)
+install(FILES ${PROJECT_SOURCE_DIR}/drivers/wire/byte_stream.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/drivers/wire
+  COMPONENT dev)
+if(TARGET abcal_python)
+  set(ABCAL_PYTHON_FOLDER lib/python3/dist-packages CACHE STRING "Where the module for Python is installed")
+  install(TARGETS abcal_python LIBRARY DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
+  install(FILES ${PROJECT_SOURCE_DIR}/app/python/abcal/__init__.py ${PROJECT_SOURCE_DIR}/app/python/abcal/__init__.pyi
+    ${PROJECT_SOURCE_DIR}/app/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
+endif()
+
 set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/abcal)
+install(EXPORT abcal-library-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
 install(EXPORT abcal-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
 configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-config.cmake.in
   ${PROJECT_BINARY_DIR}/packaging/abcal-config.cmake INSTALL_DESTINATION ${package_folder})
@@ -90,11 +108,16 @@ configure_file(${PROJECT_SOURCE_DIR}/docs/changelog.md ${documents}/changelog CO
 foreach(name changelog changelog.Debian)
   execute_process(COMMAND ${ABCAL_GZIP} -9nf ${documents}/${name} COMMAND_ERROR_IS_FATAL ANY)
 endforeach()
-foreach(package abcal libabcal-dev)
-  set(component ${package})
-  if(package STREQUAL "libabcal-dev")
-    set(component dev)
-  endif()
+set(package_components abcal dev library)
+if(TARGET abcal_python)
+  list(APPEND package_components python)
+endif()
+set(package_of_abcal abcal)
+set(package_of_dev libabcal-dev)
+set(package_of_library libabcal1)
+set(package_of_python python3-abcal)
+foreach(component IN LISTS package_components)
+  set(package ${package_of_${component}})
   install(FILES ${PROJECT_SOURCE_DIR}/cmake/packaging/copyright ${documents}/changelog.gz
     ${documents}/changelog.Debian.gz DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${component})
 endforeach()
@@ -103,7 +126,7 @@ set(CPACK_GENERATOR DEB)
 set(CPACK_PACKAGE_NAME abcal)
 set(CPACK_PACKAGE_CONTACT "abcal maintainers <maintainers@example.org>")
 set(CPACK_PACKAGE_DESCRIPTION_SUMMARY "")  # each package has its own, the first line of its description
-set(CPACK_COMPONENTS_ALL abcal dev)
+set(CPACK_COMPONENTS_ALL ${package_components})
 set(CPACK_SET_DESTDIR ON)  # so that what is installed sees the final prefix
 set(CPACK_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
@@ -133,10 +156,38 @@ another process, or simulated in the program.")
 set(CPACK_DEBIAN_DEV_PACKAGE_NAME libabcal-dev)
 set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_DEV_PACKAGE_DEPENDS
-  "libeigen3-dev, libfmt-dev, libhwy-dev, libsqlite3-dev, libssl-dev, pkgconf")
-set(CPACK_COMPONENT_DEV_DESCRIPTION "estimators of accelerometer calibrations, for C++
-Static libraries, headers and a CMake package with the estimators of abcal:
-find_package(abcal) gives the target abcal::estimators, which computes
-sensitivity matrix, offsets and intrinsic properties with uncertainties from
-a run file or a table of averaged readings.")
+  "libabcal1 (= ${PROJECT_VERSION}-1), libeigen3-dev, libfmt-dev, libhwy-dev, libsqlite3-dev, libssl-dev, pkgconf")
+set(CPACK_COMPONENT_DEV_DESCRIPTION "calibrations of accelerometers, for C++ programs
+Headers and a CMake package: find_package(abcal COMPONENTS library) gives the
+target abcal::abcal with records, estimators, planner, Monte Carlo, runs on a
+bench and certificates; abcal::estimators are the estimators alone, as static
+libraries. The contract suite for drivers in other repositories is with them.")
+
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_NAME libabcal1)
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_SECTION libs)
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_SHLIBDEPS ON)
+# The guard that halts a stage and the schemas of certificates come with the program.
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_DEPENDS "abcal (= ${PROJECT_VERSION}-1)")
+file(WRITE ${documents}/triggers "activate-noawait ldconfig\n")
+file(WRITE ${documents}/shlibs "libabcal 1 libabcal1 (>= ${PROJECT_VERSION})\n")
+set(CPACK_DEBIAN_LIBRARY_PACKAGE_CONTROL_EXTRA ${documents}/triggers ${documents}/shlibs)
+set(CPACK_COMPONENT_LIBRARY_DESCRIPTION "calibrations of accelerometers, shared library
+What abcal does, for other programs: records, estimators with covariances,
+planner, Monte Carlo, forward model, comparison, certificates, and runs on a
+bench with the same safety as the command line.")
+
+if(TARGET abcal_python)
+  math(EXPR next_python "${ABCAL_PYTHON_MINOR} + 1")
+  set(CPACK_DEBIAN_PYTHON_PACKAGE_NAME python3-abcal)
+  set(CPACK_DEBIAN_PYTHON_PACKAGE_SECTION python)
+  # Compiled for one Python.
+  set(CPACK_DEBIAN_PYTHON_PACKAGE_DEPENDS "libabcal1 (= ${PROJECT_VERSION}-1), python3 (>= 3.${ABCAL_PYTHON_MINOR}), \
+python3 (<< 3.${next_python}), python3-numpy, libc6, libgcc-s1, libstdc++6")
+  set(CPACK_DEBIAN_PYTHON_PACKAGE_SUGGESTS "python3-pandas, python3-uncertainties, python3-xarray")
+  set(CPACK_COMPONENT_PYTHON_DESCRIPTION "calibrations of accelerometers, for Python
+import abcal: records from run files and NumPy arrays, estimators with
+labelled covariances, planner, Monte Carlo, simulation, comparison,
+certificates, and runs on a bench with callbacks or as an asynchronous
+iterator.")
+endif()
 include(CPack)

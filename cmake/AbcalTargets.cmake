@@ -17,10 +17,15 @@ if(ABCAL_SANITIZE)
   endif()
 endif()
 
+# What is compiled once serves the programs and the shared library. No function of ours is to be replaced from outside, so
+# that calls between them can be inlined as they are in a program.
+add_compile_options("$<$<NOT:$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>>:-fPIC;-fno-semantic-interposition>")
+
 # Release builds check what they copy and keep their tables read-only (tests/install/hardening.sh looks at the program).
 if(CMAKE_BUILD_TYPE STREQUAL "Release" AND NOT ABCAL_SANITIZE)
-  add_compile_options(-U_FORTIFY_SOURCE -D_FORTIFY_SOURCE=3 -fstack-protector-strong -fPIE)
-  add_link_options(-pie -Wl,-z,relro -Wl,-z,now)
+  add_compile_options(-U_FORTIFY_SOURCE -D_FORTIFY_SOURCE=3 -fstack-protector-strong
+    "$<$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>:-fPIE>")
+  add_link_options("$<$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>:-pie>" -Wl,-z,relro -Wl,-z,now)
 endif()
 
 # A whole build reads the sources of a target as few translation units: the headers that they share are parsed once, which

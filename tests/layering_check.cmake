@@ -127,6 +127,8 @@ layer(app/self_test MAY app/bench/ app/certificate/ app/document/ app/laboratory
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ drivers/wire/ sim/ FOREIGN boost/ nlohmann/ fmt/)
 set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/export/ app/issuing/ app/laboratory/ app/planner/ app/report/ app/results/ app/robustness/
   app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
+layer(app/library MAY ${below_people} abcal/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/python MAY abcal/ FOREIGN pybind11/)
 layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ unicode/ fmt/)
 layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)
 layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ curl/ matio.h nlohmann/ fmt/ hwy/)

@@ -139,9 +139,12 @@ class Opener {
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
       const StageDriver& driver = find_driver(stage_drivers(), port.driver);
       std::vector<std::unique_ptr<wire::ByteStream>> streams;
-      for (const InstrumentPort& connection : connections_of(port, driver.connections))
-        streams.push_back(open(connection, driver.serial));
+      if (driver.connections > 0) {
+        for (const InstrumentPort& connection : connections_of(port, driver.connections))
+          streams.push_back(open(connection, driver.serial));
+      }
       parts.push_back(driver.make(std::move(streams), clock_, stage_settings(config_, port)));
+      if (driver.connections == 0) continue;  // Nothing of ours to halt it by.
       if (wire::ReopenableStream* real = opened_.at(port.name).port)
         parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), guard_, port.name,
                                                       [real] { return real->descriptor(); });
@@ -190,8 +193,10 @@ class Opener {
     }
     const AccelerometerDriver& driver = find_driver(accelerometer_drivers(), config.driver);
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
-    for (const InstrumentPort& port : accelerometer_ports(config))
-      streams.push_back(open(port, driver.serial));
+    if (driver.ports > 0) {
+      for (const InstrumentPort& port : accelerometer_ports(config))
+        streams.push_back(open(port, driver.serial));
+    }
     return driver.make(std::move(streams), clock_, accelerometer_settings(config));
   }
 

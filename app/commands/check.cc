@@ -13,24 +13,6 @@
 #include "app/system/terminal.h"
 
 namespace abcal {
-namespace {
-
-std::string_view word(Finding::Grade grade) {
-  switch (grade) {
-    case Finding::Grade::kGood:
-      return "good";
-    case Finding::Grade::kWarning:
-      return "warning";
-    case Finding::Grade::kProblem:
-      return "problem";
-    case Finding::Grade::kLeftOut:
-      return "left out";
-  }
-  return "unknown";
-}
-
-}  // namespace
-
 CLI::App* add_check(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string bench_file;
@@ -60,7 +42,7 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
           {"schema", "abcal.check/1"}, {"problems", problems}, {"warnings", warnings}};
       json["findings"] = nlohmann::ordered_json::array();
       for (const Finding& finding : findings)
-        json["findings"].push_back({{"grade", word(finding.grade)},
+        json["findings"].push_back({{"grade", to_string(finding.grade)},
                                     {"what", finding.what},
                                     {"found", finding.found},
                                     {"advice", finding.advice}});
@@ -70,7 +52,8 @@ CLI::App* add_check(CLI::App& parent, int& exit_code) {
         const Emphasis emphasis = finding.grade == Finding::Grade::kProblem   ? Emphasis::kBad
                                   : finding.grade == Finding::Grade::kWarning ? Emphasis::kWarning
                                                                               : Emphasis::kNone;
-        print_result("{}  {}: {}\n", emphasised(stdout, emphasis, fmt::format("{:>8}", word(finding.grade))),
+        print_result("{}  {}: {}\n",
+                     emphasised(stdout, emphasis, fmt::format("{:>8}", to_string(finding.grade))),
                      finding.what, finding.found);
         if (!finding.advice.empty()) print_result("{:>8}  do: {}\n", "", finding.advice);
       }

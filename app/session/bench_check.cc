@@ -319,6 +319,20 @@ Finding judge_signs(const std::vector<PoseReading>& poses) {
   return finding;
 }
 
+std::string_view to_string(Finding::Grade grade) {
+  switch (grade) {
+    case Finding::Grade::kGood:
+      return "good";
+    case Finding::Grade::kWarning:
+      return "warning";
+    case Finding::Grade::kProblem:
+      return "problem";
+    case Finding::Grade::kLeftOut:
+      return "left out";
+  }
+  return "unknown";
+}
+
 std::vector<Finding> check_bench(Bench& bench, const BenchConfig& config, const CheckOptions& options) {
   return Checker(bench, config, options).run();
 }

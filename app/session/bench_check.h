@@ -2,6 +2,7 @@
 
 #include <stop_token>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <Eigen/Core>
@@ -21,6 +22,9 @@ struct Finding {
   std::string found;   ///< In words, with units.
   std::string advice;  ///< What to do; empty: nothing.
 };
+
+/// "good", "warning", "problem", "left out"
+std::string_view to_string(Finding::Grade grade);
 
 struct CheckOptions {
   bool no_motion = false;

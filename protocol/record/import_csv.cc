@@ -16,7 +16,6 @@
 #include <limits>
 #include <map>
 #include <optional>
-#include <set>
 #include <string_view>
 #include <tuple>
 #include <utility>
@@ -24,6 +23,7 @@
 #include "drivers/text/text.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/plan/run_config.h"
+#include "protocol/record/imported_dwells.h"
 #include "protocol/record/limits_entries.h"
 
 namespace abcal {
@@ -31,7 +31,6 @@ namespace abcal {
 namespace {
 
 constexpr std::size_t kMostProblemsShown = 50;
-constexpr std::size_t kFewestAngles = 3;  // A, B and C of one experiment
 constexpr std::array<std::string_view, 6> kRequired{"experiment", "n", "alpha_deg", "r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kReadingColumns{"r_u", "r_v", "r_w"};
 constexpr std::array<std::string_view, 3> kUncertaintyColumns{"u_u", "u_v", "u_w"};
@@ -170,9 +169,9 @@ class Importer {
     read_comments();
     if (read_header()) {
       for (std::size_t i = 1; i < table_.rows.size(); ++i) read_row(table_.rows[i]);
-      require_enough_angles();
+      for (Problem& each : too_few_angles(record_.dwells)) problems_.push_back(std::move(each));
     }
-    mark_closing_angles();
+    if (!has("closing")) mark_closing_angles(record_.dwells);
     infer_steps();
     if (!problems_.empty()) throw CsvError(source_, std::move(problems_));
     return std::move(record_);
@@ -454,42 +453,6 @@ class Importer {
     }
   }
 
-  // The default orientation turned as the experiment says (docs/theory/model.md), modulo a full turn.
-  static void set_commanded_angles(DwellRecord& dwell) {
-    const Angle turned = Angle::degrees(std::remainder(dwell.alpha.deg(), 360.0));
-    const Angle initial = Angle::degrees(-90.0);
-    dwell.commanded_x = dwell.experiment == 3 ? initial : turned;
-    dwell.commanded_z = dwell.experiment == 3 ? turned : dwell.experiment == 2 ? initial : Angle();
-  }
-
-  void require_enough_angles() {
-    for (int experiment = 1; experiment <= 3; ++experiment) {
-      std::set<double> angles;
-      for (const DwellRecord& dwell : record_.dwells) {
-        if (dwell.experiment == experiment) angles.insert(std::remainder(dwell.alpha.deg(), 360.0));
-      }
-      if (angles.size() < kFewestAngles) {
-        problem(fmt::format("experiment {}", experiment),
-                fmt::format("{} different angle{}", angles.size(), angles.size() == 1 ? "" : "s"),
-                fmt::format("at least {}", kFewestAngles));
-      }
-    }
-  }
-
-  // The last angle of a circle that repeats the first one a full turn later.
-  void mark_closing_angles() {
-    if (has("closing")) return;
-    std::array<double, 3> smallest;
-    smallest.fill(std::numeric_limits<double>::infinity());
-    for (const DwellRecord& dwell : record_.dwells) {
-      double& least = smallest[static_cast<std::size_t>(dwell.experiment - 1)];
-      least = std::min(least, dwell.alpha.deg());
-    }
-    for (DwellRecord& dwell : record_.dwells) {
-      dwell.closing = dwell.alpha.deg() - 360.0 == smallest[static_cast<std::size_t>(dwell.experiment - 1)];
-    }
-  }
-
   void infer_steps() {
     const auto steps = metadata_number("protocol.steps", 3.0, 1e6);
     const auto step = metadata_number("protocol.step_deg", -360.0, 360.0);
@@ -498,18 +461,7 @@ class Importer {
       record_.step = Angle::degrees(*step);
       return;
     }
-    record_.steps = 0;
-    const DwellRecord* first = nullptr;
-    for (const DwellRecord& dwell : record_.dwells) {
-      if (dwell.closing) continue;
-      record_.steps = std::max(record_.steps, dwell.n);
-      if (first == nullptr) {
-        first = &dwell;
-      } else if (dwell.experiment == first->experiment && dwell.n == first->n + 1) {
-        record_.step = dwell.alpha - first->alpha;
-        first = &dwell;
-      }
-    }
+    abcal::infer_steps(record_);
   }
 
   std::string text_;

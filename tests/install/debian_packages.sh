@@ -30,6 +30,19 @@ for file in usr/include/abcal/protocol/analysis/analyse.h; do
 done
 grep -q '/cmake/abcal/abcal-config.cmake$' "$work/library.list" || fail "libabcal-dev has no abcal-config.cmake"
 grep -q '/libabcal_estimators.a$' "$work/library.list" || fail "libabcal-dev has no libabcal_estimators.a"
+runtime=$(ls "$work"/libabcal1_*.deb)
+contents "$runtime" >"$work/runtime.list"
+grep -q '^\./usr/lib/.*libabcal\.so\.1$' "$work/runtime.list" || fail "libabcal1 has no libabcal.so.1"
+if grep -q 'libabcal\.so$' "$work/runtime.list"; then fail "libabcal.so belongs into libabcal-dev"; fi
+grep -q '/libabcal\.so$' "$work/library.list" || fail "libabcal-dev has no libabcal.so"
+grep -qx './usr/include/abcal/record.h' "$work/library.list" || fail "libabcal-dev has no abcal/record.h"
+case "$(field "$library" Depends)" in *"libabcal1 (= "*) ;; *) fail "libabcal-dev depends: $(field "$library" Depends)" ;; esac
+packages=("$program" "$library" "$runtime")
+if python=$(ls "$work"/python3-abcal_*.deb 2>/dev/null); then
+  packages+=("$python")
+  contents "$python" >"$work/python.list"
+  grep -qx './usr/lib/python3/dist-packages/abcal/__init__.pyi' "$work/python.list" || fail "python3-abcal has no stubs"
+fi
 if grep -E '\.(a|h|cmake)$' "$work/program.list"; then fail "these belong into libabcal-dev"; fi
 # Unpacked once: a reader that ends early would break the pipe of dpkg-deb.
 dpkg-deb -x "$program" "$work/root"
@@ -48,6 +61,16 @@ if grep -q 'systemd/system/.*\.wants/' "$work/program.list"; then fail "the serv
 # The program in the package works, from an empty folder, with the examples in the package.
 mkdir "$work/empty" && cd "$work/empty"
 "$work/root/usr/bin/abcal" plan "$work/root/usr/share/doc/abcal/examples/simulated.toml" >/dev/null
+# So does the module for Python, with the library of its package.
+if [ -n "$python" ]; then
+  dpkg-deb -x "$runtime" "$work/root"
+  dpkg-deb -x "$python" "$work/root"
+  folder=$(dirname "$(find "$work/root/usr/lib" -name libabcal.so.1)")
+  LD_LIBRARY_PATH=$folder PYTHONPATH=$work/root/usr/lib/python3/dist-packages PYTHONDONTWRITEBYTECODE=1 /usr/bin/python3 -c '
+import abcal
+result = abcal.analyse(abcal.simulate(steps=12).record)
+assert result.verdict == "usable", result.why' || fail "the module for Python in its package does not work"
+fi
 
 command -v lintian >/dev/null || { echo "no lintian: contents only"; exit 0; }
-lintian --allow-root --fail-on error "$program" "$library" || fail "lintian finds errors"
+lintian --allow-root --fail-on error "${packages[@]}" || fail "lintian finds errors"

@@ -37,6 +37,20 @@ if [ "$found" != "$expected" ]; then
 fi
 # A driver outside of the sources, under the installed contract.
 "$work/consumer/outside_driver_test" >"$work/contract.log" || { cat "$work/contract.log"; exit 1; }
+# The library: both of its examples, with nothing but Eigen beside it.
+for example in analysis driver; do
+  "$cmake" -S "$source/docs/examples/cpp/$example" -B "$work/$example" -DCMAKE_PREFIX_PATH="$work/prefix" \
+    -DCMAKE_CXX_COMPILER="$compiler" -DCMAKE_BUILD_TYPE=Debug >"$work/configure.log" || { cat "$work/configure.log"; exit 1; }
+  "$cmake" --build "$work/$example" >"$work/build.log" || { cat "$work/build.log"; exit 1; }
+done
+"$work/analysis/analysis" "$work/readings.csv" >"$work/analysis.log" || { cat "$work/analysis.log"; exit 1; }
+for line in 'u: 1.250000000 0.000000000 0.000000000' 'Monte Carlo: 18 outputs'; do
+  tr -d - <"$work/analysis.log" | grep -xF "$line" >/dev/null || { echo "analysis says no \"$line\":" >&2; cat "$work/analysis.log" >&2; exit 1; }
+done
+"$work/driver/contract_test" >"$work/contract.log" || { cat "$work/contract.log"; exit 1; }
+"$work/driver/calibrate" "$source/docs/examples/cpp/driver/bench.toml" "$work/factory.run" >"$work/driver.log" 2>&1 ||
+  { cat "$work/driver.log"; exit 1; }
+[ "$(cat "$work/driver.log")" = "18 angles, joint" ] || { cat "$work/driver.log" >&2; exit 1; }
 # The installed program finds its helper programs.
 (cd "$work" && prefix/bin/abcal report readings.csv --hdf5 readings.h5 >report.log 2>&1) || { cat "$work/report.log"; exit 1; }
 # The installed program and the library say the same.

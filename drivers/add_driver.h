@@ -1,0 +1,14 @@
+#pragma once
+
+#include "drivers/registry.h"
+
+namespace abcal {
+
+/// Adds a driver from outside of these folders. Before any list is used, by one thread. With `connections` =
+/// 0
+/// (`ports` = 0) abcal opens no port for it.
+/// @throws std::invalid_argument for a name that there is already
+void add_driver(StageDriver driver);
+void add_driver(AccelerometerDriver driver);
+
+}  // namespace abcal

@@ -1,0 +1,173 @@
+"""Results, studies, plans and comparisons against the program and against the truth."""
+
+import ast
+import inspect
+import json
+import pathlib
+import subprocess
+import tempfile
+import threading
+import unittest
+
+import numpy as np
+
+import abcal
+from support import MATRIX, OFFSET, PROGRAM, SOURCE, circles, simulated, write_bench, write_csv
+
+
+def program(*arguments):
+    return subprocess.run([PROGRAM, *map(str, arguments)], check=True, capture_output=True, text=True).stdout
+
+
+class Results(unittest.TestCase):
+    def test_a_result_is_the_program_s(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = write_csv(simulated(steps=12).record, pathlib.Path(folder) / "readings.csv")
+            for estimator in abcal.estimators():
+                result = abcal.analyse(abcal.load(path), estimator)
+                self.assertEqual(result.to_dict(), json.loads(program("analyse", path, "--estimator", estimator, "--json")))
+
+    def test_members_are_the_json_s(self):
+        result = abcal.analyse(simulated().record, "joint")
+        json_of = result.to_dict()
+        elements = [[(e["value"], e["standard_uncertainty"]) for e in row] for row in json_of["sensitivity_matrix"]]
+        for j in range(3):
+            for k in range(3):
+                self.assertEqual(elements[j][k], (result.sensitivity_matrix.value[j, k], result.sensitivity_matrix.u[j, k]))
+            self.assertEqual(json_of["offset"][j]["value"], result.offset.value[j])
+            self.assertEqual(json_of["intrinsic_angle"][j]["value"], result.intrinsic_angle.value[j])
+        np.testing.assert_array_equal(result.covariance.matrix, json_of["covariance"])
+        np.testing.assert_array_equal(result.covariance_intrinsic.matrix, json_of["covariance_intrinsic"])
+        self.assertEqual(result.verdict, json_of["verdict"])
+        self.assertEqual(result.sensitivity_matrix.unit, "R/g_loc")
+
+    def test_the_truth_is_within_the_uncertainty(self):
+        run = simulated(steps=72)
+        result = abcal.analyse(run.record, "joint")
+        self.assertEqual(result.verdict, "usable", result.why)
+        error = result.sensitivity_matrix.value - run.true_sensitivity_matrix
+        self.assertLess(np.abs(error / result.sensitivity_matrix.u).max(), 4.0)
+        self.assertLess(np.abs((result.offset.value - run.true_offset) / result.offset.u).max(), 4.0)
+        self.assertIn("wobble_urad", [effect.key for effect in result.effects])
+
+    def test_labels(self):
+        covariance = abcal.analyse(simulated().record, "abc").covariance
+        self.assertEqual(covariance.labels[:3] + covariance.labels[9:], ["s_ux", "s_uy", "s_uz", "O_u", "O_v", "O_w"])
+        self.assertEqual(covariance["s_ux", "O_u"], covariance.matrix[0, 9])
+        with self.assertRaisesRegex(KeyError, "s_xx"):
+            covariance["s_xx", "O_u"]
+
+    def test_a_record_that_is_refused_has_a_reason_and_no_numbers(self):
+        alpha, readings, u = circles(simulated().record)
+        result = abcal.analyse(abcal.Record(alpha, np.zeros_like(readings), u), "joint")
+        self.assertEqual(result.verdict, "not_usable")
+        self.assertNotEqual(result.why, "")
+        self.assertEqual(len(result.covariance), 0)
+
+    def test_an_unknown_estimator(self):
+        with self.assertRaisesRegex(ValueError, "abc, joint or norm"):
+            abcal.analyse(simulated().record, "best")
+
+
+class ForwardModel(unittest.TestCase):
+    def test_gravity_at_rest(self):
+        np.testing.assert_allclose(abcal.specific_force(1, 0.0), [0, 0, 1], atol=1e-15)
+        np.testing.assert_allclose(np.linalg.norm(abcal.specific_force(2, 35.0)), 1.0, atol=1e-15)
+        with self.assertRaises(ValueError):
+            abcal.specific_force(4, 0.0)
+
+    def test_a_simulation_without_errors_is_the_forward_model(self):
+        record = abcal.simulate(MATRIX, OFFSET, steps=12, noise=0.0).record
+        for experiment, alpha, readings in zip(record.experiment, record.alpha_deg, record.readings):
+            expected = MATRIX @ abcal.specific_force(int(experiment), alpha) + OFFSET
+            np.testing.assert_allclose(readings, expected, atol=1e-12)
+
+    def test_impossible_worlds(self):
+        for wrong in (dict(steps=1), dict(noise=-1.0), dict(noise=np.nan), dict(angle_period_s=0.0), dict(wobble_urad=-1.0)):
+            with self.assertRaises(ValueError):
+                abcal.simulate(MATRIX, OFFSET, **wrong)
+        with self.assertRaises(ValueError):
+            abcal.simulate(np.zeros((3, 3)))
+
+
+class Studies(unittest.TestCase):
+    def test_any_number_of_threads_gives_the_same_bits(self):
+        record = simulated(steps=12).record
+        one = abcal.monte_carlo(record, 20000, threads=1)
+        two = abcal.monte_carlo(record, 20000, threads=2)
+        self.assertEqual(one.to_json(), two.to_json())
+        self.assertEqual((one.covariance.matrix.shape, one.coverage_interval.shape), ((18, 18), (18, 2)))
+        ratio = np.sqrt(np.diag(one.covariance.matrix))[:12] / np.sqrt(np.diag(abcal.analyse(record, "abc").covariance.matrix))
+        self.assertLess(np.abs(ratio - 1.0).max(), 0.1)
+
+    def test_python_goes_on_meanwhile(self):
+        record, counted, done = simulated(steps=12).record, [], threading.Event()
+
+        def count():
+            while not done.is_set():
+                counted.append(None)
+                done.wait(0.001)
+
+        counting = threading.Thread(target=count)
+        counting.start()
+        abcal.monte_carlo(record, 400000, threads=1)
+        done.set()
+        counting.join()
+        self.assertGreater(len(counted), 3)
+
+    def test_choices_out_of_range(self):
+        with self.assertRaises(ValueError):
+            abcal.monte_carlo(simulated(steps=12).record, 1)
+        with self.assertRaises(ValueError):
+            abcal.simulation_set("7")
+        self.assertEqual(abcal.simulation_set("abc1", 10)["set"], "abc1")
+
+
+class Plans(unittest.TestCase):
+    def test_a_plan_reaches_what_is_wanted(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bench = write_bench(pathlib.Path(folder) / "bench.toml")
+            answer = abcal.predict(bench, 12, 100, estimator="abc")
+            self.assertEqual((answer.steps, answer.estimator, set(answer.u)), (12, "abc", {"s", "off", "O", "phi"}))
+            self.assertGreater(answer.duration_s, answer.moving_s)
+            with self.assertRaisesRegex(ValueError, "noise"):
+                abcal.predict(bench, 12, 100, noise=2.0)
+            with self.assertRaises(RuntimeError):
+                abcal.plan(pathlib.Path(folder) / "nothing.toml")
+
+
+class Comparisons(unittest.TestCase):
+    def test_two_runs_of_one_item_agree_and_another_item_does_not(self):
+        with tempfile.TemporaryDirectory() as name:
+            folder = pathlib.Path(name)
+            first = write_csv(simulated(seed=1).record, folder / "1.csv")
+            second = write_csv(simulated(seed=2).record, folder / "2.csv")
+            other = write_csv(abcal.simulate(1.01 * MATRIX, OFFSET, steps=24).record, folder / "3.csv")
+            agreed = abcal.compare([first, second], estimator="abc")
+            self.assertTrue(agreed.agree, agreed.why)
+            self.assertEqual(agreed.to_dict(), json.loads(program("compare", first, second, "--estimator", "abc", "--json")))
+            self.assertFalse(abcal.compare([first, other], estimator="abc").agree)
+            with self.assertRaisesRegex(ValueError, "two at least"):
+                abcal.compare([first])
+
+
+class Stubs(unittest.TestCase):
+    def test_they_name_what_there_is(self):
+        tree = ast.parse((SOURCE / "app/python/abcal/__init__.pyi").read_text())
+        stated = {node.name: node for node in tree.body if isinstance(node, (ast.ClassDef, ast.FunctionDef))}
+        there = {name for name, what in vars(abcal).items() if not name.startswith("_") and not inspect.ismodule(what)}
+        self.assertEqual(there, set(stated))
+        for name, node in stated.items():
+            if isinstance(node, ast.ClassDef) and name not in ("InstrumentError", "Stopped"):
+                members = {m.name if isinstance(m, ast.FunctionDef) else m.target.id for m in node.body if not isinstance(m, ast.Expr)}
+                found = {m for m in dir(getattr(abcal, name)) if not m.startswith("_")}
+                self.assertEqual({m for m in members if not m.startswith("_")}, found, name)
+
+    def test_everything_says_what_it_is(self):
+        for name, what in vars(abcal).items():
+            if not name.startswith("_") and (inspect.isclass(what) or inspect.isbuiltin(what)):
+                self.assertTrue(what.__doc__, name)
+
+
+if __name__ == "__main__":
+    unittest.main()
