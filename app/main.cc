@@ -23,6 +23,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_issue(app, exit_code);
   add_lab(app, exit_code);
   add_verify(app, exit_code);
+  add_temperature(app, exit_code);
   add_level(app, exit_code);
   add_emulate(app, exit_code);
   add_export(app, exit_code);

@@ -10,6 +10,7 @@
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/instrument_settings.h"
 #include "drivers/instrument/rotation_stage.h"
+#include "drivers/instrument/thermal_chamber.h"
 #include "drivers/wire/byte_stream.h"
 
 namespace abcal {
@@ -65,10 +66,22 @@ struct AccelerometerDriver {
   Recognition recognition{};
 };
 
+/// A driver of thermal chambers, recognised in the same way.
+struct ChamberDriver {
+  std::string name;
+  std::string description;
+  SerialDefaults serial;
+  std::function<std::unique_ptr<ThermalChamber>(std::vector<std::unique_ptr<wire::ByteStream>>, Clock&,
+                                                const ChamberSettings&)>
+      make;
+  Recognition recognition{};
+};
+
 /// What the drivers' own registrations fill in.
 struct DriverList {
   std::vector<StageDriver> stages;
   std::vector<AccelerometerDriver> accelerometers;
+  std::vector<ChamberDriver> chambers;
 };
 
 /// The drivers of all folders that have a driver.cc, in the order of the folders' names, generic ones
@@ -76,6 +89,7 @@ struct DriverList {
 /// registers itself with `void register_<folder>(DriverList&)`; its CMakeLists.txt calls abcal_add_driver().
 const std::vector<StageDriver>& stage_drivers();
 const std::vector<AccelerometerDriver>& accelerometer_drivers();
+const std::vector<ChamberDriver>& chamber_drivers();
 
 // For registrations: a driver that is made of one stream, the clock and its settings.
 
@@ -88,6 +102,12 @@ std::unique_ptr<RotationStage> make_stage_of(std::vector<std::unique_ptr<wire::B
 template <class Driver>
 std::unique_ptr<Accelerometer> make_accelerometer_of(std::vector<std::unique_ptr<wire::ByteStream>> streams,
                                                      Clock& clock, const AccelerometerSettings& settings) {
+  return std::make_unique<Driver>(std::move(streams.at(0)), clock, settings);
+}
+
+template <class Driver>
+std::unique_ptr<ThermalChamber> make_chamber_of(std::vector<std::unique_ptr<wire::ByteStream>> streams,
+                                                Clock& clock, const ChamberSettings& settings) {
   return std::make_unique<Driver>(std::move(streams.at(0)), clock, settings);
 }
 

@@ -97,11 +97,32 @@ struct OutputTruth {
   double ring_down_decay_s = 0.05;  ///< Time constant.
   double temperature_degc = 23.0;
   double temperature_per_hour = 0.0;  ///< degC/h
+
+  // Over the item's temperature, d degC from the first temperature_degc on (with offset_per_degc).
+  Eigen::Vector3d offset_per_degc2 = Eigen::Vector3d::Zero(),
+                  offset_per_degc3 = Eigen::Vector3d::Zero();  ///< R/degC^2, R/degC^3
+  /// The sensitivity is multiplied by 1 + a d + b d^2 + c d^3.
+  Eigen::Vector3d sensitivity_per_degc = Eigen::Vector3d::Zero(),
+                  sensitivity_per_degc2 = Eigen::Vector3d::Zero(),
+                  sensitivity_per_degc3 = Eigen::Vector3d::Zero();
+  /// Half the loop: added where the item came from below, subtracted where it came from above.
+  Eigen::Vector3d offset_thermal_hysteresis = Eigen::Vector3d::Zero(),  ///< R
+      sensitivity_thermal_hysteresis = Eigen::Vector3d::Zero();         ///< 1
+};
+
+/// The simulated chamber and the item in it.
+struct ChamberTruth {
+  double air_lag_s = 180.0;             ///< Time constant of the air behind the set point.
+  double item_lag_s = 600.0;            ///< Of the item behind the air.
+  double self_heating_degc = 0.0;       ///< So much warmer than the air the item is in the end.
+  double dew_point_degc = -60.0;        ///< Of the air inside: dry gas.
+  double hysteresis_width_degc = 10.0;  ///< The loop of the thermal hysteresis closes within this.
 };
 
 /// The truth of a simulated bench. A run never sees it.
 struct BenchTruth : OutputTruth {
   std::uint64_t seed = 1;
+  ChamberTruth chamber;
   bool noise_seeded_by_angle = false;  ///< Noise restarts at each pose, so that a resumed run repeats it.
 
   // Stage.

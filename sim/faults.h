@@ -40,6 +40,8 @@ enum class FaultKind {
   kRefusedMove,    ///< The controller refuses to move.
   kMissedStep,     ///< An axis is off by some degrees, and its encoder does not see it.
   kMovedAxis,      ///< An axis is off by some degrees, as its encoder says.
+  kChamberAlarm,   ///< The thermal chamber has an alarm.
+  kChamberDoor,    ///< Its door is open.
 };
 
 struct FaultDescription {

@@ -139,6 +139,13 @@ void check(const OutputTruth& truth) {
   finite(truth.k3, "k3");
   finite(truth.drift_per_hour, "drift_per_hour");
   finite(truth.offset_per_degc, "offset_per_degc");
+  finite(truth.offset_per_degc2, "offset_per_degc2");
+  finite(truth.offset_per_degc3, "offset_per_degc3");
+  finite(truth.sensitivity_per_degc, "sensitivity_per_degc");
+  finite(truth.sensitivity_per_degc2, "sensitivity_per_degc2");
+  finite(truth.sensitivity_per_degc3, "sensitivity_per_degc3");
+  finite(truth.offset_thermal_hysteresis, "offset_thermal_hysteresis");
+  finite(truth.sensitivity_thermal_hysteresis, "sensitivity_thermal_hysteresis");
   const auto not_negative = [](double value, const char* what) {
     require(value >= 0.0 && std::isfinite(value), what, value, ">= 0");
   };
@@ -175,6 +182,7 @@ BenchTruth checked(BenchTruth truth) {
 SimBench::SimBench(BenchTruth truth, Clock::Instant start)
     : truth_(checked(std::move(truth))),
       start_(start),
+      thermal_(truth_.chamber, truth_.temperature_degc, start_),
       random_walk_(truth_.seed, NoiseStream::kRandomWalk, truth_.span_s, std::nullopt),
       correlated_(truth_.seed, NoiseStream::kCorrelated, truth_.span_s,
                   truth_.correlated_noise_s / truth_.span_s),
@@ -498,10 +506,63 @@ OutputTruth SimBench::output_truth(Clock::Instant t) const {
   return truth_at(t);
 }
 
+double SimBench::item_temperature(const OutputTruth& truth, Clock::Instant t) const {
+  if (thermal_.in_use()) return thermal_.item(t);
+  return truth.temperature_degc + truth.temperature_per_hour * (to_seconds(t - start_) / 3600.0);
+}
+
 double SimBench::temperature_degc(Clock::Instant t) const {
   const std::lock_guard lock(mutex_);
-  const OutputTruth& truth = truth_at(t);
-  return truth.temperature_degc + truth.temperature_per_hour * (to_seconds(t - start_) / 3600.0);
+  return item_temperature(truth_at(t), t);
+}
+
+void SimBench::command_chamber(const ChamberCommand& command, Clock::Instant t) {
+  const std::lock_guard lock(mutex_);
+  thermal_.command(command, t);
+}
+
+ChamberCommand SimBench::commanded_chamber() const {
+  const std::lock_guard lock(mutex_);
+  return thermal_.commanded();
+}
+
+double SimBench::chamber_set_point(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return thermal_.set_point(t);
+}
+
+double SimBench::chamber_air(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return thermal_.in_use() ? thermal_.air(t) : item_temperature(truth_at(t), t);
+}
+
+double SimBench::chamber_humidity_percent(Clock::Instant t) const {
+  const std::lock_guard lock(mutex_);
+  return thermal_.humidity_percent(t);
+}
+
+/// What the item's temperature does to the sensitivity.
+Eigen::Array3d SimBench::thermal_gain(const OutputTruth& truth, Clock::Instant t) const {
+  Eigen::Array3d gain = Eigen::Array3d::Zero();
+  const bool curved = !truth.sensitivity_per_degc2.isZero(0.0) || !truth.sensitivity_per_degc3.isZero(0.0);
+  if (curved || !truth.sensitivity_per_degc.isZero(0.0)) {
+    const double d = item_temperature(truth, t) - truth_.temperature_degc;
+    gain += d * (truth.sensitivity_per_degc.array() +
+                 d * (truth.sensitivity_per_degc2.array() + d * truth.sensitivity_per_degc3.array()));
+  }
+  if (thermal_.in_use() && !truth.sensitivity_thermal_hysteresis.isZero(0.0))
+    gain += thermal_.hysteresis(t) * truth.sensitivity_thermal_hysteresis.array();
+  return gain;
+}
+
+/// What it does to the offset.
+Eigen::Array3d SimBench::thermal_offset(const OutputTruth& truth, Clock::Instant t) const {
+  const double d = item_temperature(truth, t) - truth_.temperature_degc;
+  Eigen::Array3d offset = d * (truth.offset_per_degc.array() +
+                               d * (truth.offset_per_degc2.array() + d * truth.offset_per_degc3.array()));
+  if (thermal_.in_use() && !truth.offset_thermal_hysteresis.isZero(0.0))
+    offset += thermal_.hysteresis(t) * truth.offset_thermal_hysteresis.array();
+  return offset;
 }
 
 SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
@@ -537,6 +598,7 @@ Eigen::Array3d SimBench::gain(const OutputTruth& truth, Clock::Instant t) const 
   if (!truth.sensitivity_drift.isZero(0.0)) gain += truth.sensitivity_drift.array() * span_time(t);
   if (!truth.gain_step.isZero(0.0) && to_seconds(t - start_) >= truth.gain_step_at_s)
     gain += truth.gain_step.array();
+  gain += thermal_gain(truth, t);
   return gain;
 }
 
@@ -589,14 +651,14 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
   const OutputTruth& truth = truth_at(t);
   const double hours = to_seconds(t - start_) / 3600.0;
   SimOutput output;
-  output.temperature_degc = truth.temperature_degc + truth.temperature_per_hour * hours;
+  output.temperature_degc = item_temperature(truth, t);
 
   const Eigen::Vector3d f_P = force(epoch, t);
   const Eigen::Matrix3d mounted = mounted_matrix(truth, t);
   const Eigen::Array3d linear = (mounted * f_P).array() * gain(truth, t);  // l - O
   Eigen::Array3d r = linear + truth.offset.array() + linear.square() * truth.k2.array() +
                      linear.cube() * truth.k3.array() + truth.drift_per_hour.array() * hours +
-                     truth.offset_per_degc.array() * (output.temperature_degc - truth_.temperature_degc);
+                     thermal_offset(truth, t);
   r += bend(truth, linear) + slow_offset(truth, t);
   if (!truth.hysteresis.isZero(0.0) && !epoch.force_before.isZero(0.0))
     r += truth.hysteresis.array() * (mounted * (f_P - epoch.force_before)).array().sign();
@@ -680,9 +742,7 @@ TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
                   truth.cross_bb[j] * b.dot(b) + truth.cross_cc[j] * c.dot(c));
   }
   const double hours = to_seconds(t - start_) / 3600.0;
-  const double temperature = truth.temperature_degc + truth.temperature_per_hour * hours;
-  offset += slow_offset(truth, t) + truth.drift_per_hour.array() * hours +
-            truth.offset_per_degc.array() * (temperature - truth_.temperature_degc);
+  offset += slow_offset(truth, t) + truth.drift_per_hour.array() * hours + thermal_offset(truth, t);
   return {slope.matrix().asDiagonal() * s, offset.matrix()};
 }
 

@@ -15,6 +15,7 @@
 #include "sim/body_motion.h"
 #include "sim/faults.h"
 #include "sim/slow_noise.h"
+#include "sim/thermal_world.h"
 
 namespace abcal::sim {
 
@@ -103,6 +104,15 @@ class SimBench {
                    Clock::Duration sample_period = Clock::Duration::zero()) const;
   double temperature_degc(Clock::Instant t) const;
 
+  // The chamber, if the bench has one. Until it is told anything the item has the temperature of the truth;
+  // from then on that of the chamber.
+
+  void command_chamber(const ChamberCommand& command, Clock::Instant t);
+  ChamberCommand commanded_chamber() const;
+  double chamber_set_point(Clock::Instant t) const;
+  double chamber_air(Clock::Instant t) const;
+  double chamber_humidity_percent(Clock::Instant t) const;
+
   /// The instrument's body, for sensors other than its accelerometer. Exact: without errors, bias and noise
   /// of its own; the earth does not turn. Wobble, sag and the tilt of the floor are in the attitude, and not
   /// in the rate.
@@ -167,6 +177,9 @@ class SimBench {
   Eigen::Matrix3d floor_tilt(Clock::Instant t) const;
   Eigen::Vector3d up_in_base(Clock::Instant t) const;
   double span_time(Clock::Instant t) const;
+  double item_temperature(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d thermal_gain(const OutputTruth& truth, Clock::Instant t) const;
+  Eigen::Array3d thermal_offset(const OutputTruth& truth, Clock::Instant t) const;
   Eigen::Array3d gain(const OutputTruth& truth, Clock::Instant t) const;
   Eigen::Array3d slow_offset(const OutputTruth& truth, Clock::Instant t) const;
   Eigen::Matrix3d mounted_matrix(const OutputTruth& truth, Clock::Instant t) const;
@@ -182,6 +195,7 @@ class SimBench {
   Eigen::Matrix3d R_LP_rest_;                            ///< Platter at rest to LGCS: the tilt with Z.
   std::array<std::vector<ErrorHarmonic>, 2> harmonics_;  ///< Given and drawn.
   std::array<std::vector<WobbleHarmonic>, 2> wobble_;    ///< Given and drawn.
+  ThermalWorld thermal_;
   mutable MarkovNoise random_walk_, correlated_;
   FlickerNoise flicker_;
   std::array<MotionLimits, 2> limits_;

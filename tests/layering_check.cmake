@@ -77,6 +77,7 @@ layer(drivers/text)
 layer(drivers/instrument FOREIGN Eigen/)
 layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h fmt/ Eigen/)
 layer(drivers/manual_stage MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ fmt/ Eigen/)
+layer(drivers/manual_chamber MAY drivers/instrument/ FOREIGN fmt/)
 # Every folder with a driver.cc is a driver; all have the same rule.
 file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")
 foreach(registration IN LISTS registrations)
@@ -96,6 +97,7 @@ layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOR
 layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ FOREIGN Eigen/ fmt/ boost/math/)
 layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ boost/math/ Random123/ hwy/)
 layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/ boost/sort/ Random123/ hwy/)
+layer(protocol/temperature MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/)
 
 # --- sim -----------------------------------------------------------------------------------------------------------------
 # Written apart from what it checks: neither protocol nor a driver's codec.

@@ -8,6 +8,7 @@
 #include <string_view>
 #include <vector>
 
+#include "app/bench/chamber_config.h"
 #include "app/bench/fault_schedule.h"
 #include "drivers/instrument/angle.h"
 #include "drivers/instrument/instrument_settings.h"
@@ -92,9 +93,10 @@ struct EnvironmentConfig {
 
 /// [emulator]: which instruments `abcal emulate` and simulated ports show, and how their lines behave.
 struct EmulatorConfig {
-  std::string line = "real";        ///< Of pseudo-terminals: "real" or "ideal".
-  std::string stage_model;          ///< Empty: the usual one of the driver.
-  std::string accelerometer_model;  ///< Empty: the usual one of the driver.
+  std::string line = "real";           ///< Of pseudo-terminals: "real" or "ideal".
+  std::string stage_model;             ///< Empty: the usual one of the driver.
+  std::string accelerometer_model;     ///< Empty: the usual one of the driver.
+  bool chamber_in_fahrenheit = false;  ///< As an F4T leaves the factory.
   std::string at_power_on;  ///< Of the accelerometer: "streaming", "silent", or empty: as its maker ships it.
 };
 
@@ -120,6 +122,8 @@ struct BenchConfig {
   StageConfig stage;
   AccelerometerConfig accelerometer;
   EnvironmentConfig environment;
+  ChamberConfig chamber;
+  TemperatureConfig temperature;
   ProtocolConfig protocol;
   Tolerances tolerances;  ///< [stage_uncertainty] and [item_uncertainty].
   LimitsConfig limits;

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "app/bench/bench_keys.h"
+#include "app/bench/chamber_consistency.h"
 #include "drivers/registry.h"
 #include "drivers/text/text.h"
 #include "protocol/gravity/local_gravity.h"
@@ -227,6 +228,8 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
   check_simulated_unit(reader, c);
   check_notify(reader, c.notify);
   check_faults_and_changes(reader, c);
+  for (const Problem& problem : chamber_problems(c))
+    reader.add_problem(problem.where, problem.found, problem.required);
 }
 
 }  // namespace abcal

@@ -16,6 +16,9 @@ std::vector<std::string> names_and_simulated(const auto& drivers) {
   return names;
 }
 
+/// What chambers can do at all.
+constexpr Range kChamberRange{-200.0, 400.0};
+
 void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisConfig& axis) {
   keys.section(section);
   keys.text("axis", axis.axis);
@@ -72,6 +75,13 @@ void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
   keys.number("temperature_degc", s.temperature_degc, {-100.0, 200.0});
   keys.number("temperature_per_hour", s.temperature_per_hour, kAny);
   visit_output_effects(keys, s);
+  keys.vector("offset_per_degc2", s.offset_per_degc2);
+  keys.vector("offset_per_degc3", s.offset_per_degc3);
+  keys.vector("sensitivity_per_degc", s.sensitivity_per_degc);
+  keys.vector("sensitivity_per_degc2", s.sensitivity_per_degc2);
+  keys.vector("sensitivity_per_degc3", s.sensitivity_per_degc3);
+  keys.vector("offset_thermal_hysteresis", s.offset_thermal_hysteresis);
+  keys.vector("sensitivity_thermal_hysteresis", s.sensitivity_thermal_hysteresis);
 }
 
 void visit_bench(KeyVisitor& keys, BenchConfig& c) {
@@ -156,6 +166,45 @@ void visit_environment(KeyVisitor& keys, EnvironmentConfig& e) {
   keys.text("comment", e.comment);
 }
 
+void visit_chamber(KeyVisitor& keys, ChamberConfig& chamber) {
+  keys.section("chamber");
+  std::vector<std::string> drivers{""};
+  for (const ChamberDriver& driver : chamber_drivers()) drivers.push_back(driver.name);
+  drivers.emplace_back("manual_chamber");
+  keys.text("driver", chamber.driver, drivers);
+  keys.text("port", chamber.port);
+  keys.integer("baud", chamber.baud, 300, 4'000'000);
+  keys.text("model", chamber.model, {"", "F4", "F4T", "simserv", "ascii2"});
+  keys.integer("address", chamber.address, 1, 247);
+  keys.boolean("humidity", chamber.humidity);
+  keys.integer("run_output", chamber.run_output, 1, 32);
+  keys.integer("pause_output", chamber.pause_output, 0, 32);
+  keys.integer("door_input", chamber.door_input, 0, 32);
+  keys.text("serial_number", chamber.serial_number);
+  keys.number("min_degc", chamber.min_degc, kChamberRange);
+  keys.number("max_degc", chamber.max_degc, kChamberRange);
+  keys.boolean("dry_gas", chamber.dry_gas);
+  keys.number("poll_s", chamber.poll_s, {0.1, 60.0});
+}
+
+void visit_temperature(KeyVisitor& keys, TemperatureConfig& t) {
+  keys.section("temperature");
+  keys.numbers("set_points_degc", t.set_points_degc, kChamberRange);
+  keys.number("reference_degc", t.reference_degc, kChamberRange);
+  keys.boolean("down", t.down);
+  keys.number("ramp_k_per_min", t.ramp_k_per_min, {0.0, 100.0});
+  keys.number("air_window_k", t.air_window_k, {0.0, 50.0, true});
+  keys.number("soak_min_s", t.soak_min_s, {0.0, 604'800.0});
+  keys.number("soak_rate_k_per_min", t.soak_rate_k_per_min, {0.0, 100.0});
+  keys.number("soak_span_s", t.soak_span_s, {1.0, 86'400.0});
+  keys.number("soak_max_s", t.soak_max_s, {0.0, 604'800.0});
+  keys.number("item_min_degc", t.item_min_degc, kChamberRange);
+  keys.number("item_max_degc", t.item_max_degc, kChamberRange);
+  keys.number("dew_point_margin_k", t.dew_point_margin_k, {0.0, 50.0});
+  keys.boolean("pause", t.pause);
+  keys.text("end", t.end, {"hold", "ambient", "off"});
+}
+
 void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
   keys.section("protocol");
   keys.integer("steps", p.steps, 4, 7200);
@@ -208,6 +257,12 @@ void visit_simulation(KeyVisitor& keys, sim::BenchTruth& s) {
   keys.number("zy", s.zy, {-0.1, 0.1});
   keys.number("xz", s.xz, {-0.1, 0.1});
   visit_world_effects(keys, s);
+  keys.section("simulation.chamber");
+  keys.number("air_lag_s", s.chamber.air_lag_s, kPositive);
+  keys.number("item_lag_s", s.chamber.item_lag_s, kPositive);
+  keys.number("self_heating_degc", s.chamber.self_heating_degc, kNotNegative);
+  keys.number("dew_point_degc", s.chamber.dew_point_degc, {-100.0, 60.0});
+  keys.number("hysteresis_width_degc", s.chamber.hysteresis_width_degc, kPositive);
   visit_axis_truth(keys, "simulation.x", s.x);
   visit_axis_truth(keys, "simulation.z", s.z);
 }
@@ -233,6 +288,7 @@ void visit_emulator(KeyVisitor& keys, EmulatorConfig& emulator) {
   keys.text("line", emulator.line, {"real", "ideal"});
   keys.text("stage_model", emulator.stage_model);
   keys.text("accelerometer_model", emulator.accelerometer_model);
+  keys.boolean("chamber_in_fahrenheit", emulator.chamber_in_fahrenheit);
   keys.text("at_power_on", emulator.at_power_on, {"", "streaming", "silent"});
 }
 
@@ -248,7 +304,7 @@ void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
   keys.required_text("kind", fault.kind, fault_names());
   keys.text("instrument", fault.instrument,
             {"", "stage", "stage-x", "stage-z", "accelerometer", "accelerometer-u", "accelerometer-v",
-             "accelerometer-w", "environment"});
+             "accelerometer-w", "environment", "chamber"});
   keys.text("axis", fault.axis, {"x", "z"});
   keys.number("at_s", fault.at_s, kNotNegative);
   keys.number("for_s", fault.for_s, kNotNegative);
@@ -274,6 +330,8 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   visit_stage(keys, c.stage);
   visit_accelerometer(keys, c.accelerometer);
   visit_environment(keys, c.environment);
+  visit_chamber(keys, c.chamber);
+  visit_temperature(keys, c.temperature);
   visit_protocol(keys, c.protocol);
   visit_effect_sizes(keys, c);
   visit_limits(keys, c.limits);

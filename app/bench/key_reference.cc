@@ -127,6 +127,9 @@ class KeyCollector final : public KeyVisitor {
     add(key, "3 integers", fmt::format("{} to {}", min, max),
         fmt::format("[{}, {}, {}]", value[0], value[1], value[2]));
   }
+  void numbers(const std::string& key, std::vector<double>& value, Range range) override {
+    add(key, "numbers", range_text(range), fmt::format("[{}]", fmt::join(value, ", ")));
+  }
   void matrix(const std::string& key, Eigen::Matrix3d& value) override {
     add(key, "3 x 3 numbers", {},
         fmt::format("[{}, {}, {}]", triple_text(value.row(0)), triple_text(value.row(1)),

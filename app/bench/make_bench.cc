@@ -1,6 +1,10 @@
 #include "app/bench/make_bench.h"
 
+#include <poll.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cerrno>
 #include <functional>
 #include <map>
 #include <mutex>
@@ -11,11 +15,13 @@
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
 #include "app/bench/stage_watchdog.h"
+#include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/mounted_stage.h"
 #include "drivers/instrument/replaceable.h"
 #include "drivers/instrument/split_stage.h"
+#include "drivers/manual_chamber/manual_chamber.h"
 #include "drivers/manual_stage/manual_stage.h"
 #include "drivers/registry.h"
 #include "drivers/text_line/environment.h"
@@ -34,6 +40,7 @@ namespace {
 
 constexpr const char* kSimulated = "simulated";
 constexpr const char* kManual = "manual_stage";
+constexpr const char* kManualChamber = "manual_chamber";
 constexpr SerialDefaults kEnvironmentSerial{9600, false};
 /// Of a halt without a driver, beyond two replies.
 constexpr std::chrono::seconds kHaltMargin{1};
@@ -94,6 +101,43 @@ EnvironmentSettings environment_settings(const EnvironmentConfig& config) {
   settings.separator = config.separator;
   settings.comment = config.comment;
   return settings;
+}
+
+ChamberSettings chamber_settings(const ChamberConfig& config) {
+  ChamberSettings settings;
+  settings.model = config.model;
+  settings.address = config.address;
+  settings.tcp_framing = has_tcp_frames(config.port);
+  settings.humidity = config.humidity;
+  settings.run_output = config.run_output;
+  settings.pause_output = config.pause_output;
+  settings.door_input = config.door_input;
+  settings.serial_number = config.serial_number;
+  return settings;
+}
+
+/// A line that is typed at the terminal; nothing: interrupted, or the terminal is gone.
+std::optional<std::string> typed_line() {
+  std::string line;
+  for (;;) {
+    if (interrupt_token().stop_requested()) return std::nullopt;
+    pollfd input{STDIN_FILENO, POLLIN, 0};
+    const int ready = ::poll(&input, 1, 200);  // ms, between two looks at the interrupt
+    if (ready == 0 || (ready < 0 && errno == EINTR)) continue;
+    char c = 0;
+    if (::read(STDIN_FILENO, &c, 1) <= 0) return std::nullopt;
+    if (c == '\n') return line;
+    line += c;
+  }
+}
+
+std::unique_ptr<ThermalChamber> chamber_at_terminal(const ChamberConfig& config) {
+  if (::isatty(STDIN_FILENO) != 1)
+    throw InstrumentError("manual chamber", Fault::kCannotOpen,
+                          "a chamber that a person sets needs one at a terminal, but standard input is none");
+  return std::make_unique<manual_chamber::ManualChamber>(
+      manual_chamber::ManualChamber::Person{[](std::string_view text) { print_log("{}", text); }, typed_line},
+      chamber_settings(config));
 }
 
 /// The use of a stream by one driver; the next driver on the same port gets another.
@@ -198,6 +242,15 @@ class Opener {
         streams.push_back(open(port, driver.serial));
     }
     return driver.make(std::move(streams), clock_, accelerometer_settings(config));
+  }
+
+  std::unique_ptr<ThermalChamber> chamber() {
+    if (config_.chamber.driver == kManualChamber) return chamber_at_terminal(config_.chamber);
+    const ChamberDriver& driver = find_driver(chamber_drivers(), config_.chamber.driver);
+    std::vector<std::unique_ptr<wire::ByteStream>> streams;
+    for (const InstrumentPort& port : chamber_ports(config_.chamber))
+      streams.push_back(open(port, driver.serial));
+    return driver.make(std::move(streams), clock_, chamber_settings(config_.chamber));
   }
 
   std::unique_ptr<EnvironmentSensor> environment() {
@@ -321,12 +374,14 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   const bool accelerometer_is_simulated = config.accelerometer.port == kSimulated;
   for (const InstrumentPort& port : accelerometer_ports(config.accelerometer)) ports.push_back(port);
   for (const InstrumentPort& port : environment_ports(config.environment)) ports.push_back(port);
+  for (const InstrumentPort& port : chamber_ports(config.chamber)) ports.push_back(port);
   const auto real_port = [](const InstrumentPort& port) { return port.port != kSimulated; };
 
   Bench bench;
   bench.replayed = static_cast<bool>(streams.replay);
-  bench.simulated_time = bench.replayed || (config.stage.driver != kManual &&
-                                            std::none_of(ports.begin(), ports.end(), real_port));
+  bench.simulated_time =
+      bench.replayed || (config.stage.driver != kManual && config.chamber.driver != kManualChamber &&
+                         std::none_of(ports.begin(), ports.end(), real_port));
   if (bench.replayed) {
     bench.clock = std::move(streams.replay_clock);
   } else if (bench.simulated_time) {
@@ -362,6 +417,12 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   if (!bench.simulated_time && config.stage.driver != kManual)
     bench.stage = std::make_unique<StageWatchdog>(std::move(bench.stage), *bench.clock);
   bench.accelerometer = std::move(accelerometer);
+  if (config.chamber.present()) {
+    bench.chamber = std::make_unique<ChamberWatch>([opener] { return opener->chamber(); }, *bench.clock,
+                                                   config.chamber.poll_s);
+    bench.stage = watched_stage(std::move(bench.stage), *bench.chamber);
+    bench.accelerometer = watched_accelerometer(std::move(bench.accelerometer), *bench.chamber);
+  }
   return bench;
 }
 

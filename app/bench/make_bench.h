@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "app/bench/bench_config.h"
+#include "app/bench/chamber_watch.h"
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/environment_sensor.h"
@@ -22,6 +23,8 @@ namespace abcal {
 struct Bench {
   std::unique_ptr<Clock> clock;
   std::shared_ptr<sim::SimBench> world;  ///< The simulated world; null where everything is real.
+  std::unique_ptr<ChamberWatch>
+      chamber;  ///< Null: there is none. Stage and accelerometer let it be looked at.
   std::unique_ptr<RotationStage> stage;  ///< In protocol angles, inside the bench's travel.
   std::unique_ptr<Accelerometer> accelerometer;
   std::unique_ptr<Reconnector> reconnector;        ///< Opens unplugged ports again.

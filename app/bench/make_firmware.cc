@@ -19,6 +19,8 @@
 #include "sim/firmware/text_line_firmware.h"
 #include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
+#include "sim/firmware/watlow_f4_firmware.h"
+#include "sim/firmware/weiss_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/firmware/xsens_mti_firmware.h"
 #include "sim/firmware/zaber_ascii_firmware.h"
@@ -34,8 +36,9 @@ std::optional<unsigned> line_baud(const InstrumentPort& port) {
       if (driver.name == port.driver) return driver.serial.baud;
     return std::nullopt;
   };
-  const auto found = of(stage_drivers());
-  return found ? found : of(accelerometer_drivers());
+  auto found = of(stage_drivers());
+  if (!found) found = of(accelerometer_drivers());
+  return found ? found : of(chamber_drivers());
 }
 
 /// Settings that every stage's firmware has: axis names, signs and zeros, serial number.
@@ -322,24 +325,55 @@ std::shared_ptr<sim::Firmware> iio_firmware(const BenchConfig& config, const Ins
   return std::make_shared<sim::IioFirmware>(std::move(world), settings);
 }
 
+std::shared_ptr<sim::Firmware> watlow_f4_firmware(const BenchConfig& config, const InstrumentPort& port,
+                                                  std::shared_ptr<sim::SimBench> world) {
+  sim::WatlowF4Settings settings;
+  settings.f4t = config.chamber.model != "F4";
+  settings.tcp = has_tcp_frames(port.port);
+  settings.address = config.chamber.address;
+  settings.fahrenheit = config.emulator.chamber_in_fahrenheit;
+  settings.run_output = config.chamber.run_output;
+  settings.pause_output = config.chamber.pause_output;
+  settings.baud = line_baud(port).value_or(settings.baud);
+  return std::make_shared<sim::WatlowF4Firmware>(std::move(world), settings);
+}
+
+std::shared_ptr<sim::Firmware> weiss_firmware(const BenchConfig& config, const InstrumentPort&,
+                                              std::shared_ptr<sim::SimBench> world) {
+  sim::WeissSettings settings;
+  settings.simserv = config.chamber.model != "ascii2";
+  settings.address = config.chamber.address;
+  settings.pause_output = config.chamber.pause_output;
+  if (!config.chamber.serial_number.empty()) settings.serial_number = config.chamber.serial_number;
+  return std::make_shared<sim::WeissFirmware>(std::move(world), settings);
+}
+
 using MakeFirmware = std::shared_ptr<sim::Firmware> (*)(const BenchConfig&, const InstrumentPort&,
                                                         std::shared_ptr<sim::SimBench>);
 
 /// Driver name -> the simulated instrument that it talks to.
 const std::map<std::string, MakeFirmware>& firmwares() {
-  static const std::map<std::string, MakeFirmware> all{
-      {"mavlink", mavlink_firmware},         {"iio", iio_firmware},
-      {"microstrain_mip", mip_firmware},     {"newport_esp", newport_esp_firmware},
-      {"newport_xps", newport_xps_firmware}, {"pi_gcs", pi_gcs_firmware},
-      {"scpi_single", scpi_single_firmware}, {"scpi_voltmeter", scpi_voltmeter_firmware},
-      {"text_line", text_line_firmware},     {"thorlabs_apt", thorlabs_apt_firmware},
-      {"vectornav", vectornav_firmware},     {"witmotion", witmotion_firmware},
-      {"xsens_mti", xsens_mti_firmware},     {"zaber_ascii", zaber_ascii_firmware}};
+  static const std::map<std::string, MakeFirmware> all{{"iio", iio_firmware},
+                                                       {"mavlink", mavlink_firmware},
+                                                       {"microstrain_mip", mip_firmware},
+                                                       {"newport_esp", newport_esp_firmware},
+                                                       {"newport_xps", newport_xps_firmware},
+                                                       {"pi_gcs", pi_gcs_firmware},
+                                                       {"scpi_single", scpi_single_firmware},
+                                                       {"scpi_voltmeter", scpi_voltmeter_firmware},
+                                                       {"text_line", text_line_firmware},
+                                                       {"thorlabs_apt", thorlabs_apt_firmware},
+                                                       {"vectornav", vectornav_firmware},
+                                                       {"watlow_f4", watlow_f4_firmware},
+                                                       {"weiss_simserv", weiss_firmware},
+                                                       {"witmotion", witmotion_firmware},
+                                                       {"xsens_mti", xsens_mti_firmware},
+                                                       {"zaber_ascii", zaber_ascii_firmware}};
   return all;
 }
 
 bool has_bytes(const std::string& driver) {
-  return driver != "simulated" && driver != "manual_stage" && !driver.empty();
+  return driver != "simulated" && driver != "manual_stage" && driver != "manual_chamber" && !driver.empty();
 }
 
 }  // namespace
@@ -393,6 +427,15 @@ std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accel
 std::vector<InstrumentPort> environment_ports(const EnvironmentConfig& environment) {
   if (environment.driver.empty()) return {};
   return {{"environment", environment.driver, environment.port, environment.baud}};
+}
+
+std::vector<InstrumentPort> chamber_ports(const ChamberConfig& chamber) {
+  if (!has_bytes(chamber.driver)) return {};
+  return {{"chamber", chamber.driver, chamber.port, chamber.baud}};
+}
+
+bool has_tcp_frames(const std::string& port) {
+  return port.starts_with("tcp:");
 }
 
 std::shared_ptr<sim::Firmware> make_firmware(const BenchConfig& config, const InstrumentPort& port,

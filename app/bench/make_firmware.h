@@ -36,6 +36,11 @@ std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accel
 /// The port of the thermometer and hygrometer, if there is one.
 std::vector<InstrumentPort> environment_ports(const EnvironmentConfig& environment);
 
+/// The port of the thermal chamber, if it has one.
+std::vector<InstrumentPort> chamber_ports(const ChamberConfig& chamber);
+/// Whether the chamber on a port speaks Modbus TCP, not RTU.
+bool has_tcp_frames(const std::string& port);
+
 /// The simulated inside of the instrument behind a port of this bench.
 /// @throws std::invalid_argument for a driver that has none.
 std::shared_ptr<sim::Firmware> make_firmware(const BenchConfig& config, const InstrumentPort& port,

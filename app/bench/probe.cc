@@ -61,6 +61,19 @@ std::vector<Candidate> all_candidates() {
                          driver.make(std::move(streams), clock, AccelerometerSettings{})->identify());
                    }});
   }
+  for (const ChamberDriver& driver : chamber_drivers()) {
+    all.push_back({driver.name, driver.serial, &driver.recognition, false, false, 1,
+                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, std::size_t) {
+                     ChamberSettings settings;
+                     settings.tcp_framing = stream->name().starts_with("tcp:");
+                     std::vector<std::unique_ptr<wire::ByteStream>> streams;
+                     streams.push_back(std::move(stream));
+                     ProbeAnswer found = answer(driver.name, false,
+                                                driver.make(std::move(streams), clock, settings)->identify());
+                     found.chamber = true;
+                     return found;
+                   }});
+  }
   return all;
 }
 

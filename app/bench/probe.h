@@ -14,10 +14,13 @@ namespace abcal {
 /// Who answered on a port.
 struct ProbeAnswer {
   std::string driver;  ///< Name in the registry, for `driver` in a bench file; empty: none fits.
-  bool stage = false;  ///< Else an accelerometer.
+  bool stage = false;  ///< Else an accelerometer, or a chamber.
   std::string maker, model, serial_number, firmware;
   std::string said{};     ///< What it said to a question, where no driver fits; printable.
   std::size_t ports = 1;  ///< How many such instruments the driver needs.
+  bool chamber = false;   ///< A thermal chamber.
+
+  std::string role() const { return stage ? "stage" : chamber ? "chamber" : "accelerometer"; }
 };
 
 /// Opens the port that is probed with these serial settings.

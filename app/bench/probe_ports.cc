@@ -48,8 +48,7 @@ std::string in_words(const Probed& probed) {
                                  : std::string();
   return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]{}", probed.answer->maker, probed.answer->model,
                      probed.answer->serial_number.empty() ? "" : ", serial number ",
-                     probed.answer->serial_number, probed.answer->driver,
-                     probed.answer->stage ? "stage" : "accelerometer", others);
+                     probed.answer->serial_number, probed.answer->driver, probed.answer->role(), others);
 }
 
 nlohmann::ordered_json probed_json(const Probed& probed) {
@@ -60,7 +59,7 @@ nlohmann::ordered_json probed_json(const Probed& probed) {
     object["role"] = nullptr;
     object["said"] = probed.answer->said;
   } else if (probed.answer) {
-    object["role"] = probed.answer->stage ? "stage" : "accelerometer";
+    object["role"] = probed.answer->role();
     object["driver"] = probed.answer->driver;
     object["maker"] = probed.answer->maker;
     object["model"] = probed.answer->model;

@@ -138,6 +138,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
   if (with_stage) add(stage_ports(config.stage));
   add(accelerometer_ports(config.accelerometer));
   add(environment_ports(config.environment));
+  add(chamber_ports(config.chamber));
   if (ports.empty())
     throw std::invalid_argument(
         "no instrument of this bench communicates by bytes: choose other drivers than \"simulated\"");

@@ -22,7 +22,8 @@ std::vector<Probed> probe(const std::vector<std::string>& ports) {
   ProgressBar bar("Asking", bar_clock);
   std::mutex bar_mutex;
   std::size_t asked = 0;
-  const auto drivers = static_cast<double>(stage_drivers().size() + accelerometer_drivers().size());
+  const auto drivers =
+      static_cast<double>(stage_drivers().size() + accelerometer_drivers().size() + chamber_drivers().size());
   std::vector<Probed> all = probe_ports(ports, [&](const std::string& port, const std::string& driver) {
     const std::lock_guard lock(bar_mutex);
     bar.show(static_cast<double>(asked++), static_cast<double>(ports.size()) * drivers,
@@ -46,6 +47,8 @@ void print_as_json(const std::vector<wire::PortInfo>& ports,
     output["stage_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
   for (const auto& driver : accelerometer_drivers())
     output["accelerometer_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
+  for (const auto& driver : chamber_drivers())
+    output["chamber_drivers"].push_back({{"name", driver.name}, {"description", driver.description}});
   print_result("{}\n", output.dump(2));
 }
 
@@ -81,8 +84,11 @@ void print_as_text(const std::vector<wire::PortInfo>& ports,
   print_result("Accelerometer drivers:\n");
   for (const auto& driver : accelerometer_drivers())
     print_result("  {:<18} {}\n", driver.name, driver.description);
+  print_result("Chamber drivers:\n");
+  for (const auto& driver : chamber_drivers()) print_result("  {:<18} {}\n", driver.name, driver.description);
   print_result(
-      "For both: driver = \"simulated\" (without bytes), or port = \"simulated\" with a driver above (its "
+      "For stages and accelerometers: driver = \"simulated\" (without bytes), or port = \"simulated\" with a "
+      "driver above (its "
       "bytes, in this program).\n");
 }
 

@@ -11,6 +11,7 @@
 #include <optional>
 #include <random>
 
+#include "app/bench/chamber_consistency.h"
 #include "app/session/run_bench.h"
 #include "app/session/session_observer.h"
 #include "drivers/instrument/instrument_error.h"
@@ -89,6 +90,7 @@ class Checker {
 
   std::vector<Finding> run() {
     for (const std::string& warning : config_.warnings) add(Grade::kWarning, "bench file", warning);
+    if (bench_.chamber) attempt("chamber", [&] { check_chamber(); });
     const bool stage = attempt("stage", [&] { check_stage(); });
     const bool accelerometer = attempt("accelerometer", [&] { check_accelerometer(); });
     if (accelerometer) attempt("readings at rest", [&] { check_at_rest(); });
@@ -123,6 +125,22 @@ class Checker {
       add(Grade::kProblem, topic, error.what());
     }
     return false;
+  }
+
+  /// Its own limits are said; nothing is set.
+  void check_chamber() {
+    const ChamberInfo info = bench_.chamber->identify();
+    require_serial_number("chamber", info.model, info.serial_number, config_.chamber.serial_number);
+    const ChamberReading now = bench_.chamber->read();
+    add(Grade::kGood, "chamber",
+        fmt::format("{} {}, set points {:g} to {:g} degC by its own hardware, air {:.1f} degC, {}",
+                    info.maker, info.model, info.least_set_degc, info.most_set_degc, now.air_degc,
+                    now.running ? "running" : "not running"));
+    for (const Problem& problem : chamber_problems(config_, info))
+      add(Grade::kProblem, "[temperature]", problem.found, "required: " + problem.required);
+    if (now.door_open) add(Grade::kProblem, "chamber", "its door is open", "close it");
+    for (const std::string& alarm : now.alarms)
+      add(Grade::kProblem, "chamber", "alarm: " + alarm, "find its cause at the chamber");
   }
 
   void check_stage() {

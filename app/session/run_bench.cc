@@ -33,6 +33,13 @@ InstrumentIdentity identity(const AccelerometerInfo& info) {
   return {"accelerometer", info.maker, info.model, info.serial_number, info.firmware, details};
 }
 
+InstrumentIdentity identity(const ChamberInfo& info) {
+  return {
+      "chamber",     info.maker,
+      info.model,    info.serial_number,
+      info.firmware, fmt::format("set points {:g} to {:g} degC", info.least_set_degc, info.most_set_degc)};
+}
+
 /// The accelerometer on the stage, as the bench file and itself name it.
 RunItem item_of(const BenchConfig& config, const Identities& identities) {
   const AccelerometerInfo& info = identities.accelerometer;
@@ -78,12 +85,17 @@ void require_serial_number(const std::string& role, const std::string& model, co
 }
 
 Identities identify(Bench& bench, const BenchConfig& config, bool ask_corrections) {
-  Identities identities{bench.stage->identify(), bench.accelerometer->identify(), {}};
+  Identities identities{bench.stage->identify(), bench.accelerometer->identify(), {}, {}};
   if (ask_corrections) identities.corrections = bench.accelerometer->correction_registers();
   require_serial_number("stage", identities.stage.model, identities.stage.serial_number,
                         config.stage.serial_number);
   require_serial_number("accelerometer", identities.accelerometer.model,
                         identities.accelerometer.serial_number, config.accelerometer.serial_number);
+  if (bench.chamber) {
+    identities.chamber = bench.chamber->identify();
+    require_serial_number("chamber", identities.chamber->model, identities.chamber->serial_number,
+                          config.chamber.serial_number);
+  }
   const std::string& unit = config.accelerometer.response_unit;
   if (!unit.empty() && config.accelerometer.driver != "simulated" &&
       unit != identities.accelerometer.output_unit) {
@@ -115,6 +127,7 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   label("item.supply", config.item.supply);
   label(std::string(kEstimatorLabel), config.protocol.estimator);
   header.instruments = {identity(identities.stage), identity(identities.accelerometer)};
+  if (identities.chamber) header.instruments.push_back(identity(*identities.chamber));
   header.items = {item_of(config, identities)};
   header.response_unit = identities.accelerometer.output_unit;
   header.g_loc = config.g_loc;

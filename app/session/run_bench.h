@@ -26,6 +26,7 @@ struct Identities {
   AccelerometerInfo accelerometer;
   /// What the accelerometer itself corrects (Accelerometer::correction_registers()).
   std::map<std::string, std::string> corrections;
+  std::optional<ChamberInfo> chamber{};
 
   std::array<AxisTravel, 2> travel() const;
 };

@@ -377,6 +377,7 @@ RunFile RunSession::create_file(const OpenedBench& opened, const StartRequest& r
   const RegisteredStart& registered = opened.registered;
   if (!registered.who.name.empty()) header.labels["operator.name"] = registered.who.name;
   if (!registered.calibrations_json.empty()) header.labels[kCalibrationsLabel] = registered.calibrations_json;
+  for (const auto& [key, value] : request.labels) header.labels[key] = value;
   RunFile file = RunFile::create(request.run_file, header);
   if (transcript_) transcript_->keep_in(file);
   file.begin_session(session_start(bench));
@@ -424,15 +425,18 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   }
   RunFile file = RunFile::open_for_append(path);
   const StoredRun stored = RunFile::load(path);
-  transcript_.reset();
   const BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
+  // Instruments that are open are used as they are, unless their bytes go into a recording.
+  const bool is_open =
+      opened_ && opened_->identified && !transcript_ && write_bench(opened_->config) == write_bench(config);
+  transcript_.reset();
   // Another person than who began may go on with a run.
   RegisteredStart registered = find_operator({}, RealClock().utc_now(), options_.login);
   if (!registered.who.verified()) registered.who.name = config.operator_name;
   (void)read_signing_key();
-  OpenedBench& opened = open(config, {});
+  OpenedBench& opened = is_open ? *opened_ : open(config, {});
   opened.registered = registered;
-  opened.identities = identify(opened.bench, opened.config);
+  if (!is_open) opened.identities = identify(opened.bench, opened.config);
   require_same_instruments(opened.identities, stored);
   opened.plan = stored.header.plan;
   file.begin_session(session_start(opened.bench));

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <functional>
+#include <map>
 #include <nlohmann/json_fwd.hpp>
 #include <optional>
 #include <string>
@@ -145,6 +146,8 @@ struct StartRequest {
   std::string bench_file;  ///< Its name, for messages.
   std::string run_file;    ///< Path of the file to create.
   bool record = false;     ///< Keep every byte to and from the instruments.
+  /// Added to those of the bench file; not in the JSON, as only this process adds some.
+  std::map<std::string, std::string> labels{};
 };
 
 /// Continues an interrupted run; closes and analyses one whose angles are all measured.

@@ -93,6 +93,8 @@ class KeyVisitor {
   virtual bool writes() const { return false; }
   virtual void integers(const std::string& key, std::array<int, 3>& value, int min, int max) = 0;
   virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
+  /// Any number of numbers, each in the range.
+  virtual void numbers(const std::string& key, std::vector<double>& value, Range range) = 0;
   /// An array of tables below the current section: visits each entry; those that are not there yet
   /// (index >= size) come from the file.
   virtual void tables(const std::string& key, std::size_t size,

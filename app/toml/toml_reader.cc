@@ -435,6 +435,24 @@ void TomlReader::matrix(const std::string& key, Eigen::Matrix3d& value) {
   }
 }
 
+void TomlReader::numbers(const std::string& key, std::vector<double>& value, Range range) {
+  const toml::node* node = find(key);
+  if (node == nullptr) return;
+  const toml::array* list = node->as_array();
+  std::vector<double> found;
+  bool good = list != nullptr;
+  for (std::size_t i = 0; good && i < list->size(); ++i) {
+    const auto number = list->get(i)->value<double>();
+    good = number && range.contains(*number);
+    if (good) found.push_back(*number);
+  }
+  if (good) {
+    value = found;
+  } else {
+    problem(*node, name(key), words_of(*node), fmt::format("a list of numbers, each {}", range.words()));
+  }
+}
+
 void TomlReader::integers(const std::string& key, std::array<int, 3>& value, int min, int max) {
   const toml::node* node = find(key);
   if (node == nullptr) return;

@@ -82,6 +82,10 @@ void TomlWriter::matrix(const std::string& key, Eigen::Matrix3d& value) {
   line(key, fmt::format("[{}, {}, {}]", triple(value.row(0)), triple(value.row(1)), triple(value.row(2))));
 }
 
+void TomlWriter::numbers(const std::string& key, std::vector<double>& value, Range) {
+  line(key, fmt::format("[{}]", fmt::join(value, ", ")));
+}
+
 void TomlWriter::integers(const std::string& key, std::array<int, 3>& value, int, int) {
   line(key, fmt::format("[{}, {}, {}]", value[0], value[1], value[2]));
 }

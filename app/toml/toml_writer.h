@@ -28,6 +28,7 @@ class TomlWriter final : public KeyVisitor {
                    const std::string& unit) override;
   bool writes() const override { return true; }
   void matrix(const std::string& key, Eigen::Matrix3d& value) override;
+  void numbers(const std::string& key, std::vector<double>& value, Range range) override;
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override;
   void tables(const std::string& key, std::size_t size,
               const std::function<void(std::size_t)>& visit_entry) override;

@@ -20,6 +20,8 @@
 #include "sim/firmware/text_line_firmware.h"
 #include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/firmware/vectornav_firmware.h"
+#include "sim/firmware/watlow_f4_firmware.h"
+#include "sim/firmware/weiss_firmware.h"
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/firmware/xsens_mti_firmware.h"
 #include "sim/firmware/zaber_ascii_firmware.h"
@@ -96,6 +98,23 @@ class ProbeTest : public testing::Test {
   sim::SimClock clock;
 };
 
+TEST_F(ProbeTest, ChambersAreFound) {
+  const auto world = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
+  const auto weiss = probe(std::make_shared<sim::WeissFirmware>(world));
+  ASSERT_TRUE(weiss);
+  EXPECT_EQ(weiss->driver, "weiss_simserv");
+  EXPECT_EQ(weiss->role(), "chamber");
+  EXPECT_EQ(weiss->serial_number, sim::WeissSettings{}.serial_number);
+  for (const bool f4t : {true, false}) {
+    const auto watlow =
+        probe(std::make_shared<sim::WatlowF4Firmware>(world, sim::WatlowF4Settings{.f4t = f4t}));
+    ASSERT_TRUE(watlow);
+    EXPECT_EQ(watlow->driver, "watlow_f4");
+    EXPECT_TRUE(watlow->model.starts_with(f4t ? "F4T" : "F4")) << watlow->model;
+  }
+  EXPECT_FALSE(world->commanded_chamber().running);
+}
+
 TEST_F(ProbeTest, AControllerWithOneAxisIsFoundToo) {
   sim::ThorlabsAptSettings settings;
   settings.model = "K10CR1";
@@ -168,6 +187,7 @@ TEST_F(ProbeTest, NoQuestionMovesOrChangesAnything) {
   for (const StageDriver& driver : stage_drivers()) questions.push_back(driver.recognition.question);
   for (const AccelerometerDriver& driver : accelerometer_drivers())
     questions.push_back(driver.recognition.question);
+  for (const ChamberDriver& driver : chamber_drivers()) questions.push_back(driver.recognition.question);
   for (const Known& known : known_instruments()) {
     const auto bench = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
     const auto firmware = known.make(bench);

@@ -1,0 +1,123 @@
+#include <fmt/format.h>
+
+#include <filesystem>
+#include <optional>
+
+#include "app/bench/bench_config.h"
+#include "app/bench/bench_records.h"
+#include "app/commands/commands.h"
+#include "app/commands/run.h"
+#include "app/commands/terminal_listener.h"
+#include "app/document/document_html.h"
+#include "app/document/document_text.h"
+#include "app/document/weasyprint.h"
+#include "app/report/temperature_report.h"
+#include "app/session/register_records.h"
+#include "app/session/temperature_series.h"
+#include "app/system/exit_code.h"
+#include "app/system/interrupt.h"
+#include "app/system/output.h"
+#include "app/system/output_file.h"
+
+namespace abcal {
+namespace {
+
+struct TemperatureOptions {
+  std::string bench_file, output, html, pdf;
+  bool analyse_only = false, json = false;
+};
+
+/// "BENCH" in the folder of the call, or what -o names, without an ending: the same each time, so that a
+/// series that ended early goes on.
+std::filesystem::path stem_of(const TemperatureOptions& options) {
+  std::filesystem::path stem =
+      options.output.empty() ? std::filesystem::path(options.bench_file).stem().string() + "-temperature"
+                             : options.output;
+  if (stem.extension() == ".run") stem.replace_extension();
+  return stem;
+}
+
+std::vector<std::filesystem::path> measure(const TemperatureOptions& options, const BenchConfig& config) {
+  std::optional<TerminalListener> terminal;
+  TemperatureSeries::Options series;
+  series.session.stop = interrupt_token();
+  series.session.listener = [&](const SessionEvent& event) {
+    if (std::holds_alternative<RunBeganEvent>(event) || !terminal)
+      terminal.emplace(TerminalListener::Options{.title = "Calibrating", .introduce = false});
+    terminal->on(event);
+  };
+  series.tell = [](const std::string& text) { print_log("{}\n", text); };
+  try {
+    return TemperatureSeries(std::move(series))
+        .measure({write_bench(config), options.bench_file, stem_of(options)});
+  } catch (...) {
+    print_log("The series goes on where it ended with: abcal temperature {}{}\n", options.bench_file,
+              options.output.empty() ? std::string() : " -o " + options.output);
+    throw;
+  }
+}
+
+TemperatureReport report_of(const std::vector<std::filesystem::path>& paths, const BenchConfig& config) {
+  TemperatureReport report;
+  report.files = paths;
+  const StoredRun first = RunFile::load(paths.front());
+  if (!first.header.items.empty()) {
+    const RunItem& item = first.header.items.front();
+    report.item = fmt::format("{} {}{}{}", item.maker, item.model,
+                              item.serial_number.empty() ? "" : ", serial number ", item.serial_number);
+  }
+  report.unit = first.header.response_unit;
+  report.result = fit_temperature(points_of_series(paths), config.temperature.reference_degc, report.unit);
+  return report;
+}
+
+void write_pages(const TemperatureOptions& options, const Document& document) {
+  if (options.html.empty() && options.pdf.empty()) return;
+  const HtmlPage page = document_html(document);
+  for (const std::string& warning : page.warnings) print_warning(warning);
+  if (!options.html.empty()) OutputFile(options.html).write(page.html);
+  if (!options.pdf.empty()) {
+    OutputFile file(options.pdf);
+    print_pdf(page.html, file.temporary(), std::nullopt, [] { return interrupt_token().stop_requested(); });
+    file.commit();
+  }
+}
+
+}  // namespace
+
+CLI::App* add_temperature(CLI::App& parent, int& exit_code) {
+  auto options = std::make_shared<TemperatureOptions>();
+  CLI::App* command = parent.add_subcommand(
+      "temperature", "Calibrate over temperature: a run at every set point of a thermal chamber");
+  command->add_option("BENCH", options->bench_file, "bench file (TOML) with [chamber] and [temperature]")
+      ->required();
+  command->add_option(
+      "-o,--output", options->output,
+      "run files OUTPUT-01.run and so on (default: BENCH-temperature here); those that are there are kept");
+  command->add_flag("--analyse", options->analyse_only, "measure nothing: analyse the points that are there");
+  command->add_option("--html", options->html, "write the report as one HTML page with figures");
+  command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.temperature/1");
+  command->callback([options, &exit_code] {
+    const BenchConfig config = read_bench(options->bench_file, register_records());
+    print_warnings(config);
+    if (!config.temperature.wanted())
+      throw BenchError(options->bench_file, {{"[temperature] set_points_degc", "nothing",
+                                              "the set points of the series (docs/temperature.md)"}});
+    const std::vector<std::filesystem::path> paths =
+        options->analyse_only ? series_paths(stem_of(*options), series_points(config.temperature).size())
+                              : measure(*options, config);
+    const TemperatureReport report = report_of(paths, config);
+    const Document document = temperature_document(report);
+    write_pages(*options, document);
+    if (options->json) {
+      print_result("{}\n", temperature_json(report).dump(2));
+    } else {
+      print_result("{}", document_text(document, stdout));
+    }
+    exit_code = kExitDone;
+  });
+  return command;
+}
+
+}  // namespace abcal

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/bench/bench_config.h"
+#include "app/session/run_session.h"
+#include "protocol/temperature/temperature_fit.h"
+
+namespace abcal {
+
+/// Labels of the run of one point, by which it is found again.
+inline constexpr const char* kPointLabel = "temperature.point";   ///< "3 of 15"
+inline constexpr const char* kLegLabel = "temperature.leg";       ///< "up"
+inline constexpr const char* kSetLabel = "temperature.set_degc";  ///< "-40"
+inline constexpr const char* kSoakLabel = "temperature.soak";     ///< In words.
+
+/// One point to measure.
+struct SeriesPoint {
+  SeriesLeg leg = SeriesLeg::kUp;
+  double set_degc = 0.0;
+};
+
+/// The reference, the set points from one end to the other, back if wanted, and the reference again.
+std::vector<SeriesPoint> series_points(const TemperatureConfig& config);
+
+/// The run file of each point: STEM-01.run ...
+std::vector<std::filesystem::path> series_paths(const std::filesystem::path& stem, std::size_t points);
+
+/// Measures a series: drives the chamber to each point, waits until the item is at rest, and lets RunSession
+/// measure a run. What is measured already is kept, and an interrupted run resumed, so that a series goes on
+/// where it ended. However it ends, the chamber is left as its policy says.
+class TemperatureSeries {
+ public:
+  struct Options {
+    RunSession::Options session;                   ///< The listener hears the events of every run.
+    std::function<void(const std::string&)> tell;  ///< Sentences for a person, with the remaining time.
+  };
+  struct Request {
+    std::string bench_toml, bench_file;
+    std::filesystem::path stem;  ///< Of the run files.
+  };
+
+  explicit TemperatureSeries(Options options) : options_(std::move(options)) {}
+
+  /// @throws BenchError (all that the chamber cannot do of it), InstrumentError, RunFileError,
+  /// RunInterrupted, std::invalid_argument: a file of another bench is in the way
+  std::vector<std::filesystem::path> measure(const Request& request);
+
+ private:
+  struct Progress;
+  void measure_points(RunSession& session, Progress& progress);
+  void measure_point(RunSession& session, Progress& progress, std::size_t n);
+  std::string soak(RunSession& session, const Progress& progress, std::size_t n);
+  void end(RunSession& session, const BenchConfig& config, bool wait);
+  void say(const std::string& text) const {
+    if (options_.tell) options_.tell(text);
+  }
+
+  Options options_;
+};
+
+/// The points of a series from their run files, in order, for fit_temperature().
+/// @throws std::invalid_argument for a file that is none of a series, or not complete
+std::vector<TemperaturePoint> points_of_series(const std::vector<std::filesystem::path>& paths);
+
+}  // namespace abcal

@@ -1,0 +1,28 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "drivers/instrument/thermal_chamber.h"
+#include "drivers/wire/query_exchange.h"
+
+namespace abcal::weiss_simserv {
+
+/// One of the two languages of these chambers; the calls are those of ThermalChamber.
+class Dialect {
+ public:
+  virtual ~Dialect() = default;
+  virtual ChamberInfo identify() = 0;
+  virtual void set_temperature(double degc, std::optional<double> rate_k_per_min) = 0;
+  virtual void switch_run(bool on) = 0;
+  virtual void switch_output(int number, bool on) = 0;
+  virtual ChamberReading read() = 0;
+};
+
+std::unique_ptr<Dialect> make_simserv(wire::QueryExchange& exchange, const ChamberSettings& settings);
+std::unique_ptr<Dialect> make_ascii2(wire::QueryExchange& exchange, Clock& clock,
+                                     const ChamberSettings& settings);
+
+}  // namespace abcal::weiss_simserv

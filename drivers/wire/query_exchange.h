@@ -1,0 +1,121 @@
+#pragma once
+
+#include <fmt/format.h>
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include "drivers/instrument/clock.h"
+#include "drivers/instrument/instrument_error.h"
+#include "drivers/wire/byte_stream.h"
+#include "drivers/wire/frame.h"
+#include "drivers/wire/readable_bytes.h"
+
+namespace abcal::wire {
+
+/// Questions to an instrument that only answers, one frame for each, where replies do not say what they
+/// answer. Commands go through it too, if carrying one out twice is the same as once.
+///
+/// Once a reply is missing or garbled, nothing else is asked before a question whose answer is known has been
+/// answered (Manner::sync_request): whatever came before that answer belongs to the past.
+class QueryExchange {
+ public:
+  struct Manner {
+    std::string who;           ///< For messages.
+    Clock::Duration patience;  ///< For a reply.
+    std::function<FrameVerdict(std::string_view)> check;
+    std::string sync_request{};  ///< Empty: the exchange needs none, as replies say what they answer.
+    std::function<bool(const std::string& frame)> is_sync{};
+  };
+
+  QueryExchange(std::unique_ptr<ByteStream> stream, Clock& clock, Manner manner)
+      : stream_(std::move(stream)), clock_(clock), manner_(std::move(manner)) {}
+
+  ByteStream& stream() { return *stream_; }
+  Manner& manner() { return manner_; }
+
+  /// Asks at most twice. `parse` makes a value of a frame, or nothing of what is no answer.
+  /// @throws InstrumentError kNoReply, kBadFrame
+  template <class Parse>
+  auto ask(std::string_view request, std::string_view shown, Parse parse) {
+    std::string garbled;
+    for (int attempt = 1; attempt <= 2; ++attempt) {
+      if (!in_step_) resynchronise(shown);
+      const std::optional<std::string> frame = exchange(request);
+      if (frame)
+        if (auto value = parse(*frame)) return *std::move(value);
+      in_step_ = manner_.sync_request.empty();
+      garbled = frame ? *frame : heard_;
+    }
+    if (garbled.empty()) throw silence(shown);
+    throw InstrumentError(manner_.who, Fault::kBadFrame,
+                          fmt::format("{} bytes came that are no answer to \"{}\", asked twice: {}",
+                                      garbled.size(), shown, bytes_in_hex(garbled.substr(0, 32))));
+  }
+
+  /// Throws away what has come, sends, and waits for one frame.
+  std::optional<std::string> exchange(std::string_view request) {
+    stream_->discard_input();
+    buffer_.clear();
+    heard_.clear();
+    stream_->write(request);
+    return take(clock_.now() + manner_.patience);
+  }
+
+ private:
+  InstrumentError silence(std::string_view shown) const {
+    return {
+        manner_.who, Fault::kNoReply,
+        fmt::format("no answer to \"{}\" within {} s; is it switched on, and are cable, address and speed "
+                    "right?",
+                    shown, to_seconds(manner_.patience))};
+  }
+
+  std::optional<std::string> take(Clock::Instant deadline) {
+    constexpr std::size_t kMost = 65536;
+    while (true) {
+      while (!buffer_.empty()) {
+        const FrameVerdict verdict = manner_.check(buffer_);
+        if (verdict.check == FrameCheck::kNeedMore) break;
+        if (verdict.check == FrameCheck::kInvalid) {
+          buffer_.erase(0, 1);
+          continue;
+        }
+        std::string frame = buffer_.substr(0, verdict.length);
+        buffer_.erase(0, verdict.length);
+        return frame;
+      }
+      const ReceivedBytes received = stream_->read_until(deadline);
+      if (received.bytes.empty() || heard_.size() > kMost) return std::nullopt;
+      buffer_ += received.bytes;
+      heard_ += received.bytes;
+    }
+  }
+
+  void resynchronise(std::string_view unanswered) {
+    const Clock::Instant deadline = clock_.now() + manner_.patience;
+    stream_->discard_input();
+    buffer_.clear();
+    heard_.clear();
+    stream_->write(manner_.sync_request);
+    while (const auto frame = take(deadline)) {
+      if (!manner_.is_sync(*frame)) continue;
+      in_step_ = true;
+      return;
+    }
+    throw silence(unanswered);
+  }
+
+  std::unique_ptr<ByteStream> stream_;
+  Clock& clock_;
+  Manner manner_;
+  std::string buffer_;
+  std::string heard_;  ///< Since the last request.
+  bool in_step_ = true;
+};
+
+}  // namespace abcal::wire

@@ -1,0 +1,305 @@
+#include "protocol/temperature/temperature_fit.h"
+
+#include <fmt/format.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <stdexcept>
+#include <utility>
+
+namespace abcal {
+namespace {
+
+constexpr std::array<const char*, 9> kNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
+                                            "phi_wu", "O_u", "O_v", "O_w"};
+constexpr std::array<std::pair<SeriesLeg, std::string_view>, 4> kLegs{{{SeriesLeg::kReference, "reference"},
+                                                                       {SeriesLeg::kUp, "up"},
+                                                                       {SeriesLeg::kDown, "down"},
+                                                                       {SeriesLeg::kReturn, "return"}}};
+/// 95 % of chi2 with one degree of freedom, and with two.
+constexpr double kOneMore = 3.841, kTwoMore = 5.991;
+/// Temperatures nearer than this are one: order of a polynomial, ways up and down.
+constexpr double kSameTemperatureK = 2.0;
+constexpr double kMillion = 1e6;
+
+/// One output at all points, with d = (T - T0) / scale.
+struct Series {
+  Eigen::VectorXd d, value, own_variance;
+  Eigen::VectorXd shared;  ///< Standard uncertainties that all points share, with their sign.
+  double scale = 1.0;
+};
+
+struct Solution {
+  Eigen::VectorXd coefficient;
+  Eigen::MatrixXd covariance;
+  Eigen::VectorXd residual;
+  double chi2 = 0.0;
+};
+
+Eigen::MatrixXd design(const Eigen::VectorXd& d, int order) {
+  Eigen::MatrixXd rows(d.size(), order + 1);
+  for (int n = 0; n <= order; ++n) rows.col(n) = d.array().pow(n);
+  return rows;
+}
+
+Solution solve(const Series& series, int order, double excess_variance) {
+  Eigen::MatrixXd v = series.shared * series.shared.transpose();
+  v.diagonal() += series.own_variance + Eigen::VectorXd::Constant(series.d.size(), excess_variance);
+  const Eigen::LLT<Eigen::MatrixXd> factor(v);
+  const Eigen::MatrixXd a = factor.matrixL().solve(design(series.d, order));
+  const Eigen::VectorXd y = factor.matrixL().solve(series.value);
+  Solution solution;
+  solution.covariance = (a.transpose() * a).ldlt().solve(Eigen::MatrixXd::Identity(order + 1, order + 1));
+  solution.coefficient = solution.covariance * (a.transpose() * y);
+  solution.residual = series.value - design(series.d, order) * solution.coefficient;
+  solution.chi2 = (y - a * solution.coefficient).squaredNorm();
+  return solution;
+}
+
+/// The variance that brings chi2 down to its degrees of freedom (Paule and Mandel); 0 where it is there.
+double excess_variance(const Series& series, int order) {
+  const auto degrees = static_cast<double>(series.d.size() - order - 1);
+  if (degrees < 1.0 || solve(series, order, 0.0).chi2 <= degrees) return 0.0;
+  double least = 0.0, most = series.own_variance.maxCoeff();
+  while (solve(series, order, most).chi2 > degrees) most *= 4.0;
+  for (int n = 0; n < 60; ++n) {
+    const double middle = 0.5 * (least + most);
+    (solve(series, order, middle).chi2 > degrees ? least : most) = middle;
+  }
+  return most;
+}
+
+/// How many temperatures there are that differ.
+int distinct(const std::vector<TemperaturePoint>& points) {
+  std::vector<double> all;
+  for (const TemperaturePoint& point : points) all.push_back(point.temperature_degc);
+  std::sort(all.begin(), all.end());
+  int count = 0;
+  double last = -1e9;
+  for (const double each : all) {
+    if (each - last > kSameTemperatureK) {
+      ++count;
+      last = each;
+    }
+  }
+  return count;
+}
+
+/// The order by likelihood ratios, all with the scatter that the highest order leaves.
+int choose_order(const Series& series, int most, double variance, std::vector<double>& ratios) {
+  std::vector<double> chi2;
+  for (int order = 0; order <= most; ++order) chi2.push_back(solve(series, order, variance).chi2);
+  const auto drop = [&](int from, int to) {
+    return chi2[static_cast<std::size_t>(from)] - chi2[static_cast<std::size_t>(to)];
+  };
+  int order = 0;
+  while (order < most) {
+    ratios.push_back(drop(order, order + 1));
+    if (ratios.back() > kOneMore) {
+      ++order;
+    } else if (order + 2 <= most && drop(order, order + 2) > kTwoMore) {
+      ratios.push_back(drop(order + 1, order + 2));
+      order += 2;
+    } else {
+      break;
+    }
+  }
+  return order;
+}
+
+std::string unit_of(std::size_t k, const std::string& response_unit) {
+  return k < 3 ? response_unit + "/g_loc" : k < 6 ? "degree" : response_unit;
+}
+
+Series series_of(const std::vector<TemperaturePoint>& points, double reference_degc, Eigen::Index k) {
+  const auto count = static_cast<Eigen::Index>(points.size());
+  Series series;
+  series.d.resize(count);
+  series.value.resize(count);
+  series.own_variance.resize(count);
+  series.shared.resize(count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const TemperaturePoint& point = points[static_cast<std::size_t>(i)];
+    series.d[i] = point.temperature_degc - reference_degc;
+    series.value[i] = point.value[k];
+    series.own_variance[i] = point.own(k, k);
+    series.shared[i] = std::sqrt(std::max(0.0, point.shared(k, k)));
+  }
+  series.scale = std::max(1.0, series.d.cwiseAbs().maxCoeff());
+  series.d /= series.scale;
+  // Readings without any scatter (a noiseless simulation): round-off is left.
+  const double least = 1e-12 * std::max(1.0, series.value.cwiseAbs().maxCoeff());
+  series.own_variance = series.own_variance.cwiseMax(least * least);
+  return series;
+}
+
+TemperaturePolynomial polynomial_of(const Series& series, int most_order) {
+  TemperaturePolynomial polynomial;
+  const double variance = excess_variance(series, most_order);
+  polynomial.order = choose_order(series, most_order, variance, polynomial.likelihood_ratio);
+  polynomial.chi2 = solve(series, polynomial.order, 0.0).chi2;
+  polynomial.degrees_of_freedom = static_cast<int>(series.d.size()) - polynomial.order - 1;
+  const double own = excess_variance(series, polynomial.order);
+  polynomial.excess = std::sqrt(own);
+  Solution solution = solve(series, polynomial.order, own);
+  // From the scaled abscissa to kelvin.
+  Eigen::VectorXd by(polynomial.order + 1);
+  for (int n = 0; n <= polynomial.order; ++n) by[n] = std::pow(series.scale, -n);
+  polynomial.covariance = by.asDiagonal() * solution.covariance * by.asDiagonal();
+  for (int n = 0; n <= polynomial.order; ++n)
+    polynomial.coefficient.push_back(solution.coefficient[n] * by[n]);
+  polynomial.residual.assign(solution.residual.data(), solution.residual.data() + solution.residual.size());
+  polynomial.residual_rms = std::sqrt(solution.residual.squaredNorm() / static_cast<double>(series.d.size()));
+  polynomial.residual_max = solution.residual.cwiseAbs().maxCoeff();
+  return polynomial;
+}
+
+/// As data sheets have it: sensitivities in ppm/K, offsets in millionths of g_loc, angles in microradian.
+TemperatureCoefficient coefficient_of(const TemperaturePolynomial& polynomial, std::size_t k,
+                                      double sensitivity, double from, double to) {
+  TemperatureCoefficient found;
+  found.name = polynomial.name;
+  const double factor = k >= 3 && k < 6 ? kMillion * std::numbers::pi / 180.0 : kMillion / sensitivity;
+  found.unit = k < 3 ? "ppm/K" : k < 6 ? "urad/K" : "ug/K";
+  if (polynomial.order >= 1) {
+    found.at_reference = factor * polynomial.coefficient[1];
+    found.standard_uncertainty = std::abs(factor) * std::sqrt(polynomial.covariance(1, 1));
+  }
+  constexpr int kSteps = 200;
+  double least = polynomial.at(from), most = least;
+  for (int n = 1; n <= kSteps; ++n) {
+    const double value = polynomial.at(from + (to - from) * n / kSteps);
+    least = std::min(least, value);
+    most = std::max(most, value);
+  }
+  found.box = std::abs(factor) * (most - least) / (to - from);
+  found.end_point = factor * (polynomial.at(to) - polynomial.at(from)) / (to - from);
+  return found;
+}
+
+TemperatureHysteresis hysteresis_of(const std::vector<TemperaturePoint>& points,
+                                    const TemperaturePolynomial& polynomial, Eigen::Index k,
+                                    double reference) {
+  TemperatureHysteresis found;
+  found.name = polynomial.name;
+  found.unit = polynomial.unit;
+  // Both corrected to one temperature: what the polynomial does between them is no hysteresis.
+  const auto difference = [&](const TemperaturePoint& a, const TemperaturePoint& b) {
+    return a.value[k] - b.value[k] - polynomial.at(a.temperature_degc - reference) +
+           polynomial.at(b.temperature_degc - reference);
+  };
+  const auto uncertainty = [&](const TemperaturePoint& a, const TemperaturePoint& b) {
+    return std::sqrt(a.own(k, k) + b.own(k, k));
+  };
+  for (const TemperaturePoint& up : points) {
+    if (up.leg != SeriesLeg::kUp) continue;
+    for (const TemperaturePoint& down : points) {
+      if (down.leg != SeriesLeg::kDown || down.set_degc != up.set_degc) continue;
+      const double d = difference(up, down);
+      if (found.has_both_ways && std::abs(d) <= std::abs(found.largest)) continue;
+      found.has_both_ways = true;
+      found.largest = d;
+      found.standard_uncertainty = uncertainty(up, down);
+      found.at_degc = up.set_degc;
+    }
+  }
+  const TemperaturePoint& first = points.front();
+  const TemperaturePoint& last = points.back();
+  found.has_closure = first.leg == SeriesLeg::kReference && last.leg == SeriesLeg::kReturn;
+  if (found.has_closure) {
+    found.closure = difference(last, first);
+    found.closure_uncertainty = uncertainty(last, first);
+  }
+  return found;
+}
+
+}  // namespace
+
+std::string_view to_string(SeriesLeg leg) {
+  return std::find_if(kLegs.begin(), kLegs.end(), [&](const auto& each) { return each.first == leg; })
+      ->second;
+}
+
+std::optional<SeriesLeg> series_leg_from(std::string_view word) {
+  for (const auto& [leg, name] : kLegs)
+    if (name == word) return leg;
+  return std::nullopt;
+}
+
+double TemperaturePolynomial::at(double from_t0) const {
+  double value = 0.0;
+  for (auto each = coefficient.rbegin(); each != coefficient.rend(); ++each) value = value * from_t0 + *each;
+  return value;
+}
+
+double TemperaturePolynomial::standard_uncertainty_at(double from_t0) const {
+  Eigen::VectorXd powers(order + 1);
+  for (int n = 0; n <= order; ++n) powers[n] = std::pow(from_t0, n);
+  return std::sqrt(std::max(0.0, powers.dot(covariance * powers)));
+}
+
+double TemperaturePolynomial::slope_at(double from_t0) const {
+  double slope = 0.0;
+  for (int n = 1; n <= order; ++n)
+    slope += n * coefficient[static_cast<std::size_t>(n)] * std::pow(from_t0, n - 1);
+  return slope;
+}
+
+TemperaturePoint temperature_point(const CalibrationResult& result) {
+  if (!result.covariance_intrinsic || result.verdict == Verdict::kNotUsable)
+    throw std::invalid_argument(
+        fmt::format("{}: no covariance of its intrinsic outputs ({})", result.source, result.why));
+  TemperaturePoint point;
+  for (int j = 0; j < 3; ++j) {
+    const auto n = static_cast<std::size_t>(j);
+    point.value[j] = result.intrinsic_sensitivity[n].value;
+    point.value[3 + j] = result.intrinsic_angle[n].value;
+    point.value[6 + j] = result.offset[n].value;
+  }
+  const Covariance9 none = Covariance9::Zero();
+  point.own = result.covariance_intrinsic_type_a.value_or(*result.covariance_intrinsic);
+  point.shared =
+      result.covariance_intrinsic_type_a ? result.covariance_intrinsic_type_b.value_or(none) : none;
+  point.verdict = result.verdict;
+  return point;
+}
+
+TemperatureResult fit_temperature(std::vector<TemperaturePoint> points, double reference_degc,
+                                  const std::string& response_unit) {
+  const int temperatures = distinct(points);
+  if (temperatures < 2)
+    throw std::invalid_argument(
+        fmt::format("a series with {} temperatures of the item that differ by more than {:g} K; required: 2",
+                    temperatures, kSameTemperatureK));
+  TemperatureResult result;
+  result.reference_degc = reference_degc;
+  const auto [least, most] = std::minmax_element(
+      points.begin(), points.end(),
+      [](const auto& a, const auto& b) { return a.temperature_degc < b.temperature_degc; });
+  result.least_degc = least->temperature_degc;
+  result.most_degc = most->temperature_degc;
+  result.points = std::move(points);
+  const int most_order =
+      std::min({kMostTemperatureOrder, temperatures - 1, static_cast<int>(result.points.size()) - 2});
+  for (std::size_t k = 0; k < kNames.size(); ++k) {
+    const auto index = static_cast<Eigen::Index>(k);
+    TemperaturePolynomial polynomial =
+        polynomial_of(series_of(result.points, reference_degc, index), std::max(0, most_order));
+    polynomial.name = kNames[k];
+    polynomial.unit = unit_of(k, response_unit);
+    result.polynomials.push_back(std::move(polynomial));
+    result.hysteresis.push_back(
+        hysteresis_of(result.points, result.polynomials.back(), index, reference_degc));
+  }
+  for (std::size_t k = 0; k < kNames.size(); ++k) {
+    result.coefficients.push_back(
+        coefficient_of(result.polynomials[k], k, result.polynomials[k % 3].coefficient[0],
+                       result.least_degc - reference_degc, result.most_degc - reference_degc));
+  }
+  return result;
+}
+
+}  // namespace abcal

@@ -1,0 +1,96 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "protocol/analysis/calibration_result.h"
+
+namespace abcal {
+
+/// Where a point stands in a series.
+enum class SeriesLeg { kReference, kUp, kDown, kReturn };
+std::string_view to_string(SeriesLeg leg);
+/// @return nothing for a word that is none of them
+std::optional<SeriesLeg> series_leg_from(std::string_view word);
+
+/// One point of a series: a run at one temperature. Outputs in the order of Covariance9: s_u, s_v, s_w
+/// (R/g_loc), phi_uv, phi_vw, phi_wu (degree), O_u, O_v, O_w (R).
+struct TemperaturePoint {
+  int number = 0;  ///< In the series, from 1.
+  SeriesLeg leg = SeriesLeg::kUp;
+  double set_degc = 0.0;
+  double temperature_degc = 0.0;  ///< Abscissa: the item's own sensor, mean over the run.
+  double change_k = 0.0;          ///< Of that sensor from the first to the last angle of the run.
+  Eigen::Matrix<double, 9, 1> value;
+  Covariance9 own;     ///< Of this point alone: the scatter of its readings (type A).
+  Covariance9 shared;  ///< Of stage and effects that are the same at every point (type B).
+  Verdict verdict = Verdict::kUsable;
+};
+
+/// A polynomial of one output over (T - T0), fitted by generalised least squares: every point with its own
+/// uncertainty, and the one that all points share as one unknown shift of all.
+struct TemperaturePolynomial {
+  std::string name;  ///< "s_u", "phi_uv", "O_w"
+  std::string unit;
+  int order = 0;
+  std::vector<double> coefficient;  ///< Unit / K^n, n = 0 ... order.
+  Eigen::MatrixXd covariance;       ///< Of the coefficients.
+  /// Of the steps to this order, and of the one that was not made any more.
+  std::vector<double> likelihood_ratio;
+  std::vector<double> residual;  ///< Of each point, unit.
+  double residual_rms = 0.0, residual_max = 0.0;
+  /// Scatter of the points about the polynomial that their own uncertainty does not explain (hysteresis, lag,
+  /// instability); it is in the covariance. Unit.
+  double excess = 0.0;
+  double chi2 = 0.0;  ///< Without the excess.
+  int degrees_of_freedom = 0;
+
+  double at(double from_t0) const;
+  double standard_uncertainty_at(double from_t0) const;
+  double slope_at(double from_t0) const;
+};
+
+/// What the data sheet says of an output: per kelvin, and how it is reckoned.
+struct TemperatureCoefficient {
+  std::string name;
+  std::string unit;                                       ///< "ppm/K", "ug/K", "urad/K"
+  double at_reference = 0.0, standard_uncertainty = 0.0;  ///< Slope of the polynomial at T0.
+  double box = 0.0;                                       ///< (largest - smallest) / range of temperature.
+  double end_point = 0.0;                                 ///< From one end to the other.
+};
+
+/// Of one output: what differs between the ways up and down, at equal temperature of the item.
+struct TemperatureHysteresis {
+  std::string name, unit;
+  double largest = 0.0;  ///< up - down, with its sign.
+  double standard_uncertainty = 0.0;
+  double at_degc = 0.0;
+  double closure = 0.0;  ///< Last point minus first one, both at the reference.
+  double closure_uncertainty = 0.0;
+  bool has_closure = false, has_both_ways = false;
+};
+
+struct TemperatureResult {
+  double reference_degc = 23.0;
+  double least_degc = 0.0, most_degc = 0.0;  ///< Of the item's sensor: where the polynomials hold.
+  std::vector<TemperaturePoint> points;
+  std::vector<TemperaturePolynomial> polynomials;    ///< 9, in the order of the outputs.
+  std::vector<TemperatureCoefficient> coefficients;  ///< 9
+  std::vector<TemperatureHysteresis> hysteresis;     ///< 9
+};
+
+/// Largest order that is tried.
+inline constexpr int kMostTemperatureOrder = 4;
+
+/// @throws std::invalid_argument for fewer than two temperatures
+TemperatureResult fit_temperature(std::vector<TemperaturePoint> points, double reference_degc,
+                                  const std::string& response_unit);
+
+/// One run of a series as a point; `number`, `leg` and temperatures are the caller's.
+/// @throws std::invalid_argument for a result without covariance
+TemperaturePoint temperature_point(const CalibrationResult& result);
+
+}  // namespace abcal

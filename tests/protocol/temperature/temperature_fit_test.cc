@@ -1,0 +1,119 @@
+#include "protocol/temperature/temperature_fit.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+#include <stdexcept>
+
+namespace abcal {
+namespace {
+
+constexpr double kOwn = 2e-6, kShared = 3e-5;
+
+struct Made {
+  double loop = 0.0;  ///< Half of the hysteresis of O_u.
+  double noise = kOwn;
+};
+
+/// Seven temperatures up and down about a reference; s_u of order 2, O_u of order 3, phi constant.
+std::vector<TemperaturePoint> made_points(std::mt19937_64& random, const Made& made = {}) {
+  std::normal_distribution<double> normal;
+  Eigen::Matrix<double, 9, 1> shift;
+  for (int k = 0; k < 9; ++k) shift[k] = kShared * normal(random);
+  const std::vector<double> up{-40.0, -20.0, 0.0, 23.0, 45.0, 65.0, 85.0};
+  std::vector<std::pair<SeriesLeg, double>> legs{{SeriesLeg::kReference, 23.0}};
+  for (const double degc : up) legs.emplace_back(SeriesLeg::kUp, degc);
+  for (std::size_t n = up.size() - 1; n-- > 0;) legs.emplace_back(SeriesLeg::kDown, up[n]);
+  legs.emplace_back(SeriesLeg::kReturn, 23.0);
+  std::vector<TemperaturePoint> points;
+  for (const auto& [leg, degc] : legs) {
+    TemperaturePoint point;
+    point.number = static_cast<int>(points.size()) + 1;
+    point.leg = leg;
+    point.set_degc = degc;
+    point.temperature_degc = degc + 3.0 + 0.1 * normal(random);
+    const double d = point.temperature_degc - 23.0;
+    point.value.setZero();
+    point.value[0] = 1.0 - 1e-4 * d + 2e-7 * d * d;
+    point.value[1] = point.value[2] = 1.0;
+    point.value.segment<3>(3).setConstant(90.0);
+    point.value[6] = 0.01 + 5e-5 * d - 1e-7 * d * d + 3e-9 * d * d * d;
+    if (leg == SeriesLeg::kUp) point.value[6] += made.loop;
+    if (leg == SeriesLeg::kDown) point.value[6] -= made.loop;
+    point.own = Covariance9::Identity() * kOwn * kOwn;
+    point.shared = Covariance9::Identity() * kShared * kShared;
+    for (int k = 0; k < 9; ++k) point.value[k] += shift[k] + made.noise * normal(random);
+    points.push_back(point);
+  }
+  return points;
+}
+
+TEST(TemperatureFitTest, FindsOrdersAndCoefficients) {
+  std::mt19937_64 random(1);
+  const TemperatureResult result = fit_temperature(made_points(random), 23.0, "g");
+  ASSERT_EQ(result.polynomials.size(), 9U);
+  const TemperaturePolynomial& s = result.polynomials[0];
+  const TemperaturePolynomial& o = result.polynomials[6];
+  EXPECT_EQ(s.order, 2);
+  EXPECT_EQ(o.order, 3);
+  EXPECT_EQ(s.unit, "g/g_loc");
+  EXPECT_NEAR(s.coefficient[1], -1e-4, 4.0 * std::sqrt(s.covariance(1, 1)));
+  EXPECT_NEAR(o.coefficient[3], 3e-9, 4.0 * std::sqrt(o.covariance(3, 3)));
+  // What all points share moves the polynomial as a whole, and says nothing of its slope.
+  EXPECT_NEAR(std::sqrt(s.covariance(0, 0)), kShared, 0.1 * kShared);
+  EXPECT_LT(std::sqrt(s.covariance(1, 1)) * 60.0, kOwn);
+  EXPECT_EQ(result.coefficients[0].unit, "ppm/K");
+  EXPECT_NEAR(result.coefficients[0].at_reference, -100.0, 0.5);
+  EXPECT_NEAR(result.coefficients[6].at_reference, 50.0, 0.5);
+}
+
+TEST(TemperatureFitTest, TheLoopIsFoundAndWidensTheBand) {
+  std::mt19937_64 random(2);
+  const TemperatureResult without = fit_temperature(made_points(random), 23.0, "g");
+  const TemperatureResult with = fit_temperature(made_points(random, {.loop = 1e-4}), 23.0, "g");
+  EXPECT_NEAR(with.hysteresis[6].largest, 2e-4, 2e-5);
+  EXPECT_LT(std::abs(without.hysteresis[6].largest), 5.0 * without.hysteresis[6].standard_uncertainty);
+  EXPECT_GT(with.polynomials[6].excess, 5e-5);
+  EXPECT_LT(without.polynomials[6].excess, 2e-6);
+  EXPECT_TRUE(with.hysteresis[6].has_closure);
+  EXPECT_LT(std::abs(with.hysteresis[6].closure), 5.0 * with.hysteresis[6].closure_uncertainty);
+}
+
+TEST(TemperatureFitTest, CoefficientsLieWithinTheirUncertainty) {
+  std::mt19937_64 random(3);
+  int within = 0, all = 0, too_high = 0;
+  for (int n = 0; n < 300; ++n) {
+    const TemperatureResult result = fit_temperature(made_points(random), 23.0, "g");
+    const auto count = [&](const TemperaturePolynomial& p, const std::vector<double>& truth) {
+      if (p.order < static_cast<int>(truth.size()) - 1) {
+        ++all;
+        return;
+      }
+      for (std::size_t k = 0; k < truth.size(); ++k) {
+        const auto i = static_cast<Eigen::Index>(k);
+        ++all;
+        if (std::abs(p.coefficient[k] - truth[k]) < 1.96 * std::sqrt(p.covariance(i, i))) ++within;
+      }
+    };
+    too_high += result.polynomials[3].order > 0 ? 1 : 0;
+    count(result.polynomials[0], {1.0, -1e-4, 2e-7});
+    count(result.polynomials[6], {0.01, 5e-5, -1e-7, 3e-9});
+  }
+  // 2100 numbers at 95 %: one standard deviation is 0.5 %; those of a series belong together.
+  EXPECT_GT(within, 0.925 * all);
+  EXPECT_LT(within, 0.985 * all);
+  // Each of the two steps that are tried is made by chance in 5 % of the series.
+  EXPECT_GT(too_high, 5);
+  EXPECT_LT(too_high, 45);
+}
+
+TEST(TemperatureFitTest, OneTemperatureIsNoSeries) {
+  std::mt19937_64 random(4);
+  std::vector<TemperaturePoint> points = made_points(random);
+  points.resize(1);
+  EXPECT_THROW(fit_temperature(points, 23.0, "g"), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace abcal
