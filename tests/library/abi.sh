@@ -3,7 +3,7 @@
 #   abi.sh LIBRARY HEADERS COMPILER            compares
 #   abi.sh --keep LIBRARY HEADERS COMPILER     keeps it as it is now: for a new first number of its version
 set -euo pipefail
-baseline=$(dirname "$0")/libabcal.so.1.abi
+baseline=$(dirname "$0")/libabcal.so.1.abi.xz
 keep=no
 [ "$1" != --keep ] || { keep=yes; shift; }
 library=$1 headers=$2 compiler=$3
@@ -14,12 +14,13 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 write() { abidw --headers-dir "$headers" --drop-private-types --no-comp-dir-path --no-corpus-path --no-show-locs "$1"; }
 if [ "$keep" = yes ]; then
-  write "$library" >"$baseline"
+  write "$library" | xz -9 >"$baseline"
   exit 0
 fi
 write "$library" >"$work/now.abi"
+xz -dc "$baseline" >"$work/kept.abi"
 # Names may be added; what is removed or changed breaks programs.
-if ! abidiff --no-added-syms "$baseline" "$work/now.abi" >"$work/log"; then
+if ! abidiff --no-added-syms "$work/kept.abi" "$work/now.abi" >"$work/log"; then
   cat "$work/log"
   echo "The binary interface of libabcal.so.1 has changed. Required: the old one, or a new soname (docs/library.md)." >&2
   exit 1
