@@ -4,6 +4,10 @@
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
 
+#include <exception>
+#include <stdexcept>
+#include <string>
+
 #include "abcal/abcal.h"
 #include "app/python/arrays.h"
 #include "app/python/signals.h"
@@ -26,11 +30,38 @@ py::object dict_of(const std::string& json) {
   return py::module_::import("json").attr("loads")(json);
 }
 
+/// Messages may hold bytes that are no UTF-8, e.g. of the name of a file.
+void raise(PyObject* type, const std::exception& error) {
+  const std::string what = error.what();
+  PyObject* const text =
+      PyUnicode_DecodeUTF8(what.data(), static_cast<py::ssize_t>(what.size()), "backslashreplace");
+  if (text == nullptr) return;
+  PyErr_SetObject(type, text);
+  Py_DECREF(text);
+}
+
 void add_exceptions(py::module_& m) {
-  py::register_exception<Stopped>(m, "Stopped", PyExc_RuntimeError).attr("__doc__") =
-      "A run was stopped; the stage was halted, and the run file can be resumed.";
-  py::register_exception<InstrumentError>(m, "InstrumentError", PyExc_RuntimeError).attr("__doc__") =
-      "An instrument failed: who, what, found, required.";
+  static py::exception<Stopped> stopped(m, "Stopped", PyExc_RuntimeError);
+  stopped.attr("__doc__") = "A run was stopped; the stage was halted, and the run file can be resumed.";
+  static py::exception<InstrumentError> instrument_error(m, "InstrumentError", PyExc_RuntimeError);
+  instrument_error.attr("__doc__") = "An instrument failed: who, what, found, required.";
+  py::register_exception_translator([](std::exception_ptr thrown) {
+    try {
+      if (thrown) std::rethrow_exception(thrown);
+    } catch (const Stopped& error) {
+      raise(stopped.ptr(), error);
+    } catch (const InstrumentError& error) {
+      raise(instrument_error.ptr(), error);
+    } catch (const py::builtin_exception&) {
+      throw;  // Of pybind11: it knows them.
+    } catch (const std::logic_error& error) {
+      raise(PyExc_ValueError, error);
+    } catch (const std::bad_alloc&) {
+      throw;
+    } catch (const std::exception& error) {
+      raise(PyExc_RuntimeError, error);
+    }
+  });
 }
 
 void add_values(py::module_& m) {

@@ -26,9 +26,9 @@ class Caller:
         self.arrays = circles(self.records[0])
         write_csv(self.records[0], folder / "good.csv")
         (folder / "bad.csv").write_text("experiment,n,alpha_deg\n1,2\n")
-        (folder / "noise.bin").write_bytes(bytes(self.random.randrange(128) for _ in range(300)))
+        (folder / "noise.bin").write_bytes(bytes(self.random.randrange(256) for _ in range(300)))
         write_bench(folder / "bench.toml")
-        self.files = ["good.csv", "bad.csv", "noise.bin", "bench.toml", "nothing", ".", "a\0b", ""]
+        self.files = ["good.csv", "bad.csv", "noise.bin", "bench.toml", "nothing", ".", "a\0b", "\udcff", ""]
         self.results = [abcal.analyse(record, "abc") for record in self.records]
 
     def nonsense(self):
