@@ -76,7 +76,6 @@ function tick(value, index, ticks) {
 }
 
 function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = null}) {
-  const linesOnly = data.datasets.every((set) => set.pointStyle === 'line');  // Wide enough to show their dashes.
   const chart = new Chart(canvas, {
     type,
     data,
@@ -86,7 +85,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = nul
       ...(type === 'line' && {parsing: false}),  // Points come as {x, y}, in numbers.
       interaction: {mode: 'nearest', intersect: false},
       scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(type === 'line' && {pointStyleWidth: 34, generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
   made.add(chart);
