@@ -76,7 +76,7 @@ function tick(value, index, ticks) {
 }
 
 function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = null}) {
-  const linesOnly = data.datasets.every((set) => set.pointStyle === 'line');  // Wide enough to show their dashes.
+  const ofOutputs = type === 'line' && data.datasets.some(({label}) => OUTPUTS.includes(label));  // Their samples are wide.
   const chart = new Chart(canvas, {
     type,
     data,
@@ -86,7 +86,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = nul
       ...(type === 'line' && {parsing: false}),  // Points come as {x, y}, in numbers.
       interaction: {mode: 'nearest', intersect: false},
       scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(linesOnly && {pointStyleWidth: 34}), ...(type === 'line' && {generateLabels: samples}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(type === 'line' && {generateLabels: samples}), ...(ofOutputs && {pointStyleWidth: 34}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
   made.add(chart);

@@ -75,9 +75,9 @@ export default {
   'norm not that of gravity': 'Betrag nicht der der Fallbeschleunigung',
   'The norm of the readings is not that of local gravity: unit or scale.': 'Der Betrag der Ablesungen ist nicht der der örtlichen Fallbeschleunigung: Einheit oder Skala.',
   // How a run ended.
-  'usable: {}': 'verwendbar: {}',
+  'usable: {}': 'brauchbar: {}',
   'doubtful: {}': 'zweifelhaft: {}',
-  'not usable: {}': 'nicht verwendbar: {}',
+  'not usable: {}': 'unbrauchbar: {}',
   'Its program died, or another program is measuring it now.': 'Sein Programm ist abgebrochen, oder ein anderes Programm misst ihn gerade.',
   'stopped by {}': 'gestoppt von {}',
   'A process of its own (abcal-guard, {}) holds the port of the {} and halts its axes if this program dies.': 'Ein eigener Prozess (abcal-guard, {}) hält den Anschluss von {} und hält die Achsen an, wenn dieses Programm abbricht.',
@@ -102,6 +102,6 @@ export default {
   'set rate_hz to the rate of the instrument': 'rate_hz auf die Rate des Geräts setzen',
   'use a better cable, a higher baud rate or a lower rate_hz': 'ein besseres Kabel, eine höhere Baudrate oder eine kleinere rate_hz verwenden',
   // Lines of the log.
-  'Run {} is complete: {}.': 'Der Lauf {} ist fertig: {}.', usable: 'verwendbar', doubtful: 'zweifelhaft', 'not usable': 'nicht verwendbar',
+  'Run {} is complete: {}.': 'Der Lauf {} ist fertig: {}.', usable: 'brauchbar', doubtful: 'zweifelhaft', 'not usable': 'unbrauchbar',
   'The bench is checked: {} good, {} warnings, {} problems.': 'Der Messplatz ist geprüft: {} gut, {} Warnungen, {} Probleme.',
 };

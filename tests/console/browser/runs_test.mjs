@@ -4,7 +4,7 @@ import {copyFileSync} from 'node:fs';
 import path from 'node:path';
 import {abcal, begin, complainsOfNothing, look, says, served} from './page_test.mjs';
 
-const RUNS = 150;
+const RUNS = 110;
 const step = begin({
   pace: 10,
   prepare() {

@@ -62,10 +62,11 @@ step('shows a part of a plot, by keyboard and pointer, and no label is over anot
     const {scales: {y}, ctx, legend} = Chart.getChart(canvas);
     ctx.font = '12px "Helvetica Neue", Helvetica, Arial, sans-serif';
     const widest = Math.max(...y.ticks.map(({label}) => ctx.measureText(label).width)), title = y.options.title.text ? 20 : 0;
-    return {room: y.width - widest - title, samples: legend.legendItems.map(({pointStyle}) => String(pointStyle))};
+    return {place: legend.options.labels.pointStyleWidth, room: y.width - widest - title, samples: legend.legendItems.map(({pointStyle}) => String(pointStyle))};
   }));
   assert.equal(plots.length, 7);
   for (const {room} of plots) assert.ok(room >= 0, JSON.stringify(plots));
+  for (const {place} of plots) assert.ok(place >= 34, 'samples of the legend are not over their letters');
   for (const i of [0, 1, 3, 5]) assert.deepEqual(plots[i].samples.slice(0, 3), Array(3).fill('[object HTMLCanvasElement]'), 'dashes, and markers');
   const range = () => page.evaluate(() => { const {min, max} = Chart.getChart(document.querySelector('#responses canvas')).scales.x; return [min, max]; });
   const rangeIs = (expected) => eventually(async () => assert.deepEqual(await range(), expected));
