@@ -8,7 +8,7 @@ namespace abcal::sim {
 namespace {
 
 /// An air that nothing drives loses its temperature so much more slowly.
-constexpr double kIdleLagFactor = 4.0;
+constexpr double kIdleLagFactor = 20.0;
 /// Two lags that are equal have no solution of this form.
 constexpr double kSmallestDifference = 1e-6;
 /// The play of the hysteresis is followed in steps of this.
@@ -111,7 +111,8 @@ double ThermalWorld::moved_play(double play, double item) const {
 }
 
 double ThermalWorld::play_in(const Segment& segment, double seconds) const {
-  if (memo_.segment != &segment || static_cast<double>(memo_.steps) * kPlayStepS > seconds) memo_ = {&segment, 0, segment.play};
+  if (memo_.segment != &segment || static_cast<double>(memo_.steps) * kPlayStepS > seconds)
+    memo_ = {&segment, 0, segment.play};
   const long steps = static_cast<long>(std::max(0.0, seconds) / kPlayStepS);
   // After some lags nothing moves any more.
   const double rest_s = segment.ramp_s + 40.0 * std::max(air_lag_s(segment), truth_.item_lag_s);

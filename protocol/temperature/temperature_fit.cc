@@ -128,6 +128,13 @@ Series series_of(const std::vector<TemperaturePoint>& points, double reference_d
     series.own_variance[i] = point.own(k, k);
     series.shared[i] = std::sqrt(std::max(0.0, point.shared(k, k)));
   }
+  // Within a run the item changes a little; which of these temperatures a value belongs to is not known.
+  const Eigen::VectorXd from_mean = series.d.array() - series.d.mean();
+  const double slope = from_mean.dot(series.value) / from_mean.squaredNorm();
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const double change = slope * points[static_cast<std::size_t>(i)].change_k;
+    series.own_variance[i] += change * change / 12.0;
+  }
   series.scale = std::max(1.0, series.d.cwiseAbs().maxCoeff());
   series.d /= series.scale;
   // Readings without any scatter (a noiseless simulation): round-off is left.
