@@ -375,8 +375,7 @@ void Session::show(const SessionEvent& event) {
             fmt::format("Run {} is complete: {}.", name, end.verdict.empty() ? "a levelling" : end.verdict));
       }
       std::string words = end.reason;
-      if (end.complete)
-        words = end.verdict.empty() ? "" : fmt::format("{}: {}", end.verdict, end.reason);
+      if (end.complete) words = end.verdict.empty() ? "" : fmt::format("{}: {}", end.verdict, end.reason);
       session.tell_(RunEnded{name, end.complete, std::move(words)});
     }
     void operator()(const AngleBegunEvent&) const {}

@@ -260,7 +260,8 @@ TEST_F(PrintedCertificateTest, TheSignaturesAreVerifiedAndAreTheApprovers) {
         shell("openssl cms -verify -binary -inform DER -in a.pdf.p7s -content a.pdf -CAfile approver.crt "
               "-purpose any -out /dev/null"))
         << file("log");
-    EXPECT_TRUE(shell("openssl x509 -in approver.crt -noout -text | grep prime256v1 >/dev/null")) << file("log");
+    EXPECT_TRUE(shell("openssl x509 -in approver.crt -noout -text | grep prime256v1 >/dev/null"))
+        << file("log");
   }
   if (shell("command -v xmlsec1")) {
     EXPECT_TRUE(shell("xmlsec1 --verify --trusted-pem approver.crt a.xml")) << file("log");

@@ -13,9 +13,9 @@ constexpr double kAirLagS = 100.0, kItemLagS = 400.0;
 struct World {
   Clock::Instant start{};
   ThermalWorld world{{.air_lag_s = kAirLagS, .item_lag_s = kItemLagS, .self_heating_degc = 3.0}, 23.0, start};
-  Clock::Instant at(double seconds) const { return start + from_seconds(seconds); }
-  void go(double degc, double seconds, std::optional<double> rate = std::nullopt) {
-    world.command({.target_degc = degc, .rate_k_per_min = rate, .running = true}, at(seconds));
+  Clock::Instant at(double t_s) const { return start + from_seconds(t_s); }
+  void go(double degc, double t_s, std::optional<double> rate = std::nullopt) {
+    world.command({.target_degc = degc, .rate_k_per_min = rate, .running = true}, at(t_s));
   }
 };
 
