@@ -39,7 +39,10 @@ install(FILES ${manual_folder}/abcal.bash DESTINATION ${CMAKE_INSTALL_DATADIR}/b
   RENAME abcal COMPONENT abcal)
 install(FILES ${manual_folder}/_abcal DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions COMPONENT abcal)
 
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal)
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal
+  PATTERN "cpp" EXCLUDE)
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples/cpp DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/libabcal-dev/examples
+  COMPONENT dev)
 # The pages that messages and the command line's help name; the changelog has its own place.
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal
   FILES_MATCHING PATTERN "*.md" PATTERN "*.ipynb" PATTERN "images/*.png" PATTERN "changelog.md" EXCLUDE

@@ -121,7 +121,7 @@ AccelerometerInfo IioAccelerometer::identify() {
   context_ = *std::move(context);
   chosen_ = choose_device();
   layout_ = *lay_out(device());
-  if (perhaps_open_) close_buffer();
+  close_buffer();  // An earlier connection that was lost may have left it open.
   const std::string serial_number = debug_text("serial_number").value_or("");
   const std::string revision = debug_text("firmware_revision").value_or("");
   const std::string model = device().name.empty() ? device().id : device().name;

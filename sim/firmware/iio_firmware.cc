@@ -435,6 +435,10 @@ std::optional<Clock::Instant> IioFirmware::next_due() const {
 void IioFirmware::session_starts() {
   client_ = std::make_unique<Client>(machine_);
 }
+/// The computer starts anew; what is set in its devices is kept by their drivers' defaults.
+void IioFirmware::power(bool on, Clock::Instant /*now*/) {
+  if (on) session_starts();
+}
 std::shared_ptr<Firmware> IioFirmware::another_session() {
   return std::shared_ptr<Firmware>(new IioFirmware(machine_));
 }

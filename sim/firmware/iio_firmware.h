@@ -31,6 +31,7 @@ class IioFirmware final : public Firmware {
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
   void session_starts() override;
+  void power(bool on, Clock::Instant now) override;
   std::shared_ptr<Firmware> another_session() override;
   UnservedCommands& unserved() override;
 
