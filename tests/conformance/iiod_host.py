@@ -117,19 +117,21 @@ class MadeUpDevice:
                 stream.flush()
                 stream.readline()
                 assert ask("OPEN iio:device0 1 00000078") == 0  # accelerations and time
-                # OSError: nobody reads any longer; BlockingIOError: full, as the kernel's buffer may be.
-                with contextlib.suppress(OSError):
-                    pipe = os.open(self.folder / "dev" / "iio:device0", os.O_WRONLY | os.O_NONBLOCK)
-                    try:
-                        while self.enabled() and not stop.is_set():
-                            size = ask("READBUF iio:device0 24")
-                            stream.readline()
-                            scan = stream.read(size)
-                            with contextlib.suppress(BlockingIOError):
-                                os.write(pipe, scan)
-                    finally:
-                        os.close(pipe)
+                while self.enabled() and not stop.is_set():
+                    size = ask("READBUF iio:device0 24")
+                    stream.readline()
+                    self.put(stream.read(size))
                 ask("CLOSE iio:device0")
+
+    def put(self, scan):
+        """Opened for each scan: what iiod leaves unread is lost when it closes, as in the kernel's buffer."""
+        # OSError: nobody reads; BlockingIOError: full, as the kernel's buffer may be.
+        with contextlib.suppress(OSError):
+            pipe = os.open(self.folder / "dev" / "iio:device0", os.O_WRONLY | os.O_NONBLOCK)
+            try:
+                os.write(pipe, scan)
+            finally:
+                os.close(pipe)
 
 
 def free_port():
@@ -181,7 +183,7 @@ def run(arguments, checks):
             def call(*more):
                 done = subprocess.run([abcal, *more], capture_output=True, text=True, timeout=300, cwd=folder)
                 if done.returncode != 0:
-                    raise RuntimeError(f"abcal {more[0]}: {done.stderr.strip().splitlines()[-1:]}")
+                    raise RuntimeError(f"abcal {more[0]} ended with {done.returncode}: {done.stderr.strip()} {done.stdout[:300]}")
                 return done.stdout
 
             checks.step("recognised", lambda: call("instruments", "--probe", "--port", real),
