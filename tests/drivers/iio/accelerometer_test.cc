@@ -20,7 +20,7 @@ using testing::HasSubstr;
 
 class IioTest : public testing::Test {
  protected:
-  IioTest() : IioTest({}) {}
+  IioTest() : IioTest(sim::IioSettings{}) {}
   explicit IioTest(const sim::IioSettings& settings) {
     sim::BenchTruth truth;
     truth.sensitivity_matrix = 9.81 * Eigen::Matrix3d::Identity();
