@@ -43,10 +43,6 @@ std::optional<double> item_temperature(Bench& bench) {
   return reading ? reading->temperature_degc : std::nullopt;
 }
 
-bool is_complete(const std::filesystem::path& path) {
-  return std::filesystem::exists(path) && RunFile::load(path).state == RunState::kComplete;
-}
-
 }  // namespace
 
 std::vector<SeriesPoint> series_points(const TemperatureConfig& config) {
@@ -95,12 +91,16 @@ std::vector<std::filesystem::path> TemperatureSeries::measure(const Request& req
   progress.paths = series_paths(request.stem, progress.points.size());
   for (std::size_t n = 0; n < progress.points.size(); ++n) {
     const std::filesystem::path& path = progress.paths[n];
-    if (std::filesystem::exists(path) &&
-        RunFile::load(path).header.bench_toml != write_bench(progress.config))
+    if (!std::filesystem::exists(path)) {
+      progress.missing.push_back(n);
+      continue;
+    }
+    const StoredRun stored = RunFile::load(path);
+    if (stored.header.bench_toml != write_bench(progress.config))
       throw std::invalid_argument(path.string() +
                                   ": was measured with another bench file; required: the same for all "
                                   "points of a series, or another name with -o");
-    if (!is_complete(path)) {
+    if (stored.state != RunState::kComplete) {
       progress.missing.push_back(n);
     } else {
       (void)finish_measured_run(path);  // The program may have ended before it was closed and analysed.
