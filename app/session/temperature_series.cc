@@ -269,8 +269,7 @@ std::vector<TemperaturePoint> points_of_series(const std::vector<std::filesystem
                                   kLegLabel + ")");
     if (stored.state != RunState::kComplete)
       throw std::invalid_argument(path.string() + ": is not complete; go on with: abcal temperature BENCH");
-    TemperaturePoint point =
-        temperature_point(analyse(stored.record, std::string(declared_estimator(stored.record).name)));
+    TemperaturePoint point = temperature_point(analyse(stored.record, declared_estimator(stored.record)));
     point.number = static_cast<int>(points.size()) + 1;
     point.leg = *leg;
     point.set_degc = number_of(label_of(stored.header.labels, kSetLabel));
