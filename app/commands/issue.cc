@@ -51,12 +51,13 @@ std::optional<Registered> open_registered(const IssueOptions& options, Clock::Ut
 
 /// The printed certificate, and beside it its detached signature where there is a key.
 void write_printed(const IssueOptions& options, const std::string& xml) {
+  PdfPrinter printer;
   const HtmlPage page = document_html(certificate_page(xml));
   const TemporaryFolder folder;
   const Attachment attachment{folder / "certificate.xml", AttachmentKind::kData};
   OutputFile(attachment.file).write(xml);
   OutputFile pdf(options.pdf);
-  print_pdf(page.html, pdf.temporary(), attachment);
+  printer.print(page.html, pdf.temporary(), attachment);
   pdf.commit();
   if (options.asked.key.empty()) return;
   OutputFile(signature_path_of(options.pdf))

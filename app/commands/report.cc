@@ -49,7 +49,7 @@ void print_warnings(const HtmlPage& page) {
 }
 
 /// The PDF of a certificate contains its XML, unless another attachment is requested.
-void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attached,
+void write_pdf(PdfPrinter& printer, const HtmlPage& page, OutputFile& file, const std::string& attached,
                const std::string& certificate_xml) {
   const TemporaryFolder folder;
   std::optional<Attachment> attachment;
@@ -59,7 +59,7 @@ void write_pdf(const HtmlPage& page, OutputFile& file, const std::string& attach
     attachment = {folder / "certificate.xml", AttachmentKind::kData};
     OutputFile(attachment->file).write(certificate_xml);
   }
-  print_pdf(page.html, file.temporary(), attachment);
+  printer.print(page.html, file.temporary(), attachment);
   file.commit();
 }
 
@@ -72,17 +72,22 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
   return unchanged && current_certificate(data.path);
 }
 
-/// The requested outputs. `page` makes the HTML page, once.
+/// What makes the pages: the HTML page, once, and the printer, if a PDF is requested.
+struct PageMakers {
+  std::function<const HtmlPage&()> page;
+  PdfPrinter* printer = nullptr;
+};
+
+/// The requested outputs.
 std::vector<Output> outputs_of(const ReportOptions& options, const ReportData& data,
-                               const std::string& certificate_xml,
-                               const std::function<const HtmlPage&()>& page) {
+                               const std::string& certificate_xml, const PageMakers& makers) {
   std::vector<Output> outputs;
   const auto add = [&](const char* option, const std::string& path, std::function<void(OutputFile&)> write) {
     if (!path.empty()) outputs.push_back({{option, path}, std::move(write)});
   };
-  add("--html", options.html, [page](OutputFile& file) { file.write(page().html); });
-  add("--pdf", options.pdf, [page, &options, &certificate_xml](OutputFile& file) {
-    write_pdf(page(), file, options.attachment, certificate_xml);
+  add("--html", options.html, [makers](OutputFile& file) { file.write(makers.page().html); });
+  add("--pdf", options.pdf, [makers, &options, &certificate_xml](OutputFile& file) {
+    write_pdf(*makers.printer, makers.page(), file, options.attachment, certificate_xml);
   });
   add("--dcc", options.dcc, [&certificate_xml](OutputFile& file) { file.write(certificate_xml); });
   add("--csv", options.csv, [&data](OutputFile& file) { file.write(averaged_csv(data)); });
@@ -107,7 +112,6 @@ void check(const ReportOptions& options, const ReportData& data, const std::vect
        {options.attachment, options.certificate.laboratory, options.certificate.as_found})
     if (!input.empty()) inputs.emplace_back(input);
   require_writable(requested, inputs, options.force);
-  if (!options.pdf.empty()) require_installed(kWeasyPrint);
   if (!options.attachment.empty() && !std::filesystem::is_regular_file(options.attachment))
     throw std::invalid_argument(fmt::format("--attach {}: no such file", options.attachment));
   if (!options.csv_raw.empty() && !data.run) {
@@ -144,6 +148,8 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {
+    std::optional<PdfPrinter> printer;
+    if (!options->pdf.empty()) printer.emplace();
     const ReportData data = gather_report(options->file, RealClock().utc_now());
     std::string certificate_xml;
     if (of_certificate(*options, data))
@@ -159,7 +165,8 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
       }
       return *made;
     };
-    const std::vector<Output> outputs = outputs_of(*options, data, certificate_xml, page);
+    const std::vector<Output> outputs =
+        outputs_of(*options, data, certificate_xml, {page, printer ? &*printer : nullptr});
     check(*options, data, outputs);
     for (const Output& output : outputs) {
       OutputFile file(output.requested.path);

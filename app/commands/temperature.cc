@@ -73,12 +73,15 @@ TemperatureReport report_of(const std::vector<std::filesystem::path>& paths, con
 
 void write_pages(const TemperatureOptions& options, const Document& document) {
   if (options.html.empty() && options.pdf.empty()) return;
+  std::optional<PdfPrinter> printer;
+  if (!options.pdf.empty()) printer.emplace();
   const HtmlPage page = document_html(document);
   for (const std::string& warning : page.warnings) print_warning(warning);
   if (!options.html.empty()) OutputFile(options.html).write(page.html);
-  if (!options.pdf.empty()) {
+  if (printer) {
     OutputFile file(options.pdf);
-    print_pdf(page.html, file.temporary(), std::nullopt, [] { return interrupt_token().stop_requested(); });
+    printer->print(page.html, file.temporary(), std::nullopt,
+                   [] { return interrupt_token().stop_requested(); });
     file.commit();
   }
 }

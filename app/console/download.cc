@@ -66,14 +66,15 @@ std::string report(const Path& run, const std::stop_token& cancelled) {
 
 std::string printed_report(const Path& run, const std::stop_token& cancelled) {
   return bytes_of([&](const Path& file) {
+    PdfPrinter printer;
     const Shown page = shown(run, cancelled);
     require_wanted(cancelled);
     const auto is_cancelled = [&cancelled] { return cancelled.stop_requested(); };
-    if (page.certificate_xml.empty()) return print_pdf(page.html, file, std::nullopt, is_cancelled);
+    if (page.certificate_xml.empty()) return printer.print(page.html, file, std::nullopt, is_cancelled);
     const TemporaryFolder folder;
     const Path attachment = folder / "certificate.xml";
     std::ofstream(attachment, std::ios::binary) << page.certificate_xml;
-    print_pdf(page.html, file, Attachment{attachment, AttachmentKind::kData}, is_cancelled);
+    printer.print(page.html, file, Attachment{attachment, AttachmentKind::kData}, is_cancelled);
   });
 }
 

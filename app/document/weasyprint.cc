@@ -15,23 +15,18 @@ namespace abcal {
 
 const Tool kWeasyPrint{"weasyprint", "a PDF needs", "weasyprint"};
 
-void print_pdf(const std::string& html, const std::filesystem::path& pdf,
-               const std::optional<Attachment>& attachment, const std::function<bool()>& cancelled) {
-  const TemporaryFolder folder;
-  const std::filesystem::path page = folder / "page.html", tagged = folder / "tagged.pdf";
-  std::ofstream file(page, std::ios::binary);
-  file << html;
-  file.close();
-  if (!file) throw std::runtime_error(page.string() + ": cannot be written (is the disk full?)");
+PdfPrinter::PdfPrinter()
+    : weasyprint_(kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/ua-1", "--base-url",
+                                (folder_ / "page.html").string(), "-", (folder_ / "tagged.pdf").string()}) {}
+
+void PdfPrinter::print(const std::string& html, const std::filesystem::path& pdf,
+                       const std::optional<Attachment>& attachment, const std::function<bool()>& cancelled) {
   // A page of thousands of rows takes tens of seconds.
   constexpr std::chrono::minutes kLongest{5};
-  if (const ToolResult result = run_tool_for_words(
-          kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/ua-1", page.string(), tagged.string()}, kLongest,
-          cancelled);
-      result.exit_code != 0)
+  if (const ToolResult result = weasyprint_.finish(html, kLongest, cancelled); result.exit_code != 0)
     throw std::runtime_error(
         fmt::format("weasyprint failed with exit code {}: {}", result.exit_code, result.words));
-  std::vector<std::string> arguments{"finish", tagged.string(), pdf.string()};
+  std::vector<std::string> arguments{"finish", (folder_ / "tagged.pdf").string(), pdf.string()};
   if (attachment)
     arguments.insert(arguments.end(), {attachment->kind == AttachmentKind::kData ? "--data" : "--supplement",
                                        std::filesystem::absolute(attachment->file).string()});

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "app/system/child_process.h"
+#include "app/system/temporary_folder.h"
 
 namespace abcal {
 
@@ -27,12 +28,24 @@ struct Attachment {
 /// Makes a PDF of a page: tagged (as PDF/UA-1 asks for, by WeasyPrint), and with the structure of PDF/A-3
 /// (output intent, metadata, attachments with their relation; by the helper program abcal-pdf). Whether it
 /// conforms to either is for a validator to say.
-/// @param cancelled  asked each 0.1 s; true ends it
-/// @throws ProgramMissing, RunInterrupted, std::runtime_error
-void print_pdf(const std::string& html, const std::filesystem::path& pdf,
-               const std::optional<Attachment>& attachment, const std::function<bool()>& cancelled = {});
+class PdfPrinter {
+ public:
+  /// Starts WeasyPrint, which takes half a second to load: make one, then the page.
+  /// @throws ProgramMissing, std::runtime_error
+  PdfPrinter();
 
-/// The data file inside a PDF of print_pdf(); empty: it has none.
+  /// Once.
+  /// @param cancelled  asked each 0.1 s; true ends it
+  /// @throws ProgramMissing, RunInterrupted, std::runtime_error
+  void print(const std::string& html, const std::filesystem::path& pdf,
+             const std::optional<Attachment>& attachment, const std::function<bool()>& cancelled = {});
+
+ private:
+  TemporaryFolder folder_;
+  ToolAwaitingInput weasyprint_;
+};
+
+/// The data file inside a PDF of a PdfPrinter; empty: it has none.
 /// @throws ProgramMissing, RunInterrupted, std::runtime_error (no PDF)
 std::string attachment_of_pdf(const std::filesystem::path& pdf);
 

@@ -72,7 +72,7 @@ Figure response_figure(const ReportData& data, int experiment) {
   script += kFrame;
   script += "set multiplot layout 1,2\nset xtics 90\nset mxtics 3\nset xlabel 'rotation angle (degree)'\n";
   script += fmt::format(
-      "set key on outside top center horizontal samplen 2\nset ylabel {}\nset samples 181\n"
+      "set key on outside top center horizontal samplen 2\nset ylabel {}\nset samples 91\n"
       "set xrange [0:360]\nplot ",
       gnuplot_quoted(fmt::format("response ({})", result.response_unit)));
   for (std::size_t j = 0; j < 3; ++j) {

@@ -5,6 +5,7 @@
 #include <poll.h>
 #include <signal.h>
 #include <sys/prctl.h>
+#include <sys/socket.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -62,9 +63,45 @@ class Descriptor {
   int number_;
 };
 
-/// Between fork and exec, in the child: only calls that are safe there. Signals have their default handling;
-/// both outputs go to `words`.
-[[noreturn]] void become(const char* program, char* const* argv, int words, pid_t parent) {
+/// Descriptors of a program.
+struct ChildStreams {
+  int input = STDIN_FILENO;
+  int words = STDERR_FILENO;  ///< Both outputs.
+};
+
+std::array<int, 2> ends_of(const Tool& tool, const std::function<int(int*)>& make) {
+  std::array<int, 2> ends{};
+  if (make(ends.data()) != 0)
+    throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
+  return ends;
+}
+
+/// What a program says, to us.
+struct WordsPipe {
+  explicit WordsPipe(const Tool& tool)
+      : WordsPipe(ends_of(tool, [](int* ends) { return ::pipe2(ends, O_CLOEXEC | O_NONBLOCK); })) {}
+  Descriptor reading, writing;
+
+ private:
+  explicit WordsPipe(const std::array<int, 2>& ends) : reading(ends[0]), writing(ends[1]) {
+    // Only our end must not block.
+    ::fcntl(writing.number(), F_SETFL, 0);
+  }
+};
+
+/// What a program is given. A socket: writing to one whose reader has ended is an error and no signal.
+struct InputSocket {
+  explicit InputSocket(const Tool& tool)
+      : InputSocket(ends_of(
+            tool, [](int* ends) { return ::socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, ends); })) {}
+  Descriptor ours, theirs;
+
+ private:
+  explicit InputSocket(const std::array<int, 2>& ends) : ours(ends[0]), theirs(ends[1]) {}
+};
+
+/// Between fork and exec, in the child: only calls that are safe there. Signals have their default handling.
+[[noreturn]] void become(const char* program, char* const* argv, const ChildStreams& streams, pid_t parent) {
   ::setpgid(0, 0);
   // Whoever kills abcal leaves nothing behind.
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -73,17 +110,25 @@ class Descriptor {
   sigset_t none;
   ::sigemptyset(&none);
   ::sigprocmask(SIG_SETMASK, &none, nullptr);
-  if (::dup2(words, STDERR_FILENO) < 0 || ::dup2(words, STDOUT_FILENO) < 0) ::_exit(127);
+  if (::dup2(streams.input, STDIN_FILENO) < 0 || ::dup2(streams.words, STDERR_FILENO) < 0 ||
+      ::dup2(streams.words, STDOUT_FILENO) < 0)
+    ::_exit(127);
   ::close_range(STDERR_FILENO + 1, ~0U, 0);
   ::execve(program, argv, environ);
   ::_exit(127);
 }
 
+/// The input of a program, from us.
+struct ChildInput {
+  Descriptor* socket = nullptr;  ///< Closed at the end of the bytes; null: it has another.
+  std::string_view bytes;
+};
+
 /// A running program; it does not outlive this.
 class Child {
  public:
-  /// @param words  descriptor for its outputs
-  Child(const Tool& tool, const std::vector<std::string>& arguments, int words) : tool_(tool) {
+  Child(const Tool& tool, const std::vector<std::string>& arguments, const ChildStreams& streams)
+      : tool_(tool) {
     require_installed(tool);
     const std::string program = find_program(tool).value();
     std::vector<std::string> strings{tool.program};
@@ -95,7 +140,7 @@ class Child {
     pid_ = ::fork();
     if (pid_ < 0)
       throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
-    if (pid_ == 0) become(program.c_str(), argv.data(), words, parent);
+    if (pid_ == 0) become(program.c_str(), argv.data(), streams, parent);
     ::setpgid(pid_, pid_);  // Whichever is first.
   }
   Child(const Child&) = delete;
@@ -103,18 +148,21 @@ class Child {
   ~Child() { stop(); }
 
   /// Waits for the end, and reads what comes from `words` meanwhile (-1: nothing).
-  ToolResult wait(int words, std::chrono::seconds longest, const std::function<bool()>& cancelled = {}) {
+  ToolResult wait(int words, std::chrono::seconds longest, const std::function<bool()>& cancelled = {},
+                  ChildInput input = {}) {
     // The header of glibc 2.36 declares pidfd_open() for C alone.
     const Descriptor ended(static_cast<int>(::syscall(SYS_pidfd_open, pid_, 0)));
     if (ended.number() < 0)
       throw std::runtime_error(fmt::format("waiting for {}: {}", tool_.program, std::strerror(errno)));
     constexpr int kLookMs = 100;  // for Ctrl-C
     const auto deadline = steady_clock::now() + longest;
-    std::array<pollfd, 2> wanted{pollfd{ended.number(), POLLIN, 0}, pollfd{words, POLLIN, 0}};
+    std::array<pollfd, 3> wanted{pollfd{ended.number(), POLLIN, 0}, pollfd{words, POLLIN, 0},
+                                 pollfd{input.socket != nullptr ? input.socket->number() : -1, POLLOUT, 0}};
     ToolResult result;
     while ((wanted[0].revents & POLLIN) == 0) {
       ::poll(wanted.data(), wanted.size(), kLookMs);
       if (wanted[1].revents != 0 && !read_some(words, result.words)) wanted[1].fd = -1;
+      if (wanted[2].revents != 0 && !write_some(input)) wanted[2].fd = -1;
       if (interrupt_token().stop_requested())
         throw RunInterrupted(fmt::format("interrupted while {} was at work", tool_.program));
       if (cancelled && cancelled())
@@ -141,6 +189,17 @@ class Child {
     }
     pid_ = -1;
     return status;
+  }
+
+  /// @return false: all is written, and the socket closed; or nobody reads on
+  static bool write_some(ChildInput& input) {
+    const ssize_t count =
+        ::send(input.socket->number(), input.bytes.data(), input.bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+    if (count < 0 && (errno == EAGAIN || errno == EINTR)) return true;
+    input.bytes.remove_prefix(count < 0 ? input.bytes.size() : static_cast<std::size_t>(count));
+    if (!input.bytes.empty()) return true;
+    input.socket->close();
+    return false;
   }
 
   /// Keeps the first 64 kB. @return false at the end, or where there is nothing now
@@ -172,22 +231,39 @@ void require_installed(const Tool& tool) {
 int run_tool(const Tool& tool, const std::vector<std::string>& arguments, ToolOutput output,
              std::chrono::seconds longest) {
   const Descriptor nowhere(output == ToolOutput::kHidden ? ::open("/dev/null", O_WRONLY | O_CLOEXEC) : -1);
-  Child child(tool, arguments, nowhere.number() >= 0 ? nowhere.number() : STDERR_FILENO);
+  Child child(tool, arguments, {STDIN_FILENO, nowhere.number() >= 0 ? nowhere.number() : STDERR_FILENO});
   return child.wait(-1, longest).exit_code;
 }
 
 ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments,
                               std::chrono::seconds longest, const std::function<bool()>& cancelled) {
-  std::array<int, 2> ends{};
-  if (::pipe2(ends.data(), O_CLOEXEC | O_NONBLOCK) != 0)
-    throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
-  const Descriptor reading(ends[0]);
-  Descriptor writing(ends[1]);
-  // Only our end must not block.
-  ::fcntl(writing.number(), F_SETFL, 0);
-  Child child(tool, arguments, writing.number());
-  writing.close();
-  return child.wait(reading.number(), longest, cancelled);
+  WordsPipe words(tool);
+  Child child(tool, arguments, {STDIN_FILENO, words.writing.number()});
+  words.writing.close();
+  return child.wait(words.reading.number(), longest, cancelled);
+}
+
+struct ToolAwaitingInput::Running {
+  Running(const Tool& tool, const std::vector<std::string>& arguments)
+      : words(tool), input(tool), child(tool, arguments, {input.theirs.number(), words.writing.number()}) {
+    words.writing.close();
+    input.theirs.close();
+  }
+
+  WordsPipe words;
+  InputSocket input;
+  Child child;
+};
+
+ToolAwaitingInput::ToolAwaitingInput(const Tool& tool, const std::vector<std::string>& arguments)
+    : running_(std::make_unique<Running>(tool, arguments)) {}
+
+ToolAwaitingInput::~ToolAwaitingInput() = default;
+
+ToolResult ToolAwaitingInput::finish(std::string_view input, std::chrono::seconds longest,
+                                     const std::function<bool()>& cancelled) {
+  return running_->child.wait(running_->words.reading.number(), longest, cancelled,
+                              {&running_->input.ours, input});
 }
 
 }  // namespace abcal

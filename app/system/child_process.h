@@ -2,8 +2,10 @@
 
 #include <chrono>
 #include <functional>
+#include <memory>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace abcal {
@@ -56,5 +58,26 @@ struct ToolResult {
 ToolResult run_tool_for_words(const Tool& tool, const std::vector<std::string>& arguments,
                               std::chrono::seconds longest = kLongestTool,
                               const std::function<bool()>& cancelled = {});
+
+/// A program that is started before its input is known, so that it loads meanwhile. Otherwise as
+/// run_tool_for_words(); it ends with this object.
+class ToolAwaitingInput {
+ public:
+  /// @throws ProgramMissing, std::runtime_error
+  ToolAwaitingInput(const Tool& tool, const std::vector<std::string>& arguments);
+  ~ToolAwaitingInput();
+  ToolAwaitingInput(const ToolAwaitingInput&) = delete;
+  ToolAwaitingInput& operator=(const ToolAwaitingInput&) = delete;
+
+  /// Gives it all of its standard input, and waits for its end. Once.
+  /// @param cancelled  asked each 0.1 s; true ends the program
+  /// @throws RunInterrupted, std::runtime_error
+  ToolResult finish(std::string_view input, std::chrono::seconds longest = kLongestTool,
+                    const std::function<bool()>& cancelled = {});
+
+ private:
+  struct Running;
+  std::unique_ptr<Running> running_;
+};
 
 }  // namespace abcal

@@ -134,7 +134,8 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
                     : mode == Mode::kReadWrite ? SQLITE_OPEN_READWRITE
                                                : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
   sqlite3* database = nullptr;
-  const int code = sqlite3_open_v2(file_.c_str(), &database, flags, nullptr);
+  // Without SQLite's own lock around every call: one thread at a time uses a database (sqlite.h).
+  const int code = sqlite3_open_v2(file_.c_str(), &database, flags | SQLITE_OPEN_NOMUTEX, nullptr);
   handle_.reset(database);
   if (code != SQLITE_OK) {
     throw RunFileError(

@@ -78,7 +78,8 @@ class SqliteStatement {
   std::unique_ptr<sqlite3_stmt, Finalise> handle_;
 };
 
-/// An open SQLite database that says which file failed and how.
+/// An open SQLite database that says which file failed and how. One thread at a time may use it and its
+/// statements.
 class SqliteDatabase {
  public:
   enum class Mode { kReadOnly, kReadWrite, kCreate };

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <future>
 #include <limits>
 
 #include "protocol/record/dwell_chain.h"
@@ -135,9 +136,9 @@ std::string contradiction(const StatedDwell& stated, const std::vector<StoredRea
 }
 
 /// Computes again what dwells state. Dwells without any reading, as tests write them, state nothing.
-IntegrityCheck check_statements(const std::filesystem::path& run, SqliteDatabase& database,
-                                const StoredRun& stored) {
+IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRun& stored) {
   const std::string what = "readings";
+  SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
   SqliteStatement rows = database.prepare("select * from dwell order by id");
   std::size_t dwells = 0, readings = 0;
   std::string wrong;
@@ -202,12 +203,15 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
   checks.push_back({"state", complete,
                     complete ? "complete and closed"
                              : fmt::format("{}: only a closed run has a hash", to_string(stored.state))});
+  // Both read every reading of the run.
+  std::future<IntegrityCheck> statements =
+      std::async(std::launch::async, [&] { return check_statements(run, stored); });
   {
     SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
     checks.push_back(check_chain(database, "event log", "event", {"utc", "who", "kind", "text"}));
     if (run_file_version(database) >= 3) checks.push_back(check_dwell_chain(database, complete));
-    checks.push_back(check_statements(run, database, stored));
   }
+  checks.push_back(statements.get());
   if (complete) check_results(run, checks);
   return checks;
 }

@@ -14,6 +14,7 @@
 #include <string>
 
 #include "app/document/gnuplot.h"
+#include "protocol/run/experiment_run.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 
@@ -79,6 +80,35 @@ TEST_F(ChildProcessTest, TakesNoLongerThanItMay) {
     EXPECT_THAT(error.what(), HasSubstr("sh took longer than 0 s"));
   }
   EXPECT_LT(std::chrono::steady_clock::now() - start, 60s);
+}
+
+// WeasyPrint loads while the page is made.
+TEST_F(ChildProcessTest, IsStartedBeforeItsInputIsKnown) {
+  const auto file = folder / "pid";
+  ToolAwaitingInput counter(kShell, {"-c", "echo $$ > '" + file.string() + "'; wc -c; exit 3"});
+  ASSERT_TRUE(test::wait_for([&] { return !first_line(file).empty(); }, 30s)) << "not at work yet";
+  // More than a socket holds.
+  const ToolResult result = counter.finish(std::string(3'000'000, 'x'));
+  EXPECT_EQ(result.words, "3000000");
+  EXPECT_EQ(result.exit_code, 3);
+}
+
+TEST_F(ChildProcessTest, MayEndWithoutReadingItsInput) {
+  ToolAwaitingInput deaf(kShell, {"-c", "echo no; exit 4"});
+  const ToolResult result = deaf.finish(std::string(3'000'000, 'x'));
+  EXPECT_EQ(result.words, "no");
+  EXPECT_EQ(result.exit_code, 4);
+}
+
+TEST_F(ChildProcessTest, IsEndedWhereNoInputCame) {
+  const auto file = folder / "pid";
+  {
+    const ToolAwaitingInput waiting(kShell, {"-c", "echo $$ > '" + file.string() + "'; cat"});
+    ASSERT_TRUE(test::wait_for([&] { return !first_line(file).empty(); }, 30s));
+  }
+  EXPECT_TRUE(has_ended(first_line(file)));
+  ToolAwaitingInput cancelled(kShell, {"-c", "cat; sleep 600"});
+  EXPECT_THROW(cancelled.finish("x", kLongestTool, [] { return true; }), RunInterrupted);
 }
 
 TEST_F(ChildProcessTest, EndsWhereWeAreKilled) {
