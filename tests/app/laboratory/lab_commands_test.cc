@@ -170,11 +170,13 @@ class RecordCommands : public CertificateTest {
  protected:
   void SetUp() override {
     registered_ = std::make_unique<test::TrainingRegister>(folder.path());
-    for (const auto& [identity, quantity] : {std::pair{"STAGE-1", "angle"}, {"SITE-1", "gravity"}})
+    for (const auto& [identity, quantity] :
+         {std::pair{"STAGE-1", "angle"}, {"SITE-1", "gravity"}, {"VM-1", "voltage"}})
       registered_->lab(
           {"add", "equipment", identity, "--name", identity, "--quantity", quantity, "--serial-number", "1"});
     calibrate("EX-ANGLE-0815", "STAGE-1", "2020-01-01", "2199-01-01", "wobble_urad=3,8,2,urad");
     calibrate("EX-G-7", "SITE-1", "2020-01-01", "2199-01-01", "g_loc_mps2=9.80107,0.00002,2,m/s2");
+    calibrate("EX-VOLTMETER-17", "VM-1", "2020-01-01", "2199-01-01", "voltmeter_gain=3e-5,8e-5,2,1");
     calibrate("EX-OLD", "STAGE-1", "2020-01-01", "2021-01-01", "step_deg=0,0.002,2,deg");
     registered_->log_in("Operator N. N.");
   }
@@ -194,7 +196,9 @@ class RecordCommands : public CertificateTest {
 };
 
 TEST_F(RecordCommands, WhatARecordSaysIsShownUsedAndFrozenIntoTheRun) {
-  write("wobble_urad = { from = \"EX-ANGLE-0815\" }\nstep_deg = 0.001\n");
+  write(
+      "wobble_urad = { from = \"EX-ANGLE-0815\" }\nstep_deg = 0.001\n"
+      "[item_uncertainty]\nvoltmeter_gain = { from = \"EX-VOLTMETER-17\" }\n");
   const auto plan = abcal({"plan", "bench.toml"});
   ASSERT_EQ(plan.exit_code, 0) << plan.err;
   // sqrt(3^2 + (8/2)^2)
@@ -211,6 +215,8 @@ TEST_F(RecordCommands, WhatARecordSaysIsShownUsedAndFrozenIntoTheRun) {
   const StoredRun stored = RunFile::load(folder / "b.run");
   EXPECT_EQ(stored.header.tolerances.wobble_urad, 5.0);
   EXPECT_THAT(stored.header.tolerances.sources.at("wobble_urad"), HasSubstr("EX-ANGLE-0815"));
+  EXPECT_DOUBLE_EQ(stored.header.tolerances.voltmeter_gain, 5e-5);
+  EXPECT_THAT(stored.header.tolerances.sources.at("voltmeter_gain"), HasSubstr("EX-VOLTMETER-17 of VM-1"));
   EXPECT_EQ(stored.header.g_loc.value_mps2, 9.80107);
   EXPECT_EQ(stored.header.g_loc.expanded_uncertainty_mps2, 0.00002);
   EXPECT_THAT(stored.header.g_loc.source, HasSubstr("EX-G-7"));
