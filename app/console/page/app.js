@@ -1,5 +1,5 @@
 import {byId, duration} from '/text.js';
-import {said} from '/said.js';
+import {said, translated} from '/said.js';
 import {BenchView} from '/bench.js';
 import {Link, SILENT_AFTER_MS, UNCONFIRMED_AFTER_MS} from '/link.js';
 import {LiveView} from '/live.js';
@@ -140,7 +140,7 @@ async function ask(name, request, {moves = true} = {}) {
   if (reply.ok) say(t('done'));
   else if (reply.unsent) say(t`not sent, ${reply.why}` + advice);
   else if (reply.lost) say(t`not confirmed, ${reply.why}` + advice);
-  else say(t`refused: ${reply.why}`);
+  else say(t`refused: ${translated(reply.why) ?? reply.why}`);
   return reply.ok;
 }
 
@@ -155,7 +155,7 @@ async function stop() {
   const reply = await link.ask({do: 'stop'});
   if (reply.ok) return;
   clearTimeout(stopping);
-  say(reply.unsent ? t`Stop: not sent, ${reply.why}: ${USE_THE_SWITCH}` : reply.lost ? t`Stop: not confirmed, ${reply.why}: ${USE_THE_SWITCH}` : t`Stop: refused: ${reply.why}`);
+  say(reply.unsent ? t`Stop: not sent, ${reply.why}: ${USE_THE_SWITCH}` : reply.lost ? t`Stop: not confirmed, ${reply.why}: ${USE_THE_SWITCH}` : t`Stop: refused: ${translated(reply.why) ?? reply.why}`);
 }
 
 function showHalt({axes, took_s: took, since}) {

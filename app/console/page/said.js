@@ -45,14 +45,15 @@ export function said(words, {capital = false} = {}) {
     holder.append(written(all));
     return holder;
   }
-  const parts = language === 'en' ? [words] : words.split('; ');
+  // "instrument: fault: detail; what to do": parts at even places, what stands between them at odd ones.
+  const parts = language === 'en' ? [words] : words.split(/(; |: )/);
   const inEnglish = (text) => { const part = document.createElement('span'); part.lang = 'en'; part.append(text); return part; };
-  const mixed = parts.map(translated);
-  if (mixed.every((part) => part === null)) {
+  const mixed = parts.map((part, i) => (i % 2 ? part : translated(part)));
+  if (mixed.every((part, i) => i % 2 || part === null)) {
     holder.lang = 'en';
     holder.append(written(words));
   } else {
-    parts.forEach((part, i) => holder.append(i ? '; ' : '', mixed[i] ?? inEnglish(i ? part : written(part))));
+    parts.forEach((part, i) => holder.append(mixed[i] ?? (valueSaid(part) === part ? part : inEnglish(i ? part : written(part)))));
   }
   return holder;
 }

@@ -1,11 +1,15 @@
 // In German, what is done at the bench and with the queue: no English but what is marked so.
 import assert from 'node:assert/strict';
-import {abcal, barriers, begin, complainsOfNothing, confirmDialog, inGerman, look, noEnglish, served} from './page_test.mjs';
+import {abcal, barriers, begin, complainsOfNothing, confirmDialog, eventually, inGerman, look, noEnglish, served} from './page_test.mjs';
 
 const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run'), enter: async () => {
   await inGerman();
   await served.page.locator('#take-control').click();
 }});
+
+// What is marked as English: the program's words without a German form.
+const nothingLeftInEnglish = (where) => eventually(async () => assert.deepEqual(
+  await served.page.evaluate((within) => [...document.querySelectorAll(`${within} [lang=en]`)].map((each) => each.textContent), where), []));
 
 step('the bench is German, and what is asked before it is levelled', async (page) => {
   await served.goTo('bench');
@@ -25,6 +29,7 @@ step('the queue is German until an item is mounted and checked', async (page) =>
   await page.locator('#start-runs').fill('2');
   await page.locator('#confirm-yes:enabled').waitFor();
   await noEnglish();
+  await nothingLeftInEnglish('#confirm');
   await confirmDialog();
   await page.locator('#queue-list', {hasText: 'SN 0417'}).waitFor();
   await page.locator('#queue-pause:enabled').click();
@@ -35,6 +40,13 @@ step('the queue is German until an item is mounted and checked', async (page) =>
   assert.deepEqual(await barriers(), []);
   await page.locator('#confirm-no').click();
   await look('queue-german');
+});
+
+step('the log is German too, and why something is refused', async (page) => {
+  await served.goTo('live');
+  await page.locator('#log', {hasText: 'Der Prüfling ist geprüft'}).waitFor();
+  await page.locator('#log', {hasText: 'Anschlüsse sind abgefragt'}).waitFor();
+  await nothingLeftInEnglish('#log');
 });
 
 step('loaded nothing from elsewhere, and the browser has nothing to complain of', complainsOfNothing);
