@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <functional>
 #include <map>
 #include <mutex>
@@ -37,6 +38,25 @@
 
 namespace abcal {
 namespace {
+
+/// Opens a port. The guard of a run that was killed holds the stage's port until it has halted the axes,
+/// which takes it a second; the next run may come sooner.
+std::unique_ptr<wire::ByteStream> open_after_guard(const std::string& port,
+                                                   const wire::SerialSettings& settings, Clock& clock) {
+  using namespace std::chrono_literals;
+  const Clock::Instant latest = clock.now() + 10s;
+  for (bool told = false;; told = true) {
+    try {
+      return wire::open_stream(port, settings, clock);
+    } catch (const InstrumentError& error) {
+      // What it says is who held the port then; it may be free by now.
+      const bool guarded = std::string_view(error.what()).find("(abcal-guard)") != std::string_view::npos;
+      if (!guarded || clock.now() >= latest) throw;
+    }
+    if (!told) print_log("{}: waiting until the guard of a run that was killed has halted the stage\n", port);
+    clock.sleep_until(clock.now() + 50ms);
+  }
+}
 
 constexpr const char* kSimulated = "simulated";
 constexpr const char* kManual = "manual_stage";
@@ -296,7 +316,7 @@ class Opener {
       settings.baud = port.baud ? static_cast<unsigned>(*port.baud) : defaults.baud;
       settings.rts_cts = defaults.rts_cts;
       auto reopenable = std::make_unique<wire::ReopenableStream>(
-          [name = port.port, settings, &clock = clock_] { return wire::open_stream(name, settings, clock); });
+          [name = port.port, settings, &clock = clock_] { return open_after_guard(name, settings, clock); });
       opened.port = reopenable.get();
       stream = std::move(reopenable);
     }

@@ -12,6 +12,7 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
+#include "drivers/wire/port_list.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/verify.h"
@@ -251,6 +252,29 @@ TEST_F(EmulatedBenchTest, AKilledRunKeepsItsAnglesAndGoesOn) {
   const ProgramResult resumed = abcal({"resume", "a.run"});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
   EXPECT_EQ(measured("a.run"), 39U);
+}
+
+// Whoever is quick finds the port held by the guard of the run that was killed, which still halts the axes.
+TEST_F(EmulatedBenchTest, ARunThatGoesOnWaitsForTheGuardOfTheKilledOne) {
+  start_emulator();
+  Program run({"run", "bench.toml", "-o", "a.run"}, folder.path());
+  ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 2; }, 60s)) << run.err();
+  const std::string holders = wire::find_holder((folder / "links/stage").string());
+  const std::size_t end = holders.find(" (abcal-guard)");
+  ASSERT_NE(end, std::string::npos) << holders;
+  const pid_t guard = std::stoi(holders.substr(holders.rfind(' ', end - 1) + 1, end));
+  ASSERT_EQ(::kill(guard, SIGSTOP), 0);
+  run.signal(SIGKILL);
+  run.wait();
+  Program resumed({"resume", "a.run"}, folder.path());
+  const bool waits =
+      test::wait_for([&] { return resumed.err().find("waiting until the guard") != std::string::npos; }, 60s);
+  ::kill(guard, SIGCONT);
+  EXPECT_TRUE(waits) << resumed.err();
+  const std::size_t kept = measured("a.run");
+  EXPECT_TRUE(test::wait_for([&] { return measured("a.run") > kept; }, 60s)) << resumed.err();
+  resumed.signal(SIGINT);
+  EXPECT_EQ(resumed.wait(), 130) << resumed.err();
 }
 
 TEST_F(EmulatedBenchTest, InstrumentsThatGoAwayForGoodEndTheRunWith3) {
