@@ -67,10 +67,14 @@ CalibrationResult ApplySession::find_result(const ApplyRequest& request, StoredR
                     request.run.string()));
   CalibrationResult result = request.estimator.empty() ? analyse(run.record, declared_estimator(run.record))
                                                        : analyse(run.record, request.estimator);
-  if (result.verdict != Verdict::kUsable)
-    throw std::invalid_argument(
-        fmt::format("{}: the result of {} is {}: {}; required: a usable one. Nothing was written",
-                    request.run.string(), result.estimator, to_string(result.verdict), result.why));
+  if (result.verdict == Verdict::kNotUsable)
+    throw std::invalid_argument(fmt::format("{}: the result of {} is not usable: {}. Nothing was written",
+                                            request.run.string(), result.estimator, result.why));
+  if (result.verdict == Verdict::kDoubtful && !request.accept_doubtful)
+    throw std::invalid_argument(fmt::format(
+        "{}: the result of {} is doubtful: {}; required: a usable one, or --accept-doubtful, if this "
+        "reason does not matter here. Nothing was written",
+        request.run.string(), result.estimator, result.why));
   return result;
 }
 

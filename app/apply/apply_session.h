@@ -23,6 +23,7 @@ struct ApplyRequest {
   ExportFrame frame = ExportFrame::kItem;
   /// Serial number on the label, as a person reads it; needed where the instrument reports none.
   std::string label;
+  bool accept_doubtful = false;   ///< A person has read why the result is doubtful.
   bool dry_run = false;           ///< Compute and write nothing, no file either.
   bool save = false;              ///< Let the instrument keep it when it is switched off.
   std::filesystem::path as_left;  ///< Run file of the verification.

@@ -82,6 +82,9 @@ int run_apply(ApplyCommand& command) {
   BenchConfig config = read_bench(command.bench_file, register_records());
   print_warnings(config);
   ApplyRequest& request = command.request;
+  if (command.json && !command.yes && !request.dry_run)
+    throw std::invalid_argument(
+        "--json: nobody would see what is to be written; required: --yes or --dry-run");
   request.bench_file = command.bench_file;
   request.frame = command.frame == "item" ? ExportFrame::kItem : ExportFrame::kPlatter;
   if (request.as_left.empty()) request.as_left = free_name(request.run);
@@ -122,6 +125,10 @@ CLI::App* add_apply(CLI::App& parent, int& exit_code) {
                                            "show old and new registers and what stays wrong; write nothing");
   CLI::Option* save =
       command->add_flag("--save", request.save, "let the instrument keep them when it is switched off");
+  command->add_flag(
+      "--accept-doubtful", request.accept_doubtful,
+      "write a doubtful result too: read first why it is (such as a scale that is far off, which is "
+      "what is to be corrected)");
   command->add_flag("--yes", options->yes, "write without a question");
   CLI::Option* undo = command->add_flag(
       "--undo", options->undo, "bring back what was in the registers before the last apply of this run");

@@ -246,7 +246,7 @@ RegisterTexts VectorNavAccelerometer::encode(const OutputCorrection& wanted, con
     if (!(std::abs(value) <= kLargestCompensation))
       throw std::invalid_argument(fmt::format("{}: a value would be {:.6g}; it holds up to {:g}",
                                               kCompensation, value, kLargestCompensation));
-    text += fmt::format("{}{:+010.6f}", text.empty() ? "" : ",", value);
+    text += fmt::format("{}{:+.6f}", text.empty() ? "" : ",", value);
   };
   for (Eigen::Index row = 0; row < 3; ++row)
     for (Eigen::Index column = 0; column < 3; ++column) add(wanted.matrix(row, column));
