@@ -42,12 +42,12 @@ OutputCorrection composed(const CorrectionConstants& constants, const OutputCorr
 
 ResponseErrors errors_with(const CorrectionConstants& constants, const OutputCorrection& in_force,
                            const OutputCorrection& held) {
-  const Eigen::Matrix3d A0_inverse = inverse_of(in_force.matrix, "the matrix in force");
+  const Eigen::Matrix3d inverse = inverse_of(in_force.matrix, "the matrix in force");
   const Eigen::Matrix3d S = inverse_of(constants.matrix_si(), "the matrix of the result");
   ResponseErrors errors;
   // raw = A0^-1 (S a + b) + b0
-  errors.gain = held.matrix * A0_inverse * S - Eigen::Matrix3d::Identity();
-  errors.offset = held.matrix * (A0_inverse * constants.b + in_force.offset - held.offset);
+  errors.gain = held.matrix * inverse * S - Eigen::Matrix3d::Identity();
+  errors.offset = held.matrix * (inverse * constants.b + in_force.offset - held.offset);
   errors.u_gain = constants.u_M / constants.unit_mps2.value_or(1.0);
   errors.u_offset = constants.u_b;
   return errors;

@@ -9,7 +9,6 @@
 #include <cerrno>
 #include <cstring>
 #include <nlohmann/json.hpp>
-#include <ranges>
 #include <stdexcept>
 #include <utility>
 
@@ -98,7 +97,8 @@ AdjustmentLog::AdjustmentLog(const std::filesystem::path& run) : path_(path_besi
 }
 
 const Adjustment* AdjustmentLog::last_to_undo() const {
-  const auto found = std::ranges::find_if(std::views::reverse(all_), &Adjustment::can_be_undone);
+  const auto found =
+      std::find_if(all_.rbegin(), all_.rend(), [](const Adjustment& each) { return each.can_be_undone(); });
   return found == all_.rend() ? nullptr : &*found;
 }
 
@@ -108,7 +108,8 @@ void AdjustmentLog::begin(Adjustment adjustment) {
 }
 
 void AdjustmentLog::update(const Adjustment& adjustment) {
-  const auto found = std::ranges::find(std::views::reverse(all_), adjustment.utc, &Adjustment::utc);
+  const auto found = std::find_if(all_.rbegin(), all_.rend(),
+                                  [&](const Adjustment& each) { return each.utc == adjustment.utc; });
   if (found == all_.rend()) throw std::logic_error("AdjustmentLog::update: no such adjustment");
   *found = adjustment;
   store();

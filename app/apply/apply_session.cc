@@ -266,36 +266,32 @@ void ApplySession::verify(const ApplyRequest& request, ApplyReport& report) {
         fmt::format("the verification {} contradicts what was written: {}", outcome.path.string(), words));
 }
 
-void ApplySession::restore(AdjustmentLog& log, Adjustment& adjustment) {
+void ApplySession::restore(const Adjustment& adjustment) {
   write(adjustment.before);
-  if (adjustment.saved) {
-    (void)accelerometer().identify();
-    registers().save(adjustment.before);
-    require_read_back(adjustment.before);
-  }
-  adjustment.state = AdjustmentState::kUndone;
-  log.update(adjustment);
-  if (options_.progress) options_.progress(adjustment);
+  if (!adjustment.saved) return;
+  (void)accelerometer().identify();
+  registers().save(adjustment.before);
+  require_read_back(adjustment.before);
 }
 
 void ApplySession::take_back(AdjustmentLog& log, Adjustment adjustment, ApplyReport& report) {
   try {
-    restore(log, adjustment);
+    restore(adjustment);
+    adjustment.state = AdjustmentState::kUndone;
     report.failure += ". The old registers are back, and were read back";
   } catch (const std::exception& error) {
     adjustment.state = AdjustmentState::kUndoFailed;
     report.failure += fmt::format(
         ". THE OLD REGISTERS COULD NOT BE BROUGHT BACK: {}. They are kept in {}; required: connect the "
-        "instrument, and "
-        "--undo",
+        "instrument, and --undo",
         error.what(), log.path().string());
-    try {
-      log.update(adjustment);
-    } catch (const std::exception& lost) {
-      report.failure += fmt::format(" ({})", lost.what());
-    }
   }
   report.state = adjustment.state;
+  try {
+    store(log, adjustment, report);
+  } catch (const std::exception& error) {
+    report.failure += fmt::format(". This could not be stored: {}", error.what());
+  }
 }
 
 ApplyReport ApplySession::undo(const ApplyRequest& request) {
@@ -328,7 +324,9 @@ ApplyReport ApplySession::undo(const ApplyRequest& request) {
       report.state = AdjustmentState::kDeclined;
       return report;
     }
-    restore(log, adjustment);
+    restore(adjustment);
+    adjustment.state = AdjustmentState::kUndone;
+    store(log, adjustment, report);
   }
   report.state = adjustment.state;
   return report;

@@ -83,7 +83,7 @@ class ApplySession {
   void verify(const ApplyRequest& request, ApplyReport& report);
   void write(const RegisterTexts& registers);
   void require_read_back(const RegisterTexts& wanted);
-  void restore(AdjustmentLog& log, Adjustment& adjustment);
+  void restore(const Adjustment& adjustment);
   void take_back(AdjustmentLog& log, Adjustment adjustment, ApplyReport& report);
   void store(AdjustmentLog& log, const Adjustment& adjustment, ApplyReport& report) const;
   Accelerometer& accelerometer() const;

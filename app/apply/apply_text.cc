@@ -145,6 +145,12 @@ std::string outcome_text(const ApplyReport& report) {
     text += fmt::format("  As found: {} ({}). As left: {} ({}).\n", report.found.source,
                         to_string(report.found.verdict), report.as_left_run.string(),
                         to_string(report.left->verdict));
+  if (report.left)
+    text += fmt::format(
+        "  One certificate with both: abcal report {} --as-found {} --laboratory LAB.toml --dcc FILE, where "
+        "[job] "
+        "adjustment says what was written.\n",
+        report.as_left_run.string(), report.found.source);
   text += fmt::format("State: {}", to_string(report.state));
   if (report.state == AdjustmentState::kVerified)
     text += report.ability.can_save ? "; lost when the instrument is switched off (--save keeps it)"
