@@ -27,6 +27,7 @@ void add_commands(CLI::App& app, int& exit_code) {
   add_level(app, exit_code);
   add_emulate(app, exit_code);
   add_export(app, exit_code);
+  add_apply(app, exit_code);
   add_compare(app, exit_code);
   add_gravity(app, exit_code);
   add_serve(app, exit_code);

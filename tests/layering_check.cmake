@@ -123,11 +123,12 @@ layer(app/certificate MAY app/laboratory/ app/results/ drivers/instrument/clock.
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
 layer(app/session MAY app/bench/ app/compare/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
   FOREIGN Eigen/ boost/ nlohmann/ fmt/)
+layer(app/apply MAY app/bench/ app/export/ app/results/ app/session/ app/system/ drivers/instrument/ protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/issuing MAY app/certificate/ app/compare/ app/laboratory/ app/results/ app/session/ app/system/ drivers/instrument/clock.h protocol/ FOREIGN fmt/)
 layer(app/self_test MAY app/bench/ app/certificate/ app/document/ app/laboratory/ app/results/ app/session/ app/system/ app/xml/ drivers/instrument/clock.h protocol/
   FOREIGN libxml/ openssl/ sqlite3.h fmt/)
 layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ drivers/wire/ sim/ FOREIGN boost/ nlohmann/ fmt/)
-set(below_people app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/export/ app/issuing/ app/laboratory/ app/planner/ app/report/ app/results/ app/robustness/
+set(below_people app/apply/ app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/export/ app/issuing/ app/laboratory/ app/planner/ app/report/ app/results/ app/robustness/
   app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
 layer(app/library MAY ${below_people} abcal/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/python MAY abcal/ FOREIGN pybind11/)

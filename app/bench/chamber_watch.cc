@@ -51,6 +51,7 @@ class WatchedAccelerometer final : public Accelerometer {
   std::map<std::string, std::string> correction_registers() override {
     return accelerometer_->correction_registers();
   }
+  CorrectionRegisters* corrections() override { return accelerometer_->corrections(); }
   void start() override { accelerometer_->start(); }
   std::optional<Reading> next(Clock::Instant deadline) override {
     watch_.look();

@@ -20,6 +20,7 @@ CLI::App* add_lab(CLI::App& parent, int& exit_code);
 CLI::App* add_verify(CLI::App& parent, int& exit_code);
 CLI::App* add_temperature(CLI::App& parent, int& exit_code);
 CLI::App* add_level(CLI::App& parent, int& exit_code);
+CLI::App* add_apply(CLI::App& parent, int& exit_code);
 CLI::App* add_export(CLI::App& parent, int& exit_code);
 CLI::App* add_emulate(CLI::App& parent, int& exit_code);
 CLI::App* add_compare(CLI::App& parent, int& exit_code);

@@ -78,6 +78,7 @@ class WatchedAccelerometer final : public Accelerometer {
   std::map<std::string, std::string> correction_registers() override {
     return accelerometer_->correction_registers();
   }
+  CorrectionRegisters* corrections() override { return accelerometer_->corrections(); }
   StreamHealth health() const override { return accelerometer_->health(); }
   void stop() noexcept override { accelerometer_->stop(); }
 

@@ -308,6 +308,11 @@ Identities RunSession::identify_instruments(const StartRequest& request) {
   return opened_->identities;
 }
 
+void RunSession::ask_corrections_again() {
+  if (!opened_ || !opened_->identified) throw std::logic_error("ask_corrections_again: no bench is open");
+  opened_->identities.corrections = opened_->bench.accelerometer->correction_registers();
+}
+
 RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   const BenchConfig config = parse_bench(request.bench_toml, request.bench_file);
   RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now(), options_.login);

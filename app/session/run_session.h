@@ -73,6 +73,10 @@ class RunSession {
   /// @throws as start()
   Identities identify_instruments(const StartRequest& request);
 
+  /// Asks the accelerometer again for the corrections that it applies, since they were changed. Nothing else
+  /// is asked: the bench is open, and the next run with it has them.
+  void ask_corrections_again();
+
   /// Measures a new run to its end. Everything that can be known to fail is refused before the first move: a
   /// existing file or results, too little disk space, an instrument of another serial number.
   /// @throws BenchError, PlanError, InstrumentError, RunFileError, RunInterrupted, std::invalid_argument,

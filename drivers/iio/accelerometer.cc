@@ -154,6 +154,119 @@ std::map<std::string, std::string> IioAccelerometer::correction_registers() {
   return registers;
 }
 
+namespace {
+
+std::string name_of(std::string_view axis, std::string_view attribute) {
+  return fmt::format("{} {}", axis, attribute);
+}
+
+/// "0.5": a number of a unit; "5": of counts.
+bool has_point(const RegisterTexts& registers, const std::string& name) {
+  const auto found = registers.find(name);
+  return found != registers.end() && found->second.find('.') != std::string::npos;
+}
+
+constexpr double kMicro = 1e-6;                   // Fractions have at least six digits.
+constexpr double kAdisScaleStep = 1.0 / 32768.0;  // Of a whole number of an ADIS part.
+constexpr double kAdisLargest = 32767.0;
+
+}  // namespace
+
+/// 0: what a whole number means is not known.
+double IioAccelerometer::calibscale_step(const RegisterTexts& registers, std::string_view axis) const {
+  if (has_point(registers, name_of(axis, "calibscale"))) return kMicro;
+  return device().name.starts_with("adis") ? kAdisScaleStep : 0.0;
+}
+
+/// The factor that calibscale is; 1 where there is none.
+double IioAccelerometer::scale_of(const RegisterTexts& registers, std::string_view axis) const {
+  const std::string name = name_of(axis, "calibscale");
+  if (!registers.contains(name)) return 1.0;
+  const double value = register_number(registers, name);
+  const double step = calibscale_step(registers, axis);
+  if (step == kMicro && value > 0.0) return value;
+  if (step == kAdisScaleStep) return 1.0 + value * step;
+  throw std::invalid_argument(
+      fmt::format("{} is {}; required: a factor above 0 with a decimal point, or the whole number of an ADIS "
+                  "part: what another means is not known",
+                  name, registers.at(name)));
+}
+
+CorrectionAbility IioAccelerometer::ability() {
+  const RegisterTexts now = correction_registers();
+  CorrectionAbility ability{.shape = CorrectionShape::kDiagonal,
+                            .rule =
+                                "output = scale (calibscale raw + calibbias); a calibbias with a decimal "
+                                "point in m/s2, a whole one in counts",
+                            .can_save = false};
+  for (std::size_t j = 0; j < 3; ++j) {
+    const std::string bias = name_of(kAxes[j], "calibbias");
+    if (!now.contains(bias))
+      session_.fail(Fault::kRefused, fmt::format("it has no {}: nothing that could be written", bias));
+    ability.offset_step = std::max(ability.offset_step, has_point(now, bias) ? kMicro : std::abs(scale_[j]));
+    if (!now.contains(name_of(kAxes[j], "calibscale"))) ability.shape = CorrectionShape::kOffset;
+    ability.matrix_step = std::max(ability.matrix_step, calibscale_step(now, kAxes[j]));
+  }
+  if (ability.shape == CorrectionShape::kOffset) ability.matrix_step = 0.0;
+  return ability;
+}
+
+OutputCorrection IioAccelerometer::decode(const RegisterTexts& registers) {
+  OutputCorrection correction;
+  for (std::size_t n = 0; n < 3; ++n) {
+    const auto j = static_cast<Eigen::Index>(n);
+    const std::string bias = name_of(kAxes[n], "calibbias");
+    const double factor = scale_of(registers, kAxes[n]);
+    const double unit = has_point(registers, bias) ? 1.0 : scale_[n];
+    correction.matrix(j, j) = factor;
+    correction.offset[j] = -register_number(registers, bias) * unit / factor;
+  }
+  return correction;
+}
+
+RegisterTexts IioAccelerometer::encode(const OutputCorrection& wanted, const RegisterTexts& now) {
+  RegisterTexts registers = now;
+  for (std::size_t n = 0; n < 3; ++n) {
+    const auto j = static_cast<Eigen::Index>(n);
+    const std::string scale = name_of(kAxes[n], "calibscale");
+    if (now.contains(scale)) {
+      const double factor = wanted.matrix(j, j);
+      const bool whole = calibscale_step(now, kAxes[n]) == kAdisScaleStep;
+      if (!(factor > 0.0) || (whole && std::abs(factor - 1.0) > kAdisLargest * kAdisScaleStep))
+        throw std::invalid_argument(
+            fmt::format("{}: the factor would be {:.6g}; it does not hold this", scale, factor));
+      registers[scale] =
+          whole ? fmt::format("{:.0f}", (factor - 1.0) / kAdisScaleStep) : fmt::format("{:.6f}", factor);
+    }
+    const std::string bias = name_of(kAxes[n], "calibbias");
+    const double mps2 = -wanted.offset[j] * scale_of(registers, kAxes[n]);
+    registers[bias] =
+        has_point(now, bias) ? fmt::format("{:.6f}", mps2) : fmt::format("{:.0f}", mps2 / scale_[n]);
+  }
+  return registers;
+}
+
+void IioAccelerometer::write(const RegisterTexts& registers) {
+  for (const std::string_view axis : kAxes) {
+    for (const std::string_view name : {"calibscale", "calibbias"}) {
+      const auto found = registers.find(name_of(axis, name));
+      if (found == registers.end()) continue;
+      const std::string value = found->second + '\0';  // As libiio writes values.
+      const std::string command =
+          fmt::format("WRITE {} INPUT {} {} {}", device().id, axis, name, value.size());
+      if (const std::int64_t error = session_.number(command, value); error < 0)
+        session_.refuse(fmt::format("{} ({})", command, found->second), error);
+    }
+  }
+}
+
+void IioAccelerometer::save(const RegisterTexts&) {
+  session_.fail(
+      Fault::kRefused,
+      "Industrial I/O has no attribute that keeps calibbias and calibscale when it is switched off; "
+      "required: no --save, and a start script of that machine that writes them");
+}
+
 void IioAccelerometer::set_rate() {
   constexpr std::string_view kName = "sampling_frequency";
   const bool of_device = device().has(kName);

@@ -13,6 +13,7 @@
 #include "drivers/iio/session.h"
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
+#include "drivers/instrument/correction_registers.h"
 #include "drivers/instrument/instrument_settings.h"
 #include "drivers/instrument/reading_queue.h"
 #include "drivers/wire/byte_stream.h"
@@ -25,7 +26,7 @@ namespace abcal::iio {
 ///
 /// Samples come in blocks of 20 ms from the kernel's buffer, which holds 2.5 s. A time stamp, if the device
 /// has one in its scans, says how many are missing; without it none is known to be.
-class IioAccelerometer final : public Accelerometer {
+class IioAccelerometer final : public Accelerometer, public CorrectionRegisters {
  public:
   /// Sends nothing yet. @throws std::invalid_argument if settings.rate_hz is not a positive number or stream
   /// is null.
@@ -34,6 +35,16 @@ class IioAccelerometer final : public Accelerometer {
 
   AccelerometerInfo identify() override;
   std::map<std::string, std::string> correction_registers() override;
+
+  // calibbias, and calibscale where it has one: output = scale (calibscale raw + calibbias). What drivers of
+  // the kernel mean by the texts is in docs/apply.md.
+  CorrectionRegisters* corrections() override { return this; }
+  CorrectionAbility ability() override;
+  OutputCorrection decode(const RegisterTexts& registers) override;
+  RegisterTexts encode(const OutputCorrection& wanted, const RegisterTexts& now) override;
+  void write(const RegisterTexts& registers) override;
+  /// @throws InstrumentError kRefused, always: Industrial I/O has no attribute for it
+  void save(const RegisterTexts& registers) override;
   /// Identifies, sets the rate and the trigger, and opens the buffer.
   /// @throws InstrumentError kRefused: the rate is not one of the device's, or it gives no buffer.
   void start() override;
@@ -50,6 +61,8 @@ class IioAccelerometer final : public Accelerometer {
   std::string attribute(std::string_view channel, std::string_view name);
   double number_of_attribute(std::string_view channel, std::string_view name);
   std::optional<std::string> debug_text(std::string_view name);
+  double scale_of(const RegisterTexts& registers, std::string_view axis) const;
+  double calibscale_step(const RegisterTexts& registers, std::string_view axis) const;
   void read_scales();
   void set_rate();
   void set_trigger();

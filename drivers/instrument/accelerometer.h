@@ -10,6 +10,8 @@
 
 namespace abcal {
 
+class CorrectionRegisters;
+
 /// The three single-axis accelerometers inside the triaxial one (x, y, z are the LGCS's axes).
 enum AccelerometerIndex : int { kU = 0, kV = 1, kW = 2 };
 
@@ -56,6 +58,9 @@ class Accelerometer {
   /// own words: what is calibrated is the item with them. Empty if nothing was asked, because it has none.
   /// To be asked after identify() and before start().
   virtual std::map<std::string, std::string> correction_registers() { return {}; }
+
+  /// Those of its corrections that can be written; null: none. Valid until the instrument is opened again.
+  virtual CorrectionRegisters* corrections() { return nullptr; }
 
   /// Configures the output and starts it.
   virtual void start() = 0;

@@ -153,6 +153,9 @@ class ReplaceableAccelerometer final : public Accelerometer {
   std::map<std::string, std::string> correction_registers() override {
     return accelerometer_.guarded([](Accelerometer& a) { return a.correction_registers(); });
   }
+  CorrectionRegisters* corrections() override {
+    return accelerometer_.guarded([](Accelerometer& a) { return a.corrections(); });
+  }
   void start() override {
     accelerometer_.guarded([](Accelerometer& a) { a.start(); });
   }

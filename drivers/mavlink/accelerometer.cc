@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 #include "drivers/wire/readable_bytes.h"
@@ -20,6 +22,36 @@ constexpr std::uint64_t kHeartbeatLostMicroseconds = 5'000'000;
 /// Of a HIGHRES_IMU, version 2; other messages may share the link.
 constexpr double kMessageBytes = 75.0;
 constexpr double kScaledResolution = 9.80665e-3;  // m/s2
+
+/// Names of the parameters that correct the first accelerometer, and of those that turn its axes.
+struct ParameterNames {
+  std::array<std::string, 3> offset, scale;
+  std::vector<std::string> rotations;  ///< 0: none; -1 of an accelerometer: that of the board.
+  std::string identity;                ///< Of the sensor that they are for; empty: the first.
+};
+
+const ParameterNames* names_of(std::uint8_t autopilot) {
+  static const ParameterNames px4{{"CAL_ACC0_XOFF", "CAL_ACC0_YOFF", "CAL_ACC0_ZOFF"},
+                                  {"CAL_ACC0_XSCALE", "CAL_ACC0_YSCALE", "CAL_ACC0_ZSCALE"},
+                                  {"CAL_ACC0_ROT", "SENS_BOARD_ROT"},
+                                  "CAL_ACC0_ID"};
+  static const ParameterNames ardupilot{{"INS_ACCOFFS_X", "INS_ACCOFFS_Y", "INS_ACCOFFS_Z"},
+                                        {"INS_ACCSCAL_X", "INS_ACCSCAL_Y", "INS_ACCSCAL_Z"},
+                                        {"AHRS_ORIENTATION"},
+                                        ""};
+  if (autopilot == mavlink::kPx4) return &px4;
+  return autopilot == mavlink::kArduPilot ? &ardupilot : nullptr;
+}
+
+/// What ArduPilot takes for a scale that can be (AP_InertialSensor, accel_cal); PX4 has no such limits.
+constexpr double kLeastScale = 0.8;
+constexpr double kMostScale = 1.2;
+constexpr double kFloatStep = 1.2e-7;        // Of a scale near 1.
+constexpr double kLargestOffsetMps2 = 20.0;  // Beyond it the accelerometer is broken.
+
+std::string float_text(double value) {
+  return fmt::format("{:.9g}", value);
+}
 
 /// What the controller says to a command, whichever of its components answers.
 std::optional<wire::PacketAnswer> acknowledgement_of(const Frame& frame, std::uint16_t command) {
@@ -62,18 +94,24 @@ MavlinkAccelerometer::Command MavlinkAccelerometer::command(std::uint16_t number
           }};
 }
 
-AccelerometerInfo MavlinkAccelerometer::interrogate() {
-  exchange_.restart(mavlink::FrameParser());
-  // A controller sends its heartbeat by itself; some begin once they have heard one.
+/// The next one of the controller. It sends its heartbeat by itself; some begin once they have heard one.
+mavlink::Heartbeat MavlinkAccelerometer::await_heartbeat() {
+  mavlink::Heartbeat found;
   exchange_.ask({mavlink::our_heartbeat(), "a heartbeat",
-                 [this](const Frame& frame) -> std::optional<wire::PacketAnswer> {
+                 [this, &found](const Frame& frame) -> std::optional<wire::PacketAnswer> {
                    const auto heartbeat = mavlink::decode_heartbeat(frame);
                    if (!heartbeat || !heartbeat->is_vehicle()) return std::nullopt;
                    system_ = frame.system;
                    component_ = frame.component;
-                   autopilot_ = heartbeat->autopilot;
+                   found = *heartbeat;
                    return wire::PacketAnswer{};
                  }});
+  return found;
+}
+
+AccelerometerInfo MavlinkAccelerometer::interrogate() {
+  exchange_.restart(mavlink::FrameParser());
+  autopilot_ = await_heartbeat().autopilot;
   mavlink::Version version;
   Command ask_version = command(mavlink::kRequestMessage, static_cast<float>(mavlink::kAutopilotVersion),
                                 0.0F, "request autopilot version");
@@ -100,6 +138,127 @@ AccelerometerInfo MavlinkAccelerometer::interrogate() {
       .resolution = message_ == mavlink::kScaledImu ? std::optional(kScaledResolution) : std::nullopt,
       .rate_hz = settings_.rate_hz,
   };
+}
+
+// Parameters.
+
+mavlink::Parameter MavlinkAccelerometer::ask_parameter(const std::string& name, const std::string& bytes,
+                                                       std::string_view verb) {
+  mavlink::Parameter told;
+  exchange_.ask({bytes, fmt::format("\"{} parameter {}\"", verb, name),
+                 [&](const Frame& frame) -> std::optional<wire::PacketAnswer> {
+                   if (frame.system != system_) return std::nullopt;
+                   auto parameter = mavlink::decode_parameter(frame, autopilot_);
+                   if (!parameter || parameter->name != name) return std::nullopt;
+                   told = *std::move(parameter);
+                   return wire::PacketAnswer{};
+                 }});
+  return told;
+}
+
+std::map<std::string, std::string> MavlinkAccelerometer::correction_registers() {
+  const ParameterNames* names = names_of(autopilot_);
+  if (names == nullptr) return {};
+  std::map<std::string, std::string> registers;
+  const auto read = [&](const std::string& name) {
+    registers[name] =
+        float_text(ask_parameter(name, mavlink::param_request_read(system_, component_, name), "read").value);
+  };
+  try {
+    read(names->offset[0]);
+  } catch (const InstrumentError& error) {
+    // It does not answer for a parameter that it has not, nor if it tells none at all.
+    if (error.fault() == Fault::kNoReply) return {};
+    throw;
+  }
+  for (std::size_t j = 0; j < 3; ++j) {
+    if (j > 0) read(names->offset[j]);
+    read(names->scale[j]);
+  }
+  for (const std::string& rotation : names->rotations) read(rotation);
+  if (!names->identity.empty()) read(names->identity);
+  return registers;
+}
+
+CorrectionAbility MavlinkAccelerometer::ability() {
+  const ParameterNames* names = names_of(autopilot_);
+  if (names == nullptr)
+    fail(Fault::kRefused,
+         fmt::format("its autopilot is {}; required: PX4 or ArduPilot, whose parameters are known",
+                     mavlink::autopilot_name(autopilot_)));
+  return {.shape = CorrectionShape::kDiagonal,
+          .rule = fmt::format("output = (a - {}) {}, and so for Y and Z: floats, offsets in m/s2",
+                              names->offset[0], names->scale[0]),
+          .offset_step = kFloatStep,
+          .matrix_step = kFloatStep,
+          .keeps_at_once = true};
+}
+
+OutputCorrection MavlinkAccelerometer::decode(const RegisterTexts& registers) {
+  const ParameterNames* names = names_of(autopilot_);
+  if (names == nullptr) throw std::invalid_argument("parameters of an autopilot that is not known");
+  for (const std::string& rotation : names->rotations) {
+    const double value = register_number(registers, rotation);
+    if (value > 0.0)
+      throw std::invalid_argument(
+          fmt::format("{} is {:g}, so that the axes of the output are not those of the accelerometer; "
+                      "required: 0. Set it, calibrate, and set it back afterwards",
+                      rotation, value));
+  }
+  if (!names->identity.empty() && register_number(registers, names->identity) == 0.0)
+    throw std::invalid_argument(fmt::format(
+        "{} is 0: these parameters are for no accelerometer yet; required: one calibration by the "
+        "autopilot itself, which enters it",
+        names->identity));
+  OutputCorrection correction;
+  for (std::size_t n = 0; n < 3; ++n) {
+    const auto j = static_cast<Eigen::Index>(n);
+    correction.offset[j] = register_number(registers, names->offset[n]);
+    correction.matrix(j, j) = register_number(registers, names->scale[n]);
+    if (!(correction.matrix(j, j) > 0.0))
+      throw std::invalid_argument(
+          fmt::format("{} is {}; required: above 0", names->scale[n], registers.at(names->scale[n])));
+  }
+  return correction;
+}
+
+RegisterTexts MavlinkAccelerometer::encode(const OutputCorrection& wanted, const RegisterTexts& now) {
+  const ParameterNames* names = names_of(autopilot_);
+  if (names == nullptr) throw std::invalid_argument("parameters of an autopilot that is not known");
+  RegisterTexts registers = now;
+  for (std::size_t n = 0; n < 3; ++n) {
+    const auto j = static_cast<Eigen::Index>(n);
+    const double scale = wanted.matrix(j, j);
+    const double offset = wanted.offset[j];
+    if (!(scale >= kLeastScale && scale <= kMostScale))
+      throw std::invalid_argument(fmt::format("{} would be {:.6g}; required: {} to {}", names->scale[n],
+                                              scale, kLeastScale, kMostScale));
+    if (!(std::abs(offset) <= kLargestOffsetMps2))
+      throw std::invalid_argument(fmt::format("{} would be {:.6g} m/s2; required: {} at most",
+                                              names->offset[n], offset, kLargestOffsetMps2));
+    registers[names->offset[n]] = float_text(static_cast<double>(static_cast<float>(offset)));
+    registers[names->scale[n]] = float_text(static_cast<double>(static_cast<float>(scale)));
+  }
+  return registers;
+}
+
+void MavlinkAccelerometer::require_writable() {
+  if (!await_heartbeat().is_armed()) return;
+  fail(Fault::kRefused, "the vehicle is armed (heartbeat, base mode); required: disarmed, propellers off");
+}
+
+void MavlinkAccelerometer::write(const RegisterTexts& registers) {
+  const ParameterNames* names = names_of(autopilot_);
+  require_writable();
+  for (std::size_t j = 0; names != nullptr && j < 3; ++j) {
+    for (const std::string& name : {names->offset[j], names->scale[j]}) {
+      const auto value = static_cast<float>(register_number(registers, name));
+      const double told =
+          ask_parameter(name, mavlink::param_set(system_, component_, name, value), "set").value;
+      if (static_cast<float>(told) == value) continue;
+      fail(Fault::kRefused, fmt::format("{} was set to {:.9g} and is {:.9g}", name, value, told));
+    }
+  }
 }
 
 /// @return the result if it is not accepted

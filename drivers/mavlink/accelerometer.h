@@ -6,6 +6,7 @@
 #include <string>
 
 #include "drivers/instrument/clock.h"
+#include "drivers/instrument/correction_registers.h"
 #include "drivers/instrument/instrument_settings.h"
 #include "drivers/mavlink/codec.h"
 #include "drivers/wire/packet_accelerometer.h"
@@ -18,7 +19,8 @@ namespace abcal {
 ///
 /// Its messages are asked for with MAV_CMD_SET_MESSAGE_INTERVAL; stop() asks for the controller's own rate
 /// again. A gap in the numbers of the messages and in their times says how many readings are missing.
-class MavlinkAccelerometer final : public wire::PacketAccelerometer<mavlink::FrameParser> {
+class MavlinkAccelerometer final : public wire::PacketAccelerometer<mavlink::FrameParser>,
+                                   public CorrectionRegisters {
  public:
   /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.
   MavlinkAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
@@ -29,12 +31,29 @@ class MavlinkAccelerometer final : public wire::PacketAccelerometer<mavlink::Fra
   /// @throws InstrumentError kRefused if it has neither message at this rate, or if the link is too slow.
   void start() override;
 
+  /// The parameters of the first accelerometer (CAL_ACC0_* of PX4, INS_ACCOFFS_* and INS_ACCSCAL_* of
+  /// ArduPilot) and of the board's rotation; empty: it does not tell them, or is another autopilot.
+  std::map<std::string, std::string> correction_registers() override;
+
+  // These parameters, but for the rotation.
+  CorrectionRegisters* corrections() override { return this; }
+  CorrectionAbility ability() override;
+  OutputCorrection decode(const RegisterTexts& registers) override;
+  RegisterTexts encode(const OutputCorrection& wanted, const RegisterTexts& now) override;
+  /// @throws InstrumentError kRefused: armed
+  void require_writable() override;
+  void write(const RegisterTexts& registers) override;
+  /// Does nothing: parameters are kept as they are written.
+  void save(const RegisterTexts&) override {}
+
  private:
   void make_quiet() override;
   AccelerometerInfo interrogate() override;
   wire::DecodedFrame decode(const mavlink::Frame& frame) override;
   wire::DecodedFrame decode_acceleration(const mavlink::Acceleration& acceleration);
 
+  mavlink::Heartbeat await_heartbeat();
+  mavlink::Parameter ask_parameter(const std::string& name, const std::string& bytes, std::string_view verb);
   Command command(std::uint16_t number, float first, float second, std::string_view name) const;
   std::optional<unsigned> set_interval(std::uint32_t message, double interval_us);
 

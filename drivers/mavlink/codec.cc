@@ -26,6 +26,9 @@ constexpr std::size_t kBufferKept = 4096;
 constexpr std::array kKinds = std::to_array<MessageKind>({{kHeartbeat, 50, 9, 9},
                                                           {1, 124, 31, 43},  // SYS_STATUS
                                                           {2, 137, 12, 12},  // SYSTEM_TIME
+                                                          {kParamRequestRead, 214, 20, 20},
+                                                          {kParamValue, 220, 25, 25},
+                                                          {kParamSet, 168, 23, 23},
                                                           {kScaledImu, 170, 22, 24},
                                                           {27, 144, 26, 29},  // RAW_IMU
                                                           {30, 39, 28, 28},   // ATTITUDE
@@ -204,12 +207,10 @@ bool Heartbeat::is_vehicle() const {
 
 std::optional<Heartbeat> decode_heartbeat(const Frame& frame) {
   if (!frame.known || frame.id != kHeartbeat) return std::nullopt;
-  return Heartbeat{byte_at(frame.payload, 4), byte_at(frame.payload, 5)};
+  return Heartbeat{byte_at(frame.payload, 4), byte_at(frame.payload, 5), byte_at(frame.payload, 6)};
 }
 
 std::string autopilot_name(std::uint8_t autopilot) {
-  constexpr std::uint8_t kArduPilot = 3;
-  constexpr std::uint8_t kPx4 = 12;
   if (autopilot == kArduPilot) return "ArduPilot";
   if (autopilot == kPx4) return "PX4";
   return autopilot == 0 ? "MAVLink autopilot" : fmt::format("MAVLink autopilot {}", autopilot);
@@ -279,6 +280,25 @@ std::optional<Version> decode_version(const Frame& frame) {
   return version;
 }
 
+std::optional<Parameter> decode_parameter(const Frame& frame, std::uint8_t autopilot) {
+  constexpr std::size_t kNameAt = 8;
+  constexpr std::size_t kTypeAt = 24;
+  constexpr std::uint8_t kUint32 = 5;
+  constexpr std::uint8_t kFloat = 9;
+  if (!frame.known || frame.id != kParamValue) return std::nullopt;
+  Parameter parameter;
+  parameter.name = frame.payload.substr(kNameAt, kTypeAt - kNameAt);
+  parameter.name.resize(std::min(parameter.name.find('\0'), parameter.name.size()));
+  parameter.type = byte_at(frame.payload, kTypeAt);
+  if (parameter.type < kFloat && autopilot != kArduPilot) {
+    parameter.value = parameter.type == kUint32 ? static_cast<double>(read<std::uint32_t>(frame.payload, 0))
+                                                : static_cast<double>(read<std::int32_t>(frame.payload, 0));
+  } else {
+    parameter.value = static_cast<double>(read<float>(frame.payload, 0));
+  }
+  return parameter;
+}
+
 std::optional<Acknowledgement> decode_acknowledgement(const Frame& frame) {
   if (!frame.known || frame.id != kCommandAck) return std::nullopt;
   return Acknowledgement{read<std::uint16_t>(frame.payload, 0), byte_at(frame.payload, 2)};
@@ -322,6 +342,39 @@ std::string command_long(std::uint8_t system, std::uint8_t component, std::uint1
   append(payload, component);
   append(payload, std::uint8_t{0});
   return make_frame(2, 0, kCommandLong, payload);
+}
+
+namespace {
+
+/// Filled up with zeros. @throws std::invalid_argument if it is too long
+std::string parameter_name(std::string_view name) {
+  constexpr std::size_t kLongest = 16;
+  if (name.empty() || name.size() > kLongest)
+    throw std::invalid_argument(fmt::format("MAVLink parameter \"{}\": required: 1 to 16 characters", name));
+  std::string padded(name);
+  padded.resize(kLongest, '\0');
+  return padded;
+}
+
+}  // namespace
+
+std::string param_request_read(std::uint8_t system, std::uint8_t component, std::string_view name) {
+  std::string payload;
+  append(payload, std::int16_t{-1});  // By name.
+  append(payload, system);
+  append(payload, component);
+  return make_frame(2, 0, kParamRequestRead, payload + parameter_name(name));
+}
+
+std::string param_set(std::uint8_t system, std::uint8_t component, std::string_view name, float value) {
+  constexpr std::uint8_t kFloat = 9;
+  std::string payload;
+  append(payload, value);
+  append(payload, system);
+  append(payload, component);
+  payload += parameter_name(name);
+  append(payload, kFloat);
+  return make_frame(2, 0, kParamSet, payload);
 }
 
 std::string our_heartbeat() {

@@ -15,6 +15,9 @@ namespace abcal::mavlink {
 /// Messages that are read or written here.
 enum MessageId : std::uint32_t {
   kHeartbeat = 0,
+  kParamRequestRead = 20,
+  kParamValue = 22,
+  kParamSet = 23,
   kScaledImu = 26,
   kCommandLong = 76,
   kCommandAck = 77,
@@ -82,9 +85,13 @@ class FrameParser {
 struct Heartbeat {
   std::uint8_t type = 0;
   std::uint8_t autopilot = 0;
+  std::uint8_t base_mode = 0;
+  bool is_armed() const { return (base_mode & 0x80U) != 0; }
   bool is_vehicle() const;  ///< Not a ground station, a gimbal or another part without an autopilot.
 };
 std::optional<Heartbeat> decode_heartbeat(const Frame& frame);
+inline constexpr std::uint8_t kArduPilot = 3;
+inline constexpr std::uint8_t kPx4 = 12;
 std::string autopilot_name(std::uint8_t autopilot);
 
 struct Acceleration {
@@ -110,6 +117,14 @@ struct Acknowledgement {
 std::optional<Acknowledgement> decode_acknowledgement(const Frame& frame);
 std::string_view result_in_words(unsigned result);
 
+/// PARAM_VALUE. A whole number is kept in the bytes of the float by all but ArduPilot, which converts it.
+struct Parameter {
+  std::string name;
+  double value = 0.0;
+  std::uint8_t type = 0;  ///< 9: a float; below: whole numbers.
+};
+std::optional<Parameter> decode_parameter(const Frame& frame, std::uint8_t autopilot);
+
 /// Who sends: a ground station beside others.
 inline constexpr std::uint8_t kOurSystem = 254;
 inline constexpr std::uint8_t kOurComponent = 190;
@@ -118,6 +133,9 @@ inline constexpr std::uint8_t kOurComponent = 190;
 std::string make_frame(int version, std::uint8_t sequence, std::uint32_t id, std::string_view payload);
 std::string command_long(std::uint8_t system, std::uint8_t component, std::uint16_t command,
                          const std::array<float, 2>& parameters);
+std::string param_request_read(std::uint8_t system, std::uint8_t component, std::string_view name);
+/// Of a parameter that is a float.
+std::string param_set(std::uint8_t system, std::uint8_t component, std::string_view name, float value);
 /// Of a ground station.
 std::string our_heartbeat();
 

@@ -3,8 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <bit>
 #include <charconv>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 #include "drivers/wire/readable_bytes.h"
@@ -21,6 +23,13 @@ constexpr seconds kAnswerTime{2};
 constexpr double kDefaultBytesPerSecond =
     11520.0;  // 115200 baud, the setting a device leaves the factory with.
 
+const std::string kBias = "accelerometer bias (0C,37)";
+constexpr double kBiasStep = 1.2e-7;  // g, of a float near 1
+
+std::string bias_text(const Eigen::Vector3d& bias_g) {
+  return fmt::format("{:.9g}, {:.9g}, {:.9g} g", bias_g.x(), bias_g.y(), bias_g.z());
+}
+
 constexpr seconds kTemperatureHold{10};
 constexpr double kRateTolerance = 0.01;
 
@@ -36,7 +45,9 @@ constexpr std::uint8_t kBaseRate = 0x0E;
 constexpr std::uint8_t kFormat = 0x0F;
 constexpr std::uint8_t kStreamControl = 0x11;
 constexpr std::uint8_t kAccelerometerBias = 0x37;
+constexpr std::uint8_t kWriteFunction = 0x01;
 constexpr std::uint8_t kReadFunction = 0x02;
+constexpr std::uint8_t kSaveFunction = 0x03;
 constexpr std::uint8_t kSharedSet = 0xFF;  // How newer devices list the fields that all data sets share.
 
 /// "5g, 300d/s" -> 5. [unverified against a device]: seen as the options text of several models, not promised
@@ -176,8 +187,39 @@ std::map<std::string, std::string> MipAccelerometer::correction_registers() {
                                            "accelerometer bias", std::uint8_t{0x9A}});
   const auto bias = mip::decode_scaled_accelerometer(data);
   if (!bias) fail(Fault::kBadFrame, "the answer to \"accelerometer bias\" does not have 12 bytes");
-  return {{"accelerometer bias (0C,37)",
-           fmt::format("{:.9g}, {:.9g}, {:.9g} g", bias->x(), bias->y(), bias->z())}};
+  return {{kBias, bias_text(*bias)}};
+}
+
+CorrectionAbility MipAccelerometer::ability() {
+  if (!abilities_.accelerometer_bias)
+    fail(Fault::kRefused,
+         "it has no accelerometer bias (0C,37), and no other correction that can be written");
+  return {.shape = CorrectionShape::kOffset,
+          .rule = "output = a - bias, command 0C,37: three floats in g",
+          .offset_step = kBiasStep};
+}
+
+OutputCorrection MipAccelerometer::decode(const RegisterTexts& registers) {
+  const std::vector<double> bias = register_numbers(registers, kBias, 3);
+  return {Eigen::Matrix3d::Identity(), Eigen::Map<const Eigen::Vector3d>(bias.data())};
+}
+
+RegisterTexts MipAccelerometer::encode(const OutputCorrection& wanted, const RegisterTexts& now) {
+  if (!wanted.offset.allFinite()) throw std::invalid_argument("accelerometer bias: no number");
+  RegisterTexts registers = now;
+  registers[kBias] = bias_text(wanted.offset.cast<float>().cast<double>());
+  return registers;
+}
+
+void MipAccelerometer::write(const RegisterTexts& registers) {
+  std::string data = mip::u8(kWriteFunction);
+  for (const double value : register_numbers(registers, kBias, 3))
+    data += mip::u32(std::bit_cast<std::uint32_t>(static_cast<float>(value)));
+  ask(exchange_, {mip::k3dmSet, kAccelerometerBias, data, "accelerometer bias", {}});
+}
+
+void MipAccelerometer::save(const RegisterTexts&) {
+  ask(exchange_, {mip::k3dmSet, kAccelerometerBias, mip::u8(kSaveFunction), "accelerometer bias", {}});
 }
 
 void MipAccelerometer::make_quiet() {

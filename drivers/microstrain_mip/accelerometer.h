@@ -7,6 +7,7 @@
 
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
+#include "drivers/instrument/correction_registers.h"
 #include "drivers/instrument/instrument_settings.h"
 #include "drivers/microstrain_mip/codec.h"
 #include "drivers/wire/byte_stream.h"
@@ -20,7 +21,8 @@ namespace abcal {
 /// Every exchange begins with "set idle", so that an answer can be told from what was streaming; an answer is
 /// known by its descriptor set and by the echo of its command, so data packets and late answers in between do
 /// no harm. Changes the running configuration of the device, never the stored one.
-class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParser> {
+class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParser>,
+                               public CorrectionRegisters {
  public:
   /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.
   MipAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
@@ -34,6 +36,15 @@ class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParse
 
   /// The accelerometer bias (0C,37), where the device has it.
   std::map<std::string, std::string> correction_registers() override;
+
+  // The accelerometer bias; no model has a command for scales.
+  CorrectionRegisters* corrections() override { return this; }
+  CorrectionAbility ability() override;
+  OutputCorrection decode(const RegisterTexts& registers) override;
+  RegisterTexts encode(const OutputCorrection& wanted, const RegisterTexts& now) override;
+  void write(const RegisterTexts& registers) override;
+  /// This setting alone.
+  void save(const RegisterTexts& registers) override;
 
  private:
   /// What the device offers and how it is to be configured.

@@ -6,6 +6,7 @@
 #include <array>
 #include <charconv>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 #include "drivers/wire/readable_bytes.h"
@@ -21,6 +22,8 @@ using vectornav::TextMessage;
 // A device answers within milliseconds; its output buffer, full at 9600 baud, takes 1 s to empty [unverified
 // against a device].
 constexpr seconds kAnswerTime{2};
+// Of a restart [unverified against a device].
+constexpr seconds kRestartTime{2};
 
 constexpr double kRateTolerance = 0.01;
 constexpr unsigned kBitsPerByte = 10;  // On a UART, with start and stop bit.
@@ -31,6 +34,11 @@ constexpr std::array kTextRates{1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0
 // 16 g, with a CRC.
 constexpr std::size_t kImuTextBytes = 115;
 constexpr std::size_t kAccelerationTextBytes = 40;
+
+const std::string kCompensation = "acceleration compensation (25)";
+const std::string kRotation = "reference frame rotation (26)";
+constexpr double kCompensationStep = 1e-6;      // The digits that it tells.
+constexpr double kLargestCompensation = 99.99;  // Two digits before the point.
 
 constexpr unsigned kInvalidCommand = 0x04;
 constexpr unsigned kInvalidParameter = 0x07;
@@ -63,6 +71,8 @@ std::optional<unsigned> error_code(std::string_view text) {
 /// What stands behind `VNxxx,n` of an answer to this command ("VNRRG,01", "VNWRG,75,1,..."); nothing if it
 /// answers another one. Register numbers are compared as numbers: "01" and "1" are the same.
 std::optional<std::string> values_if_answer(std::string_view text, std::string_view command) {
+  if (command.find(',') == std::string_view::npos)  // "VNWNV": only echoed.
+    return text == command ? std::optional(std::string()) : std::nullopt;
   const auto parse = [](std::string_view words) -> std::optional<std::pair<std::string_view, unsigned>> {
     const std::size_t comma = words.find(',');
     if (comma == std::string_view::npos) return std::nullopt;
@@ -195,14 +205,70 @@ AccelerometerInfo VectorNavAccelerometer::interrogate() {
 
 std::map<std::string, std::string> VectorNavAccelerometer::correction_registers() {
   std::map<std::string, std::string> registers;
-  for (const auto& [number, name] :
-       {std::pair{25, "acceleration compensation (25)"}, std::pair{26, "reference frame rotation (26)"}}) {
+  for (const auto& [number, name] : {std::pair{25, kCompensation}, std::pair{26, kRotation}}) {
     const std::string command = fmt::format("VNRRG,{:02}", number);
     const wire::PacketAnswer answer = try_exchange(command);
     if (answer.error && *answer.error != kInvalidRegister) refuse(command, *answer.error);
     registers[name] = answer.error ? "not in this device" : answer.data;
   }
   return registers;
+}
+
+CorrectionAbility VectorNavAccelerometer::ability() {
+  return {.shape = CorrectionShape::kFull,
+          .rule = "output = C (a - B), register 25: C row by row, then B in m/s2",
+          .offset_step = kCompensationStep,
+          .matrix_step = kCompensationStep};
+}
+
+OutputCorrection VectorNavAccelerometer::decode(const RegisterTexts& registers) {
+  const std::vector<double> values = register_numbers(registers, kCompensation, 12);
+  // A device without register 26 has no rotation.
+  const auto rotation = registers.find(kRotation);
+  if (rotation != registers.end() && rotation->second != "not in this device") {
+    const std::vector<double> r = register_numbers(registers, kRotation, 9);
+    if (!Eigen::Map<const Eigen::Matrix3d>(r.data()).isIdentity(kCompensationStep))
+      throw std::invalid_argument(
+          fmt::format("{} is {}, so that the axes of the output are not those of register 25; required: the "
+                      "identity. Set "
+                      "it, calibrate, and set it back afterwards",
+                      kRotation, rotation->second));
+  }
+  OutputCorrection correction;
+  correction.matrix = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(values.data());
+  correction.offset = Eigen::Map<const Eigen::Vector3d>(values.data() + 9);
+  return correction;
+}
+
+RegisterTexts VectorNavAccelerometer::encode(const OutputCorrection& wanted, const RegisterTexts& now) {
+  std::string text;
+  const auto add = [&text](double value) {
+    if (!(std::abs(value) <= kLargestCompensation))
+      throw std::invalid_argument(fmt::format("{}: a value would be {:.6g}; it holds up to {:g}",
+                                              kCompensation, value, kLargestCompensation));
+    text += fmt::format("{}{:+.6f}", text.empty() ? "" : ",", value);
+  };
+  for (Eigen::Index row = 0; row < 3; ++row)
+    for (Eigen::Index column = 0; column < 3; ++column) add(wanted.matrix(row, column));
+  for (Eigen::Index row = 0; row < 3; ++row) add(wanted.offset[row]);
+  RegisterTexts registers = now;
+  registers[kCompensation] = text;
+  return registers;
+}
+
+void VectorNavAccelerometer::write(const RegisterTexts& registers) {
+  std::string command = "VNWRG,25";
+  for (const double value : register_numbers(registers, kCompensation, 12))
+    command += fmt::format(",{:.6f}", value);
+  exchange(command);
+}
+
+void VectorNavAccelerometer::save(const RegisterTexts& registers) {
+  exchange("VNRST");  // Or what start() has set would be stored too.
+  clock_.sleep_until(clock_.now() + kRestartTime);
+  make_quiet();
+  write(registers);
+  exchange("VNWNV");
 }
 
 void VectorNavAccelerometer::check_rate(double rate_hz, std::string_view possible) const {

@@ -10,6 +10,7 @@
 
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
+#include "drivers/instrument/correction_registers.h"
 #include "drivers/instrument/instrument_settings.h"
 #include "drivers/vectornav/codec.h"
 #include "drivers/wire/byte_stream.h"
@@ -24,7 +25,8 @@ namespace abcal {
 /// register, so data and late answers in between do no harm. Output is binary with the device's time, so that
 /// a gap says how many readings are missing; where register 75 is refused it is the text message IMU, or else
 /// ACC. Changes the running configuration of the device, never the stored one.
-class VectorNavAccelerometer final : public wire::PacketAccelerometer<vectornav::MessageParser> {
+class VectorNavAccelerometer final : public wire::PacketAccelerometer<vectornav::MessageParser>,
+                                     public CorrectionRegisters {
  public:
   /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.
   VectorNavAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
@@ -38,6 +40,15 @@ class VectorNavAccelerometer final : public wire::PacketAccelerometer<vectornav:
 
   /// Registers 25 (acceleration compensation) and 26 (rotation of the reference frame).
   std::map<std::string, std::string> correction_registers() override;
+
+  // Register 25.
+  CorrectionRegisters* corrections() override { return this; }
+  CorrectionAbility ability() override;
+  OutputCorrection decode(const RegisterTexts& registers) override;
+  RegisterTexts encode(const OutputCorrection& wanted, const RegisterTexts& now) override;
+  void write(const RegisterTexts& registers) override;
+  /// Restarts the device, which is then as it was stored, writes the register and stores all.
+  void save(const RegisterTexts& registers) override;
 
  private:
   enum class Output { kBinary, kImuText, kAccelerationText };

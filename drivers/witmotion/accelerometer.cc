@@ -29,7 +29,19 @@ constexpr milliseconds kBetweenCommands{10};
 constexpr double kMeasuredRateTolerance = 0.1;
 constexpr double kBitsPerByte = 10.0;  // On a UART, with start and stop bit.
 
+// Writing its memory [unverified against a device].
+constexpr milliseconds kSaveTime{500};
+
 constexpr std::string_view kUnknown = "unknown";
+const std::string kOffsets = "acceleration offsets (05-07)";
+
+double offset_g(std::uint16_t word) {
+  return static_cast<std::int16_t>(word) * witmotion::kOffsetStepG;
+}
+
+std::string offsets_text(const Eigen::Vector3d& offset_g) {
+  return fmt::format("{:.4f}, {:.4f}, {:.4f} g", offset_g[0], offset_g[1], offset_g[2]);
+}
 
 }  // namespace
 
@@ -112,6 +124,7 @@ AccelerometerInfo WitMotionAccelerometer::interrogate() {
     fail_without_frames(clock_.now() - began);
 
   if (version) version_ = version->front();
+  if (output && !found_output_) found_output_ = output;
   link_bytes_per_s_ = settings_.link_bytes_per_s;
   if (!link_bytes_per_s_ && output) {
     if (const auto baud = witmotion::baud_rate((*output)[witmotion::kBaud - witmotion::kOutputMask]))
@@ -146,6 +159,64 @@ std::optional<WitMotionAccelerometer::Registers> WitMotionAccelerometer::ask(wit
     if (!answer_) answers_doubtful_ = true;
   }
   return answer_;
+}
+
+std::map<std::string, std::string> WitMotionAccelerometer::correction_registers() {
+  const auto answer = ask(witmotion::kAccelerationOffset);
+  if (!answer) return {};
+  return {{kOffsets, offsets_text({offset_g((*answer)[0]), offset_g((*answer)[1]), offset_g((*answer)[2])})}};
+}
+
+CorrectionAbility WitMotionAccelerometer::ability() {
+  if (answers_doubtful_)
+    fail(Fault::kRefused,
+         "it answers no question, so that its registers cannot be read back; required: a model that answers");
+  return {.shape = CorrectionShape::kOffset,
+          .rule = "output = a - offset, registers 05 to 07: 16 bits in 0.0001 g",
+          .offset_step = witmotion::kOffsetStepG};
+}
+
+OutputCorrection WitMotionAccelerometer::decode(const RegisterTexts& registers) {
+  const std::vector<double> offset = register_numbers(registers, kOffsets, 3);
+  return {Eigen::Matrix3d::Identity(), Eigen::Map<const Eigen::Vector3d>(offset.data())};
+}
+
+RegisterTexts WitMotionAccelerometer::encode(const OutputCorrection& wanted, const RegisterTexts& now) {
+  constexpr double kLargestG = 32767.0 * witmotion::kOffsetStepG;
+  for (const double value : wanted.offset)
+    if (!(std::abs(value) <= kLargestG))
+      throw std::invalid_argument(
+          fmt::format("{}: an offset would be {:.4g} g; they hold up to {} g", kOffsets, value, kLargestG));
+  RegisterTexts registers = now;
+  registers[kOffsets] = offsets_text(wanted.offset);
+  return registers;
+}
+
+void WitMotionAccelerometer::send(witmotion::Register where, std::uint16_t value) {
+  stream_->write(witmotion::write_register(where, value));
+  clock_.sleep_until(clock_.now() + kBetweenCommands);
+}
+
+void WitMotionAccelerometer::write(const RegisterTexts& registers) {
+  send(witmotion::kLock, witmotion::kUnlock);
+  unsigned where = witmotion::kAccelerationOffset;
+  for (const double value : register_numbers(registers, kOffsets, 3)) {
+    const auto word = static_cast<std::int16_t>(std::lround(value / witmotion::kOffsetStepG));
+    send(static_cast<witmotion::Register>(where++), static_cast<std::uint16_t>(word));
+  }
+}
+
+void WitMotionAccelerometer::save(const RegisterTexts& registers) {
+  if (!found_output_)
+    fail(Fault::kRefused,
+         "it has not said which output and rate are set, and saving stores all settings; required: a model "
+         "that "
+         "answers");
+  write(registers);
+  send(witmotion::kOutputMask, (*found_output_)[0]);
+  send(witmotion::kRate, (*found_output_)[1]);
+  send(witmotion::kSave, 0);
+  clock_.sleep_until(clock_.now() + kSaveTime);
 }
 
 void WitMotionAccelerometer::check_link() const {

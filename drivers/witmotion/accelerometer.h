@@ -9,6 +9,7 @@
 
 #include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/clock.h"
+#include "drivers/instrument/correction_registers.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/instrument_settings.h"
 #include "drivers/wire/byte_stream.h"
@@ -26,7 +27,7 @@ namespace abcal {
 ///
 /// Its frames have no counter: readings that were damaged on the line are counted as lost, those that vanish
 /// without leaving a byte behind cannot be (wire::ReadingStream).
-class WitMotionAccelerometer final : public Accelerometer {
+class WitMotionAccelerometer final : public Accelerometer, public CorrectionRegisters {
  public:
   /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.
   WitMotionAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
@@ -37,6 +38,18 @@ class WitMotionAccelerometer final : public Accelerometer {
   /// @throws InstrumentError kNoReply, kWrongIdentity, kBadFrame (all that came was damaged), each saying
   /// what came.
   AccelerometerInfo identify() override;
+
+  /// The offsets (05 to 07), where it answers.
+  std::map<std::string, std::string> correction_registers() override;
+
+  // The offsets; it has no scales.
+  CorrectionRegisters* corrections() override { return this; }
+  CorrectionAbility ability() override;
+  OutputCorrection decode(const RegisterTexts& registers) override;
+  RegisterTexts encode(const OutputCorrection& wanted, const RegisterTexts& now) override;
+  void write(const RegisterTexts& registers) override;
+  /// With the output and the rate that it had when this program first asked: all registers are stored.
+  void save(const RegisterTexts& registers) override;
 
   /// Identifies, sets output and rate, and waits until it is seen to stream at that rate.
   /// @throws InstrumentError kRefused if there is no such rate or the link is too slow for it, kNoReply if no
@@ -59,6 +72,7 @@ class WitMotionAccelerometer final : public Accelerometer {
   std::optional<Registers> ask(witmotion::Register first);
   void check_link() const;
   void configure_output(std::uint16_t rate_code);
+  void send(witmotion::Register where, std::uint16_t value);
   std::optional<Reading> take(const witmotion::Frame& frame);
 
   std::unique_ptr<wire::ByteStream> stream_;
@@ -69,11 +83,12 @@ class WitMotionAccelerometer final : public Accelerometer {
 
   std::optional<std::uint16_t> version_;
   std::optional<double> link_bytes_per_s_;
-  std::optional<Registers> answer_;  ///< To the question asked last, if any.
-  bool answers_doubtful_ = false;    ///< A question went unanswered: a late answer would pass for another's.
-  std::uint64_t frames_ = 0;         ///< Since the stream began.
-  std::uint64_t other_frames_ = 0;   ///< Since the stream began: neither acceleration nor answer.
-  bool only_acceleration_ = false;   ///< Started, and the output mask is as it was set.
+  std::optional<Registers> found_output_;  ///< 02 and 03 as they were when it was first asked.
+  std::optional<Registers> answer_;        ///< To the question asked last, if any.
+  bool answers_doubtful_ = false;   ///< A question went unanswered: a late answer would pass for another's.
+  std::uint64_t frames_ = 0;        ///< Since the stream began.
+  std::uint64_t other_frames_ = 0;  ///< Since the stream began: neither acceleration nor answer.
+  bool only_acceleration_ = false;  ///< Started, and the output mask is as it was set.
 };
 
 }  // namespace abcal

@@ -21,11 +21,13 @@ inline constexpr std::size_t kFrameBytes = 11;
 enum FrameType : std::uint8_t { kAcceleration = 0x51, kAngle = 0x53, kRegisters = 0x5F };
 
 enum Register : std::uint8_t {
-  kOutputMask = 0x02,         ///< Bit 0 time, 1 acceleration, 2 angular rate, 3 angle, 4 magnetic field.
-  kRate = 0x03,               ///< rate_code().
-  kBaud = 0x04,               ///< baud_rate().
-  kAccelerationRange = 0x21,  ///< range_g().
-  kRead = 0x27,               ///< Written with the first of four registers to be read.
+  kSave = 0x00,                ///< 0: stores all registers.
+  kOutputMask = 0x02,          ///< Bit 0 time, 1 acceleration, 2 angular rate, 3 angle, 4 magnetic field.
+  kRate = 0x03,                ///< rate_code().
+  kBaud = 0x04,                ///< baud_rate().
+  kAccelerationOffset = 0x05,  ///< And 06, 07: x, y, z in kOffsetStepG, signed; subtracted.
+  kAccelerationRange = 0x21,   ///< range_g().
+  kRead = 0x27,                ///< Written with the first of four registers to be read.
   kVersion = 0x2E,
   kLock = 0x69,  ///< Written with kUnlock: registers may be written for the next ten seconds.
 };
@@ -84,6 +86,7 @@ struct Acceleration {
 };
 inline constexpr double kFormatFullScaleG = 16.0;  ///< What the largest word means.
 inline constexpr double kStepG = kFormatFullScaleG / 32768.0;
+inline constexpr double kOffsetStepG = 1e-4;
 
 /// Nothing if it is another frame.
 std::optional<Acceleration> decode_acceleration(const Frame& frame);

@@ -220,7 +220,9 @@ int IioFirmware::Machine::write(const std::string& channel, const std::string& a
   const auto found = values_.find(channel + " " + attribute);
   if (found == values_.end()) return kNoEntry;
   if (!attribute.starts_with("calib")) return kInvalid;
-  found->second = value.c_str();  // Up to a zero.
+  // As drivers of the kernel take them: a calibbias in whole counts, a calibscale in millionths.
+  found->second =
+      attribute == "calibbias" ? fmt::format("{:.0f}", std::trunc(number)) : fmt::format("{:.6f}", number);
   return static_cast<int>(value.size());
 }
 

@@ -10,6 +10,7 @@
 #include <stdexcept>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 namespace abcal::sim {
 namespace {
@@ -19,9 +20,14 @@ constexpr unsigned kOurSystem = 1;
 constexpr unsigned kOurComponent = 1;
 constexpr double kGravity = 9.80665;
 constexpr std::int64_t kShortestIntervalMicroseconds = 1000;
+constexpr unsigned kPx4 = 12;
+constexpr std::size_t kParameterNameBytes = 16;
 
 // Numbers of messages, and the byte that each puts into its checksum.
 constexpr unsigned kHeartbeatMessage = 0;
+constexpr unsigned kParamReadMessage = 20;
+constexpr unsigned kParamValueMessage = 22;
+constexpr unsigned kParamSetMessage = 23;
 constexpr unsigned kScaledImuMessage = 26;
 constexpr unsigned kCommandLongMessage = 76;
 constexpr unsigned kCommandAckMessage = 77;
@@ -31,6 +37,12 @@ unsigned seed_of(unsigned message) {
   switch (message) {
     case kHeartbeatMessage:
       return 50;
+    case kParamReadMessage:
+      return 214;
+    case kParamValueMessage:
+      return 220;
+    case kParamSetMessage:
+      return 168;
     case kScaledImuMessage:
       return 170;
     case kCommandLongMessage:
@@ -100,6 +112,8 @@ class MavlinkFirmware::Device {
 
   void take_frames();
   void take_command(std::string_view payload);
+  void take_parameter(std::string_view payload, bool set);
+  Eigen::Vector3d corrected(const Eigen::Vector3d& raw_mps2) const;
   unsigned set_interval(double message, double interval_us);
   unsigned request(double message);
   void acknowledge(unsigned command, unsigned result);
@@ -117,6 +131,12 @@ class MavlinkFirmware::Device {
   MavlinkSettings settings_;
   UnservedCommands& unserved_;
   std::array<Stream, 2> streams_{Stream{kHighresImuMessage}, Stream{kScaledImuMessage}};
+  struct Parameter {
+    std::string name;
+    float value = 0.0F;
+    bool whole = false;  ///< A whole number; else a float.
+  };
+  std::vector<Parameter> parameters_;  ///< The first six: offset and scale of x, y, z.
   Clock::Instant heartbeat_due_;
   std::uint64_t samples_ = 0;
   unsigned sequence_ = 0;
@@ -139,6 +159,59 @@ MavlinkFirmware::Device::Device(std::shared_ptr<SimBench> bench, MavlinkSettings
   if (settings_.streams_at_power_on && settings_.has_highres)
     streams_[0].default_us = streams_[0].interval_us = kAtPowerOnMicroseconds;
   streams_[0].from = streams_[1].from = now_;
+  if (!settings_.has_parameters) return;
+  const bool px4 = settings_.autopilot == kPx4;
+  for (const std::string axis : {"X", "Y", "Z"}) {
+    parameters_.push_back({px4 ? "CAL_ACC0_" + axis + "OFF" : "INS_ACCOFFS_" + axis});
+    parameters_.push_back({px4 ? "CAL_ACC0_" + axis + "SCALE" : "INS_ACCSCAL_" + axis, 1.0F});
+  }
+  if (px4) {
+    parameters_.push_back({"CAL_ACC0_ID", 1310988.0F, true});
+    parameters_.push_back({"CAL_ACC0_ROT", -1.0F, true});
+    parameters_.push_back({"SENS_BOARD_ROT", 0.0F, true});
+  } else {
+    parameters_.push_back({"AHRS_ORIENTATION", 0.0F, true});
+  }
+}
+
+/// Reads or sets one; one that it does not have goes unanswered.
+void MavlinkFirmware::Device::take_parameter(std::string_view payload, bool set) {
+  const unsigned system = u8(payload, set ? 4 : 2);
+  if (system != 0 && system != kOurSystem) return;
+  std::string name(payload.substr(set ? 6 : 4, kParameterNameBytes));
+  name.resize(std::min(name.find('\0'), name.size()));
+  const auto found = std::find_if(parameters_.begin(), parameters_.end(),
+                                  [&](const Parameter& parameter) { return parameter.name == name; });
+  if (found == parameters_.end()) {
+    unserved_.note("parameter " + name, "not emulated: no answer");
+    return;
+  }
+  Parameter& parameter = *found;
+  if (set && !parameter.whole) parameter.value = float_at(payload, 0);
+  std::string answer;
+  // PX4 keeps a whole number in the bytes of the float, ArduPilot converts it.
+  if (parameter.whole && settings_.autopilot == kPx4)
+    put(answer, static_cast<std::uint32_t>(static_cast<std::int32_t>(parameter.value)), 4);
+  else
+    put_float(answer, static_cast<double>(parameter.value));
+  put(answer, parameters_.size(), 2);
+  put(answer, static_cast<std::uint64_t>(std::distance(parameters_.begin(), found)), 2);
+  name.resize(kParameterNameBytes, '\0');
+  answer += name;
+  put(answer, parameter.whole ? 6 : 9, 1);
+  replies_.push(frame(kParamValueMessage, answer), now_ + settings_.reply_delay);
+}
+
+/// As its autopilot corrects.
+Eigen::Vector3d MavlinkFirmware::Device::corrected(const Eigen::Vector3d& raw_mps2) const {
+  if (parameters_.empty()) return raw_mps2;
+  Eigen::Vector3d value;
+  for (std::size_t j = 0; j < 3; ++j) {
+    const auto axis = static_cast<Eigen::Index>(j);
+    value[axis] = (raw_mps2[axis] - static_cast<double>(parameters_[2 * j].value)) *
+                  static_cast<double>(parameters_[2 * j + 1].value);
+  }
+  return value;
 }
 
 std::string MavlinkFirmware::Device::frame(unsigned message, std::string payload) {
@@ -190,9 +263,16 @@ void MavlinkFirmware::Device::take_frames() {
     const std::size_t end = header + length;
     const bool sound =
         crc_of(rest.substr(1, end - 1), seed_of(message)) == u8(rest, end) + 256U * u8(rest, end + 1);
-    if (!sound || (message != kCommandLongMessage && message != kHeartbeatMessage)) {
+    const bool understood = message == kCommandLongMessage || message == kHeartbeatMessage ||
+                            message == kParamReadMessage || message == kParamSetMessage;
+    if (!sound || !understood) {
       ++at;
       continue;
+    }
+    if (message == kParamReadMessage || message == kParamSetMessage) {
+      std::string payload(rest.substr(header, length));
+      payload.resize(23, '\0');
+      take_parameter(payload, message == kParamSetMessage);
     }
     if (message == kCommandLongMessage) {
       std::string payload(rest.substr(header, length));
@@ -262,7 +342,7 @@ std::string MavlinkFirmware::Device::heartbeat() {
   put(payload, 0, 4);
   put(payload, 2, 1);  // a quadrotor
   put(payload, settings_.autopilot, 1);
-  put(payload, 0, 1);
+  put(payload, settings_.armed ? 0x80 : 0, 1);
   put(payload, 3, 1);  // standby
   put(payload, 3, 1);
   return frame(kHeartbeatMessage, payload);
@@ -279,10 +359,11 @@ std::string MavlinkFirmware::Device::version() {
 
 std::string MavlinkFirmware::Device::imu(const Stream& stream, Clock::Instant t) {
   const SimOutput output = bench_->output(t, samples_++, std::chrono::microseconds(stream.interval_us));
+  const Eigen::Vector3d acceleration_mps2 = corrected(output.value);
   std::string payload;
   if (stream.message == kHighresImuMessage) {
     put(payload, time_us(t), 8);
-    for (int j = 0; j < 3; ++j) put_float(payload, output.value[j]);
+    for (int j = 0; j < 3; ++j) put_float(payload, acceleration_mps2[j]);
     for (int n = 0; n < 6; ++n) put_float(payload, 0.0);
     for (int n = 0; n < 3; ++n) put_float(payload, 0.0);
     put_float(payload, output.temperature_degc);
@@ -291,7 +372,8 @@ std::string MavlinkFirmware::Device::imu(const Stream& stream, Clock::Instant t)
   }
   put(payload, time_us(t) / 1000, 4);
   for (int j = 0; j < 3; ++j) {
-    const double milli_g = std::isfinite(output.value[j]) ? output.value[j] / kGravity * 1000.0 : -32768.0;
+    const double milli_g =
+        std::isfinite(acceleration_mps2[j]) ? acceleration_mps2[j] / kGravity * 1000.0 : -32768.0;
     put(payload,
         static_cast<std::uint16_t>(
             static_cast<std::int16_t>(std::clamp(std::round(milli_g), -32768.0, 32767.0))),

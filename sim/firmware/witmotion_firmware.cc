@@ -24,6 +24,7 @@ constexpr std::uint8_t kCalibrate = 0x01;
 constexpr std::uint8_t kOutputMask = 0x02;
 constexpr std::uint8_t kRate = 0x03;
 constexpr std::uint8_t kBaud = 0x04;
+constexpr std::uint8_t kAccelerationOffset = 0x05;
 constexpr std::uint8_t kAccelerationRange = 0x21;
 constexpr std::uint8_t kRead = 0x27;
 constexpr std::uint8_t kVersion = 0x2E;
@@ -123,6 +124,7 @@ class WitMotionFirmware::Device {
   void write(std::uint8_t reg, std::uint16_t value);
   void read(std::uint8_t first);
   std::int16_t value_of(std::uint8_t reg) const;
+  Eigen::Vector3d corrected_g(const SimOutput& output) const;
   Eigen::Vector3d motion_parts(std::uint8_t reg, Clock::Instant t) const;
   Registers factory() const;
   unsigned period() const { return period_ms(registers_.at(kRate)).value_or(0); }
@@ -248,10 +250,20 @@ void WitMotionFirmware::Device::read(std::uint8_t first) {
   replies_.push(frame(0x5F, words), now_ + settings_.reply_delay);
 }
 
+/// Less the offsets of registers 05 to 07, 0.0001 g each.
+Eigen::Vector3d WitMotionFirmware::Device::corrected_g(const SimOutput& output) const {
+  Eigen::Vector3d value = output.value;
+  for (std::uint8_t j = 0; j < 3; ++j) {
+    const auto found = registers_.find(static_cast<std::uint8_t>(kAccelerationOffset + j));
+    if (found != registers_.end()) value[j] -= static_cast<std::int16_t>(found->second) / 10000.0;
+  }
+  return value;
+}
+
 std::int16_t WitMotionFirmware::Device::value_of(std::uint8_t reg) const {
   if (reg >= kAcceleration && reg < kAcceleration + 3) {
     const SimOutput output = bench_->output(now_, 0, std::chrono::milliseconds(1));
-    return to_counts(output.value[reg - kAcceleration] / kFullScale * kCounts);
+    return to_counts(corrected_g(output)[reg - kAcceleration] / kFullScale * kCounts);
   }
   if (reg >= kRateOfTurn && reg < kTemperature) {
     std::array<std::int16_t, 4> words{};
@@ -286,6 +298,7 @@ void WitMotionFirmware::Device::stream_from(Clock::Instant t) {
 std::string WitMotionFirmware::Device::frames(Clock::Instant t, std::uint64_t index,
                                               unsigned every_ms) const {
   const SimOutput output = bench_->output(t, index, std::chrono::milliseconds(every_ms));
+  const Eigen::Vector3d acceleration_g = corrected_g(output);
   const unsigned mask = registers_.at(kOutputMask);
   const std::int16_t temperature = to_counts(output.temperature_degc * 100.0);
   std::string out;
@@ -303,7 +316,7 @@ std::string WitMotionFirmware::Device::frames(Clock::Instant t, std::uint64_t in
       }
       case 1:
         for (std::size_t j = 0; j < 3; ++j)
-          words[j] = to_counts(output.value[static_cast<Eigen::Index>(j)] / kFullScale * kCounts);
+          words[j] = to_counts(acceleration_g[static_cast<Eigen::Index>(j)] / kFullScale * kCounts);
         words[3] = temperature;
         break;
       case 2:

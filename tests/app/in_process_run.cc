@@ -66,6 +66,7 @@ class InProcessRun::WatchedAccelerometer final : public Accelerometer {
     run_.before("correction_registers");
     return inner_->correction_registers();
   }
+  CorrectionRegisters* corrections() override { return inner_->corrections(); }
   StreamHealth health() const override { return inner_->health(); }
   void stop() noexcept override { inner_->stop(); }
 
