@@ -427,10 +427,13 @@ CalibrationResult joint_result(const RunRecord& record, const JointWork& work, c
   return result;
 }
 
-CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
-  const JointWork work = fit_jointly(record, options);
+CalibrationResult joint_result(const RunRecord& record, const JointWork& work) {
   const EffectFit none;
   return joint_result(record, work, work.solution ? work.solution->fit : none);
+}
+
+CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
+  return joint_result(record, fit_jointly(record, options));
 }
 
 }  // namespace abcal

@@ -18,6 +18,7 @@
 #include "protocol/analysis/joint_work.h"
 #include "protocol/analysis/objection.h"
 #include "protocol/analysis/plausibility.h"
+#include "protocol/analysis/side_by_side.h"
 #include "protocol/analysis/tray_fit.h"
 
 namespace abcal {
@@ -98,8 +99,7 @@ class TrayAnalysis {
   void agree();
   double test_agreement(const TrayFit& fit);
   void fill_common();
-  EffectFit stage_of_one() const;
-  void fill_stage(const EffectFit& stage, double level);
+  void fill_stage(double level);
   void judge();
   double level() const;
 
@@ -132,14 +132,13 @@ void require_one_stage(std::span<const RunRecord> records, const JointOptions& o
 
 TrayAnalysis::TrayAnalysis(std::span<const RunRecord> records, const JointOptions& options)
     : records_(records), angles_(records) {
-  works_.reserve(records.size());
-  for (const RunRecord& record : records) {
-    const JointWork& work = works_.emplace_back(fit_jointly(record, options));
-    TrayItem& item = out_.items.emplace_back();
-    static const EffectFit kNone;
-    item.result = joint_result(record, work, work.solution ? work.solution->fit : kNone);
-    item.checks = check_record(record);
-  }
+  works_.resize(records.size());
+  out_.items.resize(records.size());
+  side_by_side(records.size(), [&](std::size_t k) {
+    works_[k] = fit_jointly(records[k], options);
+    out_.items[k].result = joint_result(records[k], works_[k]);
+    out_.items[k].checks = check_record(records[k]);
+  });
 }
 
 /// Level of each of the tests that ask about all items.
@@ -202,10 +201,13 @@ void TrayAnalysis::choose_members() {
 
 bool TrayAnalysis::fit_members() {
   std::vector<TrayMember> members;
-  std::vector<int> experiments;
-  for (const DwellRecord* angle : angles_.angles()) experiments.push_back(angle->experiment);
+  std::vector<TrayAngle> angles;
+  for (const DwellRecord* angle : angles_.angles()) {
+    const SinCos alpha = sincos(angle->alpha);
+    angles.push_back({angle->experiment, alpha.sin, alpha.cos});
+  }
   for (const std::size_t k : members_) members.push_back({&*works_[k].solution, angles_.of(works_[k].data)});
-  fit_ = fit_tray(members, experiments);
+  fit_ = fit_tray(members, angles);
   return fit_.converged;
 }
 
@@ -255,26 +257,6 @@ void TrayAnalysis::agree() {
   }
 }
 
-/// The stage as the only member sees it.
-EffectFit TrayAnalysis::stage_of_one() const {
-  const JointWork& work = works_[members_.front()];
-  const EffectFit& own = work.solution->fit;
-  const Eigen::Index first = work.solution->model->layout().first_stage();
-  const auto count = static_cast<Eigen::Index>(work.solution->model->layout().stage.size());
-  EffectFit stage;
-  stage.unknowns.assign(own.unknowns.begin() + first, own.unknowns.begin() + first + count);
-  stage.value = own.value.segment(first, count);
-  stage.covariance = own.covariance.block(first, first, count, count);
-  const std::vector<int> places = angles_.of(work.data);
-  stage.step_error.assign(angles_.angles().size(), std::numeric_limits<double>::quiet_NaN());
-  stage.u_step_error = stage.step_error;
-  for (std::size_t n = 0; n < places.size(); ++n) {
-    stage.step_error[static_cast<std::size_t>(places[n])] = own.step_error[n];
-    stage.u_step_error[static_cast<std::size_t>(places[n])] = own.u_step_error[n];
-  }
-  return stage;
-}
-
 Quantity quantity_of(double value, double variance, double factor, std::string unit) {
   Quantity out;
   out.value = value * factor;
@@ -283,7 +265,8 @@ Quantity quantity_of(double value, double variance, double factor, std::string u
   return out;
 }
 
-void TrayAnalysis::fill_stage(const EffectFit& stage, double level) {
+void TrayAnalysis::fill_stage(double level) {
+  const EffectFit& stage = fit_.stage;
   TrayStage& out = out_.stage.emplace();
   out.items = static_cast<int>(members_.size());
   for (std::size_t i = 0; i < stage.unknowns.size(); ++i) {
@@ -303,8 +286,10 @@ void TrayAnalysis::fill_stage(const EffectFit& stage, double level) {
   for (std::size_t a = 0; a < stage.step_error.size(); ++a) {
     const DwellRecord& angle = *angles_.angles()[a];
     const double u = stage.u_step_error[a];
+    const double u_error = fit_.u_angle_error[a];
     out.steps.push_back({angle.experiment, angle.n, angle.closing ? DwellRole::kClosing : angle.role,
-                         quantity_of(stage.step_error[a], u * u, kDegreesPerRadian, "degree")});
+                         quantity_of(stage.step_error[a], u * u, kDegreesPerRadian, "degree"),
+                         quantity_of(fit_.angle_error[a], u_error * u_error, kDegreesPerRadian, "degree")});
   }
   if (members_.size() == 1) {
     // Its own verdict has these tests.
@@ -328,12 +313,12 @@ void TrayAnalysis::fill_common() {
   if (members_.size() == 1) {
     out_.items[members_.front()].in_common_fit = true;
     out_.common_covariance = works_[members_.front()].solution->fit.covariance_line;
-    fill_stage(stage_of_one(), level());
+    if (fit_members()) fill_stage(level());
     return;
   }
   out_.iterations = fit_.iterations;
   out_.common_covariance = fit_.covariance;
-  fill_stage(fit_.stage, level());
+  fill_stage(level());
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const std::size_t k = members_[i];
     TrayItem& item = out_.items[k];

@@ -41,7 +41,10 @@ struct StageStep {
   int experiment = 0;
   int n = 0;
   DwellRole role = DwellRole::kPlan;
-  Quantity value;  ///< degree
+  Quantity value;  ///< Without mean and smooth part, degree.
+  /// By how much more it turned than on the average of the experiment's angles, beyond what was commanded:
+  /// smooth and other step errors together, degree. What the angles tell, whatever the priors.
+  Quantity angle_error;
 };
 
 /// The stage, from all items of the common fit.

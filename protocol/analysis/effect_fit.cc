@@ -140,6 +140,7 @@ EffectSolution solve_effects(std::span<const EffectReading> readings, const Effe
     lines.push_back(line_at(model, search.points[i], groups));
     out.noises.push_back(search.points[i].noise);
     out.weights.push_back(search.weight(i));
+    out.log_likelihoods.push_back(search.points[i].log_likelihood);
   }
   out.white = search.white;
   average_line(model, groups, lines, out.weights, fit);

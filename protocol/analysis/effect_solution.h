@@ -13,9 +13,10 @@ namespace abcal {
 /// An effect_fit() with what it was made of, for a fit that goes on from it (tray_fit.h).
 struct EffectSolution {
   EffectFit fit;
-  std::optional<EffectModel> model;  ///< At its solution with white noise. It reads the readings given.
-  std::vector<AssumedNoise> noises;  ///< The probable ones.
-  std::vector<double> weights;       ///< Their posterior probabilities.
+  std::optional<EffectModel> model;     ///< At its solution with white noise. It reads the readings given.
+  std::vector<AssumedNoise> noises;     ///< The probable ones.
+  std::vector<double> weights;          ///< Their posterior probabilities.
+  std::vector<double> log_likelihoods;  ///< Of the readings, at each of them.
   WhiteFound white;
 };
 

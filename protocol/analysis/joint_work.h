@@ -36,5 +36,7 @@ JointWork fit_jointly(const RunRecord& record, const JointOptions& options);
 /// The result of the work. @param fit  that of the solution, or one of the same unknowns that knows more;
 /// not read where there is no solution
 CalibrationResult joint_result(const RunRecord& record, const JointWork& work, const EffectFit& fit);
+/// With the fit of the solution.
+CalibrationResult joint_result(const RunRecord& record, const JointWork& work);
 
 }  // namespace abcal

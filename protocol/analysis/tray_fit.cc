@@ -12,6 +12,7 @@
 #include "protocol/analysis/line_response.h"
 #include "protocol/analysis/normal_matrix.h"
 #include "protocol/analysis/reading_kernels.h"
+#include "protocol/analysis/side_by_side.h"
 
 namespace abcal {
 namespace {
@@ -23,6 +24,8 @@ constexpr int kIterations = 25;
 constexpr double kMostAskew = 0.7;
 /// Noises of an item that are less probable are left out of its average.
 constexpr double kLeastWeight = 0.04;
+/// How often noises are chosen again.
+constexpr int kNoisePasses = 3;
 
 /// The linear problem of one item at one noise, its own unknowns eliminated. The common unknowns are those of
 /// the stage, then the step errors of all angles.
@@ -45,22 +48,30 @@ struct Common {
   double chi2 = 0.0;
 };
 
-Eigen::Index best_of(const EffectSolution& own) {
-  return std::max_element(own.weights.begin(), own.weights.end()) - own.weights.begin();
+/// One noise of an item: its place among those of the item's own fit, its probability by all readings, and
+/// the line response with it.
+struct Alternative {
+  std::size_t noise = 0;
+  double log_weight = 0.0;
+  LineAtNoise line;
+};
+
+std::size_t best_of(const EffectSolution& own) {
+  return static_cast<std::size_t>(std::max_element(own.weights.begin(), own.weights.end()) -
+                                  own.weights.begin());
 }
 
 class Tray {
  public:
-  Tray(std::span<const TrayMember> members, std::span<const int> experiments);
+  Tray(std::span<const TrayMember> members, std::span<const TrayAngle> angles);
+  /// @return false: no convergence
   bool solve(int& iterations);
   TrayFit result();
 
  private:
   EffectModel& model(std::size_t k) const { return *members_[k].own->model; }
   Eigen::Index own_count(std::size_t k) const { return model(k).layout().first_stage(); }
-  const AssumedNoise& best_noise(std::size_t k) const {
-    return members_[k].own->noises[static_cast<std::size_t>(best_of(*members_[k].own))];
-  }
+  const AssumedNoise& noise_of(std::size_t k) const { return members_[k].own->noises[noise_[k]]; }
   Eigen::Index common_count() const { return stage_count_ + step_count_; }
 
   void start();
@@ -88,18 +99,24 @@ class Tray {
                   LineAtNoise& line) const;
   ShareGroups groups_of(std::size_t k) const;
   void count_other_priors();
-  EffectFit item_fit(std::size_t k, const LineAtNoise& at_best) const;
+  bool solve_with_these_noises(int& iterations);
+  void prepare_results();
+  void weigh_noises(std::size_t k);
+  EffectFit item_fit(std::size_t k) const;
   void fill_unknowns(std::size_t k, EffectFit& fit) const;
-  void fill_stage(EffectFit& stage) const;
+  void fill_stage(TrayFit& out) const;
+  void fill_angle_errors(TrayFit& out) const;
   double given_others(std::size_t k) const;
 
   std::span<const TrayMember> members_;
-  std::span<const int> experiments_;
+  std::span<const TrayAngle> angles_;
   Eigen::Index stage_count_ = 0, step_count_ = 0;
   Eigen::VectorXd weight_;       ///< Of the priors of the common unknowns.
   Eigen::VectorXd from_prior_;   ///< Of the common unknowns at the present point.
   Eigen::VectorXd stage_value_;  ///< At the present point.
   Eigen::VectorXd step_value_;
+  std::vector<std::size_t> noise_;  ///< Of each member: the place of its noise among those of its own fit.
+  std::vector<std::vector<Alternative>> alternatives_;  ///< Of each member, its noise among them.
   std::vector<Reduced> reduced_;
   Eigen::MatrixXd normal_;  ///< Of the common unknowns: priors, and what all items say.
   Eigen::VectorXd right_;
@@ -111,8 +128,8 @@ class Tray {
   Eigen::MatrixXd sum_of_own_priors_;
 };
 
-Tray::Tray(std::span<const TrayMember> members, std::span<const int> experiments)
-    : members_(members), experiments_(experiments) {
+Tray::Tray(std::span<const TrayMember> members, std::span<const TrayAngle> angles)
+    : members_(members), angles_(angles) {
   if (members.empty()) throw std::invalid_argument("tray fit: no items");
   const EffectLayout& first = model(0).layout();
   for (std::size_t k = 0; k < members.size(); ++k) {
@@ -126,10 +143,11 @@ Tray::Tray(std::span<const TrayMember> members, std::span<const int> experiments
       throw std::invalid_argument("tray fit: the items do not state the same stage");
   }
   stage_count_ = static_cast<Eigen::Index>(first.stage.size());
-  step_count_ = model(0).step_sd() > 0.0 ? static_cast<Eigen::Index>(experiments.size()) : 0;
+  step_count_ = model(0).step_sd() > 0.0 ? static_cast<Eigen::Index>(angles.size()) : 0;
   weight_.resize(common_count());
   weight_.head(stage_count_) = model(0).prior_weight().segment(own_count(0), stage_count_);
   weight_.tail(step_count_).setConstant(1.0 / (model(0).step_sd() * model(0).step_sd()));
+  for (const TrayMember& member : members) noise_.push_back(best_of(*member.own));
   start();
 }
 
@@ -275,12 +293,32 @@ Eigen::VectorXd Tray::own_change(std::size_t k, const Common& common) const {
   return reduced_[k].root * (reduced_[k].own_right - reduced_[k].link * common.change);
 }
 
+/// With each noise as the item's own fit says first; where all readings say otherwise, once more.
 bool Tray::solve(int& iterations) {
-  for (iterations = 1; iterations <= kIterations; ++iterations) {
-    reduced_.clear();
+  iterations = 0;
+  for (int pass = 0; pass < kNoisePasses; ++pass) {
+    if (!solve_with_these_noises(iterations)) return false;
+    prepare_results();
+    bool changed = false;
     for (std::size_t k = 0; k < members_.size(); ++k) {
-      reduced_.push_back(reduce(k, best_noise(k)));
-      if (!reduced_.back().own.solvable()) return false;
+      const auto most = std::max_element(
+          alternatives_[k].begin(), alternatives_[k].end(),
+          [](const Alternative& a, const Alternative& b) { return a.log_weight < b.log_weight; });
+      changed = changed || most->noise != noise_[k];
+      if (pass + 1 < kNoisePasses) noise_[k] = most->noise;
+    }
+    if (!changed) break;
+  }
+  return true;
+}
+
+bool Tray::solve_with_these_noises(int& iterations) {
+  for (int pass = 0; pass < kIterations; ++pass) {
+    ++iterations;
+    reduced_.resize(members_.size());
+    side_by_side(members_.size(), [&](std::size_t k) { reduced_[k] = reduce(k, noise_of(k)); });
+    for (const Reduced& item : reduced_) {
+      if (!item.own.solvable()) return false;
     }
     add_up();
     common_ = solve_common(normal_, right_, squares_);
@@ -394,30 +432,64 @@ void Tray::add_shares(std::size_t k, const Eigen::MatrixXd& of_own, const Eigen:
         at < own ? of_own.row(at) : of_common.row(at - own));
   }
   for (Eigen::Index a = 0; a < step_count_; ++a)
-    add(groups.first_step + experiments_[static_cast<std::size_t>(a)] - 1, weight_(stage_count_ + a),
+    add(groups.first_step + angles_[static_cast<std::size_t>(a)].experiment - 1, weight_(stage_count_ + a),
         of_common.row(stage_count_ + a));
   if (members_.size() < 2) return;
   line.shares.back() = of_common.transpose() * (sum_of_own_priors_ - own_priors_[k]) * of_common;
 }
 
-/// The item from all readings, averaged over its probable noises. Its covariance is that at the most probable
-/// noise of each item, and what the average adds to it (positive in every direction), so that the covariance
-/// of all items together stays one.
-EffectFit Tray::item_fit(std::size_t k, const LineAtNoise& at_best) const {
+/// The line response at the item's noise, and at every other that its own fit calls probable.
+void Tray::weigh_noises(std::size_t k) {
   const EffectSolution& own = *members_[k].own;
-  const auto best = static_cast<std::size_t>(best_of(own));
-  std::vector<LineAtNoise> lines{at_best};
-  std::vector<double> weights{own.weights[best]};
+  std::vector<Alternative>& out = alternatives_[k];
+  out.clear();
   for (std::size_t i = 0; i < own.noises.size(); ++i) {
-    if (i == best || !(own.weights[i] >= kLeastWeight)) continue;
-    const Reduced reduced = reduce(k, own.noises[i]);
-    lines.push_back(line_of(k, own.noises[i], reduced, solve_with(k, &reduced)));
-    weights.push_back(own.weights[i]);
+    const bool now = i == noise_[k];
+    if (!now && !(own.weights[i] >= kLeastWeight)) continue;
+    std::optional<Reduced> reduced;
+    std::optional<Common> common;
+    if (!now) {
+      reduced = reduce(k, own.noises[i]);
+      common = solve_with(k, &*reduced);
+    }
+    const Reduced& of_item = now ? reduced_[k] : *reduced;
+    const Common& of_all = now ? common_ : *common;
+    const double log_likelihood =
+        -0.5 * (of_item.whitener->log_determinant() + of_item.own.log_determinant() +
+                of_all.normal.log_determinant() + of_all.chi2);
+    // Its probability beforehand is what the item's own readings left, without what they said.
+    out.push_back({i, std::log(own.weights[i]) - own.log_likelihoods[i] + log_likelihood,
+                   line_of(k, own.noises[i], of_item, of_all)});
   }
+  double largest = out.front().log_weight;
+  for (const Alternative& one : out) largest = std::max(largest, one.log_weight);
   double total = 0.0;
-  for (const double weight : weights) total += weight;
-  for (double& weight : weights) weight /= total;
+  for (const Alternative& one : out) total += std::exp(one.log_weight - largest);
+  for (Alternative& one : out) one.log_weight -= largest + std::log(total);
+}
 
+void Tray::prepare_results() {
+  common_covariance_ = common_.normal.covariance_root();
+  common_covariance_ = products_of_columns(common_covariance_.transpose());
+  count_other_priors();
+  alternatives_.resize(members_.size());
+  side_by_side(members_.size(), [&](std::size_t k) { weigh_noises(k); });
+}
+
+/// The item from all readings, averaged over its probable noises. Its covariance is that at the noise of each
+/// item, and what the average adds to it (positive in every direction), so that the covariance of all items
+/// together stays one.
+EffectFit Tray::item_fit(std::size_t k) const {
+  const EffectSolution& own = *members_[k].own;
+  std::vector<LineAtNoise> lines;
+  std::vector<double> weights;
+  std::size_t at_noise = 0;
+  for (const Alternative& one : alternatives_[k]) {
+    if (one.noise == noise_[k]) at_noise = lines.size();
+    lines.push_back(one.line);
+    weights.push_back(std::exp(one.log_weight));
+  }
+  const LineAtNoise& at_best = lines[at_noise];
   EffectFit fit = own.fit;
   fit.degrees_of_freedom.setConstant(std::numeric_limits<double>::infinity());
   average_line(model(k), groups_of(k), lines, weights, fit);
@@ -454,7 +526,8 @@ void Tray::fill_unknowns(std::size_t k, EffectFit& fit) const {
   }
 }
 
-void Tray::fill_stage(EffectFit& stage) const {
+void Tray::fill_stage(TrayFit& out) const {
+  EffectFit& stage = out.stage;
   const std::vector<EffectUnknown>& unknowns = model(0).unknowns();
   stage.unknowns.assign(unknowns.begin() + own_count(0), unknowns.end());
   stage.value = stage_value_ + common_.change.head(stage_count_);
@@ -462,6 +535,39 @@ void Tray::fill_stage(EffectFit& stage) const {
   for (Eigen::Index a = 0; a < step_count_; ++a) {
     stage.step_error.push_back(step_value_(a) + common_.change(stage_count_ + a));
     stage.u_step_error.push_back(std::sqrt(common_covariance_(stage_count_ + a, stage_count_ + a)));
+  }
+  fill_angle_errors(out);
+}
+
+void Tray::fill_angle_errors(TrayFit& out) const {
+  const auto count = static_cast<Eigen::Index>(angles_.size());
+  const std::vector<EffectLayout::StageUnknown>& unknowns = model(0).layout().stage;
+  Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(count, common_count());
+  Eigen::MatrixXd mean = Eigen::MatrixXd::Zero(3, common_count());
+  Eigen::Vector3d in_experiment = Eigen::Vector3d::Zero();
+  for (Eigen::Index a = 0; a < count; ++a) {
+    const TrayAngle& angle = angles_[static_cast<std::size_t>(a)];
+    const StagePose pose = StagePose::of(angle.experiment, angle.sin_alpha, angle.cos_alpha);
+    const int moving = moving_angle_input(angle.experiment);
+    for (std::size_t i = 0; i < unknowns.size(); ++i) {
+      const StageShare share = unknowns[i].effect->share(pose, unknowns[i].index);
+      if (share.input == moving) rows(a, static_cast<Eigen::Index>(i)) = share.value;
+    }
+    if (step_count_ > 0) rows(a, stage_count_ + a) = 1.0;
+    mean.row(angle.experiment - 1) += rows.row(a);
+    in_experiment(angle.experiment - 1) += 1.0;
+  }
+  for (Eigen::Index a = 0; a < count; ++a) {
+    const int experiment = angles_[static_cast<std::size_t>(a)].experiment - 1;
+    rows.row(a) -= mean.row(experiment) / in_experiment(experiment);
+  }
+  Eigen::VectorXd value(common_count());
+  value << stage_value_, step_value_;
+  const Eigen::VectorXd error = rows * (value + common_.change);
+  const Eigen::VectorXd variance = (rows * common_covariance_).cwiseProduct(rows).rowwise().sum();
+  for (Eigen::Index a = 0; a < count; ++a) {
+    out.angle_error.push_back(error(a));
+    out.u_angle_error.push_back(std::sqrt(std::max(0.0, variance(a))));
   }
 }
 
@@ -472,29 +578,27 @@ double Tray::given_others(std::size_t k) const {
 TrayFit Tray::result() {
   TrayFit out;
   out.chi2 = common_.chi2;
-  common_covariance_ = common_.normal.covariance_root();
-  common_covariance_ = products_of_columns(common_covariance_.transpose());
-  count_other_priors();
   const auto count = static_cast<Eigen::Index>(members_.size());
   Eigen::MatrixXd rows(12 * count, common_count());
-  for (std::size_t k = 0; k < members_.size(); ++k) {
-    const AssumedNoise& noise = best_noise(k);
+  out.items.resize(members_.size());
+  if (members_.size() > 1) out.chi2_given_others.resize(members_.size());
+  side_by_side(members_.size(), [&](std::size_t k) {
     rows.middleRows<12>(12 * static_cast<Eigen::Index>(k)) =
-        units_of_line(model(k).unit()).asDiagonal() * rows_of(k, noise, reduced_[k]).common;
-    out.items.push_back(item_fit(k, line_of(k, noise, reduced_[k], common_)));
-    if (members_.size() > 1) out.chi2_given_others.push_back(given_others(k));
-  }
+        units_of_line(model(k).unit()).asDiagonal() * rows_of(k, noise_of(k), reduced_[k]).common;
+    out.items[k] = item_fit(k);
+    if (members_.size() > 1) out.chi2_given_others[k] = given_others(k);
+  });
   out.covariance = rows * common_covariance_ * rows.transpose();
   for (Eigen::Index k = 0; k < count; ++k)
     out.covariance.block<12, 12>(12 * k, 12 * k) = out.items[static_cast<std::size_t>(k)].covariance_line;
-  fill_stage(out.stage);
+  fill_stage(out);
   return out;
 }
 
 }  // namespace
 
-TrayFit fit_tray(std::span<const TrayMember> members, std::span<const int> experiments) {
-  Tray tray(members, experiments);
+TrayFit fit_tray(std::span<const TrayMember> members, std::span<const TrayAngle> angles) {
+  Tray tray(members, angles);
   int iterations = 0;
   if (!tray.solve(iterations)) {
     TrayFit out;

@@ -16,6 +16,12 @@ struct TrayMember {
   std::vector<int> angle;  ///< Of each reading: which angle of the stage it was taken at.
 };
 
+/// One angle of the stage.
+struct TrayAngle {
+  int experiment = 0;  ///< 1, 2, 3
+  double sin_alpha = 0.0, cos_alpha = 1.0;
+};
+
 /// The common fit of several items that one stage turns.
 struct TrayFit {
   bool converged = false;
@@ -28,19 +34,22 @@ struct TrayFit {
   Eigen::MatrixXd covariance;
   /// The stage: its unknowns, their values and covariance; step errors, of each angle.
   EffectFit stage;
+  /// By how much more the stage turned at each angle than on the average of the experiment's angles, beyond
+  /// what was commanded: smooth and other step errors together (radian).
+  std::vector<double> angle_error, u_angle_error;
   double chi2 = 0.0;  ///< Of all readings, priors included.
   /// Of each member: by how much its readings raise chi2 above that of the others alone. If the model is
   /// right it is chi2 with as many degrees of freedom as the item's own fit. Empty for one member.
   std::vector<double> chi2_given_others;
 };
 
-/// Least squares over all readings of all members, with each noise as the item's own fit found it. The
+/// Least squares over all readings of all members. Of the noises that the item's own fit found probable each
+/// item has the one that suits all readings best. The
 /// unknowns of the stage and its step errors are common, and their priors count once. Of each item its own
 /// unknowns are eliminated first (Schur complement), so that the cost grows with the number of items; the
 /// common block of stage and step errors is solved last. Where an item's noise is uncertain, its own block of
 /// the covariance is averaged over its probable noises (docs/theory/tray.md).
-/// @param experiments  of each angle of the stage: 1, 2, 3
 /// @throws std::invalid_argument no members; members whose stage unknowns differ; shared maps of step errors
-TrayFit fit_tray(std::span<const TrayMember> members, std::span<const int> experiments);
+TrayFit fit_tray(std::span<const TrayMember> members, std::span<const TrayAngle> angles);
 
 }  // namespace abcal

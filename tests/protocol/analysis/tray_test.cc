@@ -36,11 +36,12 @@ struct OwnFits {
       for (std::size_t n = 0; n < angle.size(); ++n) angle[n] = static_cast<int>(n);
       members.push_back({&*work.solution, angle});
     }
-    for (const EffectReading& reading : works.front().readings) experiments.push_back(reading.experiment);
+    for (const EffectReading& at : works.front().readings)
+      angles.push_back({at.experiment, at.sin_alpha, at.cos_alpha});
   }
   std::vector<JointWork> works;
   std::vector<TrayMember> members;
-  std::vector<int> experiments;
+  std::vector<TrayAngle> angles;
 };
 
 TEST(TrayTest, OneItemGivesTheJointResult) {
@@ -64,7 +65,7 @@ TEST(TrayTest, FitOfOneMemberIsItsOwnFit) {
   options.noise_process = false;
   OwnFits own(tray, options);
   const EffectFit& alone = own.works.front().solution->fit;
-  const TrayFit fit = fit_tray(own.members, own.experiments);
+  const TrayFit fit = fit_tray(own.members, own.angles);
   ASSERT_TRUE(fit.converged);
   EXPECT_NEAR(fit.chi2, alone.chi2, 1e-5 * alone.chi2);
   for (Eigen::Index i = 0; i < 12; ++i) {
@@ -139,8 +140,9 @@ TEST(TrayTest, IsTheLeastSquaresSolutionByItsDefinition) {
   for (std::size_t k = 0; k < 2; ++k) {
     own.works[k].solution->noises = {noises[k]};
     own.works[k].solution->weights = {1.0};
+    own.works[k].solution->log_likelihoods = {0.0};
   }
-  const TrayFit fit = fit_tray(own.members, own.experiments);
+  const TrayFit fit = fit_tray(own.members, own.angles);
   ASSERT_TRUE(fit.converged);
   const DenseTray dense(own, noises);
   const Eigen::Index a = own.works[0].solution->model->layout().first_stage();
