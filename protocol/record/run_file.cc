@@ -101,8 +101,8 @@ bool has_table(SqliteDatabase& database, std::string_view table) {
 }
 
 /// How far each item of a run was measured.
-std::vector<ItemState> read_item_states(SqliteDatabase& database, const std::vector<RunItem>& items) {
-  std::vector<ItemState> states;
+std::vector<ItemProgress> read_item_states(SqliteDatabase& database, const std::vector<RunItem>& items) {
+  std::vector<ItemProgress> states;
   const bool several = items.size() > 1;
   SqliteStatement measured =
       database.prepare(several ? "select count(distinct position) as n from dwell where item = :item"
@@ -117,7 +117,7 @@ std::vector<ItemState> read_item_states(SqliteDatabase& database, const std::vec
   SqliteStatement drops =
       database.prepare("select item, position, text from item_drop join event on event.id = item_drop.event");
   while (drops.step()) {
-    const auto dropped = std::ranges::find(states, static_cast<int>(drops.integer("item")), &ItemState::k);
+    const auto dropped = std::ranges::find(states, static_cast<int>(drops.integer("item")), &ItemProgress::k);
     if (dropped == states.end()) continue;
     dropped->dropped_at = static_cast<std::size_t>(drops.integer("position"));
     dropped->reason = drops.text("text");

@@ -178,7 +178,7 @@ struct WireTranscript {
 };
 
 /// How far an item of a run was measured.
-struct ItemState {
+struct ItemProgress {
   int k = 1;
   std::size_t measured = 0;  ///< Angles.
   /// The angle, by its position in the plan, before which the run went on without it; absent: it was not
@@ -202,7 +202,7 @@ struct StoredRun {
   RunTiming timing;
   RunRecord record;
   int item = 1;                         ///< Whose record it is.
-  std::vector<ItemState> items;         ///< Of all items, in the order of header.items.
+  std::vector<ItemProgress> items;      ///< Of all items, in the order of header.items.
   std::vector<StoredSession> sessions;  ///< None in a file of version 2.
   std::vector<std::size_t> measured;    ///< Positions in header.plan that have a dwell, in order of time.
   std::vector<DwellRecord> dwells;      ///< Their dwells: those of the record and its check poses.

@@ -76,7 +76,7 @@ IntegrityCheck check_items(SqliteDatabase& database, const StoredRun& stored) {
       " and position not in (select position from dwell where item = :item)");
   SqliteStatement beyond =
       database.prepare("select count(*) as n from dwell where item = :item and position >= :before");
-  for (const ItemState& item : stored.items) {
+  for (const ItemProgress& item : stored.items) {
     const auto before = static_cast<std::int64_t>(item.dropped_at.value_or(stored.header.plan.size()));
     dropped += item.dropped_at ? 1 : 0;
     for (SqliteStatement* statement : {&missing, &beyond}) {
