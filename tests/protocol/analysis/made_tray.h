@@ -28,6 +28,8 @@ struct MadeTray {
   std::vector<Vector12> line;  ///< True line responses, R.
   Eigen::VectorXd stage;       ///< True unknowns of the stage, in the order of the table.
   std::vector<double> steps;   ///< True step errors (radian).
+  std::vector<double> smooth;  ///< Smooth part of the stage's angle error at each angle (radian).
+  double angle_error(std::size_t n) const { return steps[n] + smooth[n]; }
 };
 
 class TrayMaker {
@@ -55,9 +57,11 @@ class TrayMaker {
       StageInputs inputs = StageInputs::Zero();
       inputs(moving_angle_input(experiment)) += made.steps.back();
       std::size_t at = 0;
+      double& smooth = made.smooth.emplace_back(0.0);
       for (const StageEffect& effect : stage_effects()) {
         for (int u = 0; u < effect.count; ++u, ++at) {
           const StageShare share = effect.share(pose, u);
+          if (effect.key == "step_smooth_deg") smooth += share.value * values[at];
           inputs(share.input) += share.value * values[at];
           inputs(share.second_input) += share.second_value * values[at];
         }

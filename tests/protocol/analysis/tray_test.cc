@@ -1,9 +1,13 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "protocol/analysis/analyse_tray.h"
@@ -172,6 +176,211 @@ TEST(TrayTest, IsTheLeastSquaresSolutionByItsDefinition) {
       EXPECT_NEAR(fit.covariance(i, 12 + k), between(i, k), 1e-6 * scale);
     }
   }
+}
+
+const Quantity& output_of(const CalibrationResult& result, std::size_t i) {
+  return i < 9 ? (*result.sensitivity_matrix)[i / 3][i % 3] : result.offset[i - 9];
+}
+
+/// How often the 95 % intervals of items hold the truth, and the mean square of error over uncertainty: of s
+/// (without the elements that a turn of the stage moves, which all items of a bench share), of O.
+struct Coverage {
+  int s_inside = 0, s_count = 0, o_inside = 0, o_count = 0, doubtful = 0;
+  double s_square = 0.0, o_square = 0.0;
+
+  void add(const TrayResult& result, const MadeTray& tray) {
+    if (result.verdict != Verdict::kUsable) ++doubtful;
+    for (std::size_t k = 0; k < tray.records.size(); ++k) {
+      for (std::size_t i = 0; i < 12; ++i) {
+        const Quantity& q = output_of(result.items[k].result, i);
+        const double off = q.value - tray.line[k](static_cast<Eigen::Index>(i));
+        const bool inside = std::abs(off) <= coverage_factor(q, 0.95) * q.standard_uncertainty;
+        const double square = std::pow(off / q.standard_uncertainty, 2);
+        (i < 9 ? s_inside : o_inside) += inside ? 1 : 0;
+        (i < 9 ? s_square : o_square) += square;
+        ++(i < 9 ? s_count : o_count);
+      }
+    }
+  }
+};
+
+Coverage coverage_of(int benches, const TrayPlan& plan, std::uint64_t first_seed) {
+  Coverage out;
+  for (int b = 0; b < benches; ++b) {
+    const MadeTray tray = made_tray(plan, first_seed + static_cast<std::uint64_t>(b));
+    out.add(analyse_tray(tray.records), tray);
+  }
+  return out;
+}
+
+// What is shared makes the four items of a bench err together: benches count, not items.
+void expect_covered(const Coverage& found, int benches) {
+  const double scatter = 3.0 * std::sqrt(0.05 * 0.95 / benches);
+  EXPECT_GT(static_cast<double>(found.s_inside) / found.s_count, 0.95 - scatter);
+  EXPECT_GT(static_cast<double>(found.o_inside) / found.o_count, 0.95 - scatter);
+  // Not by claiming too much.
+  EXPECT_GT(found.s_square / found.s_count, 0.6);
+  EXPECT_GT(found.o_square / found.o_count, 0.6);
+  EXPECT_EQ(found.doubtful, 0);
+}
+
+TEST(TrayTest, IntervalsHoldTheTruth) {
+  for (const bool mixed : {false, true}) {
+    const Coverage found = coverage_of(10, {.items = 4, .steps = 12, .mixed_mounting = mixed}, 100);
+    expect_covered(found, 10);
+  }
+}
+
+TEST(LongTrayTest, IntervalsHoldTheTruth) {
+  for (const double process : {0.0, 2.0}) {
+    for (const bool mixed : {false, true}) {
+      const Coverage found =
+          coverage_of(100, {.items = 4, .steps = 24, .process = process, .mixed_mounting = mixed}, 1000);
+      expect_covered(found, 100);
+    }
+  }
+}
+
+// The noise of the items governs what is known of the angles of the stage, of its turn errors and of the
+// higher wobble; where a prior governs (a turn of the whole stage), more items do not help.
+TEST(TrayTest, EightItemsKnowTheStageBetter) {
+  const TrayPlan plan{.items = 8, .steps = 16, .noise = 1e-4};
+  const MadeTray tray = made_tray(plan, 7);
+  const TrayResult of_all = analyse_tray(tray.records);
+  const TrayResult of_one = analyse_tray(std::span(tray.records).first(1));
+  ASSERT_TRUE(of_all.stage && of_one.stage);
+  EXPECT_EQ(of_all.stage->items, 8);
+  double square = 0.0;
+  for (std::size_t a = 0; a < of_all.stage->steps.size(); ++a) {
+    const Quantity& all = of_all.stage->steps[a].angle_error;
+    EXPECT_GT(of_one.stage->steps[a].angle_error.standard_uncertainty, 2.0 * all.standard_uncertainty) << a;
+    // The truth: smooth and other step errors, less their mean.
+    double truth = 0.0;
+    double mean = 0.0;
+    for (std::size_t b = 0; b < of_all.stage->steps.size(); ++b) {
+      if (of_all.stage->steps[b].experiment != of_all.stage->steps[a].experiment) continue;
+      const double error = tray.angle_error(b);
+      mean += error / plan.steps;
+      if (b == a) truth = error;
+    }
+    square += std::pow((all.value - (truth - mean) * 180.0 / std::numbers::pi) / all.standard_uncertainty, 2);
+  }
+  EXPECT_NEAR(square / static_cast<double>(of_all.stage->steps.size()), 1.0, 0.6);
+  for (std::size_t i = 0; i < of_all.stage->unknowns.size(); ++i) {
+    const StageQuantity& all = of_all.stage->unknowns[i];
+    EXPECT_LE(all.value.standard_uncertainty,
+              of_one.stage->unknowns[i].value.standard_uncertainty * (1.0 + 1e-9))
+        << all.name;
+    if (all.name == "d2") {
+      EXPECT_LT(2.0 * all.value.standard_uncertainty, of_one.stage->unknowns[i].value.standard_uncertainty);
+    }
+  }
+}
+
+TEST(TrayTest, ItemsShareWhatTheStageDoes) {
+  const MadeTray tray = made_tray({.items = 3, .steps = 16}, 5);
+  const TrayResult result = analyse_tray(tray.records);
+  ASSERT_EQ(result.verdict, Verdict::kUsable) << result.why;
+  const Covariance18 between = result.covariance_of_all_outputs(0, 2);
+  EXPECT_TRUE(between.isApprox(result.covariance_of_all_outputs(2, 0).transpose(), 1e-12));
+  const Covariance18 first = result.covariance_of_all_outputs(0, 0);
+  const Covariance18 last = result.covariance_of_all_outputs(2, 2);
+  double largest = 0.0;
+  for (Eigen::Index i = 0; i < 9; ++i) {
+    for (Eigen::Index k = 0; k < 9; ++k)
+      largest = std::max(largest, std::abs(between(i, k)) / std::sqrt(first(i, i) * last(k, k)));
+  }
+  EXPECT_GT(largest, 0.9) << "a turn of the whole stage moves all items alike";
+  // All outputs together have a covariance: no difference has a variance below zero.
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(result.common_covariance);
+  EXPECT_GT(eigen.eigenvalues()(0), -1e-12 * eigen.eigenvalues().tail(1)(0));
+  const IntrinsicComparison comparison = compare_items(result, 0, 2);
+  EXPECT_EQ(comparison.degrees_of_freedom, 9);
+  for (const PropertyDifference& property : comparison.properties)
+    EXPECT_GT(property.standard_uncertainty, 0.0);
+}
+
+// One item that came loose: it is doubtful on its own, and the others are as without it.
+TEST(TrayTest, LooseItemDoesNotSpoilTheOthers) {
+  MadeTray tray = made_tray({.items = 4, .steps = 16}, 11);
+  const TrayResult without = analyse_tray(std::span(tray.records).first(3));
+  RunRecord& loose = tray.records[3];
+  const Eigen::Matrix3d turn = Eigen::AngleAxisd(0.01, Eigen::Vector3d(1, 2, 3).normalized()).matrix();
+  for (std::size_t n = 30; n < loose.dwells.size(); ++n) loose.dwells[n].mean = turn * loose.dwells[n].mean;
+  const TrayResult result = analyse_tray(tray.records);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_NE(result.why.find("3 of 4 items usable"), std::string::npos) << result.why;
+  EXPECT_NE(result.why.find("item 4"), std::string::npos) << result.why;
+  EXPECT_EQ(result.items[3].result.verdict, Verdict::kDoubtful);
+  EXPECT_FALSE(result.items[3].in_common_fit);
+  for (std::size_t k = 0; k < 3; ++k) {
+    EXPECT_EQ(result.items[k].result.verdict, Verdict::kUsable) << result.items[k].result.why;
+    EXPECT_EQ(values_of(result.items[k].result), values_of(without.items[k].result));
+  }
+  EXPECT_THROW(compare_items(result, 0, 3), std::invalid_argument);
+}
+
+// Readings that are sound in themselves, but of another stage: an item of another run among these.
+TEST(TrayTest, ItemOfAnotherRunContradictsTheOthers) {
+  MadeTray tray = made_tray({.items = 4, .steps = 16}, 12);
+  const MadeTray other = made_tray({.items = 1, .steps = 16}, 13);
+  tray.records[1] = other.records.front();
+  const TrayResult result = analyse_tray(tray.records);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_FALSE(result.items[1].in_common_fit);
+  EXPECT_NE(result.items[1].result.why.find("contradicts the other items about the stage"), std::string::npos)
+      << result.items[1].result.why;
+  for (const std::size_t k : {0U, 2U, 3U}) {
+    EXPECT_TRUE(result.items[k].in_common_fit);
+    EXPECT_EQ(result.items[k].result.verdict, Verdict::kUsable) << result.items[k].result.why;
+  }
+  // Two cannot tell which is wrong.
+  const TrayResult of_two = analyse_tray(std::span(tray.records).first(2));
+  for (const TrayItem& item : of_two.items) {
+    EXPECT_EQ(item.result.verdict, Verdict::kDoubtful);
+    EXPECT_FALSE(item.in_common_fit);
+  }
+}
+
+TEST(TrayTest, ItemReadTwiceIsFound) {
+  MadeTray tray = made_tray({.items = 3, .steps = 16}, 14);
+  tray.records[2] = tray.records[0];
+  const TrayResult result = analyse_tray(tray.records);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  for (const std::size_t k : {0U, 2U}) {
+    EXPECT_EQ(result.items[k].result.verdict, Verdict::kDoubtful);
+    EXPECT_NE(result.items[k].result.why.find("items 1 and 3 have the same readings at 48 of 48 angles"),
+              std::string::npos);
+  }
+  EXPECT_EQ(result.items[1].result.verdict, Verdict::kUsable) << result.items[1].result.why;
+}
+
+// An item that fell silent has fewer angles; those that it has are the stage's own.
+TEST(TrayTest, ItemsMayMissAngles) {
+  MadeTray tray = made_tray({.items = 3, .steps = 16}, 15);
+  std::vector<DwellRecord>& dwells = tray.records[0].dwells;
+  dwells.erase(dwells.begin() + 20);
+  tray.records[1].dwells[7].flags = kFlagClipped;
+  tray.records[2].dwells.resize(12);
+  const TrayResult result = analyse_tray(tray.records);
+  ASSERT_TRUE(result.stage);
+  EXPECT_EQ(result.stage->steps.size(), 48U);
+  for (std::size_t k = 0; k < 2; ++k) {
+    EXPECT_TRUE(result.items[k].in_common_fit) << result.items[k].why_not;
+    for (std::size_t i = 0; i < 12; ++i) {
+      const Quantity& q = output_of(result.items[k].result, i);
+      EXPECT_NEAR(q.value, tray.line[k](static_cast<Eigen::Index>(i)), 4.0 * q.standard_uncertainty);
+    }
+  }
+  EXPECT_FALSE(result.items[2].in_common_fit);
+  EXPECT_FALSE(result.items[2].why_not.empty());
+}
+
+TEST(TrayTest, RefusesTwoStages) {
+  MadeTray tray = made_tray({.items = 2, .steps = 12}, 16);
+  tray.records[1].tolerances.wobble_urad = 12.0;
+  EXPECT_THROW(analyse_tray(tray.records), std::invalid_argument);
+  EXPECT_THROW(analyse_tray({}), std::invalid_argument);
 }
 
 }  // namespace
