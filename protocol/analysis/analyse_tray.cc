@@ -20,6 +20,7 @@
 #include "protocol/analysis/plausibility.h"
 #include "protocol/analysis/side_by_side.h"
 #include "protocol/analysis/tray_fit.h"
+#include "protocol/analysis/unusable_data.h"
 
 namespace abcal {
 namespace {
@@ -100,7 +101,6 @@ class TrayAnalysis {
   double test_agreement(const TrayFit& fit);
   void fill_common();
   void fill_stage(double level);
-  void judge();
   double level() const;
 
   std::span<const RunRecord> records_;
@@ -135,7 +135,11 @@ TrayAnalysis::TrayAnalysis(std::span<const RunRecord> records, const JointOption
   works_.resize(records.size());
   out_.items.resize(records.size());
   side_by_side(records.size(), [&](std::size_t k) {
-    works_[k] = fit_jointly(records[k], options);
+    try {
+      works_[k] = fit_jointly(records[k], options);
+    } catch (const UnusableData& error) {
+      works_[k].why = error.what();
+    }
     out_.items[k].result = joint_result(records[k], works_[k]);
     out_.items[k].checks = check_record(records[k]);
   });
@@ -333,35 +337,13 @@ void TrayAnalysis::fill_common() {
   }
 }
 
-void TrayAnalysis::judge() {
-  std::vector<std::string> not_usable, doubtful;
-  for (std::size_t k = 0; k < out_.items.size(); ++k) {
-    const CalibrationResult& result = out_.items[k].result;
-    const std::string words = fmt::format("item {}: {}", k + 1, result.why);
-    if (result.verdict == Verdict::kNotUsable) not_usable.push_back(words);
-    if (result.verdict == Verdict::kDoubtful) doubtful.push_back(words);
-  }
-  const std::size_t usable = out_.items.size() - not_usable.size() - doubtful.size();
-  if (usable == out_.items.size()) {
-    out_.verdict = Verdict::kUsable;
-    out_.why =
-        fmt::format("{} {} usable, and agree about the stage", usable, usable == 1 ? "item is" : "items are");
-    return;
-  }
-  out_.verdict = not_usable.size() == out_.items.size() ? Verdict::kNotUsable : Verdict::kDoubtful;
-  std::vector<std::string> parts{fmt::format("{} of {} items usable", usable, out_.items.size())};
-  if (!not_usable.empty()) parts.push_back(fmt::format("not usable: {}", fmt::join(not_usable, "; ")));
-  if (!doubtful.empty()) parts.push_back(fmt::format("doubtful: {}", fmt::join(doubtful, "; ")));
-  out_.why = fmt::format("{}", fmt::join(parts, "; "));
-}
-
 TrayResult TrayAnalysis::result() && {
   choose_members();
   set_aside_copies();
   agree();
   fill_common();
   for (const auto& [k, words] : objections_) object_to(out_.items[k].result, words);
-  judge();
+  judge_tray(out_);
   return std::move(out_);
 }
 
@@ -385,6 +367,28 @@ Covariance18 TrayResult::covariance_of_all_outputs(std::size_t i, std::size_t k)
     return out;
   };
   return rows(i) * covariance(i, k) * rows(k).transpose();
+}
+
+void judge_tray(TrayResult& tray) {
+  std::vector<std::string> not_usable, doubtful;
+  for (std::size_t k = 0; k < tray.items.size(); ++k) {
+    const CalibrationResult& result = tray.items[k].result;
+    const std::string words = fmt::format("item {}: {}", k + 1, result.why);
+    if (result.verdict == Verdict::kNotUsable) not_usable.push_back(words);
+    if (result.verdict == Verdict::kDoubtful) doubtful.push_back(words);
+  }
+  const std::size_t usable = tray.items.size() - not_usable.size() - doubtful.size();
+  if (usable == tray.items.size()) {
+    tray.verdict = Verdict::kUsable;
+    tray.why =
+        fmt::format("{} {} usable, and agree about the stage", usable, usable == 1 ? "item is" : "items are");
+    return;
+  }
+  tray.verdict = not_usable.size() == tray.items.size() ? Verdict::kNotUsable : Verdict::kDoubtful;
+  std::vector<std::string> parts{fmt::format("{} of {} items usable", usable, tray.items.size())};
+  if (!not_usable.empty()) parts.push_back(fmt::format("not usable: {}", fmt::join(not_usable, "; ")));
+  if (!doubtful.empty()) parts.push_back(fmt::format("doubtful: {}", fmt::join(doubtful, "; ")));
+  tray.why = fmt::format("{}", fmt::join(parts, "; "));
 }
 
 TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& options) {

@@ -86,6 +86,9 @@ struct TrayResult {
 ///         one map of step errors per axis with more than one item; as analyse_joint()
 TrayResult analyse_tray(std::span<const RunRecord> records, const JointOptions& options = {});
 
+/// The verdict on the tray, and why, from the results of its items: once more where one of them has changed.
+void judge_tray(TrayResult& tray);
+
 /// Whether two items of a common fit have the same intrinsic properties (item k less item i). What they
 /// share, the stage, cancels.
 /// @throws std::invalid_argument an item that is not in the common fit
