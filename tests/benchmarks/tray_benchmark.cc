@@ -14,9 +14,6 @@ void BM_Tray(benchmark::State& state) {
   const test::MadeTray tray =
       test::made_tray({.items = static_cast<std::size_t>(state.range(0)), .steps = 72}, 1);
   for (auto _ : state) benchmark::DoNotOptimize(analyse_tray(tray.records));
-  state.counters["ms_an_item"] =
-      benchmark::Counter(static_cast<double>(state.range(0)) * static_cast<double>(state.iterations()) / 1e3,
-                         benchmark::Counter::kIsRate | benchmark::Counter::kInvert);
 }
 BENCHMARK(BM_Tray)
     ->Arg(1)

@@ -5,12 +5,14 @@
 
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "app/bench/real_clock.h"
 #include "app/report/calibration_document.h"
 #include "app/results/analyses.h"
 #include "app/results/report_data.h"
 #include "tests/protocol/analysis/made_tray.h"
+#include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 
 namespace abcal {
@@ -109,6 +111,32 @@ TEST_F(TrayResultsTest, ReportOfAnItemHasTheResultOfTheCommonFit) {
 TEST_F(TrayResultsTest, CommandsAskForAnItemThatTheRunHas) {
   EXPECT_EQ(chosen_item(path, 3), 3);
   for (const int none : {-1, 0, 4}) EXPECT_THROW(chosen_item(path, none), std::invalid_argument);
+}
+
+TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
+  const auto run = [&](std::vector<std::string> arguments) {
+    return test::run_program(arguments, folder.path());
+  };
+  const json all = json::parse(run({"analyse", path, "--json"}).out);
+  EXPECT_EQ(all["schema"], "abcal.tray/1");
+  const json second = json::parse(run({"analyse", path, "--item", "2", "--json"}).out);
+  EXPECT_EQ(second, all["items"][1]["result"]);
+  const json alone = json::parse(run({"analyse", path, "--item", "2", "--estimator", "abc", "--json"}).out);
+  EXPECT_EQ(alone["estimator"], "abc");
+  EXPECT_THAT(run({"analyse", path}).out, HasSubstr("Stage, from the readings of 2 items"));
+  const test::ProgramResult no_such = run({"analyse", path, "--item", "4"});
+  EXPECT_EQ(no_such.exit_code, 2);
+  EXPECT_THAT(no_such.err, HasSubstr("has 3 items; required: 1 to 3"));
+  const test::ProgramResult all_by_abc = run({"analyse", path, "--estimator", "abc"});
+  EXPECT_EQ(all_by_abc.exit_code, 2);
+  EXPECT_THAT(all_by_abc.err, HasSubstr("required: --item as well"));
+  EXPECT_THAT(run({"report", path}).err, HasSubstr("required: --item 1 to 3"));
+  const json report = json::parse(run({"report", path, "--item", "2", "--json"}).out);
+  EXPECT_EQ(report["item"]["serial_number"], "s2");
+  EXPECT_THAT(run({"export", path, "--as", "json"}).err, HasSubstr("required: --item 1 to 3"));
+  const test::ProgramResult exported = run({"export", path, "--item", "2", "--as", "json"});
+  EXPECT_EQ(exported.exit_code, 0) << exported.err;
+  EXPECT_THAT(exported.out, HasSubstr("s2"));
 }
 
 }  // namespace
