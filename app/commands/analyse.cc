@@ -1,6 +1,12 @@
 #include <fmt/format.h>
 
+#include <filesystem>
 #include <fstream>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
 
 #include "app/bench/bench_config.h"
 #include "app/bench/real_clock.h"
@@ -9,6 +15,7 @@
 #include "app/results/load_record.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
+#include "app/results/tray_results.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/terminal.h"
@@ -46,16 +53,53 @@ void keep(const std::filesystem::path& path, const CalibrationResult& result) {
   }
 }
 
+struct AnalyseOptions {
+  std::string file;
+  std::string estimator;
+  std::string truth;
+  int item = 0;
+  bool json = false;
+};
+
+/// One item of several, by the common fit or by another estimator alone.
+CalibrationResult result_of_item(const AnalyseOptions& options, int item) {
+  if (!options.estimator.empty() && options.estimator != "joint")
+    return analyse(load_record(options.file, item).record, options.estimator);
+  return std::move(analyse_tray_run(options.file).tray.items[static_cast<std::size_t>(item - 1)].result);
+}
+
+/// A run with several items. @return the exit code; nothing for a file with one item
+std::optional<int> analyse_several(const AnalyseOptions& options) {
+  const std::filesystem::path path = options.file;
+  std::error_code error;
+  const bool is_run = std::filesystem::is_regular_file(path, error) && RunFile::looks_like_run_file(path);
+  if (!is_run || !has_several_items(RunFile::load(path))) {
+    if (options.item > 1) chosen_item(path, options.item);
+    return std::nullopt;
+  }
+  if (!options.truth.empty())
+    throw std::invalid_argument(
+        fmt::format("--truth: {} has several items; required: a run of one", path.string()));
+  if (options.item == 0 && !options.estimator.empty() && options.estimator != "joint")
+    throw std::invalid_argument(fmt::format(
+        "--estimator {}: {} has several items, which only the joint estimator analyses together; required: "
+        "--item as well",
+        options.estimator, path.string()));
+  if (options.item == 0) {
+    const TrayRun run = analyse_tray_run(path);
+    options.json ? print_result("{}\n", tray_json(run).dump(2)) : print_result("{}", tray_text(run, stdout));
+    return run.tray.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+  }
+  const CalibrationResult result = result_of_item(options, chosen_item(path, options.item));
+  options.json ? print_result("{}\n", result_json(result).dump(2))
+               : print_result("{}", result_text(result, stdout));
+  return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+}
+
 }  // namespace
 
 CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
-  struct Options {
-    std::string file;
-    std::string estimator;
-    std::string truth;
-    bool json = false;
-  };
-  auto options = std::make_shared<Options>();
+  auto options = std::make_shared<AnalyseOptions>();
   CLI::App* command = parent.add_subcommand(
       "analyse", "Sensitivity matrix, offsets and intrinsic properties of a run or CSV");
   command
@@ -68,12 +112,19 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
                                "text output shows all)",
                                estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
-  command->add_flag("--json", options->json, "print one JSON object, schema abcal.result/1");
+  command->add_option("--item", options->item,
+                      "of a run with several items: this one alone, from 1 (default: all of them)");
+  command->add_flag("--json", options->json,
+                    "print one JSON object, schema abcal.result/1; of several items abcal.tray/1");
   command->add_option(
       "--truth", options->truth,
       "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");
   command->callback([options, &exit_code] {
     const std::filesystem::path path = options->file;
+    if (const std::optional<int> code = analyse_several(*options)) {
+      exit_code = *code;
+      return;
+    }
     LoadedRecord loaded;
     std::error_code error;
     if (!options->estimator.empty() && !find_estimator(options->estimator).needs_angles &&

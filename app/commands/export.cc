@@ -1,12 +1,14 @@
 #include <fmt/format.h>
 
 #include <memory>
+#include <utility>
 
 #include "app/commands/commands.h"
 #include "app/export/formats.h"
 #include "app/export/reading_noise.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
+#include "app/results/tray_results.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
@@ -20,21 +22,30 @@ struct ExportCommand {
   std::string estimator;
   std::string frame = "item";
   std::string output;
+  int item = 0;
   bool force = false;
 };
 
+/// Of one of several items, as the common fit of all of them knows it.
+CalibrationResult result_of_file(const ExportCommand& command, const LoadedRecord& loaded, int item) {
+  const std::string estimator =
+      command.estimator.empty() ? declared_estimator(loaded.record).name : command.estimator;
+  if (estimator == "joint" && loaded.run && has_several_items(*loaded.run))
+    return std::move(analyse_tray_run(command.file).tray.items[static_cast<std::size_t>(item - 1)].result);
+  return analyse(loaded.record, estimator);
+}
+
 CorrectionConstants constants_of_file(const ExportCommand& command) {
-  const LoadedRecord loaded = load_record(command.file);
-  const CalibrationResult result = command.estimator.empty()
-                                       ? analyse(loaded.record, declared_estimator(loaded.record))
-                                       : analyse(loaded.record, command.estimator);
+  const int chosen = chosen_item(command.file, command.item);
+  const LoadedRecord loaded = load_record(command.file, chosen);
+  const CalibrationResult result = result_of_file(command, loaded, chosen);
   CorrectionConstants constants =
       constants_of(result, command.frame == "item" ? ExportFrame::kItem : ExportFrame::kPlatter);
   if (!loaded.run) return constants;
-  constants.noise = noise_of_readings(command.file);
+  constants.noise = noise_of_readings(command.file, chosen);
   constants.performed = loaded.run->header.created_utc;
   if (!loaded.run->header.items.empty()) {
-    const RunItem& item = loaded.run->header.items.front();
+    const RunItem& item = loaded.run->header.items[static_cast<std::size_t>(chosen - 1)];
     constants.item = fmt::format("{} {}, serial number {}", item.maker, item.model, item.serial_number);
   }
   return constants;
@@ -78,6 +89,7 @@ CLI::App* add_export(CLI::App& parent, int& exit_code) {
           "corrects the mounting too (platter)")
       ->check(CLI::IsMember({"item", "platter"}))
       ->capture_default_str();
+  command->add_option("--item", options->item, "of a run with several items: which one, from 1");
   command->add_option("-o,--output", options->output, "file to write (default: standard output)");
   command->add_flag("--force", options->force, "replace a file that exists");
   command->callback([options, &exit_code] {

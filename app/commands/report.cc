@@ -20,6 +20,7 @@
 #include "app/report/record_csv.h"
 #include "app/report/report_json.h"
 #include "app/results/report_data.h"
+#include "app/results/tray_results.h"
 #include "app/system/exit_code.h"
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
@@ -35,6 +36,7 @@ struct ReportOptions {
   std::string html, pdf, csv, csv_raw, hdf5;
   std::string attachment, dcc;
   CertificateFiles certificate;
+  int item = 0;
   bool draft = false, record = false, json = false, force = false;
 };
 
@@ -126,6 +128,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<ReportOptions>();
   CLI::App* command = parent.add_subcommand("report", "The report of a run or CSV, for people and programs");
   command->add_option("RUN", options->file, "run file, or CSV of averaged readings")->required();
+  command->add_option("--item", options->item, "of a run with several items: whose report, from 1");
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
   CLI::Option* pdf = command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
   command->add_option("--attach", options->attachment, "file to attach to the PDF")->needs(pdf);
@@ -150,7 +153,8 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   command->callback([options, &exit_code] {
     std::optional<PdfPrinter> printer;
     if (!options->pdf.empty()) printer.emplace();
-    const ReportData data = gather_report(options->file, RealClock().utc_now());
+    const ReportData data =
+        gather_report(options->file, RealClock().utc_now(), chosen_item(options->file, options->item));
     std::string certificate_xml;
     if (of_certificate(*options, data))
       certificate_xml =

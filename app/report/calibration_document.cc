@@ -505,6 +505,23 @@ Section stage_section(const RunRecord& record, const CalibrationResult& result) 
   return section;
 }
 
+/// The items that were measured with this one.
+Section tray_section(const TrayRun& run) {
+  DocumentTable table{"Items of this run. The stage is estimated once, from those of the common fit.",
+                      {{"item"}, {"verdict"}, {"common fit"}},
+                      {}};
+  const std::vector<RunItem>& identities = run.items.front().header.items;
+  for (std::size_t k = 0; k < identities.size(); ++k) {
+    const TrayItem& item = run.tray.items[k];
+    table.rows.push_back({item_words(identities[k]), verdict_words(item.result.verdict),
+                          item.in_common_fit ? "yes" : "no: " + item.why_not});
+  }
+  Section section{"Items measured together", {std::move(table)}};
+  section.blocks.push_back(
+      Paragraph{fmt::format("All items: {}: {}.", verdict_words(run.tray.verdict), run.tray.why)});
+  return section;
+}
+
 // --- Budget ------------------------------------------------------------------------------------------------
 
 /// The part of a budget's line in an output, which may be nothing but rounding.
@@ -671,6 +688,7 @@ Document calibration_document(const ReportData& data) {
       if (each.joint && each.verdict != Verdict::kNotUsable)
         document.sections.push_back(stage_section(data.record, each));
     }
+    if (data.tray) document.sections.push_back(tray_section(*data.tray));
     if (data.budget) document.sections.push_back(budget_section(data));
   }
   if (!result.diagnostics.checks.empty())

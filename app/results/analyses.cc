@@ -135,6 +135,15 @@ std::vector<CalibrationResult> analyse_all(const RunRecord& record) {
   return analyse(record, in_order);
 }
 
+TrayResult analyse_items(std::span<const RunRecord> records) {
+  TrayResult tray = analyse_tray(records);
+  for (std::size_t k = 0; k < records.size(); ++k) {
+    add_checks(records[k], tray.items[k].checks, tray.items[k].result);
+  }
+  judge_tray(tray);
+  return tray;
+}
+
 TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench) {
   const sim::TrueLineResponse line = mean_line_response(bench.simulation);
   const Eigen::Matrix3d& s = line.sensitivity_matrix;

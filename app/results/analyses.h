@@ -1,12 +1,14 @@
 #pragma once
 
 #include <filesystem>
+#include <span>
 #include <string>
 #include <vector>
 
 #include "app/bench/bench_config.h"
 #include "app/results/estimators.h"
 #include "app/results/load_record.h"
+#include "protocol/analysis/analyse_tray.h"
 #include "protocol/analysis/calibration_result.h"
 
 namespace abcal {
@@ -22,6 +24,9 @@ std::vector<CalibrationResult> analyse(const RunRecord& record,
 
 /// Every estimator of the list, the declared one first: the others are the independent check of every run.
 std::vector<CalibrationResult> analyse_all(const RunRecord& record);
+
+/// The items of one run together (analyse_tray), each with the checks of its record.
+TrayResult analyse_items(std::span<const RunRecord> records);
 
 /// Every output compared with the truth of a simulated bench: the difference in standard uncertainties.
 struct TruthComparison {

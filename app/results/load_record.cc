@@ -6,14 +6,14 @@
 
 namespace abcal {
 
-LoadedRecord load_record(const std::filesystem::path& path) {
+LoadedRecord load_record(const std::filesystem::path& path, int item) {
   std::error_code error;
   if (!std::filesystem::exists(path, error)) throw std::runtime_error(path.string() + ": no such file");
   if (std::filesystem::is_directory(path, error)) {
     throw std::runtime_error(path.string() + ": is a folder; required: a run file or a CSV");
   }
   if (RunFile::looks_like_run_file(path)) {
-    StoredRun run = RunFile::load(path);
+    StoredRun run = RunFile::load(path, item);
     RunRecord record = run.record;
     return {std::move(record), std::move(run)};
   }

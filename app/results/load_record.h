@@ -15,6 +15,7 @@ struct LoadedRecord {
 };
 
 /// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
-LoadedRecord load_record(const std::filesystem::path& path);
+/// @param item  of a run with several, from 1
+LoadedRecord load_record(const std::filesystem::path& path, int item = 1);
 
 }  // namespace abcal

@@ -87,9 +87,10 @@ std::vector<std::string> cautions(const ReportData& data) {
   return list;
 }
 
-ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) {
+ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item) {
   ReportData data;
-  LoadedRecord loaded = load_record(path);
+  LoadedRecord loaded = load_record(path, item);
+  data.item = item;
   data.path = path;
   data.record = std::move(loaded.record);
   data.run = std::move(loaded.run);
@@ -107,6 +108,13 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now) 
   }
   if (data.complete()) data.sha256 = sha256_of_file(path);
   data.results = analyse_all(data.record);
+  if (data.run && has_several_items(*data.run)) {
+    data.tray = analyse_tray_run(path);
+    for (CalibrationResult& result : data.results) {
+      if (result.estimator == "joint")
+        result = data.tray->tray.items[static_cast<std::size_t>(item - 1)].result;
+    }
+  }
   data.estimator = declared_estimator(data.record).name;
   if (data.run) {
     for (IntegrityCheck& check :

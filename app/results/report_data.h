@@ -8,6 +8,7 @@
 
 #include "app/bench/bench_config.h"
 #include "app/results/estimators.h"
+#include "app/results/tray_results.h"
 #include "drivers/instrument/clock.h"
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/record/run_file.h"
@@ -29,6 +30,8 @@ struct ReportData {
   std::optional<StoredRun> run;                ///< Absent for a CSV.
   std::optional<BenchConfig> bench;            ///< As it was at the run. Absent for a CSV, and if unreadable.
   std::string bench_unreadable;                ///< Why the bench file of a run cannot be read; empty: it can.
+  int item = 1;                                ///< Whose record it is, of a run with several.
+  std::optional<TrayRun> tray;                 ///< All items of such a run; absent: it has one.
   std::vector<CalibrationResult> results;      ///< One an estimator; a refusal is a result too.
   std::string estimator{kPublishedEstimator};  ///< Whose result is reported; the others are its check.
   std::optional<Budget> budget;                ///< Of the reported result; absent where that has no matrix.
@@ -65,6 +68,7 @@ std::vector<std::string> cautions(const ReportData& data);
 
 /// Reads and analyses a run file or a CSV. `now` is the time of the report.
 /// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
-ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now);
+/// @param item  of a run with several, from 1: its joint result is that of the common fit of all items
+ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item = 1);
 
 }  // namespace abcal

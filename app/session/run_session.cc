@@ -89,17 +89,25 @@ std::filesystem::path replay_path(const std::filesystem::path& run) {
 }
 
 /// What an interrupted run holds already.
-RunProgress progress_of(const StoredRun& stored) {
+/// @param of_items  the run as it is for each item that goes on
+RunProgress progress_of(const std::vector<StoredRun>& of_items) {
+  const StoredRun& first = of_items.front();
   RunProgress so_far;
-  so_far.measured = {stored.measured.begin(), stored.measured.end()};
-  so_far.spent = stored.timing;
-  const std::vector<DwellRecord>& dwells = stored.dwells;
-  if (dwells.empty()) return so_far;
-  const auto last = std::find_if(dwells.rbegin(), dwells.rend(), can_be_compared_with);
-  if (last != dwells.rend()) {
-    so_far.last = {stored.measured[static_cast<std::size_t>(dwells.rend() - last) - 1], *last};
+  so_far.measured = {first.measured.begin(), first.measured.end()};
+  so_far.spent = first.timing;
+  for (const StoredRun& each : of_items) {
+    if (!each.dwells.empty() && each.dwells.front().temperature_degc)
+      so_far.first_temperatures_degc[each.item] = *each.dwells.front().temperature_degc;
   }
-  so_far.first_temperature_degc = dwells.front().temperature_degc;
+  // All of them have the same angles, in the same order.
+  for (std::size_t i = first.measured.size(); i-- > 0;) {
+    RunProgress::LastAngle angle{first.measured[i], {}};
+    for (const StoredRun& each : of_items)
+      if (can_be_compared_with(each.dwells[i])) angle.dwells[each.item] = each.dwells[i];
+    if (angle.dwells.size() < of_items.size()) continue;
+    so_far.last = std::move(angle);
+    break;
+  }
   return so_far;
 }
 
@@ -451,7 +459,7 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
   notifier_ = notifier_of(config);
   tell_begun(opened, path, &stored);
-  RunOutcome outcome = measure_and_finish(std::move(file), progress_of(stored));
+  RunOutcome outcome = measure_and_finish(std::move(file), progress_of({stored}));
   tell_charts(outcome);
   return outcome;
 }

@@ -19,6 +19,7 @@
 #include "protocol/analysis/joint_data.h"
 #include "protocol/analysis/joint_fit.h"
 #include "protocol/analysis/joint_verdict.h"
+#include "protocol/analysis/joint_work.h"
 #include "protocol/analysis/objection.h"
 #include "protocol/analysis/undetermined.h"
 #include "protocol/analysis/unusable_data.h"
@@ -261,8 +262,10 @@ void note_drifts(CalibrationResult& result) {
 }
 
 /// The verdict, its reasons and the notes.
-void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const JointTests& tests,
-                 const RunRecord& record, CalibrationResult& result) {
+void judge_joint(const EffectFit& fit, const JointWork& work, const RunRecord& record,
+                 CalibrationResult& result) {
+  const EffectFitOptions& options = work.options;
+  const JointTests& tests = work.tests;
   Diagnostics& diagnostics = result.diagnostics;
   result.joint->effects = tests.effects;
   result.joint->contradicted_sizes = contradicted_sizes(tests);
@@ -279,7 +282,7 @@ void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const Jo
                                ": the model does not explain the readings within their uncertainties");
     }
   } else {
-    const Eigen::Vector3d u = fit.noise.white;
+    const Eigen::Vector3d u = fit.noise.white.cwiseProduct(work.readings.front().u);
     about_chi2 = fmt::format(
         "the readings carry no uncertainty: noise {:.2g}, {:.2g}, {:.2g} {} estimated from the "
         "residuals, so chi2 cannot test the model",
@@ -313,8 +316,21 @@ void judge_joint(const EffectFit& fit, const EffectFitOptions& options, const Jo
   }
 }
 
-std::optional<EffectFit> fit_or_reason(std::span<const EffectReading> readings,
-                                       const EffectFitOptions& options, std::string& why);
+/// The solution, or why there is none.
+std::optional<EffectSolution> solve_or_reason(std::span<const EffectReading> readings,
+                                              const EffectFitOptions& options, std::string& why) {
+  try {
+    EffectSolution solution = solve_effects(readings, options);
+    if (solution.fit.converged) return solution;
+    why = fmt::format(
+        "the joint fit did not converge ({} iterations): the readings are not those of the three "
+        "experiments, or their angles are wrong",
+        solution.fit.iterations);
+  } catch (const UnusableData& error) {
+    why = error.what();
+  }
+  return std::nullopt;
+}
 
 /// Noise from angle to angle of which the norm of the readings shows nothing is none of the outputs: it turns
 /// them alike, as errors of the stage do that are larger than stated. The fit without that noise says which.
@@ -331,13 +347,14 @@ std::vector<std::string> hidden_by_process(std::span<const EffectReading> readin
   EffectFitOptions white = options;
   white.noise_process = false;
   std::string why;
-  const std::optional<EffectFit> without = fit_or_reason(readings, white, why);
-  if (!without) return {};
-  const JointTests again = test_joint_fit(readings, *without, white);
+  const std::optional<EffectSolution> solution = solve_or_reason(readings, white, why);
+  if (!solution) return {};
+  const EffectFit& without = solution->fit;
+  const JointTests again = test_joint_fit(readings, without, white);
   std::vector<std::string> found = contradictions_of(again, response_unit);
   if (!(again.chi2_probability >= again.level))
-    found.push_back(fmt::format("chi2 {:.4g} for {} degrees of freedom", without->chi2,
-                                without->chi2_degrees_of_freedom));
+    found.push_back(
+        fmt::format("chi2 {:.4g} for {} degrees of freedom", without.chi2, without.chi2_degrees_of_freedom));
   if (found.empty()) return {};
   return {fmt::format(
       "the readings wander from angle to angle, but their norm does not: the stage does more than "
@@ -345,33 +362,42 @@ std::vector<std::string> hidden_by_process(std::span<const EffectReading> readin
       fmt::join(found, "; "))};
 }
 
-/// The fit, or why there is none.
-std::optional<EffectFit> fit_or_reason(std::span<const EffectReading> readings,
-                                       const EffectFitOptions& options, std::string& why) {
-  try {
-    EffectFit fit = effect_fit(readings, options);
-    if (fit.converged) return fit;
-    why = fmt::format(
-        "the joint fit did not converge ({} iterations): the readings are not those of the three "
-        "experiments, or their angles are wrong",
-        fit.iterations);
-  } catch (const UnusableData& error) {
-    why = error.what();
-  }
-  return std::nullopt;
-}
-
 }  // namespace
 
-CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
+JointWork fit_jointly(const RunRecord& record, const JointOptions& options) {
+  JointWork work;
+  work.data = collect_joint_data(record, false);
+  work.options = {.sizes = record.tolerances,
+                  .measured_alignment = options.measured_alignment,
+                  .nonlinearity = options.nonlinearity == Nonlinearity::kFitted,
+                  .drift = options.drift,
+                  .mean_step = options.mean_step,
+                  .noise_process = options.noise_process,
+                  .white_known = work.data.u_known};
+  if (work.data.readings.size() < kFewestAngles) {
+    work.why = fmt::format("{} usable angles; the joint estimator needs {} or more",
+                           work.data.readings.size(), kFewestAngles);
+    return work;
+  }
+  work.readings = effect_readings(work.data, options.one_map_per_axis);
+  if (!work.data.u_known) guess_noise(work.readings);
+  work.solution = solve_or_reason(work.readings, work.options, work.why);
+  if (!work.solution) return work;
+  const EffectFit& fit = work.solution->fit;
+  work.tests = test_joint_fit(work.readings, fit, work.options);
+  work.hidden = hidden_by_process(work.readings, fit, work.options, work.tests, record.response_unit);
+  return work;
+}
+
+CalibrationResult joint_result(const RunRecord& record, const JointWork& work, const EffectFit& fit) {
   CalibrationResult result;
   result.estimator = "joint";
   result.source = record.source;
   result.response_unit = record.response_unit;
+  result.why = work.why;
   fill_gravity_of(record, result);
-
-  const JointData data = collect_joint_data(record, false);
   Diagnostics& diagnostics = result.diagnostics;
+  const JointData& data = work.data;
   diagnostics.angles_used = static_cast<int>(data.readings.size());
   count_flags(record, diagnostics);
   if (data.clipped > 0) diagnostics.notes.push_back(fmt::format("{} clipped angles left out", data.clipped));
@@ -380,45 +406,34 @@ CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& opt
   if (data.not_finite > 0) {
     diagnostics.notes.push_back(fmt::format("{} angles without finite readings left out", data.not_finite));
   }
-  EffectFitOptions fit_options{.sizes = record.tolerances,
-                               .measured_alignment = options.measured_alignment,
-                               .nonlinearity = options.nonlinearity == Nonlinearity::kFitted,
-                               .drift = options.drift,
-                               .mean_step = options.mean_step,
-                               .noise_process = options.noise_process,
-                               .white_known = data.u_known};
-  if (data.readings.size() < kFewestAngles) {
-    result.why = fmt::format("{} usable angles; the joint estimator needs {} or more", data.readings.size(),
-                             kFewestAngles);
-    return result;
-  }
-  std::vector<EffectReading> readings = effect_readings(data, options.one_map_per_axis);
-  if (!data.u_known) guess_noise(readings);
-  std::optional<EffectFit> fit = fit_or_reason(readings, fit_options, result.why);
-  if (!fit) return result;
+  if (!work.solution) return result;
 
-  fill_line_response(*fit, result);
+  fill_line_response(fit, result);
   result.unstated_effects = unstated_effects(record.tolerances);
-  result.model_equation = model_equation_of(*fit, record.response_unit);
-  result.joint = joint_outputs(*fit, record.response_unit);
-  result.joint->shares = fit->shares;
-  fill_step_errors(*fit, data, record, *result.joint);
-  diagnostics.degrees_of_freedom = fit->chi2_degrees_of_freedom;
-  diagnostics.reciprocal_condition = fit->reciprocal_condition;
-  diagnostics.rank = static_cast<int>(fit->unknowns.size());
-  const JointTests tests = test_joint_fit(readings, *fit, fit_options);
-  const std::vector<std::string> hidden =
-      hidden_by_process(readings, *fit, fit_options, tests, record.response_unit);
-  // From here on in response units.
-  if (!data.u_known) fit->noise.white = fit->noise.white.cwiseProduct(readings.front().u);
-  judge_joint(*fit, fit_options, tests, record, result);
-  for (const std::string& words : hidden) {
+  result.model_equation = model_equation_of(fit, record.response_unit);
+  result.joint = joint_outputs(fit, record.response_unit);
+  result.joint->shares = fit.shares;
+  fill_step_errors(fit, data, record, *result.joint);
+  diagnostics.degrees_of_freedom = fit.chi2_degrees_of_freedom;
+  diagnostics.reciprocal_condition = fit.reciprocal_condition;
+  diagnostics.rank = static_cast<int>(fit.unknowns.size());
+  judge_joint(fit, work, record, result);
+  for (const std::string& words : work.hidden) {
     object_to(result, words);
     result.joint->contradicted_sizes.push_back(words);
   }
   object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
   add_voltmeter(record.tolerances, result);  // After the checks: no reading shows it.
   return result;
+}
+
+CalibrationResult joint_result(const RunRecord& record, const JointWork& work) {
+  const EffectFit none;
+  return joint_result(record, work, work.solution ? work.solution->fit : none);
+}
+
+CalibrationResult analyse_joint(const RunRecord& record, const JointOptions& options) {
+  return joint_result(record, fit_jointly(record, options));
 }
 
 }  // namespace abcal

@@ -1,64 +1,20 @@
 #include "protocol/analysis/effect_fit.h"
 
-#include <fmt/format.h>
-
 #include <Eigen/Cholesky>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <utility>
 
 #include "protocol/analysis/effect_model.h"
+#include "protocol/analysis/effect_solution.h"
+#include "protocol/analysis/line_response.h"
 #include "protocol/analysis/noise_search.h"
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/size_evidence.h"
 
 namespace abcal {
 namespace {
-
-constexpr std::array<const char*, 3> kStepGroups{"f_1", "f_2", "f_3"};
-
-/// What one noise says of the line response; relative units.
-struct LineAtNoise {
-  Vector12 change = Vector12::Zero();  ///< With the mean of the process.
-  Covariance12 covariance = Covariance12::Zero();
-  std::vector<Covariance12> shares;  ///< Of the priors, group by group.
-  ReadingRows gain;                  ///< 3 N x 12
-};
-
-/// The unknowns that make one line of a budget.
-struct ShareGroups {
-  std::vector<EffectShare> groups;
-  std::vector<int> of_unknown;  ///< -1: no prior.
-  int first_step = -1;          ///< f_1, f_2, f_3; -1: no step errors are eliminated.
-};
-
-ShareGroups share_groups(const EffectModel& model) {
-  ShareGroups out;
-  for (const EffectUnknown& unknown : model.unknowns()) {
-    if (!std::isfinite(unknown.prior_sd)) {
-      out.of_unknown.push_back(-1);
-      continue;
-    }
-    const auto found = std::find_if(out.groups.begin(), out.groups.end(),
-                                    [&](const EffectShare& share) { return share.effect == unknown.effect; });
-    if (found == out.groups.end()) {
-      out.of_unknown.push_back(static_cast<int>(out.groups.size()));
-      out.groups.push_back({unknown.effect, unknown.key, 1, unknown.prior_sd, Covariance12::Zero()});
-    } else {
-      out.of_unknown.push_back(static_cast<int>(found - out.groups.begin()));
-      ++found->unknowns;
-    }
-  }
-  if (!(model.step_sd() > 0.0)) return out;
-  out.first_step = static_cast<int>(out.groups.size());
-  for (const char* name : kStepGroups)
-    out.groups.push_back({name, "step_deg", 0, model.step_sd(), Covariance12::Zero()});
-  for (std::size_t n = 0; n < model.angles(); ++n)
-    ++out.groups[static_cast<std::size_t>(out.first_step + model.experiment_of(n) - 1)].unknowns;
-  return out;
-}
 
 LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGroups& groups) {
   LineAtNoise out;
@@ -100,57 +56,6 @@ LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGrou
         by_f * by_f.transpose();
   }
   return out;
-}
-
-/// The line response averaged over the noises. @return that of the most probable one
-LineAtNoise average_line(const EffectModel& model, const NoiseSearch& search, EffectFit& fit) {
-  ShareGroups groups = share_groups(model);
-  std::vector<LineAtNoise> lines;
-  Vector12 mean = Vector12::Zero();
-  Covariance12 covariance = Covariance12::Zero();
-  for (std::size_t i = 0; i < search.points.size(); ++i) {
-    const double weight = search.weight(i);
-    const LineAtNoise& line = lines.emplace_back(line_at(model, search.points[i], groups));
-    mean += weight * line.change;
-    covariance += weight * line.covariance;
-    for (std::size_t g = 0; g < groups.groups.size(); ++g)
-      groups.groups[g].covariance += weight * line.shares[g];
-  }
-  Vector12 spread_of_variance = Vector12::Zero();
-  const Vector12 variance = covariance.diagonal();
-  for (std::size_t i = 0; i < lines.size(); ++i) {
-    const Vector12 off = lines[i].change - mean;
-    covariance += search.weight(i) * off * off.transpose();
-    spread_of_variance += search.weight(i) * (lines[i].covariance.diagonal() - variance).cwiseAbs2();
-  }
-  for (Eigen::Index i = 0; i < 12; ++i) {
-    if (spread_of_variance(i) > 1e-12 * variance(i) * variance(i))
-      fit.degrees_of_freedom(i) = 2.0 * variance(i) * variance(i) / spread_of_variance(i);
-  }
-  fit.line = model.line_values() + mean;
-  fit.covariance_line = covariance;
-  fit.covariance_line_type_b.setZero();
-  for (const EffectShare& share : groups.groups) fit.covariance_line_type_b += share.covariance;
-  fit.shares = std::move(groups.groups);
-  return std::move(lines[search.best()]);
-}
-
-/// The variance of an output's estimated white noise is known to 2/nu (relative, squared).
-void add_degrees_of_estimated_noise(const EffectModel& model, const WhiteFound& found,
-                                    const ReadingRows& gain, EffectFit& fit) {
-  const std::vector<NoiseAtAngle> angles = model.noise_at_angles(found.white);
-  Eigen::Matrix<double, 12, 3> by_output = Eigen::Matrix<double, 12, 3>::Zero();
-  for (std::size_t n = 0; n < angles.size(); ++n) {
-    const auto three = gain.middleRows<3>(3 * static_cast<Eigen::Index>(n));
-    for (int j = 0; j < 3; ++j) by_output.col(j) += angles[n].white(j) * three.row(j).transpose().cwiseAbs2();
-  }
-  for (Eigen::Index i = 0; i < 12; ++i) {
-    const double variance2 = std::pow(fit.covariance_line(i, i), 2);
-    double spread =
-        std::isfinite(fit.degrees_of_freedom(i)) ? 2.0 * variance2 / fit.degrees_of_freedom(i) : 0.0;
-    for (int j = 0; j < 3; ++j) spread += 2.0 * by_output(i, j) * by_output(i, j) / found.redundancy(j);
-    if (spread > 0.0) fit.degrees_of_freedom(i) = 2.0 * variance2 / spread;
-  }
 }
 
 /// v' P v of each step error, with v its effect on the readings and P = V^-1 - V^-1 J C J' V^-1: the variance
@@ -220,34 +125,27 @@ void fill_residuals(const EffectModel& model, const AtNoise& best, const Eigen::
   }
 }
 
-/// From relative units to those of the readings.
-void restore_units(EffectFit& fit) {
-  Vector12 units;
-  for (int j = 0; j < 3; ++j) {
-    units.segment<3>(3 * j).setConstant(fit.unit(j));
-    units(9 + j) = fit.unit(j);
-  }
-  const auto in_units = [&](Covariance12& covariance) {
-    covariance = units.asDiagonal() * covariance * units.asDiagonal();
-  };
-  for (Eigen::Index row = 0; row < fit.gain.rows(); ++row)
-    fit.gain.row(row) = fit.gain.row(row).cwiseProduct(units.transpose()) / fit.unit(row % 3);
-  fit.line = fit.line.cwiseProduct(units);
-  in_units(fit.covariance_line);
-  in_units(fit.covariance_line_type_b);
-  for (EffectShare& share : fit.shares) in_units(share.covariance);
-}
-
 }  // namespace
 
-EffectFit effect_fit(std::span<const EffectReading> readings, const EffectFitOptions& options) {
-  EffectFit fit;
-  EffectModel model(readings, options);
-  if (!model.solve(fit)) return fit;
+EffectSolution solve_effects(std::span<const EffectReading> readings, const EffectFitOptions& options) {
+  EffectSolution out;
+  EffectFit& fit = out.fit;
+  EffectModel& model = out.model.emplace(readings, options);
+  if (!model.solve(fit)) return out;
   NoiseSearch search = search_noise(model);
   if (search.points[search.best()].noise.tau > 0.0) fit.larger_sizes = size_evidence(model, search);
-  LineAtNoise line = average_line(model, search, fit);
+  const ShareGroups groups = share_groups(model);
+  std::vector<LineAtNoise> lines;
+  for (std::size_t i = 0; i < search.points.size(); ++i) {
+    lines.push_back(line_at(model, search.points[i], groups));
+    out.noises.push_back(search.points[i].noise);
+    out.weights.push_back(search.weight(i));
+    out.log_likelihoods.push_back(search.points[i].log_likelihood);
+  }
+  out.white = search.white;
+  average_line(model, groups, lines, out.weights, fit);
   AtNoise& best = search.points[search.best()];
+  LineAtNoise& line = lines[search.best()];
 
   fit.noise.process_probability = 1.0 - search.weight(0);
   fit.noise.tau = best.noise.tau;
@@ -268,7 +166,11 @@ EffectFit effect_fit(std::span<const EffectReading> readings, const EffectFitOpt
   fit.gain = std::move(line.gain);
   fit.whitened_jacobian = std::move(best.whitened_jacobian);
   restore_units(fit);
-  return fit;
+  return out;
+}
+
+EffectFit effect_fit(std::span<const EffectReading> readings, const EffectFitOptions& options) {
+  return std::move(solve_effects(readings, options).fit);
 }
 
 }  // namespace abcal

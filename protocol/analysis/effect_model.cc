@@ -285,6 +285,12 @@ void EffectModel::evaluate(bool with_jacobian) {
   }
 }
 
+void EffectModel::move_to(const Eigen::VectorXd& value, std::vector<double> steps) {
+  value_ = value;
+  step_ = std::move(steps);
+  evaluate(true);
+}
+
 std::vector<NoiseAtAngle> EffectModel::noise_at_angles(const Eigen::Vector3d& white) const {
   std::vector<NoiseAtAngle> out(readings_.size());
   const double intervals = static_cast<double>(std::max<std::size_t>(readings_.size(), 2) - 1);

@@ -55,6 +55,12 @@ class EffectModel {
   const Eigen::VectorXd& prior_weight() const { return prior_weight_; }
   Eigen::VectorXd from_prior() const { return value_ - prior_mean_; }
   double step_sd() const { return step_sd_; }  ///< Of the step errors that are eliminated; 0: none.
+  const std::vector<double>& steps() const {
+    return step_;
+  }  ///< Those step errors, of each reading (radian).
+  /// Goes to another point; the Jacobian is then that of it.
+  /// @param steps  step errors that are eliminated, of each reading (radian)
+  void move_to(const Eigen::VectorXd& value, std::vector<double> steps);
   const ReadingRows& jacobian() const { return jacobian_; }
   /// 3 N: reading - model, with the eliminated step errors not in the model.
   const Eigen::VectorXd& residual() const { return residual_; }

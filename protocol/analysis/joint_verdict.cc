@@ -165,20 +165,6 @@ double lag_one(const EffectFit& fit, const ReadingRows& design, int output) {
   return (products - expected) / std::sqrt(variance);
 }
 
-std::string words_of(const EffectTest& test) {
-  if (test.stated_zero)
-    return fmt::format("{} is stated as zero, and is not ({}; probability {:.1g})", test.name, test.key,
-                       test.probability);
-  if (test.instead_of_noise)
-    return fmt::format(
-        "the readings wander from angle to angle, but {} times the stated size explains them better than "
-        "noise "
-        "({}; probability below {:.1g})",
-        test.times_stated, test.key, test.probability);
-  return fmt::format("{} is {:.1f} times the stated size ({}; probability {:.1g})", test.name,
-                     test.times_stated, test.key, test.probability);
-}
-
 /// The deviate that a sum of products of successive residuals passes with this probability, on either side.
 /// Of `count` products the excess kurtosis is 18/count (Cornish and Fisher's expansion about the normal
 /// deviate).
@@ -199,15 +185,46 @@ void for_each_effect(const std::vector<EffectUnknown>& unknowns, const Test& tes
   }
 }
 
+std::vector<EffectTest> test_unknowns(const EffectFit& fit) {
+  std::vector<EffectTest> out;
+  for_each_effect(fit.unknowns, [&](Eigen::Index first, Eigen::Index count) {
+    if (std::isfinite(fit.unknowns[static_cast<std::size_t>(first)].prior_sd))
+      out.push_back(test_effect(fit, first, count));
+  });
+  return out;
+}
+
+void add_steps(const EffectFit& fit, double step_sd, std::vector<EffectTest>& tests) {
+  if (!fit.step_error.empty() && step_sd > 0.0 && fit.u_step_error.front() > 0.0)
+    tests.push_back(test_steps(fit, step_sd));
+}
+
 }  // namespace
+
+std::string words_of(const EffectTest& test) {
+  if (test.stated_zero)
+    return fmt::format("{} is stated as zero, and is not ({}; probability {:.1g})", test.name, test.key,
+                       test.probability);
+  if (test.instead_of_noise)
+    return fmt::format(
+        "the readings wander from angle to angle, but {} times the stated size explains them better than "
+        "noise "
+        "({}; probability below {:.1g})",
+        test.times_stated, test.key, test.probability);
+  return fmt::format("{} is {:.1f} times the stated size ({}; probability {:.1g})", test.name,
+                     test.times_stated, test.key, test.probability);
+}
+
+std::vector<EffectTest> test_sizes(const EffectFit& fit, double step_sd) {
+  std::vector<EffectTest> out = test_unknowns(fit);
+  add_steps(fit, step_sd, out);
+  return out;
+}
 
 JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectFit& fit,
                           const EffectFitOptions& options) {
   JointTests out;
-  for_each_effect(fit.unknowns, [&](Eigen::Index first, Eigen::Index count) {
-    if (std::isfinite(fit.unknowns[static_cast<std::size_t>(first)].prior_sd))
-      out.effects.push_back(test_effect(fit, first, count));
-  });
+  out.effects = test_unknowns(fit);
   const ReadingRows design = times_upper(fit.whitened_jacobian, fit.covariance_root);
   Eigen::VectorXd residual(3 * static_cast<Eigen::Index>(fit.whitened.size()));
   for (std::size_t n = 0; n < fit.whitened.size(); ++n)
@@ -215,8 +232,7 @@ JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectF
   for_each_effect(fit.left_out, [&](Eigen::Index first, Eigen::Index count) {
     out.effects.push_back(test_left_out(fit, design, residual, first, count));
   });
-  if (!fit.step_error.empty() && options.sizes.step.rad() > 0.0 && fit.u_step_error.front() > 0.0)
-    out.effects.push_back(test_steps(fit, options.sizes.step.rad()));
+  add_steps(fit, options.sizes.step.rad(), out.effects);
   for (const SizeEvidence& evidence : fit.larger_sizes) out.effects.push_back(test_evidence(evidence));
   // With chi2, three autocorrelations and the comparison with the norm fit.
   const auto tests = static_cast<double>(out.effects.size() + 5);

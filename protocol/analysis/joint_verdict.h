@@ -32,6 +32,14 @@ struct JointTests {
 JointTests test_joint_fit(std::span<const EffectReading> readings, const EffectFit& fit,
                           const EffectFitOptions& options);
 
+/// The first of these tests alone: each effect that is an unknown of the fit, and the step errors without
+/// memory where they have a size. `passed` is not decided.
+/// @param step_sd  their standard deviation (radian)
+std::vector<EffectTest> test_sizes(const EffectFit& fit, double step_sd);
+
+/// "wobble of X is 9.3 times the stated size (wobble_urad; probability 1e-12)".
+std::string words_of(const EffectTest& test);
+
 /// The stated sizes that the run contradicts, in words: what every result that rests on them inherits.
 std::vector<std::string> contradicted_sizes(const JointTests& tests);
 

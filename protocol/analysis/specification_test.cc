@@ -6,7 +6,6 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
-#include <boost/math/special_functions/beta.hpp>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -189,12 +188,6 @@ double autocorrelation_of(const NormSolution& norm) {
          std::sqrt(static_cast<double>(pairs));
 }
 
-double tail(double statistic, int degrees, double of_noise) {
-  if (!std::isfinite(of_noise)) return chi2_tail(statistic, degrees);
-  // F = statistic / degrees with (degrees, of_noise) degrees of freedom.
-  return boost::math::ibetac(0.5 * degrees, 0.5 * of_noise, statistic / (statistic + of_noise));
-}
-
 }  // namespace
 
 SpecificationTest compare_norm_with_joint(std::span<const EffectReading> readings, const EffectFit& fit,
@@ -260,7 +253,7 @@ SpecificationTest compare_norm_with_joint(std::span<const EffectReading> reading
   const double of_noise = fit.noise.white_estimated
                               ? std::max(1.0, 2.0 * static_cast<double>(readings.size()) - 12.0)
                               : std::numeric_limits<double>::infinity();
-  if (out.degrees_of_freedom > 0) out.probability = tail(out.statistic, out.degrees_of_freedom, of_noise);
+  if (out.degrees_of_freedom > 0) out.probability = f_tail(out.statistic, out.degrees_of_freedom, of_noise);
   return out;
 }
 

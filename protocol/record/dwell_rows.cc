@@ -118,10 +118,11 @@ std::optional<double> degrees(const std::optional<Angle>& angle) {
 }
 
 /// The role that a row gets: an angle that is there already is measured again for comparison only.
-DwellRole role_of(SqliteDatabase& database, std::int64_t position, const DwellRecord& dwell) {
+DwellRole role_of(SqliteDatabase& database, std::int64_t position, int item, const DwellRecord& dwell) {
   if (dwell.role == DwellRole::kReturn) return dwell.role;
-  SqliteStatement before = database.prepare("select 1 from dwell where position = :position and item = 1");
-  before.set("position", position);
+  SqliteStatement before =
+      database.prepare("select 1 from dwell where position = :position and item = :item");
+  before.set("position", position).set("item", std::int64_t{item});
   if (before.step()) return DwellRole::kCheck;
   return dwell.closing ? DwellRole::kClosing : dwell.role;
 }
@@ -206,15 +207,15 @@ std::optional<TemperatureScale> temperature_scale(std::span<const StoredReading>
 }
 
 void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
-                        std::span<const StoredReading> readings, std::optional<std::int64_t> id) {
+                        std::span<const StoredReading> readings, std::optional<std::int64_t> id, int item) {
   const ReadingConstants constants = constants_of(readings, times_.origin_ns);
   std::optional<std::int64_t> time_ns;
   if (dwell.time_s && std::isfinite(*dwell.time_s)) time_ns = nanoseconds(*dwell.time_s) - times_.origin_ns;
   SqliteStatement row = database_.prepare(insert_into("dwell", kDwellColumns));
   row.set("id", id)
       .set("position", position)
-      .set("item", std::int64_t{1})
-      .set("role", to_string(role_of(database_, position, dwell)))
+      .set("item", std::int64_t{item})
+      .set("role", to_string(role_of(database_, position, item, dwell)))
       .set("session", times_.session)
       .set("experiment", std::int64_t{dwell.experiment})
       .set("n", std::int64_t{dwell.n})
@@ -251,13 +252,14 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
   link_dwell(database_, written);
 }
 
-void read_counting_dwells(SqliteDatabase& database,
+void read_counting_dwells(SqliteDatabase& database, int item,
                           const std::function<void(std::size_t, DwellRecord)>& each) {
   const bool version_2 = is_version_2(database);
   SqliteStatement rows = database.prepare(
       version_2 ? "select * from dwell where id in (select min(id) from dwell group by position) order by id"
-                : "select * from dwell where item = 1 and id in"
-                  " (select min(id) from dwell where item = 1 group by position) order by id");
+                : "select * from dwell where item = :item and id in"
+                  " (select min(id) from dwell where item = :item group by position) order by id");
+  if (!version_2) rows.set("item", std::int64_t{item});
   while (rows.step()) {
     DwellRecord dwell = dwell_from(rows);
     if (!version_2) dwell.role = dwell_role_from(rows.text("role")).value_or(dwell.role);

@@ -27,7 +27,7 @@ class DwellWriter {
 
   /// @param id of the row; absent: the next
   void write(std::int64_t position, const DwellRecord& dwell, std::span<const StoredReading> readings,
-             std::optional<std::int64_t> id = std::nullopt);
+             std::optional<std::int64_t> id = std::nullopt, int item = 1);
 
  private:
   SqliteDatabase& database_;
@@ -44,8 +44,8 @@ struct TemperatureScale {
 /// @return nothing where no reading has a finite temperature
 std::optional<TemperatureScale> temperature_scale(std::span<const StoredReading> readings);
 
-/// The dwells that count, in the order of measurement, of the item 1, with their positions in the plan.
-void read_counting_dwells(SqliteDatabase& database,
+/// The dwells of an item that count, in the order of measurement, with their positions in the plan.
+void read_counting_dwells(SqliteDatabase& database, int item,
                           const std::function<void(std::size_t position, DwellRecord dwell)>& each);
 
 /// Every dwell with its readings, in the order of measurement.

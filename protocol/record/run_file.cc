@@ -88,6 +88,43 @@ void make_read_only(const std::filesystem::path& path) {
   std::filesystem::permissions(path, writing, std::filesystem::perm_options::remove);
 }
 
+/// Only in a run that went on without an item; made then. The event says why.
+constexpr const char* kDropSchema =
+    "create table if not exists item_drop(item integer primary key references item,"
+    " position integer not null, event integer not null references event)";
+
+bool has_table(SqliteDatabase& database, std::string_view table) {
+  SqliteStatement found =
+      database.prepare("select 1 from sqlite_master where type = 'table' and name = :name");
+  found.set("name", table);
+  return found.step();
+}
+
+/// How far each item of a run was measured.
+std::vector<ItemProgress> read_item_states(SqliteDatabase& database, const std::vector<RunItem>& items) {
+  std::vector<ItemProgress> states;
+  const bool several = items.size() > 1;
+  SqliteStatement measured =
+      database.prepare(several ? "select count(distinct position) as n from dwell where item = :item"
+                               : "select count(distinct position) as n from dwell");
+  for (const RunItem& item : items) {
+    if (several) measured.set("item", std::int64_t{item.k});
+    measured.step();
+    states.push_back({item.k, static_cast<std::size_t>(measured.integer("n")), std::nullopt, ""});
+    measured.reset();
+  }
+  if (!has_table(database, "item_drop")) return states;
+  SqliteStatement drops =
+      database.prepare("select item, position, text from item_drop join event on event.id = item_drop.event");
+  while (drops.step()) {
+    const auto dropped = std::ranges::find(states, static_cast<int>(drops.integer("item")), &ItemProgress::k);
+    if (dropped == states.end()) continue;
+    dropped->dropped_at = static_cast<std::size_t>(drops.integer("position"));
+    dropped->reason = drops.text("text");
+  }
+  return states;
+}
+
 /// Where the session before left the clocks.
 struct LastSession {
   std::int64_t id = 0;
@@ -385,6 +422,32 @@ void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
   impl_->wire_is_stored();
 }
 
+void RunFile::append_dwells(std::size_t plan_position, std::span<const ItemDwell> dwells,
+                            const RunTiming& timing) {
+  const SessionTimes& times = impl_->session_times();
+  Transaction transaction(impl_->database);
+  DwellWriter writer(impl_->database, times);
+  for (const ItemDwell& each : dwells)
+    writer.write(static_cast<std::int64_t>(plan_position), each.dwell, each.readings, std::nullopt,
+                 each.item);
+  set_timing(impl_->database, timing);
+  impl_->append_wire();
+  transaction.commit();
+  impl_->wire_is_stored();
+}
+
+void RunFile::drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why) {
+  Transaction transaction(impl_->database);
+  impl_->database.execute(kDropSchema);
+  write_event(impl_->database, utc, kItemDroppedEvent, why);
+  impl_->database.prepare("insert into item_drop(item, position, event) values(:item, :position, :event)")
+      .set("item", std::int64_t{item})
+      .set("position", static_cast<std::int64_t>(plan_position))
+      .set("event", impl_->database.last_row_id())
+      .run();
+  transaction.commit();
+}
+
 void RunFile::append_event(const std::string& utc, std::string_view kind, std::string_view text) {
   Transaction transaction(impl_->database);
   write_event(impl_->database, utc, kind, text);
@@ -481,12 +544,14 @@ std::string RunFile::finish_closing(const std::filesystem::path& path, const Try
                      "file open: end that program, then close and analyse the run with `abcal resume`");
 }
 
-StoredRun RunFile::load(const std::filesystem::path& path) {
+StoredRun RunFile::load(const std::filesystem::path& path, int item) {
   // A run that is being written, or whose program died, has a -wal beside it, which a read-only connection
   // can use too where its -shm may be written; a closed run is a single file.
   SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
   StoredRun run;
+  run.item = item;
   read_run_header(database, path.string(), run);
+  run.items = read_item_states(database, run.header.items);
   const RunHeader& header = run.header;
   RunRecord& record = run.record;
   record.source = path.string();
@@ -501,7 +566,7 @@ StoredRun RunFile::load(const std::filesystem::path& path) {
     record.estimator = chosen->second;
   record.step = header.step;
   record.steps = header.steps;
-  read_counting_dwells(database, [&](std::size_t position, DwellRecord dwell) {
+  read_counting_dwells(database, item, [&](std::size_t position, DwellRecord dwell) {
     run.measured.push_back(position);
     run.dwells.push_back(dwell);
     if (dwell.role == DwellRole::kCheck) {
@@ -534,7 +599,7 @@ void RunFile::read_dwells(const std::filesystem::path& path,
 
 std::optional<WireTranscript> RunFile::load_transcript(const std::filesystem::path& path) {
   SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
-  if (!database.value("select 1 from sqlite_master where type='table' and name='wire'")) return std::nullopt;
+  if (!has_table(database, "wire")) return std::nullopt;
   SqliteStatement start = database.prepare("select cast(value as integer) as ns from meta where key=:key");
   start.set("key", kWireStart);
   if (!start.step()) {

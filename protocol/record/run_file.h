@@ -61,6 +61,15 @@ struct RunItem {
   std::map<std::string, std::string> registers;
 };
 
+/// What of a header each item of several has for itself.
+struct ItemFacts {
+  std::map<std::string, std::string> labels;  ///< "item.serial_number", ...
+  std::string response_unit = "R";
+  Tolerances tolerances;  ///< Those of the stage are the same for all items.
+  LimitsConfig limits;
+  ExpectedItem expected;
+};
+
 /// The computer's clock when a session begins. All unknown for simulated time.
 struct HostClock {
   std::string boot_id;                        ///< Names the start of the computer; empty: not known.
@@ -95,6 +104,9 @@ struct RunHeader {
   std::map<std::string, std::string> labels;  ///< "item.serial_number", "operator.name", ...
   std::vector<InstrumentIdentity> instruments;
   std::vector<RunItem> items;  ///< Empty: one, as the labels "item.*" name it.
+  /// To be written: those of items 2, 3, ...; the header's own are those of item 1. When read, empty: labels,
+  /// response unit, tolerances, limits and expectation are those of the item that was asked for.
+  std::vector<ItemFacts> further_items;
   std::string response_unit = "R";
   LocalGravity g_loc;
   Tolerances tolerances;
@@ -116,6 +128,8 @@ struct StoredReading {
 
 /// The kind of the event that says that a port which had vanished is back; the analysis counts them.
 inline constexpr std::string_view kReconnectedEvent = "reconnected";
+/// The kind of the event that says that the run went on without an item.
+inline constexpr std::string_view kItemDroppedEvent = "item dropped";
 /// The kind of the event that says that the system clock was moved.
 inline constexpr std::string_view kClockStepEvent = "clock step";
 
@@ -163,12 +177,32 @@ struct WireTranscript {
   bool operator==(const WireTranscript&) const = default;
 };
 
-/// All that a run file holds but the single readings and the transcript of the wire.
+/// How far an item of a run was measured.
+struct ItemProgress {
+  int k = 1;
+  std::size_t measured = 0;  ///< Angles.
+  /// The angle, by its position in the plan, before which the run went on without it; absent: it was not
+  /// dropped.
+  std::optional<std::size_t> dropped_at;
+  std::string reason;  ///< Why it was dropped.
+};
+
+/// One item's part of a measured angle.
+struct ItemDwell {
+  int item = 1;
+  DwellRecord dwell;
+  std::vector<StoredReading> readings;
+};
+
+/// All that a run file holds but the single readings and the transcript of the wire. Of several items, what
+/// belongs to one is of the item that was asked for.
 struct StoredRun {
   RunHeader header;
   RunState state = RunState::kInterrupted;
   RunTiming timing;
   RunRecord record;
+  int item = 1;                         ///< Whose record it is.
+  std::vector<ItemProgress> items;      ///< Of all items, in the order of header.items.
   std::vector<StoredSession> sessions;  ///< None in a file of version 2.
   std::vector<std::size_t> measured;    ///< Positions in header.plan that have a dwell, in order of time.
   std::vector<DwellRecord> dwells;      ///< Their dwells: those of the record and its check poses.
@@ -189,11 +223,11 @@ class RunFile {
   /// another run.
   static RunFile open_for_append(const std::filesystem::path& path);
 
-  /// Reads a run in any state.
-  static StoredRun load(const std::filesystem::path& path);
+  /// Reads a run in any state, as it is for one of its items.
+  static StoredRun load(const std::filesystem::path& path, int item = 1);
 
-  /// Gives every dwell with its readings to `each`, one after the other in the order of measurement: all
-  /// readings of a long run at once may not fit into memory.
+  /// Gives every dwell of all items with its readings to `each`, one after the other in the order of
+  /// measurement: all readings of a long run at once may not fit into memory.
   static void read_dwells(const std::filesystem::path& path,
                           const std::function<void(const StoredDwell& dwell)>& each);
 
@@ -227,6 +261,10 @@ class RunFile {
   /// Commits one angle with its readings and the time spent so far; on return it is on the disk.
   void append_dwell(std::size_t plan_position, const DwellRecord& dwell,
                     std::span<const StoredReading> readings, const RunTiming& timing);
+  /// The same for several items: all of them are on the disk, or none is.
+  void append_dwells(std::size_t plan_position, std::span<const ItemDwell> dwells, const RunTiming& timing);
+  /// The run goes on without an item, from the angle at a position of the plan on.
+  void drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why);
   void append_event(const std::string& utc, std::string_view kind, std::string_view text);
   void append_environment(const std::string& utc, std::string_view when,
                           std::optional<double> temperature_degc, std::optional<double> humidity_percent,

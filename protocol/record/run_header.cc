@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <charconv>
 #include <map>
@@ -17,6 +18,14 @@ namespace abcal {
 namespace {
 
 constexpr std::string_view kLabelPrefix = "label.";
+constexpr std::string_view kItemLabelPrefix = "label.item.";
+constexpr const char* kAccelerometerRole = "accelerometer";
+constexpr std::string_view kItemRole = "item-";
+
+/// What stands before the keys of an item's own facts; item 1 has those of the run.
+std::string facts_prefix(int item) {
+  return item == 1 ? "" : fmt::format("item-{}.", item);
+}
 
 std::string shortest(double value) {
   return fmt::format("{}", value);
@@ -51,6 +60,14 @@ std::map<std::string, std::string> facts_of(const RunHeader& header) {
   for (const auto& [key, value] : limits_entries(header.limits, header.expected)) meta[key] = value;
   for (const auto& [key, value] : header.labels) meta[std::string(kLabelPrefix) + key] = value;
   return meta;
+}
+
+void add_item_facts(const ItemFacts& facts, const std::string& prefix,
+                    std::map<std::string, std::string>& meta) {
+  meta[prefix + "response_unit"] = facts.response_unit;
+  for (const auto& [key, value] : effect_size_entries(facts.tolerances)) meta[prefix + key] = value;
+  for (const auto& [key, value] : limits_entries(facts.limits, facts.expected)) meta[prefix + key] = value;
+  for (const auto& [key, value] : facts.labels) meta[prefix + std::string(kLabelPrefix) + key] = value;
 }
 
 void write_instruments(SqliteDatabase& database, const std::vector<InstrumentIdentity>& instruments) {
@@ -154,11 +171,12 @@ class Facts {
   std::map<std::string, std::string> all_;
 };
 
-void read_facts(const Facts& facts, RunHeader& header) {
+/// @param prefix before the keys of the item's own facts
+void read_facts(const Facts& facts, const std::string& prefix, RunHeader& header) {
   header.program_version = facts.text("program_version");
   header.created_utc = facts.text("created_utc");
   header.bench_toml = facts.text("bench_toml");
-  header.response_unit = facts.text("response_unit");
+  header.response_unit = facts.text(prefix + "response_unit");
   header.g_loc = {facts.real("g_loc.value_mps2"), facts.real("g_loc.expanded_uncertainty_mps2"),
                   facts.real("g_loc.coverage_factor"), facts.text("g_loc.source")};
   const auto optional_real = [&](const std::string& key) {
@@ -172,7 +190,9 @@ void read_facts(const Facts& facts, RunHeader& header) {
     for (const char* key : {"alignment_deg", "step_deg", "initial_turn_deg", "zero_deg", "drift"})
       static_cast<void>(facts.text(std::string("tolerances.") + key));
   }
-  read_effect_sizes([&](const std::string& key, double) { return optional_real(key); }, optional_text,
+  const auto item_real = [&](const std::string& key) { return optional_real(prefix + key); };
+  const auto item_text = [&](const std::string& key) { return optional_text(prefix + key); };
+  read_effect_sizes([&](const std::string& key, double) { return item_real(key); }, item_text,
                     header.tolerances);
   for (const auto& [name, member] : kAlignments) {
     const std::string key = std::string("alignment.") + name;
@@ -180,12 +200,30 @@ void read_facts(const Facts& facts, RunHeader& header) {
     header.measured_alignment.*member =
         MeasuredValue{facts.real(key), facts.real(std::string("alignment.u_") + name)};
   }
-  read_limits_entries(optional_real, optional_text, header.limits, header.expected);
+  read_limits_entries(item_real, item_text, header.limits, header.expected);
   header.step = Angle::degrees(facts.real("protocol.step_deg"));
   header.steps = static_cast<int>(facts.real("protocol.steps"));
+  const std::string own = prefix + std::string(kItemLabelPrefix);
   for (const auto& [key, value] : facts.all()) {
-    if (key.starts_with(kLabelPrefix)) header.labels[key.substr(kLabelPrefix.size())] = value;
+    if (key.starts_with(own)) {
+      header.labels[key.substr(prefix.size() + kLabelPrefix.size())] = value;
+    } else if (key.starts_with(kLabelPrefix) && !key.starts_with(kItemLabelPrefix)) {
+      header.labels[key.substr(kLabelPrefix.size())] = value;
+    }
   }
+}
+
+/// Those of the bench, and the accelerometer of one item.
+void read_instruments(SqliteDatabase& database, int item, std::vector<InstrumentIdentity>& instruments) {
+  SqliteStatement rows = database.prepare("select * from instrument order by role");
+  while (rows.step()) {
+    std::string role = rows.text("role");
+    if (role == item_role(item)) role = kAccelerometerRole;
+    if (role.starts_with(kItemRole)) continue;
+    instruments.push_back({role, rows.text("maker"), rows.text("model"), rows.text("serial_number"),
+                           rows.text("firmware"), rows.text("details")});
+  }
+  std::ranges::sort(instruments, {}, &InstrumentIdentity::role);
 }
 
 void read_plan(SqliteDatabase& database, std::vector<PlannedAngle>& plan) {
@@ -239,6 +277,10 @@ void read_sessions(SqliteDatabase& database, std::vector<StoredSession>& session
 
 }  // namespace
 
+std::string item_role(int item) {
+  return std::string(kItemRole) + std::to_string(item);
+}
+
 void set_meta(SqliteDatabase& database, std::string_view key, std::string_view value) {
   database.prepare("insert or replace into meta(key, value) values(:key, :value)")
       .set("key", key)
@@ -254,7 +296,10 @@ void set_timing(SqliteDatabase& database, const RunTiming& timing) {
 }
 
 void write_run_header(SqliteDatabase& database, const RunHeader& header) {
-  for (const auto& [key, value] : facts_of(header)) set_meta(database, key, value);
+  auto facts = facts_of(header);
+  for (std::size_t i = 0; i < header.further_items.size(); ++i)
+    add_item_facts(header.further_items[i], facts_prefix(static_cast<int>(i) + 2), facts);
+  for (const auto& [key, value] : facts) set_meta(database, key, value);
   set_timing(database, {});
   write_instruments(database, header.instruments);
   write_items(database, header.items.empty() ? std::vector{item_from_labels(header)} : header.items);
@@ -265,15 +310,13 @@ void read_run_header(SqliteDatabase& database, const std::string& source, Stored
   const Facts facts(database, source);
   run.state = run_state_from(facts.text("state"));
   RunHeader& header = run.header;
-  read_facts(facts, header);
+  const std::string prefix = facts_prefix(run.item);
+  if (run.item < 1 || !facts.contains(prefix + "response_unit"))
+    throw RunFileError(fmt::format("{}: it has no item {}; its items are counted from 1", source, run.item));
+  read_facts(facts, prefix, header);
   run.timing = {facts.real("timing.moving_s"), facts.real("timing.settling_s"),
                 facts.real("timing.dwelling_s"), facts.real("timing.overhead_s")};
-  SqliteStatement instruments = database.prepare("select * from instrument order by role");
-  while (instruments.step()) {
-    header.instruments.push_back({instruments.text("role"), instruments.text("maker"),
-                                  instruments.text("model"), instruments.text("serial_number"),
-                                  instruments.text("firmware"), instruments.text("details")});
-  }
+  read_instruments(database, run.item, header.instruments);
   read_plan(database, header.plan);
   if (run_file_version(database) < 3) {
     header.items = {item_from_labels(header)};

@@ -66,6 +66,41 @@ IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
   return {what, true, fmt::format("{}, each with its readings linked to the previous one, sealed", count)};
 }
 
+/// Every item has every angle that was measured, but those after it was dropped, which an event states.
+IntegrityCheck check_items(SqliteDatabase& database, const StoredRun& stored) {
+  const std::string what = "items";
+  const auto events =
+      static_cast<std::size_t>(std::ranges::count(stored.events, kItemDroppedEvent, &RunEvent::kind));
+  std::size_t dropped = 0;
+  SqliteStatement missing = database.prepare(
+      "select count(distinct position) as n from dwell where position < :before"
+      " and position not in (select position from dwell where item = :item)");
+  SqliteStatement beyond =
+      database.prepare("select count(*) as n from dwell where item = :item and position >= :before");
+  for (const ItemProgress& item : stored.items) {
+    const auto before = static_cast<std::int64_t>(item.dropped_at.value_or(stored.header.plan.size()));
+    dropped += item.dropped_at ? 1 : 0;
+    for (SqliteStatement* statement : {&missing, &beyond}) {
+      statement->reset();
+      statement->set("item", std::int64_t{item.k}).set("before", before);
+      statement->step();
+    }
+    if (missing.integer("n") > 0)
+      return {
+          what, false,
+          fmt::format("item {} has no readings at {} of the angles that were measured before it was dropped",
+                      item.k, missing.integer("n"))};
+    if (beyond.integer("n") > 0)
+      return {what, false, fmt::format("item {} has readings after it was dropped", item.k)};
+  }
+  if (events != dropped)
+    return {what, false,
+            fmt::format("{} items are stated to be dropped, the events state {}", dropped, events)};
+  return {what, true,
+          fmt::format("{}, of which {} dropped; each has every angle up to its end", stored.items.size(),
+                      dropped)};
+}
+
 /// A dwell as it is stored, to be compared with its readings.
 struct StatedDwell {
   Eigen::Vector3d mean, spread, u_mean;
@@ -210,6 +245,7 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
     SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
     checks.push_back(check_chain(database, "event log", "event", {"utc", "who", "kind", "text"}));
     if (run_file_version(database) >= 3) checks.push_back(check_dwell_chain(database, complete));
+    if (stored.items.size() > 1) checks.push_back(check_items(database, stored));
   }
   checks.push_back(statements.get());
   if (complete) check_results(run, checks);

@@ -19,84 +19,136 @@ constexpr Clock::Duration kTemperatureInterval = std::chrono::seconds(5);
 
 }  // namespace
 
-MeasuredDwell DwellMeasurement::measure(std::size_t position, const PlannedAngle& angle) {
-  const LimitsConfig& limits = context_.settings.limits;
-  std::uint32_t marks = kFlagNone;
-  std::optional<Clock::Instant> temperature_deadline;
-  for (int repeats_left = limits.repeats;;) {
-    MeasuredDwell measured = measure_once(position, angle);
-    DwellRecord& dwell = measured.dwell;
-    dwell.flags |= marks;
-    if ((dwell.flags & kFlagTemperature) != 0U && limits.temperature_wait_s > 0.0) {
-      if (!temperature_deadline) {
-        temperature_deadline = context_.clock.now() + from_seconds(limits.temperature_wait_s);
+std::vector<ItemDwell> DwellMeasurement::measure(std::size_t position, const PlannedAngle& angle) {
+  std::map<int, Attempts> attempts;
+  std::map<int, ItemDwell> kept;
+  ItemChannels::Channels pending = items_.active();
+  for (const ItemChannel* channel : pending)
+    attempts[channel->k].repeats_left = channel->context.settings.limits.repeats;
+  while (!pending.empty()) {
+    std::map<int, ItemDwell> measured = measure_once(position, angle, pending);
+    ItemChannels::Channels again;
+    for (ItemChannel* channel : pending) {
+      const auto found = measured.find(channel->k);
+      if (found == measured.end()) continue;  // It has failed.
+      Attempts& its_attempts = attempts[channel->k];
+      found->second.dwell.flags |= its_attempts.marks;
+      const bool repeat = must_be_repeated(position, angle, *channel, found->second.dwell, its_attempts);
+      if (!repeat) {
+        kept[channel->k] = std::move(found->second);
+      } else if (!channel->failure) {
+        again.push_back(channel);
       }
-      wait_for_temperature(position, dwell.temperature_degc, *temperature_deadline);
-      marks |= kFlagHeld;
-      continue;
     }
-    const std::uint32_t transient = dwell.flags & kTransientFlags;
-    if (transient == 0U) return measured;
-    const bool left_window = (transient & kFlagOutsideWindow) != 0U;
-    if (repeats_left-- == 0) {
-      if (left_window) fail_left_window(angle, dwell);
-      return measured;
-    }
-    context_.journal.notify(
-        "repeated", fmt::format("{}: {}; it is measured again", describe(angle), describe_flags(transient)));
-    if (left_window) parts_.motion.forget_positions();
-    marks |= kFlagRepeated;
+    pending = std::move(again);
   }
+  std::vector<ItemDwell> dwells;
+  for (auto& [k, dwell] : kept) dwells.push_back(std::move(dwell));
+  return dwells;
 }
 
-MeasuredDwell DwellMeasurement::measure_once(std::size_t position, const PlannedAngle& angle) {
+bool DwellMeasurement::must_be_repeated(std::size_t position, const PlannedAngle& angle, ItemChannel& channel,
+                                        const DwellRecord& dwell, Attempts& attempts) {
+  const LimitsConfig& limits = channel.context.settings.limits;
+  if ((dwell.flags & kFlagTemperature) != 0U && limits.temperature_wait_s > 0.0) {
+    if (!attempts.temperature_deadline)
+      attempts.temperature_deadline = context_.clock.now() + from_seconds(limits.temperature_wait_s);
+    items_.each({&channel}, [&](ItemChannel& its_channel) {
+      wait_for_temperature(position, its_channel, dwell.temperature_degc, *attempts.temperature_deadline);
+    });
+    attempts.marks |= kFlagHeld;
+    return true;
+  }
+  const std::uint32_t transient = dwell.flags & kTransientFlags;
+  if (transient == 0U) return false;
+  const bool left_window = (transient & kFlagOutsideWindow) != 0U;
+  if (attempts.repeats_left-- == 0) {
+    if (left_window) fail_left_window(angle, dwell);
+    return false;
+  }
+  context_.journal.notify("repeated", fmt::format("{}{}: {}; it is measured again", channel.context.of_item(),
+                                                  describe(angle), describe_flags(transient)));
+  if (left_window) motion_.forget_positions();
+  attempts.marks |= kFlagRepeated;
+  return true;
+}
+
+std::map<int, ItemDwell> DwellMeasurement::measure_once(std::size_t position, const PlannedAngle& angle,
+                                                        const ItemChannels::Channels& pending) {
   RunJournal& journal = context_.journal;
   journal.set_activity(describe(angle));
   journal.phase(position, RunPhase::kMoving);
   const Clock::Instant begin = context_.clock.now();
-  const auto stopped_x = parts_.motion.move_to(StageAxis::kX, angle.x);
-  const auto stopped_z = parts_.motion.move_to(StageAxis::kZ, angle.z);
-  Window window;
-  window.stopped = std::max(stopped_x.value_or(begin), stopped_z.value_or(begin));
+  const auto stopped_x = motion_.move_to(StageAxis::kX, angle.x);
+  const auto stopped_z = motion_.move_to(StageAxis::kZ, angle.z);
+  const Clock::Instant stopped = std::max(stopped_x.value_or(begin), stopped_z.value_or(begin));
 
   journal.phase(position, RunPhase::kSettling);
-  window.quiet = parts_.settling.settle(window.stopped);
+  Windows windows = settle(pending, stopped);
 
   journal.phase(position, RunPhase::kDwelling);
-  parts_.readings.discard_pending();
-  window.inside_before = parts_.motion.is_inside_window(angle);
-  window.begin = context_.clock.now();
-  const std::uint64_t lost_before = parts_.readings.lost();
-  std::vector<Reading> readings = parts_.readings.read(static_cast<std::size_t>(
-      readings_per_dwell(context_.settings.protocol, context_.accelerometer_info.rate_hz)));
-  const std::uint64_t first = readings.front().sequence;
-  if (!parts_.settling.read_until_at_rest(readings)) window.quiet = false;
-  if (readings.front().sequence != first) window.begin = readings.front().arrival;
-  window.end = context_.clock.now();
-  context_.stopwatch.add_moving(window.stopped - begin);
-  context_.stopwatch.add_settling(window.begin - window.stopped);
-  context_.stopwatch.add_dwelling(window.end - window.begin);
+  items_.each(pending, [](ItemChannel& channel) { channel.readings.discard_pending(); });
+  Encoders encoders;
+  encoders.inside = motion_.is_inside_window(angle);
+  read(pending, windows);
+  const Clock::Instant end = context_.clock.now();
+  Clock::Instant dwell_begin = stopped;
+  for (const auto& [k, window] : windows) dwell_begin = std::max(dwell_begin, window.begin);
+  context_.stopwatch.add_moving(stopped - begin);
+  context_.stopwatch.add_settling(dwell_begin - stopped);
+  context_.stopwatch.add_dwelling(end - dwell_begin);
 
-  DwellStatistics statistics = dwell_statistics(readings, context_.accelerometer_info);
-  const auto lost_unseen = static_cast<std::int64_t>(parts_.readings.lost() - lost_before);
-  statistics.lost = std::max(statistics.lost, lost_unseen);
-  parts_.plausibility.require_possible(angle, statistics, readings.size());
-  parts_.settling.learn(readings, statistics);
-
-  MeasuredDwell measured{dwell_record(angle, statistics, window), {}};
-  measured.readings.reserve(readings.size());
-  for (const Reading& reading : readings) {
-    measured.readings.push_back(
-        {reading.sequence, context_.time_s(reading.arrival), reading.output, reading.temperature_degc});
-  }
+  items_.each(pending, [&](ItemChannel& channel) {
+    Window& window = windows[channel.k];
+    window.statistics = dwell_statistics(window.readings, channel.context.accelerometer_info);
+    window.statistics.lost = std::max(window.statistics.lost, static_cast<std::int64_t>(window.lost));
+    channel.plausibility.require_possible(angle, window.statistics, window.readings.size());
+    channel.settling.learn(window.readings, window.statistics);
+  });
+  encoders.x = motion_.encoder_angle(StageAxis::kX);
+  encoders.z = motion_.encoder_angle(StageAxis::kZ);
+  encoders.inside = encoders.inside && motion_.is_inside_window(angle, encoders.x, encoders.z);
+  std::map<int, ItemDwell> measured;
+  items_.each(pending, [&](ItemChannel& channel) {
+    measured[channel.k] = item_dwell(angle, channel, windows[channel.k], encoders);
+  });
   return measured;
 }
 
-DwellRecord DwellMeasurement::dwell_record(const PlannedAngle& angle, const DwellStatistics& statistics,
-                                           const Window& window) {
-  DwellRecord dwell = planned_dwell(angle);
-  dwell.encoder_x = parts_.motion.encoder_angle(StageAxis::kX);
-  dwell.encoder_z = parts_.motion.encoder_angle(StageAxis::kZ);
+DwellMeasurement::Windows DwellMeasurement::settle(const ItemChannels::Channels& pending,
+                                                   Clock::Instant stopped) const {
+  Windows windows;
+  for (const ItemChannel* channel : pending) windows[channel->k].stopped = stopped;
+  for (const ItemChannel* restless : items_.settle(pending, stopped)) windows[restless->k].quiet = false;
+  return windows;
+}
+
+void DwellMeasurement::read(const ItemChannels::Channels& pending, Windows& windows) const {
+  const Clock::Instant begin = context_.clock.now();
+  items_.each(pending, [&](ItemChannel& channel) {
+    windows[channel.k].begin = begin;
+    windows[channel.k].lost = channel.readings.lost();  // Before.
+  });
+  items_.each(pending, [&](ItemChannel& channel) {
+    Window& window = windows[channel.k];
+    window.readings = channel.readings.read(static_cast<std::size_t>(
+        readings_per_dwell(context_.settings.protocol, channel.context.accelerometer_info.rate_hz)));
+    const std::uint64_t first = window.readings.front().sequence;
+    if (!channel.settling.read_until_at_rest(window.readings)) window.quiet = false;
+    if (window.readings.front().sequence != first) window.begin = window.readings.front().arrival;
+    window.lost = channel.readings.lost() - window.lost;
+    // Beside other items it may have waited for its turn.
+    window.end = items_.several() ? window.readings.back().arrival : context_.clock.now();
+  });
+}
+
+ItemDwell DwellMeasurement::item_dwell(const PlannedAngle& angle, const ItemChannel& channel,
+                                       const Window& window, const Encoders& encoders) const {
+  const DwellStatistics& statistics = window.statistics;
+  ItemDwell measured{channel.k, planned_dwell(angle), {}};
+  DwellRecord& dwell = measured.dwell;
+  dwell.encoder_x = encoders.x;
+  dwell.encoder_z = encoders.z;
   dwell.time_s = context_.time_s(window.begin + (window.end - window.begin) / 2);
   dwell.settle_time_s = to_seconds(window.begin - window.stopped);
   dwell.count = statistics.count;
@@ -105,37 +157,42 @@ DwellRecord DwellMeasurement::dwell_record(const PlannedAngle& angle, const Dwel
   dwell.spread = statistics.spread;
   dwell.u_mean = statistics.u_mean;
   dwell.temperature_degc = statistics.temperature_degc;
-  dwell.flags = statistics.flags | parts_.plausibility.flags(statistics, parts_.settling.spreads().median());
+  dwell.flags =
+      statistics.flags | channel.plausibility.flags(statistics, channel.settling.spreads().median());
   if (statistics.lost > 0) dwell.flags |= kFlagLostReadings;
   if (!window.quiet) dwell.flags |= kFlagNotQuiet;
-  if (!window.inside_before || !parts_.motion.is_inside_window(angle, *dwell.encoder_x, *dwell.encoder_z)) {
-    dwell.flags |= kFlagOutsideWindow;
+  if (!encoders.inside) dwell.flags |= kFlagOutsideWindow;
+  measured.readings.reserve(window.readings.size());
+  for (const Reading& reading : window.readings) {
+    measured.readings.push_back(
+        {reading.sequence, context_.time_s(reading.arrival), reading.output, reading.temperature_degc});
   }
-  return dwell;
+  return measured;
 }
 
-void DwellMeasurement::wait_for_temperature(std::size_t position, std::optional<double> temperature_degc,
-                                            Clock::Instant deadline) {
+void DwellMeasurement::wait_for_temperature(std::size_t position, ItemChannel& channel,
+                                            std::optional<double> temperature_degc, Clock::Instant deadline) {
   RunJournal& journal = context_.journal;
   const StoppableClock& clock = context_.clock;
   const Clock::Instant begin = clock.now();
-  const auto excess = [&] { return parts_.plausibility.temperature_excess(temperature_degc); };
-  journal.notify("temperature", fmt::format("{}: {}; waiting for the temperature to come back",
-                                            journal.activity(), excess().value_or("")));
+  const auto excess = [&] { return channel.plausibility.temperature_excess(temperature_degc); };
+  journal.notify("temperature",
+                 fmt::format("{}{}: {}; waiting for the temperature to come back", channel.context.of_item(),
+                             journal.activity(), excess().value_or("")));
   journal.phase(position, RunPhase::kTemperature);
   while (const auto why = excess()) {
     if (clock.now() >= deadline) {
-      throw InstrumentError(context_.accelerometer_name(), Fault::kImplausible,
+      throw InstrumentError(channel.context.accelerometer_name(), Fault::kImplausible,
                             fmt::format("{}; it did not come back within {} s (temperature_wait_s)", *why,
-                                        context_.settings.limits.temperature_wait_s));
+                                        channel.context.settings.limits.temperature_wait_s));
     }
     clock.wait_until(std::min(deadline, clock.now() + kTemperatureInterval));
-    parts_.readings.discard_pending();
-    const std::vector<Reading> window = parts_.readings.read(parts_.settling.window_size());
-    temperature_degc = dwell_statistics(window, context_.accelerometer_info).temperature_degc;
+    channel.readings.discard_pending();
+    const std::vector<Reading> window = channel.readings.read(channel.settling.window_size());
+    temperature_degc = dwell_statistics(window, channel.context.accelerometer_info).temperature_degc;
   }
-  journal.notify("temperature",
-                 fmt::format("the temperature came back after {:.0f} s", to_seconds(clock.now() - begin)));
+  journal.notify("temperature", fmt::format("{}the temperature came back after {:.0f} s",
+                                            channel.context.of_item(), to_seconds(clock.now() - begin)));
   context_.stopwatch.add_settling(clock.now() - begin);
 }
 

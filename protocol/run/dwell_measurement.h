@@ -1,58 +1,69 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <map>
 #include <optional>
 #include <vector>
 
 #include "protocol/record/run_file.h"
+#include "protocol/run/item_channels.h"
 #include "protocol/run/motion.h"
-#include "protocol/run/plausibility_check.h"
-#include "protocol/run/reading_source.h"
 #include "protocol/run/run_context.h"
-#include "protocol/run/settling.h"
 
 namespace abcal {
-
-/// One angle as it was measured, not yet in the run file.
-struct MeasuredDwell {
-  DwellRecord dwell;
-  std::vector<StoredReading> readings;
-};
 
 /// Measures one angle: moves there, settles, reads, and repeats it where a disturbance may have passed.
 class DwellMeasurement {
  public:
-  /// What it measures with. All must outlive it.
-  struct Parts {
-    Motion& motion;
-    Settling& settling;
-    ReadingSource& readings;
-    const PlausibilityCheck& plausibility;
-  };
-  DwellMeasurement(RunContext& context, const Parts& parts) : context_(context), parts_(parts) {}
+  /// All must outlive this.
+  DwellMeasurement(RunContext& context, Motion& motion, const ItemChannels& items)
+      : context_(context), motion_(motion), items_(items) {}
 
-  /// Measures the angle at `position` in the plan. It is measured again (limits: repeats) where the readings
-  /// spread or creep more than usual, an output does not change at all, or an axis has left the position
-  /// window. Outside its limits the temperature is waited for (temperature_wait_s).
+  /// Measures the angle at `position` in the plan, for all items that have not failed. It is measured again
+  /// (limits: repeats), for the items concerned, where the readings spread or creep more than usual, an
+  /// output does not change at all, or an axis has left the position window. Outside its limits the
+  /// temperature is waited for (temperature_wait_s).
+  /// @return not yet in the run file, in the order of the items' numbers; without those that failed meanwhile
   /// @throws InstrumentError kStalled: an axis does not stay; kImplausible: the temperature does not come
   /// back, or readings that cannot be true. RunInterrupted.
-  MeasuredDwell measure(std::size_t position, const PlannedAngle& angle);
+  std::vector<ItemDwell> measure(std::size_t position, const PlannedAngle& angle);
 
  private:
+  /// Of one item.
   struct Window {
     Clock::Instant stopped, begin, end;
-    bool quiet = false;
-    bool inside_before = false;
+    bool quiet = true;
+    std::uint64_t lost = 0;  ///< As the driver knows.
+    std::vector<Reading> readings;
+    DwellStatistics statistics;
   };
-  MeasuredDwell measure_once(std::size_t position, const PlannedAngle& angle);
-  DwellRecord dwell_record(const PlannedAngle& angle, const DwellStatistics& statistics,
-                           const Window& window);
-  void wait_for_temperature(std::size_t position, std::optional<double> temperature_degc,
-                            Clock::Instant deadline);
+  struct Encoders {
+    Angle x, z;
+    bool inside = false;  ///< Before the dwell and after it.
+  };
+  using Windows = std::map<int, Window>;  ///< By number of the item.
+  std::map<int, ItemDwell> measure_once(std::size_t position, const PlannedAngle& angle,
+                                        const ItemChannels::Channels& pending);
+  Windows settle(const ItemChannels::Channels& pending, Clock::Instant stopped) const;
+  void read(const ItemChannels::Channels& pending, Windows& windows) const;
+  ItemDwell item_dwell(const PlannedAngle& angle, const ItemChannel& channel, const Window& window,
+                       const Encoders& encoders) const;
+  /// Of one item at one angle.
+  struct Attempts {
+    int repeats_left = 0;
+    std::uint32_t marks = kFlagNone;  ///< What was done so far.
+    std::optional<Clock::Instant> temperature_deadline;
+  };
+  bool must_be_repeated(std::size_t position, const PlannedAngle& angle, ItemChannel& channel,
+                        const DwellRecord& dwell, Attempts& attempts);
+  void wait_for_temperature(std::size_t position, ItemChannel& channel,
+                            std::optional<double> temperature_degc, Clock::Instant deadline);
   [[noreturn]] void fail_left_window(const PlannedAngle& angle, const DwellRecord& dwell) const;
 
   RunContext& context_;
-  Parts parts_;
+  Motion& motion_;
+  const ItemChannels& items_;
 };
 
 }  // namespace abcal

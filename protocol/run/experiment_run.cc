@@ -11,10 +11,9 @@
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/dwell_measurement.h"
 #include "protocol/run/halting.h"
+#include "protocol/run/item_channels.h"
 #include "protocol/run/motion.h"
-#include "protocol/run/plausibility_check.h"
-#include "protocol/run/reading_source.h"
-#include "protocol/run/settling.h"
+#include "protocol/run/recovery.h"
 
 namespace abcal {
 namespace {
@@ -22,7 +21,7 @@ namespace {
 /// The order in which the parts of a run take their turns, and what is measured already.
 class ExperimentRun {
  public:
-  /// Both instruments must be identified.
+  /// The stage must be identified.
   ExperimentRun(const RunInstruments& instruments, const RunTask& task, RunContext& context, RunFile& file)
       : instruments_(instruments),
         plan_(task.plan),
@@ -30,33 +29,33 @@ class ExperimentRun {
         file_(file),
         measured_(task.so_far.measured),
         last_(task.so_far.last),
+        items_(context, instruments, task.so_far.first_temperatures_degc),
         motion_(context, instruments.stage),
-        readings_(context, instruments.accelerometer),
-        settling_(context, readings_),
-        plausibility_(context, task.so_far.first_temperature_degc),
-        measurement_(context, {motion_, settling_, readings_, plausibility_}),
-        recovery_(context, instruments) {}
+        measurement_(context, motion_, items_),
+        recovery_(context, instruments, items_) {}
 
   RunTiming run() {
     bool home_again = !measured_.empty();
     bool warm = false;
     while (true) {
       try {
+        drop_failed();
         home(home_again);
-        instruments_.accelerometer.start();
+        items_.start();
         if (!std::exchange(warm, true)) {
-          settling_.warm_up();
-          settling_.wait_until_stable();
+          items_.first().settling.warm_up();
+          items_.wait_until_stable();
         }
-        settling_.learn_noise();
+        items_.learn_noise();
+        drop_failed();
         if (last_) measure_last_again(*last_);
         measure_missing();
         park();
-        instruments_.accelerometer.stop();
+        items_.stop();
         return context_.stopwatch.timing();
       } catch (const InstrumentError& error) {
         if (!recovery_.is_possible(error)) throw;
-        home_again = recovery_.wait_for_ports(error, measured_.size());
+        home_again = wait_for_ports(error);
         motion_.forget_positions();
       }
     }
@@ -79,9 +78,49 @@ class ExperimentRun {
     for (std::size_t position = 0; position < plan_.size(); ++position) {
       if (measured_.contains(position)) continue;
       hold_if_wanted(position);
-      MeasuredDwell measured = measurement_.measure(position, plan_[position]);
+      std::vector<ItemDwell> measured = measurement_.measure(position, plan_[position]);
+      drop_failed();
       commit(position, measured);
     }
+  }
+
+  /// @return whether the axes must be homed again
+  bool wait_for_ports(const InstrumentError& lost) {
+    try {
+      return recovery_.wait_for_ports(lost, measured_.size());
+    } catch (const InstrumentError& gone) {
+      Reconnector& ports = *instruments_.reconnector;
+      if (gone.fault() != Fault::kLinkLost || !items_.several() || ports.stage_lost()) throw;
+      for (ItemChannel* channel : items_.active()) {
+        if (!ports.item_lost(channel->k)) continue;
+        channel->failure = gone;
+        ports.give_up_item(channel->k);
+      }
+      if (items_.active().size() == items_.size()) throw;
+      drop_failed();
+      return false;
+    }
+  }
+
+  /// Goes on without the items that have failed.
+  void drop_failed() {
+    for (const auto& channel : items_.take_failed()) {
+      const std::size_t others = items_.active().size();
+      channel->accelerometer.stop();
+      context_.journal.drop_item(
+          channel->k, next_position(),
+          fmt::format("{} (SN {}) is left out from here on: {} ({}); the run goes on with the other{}",
+                      channel->context.accelerometer_name(),
+                      channel->context.accelerometer_info.serial_number, channel->failure->what(),
+                      context_.journal.activity(), others == 1 ? "" : fmt::format(" {}", others)));
+    }
+  }
+
+  /// Of the first angle that is not measured.
+  std::size_t next_position() const {
+    std::size_t position = 0;
+    while (measured_.contains(position)) ++position;
+    return position;
   }
 
   /// Waits between two angles while a person wants it.
@@ -100,50 +139,70 @@ class ExperimentRun {
   /// After an interruption: the last angle must read as it did.
   void measure_last_again(const RunProgress::LastAngle& last) {
     const PlannedAngle& angle = plan_[last.position];
-    MeasuredDwell measured = measurement_.measure(last.position, angle);
-    const Eigen::Vector3d change = measured.dwell.mean - last.dwell.mean;
+    std::vector<ItemDwell> measured = measurement_.measure(last.position, angle);
+    drop_failed();
+    for (ItemDwell& each : measured) {
+      const auto before = last.dwells.find(each.item);
+      if (before != last.dwells.end()) require_unchanged(angle, before->second, each);
+      each.dwell.flags |= kFlagRepeated;
+    }
+    commit(last.position, measured);
+  }
+
+  void require_unchanged(const PlannedAngle& angle, const DwellRecord& before, const ItemDwell& now) const {
+    const ItemChannel& channel = items_.of(now.item);
+    const Eigen::Vector3d change = now.dwell.mean - before.mean;
     const Eigen::Vector3d explained =
-        explained_change(last.dwell, measured.dwell, context_.settings.tolerances);
+        explained_change(before, now.dwell, channel.context.settings.tolerances);
     for (int j = 0; j < 3; ++j) {
       if (std::abs(change[j]) <= explained[j]) continue;
       throw InstrumentError(
-          context_.accelerometer_name(), Fault::kImplausible,
+          channel.context.accelerometer_name(), Fault::kImplausible,
           fmt::format(
               "output {} at {} reads {:.7g} now and read {:.7g} before the interruption, a change of "
               "{:.2g}; required: at most {:.2g}, as noise, drift and the stated uncertainties of the stage "
               "explain. The accelerometer or the reference of the stage has moved: begin a new run",
-              "uvw"[j], describe(angle), measured.dwell.mean[j], last.dwell.mean[j], std::abs(change[j]),
+              "uvw"[j], describe(angle), now.dwell.mean[j], before.mean[j], std::abs(change[j]),
               explained[j]));
     }
-    measured.dwell.flags |= kFlagRepeated;
-    commit(last.position, measured);
   }
 
-  void commit(std::size_t position, MeasuredDwell& measured) {
-    DwellRecord& dwell = measured.dwell;
+  void commit(std::size_t position, std::vector<ItemDwell>& measured) {
     const bool is_check = measured_.contains(position);  // Of an angle that is there already.
-    if (!is_check) {
-      const bool last =
-          position + 1 == plan_.size() || plan_[position + 1].experiment != plan_[position].experiment;
-      if (const auto excess = plausibility_.full_scale_excess(dwell, last)) {
-        dwell.flags |= kFlagNorm;
-        context_.journal.notify("full scale", *excess);
+    const bool last =
+        position + 1 == plan_.size() || plan_[position + 1].experiment != plan_[position].experiment;
+    for (ItemDwell& each : measured) {
+      ItemChannel& channel = items_.of(each.item);
+      if (is_check) continue;
+      if (const auto excess = channel.plausibility.full_scale_excess(each.dwell, last)) {
+        each.dwell.flags |= kFlagNorm;
+        context_.journal.notify("full scale", channel.context.of_item() + *excess);
       }
     }
     context_.journal.check_system_clock();
-    file_.append_dwell(position, dwell, measured.readings, context_.stopwatch.timing());
+    file_.append_dwells(position, measured, context_.stopwatch.timing());
     for (const StageEvent& event : instruments_.stage.take_events())
       context_.journal.notify(event.kind, event.text);
-    if (dwell.flags != kFlagNone) {
-      context_.journal.notify(
-          kFlagEvent, fmt::format("{}: {}", context_.journal.activity(), describe_flags(dwell.flags)));
-    }
-    plausibility_.remember(dwell);
-    settling_.spreads().add(dwell.spread, context_.accelerometer_info.resolution.value_or(0.0));
+    for (const ItemDwell& each : measured) remember(each);
     if (is_check) return;
     measured_.insert(position);
-    context_.journal.dwell(position, dwell);
-    if (can_be_compared_with(dwell)) last_ = {position, dwell};
+    context_.journal.dwells(position, measured);
+    const auto comparable = [](const ItemDwell& each) { return can_be_compared_with(each.dwell); };
+    if (!std::ranges::all_of(measured, comparable)) return;
+    last_ = {position, {}};
+    for (const ItemDwell& each : measured) last_->dwells[each.item] = each.dwell;
+  }
+
+  void remember(const ItemDwell& measured) {
+    ItemChannel& channel = items_.of(measured.item);
+    const DwellRecord& dwell = measured.dwell;
+    if (dwell.flags != kFlagNone) {
+      context_.journal.notify(kFlagEvent,
+                              fmt::format("{}{}: {}", channel.context.of_item(), context_.journal.activity(),
+                                          describe_flags(dwell.flags)));
+    }
+    channel.plausibility.remember(dwell);
+    channel.settling.spreads().add(dwell.spread, channel.context.accelerometer_info.resolution.value_or(0.0));
   }
 
   void park() {
@@ -168,10 +227,8 @@ class ExperimentRun {
   RunFile& file_;
   std::set<std::size_t> measured_;
   std::optional<RunProgress::LastAngle> last_;
+  ItemChannels items_;
   Motion motion_;
-  ReadingSource readings_;
-  Settling settling_;
-  PlausibilityCheck plausibility_;
   DwellMeasurement measurement_;
   Recovery recovery_;
 };
@@ -188,7 +245,8 @@ struct RunFailure {
 [[noreturn]] void end_early(const RunInstruments& instruments, const RunFailure& failure,
                             const std::string& activity, RunFile& file) {
   const HaltOutcome halt = halt_stage(instruments.stage);
-  instruments.accelerometer.stop();
+  if (instruments.items.empty()) instruments.accelerometer.stop();
+  for (const ItemInstrument& item : instruments.items) item.accelerometer->stop();
   std::string consequences = fmt::format(" ({}); {}", activity, halt.words);
   const std::string& reason = failure.reason;
   try {
@@ -236,7 +294,6 @@ RunTiming run_experiments(const RunInstruments& instruments, const RunTask& task
   try {
     context.clock.throw_if_stopped();
     context.stage_info = instruments.stage.identify();
-    context.accelerometer_info = instruments.accelerometer.identify();
     return ExperimentRun(instruments, task, context, file).run();
   } catch (const RunInterrupted& error) {
     failure = {error.what(), std::nullopt, true};

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <functional>
+#include <map>
 #include <optional>
 #include <set>
 #include <stop_token>
@@ -10,8 +11,8 @@
 
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/run_file.h"
-#include "protocol/run/recovery.h"
 #include "protocol/run/run_context.h"
+#include "protocol/run/run_instruments.h"
 #include "protocol/run/run_observer.h"
 
 namespace abcal {
@@ -25,10 +26,11 @@ struct RunProgress {
   /// explain at a false alarm in 1e6.
   struct LastAngle {
     std::size_t position = 0;
-    DwellRecord dwell;
+    std::map<int, DwellRecord> dwells;  ///< By number of the item.
   };
   std::optional<LastAngle> last;
-  std::optional<double> first_temperature_degc;  ///< Of the first angle, if it is measured already.
+  /// Of the first angle, by number of the item, if it is measured already.
+  std::map<int, double> first_temperatures_degc;
 };
 
 /// What is to be measured.
@@ -58,6 +60,10 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
 /// If a port vanishes, waits for it (limits: replug_timeout_s, max_replugs), and continues as after an
 /// interruption: same instruments, the axes homed again if the stage was lost, the last angle measured
 /// again and compared, the angle under way repeated.
+///
+/// One of several items that falls silent, or whose port does not come back, is dropped, and the run goes on
+/// with the others. Readings that cannot be true, or contradict gravity, end the run whichever item they are
+/// of.
 ///
 /// Whatever ends it early, the stage is halted, the accelerometer stopped, and the run left interrupted with
 /// the reason in its file: the first cause, also where a halt made the call under way fail.

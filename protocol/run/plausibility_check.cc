@@ -2,6 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Geometry>
+#include <cmath>
+
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/plausibility.h"
 
@@ -48,6 +51,29 @@ void PlausibilityCheck::require_possible(const PlannedAngle& angle, const DwellS
                     "output is stuck",
                     read, describe(angle), statistics.mean[0], statistics.mean[1], statistics.mean[2]));
   }
+  if (context_.item != 0) require_direction_of_gravity(angle, statistics.mean);
+}
+
+void PlausibilityCheck::require_direction_of_gravity(const PlannedAngle& angle,
+                                                     const Eigen::Vector3d& mean) const {
+  const LimitsConfig& limits = context_.settings.limits;
+  const auto mounting = mounting_matrix(context_.settings.expected.mounting);
+  // Where the outputs do not show the norm of gravity, their offsets may be large: nothing is known then.
+  if (!mounting || !nominal_ || norm_is_wrong(mean, *nominal_, limits)) return;
+  const Eigen::Vector3d up_in_platter =
+      Eigen::AngleAxisd(-angle.z.rad(), Eigen::Vector3d::UnitZ()) *
+      (Eigen::AngleAxisd(-angle.x.rad(), Eigen::Vector3d::UnitX()) * Eigen::Vector3d::UnitZ());
+  const Eigen::Vector3d expected = *mounting * up_in_platter;
+  const Angle off = Angle::radians(std::atan2(expected.cross(mean).norm(), expected.dot(mean)));
+  if (off <= limits.mounting) return;
+  throw InstrumentError(
+      context_.accelerometer_name(), Fault::kImplausible,
+      fmt::format("at {} it reads ({:.4g}, {:.4g}, {:.4g}), {:.0f} deg from the direction that gravity has "
+                  "for its mounting \"{}\"; required: at most {:g} deg ([limits] mounting_deg). It may have "
+                  "come loose, or its mounting in the bench file is wrong: look at it before the stage moves "
+                  "again",
+                  describe(angle), mean[0], mean[1], mean[2], off.deg(), context_.settings.expected.mounting,
+                  limits.mounting.deg()));
 }
 
 std::uint32_t PlausibilityCheck::flags(const DwellStatistics& statistics,

@@ -24,7 +24,8 @@ class PlausibilityCheck {
 
   /// Readings that cannot be true end the run; they are not averaged into a number that looks right.
   /// @param read  How many readings `statistics` was made from.
-  /// @throws InstrumentError kImplausible: not finite, too many lost, the same three numbers at two angles.
+  /// @throws InstrumentError kImplausible: not finite, too many lost, the same three numbers at two angles;
+  /// of one of several items also a direction that is not that of gravity: it may have come loose.
   void require_possible(const PlannedAngle& angle, const DwellStatistics& statistics, std::size_t read) const;
 
   /// Flags for a stuck output, spread above the usual, temperature, norm of the readings.
@@ -42,6 +43,8 @@ class PlausibilityCheck {
   void remember(const DwellRecord& dwell);
 
  private:
+  void require_direction_of_gravity(const PlannedAngle& angle, const Eigen::Vector3d& mean) const;
+
   const RunContext& context_;
   std::optional<double> nominal_;  ///< R for one g_loc.
   std::optional<double> first_temperature_degc_;

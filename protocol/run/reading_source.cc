@@ -9,6 +9,14 @@
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {
+namespace {
+
+/// Longest wait for one of several items between two looks at the others.
+constexpr Clock::Duration kSliceBesideOthers = std::chrono::milliseconds(5);
+/// Most readings that are kept for an item that nobody reads; older ones are dropped.
+constexpr std::size_t kMostWaiting = 65536;
+
+}  // namespace
 
 std::vector<Reading> ReadingSource::read(std::size_t count) {
   std::vector<Reading> readings;
@@ -18,21 +26,40 @@ std::vector<Reading> ReadingSource::read(std::size_t count) {
 }
 
 Reading ReadingSource::read_one() {
+  if (!waiting_.empty()) {
+    Reading reading = std::move(waiting_.front());
+    waiting_.pop_front();
+    return reading;
+  }
+  if (failure_) throw InstrumentError(*failure_);
   const StoppableClock& clock = context_.clock;
   const double timeout_s = context_.settings.protocol.reading_timeout_s;
   const Clock::Instant deadline = clock.now() + from_seconds(timeout_s);
   while (true) {
     clock.throw_if_stopped();
     const Clock::Instant now = clock.now();
-    if (auto reading = accelerometer_.next(std::min(deadline, now + StoppableClock::kSlice))) {
-      return *std::move(reading);
-    }
+    const Clock::Duration slice = others_.empty() ? StoppableClock::kSlice : kSliceBesideOthers;
+    auto reading = accelerometer_.next(std::min(deadline, now + slice));
+    for (ReadingSource* other : others_) other->take_waiting();
+    if (reading) return *std::move(reading);
     if (clock.now() >= deadline) {
       throw InstrumentError(context_.accelerometer_name(), Fault::kNoReply,
                             fmt::format("no reading for {} s (reading_timeout_s), after {} readings. Check "
                                         "the cable, the supply, and whether another program has stopped it",
                                         timeout_s, accelerometer_.health().readings));
     }
+  }
+}
+
+void ReadingSource::take_waiting() {
+  if (failure_) return;
+  try {
+    while (auto reading = accelerometer_.next(context_.clock.now())) {
+      if (waiting_.size() == kMostWaiting) waiting_.pop_front();
+      waiting_.push_back(*std::move(reading));
+    }
+  } catch (const InstrumentError& error) {
+    failure_ = error;  // It is told when this one is read.
   }
 }
 

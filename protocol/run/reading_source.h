@@ -1,34 +1,55 @@
 #pragma once
 
 #include <cstddef>
+#include <deque>
+#include <optional>
 #include <vector>
 
 #include "drivers/instrument/accelerometer.h"
+#include "drivers/instrument/instrument_error.h"
 #include "protocol/run/run_context.h"
 
 namespace abcal {
 
-/// The readings of the accelerometer, one after the other; a silent accelerometer is an error.
+/// The readings of an accelerometer, one after the other; a silent accelerometer is an error.
+///
+/// Those of several items are read at once by one thread: while one is waited for, what the others have made
+/// is taken from their drivers and kept until they are read.
 class ReadingSource {
  public:
   /// Both must outlive this.
   ReadingSource(const RunContext& context, Accelerometer& accelerometer)
       : context_(context), accelerometer_(accelerometer) {}
 
+  /// From now on the readings of `others` are taken while this one waits. They must outlive this.
+  void read_beside(std::vector<ReadingSource*> others) { others_ = std::move(others); }
+
   /// Waits for `count` readings.
   /// @throws InstrumentError kNoReply after reading_timeout_s without any, kLinkLost. RunInterrupted.
   std::vector<Reading> read(std::size_t count);
 
   /// Discards what arrived before now.
-  void discard_pending() { accelerometer_.discard_pending(); }
+  void discard_pending() {
+    waiting_.clear();
+    accelerometer_.discard_pending();
+  }
+  /// Forgets what was read and how it ended: the accelerometer is started again.
+  void restart() {
+    waiting_.clear();
+    failure_.reset();
+  }
   /// Readings lost so far, as the driver knows.
   std::uint64_t lost() const { return accelerometer_.health().lost_readings; }
 
  private:
   Reading read_one();
+  void take_waiting();
 
   const RunContext& context_;
   Accelerometer& accelerometer_;
+  std::vector<ReadingSource*> others_;
+  std::deque<Reading> waiting_;             ///< Made while another one was read.
+  std::optional<InstrumentError> failure_;  ///< After them.
 };
 
 }  // namespace abcal

@@ -30,8 +30,16 @@ bool Recovery::is_possible(const InstrumentError& error) const {
          !context_.clock.stop_requested();
 }
 
-std::string Recovery::lost_name(bool stage_lost) const {
-  return stage_lost ? context_.stage_name() : context_.accelerometer_name();
+std::string Recovery::lost_name(const InstrumentError& lost, bool stage_lost) const {
+  if (stage_lost) return context_.stage_name();
+  return items_.several() ? lost.instrument() : items_.first().context.accelerometer_name();
+}
+
+const std::string& Recovery::serial_number_of(const std::string& name) const {
+  for (const ItemChannel* channel : items_.active())
+    if (channel->context.accelerometer_name() == name)
+      return channel->context.accelerometer_info.serial_number;
+  return items_.first().context.accelerometer_info.serial_number;
 }
 
 bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position) {
@@ -45,7 +53,7 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
                     lost.detail(), times_lost_, limits.max_replugs));
   }
   bool stage_lost = instruments_.reconnector->stage_lost();
-  const std::string name = lost_name(stage_lost);
+  const std::string name = lost_name(lost, stage_lost);
   // At once: the accelerometer may have been lost while the stage moved, or one of two stage controllers
   // while the other one moved.
   const HaltOutcome halt = halt_stage(instruments_.stage);
@@ -60,8 +68,7 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
     throw InstrumentError(context_.stage_name(), Fault::kNoReply,
                           "it came back but does not acknowledge the halt: stop it by its own switch");
   }
-  const std::string& serial_number =
-      stage_lost ? context_.stage_info.serial_number : context_.accelerometer_info.serial_number;
+  const std::string& serial_number = stage_lost ? context_.stage_info.serial_number : serial_number_of(name);
   journal.notify(
       kReconnectedEvent,
       fmt::format("{} is back{}; the run continues{}", name,
@@ -73,7 +80,7 @@ bool Recovery::wait_for_ports(const InstrumentError& lost, std::size_t position)
 }
 
 void Recovery::reopen(const InstrumentError& lost, bool& stage_lost) {
-  const std::string name = lost_name(stage_lost);
+  const std::string name = lost_name(lost, stage_lost);
   const double timeout_s = context_.settings.protocol.replug_timeout_s;
   const Clock::Instant deadline = context_.clock.now() + from_seconds(timeout_s);
   while (true) {
@@ -100,10 +107,12 @@ void Recovery::require_same_instruments() {
   const StageInfo stage = instruments_.stage.identify();
   require_same(context_.stage_name(), context_.stage_info.model + " SN " + context_.stage_info.serial_number,
                stage.model + " SN " + stage.serial_number);
-  const AccelerometerInfo accelerometer = instruments_.accelerometer.identify();
-  require_same(context_.accelerometer_name(),
-               context_.accelerometer_info.model + " SN " + context_.accelerometer_info.serial_number,
-               accelerometer.model + " SN " + accelerometer.serial_number);
+  for (const ItemChannel* channel : items_.active()) {
+    const AccelerometerInfo& before = channel->context.accelerometer_info;
+    const AccelerometerInfo now = channel->accelerometer.identify();
+    require_same(channel->context.accelerometer_name(), before.model + " SN " + before.serial_number,
+                 now.model + " SN " + now.serial_number);
+  }
   context_.stage_info = stage;
 }
 

@@ -3,39 +3,20 @@
 #include <cstddef>
 #include <string>
 
-#include "drivers/instrument/accelerometer.h"
 #include "drivers/instrument/instrument_error.h"
-#include "drivers/instrument/rotation_stage.h"
+#include "protocol/run/item_channels.h"
 #include "protocol/run/run_context.h"
+#include "protocol/run/run_instruments.h"
 
 namespace abcal {
-
-/// Reopens ports of a run that vanished: a cable was unplugged, or a hub was reset.
-class Reconnector {
- public:
-  virtual ~Reconnector() = default;
-  /// Whether the stage is one of those that are gone.
-  virtual bool stage_lost() const = 0;
-  /// Opens the lost ports, with new drivers that have not identified their instruments yet.
-  /// @throws InstrumentError kCannotOpen, kLinkLost: not back yet; what is back stays open.
-  virtual void reconnect() = 0;
-};
-
-/// The instruments of a run, and their clock.
-struct RunInstruments {
-  RotationStage& stage;
-  Accelerometer& accelerometer;
-  Clock& clock;
-  Reconnector* reconnector = nullptr;  ///< Null: a port that vanishes ends the run.
-};
 
 /// Waits for ports that vanished and makes sure that what comes back has the same model and the
 /// same serial number, if it has one.
 class Recovery {
  public:
-  /// Both must outlive this.
-  Recovery(RunContext& context, const RunInstruments& instruments)
-      : context_(context), instruments_(instruments) {}
+  /// All must outlive this.
+  Recovery(RunContext& context, const RunInstruments& instruments, const ItemChannels& items)
+      : context_(context), instruments_(instruments), items_(items) {}
 
   /// Whether the run can wait for what was lost.
   bool is_possible(const InstrumentError& error) const;
@@ -51,10 +32,12 @@ class Recovery {
  private:
   void reopen(const InstrumentError& lost, bool& stage_lost);
   void require_same_instruments();
-  std::string lost_name(bool stage_lost) const;
+  const std::string& serial_number_of(const std::string& name) const;
+  std::string lost_name(const InstrumentError& lost, bool stage_lost) const;
 
   RunContext& context_;
   const RunInstruments& instruments_;
+  const ItemChannels& items_;
   int times_lost_ = 0;
 };
 

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <memory>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -40,7 +42,7 @@ class RunJournal {
   const std::string& activity() const { return activity_; }
 
   void phase(std::size_t position, RunPhase phase) { observer_.phase(position, phase); }
-  void dwell(std::size_t position, const DwellRecord& dwell) { observer_.dwell(position, dwell); }
+  void dwells(std::size_t position, std::span<const ItemDwell> dwells) { observer_.dwells(position, dwells); }
   bool hold_wanted() { return observer_.hold_wanted(); }
 
   /// Into the run file only.
@@ -51,6 +53,11 @@ class RunJournal {
   void notify(std::string_view kind, std::string_view text) {
     record(kind, text);
     observer_.notice(kind, text);
+  }
+  /// Into the run file and to the observer: the run goes on without an item, from an angle on.
+  void drop_item(int item, std::size_t position, std::string_view text) {
+    file_.drop_item(item, position, format_utc(file_.utc(clock_.now())), text);
+    observer_.notice(kItemDroppedEvent, text);
   }
   /// Notes a step that the system clock made since the look before.
   void check_system_clock() {
@@ -97,36 +104,56 @@ class RunStopwatch {
   Clock::Instant begin_;
 };
 
-/// What all parts of one run share.
+/// What all parts of one run share, and what of it one item has for itself. A copy is the same run, with
+/// settings and an accelerometer that may be those of another item.
 struct RunContext {
-  StoppableClock clock;
+ private:
+  struct Shared {
+    StoppableClock clock;
+    RunJournal journal;
+    RunStopwatch stopwatch;
+    StageInfo stage_info;
+    const RunFile& file;
+
+    Shared(const StoppableClock& run_clock, const RunTiming& spent_before, RunFile& run_file,
+           RunObserver& observer)
+        : clock(run_clock),
+          journal(run_file, observer, clock),
+          stopwatch(clock, spent_before),
+          file(run_file) {}
+  };
+  std::shared_ptr<Shared> shared_;
+
+ public:
+  StoppableClock& clock;
+  RunJournal& journal;
+  RunStopwatch& stopwatch;
+  StageInfo& stage_info;
   RunSettings settings;
-  RunJournal journal;
-  RunStopwatch stopwatch;
-  StageInfo stage_info;
   AccelerometerInfo accelerometer_info;
+  int item = 0;  ///< Which of several; 0: there is one only.
 
   RunContext(const StoppableClock& run_clock, RunSettings run_settings, const RunTiming& spent_before,
              RunFile& file, RunObserver& observer)
-      : clock(run_clock),
-        settings(std::move(run_settings)),
-        journal(file, observer, clock),
-        stopwatch(clock, spent_before),
-        file_(file) {
+      : shared_(std::make_shared<Shared>(run_clock, spent_before, file, observer)),
+        clock(shared_->clock),
+        journal(shared_->journal),
+        stopwatch(shared_->stopwatch),
+        stage_info(shared_->stage_info),
+        settings(std::move(run_settings)) {
     if (!file.in_session()) file.begin_session({clock.utc_now(), clock.now(), {}, {}});
   }
-  RunContext(const RunContext&) = delete;
+  RunContext(const RunContext&) = default;
   RunContext& operator=(const RunContext&) = delete;
 
   /// True time from the beginning of the run, pauses included: DwellRecord::time_s.
-  double time_s(Clock::Instant instant) const { return file_.time_s(instant); }
+  double time_s(Clock::Instant instant) const { return shared_->file.time_s(instant); }
 
   /// For messages.
   std::string stage_name() const { return "stage " + stage_info.model; }
-  std::string accelerometer_name() const { return "accelerometer " + accelerometer_info.model; }
-
- private:
-  const RunFile& file_;
+  std::string accelerometer_name() const { return of_item() + "accelerometer " + accelerometer_info.model; }
+  /// "item 3, ": what a message about one of several items begins with; empty: there is one only.
+  std::string of_item() const { return item == 0 ? "" : "item " + std::to_string(item) + ", "; }
 };
 
 /// "experiment 1, alpha = 5 deg", "check pose 1, X = 54.7356 deg, Z = 45 deg".

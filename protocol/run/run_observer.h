@@ -1,9 +1,11 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
 #include <stdexcept>
 #include <string_view>
 
+#include "protocol/record/run_file.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {
@@ -44,6 +46,10 @@ class RunObserver {
   virtual void phase(std::size_t position, RunPhase phase) = 0;
   /// An angle was measured and is on the disk.
   virtual void dwell(std::size_t position, const DwellRecord& dwell) = 0;
+  /// The same with the part of every item; the first one is also that of dwell().
+  virtual void dwells(std::size_t position, std::span<const ItemDwell> dwells) {
+    dwell(position, dwells.front().dwell);
+  }
   /// A message for a person; it is also in the run file, as an event of this kind.
   virtual void notice(std::string_view kind, std::string_view text) = 0;
   /// Called between two angles, and repeatedly while the answer is yes: the stage stays where it is.

@@ -120,43 +120,33 @@ void Settling::warm_up() {
   context_.stopwatch.add_settling(context_.clock.now() - begin);
 }
 
-void Settling::wait_until_stable() {
+bool Settling::is_stable_since(Clock::Instant begin) {
   const ProtocolConfig& protocol = context_.settings.protocol;
   const LimitsConfig& limits = context_.settings.limits;
   const Tolerances& tolerances = context_.settings.tolerances;
-  if (!(protocol.stability_s > 0.0)) return;
-  context_.journal.set_activity("waiting for stable outputs and temperature");
-  context_.journal.phase(0, RunPhase::kWarmingUp);
-  const Clock::Instant begin = context_.clock.now();
+  if (!(protocol.stability_s > 0.0)) return true;
   const auto elapsed_s = [&] { return to_seconds(context_.clock.now() - begin); };
+  if (elapsed_s() > protocol.stability_s + protocol.stability_timeout_s) {
+    throw InstrumentError(
+        context_.accelerometer_name(), Fault::kImplausible,
+        fmt::format("not stable for {} s within {} s (stability_s, stability_timeout_s); required: outputs "
+                    "within {:.2g} of their norm, temperature within {:.2g} degC ([limits] stability, "
+                    "stability_degc). Let the bench warm up, and avoid draughts",
+                    protocol.stability_s, protocol.stability_timeout_s, stability_limit(limits, tolerances),
+                    stability_limit_degc(limits, tolerances)));
+  }
   const double wanted = context_.accelerometer_info.rate_hz * protocol.stability_s / kStabilityWindows;
   const auto readings_per_window = static_cast<std::size_t>(std::ceil(std::max(wanted, 10.0)));
-  std::vector<StabilityWindow> windows;
-  readings_.discard_pending();
-  do {
-    if (elapsed_s() > protocol.stability_s + protocol.stability_timeout_s) {
-      throw InstrumentError(
-          context_.accelerometer_name(), Fault::kImplausible,
-          fmt::format("not stable for {} s within {} s (stability_s, stability_timeout_s); required: outputs "
-                      "within {:.2g} of their norm, temperature within {:.2g} degC ([limits] stability, "
-                      "stability_degc). Let the bench warm up, and avoid draughts",
-                      protocol.stability_s, protocol.stability_timeout_s, stability_limit(limits, tolerances),
-                      stability_limit_degc(limits, tolerances)));
-    }
-    const std::vector<Reading> readings = readings_.read(readings_per_window);
-    const DwellStatistics window = dwell_statistics(readings, context_.accelerometer_info);
-    windows.push_back({elapsed_s(), window.mean, window.u_mean, window.temperature_degc});
-  } while (!is_stable(windows, protocol.stability_s, limits, tolerances));
-  context_.journal.notify("stable",
-                          fmt::format("outputs and temperature are stable after {:.0f} s", elapsed_s()));
-  context_.stopwatch.add_settling(context_.clock.now() - begin);
+  const std::vector<Reading> readings = readings_.read(readings_per_window);
+  const DwellStatistics window = dwell_statistics(readings, context_.accelerometer_info);
+  stability_.push_back({elapsed_s(), window.mean, window.u_mean, window.temperature_degc});
+  return is_stable(stability_, protocol.stability_s, limits, tolerances);
 }
 
 void Settling::learn_noise() {
   const ProtocolConfig& protocol = context_.settings.protocol;
   context_.journal.set_activity("waiting for quiet outputs before the first angle");
   const Clock::Instant begin = context_.clock.now();
-  readings_.discard_pending();
   const Clock::Instant last = begin + from_seconds(protocol.settle_s + protocol.quiet_timeout_s);
   std::vector<Eigen::Vector3d> spreads;
   while (true) {
@@ -179,38 +169,49 @@ bool Settling::is_quiet_window(std::span<const Reading> window) const {
 }
 
 bool Settling::settle(Clock::Instant stopped) {
-  const ProtocolConfig& protocol = context_.settings.protocol;
-  if (protocol.settle_auto) return settle_by_outputs(stopped);
+  context_.clock.wait_until(listens_from(stopped));
+  readings_.discard_pending();
+  const Rest rest = find_rest(stopped);
+  context_.clock.wait_until(rest.begin);
+  return rest.quiet;
+}
+
+Clock::Instant Settling::listens_from(Clock::Instant stopped) const {
+  if (context_.settings.protocol.settle_auto) return stopped;
   const double rate_hz = context_.accelerometer_info.rate_hz;
   const double window_s = rate_hz > 0.0 ? static_cast<double>(window_size()) / rate_hz : 0.0;
+  return stopped + from_seconds(context_.settings.protocol.settle_s) - from_seconds(window_s);
+}
+
+Settling::Rest Settling::find_rest(Clock::Instant stopped) {
+  const ProtocolConfig& protocol = context_.settings.protocol;
+  if (protocol.settle_auto) return find_rest_by_outputs(stopped);
   const Clock::Instant settled = stopped + from_seconds(protocol.settle_s);
-  context_.clock.wait_until(settled - from_seconds(window_s));
-  readings_.discard_pending();
   const Clock::Instant last = settled + from_seconds(protocol.quiet_timeout_s);
   while (true) {
     const std::vector<Reading> window = readings_.read(window_size());
     context_.clock.wait_until(settled);
-    if (is_quiet_window(window)) return true;
-    if (context_.clock.now() >= last) return false;
+    const Clock::Instant now = context_.clock.now();
+    if (is_quiet_window(window)) return {true, now};
+    if (now >= last) return {false, now};
   }
 }
 
-bool Settling::settle_by_outputs(Clock::Instant stopped) {
+Settling::Rest Settling::find_rest_by_outputs(Clock::Instant stopped) {
   const Clock::Instant last = stopped + from_seconds(context_.settings.protocol.quiet_timeout_s);
-  readings_.discard_pending();
   const std::size_t block = window_size() / kBlocksOfWindow;
   std::vector<Reading> window = readings_.read(window_size());
   while (!is_quiet_window(window)) {
-    if (context_.clock.now() >= last) return false;
+    if (context_.clock.now() >= last) return {false, context_.clock.now()};
     window.erase(window.begin(), window.begin() + static_cast<std::ptrdiff_t>(block));
     const std::vector<Reading> later = readings_.read(block);
     window.insert(window.end(), later.begin(), later.end());
   }
   // Nothing was seen from the window's first reading on: half a window where that is the first of all.
-  const Clock::Instant now = context_.clock.now();
+  // Beside other items it may have waited for its turn.
+  const Clock::Instant now = context_.item == 0 ? context_.clock.now() : window.back().arrival;
   const Clock::Duration quiet_after = std::max(window.front().arrival - stopped, (now - stopped) / 2);
-  context_.clock.wait_until(stopped + from_seconds(lesson_.patience() * to_seconds(quiet_after)));
-  return true;
+  return {true, stopped + from_seconds(lesson_.patience() * to_seconds(quiet_after))};
 }
 
 bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
@@ -233,10 +234,12 @@ void Settling::learn(std::span<const Reading> readings, const DwellStatistics& s
     return;
   context_.journal.notify(
       "settling",
-      fmt::format("the outputs of many angles together still creep towards their rest in the first quarter "
-                  "of the dwell; from now on a dwell begins after {:g} times the time from which on "
-                  "they showed no motion (settle_s = \"auto\")",
-                  lesson_.patience()));
+      context_.of_item() +
+          fmt::format(
+              "the outputs of many angles together still creep towards their rest in the first quarter "
+              "of the dwell; from now on a dwell begins after {:g} times the time from which on "
+              "they showed no motion (settle_s = \"auto\")",
+              lesson_.patience()));
 }
 
 }  // namespace abcal

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "protocol/run/dwell.h"
+#include "protocol/run/plausibility.h"
 #include "protocol/run/reading_source.h"
 #include "protocol/run/run_context.h"
 
@@ -60,19 +61,32 @@ class Settling {
   /// Waits warm_up_s. @throws RunInterrupted
   void warm_up();
 
-  /// Waits until outputs and temperature have been stable for stability_s.
+  /// One look, with the readings of a part of stability_s, at whether outputs and temperature have been
+  /// stable for stability_s (0: at once).
+  /// @param begin of the looks
   /// @throws InstrumentError kImplausible after stability_timeout_s more. RunInterrupted.
-  void wait_until_stable();
+  bool is_stable_since(Clock::Instant begin);
 
   /// Measures the spread of readings while the stage is at rest: the reference for later angles.
   /// Waits for a ring-down of the last motion to end: until the spread of five windows is no longer below
-  /// that of the five before.
+  /// that of the five before. What was read before must be discarded.
   void learn_noise();
 
   /// Waits settle_s and then for the accelerometer to be quiet; with "auto" until nothing moves, and again as
   /// long: an exponential ring-down has then fallen below the noise by the factor by which it stood above it.
   /// @return false if it was not quiet after quiet_timeout_s.
   bool settle(Clock::Instant stopped);
+
+  // The parts of settle(), for several items that settle at once.
+
+  /// What arrives before this is discarded, then.
+  Clock::Instant listens_from(Clock::Instant stopped) const;
+  struct Rest {
+    bool quiet = false;    ///< False: it was not quiet after quiet_timeout_s.
+    Clock::Instant begin;  ///< Of the dwell; may lie ahead.
+  };
+  /// Reads until the accelerometer is quiet.
+  Rest find_rest(Clock::Instant stopped);
 
   /// With "auto": drops the first quarter of a dwell's readings and reads as many more while they still
   /// creep.
@@ -83,10 +97,11 @@ class Settling {
   void learn(std::span<const Reading> readings, const DwellStatistics& statistics);
 
   SpreadHistory& spreads() { return spreads_; }
+  const SpreadHistory& spreads() const { return spreads_; }
   std::size_t window_size() const;
 
  private:
-  bool settle_by_outputs(Clock::Instant stopped);
+  Rest find_rest_by_outputs(Clock::Instant stopped);
   bool is_quiet_window(std::span<const Reading> window) const;
   double resolution() const { return context_.accelerometer_info.resolution.value_or(0.0); }
 
@@ -94,6 +109,7 @@ class Settling {
   ReadingSource& readings_;
   SpreadHistory spreads_;
   SettlingLesson lesson_;
+  std::vector<StabilityWindow> stability_;  ///< Of the looks so far.
 };
 
 }  // namespace abcal

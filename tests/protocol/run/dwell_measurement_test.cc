@@ -22,21 +22,23 @@ class DwellMeasurementTest : public test::RunPartsTest {
   }
 
   /// @param usual_spread  Of the dwells before; 0: none.
-  MeasuredDwell measure(double usual_spread = 0.0, std::optional<double> first_temperature_degc = {}) {
+  ItemDwell measure(double usual_spread = 0.0, std::optional<double> first_temperature_degc = {}) {
     Motion motion(context(), stage);
-    ReadingSource readings(context(), accelerometer);
-    Settling settling(context(), readings);
-    if (usual_spread > 0.0) settling.spreads().add(Eigen::Vector3d::Constant(usual_spread), 0.0);
-    const PlausibilityCheck plausibility(context(), first_temperature_degc);
-    DwellMeasurement measurement(context(), {motion, settling, readings, plausibility});
-    return measurement.measure(7, angle);
+    std::map<int, double> first_temperatures;
+    if (first_temperature_degc) first_temperatures[1] = *first_temperature_degc;
+    const ItemChannels items(context(), {stage, accelerometer, clock}, first_temperatures);
+    if (usual_spread > 0.0)
+      items.first().settling.spreads().add(Eigen::Vector3d::Constant(usual_spread), 0.0);
+    std::vector<ItemDwell> measured = DwellMeasurement(context(), motion, items).measure(7, angle);
+    EXPECT_EQ(measured.size(), 1U);
+    return measured.at(0);
   }
 
   PlannedAngle angle;
 };
 
 TEST_F(DwellMeasurementTest, GivesTheDwellWithItsReadings) {
-  const MeasuredDwell measured = measure();
+  const ItemDwell measured = measure();
   EXPECT_EQ(measured.dwell.experiment, 2);
   EXPECT_EQ(measured.dwell.commanded_x, Angle::degrees(30));
   EXPECT_EQ(measured.dwell.encoder_x, Angle::degrees(30));
@@ -57,7 +59,7 @@ TEST_F(DwellMeasurementTest, ASingleShakeIsMeasuredAgain) {
   accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
     return noisy(k) + (k > 30 && k < 45 ? 0.01 * static_cast<double>(k % 3) : 0.0) * Eigen::Vector3d::UnitX();
   };
-  const MeasuredDwell measured = measure(0.6e-4);
+  const ItemDwell measured = measure(0.6e-4);
   EXPECT_EQ(measured.dwell.flags, kFlagRepeated);
   ASSERT_EQ(observer.notices.size(), 1U);
   EXPECT_EQ(observer.notices[0].first, "repeated");
@@ -66,7 +68,7 @@ TEST_F(DwellMeasurementTest, ASingleShakeIsMeasuredAgain) {
 
 TEST_F(DwellMeasurementTest, WhatDoesNotPassIsFlaggedAfterTheLastRepeat) {
   settings.limits.repeats = 2;
-  const MeasuredDwell measured = measure(1e-6);  // All spread is much more than usual.
+  const ItemDwell measured = measure(1e-6);  // All spread is much more than usual.
   EXPECT_EQ(measured.dwell.flags, kFlagNotQuiet | kFlagRepeated);
   EXPECT_EQ(observer.notices.size(), 2U);
 }
@@ -78,7 +80,7 @@ TEST_F(DwellMeasurementTest, WaitsForTheTemperatureAndMeasuresAgain) {
     if (k > 200) accelerometer.temperature_degc = 24.0;
     return noisy(k);
   };
-  const MeasuredDwell measured = measure();
+  const ItemDwell measured = measure();
   EXPECT_EQ(measured.dwell.flags, kFlagHeld);
   EXPECT_EQ(observer.notices.size(), 2U);
   EXPECT_THAT(observer.notices[1].second, HasSubstr("the temperature came back"));
@@ -108,7 +110,7 @@ TEST_F(DwellMeasurementTest, ReadingsThatOnlyTheDriverMissedCountAsLost) {
     if (k == 30) accelerometer.lost = 4;  // In the middle of the dwell.
     return noisy(k);
   };
-  const MeasuredDwell measured = measure();
+  const ItemDwell measured = measure();
   EXPECT_EQ(measured.dwell.lost, 4);
   EXPECT_TRUE(measured.dwell.flags & kFlagLostReadings);
 }

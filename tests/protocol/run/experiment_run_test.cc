@@ -196,7 +196,7 @@ class ResumedRunTest : public ExperimentRunTest {
     RunProgress so_far;
     so_far.measured = {stored.measured.begin(), stored.measured.end()};
     so_far.spent = stored.timing;
-    so_far.last = RunProgress::LastAngle{stored.measured.back(), stored.record.dwells.back()};
+    so_far.last = RunProgress::LastAngle{stored.measured.back(), {{1, stored.record.dwells.back()}}};
     return so_far;
   }
   void resume(const RunProgress& so_far) {
@@ -231,14 +231,15 @@ TEST_F(ResumedRunTest, GoesOnInTheMiddleOfTheCheckPoses) {
   StoredRun stored = RunFile::load(folder / "a.run");
   ASSERT_EQ(stored.dwells.size(), before);
   ASSERT_EQ(stored.record.check_poses.size(), 3U);
-  so_far.last->dwell = stored.dwells.back();
+  so_far.last->dwells[1] = stored.dwells.back();
   resume(so_far);
   stored = RunFile::load(folder / "a.run");
   EXPECT_EQ(stored.measured.size(), plan.size());
   ASSERT_EQ(stored.record.check_poses.size(), 8U);
   EXPECT_EQ(stored.record.dwells.size() + 8, plan.size());
   EXPECT_EQ(stored.record.check_poses[2].after, stored.record.check_poses[3].after);
-  EXPECT_EQ(stored.record.check_poses[2].dwell.mean, so_far.last->dwell.mean) << "the first one counts";
+  EXPECT_EQ(stored.record.check_poses[2].dwell.mean, so_far.last->dwells.at(1).mean)
+      << "the first one counts";
   SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(database.value("select count(*) from dwell where role = 'check'"), "9");
 }
@@ -307,7 +308,7 @@ TEST_F(ResumedRunTest, RefusesToGoOnWhenTheLastAngleReadsOtherwise) {
   const StoredRun stored = RunFile::load(folder / "a.run");
   EXPECT_EQ(stored.record.dwells.size(), 5U);
   EXPECT_EQ(stored.state, RunState::kInterrupted);
-  EXPECT_EQ(stored.record.dwells.back().mean, so_far.last->dwell.mean);
+  EXPECT_EQ(stored.record.dwells.back().mean, so_far.last->dwells.at(1).mean);
 }
 
 TEST(ExplainedChange, IsFivefoldTheUncertaintyOfTheChange) {

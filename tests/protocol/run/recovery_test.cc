@@ -27,14 +27,16 @@ class ScriptedReconnector final : public Reconnector {
 class RecoveryTest : public test::RunPartsTest {
  protected:
   bool wait(int times = 1) {
-    context();
     const RunInstruments instruments{stage, accelerometer, clock, &reconnector};
-    Recovery recovery(context(), instruments);
+    const ItemChannels items(context(), instruments, {});
+    if (!plugged_in.empty()) accelerometer.serial_number = plugged_in;
+    Recovery recovery(context(), instruments, items);
     bool home_again = false;
     for (int k = 0; k < times; ++k) home_again = recovery.wait_for_ports(lost, 5);
     return home_again;
   }
   ScriptedReconnector reconnector;
+  std::string plugged_in;  ///< Serial number of what comes in place of the accelerometer; empty: itself.
   InstrumentError lost{"accelerometer", Fault::kLinkLost, "end of file"};
 };
 
@@ -76,8 +78,7 @@ TEST_F(RecoveryTest, WhatDoesNotComeBackEndsTheRunWithTheFirstCause) {
 }
 
 TEST_F(RecoveryTest, AnotherInstrumentIsRefused) {
-  context();
-  accelerometer.serial_number = "3";
+  plugged_in = "3";
   const auto [fault, words] = failure_of([&] { wait(); });
   EXPECT_EQ(fault, Fault::kWrongIdentity);
   EXPECT_THAT(words, AllOf(HasSubstr("SN 3"), HasSubstr("SN 2")));
@@ -94,11 +95,12 @@ TEST_F(RecoveryTest, IsPossibleOnlyForALostPortThatCanBeOpenedAgain) {
   const RunInstruments with{stage, accelerometer, clock, &reconnector};
   const RunInstruments without{stage, accelerometer, clock, nullptr};
   const InstrumentError stalled("stage", Fault::kStalled, "it stands");
-  EXPECT_TRUE(Recovery(context(), with).is_possible(lost));
-  EXPECT_FALSE(Recovery(context(), with).is_possible(stalled));
-  EXPECT_FALSE(Recovery(context(), without).is_possible(lost));
+  const ItemChannels items(context(), with, {});
+  EXPECT_TRUE(Recovery(context(), with, items).is_possible(lost));
+  EXPECT_FALSE(Recovery(context(), with, items).is_possible(stalled));
+  EXPECT_FALSE(Recovery(context(), without, items).is_possible(lost));
   stop.request_stop();
-  EXPECT_FALSE(Recovery(context(), with).is_possible(lost));
+  EXPECT_FALSE(Recovery(context(), with, items).is_possible(lost));
 }
 
 }  // namespace

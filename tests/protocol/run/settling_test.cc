@@ -6,6 +6,7 @@
 #include <cmath>
 #include <random>
 
+#include "protocol/run/item_channels.h"
 #include "tests/protocol/run/run_parts_fixture.h"
 
 namespace abcal {
@@ -26,6 +27,7 @@ class SettlingTest : public test::RunPartsTest {
     return *readings_;
   }
   Settling settling() { return Settling(context(), readings()); }
+  ItemChannels items() { return {context(), {stage, accelerometer, clock}, {}}; }
 
  private:
   std::optional<ReadingSource> readings_;
@@ -148,6 +150,7 @@ TEST_F(SettlingTest, LearnsTheNoiseAfterTheRingDown) {
   settings.protocol.quiet_timeout_s = 30.0;
   Settling part = settling();
   EXPECT_FALSE(part.spreads().median());
+  readings().discard_pending();
   part.learn_noise();
   ASSERT_TRUE(part.spreads().median());
   // A uniform distribution of +-1e-4 has a standard deviation of 0.58e-4.
@@ -160,14 +163,14 @@ TEST_F(SettlingTest, UnstableTemperatureEndsTheWaitWithWhatIsRequired) {
   accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
     return noisy(k) + 1e-3 * static_cast<double>(k) * Eigen::Vector3d::UnitX();
   };
-  const auto [fault, words] = failure_of([&] { settling().wait_until_stable(); });
+  const auto [fault, words] = failure_of([&] { items().wait_until_stable(); });
   EXPECT_EQ(fault, Fault::kImplausible);
   EXPECT_THAT(words, HasSubstr("not stable for 1 s within 2 s"));
 }
 
 TEST_F(SettlingTest, StableOutputsBeginTheRunWithANotice) {
   settings.protocol.stability_s = 1.0;
-  settling().wait_until_stable();
+  items().wait_until_stable();
   ASSERT_EQ(observer.notices.size(), 1U);
   EXPECT_EQ(observer.notices[0].first, "stable");
 }

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <cstdio>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "protocol/analysis/analyse_tray.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// A run of several items: each as it was loaded, and all of them analysed.
+struct TrayRun {
+  std::vector<StoredRun> items;
+  TrayResult tray;
+};
+
+/// Whether the run holds more than one item.
+bool has_several_items(const StoredRun& run);
+
+/// The item of a run file, or of a CSV with its one item, that a command is about.
+/// @param asked  from 1; 0: none was asked for, which only a file of one item allows
+/// @throws std::invalid_argument an item that the file does not have, or none of several
+int chosen_item(const std::filesystem::path& path, int asked);
+
+/// Loads every item of a run file and analyses them together.
+/// @throws RunFileError
+TrayRun analyse_tray_run(const std::filesystem::path& path);
+
+/// "2: Analog Devices ADXL355, serial number 17".
+std::string item_words(const RunItem& item);
+
+/// The whole tray as one JSON object, schema abcal.tray/1 (docs/several_items_results.md).
+nlohmann::ordered_json tray_json(const TrayRun& run);
+
+/// Verdict, a line for each item, the stage, and the differences between the items. Colours as `stream`
+/// allows.
+std::string tray_text(const TrayRun& run, std::FILE* stream);
+
+}  // namespace abcal
