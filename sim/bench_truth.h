@@ -122,6 +122,7 @@ struct ChamberTruth {
 /// The truth of a simulated bench. A run never sees it.
 struct BenchTruth : OutputTruth {
   std::uint64_t seed = 1;
+  std::uint64_t item = 0;  ///< Of several on one stage: each has noise of its own.
   ChamberTruth chamber;
   bool noise_seeded_by_angle = false;  ///< Noise restarts at each pose, so that a resumed run repeats it.
 

@@ -16,6 +16,8 @@ namespace abcal::sim {
 namespace {
 
 constexpr std::size_t kKeptEpochs = 4096;
+/// An odd number far from any that people choose: seeds of items do not meet those of other benches.
+constexpr std::uint64_t kSeedBetweenItems = 0x9E3779B97F4A7C15;
 constexpr std::int64_t kMicroDegreesPerTurn = 360'000'000;
 constexpr std::uint64_t kPoseZero = 0;
 constexpr std::uint64_t kPoseMinus90 = 270'000'000;
@@ -181,12 +183,13 @@ BenchTruth checked(BenchTruth truth) {
 
 SimBench::SimBench(BenchTruth truth, Clock::Instant start)
     : truth_(checked(std::move(truth))),
+      noise_seed_(truth_.seed + truth_.item * kSeedBetweenItems),
       start_(start),
       thermal_(truth_.chamber, truth_.temperature_degc, start_),
-      random_walk_(truth_.seed, NoiseStream::kRandomWalk, truth_.span_s, std::nullopt),
-      correlated_(truth_.seed, NoiseStream::kCorrelated, truth_.span_s,
+      random_walk_(noise_seed_, NoiseStream::kRandomWalk, truth_.span_s, std::nullopt),
+      correlated_(noise_seed_, NoiseStream::kCorrelated, truth_.span_s,
                   truth_.correlated_noise_s / truth_.span_s),
-      flicker_(truth_.seed, truth_.span_s) {
+      flicker_(noise_seed_, truth_.span_s) {
   axis_x_ = {std::sqrt(1.0 - truth_.xz * truth_.xz), 0.0, truth_.xz};
   axis_z_ = {truth_.zx, truth_.zy, std::sqrt(1.0 - truth_.zx * truth_.zx - truth_.zy * truth_.zy)};
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
@@ -209,7 +212,7 @@ void SimBench::draw_stage() {
     const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
     harmonics_[k] = a.harmonics;
     for (int order = 1; order <= kDrawnErrorOrders && a.smooth_error_sd.deg() > 0.0; ++order) {
-      const auto normal = normal_numbers(truth_.seed, NoiseStream::kSmoothError,
+      const auto normal = normal_numbers(noise_seed_, NoiseStream::kSmoothError,
                                          {k, static_cast<std::uint64_t>(order), 0, 0});
       harmonics_[k].push_back({order, a.smooth_error_sd * normal[0], a.smooth_error_sd * normal[1]});
     }
@@ -230,7 +233,18 @@ const SimBench::Epoch& SimBench::epoch_at(Clock::Instant t) const {
   return epochs_.front();
 }
 
+void SimBench::add_follower(std::shared_ptr<SimBench> follower) {
+  const std::lock_guard lock(mutex_);
+  followers_.push_back(std::move(follower));
+}
+
+std::vector<std::shared_ptr<SimBench>> SimBench::followers() const {
+  const std::lock_guard lock(mutex_);
+  return followers_;
+}
+
 void SimBench::move(StageAxis axis, Angle target, Clock::Instant t) {
+  for (const auto& follower : followers()) follower->move(axis, target, t);
   const std::lock_guard lock(mutex_);
   const Epoch& now = epochs_.back();
   if (t < now.start) refuse("the time of a move", "before the move commanded last", "in order of time");
@@ -245,6 +259,7 @@ void SimBench::move(StageAxis axis, Angle target, Clock::Instant t) {
 }
 
 void SimBench::place(StageAxis axis, Angle angle, Clock::Instant t) {
+  for (const auto& follower : followers()) follower->place(axis, angle, t);
   if (!std::isfinite(angle.deg())) refuse("the angle of an axis", "not finite", "finite");
   const std::lock_guard lock(mutex_);
   const Epoch& now = epochs_.back();
@@ -254,6 +269,7 @@ void SimBench::place(StageAxis axis, Angle angle, Clock::Instant t) {
 }
 
 void SimBench::halt(StageAxis axis, Clock::Instant t) {
+  for (const auto& follower : followers()) follower->halt(axis, t);
   const std::lock_guard lock(mutex_);
   const Epoch& now = epochs_.back();
   if (t < now.start) refuse("the time of a halt", "before the move commanded last", "in order of time");
@@ -295,6 +311,7 @@ void SimBench::command(StageAxis axis, AxisMotion motion, Clock::Instant t) {
 }
 
 void SimBench::set_motion_limits(StageAxis axis, const MotionLimits& limits) {
+  for (const auto& follower : followers()) follower->set_motion_limits(axis, limits);
   const auto positive = [](double value, const char* what) {
     require(value > 0.0 && std::isfinite(value), what, value, "> 0");
   };
@@ -517,6 +534,7 @@ double SimBench::temperature_degc(Clock::Instant t) const {
 }
 
 void SimBench::command_chamber(const ChamberCommand& command, Clock::Instant t) {
+  for (const auto& follower : followers()) follower->command_chamber(command, t);
   const std::lock_guard lock(mutex_);
   thermal_.command(command, t);
 }
@@ -681,10 +699,10 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
       const Clock::Instant since = settled ? epoch.settled : epoch.start;
       const auto samples_since =
           static_cast<std::uint64_t>(std::max<std::int64_t>(0, (t - since) / sample_period));
-      normal = normal_numbers(truth_.seed, NoiseStream::kReadingAtPose,
+      normal = normal_numbers(noise_seed_, NoiseStream::kReadingAtPose,
                               {samples_since, epoch.pose[0], epoch.pose[1], settled ? 1U : 0U});
     } else {
-      normal = normal_numbers(truth_.seed, NoiseStream::kReading, {sample_index, 0, 0, 0});
+      normal = normal_numbers(noise_seed_, NoiseStream::kReading, {sample_index, 0, 0, 0});
     }
     r += truth.noise * Eigen::Array3d(normal[0], normal[1], normal[2]);
   }

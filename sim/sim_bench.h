@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <deque>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <vector>
@@ -91,6 +92,10 @@ class SimBench {
   /// The error of an axis at rest, without backlash (bench_truth.h, AxisTruth); keyed by the seed and the
   /// angles of both axes to a millionth of a degree, modulo 360 degrees.
   Angle stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const;
+
+  /// From now on a world with another item on the same stage (the same truth of the stage) is told all that
+  /// the stage and the chamber of this one are told. It is told of faults and changes by itself.
+  void add_follower(std::shared_ptr<SimBench> follower);
 
   // The accelerometer.
 
@@ -188,7 +193,11 @@ class SimBench {
   SimOutput output_without_faults(const Epoch& epoch, Clock::Instant t, std::uint64_t sample_index,
                                   Clock::Duration sample_period) const;
 
+  std::vector<std::shared_ptr<SimBench>> followers() const;
+
   BenchTruth truth_;
+  std::uint64_t noise_seed_;
+  std::vector<std::shared_ptr<SimBench>> followers_;
   Clock::Instant start_;
   Eigen::Vector3d axis_x_;  ///< Unit vectors in the LGCS, platter at rest.
   Eigen::Vector3d axis_z_;

@@ -110,6 +110,20 @@ struct NotifyConfig {
   bool anybody() const { return !webhook.empty() || !mail_to.empty(); }
 };
 
+/// One [[item]] of several on the stage, with every default filled in.
+struct TrayItem {
+  ItemConfig item;
+  ExpectedItem expected;
+  AccelerometerConfig accelerometer;
+  Tolerances tolerances;  ///< [item.item_uncertainty]; of the stage as for all.
+  LimitsConfig limits;
+  sim::OutputTruth simulation;      ///< Along the item's own axes.
+  std::string accelerometer_model;  ///< As in EmulatorConfig.
+  std::string at_power_on;          ///< As in EmulatorConfig.
+  std::string left_out{};           ///< Not in the file: why its port is not opened; empty: it is opened.
+};
+inline constexpr std::size_t kMostItems = 32;
+
 /// A bench file (schema abcal.bench/2; abcal.bench/1 is read), with every default filled in.
 struct BenchConfig {
   std::string schema = "abcal.bench/2";
@@ -133,9 +147,16 @@ struct BenchConfig {
   EmulatorConfig emulator;
   std::vector<FaultConfig> faults;
   std::vector<ChangeConfig> changes;
+  /// [[item]]: all items of several; `item`, `expected` and `accelerometer` are those of the first then.
+  /// Empty: there is one.
+  std::vector<TrayItem> tray;
 
   std::vector<std::string> warnings;  ///< Warnings: accepted, but unusual.
 };
+
+/// The bench as it is for one item of several (counted from 1), as if it were alone. Its simulated
+/// accelerometer is turned by its mounting.
+BenchConfig for_item(const BenchConfig& config, int item);
 
 /// A bench file that cannot be used: every problem of it, with its line.
 class BenchError : public std::runtime_error {

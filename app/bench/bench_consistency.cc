@@ -4,7 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include "app/bench/bench_keys.h"
 #include "app/bench/chamber_consistency.h"
@@ -116,39 +119,124 @@ void check_plan_and_item(TomlReader& reader, const BenchConfig& c) {
                        fmt::format("{} to {}", c.limits.temperature_min_degc, c.limits.temperature_max_degc),
                        "temperature_min_degc < temperature_max_degc");
   }
-  if (!mounting_matrix(c.expected.mounting)) {
-    reader.add_problem("item.mounting", "\"" + c.expected.mounting + "\"",
-                       "the axes along which u, v and w point, each once, as \"x y z\" or \"-y x z\"");
+}
+
+constexpr const char* kMountingWords =
+    "the axes along which u, v and w point, each once, as \"x y z\" or \"-y x z\"; or nine numbers, the rows "
+    "of a rotation matrix";
+
+/// @param where of the section [accelerometer]
+void check_accelerometer(TomlReader& reader, const std::string& where, AccelerometerConfig& accelerometer) {
+  if (accelerometer.driver == "simulated") {
+    if (accelerometer.port.empty()) accelerometer.port = "simulated";
+    if (accelerometer.port != "simulated")
+      reader.add_problem(where + ".port", "\"" + accelerometer.port + "\"",
+                         "\"simulated\", as the driver is");
+  } else if (accelerometer.port.empty()) {
+    reader.add_problem(where + ".port", "nothing", kPortWords);
+  }
+  const bool names_a_device = accelerometer.driver == "iio";
+  if (const std::size_t names = pieces::words(accelerometer.names).size();
+      names != 0 && names != 3 && !names_a_device)
+    reader.add_problem(where + ".names", "\"" + accelerometer.names + "\"",
+                       "the names of u, v and w, with blanks between");
+  for (int j = 0; j < 3; ++j) {
+    if (accelerometer.scale[j] == 0.0) reader.add_problem(where + ".scale", "0", "no zeros");
   }
 }
 
-void check_sensor_ports(TomlReader& reader, BenchConfig& c) {
-  if (c.accelerometer.driver == "simulated") {
-    if (c.accelerometer.port.empty()) c.accelerometer.port = "simulated";
-    if (c.accelerometer.port != "simulated")
-      reader.add_problem("accelerometer.port", "\"" + c.accelerometer.port + "\"",
-                         "\"simulated\", as the driver is");
-  } else if (c.accelerometer.port.empty()) {
-    reader.add_problem("accelerometer.port", "nothing", kPortWords);
-  }
-  if (c.environment.driver.empty() != c.environment.port.empty())
-    reader.add_problem(c.environment.port.empty() ? "environment.port" : "environment.driver", "nothing",
+void check_environment(TomlReader& reader, const EnvironmentConfig& environment) {
+  if (environment.driver.empty() != environment.port.empty())
+    reader.add_problem(environment.port.empty() ? "environment.port" : "environment.driver", "nothing",
                        "driver and port, or neither");
-  const bool names_a_device = c.accelerometer.driver == "iio";
-  if (const std::size_t names = pieces::words(c.accelerometer.names).size();
-      names != 0 && names != 3 && !names_a_device)
-    reader.add_problem("accelerometer.names", "\"" + c.accelerometer.names + "\"",
-                       "the names of u, v and w, with blanks between");
-  for (int j = 0; j < 3; ++j) {
-    if (c.accelerometer.scale[j] == 0.0) reader.add_problem("accelerometer.scale", "0", "no zeros");
-  }
 }
 
 /// An instrument that outputs m/s2 has 9.8 of them for 1 g_loc, whatever is simulated.
-void check_simulated_unit(TomlReader& reader, const BenchConfig& c) {
+/// @param where of the section that states it
+void check_simulated_unit(TomlReader& reader, const std::string& where, const BenchConfig& c) {
   if (c.accelerometer.port != "simulated") return;
   if (const auto problem = simulated_unit_problem(c))
-    reader.add_problem(problem->where, problem->found, problem->required);
+    reader.add_problem(where + problem->where, problem->found, problem->required);
+}
+
+/// A value that two items have must differ.
+class OnlyOnce {
+ public:
+  OnlyOnce(TomlReader& reader, std::string required) : reader_(reader), required_(std::move(required)) {}
+  /// @param shown  what of `value` stands at `where`
+  void look(const std::string& value, const std::string& shown, std::size_t item, const std::string& where) {
+    const auto [first, is_new] = first_.emplace(value, item);
+    if (!is_new)
+      reader_.add_problem(where, fmt::format("\"{}\", as item {} has", shown, first->second + 1), required_);
+  }
+
+ private:
+  TomlReader& reader_;
+  std::string required_;
+  std::map<std::string, std::size_t> first_;
+};
+
+/// One port, one instrument: TCP port 0, any free one, is another one each time.
+void check_ports_of_items(TomlReader& reader, const std::vector<TrayItem>& tray) {
+  OnlyOnce ports(reader, "a port of its own for each item");
+  for (std::size_t i = 0; i < tray.size(); ++i) {
+    for (const std::string_view port : pieces::words(tray[i].accelerometer.port)) {
+      if (port == "simulated" || port.ends_with(":0")) continue;
+      ports.look(std::string(port), std::string(port), i, fmt::format("item[{}].accelerometer.port", i));
+    }
+  }
+}
+
+void check_names_of_items(TomlReader& reader, const std::vector<TrayItem>& tray) {
+  OnlyOnce names(reader, "each item once");
+  OnlyOnce instruments(reader, "each instrument once");
+  for (std::size_t i = 0; i < tray.size(); ++i) {
+    const ItemConfig& item = tray[i].item;
+    const AccelerometerConfig& accelerometer = tray[i].accelerometer;
+    if (!item.serial_number.empty())
+      names.look(fmt::format("{} {} {}", item.maker, item.model, item.serial_number), item.serial_number, i,
+                 fmt::format("item[{}].serial_number", i));
+    if (!accelerometer.serial_number.empty())
+      instruments.look(fmt::format("{} {}", accelerometer.driver, accelerometer.serial_number),
+                       accelerometer.serial_number, i,
+                       fmt::format("item[{}].accelerometer.serial_number", i));
+  }
+}
+
+void check_tray(TomlReader& reader, const toml::table& root, BenchConfig& c) {
+  for (const char* section : {"accelerometer"}) {
+    if (!root.contains(section)) continue;
+    reader.add_problem(
+        section, fmt::format("a section [{}] beside [[item]]", section),
+        fmt::format("[item.{}] below each [[item]]; or [item] and [{}] for one item", section, section));
+  }
+  if (c.tray.empty()) reader.add_problem("item", "an empty list", "at least one [[item]]");
+  if (c.tray.size() > kMostItems)
+    reader.add_problem(fmt::format("item[{}]", kMostItems), fmt::format("{} items", c.tray.size()),
+                       fmt::format("at most {}", kMostItems));
+  for (std::size_t i = 0; i < c.tray.size(); ++i) {
+    TrayItem& item = c.tray[i];
+    const std::string where = fmt::format("item[{}].", i);
+    check_accelerometer(reader, where + "accelerometer", item.accelerometer);
+    const auto mounting = mounting_matrix(item.expected.mounting);
+    if (!mounting) {
+      reader.add_problem(where + "mounting", "\"" + item.expected.mounting + "\"", kMountingWords);
+    } else if (mounting->determinant() < 0.0) {
+      reader.add_problem(where + "mounting", "\"" + item.expected.mounting + "\", a mirror image",
+                         "a rotation: one of the signs differs");
+    }
+    check_simulated_unit(reader, where, for_item(c, static_cast<int>(i) + 1));
+  }
+  check_ports_of_items(reader, c.tray);
+  check_names_of_items(reader, c.tray);
+  if (!c.tray.empty()) c.accelerometer = c.tray.front().accelerometer;
+}
+
+void check_one_item(TomlReader& reader, BenchConfig& c) {
+  if (!mounting_matrix(c.expected.mounting))
+    reader.add_problem("item.mounting", "\"" + c.expected.mounting + "\"", kMountingWords);
+  check_accelerometer(reader, "accelerometer", c.accelerometer);
+  check_simulated_unit(reader, "", c);
 }
 
 void check_notify(TomlReader& reader, const NotifyConfig& notify) {
@@ -175,6 +263,20 @@ void check_faults_and_changes(TomlReader& reader, const BenchConfig& c) {
     if (const auto problem = problem_of(c.faults[i]))
       reader.add_problem(fmt::format("fault[{}].kind", i), *problem,
                          "instrument = \"stage\" or \"accelerometer\"");
+    const std::string& instrument = c.faults[i].instrument;
+    const bool known = std::ranges::count(fault_instruments(), instrument) > 0;
+    const auto item = item_of_instrument(instrument);
+    const bool is_item = item && static_cast<std::size_t>(*item) <= c.tray.size();
+    if (!known && !is_item)
+      reader.add_problem(
+          fmt::format("fault[{}].instrument", i), "\"" + instrument + "\"",
+          "one of " + joined(fault_instruments()) +
+              (c.tray.empty() ? "" : fmt::format(", \"item-1\" to \"item-{}\"", c.tray.size())));
+  }
+  for (std::size_t i = 0; i < c.changes.size() && !c.tray.empty(); ++i) {
+    if (static_cast<std::size_t>(c.changes[i].item) > c.tray.size())
+      reader.add_problem(fmt::format("change[{}].item", i), std::to_string(c.changes[i].item),
+                         fmt::format("an item, 1 to {}", c.tray.size()));
   }
   for (std::size_t i = 1; i < c.changes.size(); ++i) {
     if (c.changes[i].at_s < c.changes[i - 1].at_s)
@@ -224,8 +326,12 @@ void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c)
   check_plan_and_item(reader, c);
   check_stated_once(reader, root);
   check_stage_ports(reader, c.stage);
-  check_sensor_ports(reader, c);
-  check_simulated_unit(reader, c);
+  check_environment(reader, c.environment);
+  if (reader.is_list("item")) {
+    check_tray(reader, root, c);
+  } else {
+    check_one_item(reader, c);
+  }
   check_notify(reader, c.notify);
   check_faults_and_changes(reader, c);
   for (const Problem& problem : chamber_problems(c))

@@ -98,22 +98,18 @@ void visit_bench(KeyVisitor& keys, BenchConfig& c) {
   keys.number("height_m", c.height_m, {-500.0, 9000.0});
 }
 
-void visit_item(KeyVisitor& keys, BenchConfig& c) {
-  keys.section("item");
-  keys.text("maker", c.item.maker);
-  keys.text("model", c.item.model);
-  keys.text("serial_number", c.item.serial_number);
-  keys.text("customer_number", c.item.customer_number);
-  keys.text("range", c.item.range);
-  keys.text("filter", c.item.filter);
-  keys.text("firmware", c.item.firmware);
-  keys.text("supply", c.item.supply);
-  keys.number("nominal_sensitivity", c.expected.nominal_sensitivity, kPositive);
-  keys.number("sensitivity_tolerance", c.expected.sensitivity_tolerance, {0.0, 1.0, true});
-  keys.text("mounting", c.expected.mounting);
-
-  keys.section("operator");
-  keys.text("name", c.operator_name);
+void visit_item(KeyVisitor& keys, ItemConfig& item, ExpectedItem& expected) {
+  keys.text("maker", item.maker);
+  keys.text("model", item.model);
+  keys.text("serial_number", item.serial_number);
+  keys.text("customer_number", item.customer_number);
+  keys.text("range", item.range);
+  keys.text("filter", item.filter);
+  keys.text("firmware", item.firmware);
+  keys.text("supply", item.supply);
+  keys.number("nominal_sensitivity", expected.nominal_sensitivity, kPositive);
+  keys.number("sensitivity_tolerance", expected.sensitivity_tolerance, {0.0, 1.0, true});
+  keys.text("mounting", expected.mounting);
 }
 
 void visit_stage(KeyVisitor& keys, StageConfig& stage) {
@@ -130,7 +126,6 @@ void visit_stage(KeyVisitor& keys, StageConfig& stage) {
 }
 
 void visit_accelerometer(KeyVisitor& keys, AccelerometerConfig& a) {
-  keys.section("accelerometer");
   keys.required_text("driver", a.driver, names_and_simulated(accelerometer_drivers()));
   keys.text("port", a.port);
   keys.integer("baud", a.baud, 300, 4'000'000);
@@ -230,7 +225,6 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
 }
 
 void visit_limits(KeyVisitor& keys, LimitsConfig& l) {
-  keys.section("limits");
   keys.number("max_lost_fraction", l.max_lost_fraction, {0.0, 1.0});
   keys.number("temperature_min_degc", l.temperature_min_degc, kAny);
   keys.number("temperature_max_degc", l.temperature_max_degc, kAny);
@@ -283,13 +277,57 @@ void visit_notify(KeyVisitor& keys, NotifyConfig& notify) {
   keys.text("mail_server", notify.mail_server);
 }
 
+void visit_emulated_accelerometer(KeyVisitor& keys, std::string& model, std::string& at_power_on) {
+  keys.text("accelerometer_model", model);
+  keys.text("at_power_on", at_power_on, {"", "streaming", "silent"});
+}
+
 void visit_emulator(KeyVisitor& keys, EmulatorConfig& emulator) {
   keys.section("emulator");
   keys.text("line", emulator.line, {"real", "ideal"});
   keys.text("stage_model", emulator.stage_model);
-  keys.text("accelerometer_model", emulator.accelerometer_model);
   keys.boolean("chamber_in_fahrenheit", emulator.chamber_in_fahrenheit);
-  keys.text("at_power_on", emulator.at_power_on, {"", "streaming", "silent"});
+  visit_emulated_accelerometer(keys, emulator.accelerometer_model, emulator.at_power_on);
+}
+
+void visit_tray_item(KeyVisitor& keys, TrayItem& item) {
+  visit_item(keys, item.item, item.expected);
+  keys.table("accelerometer", [&] { visit_accelerometer(keys, item.accelerometer); });
+  keys.table("item_uncertainty", [&] { visit_item_effect_sizes(keys, item.tolerances); });
+  keys.table("limits", [&] { visit_limits(keys, item.limits); });
+  keys.table("simulation", [&] { visit_output_truth(keys, item.simulation); });
+  keys.table("emulator",
+             [&] { visit_emulated_accelerometer(keys, item.accelerometer_model, item.at_power_on); });
+}
+
+/// After the sections whose values are the defaults of every item.
+void visit_tray(KeyVisitor& keys, BenchConfig& c) {
+  const TrayItem fresh{{},
+                       {},
+                       {},
+                       c.tolerances,
+                       c.limits,
+                       c.simulation,
+                       c.emulator.accelerometer_model,
+                       c.emulator.at_power_on};
+  keys.list("item", c.tray, fresh, visit_tray_item);
+  if (c.tray.empty()) return;
+  c.item = c.tray.front().item;
+  c.expected = c.tray.front().expected;
+  c.accelerometer = c.tray.front().accelerometer;
+}
+
+/// What a change does not name stays as it was.
+void visit_change_of_bench(KeyVisitor& keys, BenchConfig& c, std::size_t i) {
+  ChangeConfig& change = c.changes[i];
+  if (!c.tray.empty() || keys.shows_every_form())
+    keys.integer("item", change.item, 1, static_cast<int>(kMostItems));
+  if (keys.writes() || keys.shows_every_form()) return visit_change(keys, change);
+  const auto item = static_cast<std::size_t>(change.item);
+  change.truth = item <= c.tray.size() ? c.tray[item - 1].simulation : c.simulation;
+  for (std::size_t before = 0; before < i; ++before)
+    if (c.changes[before].item == change.item) change.truth = c.changes[before].truth;
+  visit_change(keys, change);
 }
 
 }  // namespace
@@ -302,9 +340,9 @@ std::vector<std::string> stage_driver_names() {
 
 void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
   keys.required_text("kind", fault.kind, fault_names());
+  // Whether there is one of this name depends on the items: bench_consistency.cc.
   keys.text("instrument", fault.instrument,
-            {"", "stage", "stage-x", "stage-z", "accelerometer", "accelerometer-u", "accelerometer-v",
-             "accelerometer-w", "environment", "chamber"});
+            keys.shows_every_form() ? fault_instruments() : std::vector<std::string>{});
   keys.text("axis", fault.axis, {"x", "z"});
   keys.number("at_s", fault.at_s, kNotNegative);
   keys.number("for_s", fault.for_s, kNotNegative);
@@ -326,14 +364,25 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   keys.text("schema", c.schema, {"abcal.bench/2", "abcal.bench/1"});
   c.schema = "abcal.bench/2";  // What is read is kept, and written, in the terms of this schema.
   visit_bench(keys, c);
-  visit_item(keys, c);
+  const bool several = !c.tray.empty() || keys.is_list("item");
+  const bool shows_one = !several || keys.shows_every_form();
+  if (shows_one) {
+    keys.section("item");
+    visit_item(keys, c.item, c.expected);
+  }
+  keys.section("operator");
+  keys.text("name", c.operator_name);
   visit_stage(keys, c.stage);
-  visit_accelerometer(keys, c.accelerometer);
+  if (shows_one) {
+    keys.section("accelerometer");
+    visit_accelerometer(keys, c.accelerometer);
+  }
   visit_environment(keys, c.environment);
   visit_chamber(keys, c.chamber);
   visit_temperature(keys, c.temperature);
   visit_protocol(keys, c.protocol);
   visit_effect_sizes(keys, c);
+  keys.section("limits");
   visit_limits(keys, c.limits);
   visit_notify(keys, c.notify);
   visit_simulation(keys, c.simulation);
@@ -341,11 +390,12 @@ void visit_bench_file(KeyVisitor& keys, BenchConfig& c) {
   visit_emulator(keys, c.emulator);
 
   keys.section("");
+  if (several || keys.shows_every_form()) visit_tray(keys, c);
   keys.list("fault", c.faults, FaultConfig{}, visit_fault);
   keys.tables("change", c.changes.size(), [&](std::size_t i) {
     // What a change does not name stays as it was.
-    if (i >= c.changes.size()) c.changes.push_back({0.0, i == 0 ? c.simulation : c.changes[i - 1].truth});
-    visit_change(keys, c.changes[i]);
+    if (i >= c.changes.size()) c.changes.push_back({0.0, c.simulation});
+    visit_change_of_bench(keys, c, i);
   });
 }
 

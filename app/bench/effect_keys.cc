@@ -35,27 +35,37 @@ void read_old_tolerances(KeyVisitor& keys, BenchConfig& config) {
                   fmt::join(moved, ", ")));
 }
 
+constexpr std::string_view kStageSection = "stage_uncertainty";
+constexpr std::string_view kItemSection = "item_uncertainty";
+
+void visit_sizes_of(std::string_view section, KeyVisitor& keys, EffectSizes& sizes) {
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    if (key.section != section) continue;
+    const std::string name(key.key);
+    const auto source = sizes.sources.find(name);
+    StatedUncertainty stated{key.get(sizes), source == sizes.sources.end() ? "" : source->second};
+    keys.uncertainty(name, stated, key.most, std::string(key.unit));
+    key.set(sizes, stated.value);
+    if (stated.source.empty()) {
+      sizes.sources.erase(name);
+    } else {
+      sizes.sources.insert_or_assign(name, stated.source);
+    }
+  }
+}
+
 }  // namespace
 
 void visit_effect_sizes(KeyVisitor& keys, BenchConfig& config) {
   if (!keys.writes()) read_old_tolerances(keys, config);
-  EffectSizes& sizes = config.tolerances;
-  for (const char* section : {"stage_uncertainty", "item_uncertainty"}) {
-    keys.section(section);
-    for (const EffectSizeKey& key : effect_size_keys()) {
-      if (key.section != section) continue;
-      const std::string name(key.key);
-      const auto source = sizes.sources.find(name);
-      StatedUncertainty stated{key.get(sizes), source == sizes.sources.end() ? "" : source->second};
-      keys.uncertainty(name, stated, key.most, std::string(key.unit));
-      key.set(sizes, stated.value);
-      if (stated.source.empty()) {
-        sizes.sources.erase(name);
-      } else {
-        sizes.sources.insert_or_assign(name, stated.source);
-      }
-    }
+  for (const std::string_view section : {kStageSection, kItemSection}) {
+    keys.section(std::string(section));
+    visit_sizes_of(section, keys, config.tolerances);
   }
+}
+
+void visit_item_effect_sizes(KeyVisitor& keys, EffectSizes& sizes) {
+  visit_sizes_of(kItemSection, keys, sizes);
 }
 
 void visit_axis_effects(KeyVisitor& keys, sim::AxisTruth& axis) {

@@ -9,6 +9,9 @@ namespace abcal {
 /// not written; a warning says so.
 void visit_effect_sizes(KeyVisitor& keys, BenchConfig& config);
 
+/// The keys of [item_uncertainty], in the section being visited.
+void visit_item_effect_sizes(KeyVisitor& keys, EffectSizes& sizes);
+
 /// The effects of the simulated world (docs/effects.md), in the section being visited: those of one axis, of
 /// the accelerometer and its mount, and of the whole bench.
 void visit_axis_effects(KeyVisitor& keys, sim::AxisTruth& axis);

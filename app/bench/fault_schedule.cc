@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
+#include <system_error>
 
 namespace abcal {
 namespace {
@@ -18,6 +20,31 @@ std::optional<std::size_t> count(const std::optional<int>& number) {
 }
 
 }  // namespace
+
+const std::vector<std::string>& fault_instruments() {
+  static const std::vector<std::string> names{"",
+                                              "stage",
+                                              "stage-x",
+                                              "stage-z",
+                                              "accelerometer",
+                                              "accelerometer-u",
+                                              "accelerometer-v",
+                                              "accelerometer-w",
+                                              "environment",
+                                              "chamber"};
+  return names;
+}
+
+std::optional<int> item_of_instrument(std::string_view instrument) {
+  constexpr std::string_view kItem = "item-";
+  if (!instrument.starts_with(kItem)) return std::nullopt;
+  instrument.remove_prefix(kItem.size());
+  int item = 0;
+  const auto [end, error] = std::from_chars(instrument.data(), instrument.data() + instrument.size(), item);
+  const std::string_view rest(end, static_cast<std::size_t>(instrument.data() + instrument.size() - end));
+  const bool known = rest.empty() || rest == "-u" || rest == "-v" || rest == "-w";
+  return error == std::errc{} && item > 0 && known ? std::optional(item) : std::nullopt;
+}
 
 std::vector<std::string> fault_names() {
   std::vector<std::string> names;
@@ -71,8 +98,10 @@ std::vector<sim::WireFault> wire_faults(const std::vector<FaultConfig>& faults, 
 }
 
 void schedule(const std::vector<FaultConfig>& faults, const std::vector<ChangeConfig>& changes,
-              sim::SimBench& world) {
+              sim::SimBench& world, std::optional<int> item) {
   for (const FaultConfig& fault : faults) {
+    const std::optional<int> whose = item_of_instrument(fault.instrument);
+    if (item && whose && whose != item) continue;
     if (const auto of_the_world = world_fault(fault, world.start())) world.inject(*of_the_world);
   }
   for (const ChangeConfig& change : changes)

@@ -3,6 +3,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "drivers/instrument/clock.h"
@@ -30,7 +31,14 @@ struct FaultConfig {
 struct ChangeConfig {
   double at_s = 0.0;
   sim::OutputTruth truth;
+  int item = 1;  ///< Of several.
 };
+
+/// The names that FaultConfig::instrument may have on a bench with one item.
+const std::vector<std::string>& fault_instruments();
+
+/// The number of the item behind "item-3" or "item-3-u"; nothing for another name.
+std::optional<int> item_of_instrument(std::string_view instrument);
 
 /// The names that FaultConfig::kind may have.
 std::vector<std::string> fault_names();
@@ -47,7 +55,8 @@ std::vector<sim::WireFault> wire_faults(const std::vector<FaultConfig>& faults, 
                                         Clock::Instant start);
 
 /// Tells the world of its faults and changes.
+/// @param item  Of several: whose world it is; it has the faults of its accelerometer, and all of the stage.
 void schedule(const std::vector<FaultConfig>& faults, const std::vector<ChangeConfig>& changes,
-              sim::SimBench& world);
+              sim::SimBench& world, std::optional<int> item = std::nullopt);
 
 }  // namespace abcal

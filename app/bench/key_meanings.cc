@@ -44,7 +44,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         "1"}},
       {"item.mounting",
        {"Axes of the platter along which u, v and w point at the default orientation, each axis once, for "
-        "example `-y x z`.",
+        "example `-y x z`; or nine numbers, the rows of a rotation matrix: the directions of u, v and w.",
         ""}},
       {"operator.name", {"Name of the person who measures.", ""}},
       {"stage.driver",
@@ -390,7 +390,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"fault.kind", {"Kind of fault; [emulate](emulate.md#faults) describes each.", ""}},
       {"fault.instrument",
        {"Faults of the wire: the instrument. Use `stage-x`, `accelerometer-u` and so on if each has its own "
-        "port.",
+        "port. Of several items: `item-3`, also for faults of the accelerometer itself.",
         ""}},
       {"fault.axis", {"Faults of an axis: the axis.", ""}},
       {"fault.at_s", {"Start, from the start of the simulated world.", ""}},
@@ -403,6 +403,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"fault.text", {"`replaced-reply`: the text of the reply.", ""}},
       {"fault.delay_s", {"`late-reply`: the delay.", ""}},
       {"change.at_s", {"Start, from the start of the simulated world.", ""}},
+      {"change.item", {"Of several items: which one, counted from 1.", ""}},
   };
   return meanings;
 }
@@ -416,6 +417,10 @@ const std::map<std::string, std::string>& section_texts() {
       {"item",
        "The accelerometer under test. The texts appear in report and certificate. The result is compared "
        "with the last three keys ([checks](measurement.md#in-the-analysis))."},
+      {"[[item]]",
+       "Several items on one stage: one `[[item]]` for each, up to 32, in place of `[item]` and "
+       "`[accelerometer]` ([several items](several_items.md)). The sections below it follow each "
+       "`[[item]]`."},
       {"stage",
        "Cables and settings of each controller: [drivers](drivers). Two controllers: "
        "[split_stage](drivers/split_stage.md)."},

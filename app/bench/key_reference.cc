@@ -14,14 +14,17 @@
 namespace abcal {
 namespace {
 
+/// Sections of one of several items have the keys of sections of the file.
+constexpr std::string_view kOfAnItem = "item.";
+
 /// "stage.z" and "stage.x" are "stage.AXIS"; a change has the keys of [simulation].
 std::string meaning_path(const std::string& section, const std::string& key) {
-  std::string path = section;
+  std::string path = section.starts_with(kOfAnItem) ? section.substr(kOfAnItem.size()) : section;
   for (const char* axis : {".x", ".z"}) {
     const std::size_t at = path.find(axis);
     if (at != std::string::npos) path.replace(at, 2, ".AXIS");
   }
-  if (section == "change" && key != "at_s") path = "simulation";
+  if (section == "change" && key != "at_s" && key != "item") path = "simulation";
   return path.empty() ? key : path + "." + key;
 }
 
@@ -143,6 +146,14 @@ class KeyCollector final : public KeyVisitor {
     repeated_ = false;
     section_ = outer;
   }
+  void table(const std::string& key, const std::function<void()>& visit_keys) override {
+    const std::string outer = std::exchange(section_, section_ + "." + key);
+    const bool outer_repeated = std::exchange(repeated_, false);
+    visit_keys();
+    repeated_ = outer_repeated;
+    section_ = outer;
+  }
+  bool shows_every_form() const override { return true; }
   std::vector<BenchKey> keys() { return std::move(found_); }
 
  private:
@@ -156,7 +167,7 @@ class KeyCollector final : public KeyVisitor {
     entry.type = type;
     entry.unit = meaning.unit.empty() ? unit_of_name(key) : meaning.unit;
     entry.range = range;
-    const bool as_before = section_ == "change" && key != "at_s";
+    const bool as_before = section_ == "change" && key != "at_s" && key != "item";
     if (!as_before && !meaning.no_default) entry.fallback = fallback;
     entry.meaning = meaning.text;
     found_.push_back(entry);
@@ -177,6 +188,21 @@ std::string table_row(const BenchKey& key) {
   if (!key.fallback.empty()) fallback = "`" + key.fallback + "`";
   return fmt::format("| `{}` | {} | {} | {} | {} | {} |\n", key.key, key.type, key.unit, key.range, fallback,
                      key.meaning);
+}
+
+/// What the page says in place of a table whose keys are those of another section; empty: nothing.
+std::string words_for_same_keys(const BenchKey& key) {
+  if (key.section == "item" && key.repeated) return "The keys of `[item]`.\n";
+  if (!key.section.starts_with(kOfAnItem)) return {};
+  const std::string same = key.section.substr(kOfAnItem.size());
+  if (same == "accelerometer") return "The keys of `[accelerometer]`.\n";
+  if (same == "simulation")
+    return "The keys of `[simulation]` that concern the accelerometer, along the item's own axes: its "
+           "mounting "
+           "turns it. Default: as `[simulation]`.\n";
+  if (same == "emulator")
+    return "The keys of `[emulator]` that concern the accelerometer. Default: as `[emulator]`.\n";
+  return "The keys of `[" + same + "]`, for this item. Default: as `[" + same + "]`.\n";
 }
 
 /// Whether the section is the second of two with the same keys: "stage.z" after "stage.x".
@@ -211,13 +237,18 @@ std::vector<BenchKey> bench_keys() {
 std::string bench_file_page() {
   std::string page = kPageTop;
   std::string section = "none yet";
+  bool repeated = false;
   for (const BenchKey& key : bench_keys()) {
-    if (key.section != section) {
+    const std::string same_keys = words_for_same_keys(key);
+    if (key.section != section || key.repeated != repeated) {
       section = key.section;
+      repeated = key.repeated;
       page += "\n## " + section_heading(key) + "\n\n";
-      const std::string text = bench_section_text(section);
+      const std::string text = bench_section_text(section == "item" && repeated ? "[[item]]" : section);
       if (!text.empty()) page += text + "\n\n";
-      if (second_axis(section)) {
+      if (!same_keys.empty()) {
+        page += same_keys;
+      } else if (second_axis(section)) {
         std::string first = section_heading(key);
         first.replace(first.find(".z"), 2, ".x");
         page += "The keys of `" + first + "`" +
@@ -227,7 +258,7 @@ std::string bench_file_page() {
         page += "| key | type | unit | range | default | meaning |\n|---|---|---|---|---|---|\n";
       }
     }
-    if (!second_axis(section)) page += table_row(key);
+    if (same_keys.empty() && !second_axis(section)) page += table_row(key);
   }
   return page;
 }

@@ -179,8 +179,8 @@ class SharedStream final : public wire::ByteStream {
 /// that a recording, scripted faults and simulated firmware continue after a port was gone.
 class Opener {
  public:
-  Opener(const BenchConfig& config, BenchStreams streams, std::shared_ptr<sim::SimBench> world, Clock& clock)
-      : config_(config), streams_(std::move(streams)), world_(std::move(world)), clock_(clock) {}
+  Opener(const BenchConfig& config, BenchStreams streams, SimWorlds worlds, Clock& clock)
+      : config_(config), streams_(std::move(streams)), worlds_(std::move(worlds)), clock_(clock) {}
 
   std::unique_ptr<RotationStage> stage() {
     const std::array<AxisMounting, 2> mountings{mounting(config_.stage.x), mounting(config_.stage.z)};
@@ -189,7 +189,8 @@ class Opener {
       std::array<AxisMounting, 2> limits;
       for (std::size_t k = 0; k < 2; ++k)
         limits[k] = {Angle{}, +1, mountings[k].travel_min, mountings[k].travel_max};
-      return std::make_unique<MountedStage>(std::make_unique<sim::SimStage>(world_, clock_), limits);
+      return std::make_unique<MountedStage>(std::make_unique<sim::SimStage>(world_of(worlds_, 0), clock_),
+                                            limits);
     }
     if (config_.stage.driver == kManual) {
       if (streams_.replay)
@@ -249,16 +250,20 @@ class Opener {
     return report;
   }
 
-  std::unique_ptr<Accelerometer> accelerometer() {
-    const AccelerometerConfig& config = config_.accelerometer;
+  /// @param item  Of several; 0: there is one.
+  std::unique_ptr<Accelerometer> accelerometer(int item) {
+    const AccelerometerConfig& config =
+        item == 0 ? config_.accelerometer : config_.tray.at(static_cast<std::size_t>(item) - 1).accelerometer;
     if (config.driver == kSimulated) {
       return std::make_unique<sim::SimAccelerometer>(
-          world_, clock_, config.rate_hz, config.response_unit.empty() ? "g" : config.response_unit);
+          world_of(worlds_, item), clock_, config.rate_hz,
+          config.response_unit.empty() ? "g" : config.response_unit,
+          "SIM-" + std::to_string(std::max(item, 1) + 1));
     }
     const AccelerometerDriver& driver = find_driver(accelerometer_drivers(), config.driver);
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
     if (driver.ports > 0) {
-      for (const InstrumentPort& port : accelerometer_ports(config))
+      for (const InstrumentPort& port : item == 0 ? accelerometer_ports(config) : item_ports(config_, item))
         streams.push_back(open(port, driver.serial));
     }
     return driver.make(std::move(streams), clock_, accelerometer_settings(config));
@@ -308,7 +313,8 @@ class Opener {
     std::unique_ptr<wire::ByteStream> stream;
     std::function<void(bool)> power;
     if (simulated) {
-      auto firmware = std::make_unique<sim::FirmwareStream>(make_firmware(config_, port, world_), clock_);
+      auto firmware = std::make_unique<sim::FirmwareStream>(
+          make_firmware(config_, port, world_of(worlds_, port.item)), clock_);
       power = [inside = firmware.get()](bool on) { inside->power(on); };
       stream = std::move(firmware);
     } else {
@@ -334,7 +340,7 @@ class Opener {
 
   const BenchConfig config_;
   const BenchStreams streams_;
-  std::shared_ptr<sim::SimBench> world_;
+  SimWorlds worlds_;
   Clock& clock_;
   /// Before the ports: it lets go of them when they are closed here.
   std::shared_ptr<HaltGuard> guard_ = std::make_shared<HaltGuard>();
@@ -351,35 +357,90 @@ class Opener {
 /// The instruments of a bench whose drivers can be made again.
 class BenchReconnector final : public Reconnector {
  public:
-  BenchReconnector(ReplaceableStage& stage, ReplaceableAccelerometer& accelerometer)
-      : stage_(stage), accelerometer_(accelerometer) {}
+  explicit BenchReconnector(ReplaceableStage& stage) : stage_(stage) {}
+
+  /// @param item  Of several; 0: there is one.
+  void add(int item, ReplaceableAccelerometer& accelerometer) {
+    accelerometers_.emplace(item, accelerometer);
+  }
 
   bool stage_lost() const override { return stage_.lost(); }
 
   void reconnect() override {
     if (stage_.lost()) stage_.replace();
-    if (accelerometer_.lost()) accelerometer_.replace();
+    for (const auto& [item, accelerometer] : accelerometers_)
+      if (accelerometer.lost()) accelerometer.replace();
   }
+
+  bool item_lost(int item) const override {
+    const auto found = accelerometers_.find(item);
+    return found != accelerometers_.end() && found->second.lost();
+  }
+
+  void give_up_item(int item) override { accelerometers_.erase(item); }
 
  private:
   ReplaceableStage& stage_;
-  ReplaceableAccelerometer& accelerometer_;
+  std::map<int, ReplaceableAccelerometer&> accelerometers_;
 };
+
+/// Opens the accelerometers of a bench.
+void add_accelerometers(const BenchConfig& config, const std::shared_ptr<Opener>& opener,
+                        BenchReconnector& reconnector, Bench& bench) {
+  const auto make = [&](int item) {
+    auto made =
+        std::make_unique<ReplaceableAccelerometer>([opener, item] { return opener->accelerometer(item); });
+    reconnector.add(item, *made);
+    return made;
+  };
+  if (config.tray.empty()) {
+    bench.accelerometer = make(0);
+    return;
+  }
+  for (int k = 1; k <= static_cast<int>(config.tray.size()); ++k) {
+    if (!config.tray[static_cast<std::size_t>(k) - 1].left_out.empty()) continue;
+    BenchItem& item = bench.items.emplace_back();
+    item.k = k;
+    try {
+      std::unique_ptr<Accelerometer> made = make(k);
+      item.accelerometer = made.get();
+      (bench.accelerometer ? bench.further_accelerometers.emplace_back() : bench.accelerometer) =
+          std::move(made);
+    } catch (const InstrumentError& error) {
+      item.missing = error.what();
+    }
+  }
+  if (!bench.accelerometer)
+    throw InstrumentError("accelerometer", Fault::kCannotOpen,
+                          "none of the items of this bench can be opened: " + bench.items.front().missing);
+}
 
 }  // namespace
 
 std::unique_ptr<RotationStage> make_stage(const BenchConfig& config, Clock& clock) {
-  return Opener(config, {}, nullptr, clock).stage();
+  return Opener(config, {}, {}, clock).stage();
 }
+
+namespace {
+
+/// One at least whose port is "simulated".
+bool has_simulated_accelerometer(const BenchConfig& config) {
+  if (config.tray.empty()) return config.accelerometer.port == kSimulated;
+  return std::ranges::any_of(config.tray, [](const TrayItem& item) {
+    return item.left_out.empty() && item.accelerometer.port == kSimulated;
+  });
+}
+
+}  // namespace
 
 std::vector<std::string> simulated_instruments(const BenchConfig& config) {
   const auto simulated = [](const InstrumentPort& port) { return port.port == kSimulated; };
   const std::vector<InstrumentPort> stage = stage_ports(config.stage);
-  const std::vector<InstrumentPort> accelerometer = accelerometer_ports(config.accelerometer);
+  const std::vector<InstrumentPort> accelerometer = all_accelerometer_ports(config);
   std::vector<std::string> list;
   if (config.stage.driver == kSimulated || std::any_of(stage.begin(), stage.end(), simulated))
     list.emplace_back("stage");
-  if (config.accelerometer.driver == kSimulated ||
+  if (has_simulated_accelerometer(config) ||
       std::any_of(accelerometer.begin(), accelerometer.end(), simulated))
     list.emplace_back("accelerometer");
   return list;
@@ -391,8 +452,8 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
       config.stage.driver == kSimulated ||
       (!ports.empty() && std::all_of(ports.begin(), ports.end(),
                                      [](const InstrumentPort& port) { return port.port == kSimulated; }));
-  const bool accelerometer_is_simulated = config.accelerometer.port == kSimulated;
-  for (const InstrumentPort& port : accelerometer_ports(config.accelerometer)) ports.push_back(port);
+  const bool accelerometer_is_simulated = has_simulated_accelerometer(config);
+  for (const InstrumentPort& port : all_accelerometer_ports(config)) ports.push_back(port);
   for (const InstrumentPort& port : environment_ports(config.environment)) ports.push_back(port);
   for (const InstrumentPort& port : chamber_ports(config.chamber)) ports.push_back(port);
   const auto real_port = [](const InstrumentPort& port) { return port.port != kSimulated; };
@@ -412,13 +473,13 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   const bool anything_simulated =
       stage_is_simulated || accelerometer_is_simulated || !std::all_of(ports.begin(), ports.end(), real_port);
   if (anything_simulated) {
-    bench.world = std::make_shared<sim::SimBench>(config.simulation, bench.clock->now());
-    schedule(config.faults, config.changes, *bench.world);
+    bench.item_worlds = make_worlds(config, bench.clock->now());
+    bench.world = bench.item_worlds.front();
   } else if (!config.changes.empty()) {
     throw std::invalid_argument("[[change]]: nothing on this bench is simulated, so a change has no effect");
   }
 
-  const auto opener = std::make_shared<Opener>(config, std::move(streams), bench.world, *bench.clock);
+  const auto opener = std::make_shared<Opener>(config, std::move(streams), bench.item_worlds, *bench.clock);
   // The encoder of a real stage turns the simulated world.
   const bool followed = accelerometer_is_simulated && !stage_is_simulated;
   auto stage = std::make_unique<ReplaceableStage>(
@@ -428,20 +489,21 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
         return made;
       },
       [opener] { return opener->halt_ports(); });
-  auto accelerometer =
-      std::make_unique<ReplaceableAccelerometer>([opener] { return opener->accelerometer(); });
+  auto reconnector = std::make_unique<BenchReconnector>(*stage);
+  add_accelerometers(config, opener, *reconnector, bench);
   bench.environment = opener->environment();
-  bench.reconnector = std::make_unique<BenchReconnector>(*stage, *accelerometer);
+  bench.reconnector = std::move(reconnector);
   bench.stage = std::move(stage);
   // A person who turns a stage by hand cannot be halted, and jumping time needs no second thread.
   if (!bench.simulated_time && config.stage.driver != kManual)
     bench.stage = std::make_unique<StageWatchdog>(std::move(bench.stage), *bench.clock);
-  bench.accelerometer = std::move(accelerometer);
   if (config.chamber.present()) {
     bench.chamber = std::make_unique<ChamberWatch>([opener] { return opener->chamber(); }, *bench.clock,
                                                    config.chamber.poll_s);
     bench.stage = watched_stage(std::move(bench.stage), *bench.chamber);
     bench.accelerometer = watched_accelerometer(std::move(bench.accelerometer), *bench.chamber);
+    const auto first = std::ranges::find(bench.items, "", &BenchItem::missing);
+    if (first != bench.items.end()) first->accelerometer = bench.accelerometer.get();
   }
   return bench;
 }

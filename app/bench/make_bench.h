@@ -18,16 +18,27 @@
 
 namespace abcal {
 
+/// One of several items on a bench.
+struct BenchItem {
+  int k = 1;                               ///< As in the bench file, from 1.
+  Accelerometer* accelerometer = nullptr;  ///< Null: it is not there.
+  std::string missing;                     ///< Why it is not there; empty: it is.
+};
+
 /// The instruments of a bench file, and the time they live in. Members are destroyed from the last to the
 /// first.
 struct Bench {
   std::unique_ptr<Clock> clock;
   std::shared_ptr<sim::SimBench> world;  ///< The simulated world; null where everything is real.
+  std::vector<std::shared_ptr<sim::SimBench>>
+      item_worlds;  ///< Of several items, by number; the first is `world`.
   std::unique_ptr<ChamberWatch>
       chamber;  ///< Null: there is none. Stage and accelerometer let it be looked at.
-  std::unique_ptr<RotationStage> stage;  ///< In protocol angles, inside the bench's travel.
-  std::unique_ptr<Accelerometer> accelerometer;
-  std::unique_ptr<Reconnector> reconnector;        ///< Opens unplugged ports again.
+  std::unique_ptr<RotationStage> stage;          ///< In protocol angles, inside the bench's travel.
+  std::unique_ptr<Accelerometer> accelerometer;  ///< Of several items that of the first that is there.
+  std::vector<std::unique_ptr<Accelerometer>> further_accelerometers;
+  std::vector<BenchItem> items;              ///< Of several: all that are to be opened. Empty: there is one.
+  std::unique_ptr<Reconnector> reconnector;  ///< Opens unplugged ports again.
   std::unique_ptr<EnvironmentSensor> environment;  ///< Null: temperature and so on are typed in.
   bool simulated_time = false;                     ///< Everything is simulated: the clock jumps.
   bool replayed = false;                           ///< Its bytes come from a recording.
@@ -48,6 +59,7 @@ struct BenchStreams {
 
 /// Opens the instruments of a bench file. The only place where real, simulated and replayed differ.
 /// `simulated_clock`, if given, is the clock if everything is simulated, instead of one that jumps.
+/// One of several items whose port cannot be opened is missing.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument for settings a driver refuses.
 Bench make_bench(const BenchConfig& config, BenchStreams streams = {},
                  std::unique_ptr<Clock> simulated_clock = nullptr);

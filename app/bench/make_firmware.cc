@@ -8,6 +8,7 @@
 #include <string_view>
 #include <utility>
 
+#include "app/bench/fault_schedule.h"
 #include "drivers/registry.h"
 #include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"
@@ -424,6 +425,48 @@ std::vector<InstrumentPort> accelerometer_ports(const AccelerometerConfig& accel
   return ports;
 }
 
+std::vector<InstrumentPort> item_ports(const BenchConfig& config, int item) {
+  constexpr std::string_view kAlone = "accelerometer";
+  const TrayItem& of_tray = config.tray.at(static_cast<std::size_t>(item) - 1);
+  std::vector<InstrumentPort> ports = accelerometer_ports(of_tray.accelerometer);
+  for (InstrumentPort& port : ports) {
+    port.name.replace(0, kAlone.size(), "item-" + std::to_string(item));
+    port.item = item;
+  }
+  return ports;
+}
+
+std::vector<InstrumentPort> all_accelerometer_ports(const BenchConfig& config) {
+  if (config.tray.empty()) return accelerometer_ports(config.accelerometer);
+  std::vector<InstrumentPort> ports;
+  for (std::size_t i = 0; i < config.tray.size(); ++i) {
+    if (!config.tray[i].left_out.empty()) continue;
+    for (InstrumentPort& port : item_ports(config, static_cast<int>(i) + 1)) ports.push_back(std::move(port));
+  }
+  return ports;
+}
+
+SimWorlds make_worlds(const BenchConfig& config, Clock::Instant start) {
+  if (config.tray.empty()) {
+    SimWorlds alone{std::make_shared<sim::SimBench>(config.simulation, start)};
+    schedule(config.faults, config.changes, *alone.front());
+    return alone;
+  }
+  SimWorlds worlds;
+  for (int item = 1; item <= static_cast<int>(config.tray.size()); ++item) {
+    const BenchConfig of_item = for_item(config, item);
+    worlds.push_back(std::make_shared<sim::SimBench>(of_item.simulation, start));
+    schedule(of_item.faults, of_item.changes, *worlds.back(), item);
+    if (item > 1) worlds.front()->add_follower(worlds.back());
+  }
+  return worlds;
+}
+
+std::shared_ptr<sim::SimBench> world_of(const SimWorlds& worlds, int item) {
+  if (worlds.empty()) return nullptr;
+  return item == 0 ? worlds.front() : worlds.at(static_cast<std::size_t>(item) - 1);
+}
+
 std::vector<InstrumentPort> environment_ports(const EnvironmentConfig& environment) {
   if (environment.driver.empty()) return {};
   return {{"environment", environment.driver, environment.port, environment.baud}};
@@ -440,6 +483,8 @@ bool has_tcp_frames(const std::string& port) {
 
 std::shared_ptr<sim::Firmware> make_firmware(const BenchConfig& config, const InstrumentPort& port,
                                              std::shared_ptr<sim::SimBench> world) {
+  if (port.item > 0 && !config.tray.empty())
+    return make_firmware(for_item(config, port.item), port, std::move(world));
   if (port.name == "environment") return environment_firmware(config, port, std::move(world));
   const auto found = firmwares().find(port.driver);
   if (found == firmwares().end()) {

@@ -136,7 +136,7 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
     ports.insert(ports.end(), more.begin(), more.end());
   };
   if (with_stage) add(stage_ports(config.stage));
-  add(accelerometer_ports(config.accelerometer));
+  add(all_accelerometer_ports(config));
   add(environment_ports(config.environment));
   add(chamber_ports(config.chamber));
   if (ports.empty())
@@ -145,15 +145,29 @@ std::vector<InstrumentPort> ports_to_serve(const BenchConfig& config, bool with_
   return ports;
 }
 
+/// @throws BenchError if a simulated truth does not fit the unit of its instrument
+void require_possible_truth(const std::string& bench_file, const BenchConfig& config) {
+  std::vector<Problem> problems;
+  if (config.tray.empty()) {
+    if (auto problem = simulated_unit_problem(config)) problems.push_back(std::move(*problem));
+  }
+  for (int item = 1; item <= static_cast<int>(config.tray.size()); ++item) {
+    auto problem = simulated_unit_problem(for_item(config, item));
+    if (!problem) continue;
+    problem->where = fmt::format("item {}, {}", item, problem->where);
+    problems.push_back(std::move(*problem));
+  }
+  if (!problems.empty()) throw BenchError(bench_file, std::move(problems));
+}
+
 /// Serves until interrupted.
 void serve_instruments(const EmulateCommand& command) {
   const BenchConfig config = read_bench(command.bench_file, register_records());
-  if (auto problem = simulated_unit_problem(config))
-    throw BenchError(command.bench_file, {std::move(*problem)});
+  require_possible_truth(command.bench_file, config);
   if (!std::isfinite(command.speed)) throw CLI::ValidationError("--speed", "must be a finite number");
   ScaledClock clock(command.speed);
-  const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
-  schedule(config.faults, config.changes, *world);
+  const SimWorlds worlds = make_worlds(config, clock.now());
+  const std::shared_ptr<sim::SimBench>& world = worlds.front();
   std::error_code error;
   std::filesystem::create_directories(command.link_dir, error);
   if (error) throw std::runtime_error(command.link_dir + ": cannot be created: " + error.message());
@@ -164,10 +178,11 @@ void serve_instruments(const EmulateCommand& command) {
   if (command.follow_stage) follower.emplace(config, world, end);
   std::vector<Served> all;
   for (const InstrumentPort& port : ports_to_serve(config, !command.follow_stage)) {
-    all.push_back({port.name, port.driver, port.port,
-                   std::make_shared<sim::FaultyPort>(make_firmware(config, port, world), clock,
-                                                     wire_faults(config.faults, port.name, world->start()),
-                                                     config.simulation.seed, config.link)});
+    all.push_back(
+        {port.name, port.driver, port.port,
+         std::make_shared<sim::FaultyPort>(make_firmware(config, port, world_of(worlds, port.item)), clock,
+                                           wire_faults(config.faults, port.name, world->start()),
+                                           config.simulation.seed, config.link)});
   }
   const sim::LineModel line =
       config.emulator.line == "ideal" ? sim::LineModel::kIdeal : sim::LineModel::kReal;
@@ -178,7 +193,7 @@ void serve_instruments(const EmulateCommand& command) {
     links[served.name] = &served.firmware->link();
   }
   sim::Emulator emulator(std::move(endpoints), clock, command.speed);
-  EmulatorControl control(*world, clock, std::move(links), watch_unserved(all));
+  EmulatorControl control(worlds, clock, std::move(links), watch_unserved(all));
   std::optional<ControlServer> control_server;
   if (command.control) control_server.emplace(control, *command.control);
   const std::vector<std::string> addresses = emulator.addresses();
@@ -247,8 +262,8 @@ bool compare_with_log(const EmulateCommand& command) {
   const BenchConfig config = read_bench(command.bench_file, register_records());
   const WireLog log = read_wire_log(command.compare);
   sim::SimClock clock;
-  const auto world = std::make_shared<sim::SimBench>(config.simulation, clock.now());
-  const auto firmware = make_firmware(config, port_of_log(config, command.instrument), world);
+  const InstrumentPort port = port_of_log(config, command.instrument);
+  const auto firmware = make_firmware(config, port, world_of(make_worlds(config, clock.now()), port.item));
   const std::vector<ComparedExchange> exchanges = compare_firmware(log, *firmware, clock.now());
   if (exchanges.empty())
     throw std::invalid_argument(command.compare +
@@ -271,7 +286,8 @@ CLI::App* add_emulate(CLI::App& parent, int& exit_code) {
       ->add_option("BENCH", options->bench_file,
                    "bench file (TOML); its [simulation] describes the simulated bench")
       ->required();
-  command->add_option("--link-dir", options->link_dir, "folder for the links `stage` and `accelerometer`");
+  command->add_option("--link-dir", options->link_dir,
+                      "folder for the links `stage`, and `accelerometer` or `item-1`, `item-2` ...");
   CLI::Option* speed = command->add_option("--speed", options->speed, "factor by which time passes faster")
                            ->check(CLI::PositiveNumber);
   command->add_option("--control", options->control,

@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "app/bench/bench_config.h"
@@ -27,12 +28,19 @@ struct ShownPlan {
   bool travel_assumed = false;
 };
 
+/// Of several items: the slowest, which decides how long a dwell lasts.
+double slowest_rate_hz(const BenchConfig& config) {
+  double slowest = config.accelerometer.rate_hz;
+  for (const TrayItem& item : config.tray) slowest = std::min(slowest, item.accelerometer.rate_hz);
+  return slowest;
+}
+
 ShownPlan make_shown_plan(const BenchConfig& config) {
   const auto [x, z] = known_axes(config);
   ShownPlan plan;
   plan.angles = make_rotation_plan(config.protocol, {x.travel, z.travel});
   plan.duration =
-      estimate_duration(plan.angles, config.protocol, {x.speed, z.speed}, config.accelerometer.rate_hz);
+      estimate_duration(plan.angles, config.protocol, {x.speed, z.speed}, slowest_rate_hz(config));
   plan.twist = cable_twist(plan.angles, config.protocol);
   plan.speeds_known = x.speed.deg_per_s > 0.0 && z.speed.deg_per_s > 0.0;
   plan.travel_assumed = x.travel_assumed || z.travel_assumed;
@@ -55,6 +63,12 @@ nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& confi
       {"g_loc", {{"value_mps2", config.g_loc.value_mps2}, {"source", config.g_loc.source}}},
       {"effect_sources", nlohmann::ordered_json::object()},
       {"cable_twist_deg", {{"x", range(plan.twist[0])}, {"z", range(plan.twist[1])}}}};
+  for (const TrayItem& item : config.tray)
+    json["items"].push_back({{"serial_number", item.item.serial_number},
+                             {"driver", item.accelerometer.driver},
+                             {"port", item.accelerometer.port},
+                             {"rate_hz", item.accelerometer.rate_hz},
+                             {"mounting", item.expected.mounting}});
   for (const auto& [key, source] : config.tolerances.sources) json["effect_sources"][key] = source;
   for (const PlannedAngle& angle : plan.angles) {
     json["angles"].push_back({{"experiment", angle.experiment},
@@ -109,8 +123,9 @@ void print_sources(const BenchConfig& config) {
 
 void print_plan(const ShownPlan& plan, const BenchConfig& config) {
   print_angles(plan.angles);
-  print_result("{} angles; {} readings at each\n", plan.angles.size(),
-               readings_per_dwell(config.protocol, config.accelerometer.rate_hz));
+  print_result("{} angles; {} readings at each{}\n", plan.angles.size(),
+               readings_per_dwell(config.protocol, config.accelerometer.rate_hz),
+               config.tray.empty() ? "" : fmt::format(", of {} items", config.tray.size()));
   print_duration(plan);
   print_result(
       "The cables are wound from {:g} to {:g} deg about X and from {:g} to {:g} deg about Z, relative to "

@@ -9,6 +9,7 @@
 #include "app/commands/commands.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
+#include "app/results/analyses.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
 #include "app/session/register_records.h"
@@ -33,6 +34,48 @@ std::string timing_text(const RunTiming& t) {
                      part(t.overhead_s));
 }
 
+/// Of several items: each by itself.
+int print_items(const RunOutcome& outcome, bool json) {
+  nlohmann::ordered_json list = nlohmann::ordered_json::array();
+  bool all_usable = true;
+  for (const ItemOutcome& item : outcome.items) {
+    const StoredRun& stored = item.stored;
+    const auto index = static_cast<std::size_t>(stored.item) - 1;
+    const RunItem& identity = stored.header.items.at(index);
+    nlohmann::ordered_json entry{{"k", stored.item},
+                                 {"maker", identity.maker},
+                                 {"model", identity.model},
+                                 {"serial_number", identity.serial_number},
+                                 {"result", nullptr}};
+    const std::string heading =
+        fmt::format("Item {}: {} (SN {})", stored.item, identity.model, identity.serial_number);
+    if (!json) print_result("{}\n", emphasised(stdout, Emphasis::kHeading, heading));
+    if (item.results.empty()) {
+      const std::string& reason = stored.items.at(index).reason;
+      all_usable = false;
+      entry["dropped"] = reason;
+      if (!json) print_result("not measured to the end: {}\n\n", reason);
+    } else {
+      const CalibrationResult& result = result_of(item.results, declared_estimator(stored.record).name);
+      all_usable = all_usable && result.verdict != Verdict::kNotUsable;
+      entry["result"] = result_json(result);
+      if (!json) print_result("{}\n", result_text(result, stdout));
+    }
+    list.push_back(std::move(entry));
+  }
+  const std::string file = outcome.path.string();
+  if (json) {
+    print_result("{}\n",
+                 nlohmann::ordered_json{
+                     {"schema", "abcal.items/1"}, {"file", file}, {"sha256", outcome.sha256}, {"items", list}}
+                     .dump(2));
+  } else {
+    print_result("{}\nRun file: {} ({})\n", timing_text(outcome.stored.timing), file,
+                 outcome.sha256.empty() ? "not closed yet" : "SHA-256 " + outcome.sha256);
+  }
+  return all_usable ? kExitDone : kExitFailed;
+}
+
 }  // namespace
 
 void print_warnings(const BenchConfig& config) {
@@ -45,6 +88,7 @@ int print_outcome(const RunOutcome& outcome, bool json) {
               outcome.path.string());
     return kExitDone;
   }
+  if (!outcome.items.empty()) return print_items(outcome, json);
   const CalibrationResult& result = outcome.result();
   const RunTiming& timing = outcome.stored.timing;
   if (json) {
@@ -92,6 +136,7 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     std::string output;
     bool record = false;
     bool json = false;
+    bool without_missing_items = false;
     CampaignOptions campaign;
   };
   auto options = std::make_shared<Options>();
@@ -117,6 +162,8 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
       ->add_flag("--go-on", options->campaign.keep_complete_runs,
                  "keep the complete runs of this campaign and measure only the missing ones")
       ->needs(repeat);
+  command->add_flag("--without-missing-items", options->without_missing_items,
+                    "of several items: measure the others if some are not there");
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     if (options->campaign.repeat > 0) {
@@ -131,7 +178,12 @@ CLI::App* add_run(CLI::App& parent, int& exit_code) {
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
     RunSession session(printing_session_options(terminal, options->json, exit_code));
     const std::filesystem::path path = output_path(options->output, options->bench_file, ".run");
-    session.start({write_bench(config), options->bench_file, path.string(), options->record});
+    session.start({write_bench(config),
+                   options->bench_file,
+                   path.string(),
+                   options->record,
+                   {},
+                   options->without_missing_items});
   });
   return command;
 }
@@ -140,15 +192,18 @@ CLI::App* add_resume(CLI::App& parent, int& exit_code) {
   struct Options {
     std::string run_file;
     bool json = false;
+    bool without_missing_items = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand("resume", "Continue an interrupted run");
   command->add_option("RUN", options->run_file, "run file")->required();
+  command->add_flag("--without-missing-items", options->without_missing_items,
+                    "of several items: continue with the others if some are not there");
   command->add_flag("--json", options->json, "print the result as one JSON object");
   command->callback([options, &exit_code] {
     TerminalListener terminal({.title = "Calibrating", .tell_how_to_resume = true});
     RunSession session(printing_session_options(terminal, options->json, exit_code));
-    session.resume({options->run_file});
+    session.resume({options->run_file, options->without_missing_items});
   });
   return command;
 }

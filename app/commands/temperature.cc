@@ -107,6 +107,10 @@ CLI::App* add_temperature(CLI::App& parent, int& exit_code) {
     if (!config.temperature.wanted())
       throw BenchError(options->bench_file, {{"[temperature] set_points_degc", "nothing",
                                               "the set points of the series (docs/temperature.md)"}});
+    if (!config.tray.empty())
+      throw BenchError(options->bench_file,
+                       {{"item", fmt::format("{} items", config.tray.size()),
+                         "[item] and [accelerometer]: a series over temperature measures one item"}});
     const std::vector<std::filesystem::path> paths =
         options->analyse_only ? series_paths(stem_of(*options), series_points(config.temperature).size())
                               : measure(*options, config);

@@ -43,6 +43,15 @@ void TerminalListener::show(const RunBeganEvent& event) {
         event.plan.size(), describe_duration(event.estimated_s),
         event.simulated_time ? " of simulated time (everything is simulated)" : "");
   }
+  for (const ItemSummary& item : event.items) {
+    if (!options_.introduce) break;
+    if (item.missing.empty()) {
+      print_log("Item {}: {} (SN {}), {:g} readings/s in {}\n", item.k, item.model, item.name, item.rate_hz,
+                item.unit);
+    } else {
+      print_log("Item {}: not there\n", item.k);
+    }
+  }
   begin(event.plan);
   for (const DwellDoneEvent& each : event.measured) measured_.insert(each.position);
 }

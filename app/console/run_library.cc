@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdint>
 #include <fstream>
+#include <ranges>
 #include <utility>
 
 #include "app/bench/bench_config.h"
@@ -42,6 +43,8 @@ bool is_run(const std::filesystem::path& path) {
 
 /// As the person named the item; else as the accelerometer named itself.
 std::string serial_number_of(const RunHeader& header) {
+  if (header.items.size() > 1)
+    return fmt::format("{}", fmt::join(header.items | std::views::transform(&RunItem::serial_number), ", "));
   const std::string given = label_of(header.labels, "item.serial_number");
   if (!given.empty()) return given;
   for (const InstrumentIdentity& instrument : header.instruments)
@@ -58,12 +61,27 @@ std::string simulated_of(const RunHeader& header) {
   }
 }
 
+/// Of several items: how far each was measured.
+Json items_of(const StoredRun& run) {
+  Json items = Json::array();
+  for (std::size_t i = 0; i < run.items.size() && run.items.size() > 1; ++i) {
+    const ItemProgress& item = run.items[i];
+    items.push_back({{"k", item.k},
+                     {"serial_number", run.header.items[i].serial_number},
+                     {"model", run.header.items[i].model},
+                     {"measured", item.measured},
+                     {"dropped", item.dropped_at ? Json(item.reason) : Json(nullptr)}});
+  }
+  return items;
+}
+
 Json summary_of(const std::string& name, const StoredRun& run) {
   const RunHeader& header = run.header;
   Json json = {{"name", name},
                {"state", to_string(run.state)},
                {"created_utc", header.created_utc},
                {"item", serial_number_of(header)},
+               {"items", items_of(run)},
                {"maker", label_of(header.labels, "item.maker")},
                {"model", label_of(header.labels, "item.model")},
                {"bench", label_of(header.labels, "bench.name")},

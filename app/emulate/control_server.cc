@@ -30,9 +30,13 @@ Json axis_status(const sim::SimBench& world, StageAxis axis, Clock::Instant now)
 
 }  // namespace
 
-EmulatorControl::EmulatorControl(sim::SimBench& world, const Clock& clock,
+EmulatorControl::EmulatorControl(SimWorlds worlds, const Clock& clock,
                                  std::map<std::string, sim::FaultyStream*> links, Unserved unserved)
-    : world_(world), clock_(clock), links_(std::move(links)), unserved_(std::move(unserved)) {}
+    : worlds_(std::move(worlds)),
+      world_(*worlds_.front()),
+      clock_(clock),
+      links_(std::move(links)),
+      unserved_(std::move(unserved)) {}
 
 std::string EmulatorControl::answer(const std::string& line) {
   try {
@@ -59,7 +63,9 @@ std::string EmulatorControl::answer(const std::string& line) {
         for (const sim::FaultDescription& d : sim::fault_descriptions())
           if (d.kind == kind) reply["faults"].push_back({{"kind", d.name}, {"where", where}});
       };
-      for (const sim::WorldFault& fault : world_.faults_at(now)) add(fault.kind, "world");
+      for (std::size_t i = 0; i < worlds_.size(); ++i)
+        for (const sim::WorldFault& fault : worlds_[i]->faults_at(now))
+          add(fault.kind, worlds_.size() == 1 ? "world" : fmt::format("world of item {}", i + 1));
       for (const auto& [name, link] : links_)
         for (const sim::FaultKind kind : link->active()) add(kind, name);
       reply["unserved"] = Json::array();
@@ -72,7 +78,11 @@ std::string EmulatorControl::answer(const std::string& line) {
     } else if (action == "fault") {
       const FaultConfig fault = parse_fault(request.dump());
       if (const auto of_the_world = world_fault(fault, world_.start())) {
-        world_.inject(*of_the_world);
+        const auto item = item_of_instrument(fault.instrument);
+        if (item && static_cast<std::size_t>(*item) > worlds_.size())
+          throw std::invalid_argument(fmt::format("this bench has no \"{}\"", fault.instrument));
+        for (std::size_t i = 0; i < worlds_.size(); ++i)
+          if (!item || static_cast<std::size_t>(*item) == i + 1) worlds_[i]->inject(*of_the_world);
       } else {
         const auto link = links_.find(fault.instrument);
         if (link == links_.end())
@@ -83,10 +93,16 @@ std::string EmulatorControl::answer(const std::string& line) {
         link->second->add(std::move(of_the_wire));
       }
     } else if (action == "change") {
-      const ChangeConfig change = parse_change(request.dump(), world_.output_truth(now));
-      world_.change(change.truth, world_.start() + from_seconds(change.at_s));
+      std::size_t item = 1;
+      if (request.contains("item") && request["item"].is_number_unsigned()) item = request["item"];
+      request.erase("item");
+      if (item < 1 || item > worlds_.size())
+        throw std::invalid_argument(fmt::format("this bench has no item {}", item));
+      sim::SimBench& world = *worlds_[item - 1];
+      const ChangeConfig change = parse_change(request.dump(), world.output_truth(now));
+      world.change(change.truth, world.start() + from_seconds(change.at_s));
     } else if (action == "clear") {
-      world_.clear_faults(now);
+      for (const auto& world : worlds_) world->clear_faults(now);
       for (const auto& [name, link] : links_) link->clear();
     } else {
       throw std::invalid_argument(

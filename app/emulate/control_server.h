@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "app/bench/make_firmware.h"
 #include "drivers/instrument/clock.h"
 #include "sim/faults.h"
 #include "sim/firmware/unserved_commands.h"
@@ -19,14 +20,15 @@ class EmulatorControl {
   using Unserved = std::map<std::string, const sim::UnservedCommands*>;
 
   /// `links` are the links of the instruments by name, as [[fault]] calls them; all must outlive this object.
-  EmulatorControl(sim::SimBench& world, const Clock& clock, std::map<std::string, sim::FaultyStream*> links,
+  EmulatorControl(SimWorlds worlds, const Clock& clock, std::map<std::string, sim::FaultyStream*> links,
                   Unserved unserved = {});
 
   /// @return {"ok": true, ...} or {"ok": false, "error": "..."}; never throws because of a request.
   std::string answer(const std::string& line);
 
  private:
-  sim::SimBench& world_;
+  SimWorlds worlds_;
+  sim::SimBench& world_;  ///< The first, with the stage.
   const Clock& clock_;
   std::map<std::string, sim::FaultyStream*> links_;
   Unserved unserved_;

@@ -156,8 +156,9 @@ Distance distance_between(const nlohmann::json& stored, const nlohmann::json& no
   return distance;
 }
 
-IntegrityCheck check_results(const std::filesystem::path& run,
-                             const std::vector<CalibrationResult>& results) {
+/// @param item  Whose results they are.
+IntegrityCheck check_results(const std::filesystem::path& run, const std::vector<CalibrationResult>& results,
+                             int item) {
   // The same program gives the same numbers but for rounding. Another one may have better methods: its
   // analyses are a history: they are reported, not judged. Reports and certificates never use them.
   constexpr double kRounding = 1e-6;
@@ -168,7 +169,7 @@ IntegrityCheck check_results(const std::filesystem::path& run,
       return result.estimator == stored.estimator;
     });
     const nlohmann::json json = nlohmann::json::parse(stored.result_json, nullptr, false);
-    if (now == results.end() || json.is_discarded()) continue;
+    if (now == results.end() || json.is_discarded() || json.value("item", 1) != item) continue;
     const Distance distance = distance_between(json, nlohmann::json(result_json(*now)));
     if (stored.program_version != program_version()) {
       ++other;
@@ -196,7 +197,7 @@ std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const St
                                       const BenchConfig* bench,
                                       const std::vector<CalibrationResult>& results) {
   std::vector<IntegrityCheck> checks{check_plan(stored, bench)};
-  if (stored.state == RunState::kComplete) checks.push_back(check_results(run, results));
+  if (stored.state == RunState::kComplete) checks.push_back(check_results(run, results, stored.item));
   return checks;
 }
 
@@ -209,8 +210,20 @@ std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& ru
   } catch (const BenchError&) {
     // Of another abcal, or of a test: the plan is compared with the dwells only.
   }
-  for (IntegrityCheck& check : recompute(run, stored, bench ? &*bench : nullptr, analyse_all(stored.record)))
-    checks.push_back(std::move(check));
+  const BenchConfig* known = bench ? &*bench : nullptr;
+  if (stored.items.size() < 2) {
+    for (IntegrityCheck& check : recompute(run, stored, known, analyse_all(stored.record)))
+      checks.push_back(std::move(check));
+    return checks;
+  }
+  for (const ItemProgress& item : stored.items) {
+    if (item.dropped_at) continue;
+    const StoredRun of_item = RunFile::load(run, item.k);
+    for (IntegrityCheck& check : recompute(run, of_item, known, analyse_all(of_item.record))) {
+      check.what = fmt::format("item {}, {}", item.k, check.what);
+      checks.push_back(std::move(check));
+    }
+  }
   return checks;
 }
 

@@ -92,9 +92,7 @@ class Checker {
     for (const std::string& warning : config_.warnings) add(Grade::kWarning, "bench file", warning);
     if (bench_.chamber) attempt("chamber", [&] { check_chamber(); });
     const bool stage = attempt("stage", [&] { check_stage(); });
-    const bool accelerometer = attempt("accelerometer", [&] { check_accelerometer(); });
-    if (accelerometer) attempt("readings at rest", [&] { check_at_rest(); });
-    bench_.accelerometer->stop();
+    const bool accelerometer = check_accelerometers();
     if (options_.no_motion) {
       add(Grade::kLeftOut, "signs and axes", "not checked: nothing was moved (--no-motion)");
     } else if (!stage || !accelerometer || failed_) {
@@ -108,7 +106,35 @@ class Checker {
  private:
   void add(Grade grade, std::string what, std::string found, std::string advice = "") {
     failed_ = failed_ || grade == Grade::kProblem;
-    findings_.push_back({grade, std::move(what), std::move(found), std::move(advice)});
+    findings_.push_back({grade, of_item_ + what, std::move(found), std::move(advice)});
+  }
+
+  /// @return whether all answer as they should
+  bool check_accelerometers() {
+    if (bench_.items.empty()) return check_one(*bench_.accelerometer, config_.accelerometer);
+    bool all = true;
+    for (const BenchItem& item : bench_.items) {
+      of_item_ = fmt::format("item {}, ", item.k);
+      if (item.accelerometer == nullptr) {
+        add(Grade::kProblem, "accelerometer", item.missing, "connect it, or measure without it");
+        all = false;
+        continue;
+      }
+      const TrayItem& stated = config_.tray.at(static_cast<std::size_t>(item.k) - 1);
+      all = check_one(*item.accelerometer, stated.accelerometer) && all;
+      ItemIdentity& identity = identities_.items.emplace_back();
+      identity.k = item.k;
+      identity.accelerometer = identities_.accelerometer;
+    }
+    of_item_.clear();
+    return all;
+  }
+
+  bool check_one(Accelerometer& accelerometer, const AccelerometerConfig& stated) {
+    const bool answers = attempt("accelerometer", [&] { check_accelerometer(accelerometer, stated); });
+    if (answers) attempt("readings at rest", [&] { check_at_rest(accelerometer, stated); });
+    accelerometer.stop();
+    return answers;
   }
 
   /// A failing instrument is a finding here, not an error.
@@ -168,31 +194,29 @@ class Checker {
     add(Grade::kGood, "travel", fmt::format("all {} angles of the plan are within the travel", plan.size()));
   }
 
-  void check_accelerometer() {
-    identities_.accelerometer = bench_.accelerometer->identify();
+  void check_accelerometer(Accelerometer& accelerometer, const AccelerometerConfig& stated) {
+    identities_.accelerometer = accelerometer.identify();
     const AccelerometerInfo& info = identities_.accelerometer;
-    require_serial_number("accelerometer", info.model, info.serial_number,
-                          config_.accelerometer.serial_number);
+    require_serial_number("accelerometer", info.model, info.serial_number, stated.serial_number);
     std::string words =
         fmt::format("{} {}, serial number {}, firmware {}, output in {}", info.maker, info.model,
                     info.serial_number.empty() ? "not reported" : info.serial_number,
                     info.firmware.empty() ? "not reported" : info.firmware, info.output_unit);
     if (info.full_scale) words += fmt::format(", full scale {:g} {}", *info.full_scale, info.output_unit);
     add(Grade::kGood, "accelerometer", words);
-    const std::string& unit = config_.accelerometer.response_unit;
-    if (!unit.empty() && config_.accelerometer.driver != "simulated" && unit != info.output_unit)
+    const std::string& unit = stated.response_unit;
+    if (!unit.empty() && stated.driver != "simulated" && unit != info.output_unit)
       add(Grade::kProblem, "response unit",
           fmt::format("its output is in {}, response_unit is {}", info.output_unit, unit),
           "set response_unit to the unit of the instrument, or remove it");
   }
 
-  void check_at_rest() {
-    Accelerometer& accelerometer = *bench_.accelerometer;
+  void check_at_rest(Accelerometer& accelerometer, const AccelerometerConfig& stated) {
     Clock& clock = *bench_.clock;
     accelerometer.start();
     accelerometer.discard_pending();
-    const int wanted = std::min(kMostReadings, std::max(config_.protocol.dwell_readings,
-                                                        static_cast<int>(config_.accelerometer.rate_hz)));
+    const int wanted =
+        std::min(kMostReadings, std::max(config_.protocol.dwell_readings, static_cast<int>(stated.rate_hz)));
     std::vector<Reading> readings;
     const Clock::Instant begin = clock.now();
     const Clock::Duration patience = from_seconds(config_.protocol.reading_timeout_s);
@@ -208,7 +232,7 @@ class Checker {
     const std::string& unit = identities_.accelerometer.output_unit;
     const double rate = static_cast<double>(readings.size() - 1) /
                         to_seconds(readings.back().arrival - readings.front().arrival);
-    const double asked = config_.accelerometer.rate_hz;
+    const double asked = stated.rate_hz;
     const bool rate_good = std::abs(rate / asked - 1.0) <= kRateTolerance;
     add(rate_good ? Grade::kGood : Grade::kWarning, "sample rate",
         fmt::format("{:.4g} readings/s, rate_hz = {:g}", rate, asked),
@@ -262,9 +286,24 @@ class Checker {
     }
     SessionObserver observer(options_.listener);
     measure_plan({bench_, quick, file, plan, {}}, observer, options_.stop);
+    const std::size_t items = RunFile::load(path.path).items.size();
+    for (std::size_t k = 1; k <= items; ++k) judge_turn(path.path, static_cast<int>(k));
+    of_item_.clear();
+  }
+
+  void judge_turn(const std::filesystem::path& path, int item) {
+    const StoredRun stored = RunFile::load(path, item);
+    Eigen::Matrix3d from_outputs = Eigen::Matrix3d::Identity();  // Along the axes of the platter.
+    if (!config_.tray.empty()) {
+      of_item_ = fmt::format("item {}, ", item);
+      const auto mounting = mounting_matrix(stored.header.expected.mounting);
+      if (mounting) from_outputs = mounting->transpose();
+      const std::string& reason = stored.items.at(static_cast<std::size_t>(item) - 1).reason;
+      if (!reason.empty()) return add(Grade::kProblem, "signs and axes", reason);
+    }
     std::vector<PoseReading> poses;
-    for (const DwellRecord& dwell : RunFile::load(path.path).record.dwells) {
-      poses.push_back({dwell.commanded_x, dwell.commanded_z, dwell.mean});
+    for (const DwellRecord& dwell : stored.record.dwells) {
+      poses.push_back({dwell.commanded_x, dwell.commanded_z, from_outputs * dwell.mean});
       if (dwell.flags != 0)
         add(Grade::kWarning, "readings",
             fmt::format("at X = {:g} deg, Z = {:g} deg: {}", dwell.commanded_x.deg(), dwell.commanded_z.deg(),
@@ -292,6 +331,7 @@ class Checker {
   const BenchConfig& config_;
   const CheckOptions& options_;
   bool failed_ = false;
+  std::string of_item_;  ///< "item 3, " while one of several is looked at.
   Identities identities_;
   std::vector<Finding> findings_;
 };

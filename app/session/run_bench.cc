@@ -3,10 +3,14 @@
 #include <fmt/chrono.h>
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <ctime>
 #include <functional>
+#include <map>
 #include <optional>
 #include <stop_token>
+#include <tuple>
+#include <utility>
 
 #include "app/bench/level_file.h"
 #include "app/session/host_clock.h"
@@ -40,25 +44,129 @@ InstrumentIdentity identity(const ChamberInfo& info) {
       info.firmware, fmt::format("set points {:g} to {:g} degC", info.least_set_degc, info.most_set_degc)};
 }
 
-/// The accelerometer on the stage, as the bench file and itself name it.
-RunItem item_of(const BenchConfig& config, const Identities& identities) {
-  const AccelerometerInfo& info = identities.accelerometer;
-  const auto either = [](const std::string& stated, const std::string& found) {
-    return stated.empty() ? found : stated;
+/// An accelerometer on the stage, as the bench file and itself name it.
+RunItem item_of(const ItemConfig& stated, const AccelerometerConfig& config, const AccelerometerInfo& info) {
+  const auto either = [](const std::string& by_file, const std::string& found) {
+    return by_file.empty() ? found : by_file;
   };
   RunItem item;
-  item.maker = either(config.item.maker, info.maker);
-  item.model = either(config.item.model, info.model);
-  item.serial_number = either(config.item.serial_number, info.serial_number);
-  item.firmware = either(config.item.firmware, info.firmware);
-  item.driver = config.accelerometer.driver;
-  item.port = config.accelerometer.port;
+  item.maker = either(stated.maker, info.maker);
+  item.model = either(stated.model, info.model);
+  item.serial_number = either(stated.serial_number, info.serial_number);
+  item.firmware = either(stated.firmware, info.firmware);
+  item.driver = config.driver;
+  item.port = config.port;
   item.response_unit = info.output_unit;
   item.rate_hz = info.rate_hz;
   item.full_scale = info.full_scale;
   item.resolution = info.resolution;
-  item.registers = identities.corrections;
   return item;
+}
+
+std::map<std::string, std::string> item_labels(const ItemConfig& item) {
+  std::map<std::string, std::string> labels{{"item.maker", item.maker},
+                                            {"item.model", item.model},
+                                            {"item.serial_number", item.serial_number},
+                                            {"item.customer_number", item.customer_number},
+                                            {"item.range", item.range},
+                                            {"item.filter", item.filter},
+                                            {"item.firmware", item.firmware},
+                                            {"item.supply", item.supply}};
+  std::erase_if(labels, [](const auto& each) { return each.second.empty(); });
+  return labels;
+}
+
+/// Items, their instruments and what belongs to each of several.
+void add_items(const BenchConfig& config, const Identities& identities, RunHeader& header) {
+  header.items.clear();
+  std::erase_if(header.instruments, [](const auto& each) { return each.role == "accelerometer"; });
+  for (const ItemIdentity& identified : identities.items) {
+    const TrayItem& stated = config.tray.at(static_cast<std::size_t>(identified.k) - 1);
+    AccelerometerInfo info = identified.accelerometer;
+    if (info.output_unit.empty()) info.output_unit = stated.accelerometer.response_unit;  // It is not there.
+    RunItem item = item_of(stated.item, stated.accelerometer, info);
+    item.k = identified.k;
+    item.mounting = stated.expected.mounting;
+    item.registers = identified.corrections;
+    header.items.push_back(std::move(item));
+    if (identified.missing.empty()) {
+      header.instruments.push_back(identity(info));
+      header.instruments.back().role = fmt::format("item-{}", identified.k);
+    }
+    ItemFacts facts{item_labels(stated.item), info.output_unit, stated.tolerances, stated.limits,
+                    stated.expected};
+    if (identified.k > 1) {
+      header.further_items.push_back(std::move(facts));
+      continue;
+    }
+    header.response_unit = facts.response_unit;
+    header.tolerances = facts.tolerances;
+    header.limits = facts.limits;
+    header.expected = facts.expected;
+  }
+}
+
+std::pair<AccelerometerInfo, std::map<std::string, std::string>> identify_accelerometer(
+    Accelerometer& accelerometer, bool ask_corrections) {
+  AccelerometerInfo info = accelerometer.identify();
+  std::map<std::string, std::string> corrections;
+  if (ask_corrections) corrections = accelerometer.correction_registers();
+  return {std::move(info), std::move(corrections)};
+}
+
+/// What the bench file requires of an accelerometer.
+void require_as_stated(const std::string& role, const AccelerometerConfig& config,
+                       const AccelerometerInfo& info) {
+  require_serial_number(role, info.model, info.serial_number, config.serial_number);
+  const std::string& unit = config.response_unit;
+  if (unit.empty() || config.driver == "simulated" || unit == info.output_unit) return;
+  throw InstrumentError(role + " " + info.model, Fault::kWrongIdentity,
+                        fmt::format("its output is in {}; required: {} ([accelerometer] response_unit)",
+                                    info.output_unit, unit));
+}
+
+/// An item that takes its settings and gives a reading is there.
+void require_reading(Accelerometer& accelerometer, const Clock& clock, double timeout_s) {
+  accelerometer.start();
+  const bool reads = accelerometer.next(clock.now() + from_seconds(timeout_s)).has_value();
+  accelerometer.stop();
+  if (!reads)
+    throw InstrumentError(
+        "accelerometer", Fault::kNoReply,
+        fmt::format("it answers, but gives no reading for {} s (reading_timeout_s)", timeout_s));
+}
+
+void identify_items(Bench& bench, const BenchConfig& config, bool ask_corrections, Identities& identities) {
+  bool found_one = false;
+  for (BenchItem& item : bench.items) {
+    const AccelerometerConfig& stated = config.tray.at(static_cast<std::size_t>(item.k) - 1).accelerometer;
+    ItemIdentity& identity = identities.items.emplace_back();
+    identity.k = item.k;
+    if (item.accelerometer != nullptr && item.missing.empty()) {
+      try {
+        std::tie(identity.accelerometer, identity.corrections) =
+            identify_accelerometer(*item.accelerometer, ask_corrections);
+        require_reading(*item.accelerometer, *bench.clock, config.protocol.reading_timeout_s);
+      } catch (const InstrumentError& error) {
+        item.missing = error.what();
+      }
+    }
+    identity.missing = item.missing;
+    if (!item.missing.empty()) continue;
+    require_as_stated(fmt::format("item {}, accelerometer", item.k), stated, identity.accelerometer);
+    if (!std::exchange(found_one, true)) {
+      identities.accelerometer = identity.accelerometer;
+      identities.corrections = identity.corrections;
+    }
+  }
+}
+
+/// The item of several that reads slowest, or the only one.
+double slowest_rate_hz(const Identities& identities) {
+  double slowest = identities.accelerometer.rate_hz;
+  for (const ItemIdentity& item : identities.items)
+    if (item.missing.empty()) slowest = std::min(slowest, item.accelerometer.rate_hz);
+  return slowest;
 }
 
 }  // namespace
@@ -85,25 +193,39 @@ void require_serial_number(const std::string& role, const std::string& model, co
 }
 
 Identities identify(Bench& bench, const BenchConfig& config, bool ask_corrections) {
-  Identities identities{bench.stage->identify(), bench.accelerometer->identify(), {}, {}};
-  if (ask_corrections) identities.corrections = bench.accelerometer->correction_registers();
+  Identities identities{bench.stage->identify(), {}, {}, {}};
+  if (bench.items.empty()) {
+    std::tie(identities.accelerometer, identities.corrections) =
+        identify_accelerometer(*bench.accelerometer, ask_corrections);
+  }
   require_serial_number("stage", identities.stage.model, identities.stage.serial_number,
                         config.stage.serial_number);
-  require_serial_number("accelerometer", identities.accelerometer.model,
-                        identities.accelerometer.serial_number, config.accelerometer.serial_number);
+  if (bench.items.empty())
+    require_serial_number("accelerometer", identities.accelerometer.model,
+                          identities.accelerometer.serial_number, config.accelerometer.serial_number);
+  identify_items(bench, config, ask_corrections, identities);
   if (bench.chamber) {
     identities.chamber = bench.chamber->identify();
     require_serial_number("chamber", identities.chamber->model, identities.chamber->serial_number,
                           config.chamber.serial_number);
   }
-  const std::string& unit = config.accelerometer.response_unit;
-  if (!unit.empty() && config.accelerometer.driver != "simulated" &&
-      unit != identities.accelerometer.output_unit) {
-    throw InstrumentError("accelerometer " + identities.accelerometer.model, Fault::kWrongIdentity,
-                          fmt::format("its output is in {}; required: {} ([accelerometer] response_unit)",
-                                      identities.accelerometer.output_unit, unit));
-  }
+  if (bench.items.empty()) require_as_stated("accelerometer", config.accelerometer, identities.accelerometer);
   return identities;
+}
+
+void require_all_items(const Identities& identities) {
+  std::string missing;
+  std::size_t count = 0;
+  for (const ItemIdentity& item : identities.items) {
+    if (item.missing.empty()) continue;
+    missing += fmt::format("{}item {} ({})", count++ == 0 ? "" : "; ", item.k, item.missing);
+  }
+  if (count == 0) return;
+  const bool all = count == identities.items.size();
+  throw InstrumentError("items", Fault::kNotReady,
+                        fmt::format("{} of {} are not there: {}. Connect {}{}", count,
+                                    identities.items.size(), missing, count == 1 ? "it" : "them",
+                                    all ? "" : ", or measure the others without: --without-missing-items"));
 }
 
 RunHeader make_header(const BenchConfig& config, const Identities& identities, std::vector<PlannedAngle> plan,
@@ -117,23 +239,18 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   };
   label("bench.name", config.name);
   label("operator.name", config.operator_name);
-  label("item.maker", config.item.maker);
-  label("item.model", config.item.model);
-  label("item.serial_number", config.item.serial_number);
-  label("item.customer_number", config.item.customer_number);
-  label("item.range", config.item.range);
-  label("item.filter", config.item.filter);
-  label("item.firmware", config.item.firmware);
-  label("item.supply", config.item.supply);
+  for (const auto& [key, value] : item_labels(config.item)) label(key, value);
   label(std::string(kEstimatorLabel), config.protocol.estimator);
   header.instruments = {identity(identities.stage), identity(identities.accelerometer)};
   if (identities.chamber) header.instruments.push_back(identity(*identities.chamber));
-  header.items = {item_of(config, identities)};
+  header.items = {item_of(config.item, config.accelerometer, identities.accelerometer)};
+  header.items.front().registers = identities.corrections;
   header.response_unit = identities.accelerometer.output_unit;
   header.g_loc = config.g_loc;
   header.tolerances = config.tolerances;
   header.limits = config.limits;
   header.expected = config.expected;
+  if (!config.tray.empty()) add_items(config, identities, header);
   if (!config.stage.level_file.empty()) {
     const LevelFile level = read_level_file(config.stage.level_file);
     require_serial_number("stage", identities.stage.model, identities.stage.serial_number,
@@ -160,7 +277,7 @@ PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const Benc
   return estimate_duration(plan, config.protocol,
                            {AxisSpeed{identities.stage.axes[0].speed_deg_per_s},
                             AxisSpeed{identities.stage.axes[1].speed_deg_per_s}},
-                           identities.accelerometer.rate_hz);
+                           slowest_rate_hz(identities));
 }
 
 std::optional<std::string> note_environment(Bench& bench, const BenchConfig& config, RunFile& file,
@@ -196,8 +313,15 @@ RunTiming measure_plan(const PlanMeasurement& measurement, RunObserver& observer
   if (!bench.simulated_time) halt_at_once.emplace(stop, [&] { bench.stage->halt(); });
   const RunSettings settings{config.protocol, config.limits, config.tolerances, config.expected,
                              config.g_loc.value_mps2};
-  return run_experiments({*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()},
-                         {measurement.plan, settings, measurement.so_far}, measurement.file, observer, stop);
+  RunInstruments instruments{*bench.stage, *bench.accelerometer, *bench.clock, bench.reconnector.get()};
+  for (const BenchItem& item : bench.items) {
+    if (!item.missing.empty()) continue;
+    const TrayItem& stated = config.tray.at(static_cast<std::size_t>(item.k) - 1);
+    instruments.items.push_back(
+        {item.k, item.accelerometer, stated.limits, stated.tolerances, stated.expected});
+  }
+  return run_experiments(instruments, {measurement.plan, settings, measurement.so_far}, measurement.file,
+                         observer, stop);
 }
 
 }  // namespace abcal

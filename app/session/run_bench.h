@@ -20,6 +20,14 @@
 
 namespace abcal {
 
+/// One of several items.
+struct ItemIdentity {
+  int k = 1;
+  AccelerometerInfo accelerometer;
+  std::map<std::string, std::string> corrections;  ///< As in Identities.
+  std::string missing;                             ///< Why it takes no part; empty: it does.
+};
+
 /// The identities that the instruments reported before the first move.
 struct Identities {
   StageInfo stage;
@@ -27,14 +35,20 @@ struct Identities {
   /// What the accelerometer itself corrects (Accelerometer::correction_registers()).
   std::map<std::string, std::string> corrections;
   std::optional<ChamberInfo> chamber{};
+  /// Of several items: all; `accelerometer` and `corrections` are those of the first that is there.
+  std::vector<ItemIdentity> items{};
 
   std::array<AxisTravel, 2> travel() const;
 };
 
-/// Identifies both instruments and compares them with what the bench file requires.
+/// Identifies the instruments and compares them with what the bench file requires. One of several items that
+/// does not answer is missing.
 /// @param ask_corrections  false: for the replay of a recording in which nobody asked
 /// @throws InstrumentError kWrongIdentity
 Identities identify(Bench& bench, const BenchConfig& config, bool ask_corrections = true);
+
+/// @throws InstrumentError that names every item that is missing, and what to do
+void require_all_items(const Identities& identities);
 
 /// Refuses an instrument whose serial number is not `required` (empty: any will do).
 /// @throws InstrumentError kWrongIdentity

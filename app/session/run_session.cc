@@ -31,12 +31,32 @@ namespace {
 constexpr std::size_t kMostNotes = 20;
 constexpr std::size_t kMostPersonEvents = 200;
 
+/// Of several items: each is analysed by itself.
+void analyse_items(RunOutcome& outcome) {
+  const std::vector<ItemProgress> items = outcome.stored.items;
+  for (const ItemProgress& item : items) {
+    ItemOutcome& each = outcome.items.emplace_back();
+    each.stored = RunFile::load(outcome.path, item.k);
+    if (!item.dropped_at && !outcome.is_levelling()) each.results = analyse_all(each.stored.record);
+  }
+  for (const ItemOutcome& each : outcome.items) {
+    if (each.results.empty()) continue;
+    outcome.stored = each.stored;
+    outcome.results = each.results;
+    return;
+  }
+}
+
 /// A run that is complete, closed or not. A levelling has no calibration's results.
 RunOutcome analysed_outcome(const std::filesystem::path& path, StoredRun stored) {
   RunOutcome outcome;
   outcome.path = path;
   outcome.stored = std::move(stored);
-  if (!outcome.is_levelling()) outcome.results = analyse_all(outcome.stored.record);
+  if (outcome.stored.items.size() > 1) {
+    analyse_items(outcome);
+  } else if (!outcome.is_levelling()) {
+    outcome.results = analyse_all(outcome.stored.record);
+  }
   return outcome;
 }
 
@@ -72,9 +92,15 @@ void keep_analyses(const RunOutcome& outcome, const std::string& utc, bool close
     const std::string name = label_of(outcome.stored.header.labels, "bench.name");
     sign_run(outcome.path, name.empty() ? "bench" : name, key);
   }
-  for (const CalibrationResult& each : outcome.results) {
-    results_file.add_analysis(utc, program_version(), each.estimator, result_json(each).dump());
-  }
+  const auto keep = [&](const std::vector<CalibrationResult>& results, int item) {
+    for (const CalibrationResult& each : results) {
+      nlohmann::ordered_json json = result_json(each);
+      if (item > 0) json["item"] = item;
+      results_file.add_analysis(utc, program_version(), each.estimator, json.dump());
+    }
+  };
+  if (outcome.items.empty()) keep(outcome.results, 0);
+  for (const ItemOutcome& each : outcome.items) keep(each.results, each.stored.item);
 }
 
 /// The name of the first free "a-replay.run", "a-replay-2.run" ... in the folder of "a.run".
@@ -111,9 +137,57 @@ RunProgress progress_of(const std::vector<StoredRun>& of_items) {
   return so_far;
 }
 
+/// A run as it is for each of its items that was not dropped.
+std::vector<StoredRun> load_items_in_run(const std::filesystem::path& path) {
+  std::vector<StoredRun> of_items;
+  for (const ItemProgress& item : RunFile::load(path).items)
+    if (!item.dropped_at) of_items.push_back(RunFile::load(path, item.k));
+  if (of_items.empty()) of_items.push_back(RunFile::load(path));
+  return of_items;
+}
+
+/// What was dropped stays dropped: its port is not opened.
+void leave_out_dropped(const std::vector<ItemProgress>& items, BenchConfig& config) {
+  for (const ItemProgress& item : items) {
+    const auto index = static_cast<std::size_t>(item.k) - 1;
+    if (item.dropped_at && index < config.tray.size()) config.tray[index].left_out = item.reason;
+  }
+}
+
+/// Those whose items are there.
+std::vector<StoredRun> there(const std::vector<StoredRun>& of_items, const Identities& identities) {
+  std::vector<StoredRun> present;
+  for (const StoredRun& each : of_items) {
+    const auto item = std::ranges::find(identities.items, each.item, &ItemIdentity::k);
+    if (item == identities.items.end() || item->missing.empty()) present.push_back(each);
+  }
+  return present;
+}
+
 /// Nothing where nobody is to be told: then no event costs anything.
 std::unique_ptr<Notifier> notifier_of(const BenchConfig& config) {
   return config.notify.anybody() ? std::make_unique<Notifier>(config.notify) : nullptr;
+}
+
+/// What was written before the first angle, with what belongs to items 2, 3, ...
+RunHeader whole_header(const std::filesystem::path& path, const StoredRun& first) {
+  RunHeader header = first.header;
+  const auto role_of = [](int item) { return fmt::format("item-{}", item); };
+  for (InstrumentIdentity& instrument : header.instruments)
+    if (first.items.size() > 1 && instrument.role == "accelerometer") instrument.role = role_of(1);
+  for (int item = 2; item <= static_cast<int>(first.items.size()); ++item) {
+    const RunHeader further = RunFile::load(path, item).header;
+    ItemFacts facts{{}, further.response_unit, further.tolerances, further.limits, further.expected};
+    for (const auto& label : further.labels)
+      if (label.first.starts_with("item.")) facts.labels.insert(label);
+    header.further_items.push_back(std::move(facts));
+    for (InstrumentIdentity instrument : further.instruments) {
+      if (instrument.role != "accelerometer") continue;
+      instrument.role = role_of(item);
+      header.instruments.push_back(std::move(instrument));
+    }
+  }
+  return header;
 }
 
 FinishedEvent finished_event(const RunOutcome& outcome) {
@@ -123,6 +197,16 @@ FinishedEvent finished_event(const RunOutcome& outcome) {
   if (!outcome.results.empty()) {
     event.verdict = verdict_words(outcome.result().verdict);
     event.reason = outcome.result().why;
+  }
+  // Of several items the worst.
+  Verdict worst = Verdict::kUsable;
+  for (const ItemOutcome& item : outcome.items) {
+    if (item.results.empty()) continue;
+    const CalibrationResult& result = result_of(item.results, declared_estimator(item.stored.record).name);
+    if (result.verdict >= worst) continue;
+    worst = result.verdict;
+    event.verdict = verdict_words(result.verdict);
+    event.reason = fmt::format("item {}: {}", item.stored.item, result.why);
   }
   event.measured = outcome.stored.measured.size();
   event.planned = outcome.stored.header.plan.size();
@@ -326,6 +410,7 @@ RunOutcome RunSession::run_plan(const StartRequest& request, Planner planner) {
   RegisteredStart registered = find_operator(config.operator_name, RealClock().utc_now(), options_.login);
   (void)read_signing_key();  // A key that cannot be read is reported before the first move.
   (void)identify_instruments(request);
+  if (!request.without_missing_items) require_all_items(opened_->identities);
   opened_->registered = std::move(registered);
   opened_->plan = planner(opened_->config.protocol, opened_->identities.travel());
   RunFile file = create_file(*opened_, request);
@@ -377,6 +462,11 @@ void RunSession::require_disk_space(const OpenedBench& opened, const StartReques
   need.angles = opened.plan.size();
   need.rate_hz = opened.identities.accelerometer.rate_hz;
   need.readings_per_angle = readings_per_dwell(opened.config.protocol, need.rate_hz);
+  for (std::size_t i = 1; i < opened.identities.items.size(); ++i) {
+    const double rate_hz = opened.identities.items[i].accelerometer.rate_hz;
+    need.rate_hz += rate_hz;
+    need.readings_per_angle += readings_per_dwell(opened.config.protocol, rate_hz);
+  }
   need.duration_s = estimate_duration(opened.plan, opened.config, opened.identities).total_s();
   need.with_recording = request.record;
   const auto warning = check_disk_space(request.run_file, need, options_.free_disk_space(request.run_file));
@@ -396,8 +486,20 @@ RunFile RunSession::create_file(const OpenedBench& opened, const StartRequest& r
   file.begin_session(session_start(bench));
   file.append_event(format_utc(file.utc_now(*bench.clock)), "started", "run started");
   note_operator(file, registered.who, format_utc(file.utc_now(*bench.clock)));
+  drop_missing_items(file, 0);
   (void)note_environment(bench, opened.config, file, "start");
   return file;
+}
+
+/// Those that are not there take no part from an angle of the plan on.
+void RunSession::drop_missing_items(RunFile& file, std::size_t position) const {
+  const std::string utc = format_utc(file.utc_now(*opened_->bench.clock));
+  for (const ItemIdentity& item : opened_->identities.items) {
+    if (item.missing.empty()) continue;
+    const std::string text = fmt::format("item {} takes no part: {}", item.k, item.missing);
+    file.drop_item(item.k, position, utc, text);
+    warn(std::string(kItemDroppedEvent), text);
+  }
 }
 
 void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::path& path,
@@ -424,6 +526,13 @@ void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::pa
   }
   began.estimated_s = estimate_duration(opened.plan, config, identities).total_s();
   began.simulated_time = opened.bench.simulated_time;
+  for (const ItemIdentity& item : identities.items) {
+    const AccelerometerInfo& info = item.accelerometer;
+    std::string name = config.tray[static_cast<std::size_t>(item.k) - 1].item.serial_number;
+    if (name.empty()) name = info.serial_number;
+    if (name.empty()) name = fmt::format("item {}", item.k);
+    began.items.push_back({item.k, name, info.model, info.output_unit, info.rate_hz, item.missing});
+  }
   tell(std::move(began));
 }
 
@@ -437,11 +546,13 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
     return *std::move(outcome);
   }
   RunFile file = RunFile::open_for_append(path);
-  const StoredRun stored = RunFile::load(path);
-  const BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
+  const std::vector<StoredRun> of_items = load_items_in_run(path);
+  const StoredRun& stored = of_items.front();
+  BenchConfig config = parse_bench(stored.header.bench_toml, path.string());
+  leave_out_dropped(stored.items, config);
   // Instruments that are open are used as they are, unless their bytes go into a recording.
-  const bool is_open =
-      opened_ && opened_->identified && !transcript_ && write_bench(opened_->config) == write_bench(config);
+  const bool is_open = opened_ && opened_->identified && !transcript_ && config.tray.empty() &&
+                       write_bench(opened_->config) == write_bench(config);
   transcript_.reset();
   // Another person than who began may go on with a run.
   RegisteredStart registered = find_operator({}, RealClock().utc_now(), options_.login);
@@ -450,7 +561,8 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   OpenedBench& opened = is_open ? *opened_ : open(config, {});
   opened.registered = registered;
   if (!is_open) opened.identities = identify(opened.bench, opened.config);
-  require_same_instruments(opened.identities, stored);
+  if (!request.without_missing_items) require_all_items(opened.identities);
+  for (const StoredRun& of_item : of_items) require_same_instruments(opened.identities, of_item);
   opened.plan = stored.header.plan;
   file.begin_session(session_start(opened.bench));
   file.set_state(RunState::kRunning, format_utc(file.utc_now(*opened.bench.clock)),
@@ -459,26 +571,38 @@ RunOutcome RunSession::resume(const ResumeRequest& request) {
   note_operator(file, registered.who, format_utc(file.utc_now(*opened.bench.clock)));
   notifier_ = notifier_of(config);
   tell_begun(opened, path, &stored);
-  RunOutcome outcome = measure_and_finish(std::move(file), progress_of({stored}));
+  drop_missing_items(file, stored.measured.size());
+  RunOutcome outcome = measure_and_finish(std::move(file), progress_of(there(of_items, opened.identities)));
   tell_charts(outcome);
   return outcome;
 }
 
 void RunSession::require_same_instruments(const Identities& now, const StoredRun& stored) const {
+  AccelerometerInfo accelerometer = now.accelerometer;
+  std::map<std::string, std::string> corrections = now.corrections;
+  for (const ItemIdentity& item : now.items) {
+    if (item.k != stored.item) continue;
+    if (!item.missing.empty()) return;
+    accelerometer = item.accelerometer;
+    corrections = item.corrections;
+  }
   for (const InstrumentIdentity& before : stored.header.instruments) {
     if (before.role == "stage") {
       require_serial_number(before.role, before.model, now.stage.serial_number, before.serial_number);
     } else if (before.role == "accelerometer") {
-      require_serial_number(before.role, before.model, now.accelerometer.serial_number, before.serial_number);
+      const std::string role =
+          now.items.empty() ? before.role : fmt::format("item {}, {}", stored.item, before.role);
+      require_serial_number(role, before.model, accelerometer.serial_number, before.serial_number);
     }
   }
-  if (stored.header.items.empty()) return;
-  for (const auto& [name, before] : stored.header.items.front().registers) {
-    const auto found = now.corrections.find(name);
-    const std::string now_in_force = found == now.corrections.end() ? "not reported" : found->second;
+  const auto item = std::ranges::find(stored.header.items, stored.item, &RunItem::k);
+  if (item == stored.header.items.end()) return;
+  for (const auto& [name, before] : item->registers) {
+    const auto found = corrections.find(name);
+    const std::string now_in_force = found == corrections.end() ? "not reported" : found->second;
     if (now_in_force == before) continue;
     throw InstrumentError(
-        "accelerometer " + now.accelerometer.model, Fault::kWrongIdentity,
+        "accelerometer " + accelerometer.model, Fault::kWrongIdentity,
         fmt::format("its {} was {} when the run began and is {}; required: the same, since what is "
                     "calibrated is the instrument with its own corrections. Set it back, or begin a new run",
                     name, before, now_in_force));
@@ -508,9 +632,13 @@ void RunSession::close_and_keep(RunFile file, RunOutcome& outcome, const std::st
 /// Not of a replay, which is no run of a check standard.
 void RunSession::tell_charts(const RunOutcome& outcome) const {
   if (outcome.is_levelling()) return;
-  for (const std::string& text :
-       check_run_notices({outcome.path, outcome.sha256, outcome.stored}, options_.login))
-    warn("check standard", text);
+  const auto tell_of = [&](const StoredRun& stored) {
+    for (const std::string& text : check_run_notices({outcome.path, outcome.sha256, stored}, options_.login))
+      warn("check standard", text);
+  };
+  if (outcome.items.empty()) tell_of(outcome.stored);
+  for (const ItemOutcome& item : outcome.items)
+    if (!item.results.empty()) tell_of(item.stored);
 }
 
 RunOutcome RunSession::measure_and_finish(RunFile file, const RunProgress& so_far) {
@@ -599,7 +727,7 @@ RunOutcome RunSession::replay(const ReplayRequest& request) {
 RunOutcome RunSession::replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request) {
   const OpenedBench& opened = *opened_;
   const std::string name = std::filesystem::path(request.recorded_file).filename().string();
-  RunHeader header = recorded.header;
+  RunHeader header = whole_header(request.recorded_file, recorded);
   header.program_version = program_version();
   header.created_utc = format_utc(opened.bench.clock->utc_now());
   header.labels["replay.of"] = name;
@@ -614,7 +742,15 @@ RunOutcome RunSession::replay_to_the_end(const StoredRun& recorded, const Replay
 }
 
 void RunSession::tell_comparison(const StoredRun& recorded, const std::filesystem::path& replayed) {
-  tell(compare_replay(recorded, RunFile::load(replayed)));
+  ReplayComparedEvent comparison = compare_replay(recorded, RunFile::load(replayed));
+  for (std::size_t k = 2; k <= recorded.items.size(); ++k) {
+    const int item = static_cast<int>(k);
+    const ReplayComparedEvent of_item =
+        compare_replay(RunFile::load(recorded.record.source, item), RunFile::load(replayed, item));
+    comparison.same += of_item.same;
+    comparison.replayed += of_item.replayed;
+  }
+  tell(comparison);
 }
 
 /// A replayed run must not be resumed: its bench file names real ports.

@@ -21,13 +21,21 @@
 
 namespace abcal {
 
+/// One of several items of a complete run.
+struct ItemOutcome {
+  StoredRun stored;                        ///< As it is for this item.
+  std::vector<CalibrationResult> results;  ///< As in RunOutcome; empty: it was dropped.
+};
+
 /// A complete run and its results.
 struct RunOutcome {
   std::filesystem::path path;
   std::string sha256;  ///< Of the closed file; empty: readers keep the file open, it is closed later.
   StoredRun stored;
   std::vector<CalibrationResult> results;  ///< One an estimator, the declared one first. Levelling: none.
-  bool measured_before = false;            ///< Nothing was measured now: only closed and analysed.
+  /// Of several items: all; `stored` and `results` are those of the first that was measured to the end.
+  std::vector<ItemOutcome> items;
+  bool measured_before = false;  ///< Nothing was measured now: only closed and analysed.
 
   bool is_levelling() const;
   /// Of the estimator that was chosen before the first angle. Not for a levelling.
@@ -126,6 +134,7 @@ class RunSession {
   RunFile create_file(const OpenedBench& opened, const StartRequest& request);
   void require_disk_space(const OpenedBench& opened, const StartRequest& request);
   void require_same_instruments(const Identities& now, const StoredRun& stored) const;
+  void drop_missing_items(RunFile& file, std::size_t position) const;
   void tell_begun(const OpenedBench& opened, const std::filesystem::path& path, const StoredRun* resumed);
   RunOutcome measure_and_finish(RunFile file, const RunProgress& so_far);
   void close_and_keep(RunFile file, RunOutcome& outcome, const std::string& utc) const;

@@ -164,6 +164,23 @@ void visit_members(Visitor& v, Dwell& dwell) {
   v.member("flags", dwell.flags);
 }
 
+template <class Visitor, Like<ItemReading> Item>
+void visit_members(Visitor& v, Item& item) {
+  v.member("k", item.k);
+  v.member("mean", item.mean);
+  v.member("flags", item.flags);
+}
+
+template <class Visitor, Like<ItemSummary> Item>
+void visit_members(Visitor& v, Item& item) {
+  v.member("k", item.k);
+  v.member("name", item.name);
+  v.member("model", item.model);
+  v.member("unit", item.unit);
+  v.member("rate_hz", item.rate_hz);
+  v.member("missing", item.missing);
+}
+
 template <class Visitor, Like<InstrumentSummary> Instrument>
 void visit_members(Visitor& v, Instrument& instrument) {
   v.member("maker", instrument.maker);
@@ -186,6 +203,7 @@ void visit_members(Visitor& v, Event& event) {
   v.member("measured", event.measured);
   v.member("estimated_s", event.estimated_s);
   v.member("simulated_time", event.simulated_time);
+  v.member("items", event.items);
 }
 
 template <class Visitor, Like<PhaseEvent> Event>
@@ -198,6 +216,7 @@ template <class Visitor, Like<DwellDoneEvent> Event>
 void visit_members(Visitor& v, Event& event) {
   v.member("position", event.position);
   v.member("dwell", event.dwell);
+  v.member("items", event.items);
 }
 
 /// Events that contain only a position in the plan.

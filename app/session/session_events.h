@@ -20,16 +20,33 @@ namespace abcal {
 
 // ---- Events
 
+/// One angle of one of several items.
+struct ItemReading {
+  int k = 1;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();  ///< R of the item.
+  std::uint32_t flags = 0;
+};
+
 /// One angle that is measured and on the disk.
 struct DwellDoneEvent {
   static constexpr const char* kName = "dwell_done";
-  std::size_t position = 0;  ///< In the plan.
-  DwellRecord dwell;
+  std::size_t position = 0;          ///< In the plan.
+  DwellRecord dwell;                 ///< Of several items that of the first.
+  std::vector<ItemReading> items{};  ///< Of several items, all of them.
 };
 
 /// The identity that an instrument reported. An empty text: it reports none.
 struct InstrumentSummary {
   std::string maker, model, serial_number;
+};
+
+/// One of several items.
+struct ItemSummary {
+  int k = 1;
+  std::string name;  ///< Serial number, or "item 3".
+  std::string model, unit;
+  double rate_hz = 0.0;
+  std::string missing;  ///< Why it takes no part; empty: it does.
 };
 
 /// A run has a file and a plan; nothing has moved yet.
@@ -45,6 +62,7 @@ struct RunBeganEvent {
   std::vector<DwellDoneEvent> measured;  ///< Before an interruption.
   double estimated_s = 0.0;              ///< For the whole plan, in the time of the bench.
   bool simulated_time = false;           ///< Everything is simulated.
+  std::vector<ItemSummary> items{};      ///< Of several; empty: there is one.
 };
 
 /// What the run is doing now.
@@ -148,12 +166,15 @@ struct StartRequest {
   bool record = false;     ///< Keep every byte to and from the instruments.
   /// Added to those of the bench file; not in the JSON, as only this process adds some.
   std::map<std::string, std::string> labels{};
+  /// Of several items: those that are not there are left out. Not in the JSON, as only this process asks.
+  bool without_missing_items = false;
 };
 
 /// Continues an interrupted run; closes and analyses one whose angles are all measured.
 struct ResumeRequest {
   static constexpr const char* kName = "resume";
   std::string run_file;
+  bool without_missing_items = false;  ///< As in StartRequest.
 };
 
 /// Drives a recorded run again from its own bytes.

@@ -1,5 +1,7 @@
 #include "app/session/session_observer.h"
 
+#include <utility>
+
 #include "protocol/record/run_file.h"
 
 namespace abcal {
@@ -15,6 +17,13 @@ void SessionObserver::phase(std::size_t position, RunPhase phase) {
 
 void SessionObserver::dwell(std::size_t position, const DwellRecord& dwell) {
   tell(DwellDoneEvent{position, dwell});
+}
+
+void SessionObserver::dwells(std::size_t position, std::span<const ItemDwell> dwells) {
+  if (dwells.size() == 1) return dwell(position, dwells.front().dwell);
+  DwellDoneEvent done{position, dwells.front().dwell};
+  for (const ItemDwell& each : dwells) done.items.push_back({each.item, each.dwell.mean, each.dwell.flags});
+  tell(std::move(done));
 }
 
 void SessionObserver::notice(std::string_view kind, std::string_view text) {

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -21,6 +22,7 @@ class SessionObserver final : public RunObserver {
 
   void phase(std::size_t position, RunPhase phase) override;
   void dwell(std::size_t position, const DwellRecord& dwell) override;
+  void dwells(std::size_t position, std::span<const ItemDwell> dwells) override;
   void notice(std::string_view kind, std::string_view text) override;
   bool hold_wanted() override { return hold_wanted_ && hold_wanted_(); }
 

@@ -95,6 +95,12 @@ class KeyVisitor {
   virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
   /// Any number of numbers, each in the range.
   virtual void numbers(const std::string& key, std::vector<double>& value, Range range) = 0;
+  /// A table below the current section or entry: visits its keys.
+  virtual void table(const std::string& key, const std::function<void()>& visit_keys) = 0;
+  /// Whether the file that is read has a list at the top under this name, not a table.
+  virtual bool is_list(const std::string&) const { return false; }
+  /// Whether every form is to be visited where a file has one of several.
+  virtual bool shows_every_form() const { return false; }
   /// An array of tables below the current section: visits each entry; those that are not there yet
   /// (index >= size) come from the file.
   virtual void tables(const std::string& key, std::size_t size,

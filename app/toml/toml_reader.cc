@@ -498,6 +498,27 @@ void TomlReader::tables(const std::string& key, std::size_t,
   path_ = outer_path;
 }
 
+void TomlReader::table(const std::string& key, const std::function<void()>& visit_keys) {
+  const toml::node* node = find(key);
+  const toml::table* outer = table_;
+  const std::string outer_path = path_;
+  if (node != nullptr && !node->is_table())
+    problem(*node, name(key), words_of(*node), "a table [" + name(key) + "]");
+  entry_line_ = line();
+  path_ = name(key);
+  table_ = node == nullptr ? nullptr : node->as_table();
+  visit_keys();
+  if (table_ != nullptr) report_unknown(*table_, path_);
+  table_ = outer;
+  path_ = outer_path;
+  entry_line_ = 0;
+}
+
+bool TomlReader::is_list(const std::string& key) const {
+  const toml::node* node = root_.get(key);
+  return node != nullptr && node->is_array();
+}
+
 void TomlReader::date(const std::string& key, std::optional<std::chrono::year_month_day>& value) {
   const toml::node* node = find(key);
   if (node == nullptr) return;

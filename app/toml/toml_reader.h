@@ -51,6 +51,8 @@ class TomlReader final : public KeyVisitor {
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override;
   void tables(const std::string& key, std::size_t size,
               const std::function<void(std::size_t)>& visit_entry) override;
+  void table(const std::string& key, const std::function<void()>& visit_keys) override;
+  bool is_list(const std::string& key) const override;
 
   /// A date of TOML, without quotes: 2026-03-01.
   void date(const std::string& key, std::optional<std::chrono::year_month_day>& value);
@@ -61,8 +63,8 @@ class TomlReader final : public KeyVisitor {
   bool has(const std::string& key) const { return table_ != nullptr && table_->contains(key); }
   /// Reports a key of the section being visited that must be there, and is not.
   void add_missing(const std::string& key, const std::string& required);
-  /// The line of the section being visited; 0 if it is absent.
-  std::uint32_t line() const { return table_ == nullptr ? 0 : table_->source().begin.line; }
+  /// The line of the section being visited; if it is absent that of the entry it should be in, or 0.
+  std::uint32_t line() const { return table_ == nullptr ? entry_line_ : table_->source().begin.line; }
 
   /// The path of a key of the section being visited, for add_problem_at().
   std::string name(const std::string& key) const { return path_.empty() ? key : path_ + "." + key; }
@@ -96,6 +98,7 @@ class TomlReader final : public KeyVisitor {
   RecordLookup lookup_;
   const toml::table* table_ = nullptr;
   std::string path_;
+  std::uint32_t entry_line_ = 0;  ///< Of the entry of a list whose table is being visited.
   std::map<std::string, std::set<std::string>> known_;
   std::set<std::string> wrong_;  ///< Keys that are wrong by themselves.
   std::set<std::string> reported_;

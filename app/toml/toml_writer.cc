@@ -92,10 +92,21 @@ void TomlWriter::integers(const std::string& key, std::array<int, 3>& value, int
 
 void TomlWriter::tables(const std::string& key, std::size_t size,
                         const std::function<void(std::size_t)>& visit_entry) {
+  const std::string outer = path_;
   for (std::size_t i = 0; i < size; ++i) {
-    text_ += "\n[[" + (path_.empty() ? key : path_ + "." + key) + "]]\n";
+    path_ = outer.empty() ? key : outer + "." + key;
+    text_ += "\n[[" + path_ + "]]\n";
     visit_entry(i);
   }
+  path_ = outer;
+}
+
+void TomlWriter::table(const std::string& key, const std::function<void()>& visit_keys) {
+  const std::string outer = path_;
+  path_ = outer.empty() ? key : outer + "." + key;
+  text_ += "\n[" + path_ + "]\n";
+  visit_keys();
+  path_ = outer;
 }
 
 }  // namespace abcal

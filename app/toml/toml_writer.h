@@ -33,6 +33,8 @@ class TomlWriter final : public KeyVisitor {
   void tables(const std::string& key, std::size_t size,
               const std::function<void(std::size_t)>& visit_entry) override;
 
+  void table(const std::string& key, const std::function<void()>& visit_keys) override;
+
   /// The text written so far; the writer is empty afterwards.
   std::string take_text() { return std::move(text_); }
 

@@ -1,6 +1,9 @@
 #include "protocol/plan/limits.h"
 
+#include <Eigen/LU>
+#include <Eigen/SVD>
 #include <algorithm>
+#include <locale>
 #include <numbers>
 #include <sstream>
 #include <string>
@@ -12,6 +15,23 @@ namespace {
 
 /// 0.1 mg at 1 g for each kelvin, in offset or sensitivity: usual accelerometers.
 constexpr double kUsualTemperatureCoefficient = 1e-4;  // 1/K
+
+/// Nine numbers that are the rows of a rotation, made exact; nothing if they are not.
+std::optional<Eigen::Matrix3d> rotation_of_numbers(std::string_view text) {
+  constexpr double kDigits = 2e-3;
+  std::istringstream words{std::string(text)};
+  words.imbue(std::locale::classic());
+  Eigen::Matrix3d matrix;
+  for (Eigen::Index k = 0; k < 9; ++k) {
+    if (!(words >> matrix(k / 3, k % 3))) return std::nullopt;
+  }
+  std::string rest;
+  if (words >> rest || !matrix.allFinite()) return std::nullopt;
+  const double off = (matrix * matrix.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
+  if (off > kDigits || matrix.determinant() < 0.0) return std::nullopt;
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(matrix, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  return svd.matrixU() * svd.matrixV().transpose();
+}
 
 }  // namespace
 
@@ -53,6 +73,7 @@ std::optional<double> nominal_response(const ExpectedItem& item, std::string_vie
 }
 
 std::optional<Eigen::Matrix3d> mounting_matrix(std::string_view mounting) {
+  if (const auto rotation = rotation_of_numbers(mounting)) return rotation;
   std::istringstream words{std::string(mounting)};
   Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
   Eigen::Index row = 0;

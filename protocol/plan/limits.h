@@ -69,8 +69,8 @@ double stability_limit_degc(const LimitsConfig& limits, const Tolerances& tolera
 std::optional<double> nominal_response(const ExpectedItem& item, std::string_view response_unit,
                                        double g_loc_mps2);
 
-/// "x y z", "-y x z": the directions of u, v, w at the default orientation, as rows of a signed permutation.
-/// Nothing if it is not one.
+/// The directions of u, v, w at the default orientation, as rows: of a signed permutation, "x y z" or
+/// "-y x z"; or of a rotation, nine numbers row by row (to about three digits). Nothing if it is neither.
 std::optional<Eigen::Matrix3d> mounting_matrix(std::string_view mounting);
 
 }  // namespace abcal

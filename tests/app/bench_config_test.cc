@@ -150,6 +150,83 @@ TEST(BenchConfigTest, SaysWhereTheTomlItselfIsBroken) {
   EXPECT_THAT(problems_of("stage = 3\n"), HasSubstr("a table [stage]"));
 }
 
+std::string tray_item(const std::string& port, const std::string& more = "") {
+  return "[[item]]\n" + more + "[item.accelerometer]\ndriver = \"microstrain_mip\"\nport = \"" + port +
+         "\"\n";
+}
+const std::string kTrayBench =
+    "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"pi_gcs\"\nport = \"simulated\"\n";
+
+TEST(BenchConfigTest, SeveralItemsHaveTheirOwnAccelerometersAndTheDefaultsOfTheFile) {
+  const std::string toml = kTrayBench + "[limits]\ndrift = 0.5\n[simulation]\nnoise = 1e-3\n" +
+                           tray_item("/dev/a", "serial_number = \"1\"\n") +
+                           tray_item("/dev/b", "serial_number = \"2\"\nmounting = \"y -x z\"\n") +
+                           "rate_hz = 50.0\n[item.limits]\ndrift = 0.25\n[item.simulation]\nnoise = 2e-3\n";
+  const BenchConfig config = parse_bench(toml, "bench.toml");
+  ASSERT_EQ(config.tray.size(), 2U);
+  EXPECT_EQ(config.item.serial_number, "1");
+  EXPECT_EQ(config.accelerometer.port, "/dev/a");
+  EXPECT_EQ(config.tray[0].limits.drift, 0.5);
+  EXPECT_EQ(config.tray[1].limits.drift, 0.25);
+  const BenchConfig second = for_item(config, 2);
+  EXPECT_TRUE(second.tray.empty());
+  EXPECT_EQ(second.accelerometer.rate_hz, 50.0);
+  EXPECT_EQ(second.simulation.noise, 2e-3);
+  EXPECT_EQ(second.simulation.sensitivity_matrix.row(0), Eigen::RowVector3d(0, 1, 0)) << "turned as mounted";
+  const std::string once = write_bench(config);
+  EXPECT_EQ(write_bench(parse_bench(once, "stored")), once);
+  EXPECT_EQ(once.find("\n[accelerometer]"), std::string::npos);
+}
+
+TEST(BenchConfigTest, EveryProblemOfSeveralItemsIsToldAtOnceWithItsLine) {
+  const std::string text = problems_of(kTrayBench + R"([accelerometer]
+driver = "vectornav"
+[[item]]
+serial_number = "7"
+mounting = "x y -z"
+[item.accelerometer]
+driver = "microstrain_mip"
+port = "/dev/a"
+[[item]]
+serial_number = "7"
+mounting = "1 0 0 0 1 0 0 0 2"
+[item.accelerometer]
+driver = "microstrain_mip"
+port = "/dev/a"
+ratehz = 7.0
+[[item]]
+mounting = "up"
+[item.limits]
+repeats = -1
+[[fault]]
+kind = "no-output"
+instrument = "item-4"
+)");
+  EXPECT_THAT(text, HasSubstr("line 6, accelerometer: found a section [accelerometer] beside [[item]]"));
+  EXPECT_THAT(
+      text, HasSubstr("line 10, [item[0]] mounting: found \"x y -z\", a mirror image; required: a rotation"));
+  EXPECT_THAT(text,
+              HasSubstr("line 15, [item[1]] serial_number: found \"7\", as item 1 has; required: each item"));
+  EXPECT_THAT(text,
+              HasSubstr("line 16, [item[1]] mounting: found \"1 0 0 0 1 0 0 0 2\"; required: the axes"));
+  EXPECT_THAT(
+      text,
+      HasSubstr("line 19, [item[1].accelerometer] port: found \"/dev/a\", as item 1 has; required: a port"));
+  EXPECT_THAT(text, HasSubstr("line 20, [item.accelerometer] ratehz"));
+  EXPECT_THAT(text, HasSubstr("line 21, [item.accelerometer] driver: found nothing"));
+  EXPECT_THAT(text, HasSubstr("line 22, [item[2]] mounting: found \"up\""));
+  EXPECT_THAT(text, HasSubstr("line 24, [item.limits] repeats: found -1"));
+  EXPECT_THAT(text, HasSubstr("line 27, [fault[0]] instrument: found \"item-4\""));
+}
+
+TEST(BenchConfigTest, MoreThan32ItemsAreRefused) {
+  std::string toml = kTrayBench;
+  for (int k = 1; k <= 32; ++k) toml += tray_item("/dev/" + std::to_string(k));
+  EXPECT_EQ(parse_bench(toml, "bench.toml").tray.size(), 32U);
+  EXPECT_THAT(problems_of(toml + tray_item("/dev/33")),
+              testing::AllOf(HasSubstr("line 134, item[32]: found 33 items; required: at most 32")));
+}
+
 TEST(BenchConfigTest, ReadsEveryExampleFile) {
   int count = 0;
   for (const auto& entry : std::filesystem::directory_iterator(test::source_folder() / "docs" / "examples")) {

@@ -41,7 +41,7 @@ class EmulatorControlTest : public testing::Test {
   sim::SimClock clock;
   std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
   sim::FaultyPort stage{std::make_shared<sim::PiGcsFirmware>(world), clock};
-  EmulatorControl control{*world, clock, {{"stage", &stage.link()}}};
+  EmulatorControl control{{world}, clock, {{"stage", &stage.link()}}};
 };
 
 TEST_F(EmulatorControlTest, SaysWhereTheStageIsAndWhatIsWrong) {
