@@ -512,7 +512,7 @@ Section tray_section(const TrayRun& run) {
                       {}};
   const std::vector<RunItem>& identities = run.items.front().header.items;
   for (std::size_t k = 0; k < identities.size(); ++k) {
-    const TrayItem& item = run.tray.items[k];
+    const TrayItemResult& item = run.tray.items[k];
     table.rows.push_back({item_words(identities[k]), verdict_words(item.result.verdict),
                           item.in_common_fit ? "yes" : "no: " + item.why_not});
   }

@@ -36,7 +36,7 @@ Json matrix_json(const Matrix& matrix) {
   return rows;
 }
 
-Json item_json(const RunItem& identity, const ItemProgress& progress, const TrayItem& item) {
+Json item_json(const RunItem& identity, const ItemProgress& progress, const TrayItemResult& item) {
   Json json{{"k", identity.k},
             {"maker", identity.maker},
             {"model", identity.model},
@@ -225,7 +225,7 @@ std::string tray_text(const TrayRun& run, std::FILE* stream) {
       "{} {} (several items, joint estimator): {}\n\n", emphasised(stream, Emphasis::kHeading, "Result:"),
       emphasised(stream, emphasis_of(run.tray.verdict), verdict_words(run.tray.verdict)), run.tray.why);
   for (std::size_t k = 0; k < identities.size(); ++k) {
-    const TrayItem& item = run.tray.items[k];
+    const TrayItemResult& item = run.tray.items[k];
     text +=
         fmt::format("{}  {}{}\n", emphasised(stream, Emphasis::kHeading, "Item " + item_words(identities[k])),
                     emphasised(stream, emphasis_of(item.result.verdict), verdict_words(item.result.verdict)),

@@ -219,7 +219,7 @@ bool TrayAnalysis::fit_members() {
 double TrayAnalysis::test_agreement(const TrayFit& fit) {
   double least = 1.0;
   for (std::size_t i = 0; i < members_.size(); ++i) {
-    TrayItem& item = out_.items[members_[i]];
+    TrayItemResult& item = out_.items[members_[i]];
     const EffectSolution& own = *works_[members_[i]].solution;
     item.chi2_given_others = fit.chi2_given_others[i];
     item.degrees_of_freedom = own.fit.chi2_degrees_of_freedom;
@@ -325,7 +325,7 @@ void TrayAnalysis::fill_common() {
   fill_stage(level());
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const std::size_t k = members_[i];
-    TrayItem& item = out_.items[k];
+    TrayItemResult& item = out_.items[k];
     item.in_common_fit = true;
     item.result = joint_result(records_[k], works_[k], fit_.items[i]);
     item.result.joint->iterations = fit_.iterations;
@@ -354,7 +354,7 @@ Covariance12 TrayResult::covariance(std::size_t i, std::size_t k) const {
   if (!items.at(i).in_common_fit || !items.at(k).in_common_fit) return Covariance12::Zero();
   const auto place = [&](std::size_t item) {
     return 12 * std::count_if(items.begin(), items.begin() + static_cast<std::ptrdiff_t>(item),
-                              [](const TrayItem& each) { return each.in_common_fit; });
+                              [](const TrayItemResult& each) { return each.in_common_fit; });
   };
   return common_covariance.block<12, 12>(place(i), place(k));
 }

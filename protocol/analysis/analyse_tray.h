@@ -16,7 +16,7 @@
 namespace abcal {
 
 /// One item of a run with several.
-struct TrayItem {
+struct TrayItemResult {
   /// As that of analyse_joint(), with the stage as all items of the common fit show it. The tests are those
   /// of the item's own readings. An item outside the common fit has the result of its own fit.
   CalibrationResult result;
@@ -63,7 +63,7 @@ using Covariance18 = Eigen::Matrix<double, 18, 18>;
 struct TrayResult {
   Verdict verdict = Verdict::kNotUsable;
   std::string why = "not analysed";
-  std::vector<TrayItem> items;  ///< In the order of the records.
+  std::vector<TrayItemResult> items;  ///< In the order of the records.
   std::optional<TrayStage> stage;
   int iterations = 0;  ///< Of the common fit.
 

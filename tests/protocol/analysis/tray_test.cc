@@ -365,7 +365,7 @@ TEST(TrayTest, ItemOfAnotherRunContradictsTheOthers) {
   }
   // Two cannot tell which is wrong.
   const TrayResult of_two = analyse_tray(std::span(tray.records).first(2));
-  for (const TrayItem& item : of_two.items) {
+  for (const TrayItemResult& item : of_two.items) {
     EXPECT_EQ(item.result.verdict, Verdict::kDoubtful);
     EXPECT_FALSE(item.in_common_fit);
   }
