@@ -9,8 +9,13 @@ const templates = Object.entries(table).filter(([english]) => english.includes('
   .sort((a, b) => b.pattern.source.length - a.pattern.source.length);  // The one that says most.
 const known = new Map();
 
-// A value is a number, a name or a sentence of its own; null: it is English.
-const valueSaid = (value) => translated(value) ?? (/[a-z]{3,} [a-z]{3,}/.test(value) ? null : value);
+// A value is a number, a name, a sentence of its own or several; null: it is English.
+function valueSaid(value) {
+  const whole = translated(value);
+  if (whole !== null || !value.includes('; ')) return whole ?? (/[a-z]{3,} [a-z]{3,}/.test(value) ? null : value);
+  const parts = value.split('; ').map(valueSaid);
+  return parts.includes(null) ? null : parts.join('; ');
+}
 
 function byTemplate(words) {
   for (const {pattern, said} of templates) {

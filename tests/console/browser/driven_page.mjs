@@ -177,7 +177,11 @@ export class DrivenPage {
   screenshot(options) { return this.page.screenshot(options); }
   cookies() { return this.page.browserContext().cookies(); }
   setOffline(offline) { return this.page.setOfflineMode(offline); }
-  setViewportSize(size) { return this.page.setViewport(size); }
+  // Firefox 140 (Debian 13) has no orientation of the screen, which is asked for beside the size.
+  async setViewportSize(size) {
+    await this.page.setViewport(size).catch((error) => { if (!/unknown command emulation.setScreenOrientationOverride/.test(error.message)) throw error; });
+    await eventually(async () => assert.equal(await this.page.evaluate(() => innerWidth), size.width));
+  }
   // E.g. {'prefers-color-scheme': 'dark'}; of Firefox puppeteer-core cannot ask that.
   async emulateMedia(features) {
     if (this.browserName === 'chromium') await this.page.emulateMediaFeatures(Object.entries(features).map(([name, value]) => ({name, value})));
