@@ -30,6 +30,7 @@ struct Kind {
 };
 const std::map<unsigned, Kind>& kinds() {
   static const std::map<unsigned, Kind> all{{0, {50, 9, 9}},     {1, {124, 31, 43}},  {2, {137, 12, 12}},
+                                            {20, {214, 20, 20}}, {22, {220, 25, 25}}, {23, {168, 23, 23}},
                                             {26, {170, 22, 24}}, {27, {144, 26, 29}}, {30, {39, 28, 28}},
                                             {76, {152, 33, 33}}, {77, {143, 3, 10}},  {105, {93, 62, 63}},
                                             {116, {76, 22, 24}}, {129, {46, 22, 24}}, {148, {178, 60, 78}}};
@@ -130,6 +131,13 @@ void check_values(const mav::Frame& frame) {
     }
   }
   require(mav::decode_heartbeat(frame).has_value() == (frame.id == 0), "heartbeat");
+  const auto parameter = mav::decode_parameter(frame, mav::kArduPilot);
+  require(parameter.has_value() == (frame.id == 22), "parameter");
+  if (parameter) {
+    require(same(parameter->value, static_cast<double>(slow_float(frame.payload, 0))),
+            "value of a parameter");
+    require(parameter->name.size() <= 16 && frame.payload.substr(8).starts_with(parameter->name), "name");
+  }
   if (const auto said = mav::decode_acknowledgement(frame)) {
     require(frame.id == 77 && (word(frame.payload, 0) & 0xFFFF) == said->command, "acknowledgement");
     require(!mav::result_in_words(said->result).empty(), "words of a result");

@@ -151,5 +151,33 @@ TEST(MavlinkCodecTest, WritesCommands) {
   EXPECT_EQ(checksum(std::string_view(kScaled2).substr(1, kScaled2.size() - 3), 170), 0xC9F5);
 }
 
+TEST(MavlinkCodecTest, ParametersAreAskedForAndSetByTheirName) {
+  FrameParser parser;
+  parser.feed(param_request_read(1, 1, "CAL_ACC0_XOFF"));
+  parser.feed(param_set(1, 1, "INS_ACCSCAL_X", 0.5F));
+  const auto read = parser.next();
+  const auto set = parser.next();
+  ASSERT_TRUE(read && read->known && read->id == kParamRequestRead);
+  EXPECT_EQ(read->payload, std::string("\xFF\xFF\x01\x01") + "CAL_ACC0_XOFF" + std::string(3, '\0'));
+  ASSERT_TRUE(set && set->known && set->id == kParamSet);
+  EXPECT_EQ(set->payload,
+            std::string("\0\0\0\x3F\x01\x01", 6) + "INS_ACCSCAL_X" + std::string(3, '\0') + "\x09");
+  EXPECT_THROW((void)param_set(1, 1, "SEVENTEEN_LETTERS", 1.0F), std::invalid_argument);
+}
+
+TEST(MavlinkCodecTest, AWholeNumberOfAParameterIsReadAsItsAutopilotSendsIt) {
+  const std::string name = std::string("SENS_BOARD_ROT") + std::string(2, '\0');
+  const auto value = [&](const std::string& bytes, char type, std::uint8_t autopilot) {
+    FrameParser parser;
+    parser.feed(make_frame(2, 0, kParamValue, bytes + std::string(4, '\0') + name + type));
+    return decode_parameter(parser.next().value(), autopilot).value();
+  };
+  const std::string minus_one("\xFF\xFF\xFF\xFF", 4);
+  EXPECT_EQ(value(minus_one, 6, kPx4).value, -1.0);
+  EXPECT_EQ(value(minus_one, 6, kPx4).name, "SENS_BOARD_ROT");
+  EXPECT_EQ(value(std::string("\0\0\x80\xBF", 4), 6, kArduPilot).value, -1.0);
+  EXPECT_EQ(value(std::string("\0\0\x80\xBF", 4), 9, kPx4).value, -1.0);
+}
+
 }  // namespace
 }  // namespace abcal::mavlink
