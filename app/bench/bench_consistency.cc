@@ -204,12 +204,10 @@ void check_names_of_items(TomlReader& reader, const std::vector<TrayItem>& tray)
 }
 
 void check_tray(TomlReader& reader, const toml::table& root, BenchConfig& c) {
-  for (const char* section : {"accelerometer"}) {
-    if (!root.contains(section)) continue;
+  if (root.contains("accelerometer"))
     reader.add_problem(
-        section, fmt::format("a section [{}] beside [[item]]", section),
-        fmt::format("[item.{}] below each [[item]]; or [item] and [{}] for one item", section, section));
-  }
+        "accelerometer", "a section [accelerometer] beside [[item]]",
+        "[item.accelerometer] below each [[item]]; or [item] and [accelerometer] for one item");
   if (c.tray.empty()) reader.add_problem("item", "an empty list", "at least one [[item]]");
   if (c.tray.size() > kMostItems)
     reader.add_problem(fmt::format("item[{}]", kMostItems), fmt::format("{} items", c.tray.size()),

@@ -137,6 +137,9 @@ int run_campaign(const CampaignOptions& options) {
         "terminal; required: a terminal, or no --remount");
   }
   const BenchConfig config = read_bench(options.bench_file, register_records());
+  if (!config.tray.empty())
+    throw BenchError(options.bench_file, {{"item", fmt::format("{} items", config.tray.size()),
+                                           "[item] and [accelerometer]: --repeat measures one item"}});
   print_warnings(config);
   const std::vector<std::filesystem::path> paths = paths_of(options);
   std::vector<std::size_t> missing;

@@ -75,6 +75,14 @@ Json items_of(const StoredRun& run) {
   return items;
 }
 
+/// A run as it is for its only item, or for the first of several that was not dropped.
+StoredRun load_first_whole_item(const std::filesystem::path& path) {
+  StoredRun run = RunFile::load(path);
+  const auto whole =
+      std::ranges::find_if(run.items, [](const ItemProgress& item) { return !item.dropped_at; });
+  return whole == run.items.end() || whole->k == run.item ? run : RunFile::load(path, whole->k);
+}
+
 Json summary_of(const std::string& name, const StoredRun& run) {
   const RunHeader& header = run.header;
   Json json = {{"name", name},
@@ -288,7 +296,7 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
 }
 
 Json RunLibrary::result(const std::filesystem::path& path) {
-  const StoredRun run = RunFile::load(path);
+  const StoredRun run = load_first_whole_item(path);
   Json json = {{"run", summary_of(path.filename().string(), run)}};
   json["program_version"] = run.header.program_version;
   json["timing"] = {{"moving_s", run.timing.moving_s},

@@ -225,6 +225,7 @@ function facts(data) {
   const fact = (name, value) => dl.append(element('dt', {}, name), element('dd', {}, value || DASH));
   const {run, timing} = data;
   fact(t('Item (serial number)'), run.item);
+  for (const i of run.items ?? []) fact(t`Item ${i.k}`, i.dropped ? t`${i.model} ${i.serial_number}, left out: ${i.dropped}` : t`${i.model} ${i.serial_number}, ${i.measured} angles`);
   fact(t('Bench'), run.bench);
   fact(t('Operator'), operatorIn(run.operator));
   fact(t('Begun'), day(run.created_utc));
