@@ -108,18 +108,19 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, 
   }
   if (data.complete()) data.sha256 = sha256_of_file(path);
   data.results = analyse_all(data.record);
+  data.estimator = declared_estimator(data.record).name;
+  if (data.run) {
+    for (IntegrityCheck& check :
+         recompute(path, *data.run, data.bench ? &*data.bench : nullptr, data.results))
+      data.integrity.push_back(std::move(check));
+  }
+  // After the recomputation: what a run keeps of each item is that item alone.
   if (data.run && has_several_items(*data.run)) {
     data.tray = analyse_tray_run(path);
     for (CalibrationResult& result : data.results) {
       if (result.estimator == "joint")
         result = data.tray->tray.items[static_cast<std::size_t>(item - 1)].result;
     }
-  }
-  data.estimator = declared_estimator(data.record).name;
-  if (data.run) {
-    for (IntegrityCheck& check :
-         recompute(path, *data.run, data.bench ? &*data.bench : nullptr, data.results))
-      data.integrity.push_back(std::move(check));
   }
   if (const CalibrationResult& result = data.result();
       result.verdict != Verdict::kNotUsable && result.sensitivity_matrix) {

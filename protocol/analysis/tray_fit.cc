@@ -397,8 +397,8 @@ LineAtNoise Tray::line_of(std::size_t k, const AssumedNoise& noise, const Reduce
 ShareGroups Tray::groups_of(std::size_t k) const {
   ShareGroups out = share_groups(model(k));
   if (members_.size() < 2) return out;
-  EffectShare others{"effects of the other items", "", 0, std::numeric_limits<double>::quiet_NaN(),
-                     Covariance12::Zero()};
+  // Of many sizes: in units of each one's own.
+  EffectShare others{"effects of the other items", "", 0, 1.0, Covariance12::Zero()};
   for (std::size_t m = 0; m < members_.size(); ++m) {
     if (m != k)
       others.unknowns += static_cast<int>((model(m).prior_weight().head(own_count(m)).array() > 0.0).count());

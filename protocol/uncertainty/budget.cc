@@ -114,7 +114,7 @@ BudgetLine readings_line(std::string input, const RunRecord& record, const Outpu
 std::pair<std::string, double> shown_size(const EffectShare& share) {
   constexpr double kDegree = std::numbers::pi / 180.0;
   if (share.key == "wobble_urad") return {"urad", 1e-6};
-  if (share.key == "alignment_deg") return {"1", 1.0};
+  if (share.key == "alignment_deg" || share.key.empty()) return {"1", 1.0};
   if (share.key.ends_with("_deg")) return {"degree", kDegree};
   return {"of S", 1.0};
 }

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -11,6 +12,7 @@
 #include "app/report/calibration_document.h"
 #include "app/results/analyses.h"
 #include "app/results/report_data.h"
+#include "protocol/uncertainty/budget.h"
 #include "tests/protocol/analysis/made_tray.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
@@ -99,6 +101,14 @@ TEST_F(TrayResultsTest, ReportOfAnItemHasTheResultOfTheCommonFit) {
   ASSERT_TRUE(data.tray);
   const CalibrationResult& joint = result_of(data.results, "joint");
   EXPECT_EQ(joint.sensitivity_values(), run.tray.items[1].result.sensitivity_values());
+  const Budget budget = make_budget(data.record, joint);
+  const auto others = std::find_if(budget.lines.begin(), budget.lines.end(), [](const auto& line) {
+    return line.input.starts_with("effects of the other items");
+  });
+  ASSERT_NE(others, budget.lines.end());
+  EXPECT_EQ(others->standard_uncertainty, 1.0);
+  EXPECT_EQ(others->unit, "1");
+  EXPECT_TRUE(others->contribution.allFinite());
   // Alone it is known less well.
   const CalibrationResult alone = analyse(data.record, "joint");
   EXPECT_LT(joint.offset[0].standard_uncertainty, alone.offset[0].standard_uncertainty);
