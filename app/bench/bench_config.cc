@@ -22,15 +22,7 @@ BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
       }()),
       problems_(std::move(problems)) {}
 
-namespace {
-
-/// The accelerometer as it sits on the platter.
-sim::OutputTruth mounted(sim::OutputTruth truth, const ExpectedItem& expected) {
-  if (const auto mounting = mounting_matrix(expected.mounting)) truth.sensitivity_matrix *= *mounting;
-  return truth;
-}
-
-}  // namespace
+namespace {}  // namespace
 
 BenchConfig parse_bench(std::string_view text, const std::string& source) {
   return parse_bench(text, source, {});
@@ -125,24 +117,6 @@ ChangeConfig parse_change(const std::string& json, const sim::OutputTruth& now) 
   ChangeConfig change{0.0, now};
   parse_one(json, [&](KeyVisitor& keys) { visit_change(keys, change); });
   return change;
-}
-
-BenchConfig for_item(const BenchConfig& config, int item) {
-  const TrayItem& of_tray = config.tray.at(static_cast<std::size_t>(item) - 1);
-  BenchConfig alone = config;
-  alone.tray.clear();
-  alone.item = of_tray.item;
-  alone.expected = of_tray.expected;
-  alone.accelerometer = of_tray.accelerometer;
-  alone.tolerances = of_tray.tolerances;
-  alone.limits = of_tray.limits;
-  alone.emulator.accelerometer_model = of_tray.accelerometer_model;
-  alone.emulator.at_power_on = of_tray.at_power_on;
-  static_cast<sim::OutputTruth&>(alone.simulation) = mounted(of_tray.simulation, of_tray.expected);
-  alone.simulation.item = static_cast<std::uint64_t>(item);
-  std::erase_if(alone.changes, [&](const ChangeConfig& change) { return change.item != item; });
-  for (ChangeConfig& change : alone.changes) change.truth = mounted(change.truth, of_tray.expected);
-  return alone;
 }
 
 std::string write_bench(const BenchConfig& config) {
