@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 
@@ -12,6 +13,7 @@
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
+#include "app/results/tray_results.h"
 #include "app/session/register_records.h"
 #include "app/session/run_bench.h"
 #include "app/system/exit_code.h"
@@ -34,46 +36,39 @@ std::string timing_text(const RunTiming& t) {
                      part(t.overhead_s));
 }
 
-/// Of several items: each by itself.
+nlohmann::ordered_json run_json(const RunOutcome& outcome) {
+  const RunTiming& timing = outcome.stored.timing;
+  return {{"file", outcome.path.string()},
+          {"sha256", outcome.sha256.empty() ? nullptr : nlohmann::ordered_json(outcome.sha256)},
+          {"state", std::string(to_string(outcome.stored.state))},
+          {"timing",
+           {{"moving_s", timing.moving_s},
+            {"settling_s", timing.settling_s},
+            {"dwelling_s", timing.dwelling_s},
+            {"overhead_s", timing.overhead_s}}}};
+}
+
+std::string run_file_text(const RunOutcome& outcome) {
+  return fmt::format("{}\nRun file: {} ({})\n", timing_text(outcome.stored.timing), outcome.path.string(),
+                     outcome.sha256.empty() ? "not closed yet" : "SHA-256 " + outcome.sha256);
+}
+
+/// Of several items: all together.
 int print_items(const RunOutcome& outcome, bool json) {
-  nlohmann::ordered_json list = nlohmann::ordered_json::array();
-  bool all_usable = true;
-  for (const ItemOutcome& item : outcome.items) {
-    const StoredRun& stored = item.stored;
-    const auto index = static_cast<std::size_t>(stored.item) - 1;
-    const RunItem& identity = stored.header.items.at(index);
-    nlohmann::ordered_json entry{{"k", stored.item},
-                                 {"maker", identity.maker},
-                                 {"model", identity.model},
-                                 {"serial_number", identity.serial_number},
-                                 {"result", nullptr}};
-    const std::string heading =
-        fmt::format("Item {}: {} (SN {})", stored.item, identity.model, identity.serial_number);
-    if (!json) print_result("{}\n", emphasised(stdout, Emphasis::kHeading, heading));
-    if (item.results.empty()) {
-      const std::string& reason = stored.items.at(index).reason;
-      all_usable = false;
-      entry["dropped"] = reason;
-      if (!json) print_result("not measured to the end: {}\n\n", reason);
-    } else {
-      const CalibrationResult& result = result_of(item.results, declared_estimator(stored.record).name);
-      all_usable = all_usable && result.verdict != Verdict::kNotUsable;
-      entry["result"] = result_json(result);
-      if (!json) print_result("{}\n", result_text(result, stdout));
-    }
-    list.push_back(std::move(entry));
-  }
-  const std::string file = outcome.path.string();
+  const TrayRun run = analyse_tray_run(outcome.path);
   if (json) {
-    print_result("{}\n",
-                 nlohmann::ordered_json{
-                     {"schema", "abcal.items/1"}, {"file", file}, {"sha256", outcome.sha256}, {"items", list}}
-                     .dump(2));
+    nlohmann::ordered_json output = tray_json(run);
+    output["run"] = run_json(outcome);
+    print_result("{}\n", output.dump(2));
   } else {
-    print_result("{}\nRun file: {} ({})\n", timing_text(outcome.stored.timing), file,
-                 outcome.sha256.empty() ? "not closed yet" : "SHA-256 " + outcome.sha256);
+    print_result("{}\n{}", tray_text(run, stdout), run_file_text(outcome));
   }
-  return all_usable ? kExitDone : kExitFailed;
+  const bool all_measured = std::none_of(outcome.items.begin(), outcome.items.end(),
+                                         [](const ItemOutcome& item) { return item.results.empty(); });
+  const bool each_has_numbers =
+      std::all_of(run.tray.items.begin(), run.tray.items.end(),
+                  [](const TrayItemResult& item) { return item.result.verdict != Verdict::kNotUsable; });
+  return all_measured && each_has_numbers ? kExitDone : kExitFailed;
 }
 
 }  // namespace
@@ -90,24 +85,14 @@ int print_outcome(const RunOutcome& outcome, bool json) {
   }
   if (!outcome.items.empty()) return print_items(outcome, json);
   const CalibrationResult& result = outcome.result();
-  const RunTiming& timing = outcome.stored.timing;
   if (json) {
     nlohmann::ordered_json output = result_json(result);
-    output["run"] = {{"file", outcome.path.string()},
-                     {"sha256", outcome.sha256.empty() ? nullptr : nlohmann::ordered_json(outcome.sha256)},
-                     {"state", std::string(to_string(outcome.stored.state))},
-                     {"timing",
-                      {{"moving_s", timing.moving_s},
-                       {"settling_s", timing.settling_s},
-                       {"dwelling_s", timing.dwelling_s},
-                       {"overhead_s", timing.overhead_s}}}};
+    output["run"] = run_json(outcome);
     print_result("{}\n", output.dump(2));
   } else {
     print_result("{}\n{}\n", result_text(result, stdout),
                  emphasised(stdout, Emphasis::kHeading, "Estimators side by side"));
-    print_result("{}\n{}\n", comparison_text(outcome.results, result.estimator), timing_text(timing));
-    print_result("Run file: {} ({})\n", outcome.path.string(),
-                 outcome.sha256.empty() ? "not closed yet" : "SHA-256 " + outcome.sha256);
+    print_result("{}\n{}", comparison_text(outcome.results, result.estimator), run_file_text(outcome));
   }
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
 }

@@ -16,6 +16,7 @@
 #include "tests/protocol/analysis/made_tray.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
+#include "tests/support/test_data.h"
 
 namespace abcal {
 namespace {
@@ -121,6 +122,22 @@ TEST_F(TrayResultsTest, ReportOfAnItemHasTheResultOfTheCommonFit) {
 TEST_F(TrayResultsTest, CommandsAskForAnItemThatTheRunHas) {
   EXPECT_EQ(chosen_item(path, 3), 3);
   for (const int none : {-1, 0, 4}) EXPECT_THROW(chosen_item(path, none), std::invalid_argument);
+}
+
+TEST_F(TrayResultsTest, RunEndsWithWhatAnalyseSays) {
+  std::string bench = test::read_file(test::source_folder() / "docs/examples/tray.toml");
+  const std::size_t steps = bench.find("steps = 24");
+  ASSERT_NE(steps, std::string::npos);
+  test::write_file(folder / "tray.toml", bench.replace(steps, 10, "steps = 12"));
+  const test::ProgramResult ran =
+      test::run_program({"run", "tray.toml", "-o", "tray.run", "--json"}, folder.path());
+  EXPECT_EQ(ran.exit_code, 0) << ran.err;
+  json told = json::parse(ran.out);
+  EXPECT_EQ(told["run"]["state"], "complete");
+  EXPECT_EQ(told["run"]["file"], "tray.run");
+  EXPECT_EQ(told["items"].size(), 8U);
+  told.erase("run");
+  EXPECT_EQ(told, json::parse(test::run_program({"analyse", "tray.run", "--json"}, folder.path()).out));
 }
 
 TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
