@@ -1,5 +1,8 @@
 #include "app/results/load_record.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
 #include <stdexcept>
 
 #include "protocol/record/import_csv.h"
@@ -13,7 +16,12 @@ LoadedRecord load_record(const std::filesystem::path& path, int item) {
     throw std::runtime_error(path.string() + ": is a folder; required: a run file or a CSV");
   }
   if (RunFile::looks_like_run_file(path)) {
-    StoredRun run = RunFile::load(path, item);
+    StoredRun run = RunFile::load(path, std::max(item, 1));
+    if (item == 0 && run.items.size() > 1)
+      throw std::invalid_argument(fmt::format(
+          "{} has {} items; required: a run of one. `abcal export {} --item K --as csv` gives the "
+          "averaged readings of one item",
+          path.string(), run.items.size(), path.string()));
     RunRecord record = run.record;
     return {std::move(record), std::move(run)};
   }

@@ -15,7 +15,8 @@ struct LoadedRecord {
 };
 
 /// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
-/// @param item  of a run with several, from 1
-LoadedRecord load_record(const std::filesystem::path& path, int item = 1);
+/// @throws std::invalid_argument  several items, and none is named
+/// @param item  of a run with several, from 1; 0: the run must have one only
+LoadedRecord load_record(const std::filesystem::path& path, int item = 0);
 
 }  // namespace abcal

@@ -157,7 +157,7 @@ bool has_several_items(const StoredRun& run) {
 }
 
 int chosen_item(const std::filesystem::path& path, int asked) {
-  const LoadedRecord loaded = load_record(path);
+  const LoadedRecord loaded = load_record(path, 1);
   const int count =
       loaded.run ? static_cast<int>(std::max<std::size_t>(1, loaded.run->header.items.size())) : 1;
   const std::string has = count == 1 ? "one item" : fmt::format("{} items", count);
