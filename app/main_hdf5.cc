@@ -13,6 +13,7 @@ namespace {
 void add_export(CLI::App& parent) {
   struct Options {
     std::string record, output, file_name, created_utc;
+    int item = 0;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = parent.add_subcommand("export", "Write a record and its results as HDF5");
@@ -21,9 +22,10 @@ void add_export(CLI::App& parent) {
   command->add_option("--file-name", options->file_name, "what OUTPUT will be called (NeXus: file_name)")
       ->required();
   command->add_option("--created-utc", options->created_utc, "when it is made, in ISO 8601")->required();
+  command->add_option("--item", options->item, "of a run with several items: which, from 1");
   command->callback([options] {
     using namespace abcal;
-    ReportData data = gather_report(options->record, RealClock().utc_now());
+    ReportData data = gather_report(options->record, RealClock().utc_now(), options->item);
     data.created_utc = options->created_utc;
     write_hdf5(data, options->output, options->file_name);
   });

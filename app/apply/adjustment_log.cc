@@ -1,13 +1,9 @@
 #include "app/apply/adjustment_log.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
-#include <cstring>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <utility>
@@ -51,17 +47,6 @@ Adjustment from_json(const Json& json) {
   json.at("as_left").get_to(a.as_left);
   json.at("why").get_to(a.why);
   return a;
-}
-
-/// A file that was renamed is there after a power failure only once its folder is stored.
-void store_folder(const std::filesystem::path& folder) {
-  const std::filesystem::path here = folder.empty() ? "." : folder;
-  const int fd = ::open(here.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  const bool stored = fd >= 0 && ::fsync(fd) == 0;
-  const int error = errno;
-  if (fd >= 0) ::close(fd);
-  if (!stored)
-    throw std::runtime_error(fmt::format("{}: cannot be stored: {}", here.string(), std::strerror(error)));
 }
 
 }  // namespace
@@ -119,7 +104,8 @@ void AdjustmentLog::store() const {
   Json json{{"schema", kSchema}, {"adjustments", Json::array()}};
   for (const Adjustment& each : all_) json["adjustments"].push_back(to_json(each));
   OutputFile(path_).write(json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
-  store_folder(path_.parent_path());
+  const std::filesystem::path folder = path_.has_parent_path() ? path_.parent_path() : ".";
+  flush_to_disk(folder, folder);
 }
 
 }  // namespace abcal

@@ -22,8 +22,6 @@ BenchError::BenchError(const std::string& file, std::vector<Problem> problems)
       }()),
       problems_(std::move(problems)) {}
 
-namespace {}  // namespace
-
 BenchConfig parse_bench(std::string_view text, const std::string& source) {
   return parse_bench(text, source, {});
 }

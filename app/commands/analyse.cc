@@ -71,9 +71,7 @@ CalibrationResult result_of_item(const AnalyseOptions& options, int item) {
 /// A run with several items. @return the exit code; nothing for a file with one item
 std::optional<int> analyse_several(const AnalyseOptions& options) {
   const std::filesystem::path path = options.file;
-  std::error_code error;
-  const bool is_run = std::filesystem::is_regular_file(path, error) && RunFile::looks_like_run_file(path);
-  if (!is_run || !has_several_items(RunFile::load(path))) {
+  if (items_of_file(path) == 1) {
     if (options.item > 1) chosen_item(path, options.item);
     return std::nullopt;
   }

@@ -19,6 +19,7 @@
 #include "app/session/register_records.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
+#include "app/system/output_file.h"
 
 namespace abcal {
 namespace {
@@ -63,15 +64,6 @@ bool ask_at_terminal(const std::string& question) {
   return answer == "yes" || answer == "y";
 }
 
-std::filesystem::path free_name(const std::filesystem::path& run) {
-  for (int count = 1;; ++count) {
-    std::filesystem::path path = run;
-    path.replace_filename(
-        fmt::format("{}.as-left{}.run", run.stem().string(), count == 1 ? "" : fmt::format("-{}", count)));
-    if (!std::filesystem::exists(path)) return path;
-  }
-}
-
 int exit_code_of(const ApplyReport& report) {
   if (report.interrupted) return kExitInterrupted;
   const bool declined = !report.log.empty() && report.state == AdjustmentState::kDeclined;
@@ -87,7 +79,8 @@ int run_apply(ApplyCommand& command) {
         "--json: nobody would see what is to be written; required: --yes or --dry-run");
   request.bench_file = command.bench_file;
   request.frame = command.frame == "item" ? ExportFrame::kItem : ExportFrame::kPlatter;
-  if (request.as_left.empty()) request.as_left = free_name(request.run);
+  if (request.as_left.empty())
+    request.as_left = first_free_path(std::filesystem::path(request.run).replace_extension(".as-left.run"));
   if (!command.undo && !request.dry_run) config.protocol = verification_plan(request.run, config);
   request.bench_toml = write_bench(config);
   TerminalListener terminal({.title = "Verifying", .introduce = false});

@@ -42,21 +42,22 @@ std::optional<ReadingNoise> noise_of_readings(const std::filesystem::path& run, 
   std::size_t shortest = std::numeric_limits<std::size_t>::max();
   double span_s = 0.0;
   std::size_t gaps = 0;
-  RunFile::read_dwells(run, [&](const StoredDwell& dwell) {
-    if (dwell.item != item) return;
-    shortest = std::min(shortest, dwell.readings.size());
-    if (dwell.readings.size() < 2) return;
-    span_s += dwell.readings.back().time_s - dwell.readings.front().time_s;
-    gaps += dwell.readings.size() - 1;
-  });
+  RunFile::read_dwells(
+      run,
+      [&](const StoredDwell& dwell) {
+        shortest = std::min(shortest, dwell.readings.size());
+        if (dwell.readings.size() < 2) return;
+        span_s += dwell.readings.back().time_s - dwell.readings.front().time_s;
+        gaps += dwell.readings.size() - 1;
+      },
+      item);
   if (gaps == 0 || !(span_s > 0.0) || shortest < kLeastAverages) return std::nullopt;
   const double period_s = span_s / static_cast<double>(gaps);
   const std::size_t length = std::clamp<std::size_t>(
       static_cast<std::size_t>(std::lround(kWantedTauS / period_s)), 1, shortest / kLeastAverages);
   AllanSum sum;
-  RunFile::read_dwells(run, [&](const StoredDwell& dwell) {
-    if (dwell.item == item) sum.add(dwell.readings, length);
-  });
+  RunFile::read_dwells(
+      run, [&](const StoredDwell& dwell) { sum.add(dwell.readings, length); }, item);
   if (sum.count == 0) return std::nullopt;
   const double tau_s = static_cast<double>(length) * period_s;
   const double variance = sum.squares.maxCoeff() / (2.0 * static_cast<double>(sum.count));

@@ -137,13 +137,13 @@ IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::U
   CertificateRequest request;
   request.laboratory = read_laboratory_file(asked.certificate.laboratory);
   if (!asked.certificate.language.empty()) request.laboratory.file.language = asked.certificate.language;
-  request.run = gather_report(asked.run, now);
-  if (request.run.tray)
+  if (const std::size_t items = items_of_file(asked.run); items > 1)
     throw std::invalid_argument(
         fmt::format("issue: {} has {} items, and a run file keeps the certificate of one; required: a run of "
                     "one item, or the "
                     "draft of an item (abcal report --item K --draft)",
-                    asked.run, request.run.tray->items.size()));
+                    asked.run, items));
+  request.run = gather_report(asked.run, now);
   if (!asked.certificate.as_found.empty()) request.as_found = gather_report(asked.certificate.as_found, now);
   request.issue = facts_of(asked, format_utc(now));
   if (registered != nullptr) use_register(*registered, request);

@@ -124,14 +124,18 @@ void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
   file << comments(data, "single readings as the accelerometer delivered them")
        << comment("units", "alpha_deg degree; time_s s from the start; r_* response_unit")
        << "experiment,n,closing,alpha_deg,repeat,sequence,time_s,r_u,r_v,r_w,temperature_degc\n";
-  RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
-    for (const StoredReading& r : dwell.readings) {
-      file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
-                          dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()), dwell.repeat ? 1 : 0,
-                          r.sequence, csv_number(r.time_s), csv_number(r.output[0]), csv_number(r.output[1]),
-                          csv_number(r.output[2]), csv_number(r.temperature_degc));
-    }
-  });
+  RunFile::read_dwells(
+      data.path,
+      [&](const StoredDwell& dwell) {
+        for (const StoredReading& r : dwell.readings) {
+          file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
+                              dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()), dwell.repeat ? 1 : 0,
+                              r.sequence, csv_number(r.time_s), csv_number(r.output[0]),
+                              csv_number(r.output[1]), csv_number(r.output[2]),
+                              csv_number(r.temperature_degc));
+        }
+      },
+      data.item);
   file.close();
   if (!file)
     throw std::runtime_error(fmt::format("{}: cannot be written (is the disk full?)", path.string()));

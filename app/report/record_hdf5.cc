@@ -275,27 +275,30 @@ void put_readings(const H5::Group& entry, const ReportData& data) {
   Column n = column("n", 1, whole, {kNoUnit, "index of the angle from 1"});
   Column closing = column("closing", 1, whole, {kNoUnit, "1: the first angle measured again"});
   Column repeat = column("repeat", 1, whole, {kNoUnit, "1: measured again for comparison; the first counts"});
-  RunFile::read_dwells(data.path, [&](const StoredDwell& dwell) {
-    std::vector<double> outputs, times, temperatures;
-    std::vector<std::int64_t> sequences;
-    for (const StoredReading& reading : dwell.readings) {
-      outputs.insert(outputs.end(), reading.output.begin(), reading.output.end());
-      times.push_back(reading.time_s);
-      temperatures.push_back(or_nan(reading.temperature_degc));
-      sequences.push_back(static_cast<std::int64_t>(reading.sequence));
-    }
-    const auto same = [&](std::int64_t value) {
-      return std::vector<std::int64_t>(dwell.readings.size(), value);
-    };
-    response.append(outputs, H5::PredType::NATIVE_DOUBLE);
-    time.append(times, H5::PredType::NATIVE_DOUBLE);
-    temperature.append(temperatures, H5::PredType::NATIVE_DOUBLE);
-    sequence.append(sequences, H5::PredType::NATIVE_INT64);
-    experiment.append(same(dwell.experiment), H5::PredType::NATIVE_INT64);
-    n.append(same(dwell.n), H5::PredType::NATIVE_INT64);
-    closing.append(same(dwell.closing ? 1 : 0), H5::PredType::NATIVE_INT64);
-    repeat.append(same(dwell.repeat ? 1 : 0), H5::PredType::NATIVE_INT64);
-  });
+  RunFile::read_dwells(
+      data.path,
+      [&](const StoredDwell& dwell) {
+        std::vector<double> outputs, times, temperatures;
+        std::vector<std::int64_t> sequences;
+        for (const StoredReading& reading : dwell.readings) {
+          outputs.insert(outputs.end(), reading.output.begin(), reading.output.end());
+          times.push_back(reading.time_s);
+          temperatures.push_back(or_nan(reading.temperature_degc));
+          sequences.push_back(static_cast<std::int64_t>(reading.sequence));
+        }
+        const auto same = [&](std::int64_t value) {
+          return std::vector<std::int64_t>(dwell.readings.size(), value);
+        };
+        response.append(outputs, H5::PredType::NATIVE_DOUBLE);
+        time.append(times, H5::PredType::NATIVE_DOUBLE);
+        temperature.append(temperatures, H5::PredType::NATIVE_DOUBLE);
+        sequence.append(sequences, H5::PredType::NATIVE_INT64);
+        experiment.append(same(dwell.experiment), H5::PredType::NATIVE_INT64);
+        n.append(same(dwell.n), H5::PredType::NATIVE_INT64);
+        closing.append(same(dwell.closing ? 1 : 0), H5::PredType::NATIVE_INT64);
+        repeat.append(same(dwell.repeat ? 1 : 0), H5::PredType::NATIVE_INT64);
+      },
+      data.item);
   plot_as(group_of_readings, "response", {"time", "."});
 }
 

@@ -90,7 +90,7 @@ std::vector<std::string> cautions(const ReportData& data) {
 ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item) {
   ReportData data;
   LoadedRecord loaded = load_record(path, item);
-  data.item = item;
+  data.item = std::max(item, 1);
   data.path = path;
   data.record = std::move(loaded.record);
   data.run = std::move(loaded.run);
@@ -119,7 +119,7 @@ ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, 
     data.tray = analyse_tray_run(path);
     for (CalibrationResult& result : data.results) {
       if (result.estimator == "joint")
-        result = data.tray->tray.items[static_cast<std::size_t>(item - 1)].result;
+        result = data.tray->tray.items[static_cast<std::size_t>(data.item - 1)].result;
     }
   }
   if (const CalibrationResult& result = data.result();

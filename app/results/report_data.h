@@ -69,6 +69,6 @@ std::vector<std::string> cautions(const ReportData& data);
 /// Reads and analyses a run file or a CSV. `now` is the time of the report.
 /// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
 /// @param item  of a run with several, from 1: its joint result is that of the common fit of all items
-ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item = 1);
+ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item = 0);
 
 }  // namespace abcal

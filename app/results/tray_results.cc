@@ -156,10 +156,14 @@ bool has_several_items(const StoredRun& run) {
   return run.header.items.size() > 1;
 }
 
+std::size_t items_of_file(const std::filesystem::path& path) {
+  std::error_code error;
+  const bool is_run = std::filesystem::is_regular_file(path, error) && RunFile::looks_like_run_file(path);
+  return is_run ? std::max<std::size_t>(1, RunFile::count_items(path)) : 1;
+}
+
 int chosen_item(const std::filesystem::path& path, int asked) {
-  const LoadedRecord loaded = load_record(path, 1);
-  const int count =
-      loaded.run ? static_cast<int>(std::max<std::size_t>(1, loaded.run->header.items.size())) : 1;
+  const auto count = static_cast<int>(items_of_file(path));
   const std::string has = count == 1 ? "one item" : fmt::format("{} items", count);
   if (asked < 0 || asked > count)
     throw std::invalid_argument(

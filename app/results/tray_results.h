@@ -20,6 +20,9 @@ struct TrayRun {
 /// Whether the run holds more than one item.
 bool has_several_items(const StoredRun& run);
 
+/// How many items a run file has; 1 for whatever else it is.
+std::size_t items_of_file(const std::filesystem::path& path);
+
 /// The item of a run file, or of a CSV with its one item, that a command is about.
 /// @param asked  from 1; 0: none was asked for, which only a file of one item allows
 /// @throws std::invalid_argument an item that the file does not have, or none of several

@@ -18,6 +18,7 @@
 #include "app/session/replay_comparison.h"
 #include "app/session/session_observer.h"
 #include "app/session/time_stamp_authority.h"
+#include "app/system/output_file.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/replay_stream.h"
@@ -104,14 +105,9 @@ void keep_analyses(const RunOutcome& outcome, const std::string& utc, bool close
 }
 
 /// The name of the first free "a-replay.run", "a-replay-2.run" ... in the folder of "a.run".
-std::filesystem::path replay_path(const std::filesystem::path& run) {
-  for (int count = 1;; ++count) {
-    const std::string suffix = count == 1 ? "" : fmt::format("-{}", count);
-    std::filesystem::path path = run;
-    path.replace_filename(
-        fmt::format("{}-replay{}{}", run.stem().string(), suffix, run.extension().string()));
-    if (!std::filesystem::exists(path)) return path;
-  }
+std::filesystem::path replay_path(std::filesystem::path run) {
+  return first_free_path(
+      run.replace_filename(fmt::format("{}-replay{}", run.stem().string(), run.extension().string())));
 }
 
 /// What an interrupted run holds already.

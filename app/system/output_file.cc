@@ -40,12 +40,7 @@ OutputFile::~OutputFile() {
 }
 
 void OutputFile::commit() {
-  const int fd = ::open(temporary_.c_str(), O_RDONLY | O_CLOEXEC);
-  const bool stored = fd >= 0 && ::fsync(fd) == 0;
-  const int error = errno;
-  if (fd >= 0) ::close(fd);
-  if (!stored)
-    throw std::runtime_error(fmt::format("{}: cannot be stored: {}", path_.string(), std::strerror(error)));
+  flush_to_disk(temporary_, path_);
   std::error_code failed;
   std::filesystem::rename(temporary_, path_, failed);
   if (failed)
@@ -60,6 +55,22 @@ void OutputFile::write(const std::string& content) {
   if (!file)
     throw std::runtime_error(fmt::format("{}: cannot be written (is the disk full?)", path_.string()));
   commit();
+}
+
+void flush_to_disk(const std::filesystem::path& path, const std::filesystem::path& named) {
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const bool stored = fd >= 0 && ::fsync(fd) == 0;
+  const int error = errno;
+  if (fd >= 0) ::close(fd);
+  if (!stored)
+    throw std::runtime_error(fmt::format("{}: cannot be stored: {}", named.string(), std::strerror(error)));
+}
+
+std::filesystem::path first_free_path(const std::filesystem::path& wanted) {
+  std::filesystem::path path = wanted;
+  for (int count = 2; std::filesystem::exists(path); ++count)
+    path.replace_filename(fmt::format("{}-{}{}", wanted.stem().string(), count, wanted.extension().string()));
+  return path;
 }
 
 void require_writable(const std::vector<RequestedOutput>& outputs,

@@ -33,6 +33,15 @@ class OutputFile {
   std::filesystem::path path_, temporary_;
 };
 
+/// Waits until a file or folder is on the disk. A file that was renamed is there after a power failure only
+/// once its folder is, too.
+/// @param named  in the message, in place of `path`
+/// @throws std::runtime_error
+void flush_to_disk(const std::filesystem::path& path, const std::filesystem::path& named);
+
+/// The path itself, or the first of "NAME-2.EXT", "NAME-3.EXT" ... that does not exist.
+std::filesystem::path first_free_path(const std::filesystem::path& wanted);
+
 /// A file that a command was asked to write.
 struct RequestedOutput {
   std::string option;  ///< "--html"

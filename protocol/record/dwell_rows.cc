@@ -267,7 +267,8 @@ void read_counting_dwells(SqliteDatabase& database, int item,
   }
 }
 
-void read_all_dwells(SqliteDatabase& database, const std::function<void(const StoredDwell&)>& each) {
+void read_all_dwells(SqliteDatabase& database, const std::function<void(const StoredDwell&)>& each,
+                     int item) {
   const bool version_2 = is_version_2(database);
   SqliteStatement dwells = database.prepare(
       version_2 ? "select *, 1 as item, id not in (select min(id) from dwell group by position) as again"
@@ -281,11 +282,12 @@ void read_all_dwells(SqliteDatabase& database, const std::function<void(const St
             " order by k");
   while (dwells.step()) {
     StoredDwell dwell;
+    dwell.item = static_cast<int>(dwells.integer("item"));
+    if (item != 0 && dwell.item != item) continue;
     dwell.plan_position = static_cast<std::size_t>(dwells.integer("position"));
     dwell.experiment = static_cast<int>(dwells.integer("experiment"));
     dwell.n = static_cast<int>(dwells.integer("n"));
     dwell.closing = dwells.integer("closing") != 0;
-    dwell.item = static_cast<int>(dwells.integer("item"));
     dwell.alpha = Angle::degrees(dwells.real("alpha_deg"));
     dwell.repeat = dwells.integer("again") != 0;
     readings.set("dwell", dwells.integer("id"));

@@ -49,7 +49,9 @@ void read_counting_dwells(SqliteDatabase& database, int item,
                           const std::function<void(std::size_t position, DwellRecord dwell)>& each);
 
 /// Every dwell with its readings, in the order of measurement.
-void read_all_dwells(SqliteDatabase& database, const std::function<void(const StoredDwell& dwell)>& each);
+/// @param item  whose; 0: of all items
+void read_all_dwells(SqliteDatabase& database, const std::function<void(const StoredDwell& dwell)>& each,
+                     int item);
 
 struct DwellWithReadings {
   DwellRecord dwell;

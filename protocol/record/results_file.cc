@@ -69,8 +69,7 @@ void ResultsFile::begin(const std::filesystem::path& run_path) {
 ResultsFile::ResultsFile(const std::filesystem::path& run_path, const std::string& run_sha256)
     : ResultsFile(run_path) {
   Transaction transaction(database_);
-  const bool is_begun =
-      database_.value("select 1 from sqlite_master where type='table' and name='run'").has_value();
+  const bool is_begun = database_.has_table("run");
   database_.execute(kResultsSchema);
   add_missing_columns(database_);
   if (const auto stored = database_.value("select sha256 from run"); stored && *stored != run_sha256) {
@@ -122,8 +121,7 @@ namespace {
 std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
   std::vector<IssuedCertificate> certificates;
   // Results of before certificates were issued have no such table.
-  if (!database.value("select 1 from sqlite_master where type='table' and name='certificate'"))
-    return certificates;
+  if (!database.has_table("certificate")) return certificates;
   SqliteStatement rows = database.prepare("select * from certificate order by id");
   while (rows.step()) {
     certificates.push_back({rows.text("utc"), rows.text("number"), rows.text("measured_by"),

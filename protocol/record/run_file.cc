@@ -93,13 +93,6 @@ constexpr const char* kDropSchema =
     "create table if not exists item_drop(item integer primary key references item,"
     " position integer not null, event integer not null references event)";
 
-bool has_table(SqliteDatabase& database, std::string_view table) {
-  SqliteStatement found =
-      database.prepare("select 1 from sqlite_master where type = 'table' and name = :name");
-  found.set("name", table);
-  return found.step();
-}
-
 /// How far each item of a run was measured.
 std::vector<ItemProgress> read_item_states(SqliteDatabase& database, const std::vector<RunItem>& items) {
   std::vector<ItemProgress> states;
@@ -113,7 +106,7 @@ std::vector<ItemProgress> read_item_states(SqliteDatabase& database, const std::
     states.push_back({item.k, static_cast<std::size_t>(measured.integer("n")), std::nullopt, ""});
     measured.reset();
   }
-  if (!has_table(database, "item_drop")) return states;
+  if (!database.has_table("item_drop")) return states;
   SqliteStatement drops =
       database.prepare("select item, position, text from item_drop join event on event.id = item_drop.event");
   while (drops.step()) {
@@ -591,15 +584,21 @@ StoredRun RunFile::load(const std::filesystem::path& path, int item) {
   return run;
 }
 
+std::size_t RunFile::count_items(const std::filesystem::path& path) {
+  SqliteDatabase database = open_run_file_unchecked(path, SqliteDatabase::Mode::kReadOnly);
+  if (!database.has_table("item")) return 1;  // Version 2.
+  return std::stoul(database.value("select count(*) from item").value_or("1"));
+}
+
 void RunFile::read_dwells(const std::filesystem::path& path,
-                          const std::function<void(const StoredDwell&)>& each) {
+                          const std::function<void(const StoredDwell&)>& each, int item) {
   SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
-  read_all_dwells(database, each);
+  read_all_dwells(database, each, item);
 }
 
 std::optional<WireTranscript> RunFile::load_transcript(const std::filesystem::path& path) {
   SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
-  if (!has_table(database, "wire")) return std::nullopt;
+  if (!database.has_table("wire")) return std::nullopt;
   SqliteStatement start = database.prepare("select cast(value as integer) as ns from meta where key=:key");
   start.set("key", kWireStart);
   if (!start.step()) {

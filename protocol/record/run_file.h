@@ -226,10 +226,13 @@ class RunFile {
   /// Reads a run in any state, as it is for one of its items.
   static StoredRun load(const std::filesystem::path& path, int item = 1);
 
-  /// Gives every dwell of all items with its readings to `each`, one after the other in the order of
-  /// measurement: all readings of a long run at once may not fit into memory.
+  /// How many items a run has. Nothing else is read, and no damage is looked for.
+  static std::size_t count_items(const std::filesystem::path& path);
+
+  /// Gives every dwell of an item (0: of all) with its readings to `each`, one after the other in the order
+  /// of measurement: all readings of a long run at once may not fit into memory.
   static void read_dwells(const std::filesystem::path& path,
-                          const std::function<void(const StoredDwell& dwell)>& each);
+                          const std::function<void(const StoredDwell& dwell)>& each, int item = 0);
 
   /// The transcript of the wire, if the run was recorded with one.
   static std::optional<WireTranscript> load_transcript(const std::filesystem::path& path);

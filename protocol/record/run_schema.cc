@@ -98,7 +98,7 @@ bool begins_as_sqlite(const std::filesystem::path& path) {
   return std::string_view(head.data(), static_cast<std::size_t>(file.gcount())) == kSqliteMagic;
 }
 
-SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
+SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
   std::error_code error;
   if (!std::filesystem::exists(path, error)) throw RunFileError(path.string() + ": no such file");
   if (!std::filesystem::is_regular_file(path, error)) throw RunFileError(path.string() + ": not a file");
@@ -120,6 +120,11 @@ SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::
         "{}: was written by a newer abcal (run file version {}, this program reads up to {}); update abcal",
         path.string(), version, kRunFileVersion));
   }
+  return database;
+}
+
+SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
+  SqliteDatabase database = open_run_file_unchecked(path, mode);
   if (const auto verdict = database.value("pragma quick_check(1)"); verdict != "ok") {
     throw RunFileError(path.string() + ": is damaged or truncated (" + verdict.value_or("no answer") +
                        "); restore it from a copy");

@@ -19,8 +19,12 @@ void create_run_schema(SqliteDatabase& database);
 /// Version of the tables of an open run file.
 std::int64_t run_file_version(SqliteDatabase& database);
 
-/// Opens a run file of any version up to the present.
-/// @throws RunFileError for what is not one, is damaged, or is newer than this program
+/// Opens a run file of any version up to the present, without looking for damage, which takes as long as
+/// reading all of it.
+/// @throws RunFileError for what is not one, or is newer than this program
+SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, SqliteDatabase::Mode mode);
+
+/// The same. @throws RunFileError also for one that is damaged
 SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode);
 
 /// Whether a file begins as an SQLite file does.

@@ -160,6 +160,12 @@ bool SqliteDatabase::execute_unless_busy(const std::string& sql) {
   return true;
 }
 
+bool SqliteDatabase::has_table(std::string_view name) {
+  SqliteStatement found = prepare("select 1 from sqlite_master where type = 'table' and name = :name");
+  found.set("name", name);
+  return found.step();
+}
+
 std::optional<std::string> SqliteDatabase::value(std::string_view sql) {
   SqliteStatement statement = prepare(sql);
   if (!statement.step()) return std::nullopt;

@@ -93,6 +93,7 @@ class SqliteDatabase {
   SqliteStatement prepare(std::string_view sql) { return {handle_.get(), file_, sql}; }
   /// The first column of the first row of a query; nothing if there is no row.
   std::optional<std::string> value(std::string_view sql);
+  bool has_table(std::string_view name);
   std::int64_t last_row_id() const { return sqlite3_last_insert_rowid(handle_.get()); }
 
  private:
