@@ -28,7 +28,7 @@ find_program(ABCAL_GZIP gzip REQUIRED)
 set(manual_folder ${PROJECT_BINARY_DIR}/manual)
 add_custom_command(OUTPUT ${manual_folder}/done
   COMMAND ${CMAKE_COMMAND} -E rm -rf ${manual_folder}
-  COMMAND ${CMAKE_COMMAND} -E env SOURCE_DATE_EPOCH=${ABCAL_SOURCE_DATE} $<TARGET_FILE:abcal> --write-manual ${manual_folder}
+  COMMAND ${CMAKE_COMMAND} -E env SOURCE_DATE_EPOCH=${ABCAL_SOURCE_DATE} ${CMAKE_CROSSCOMPILING_EMULATOR} $<TARGET_FILE:abcal> --write-manual ${manual_folder}
   COMMAND sh -c "${ABCAL_GZIP} -9n '${manual_folder}'/*.1"
   COMMAND ${CMAKE_COMMAND} -E touch ${manual_folder}/done
   DEPENDS abcal VERBATIM COMMENT "Manual pages and completions")

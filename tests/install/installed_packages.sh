@@ -11,7 +11,7 @@ apt-get install -y -qq --no-install-recommends "$folder"/abcal_*.deb "$folder"/a
 # Not from the sources.
 cd "$(mktemp -d)"
 abcal --version
-abcal run /usr/share/doc/abcal/examples/simulated.toml -o first.run >run.log || { tail -n 20 run.log >&2; exit 1; }
+abcal run /usr/share/doc/abcal/examples/simulated.toml -o first.run >run.log 2>&1 || { tail -n 20 run.log >&2; exit 1; }
 abcal verify first.run >/dev/null
 python3 -c 'import abcal'
 python3 - first.run <<'PYTHON'

@@ -17,7 +17,7 @@ cp /usr/share/doc/abcal/examples/simulated.toml /etc/abcal/bench.toml
 service=/etc/systemd/system/multi-user.target.wants/abcal-console.service
 ln -s /lib/systemd/system/abcal-console.service $service
 mkdir -p /var/lib/abcal
-abcal run /etc/abcal/bench.toml -o /var/lib/abcal/old.run >/tmp/run.log || { tail -n 20 /tmp/run.log >&2; exit 1; }
+abcal run /etc/abcal/bench.toml -o /var/lib/abcal/old.run >/tmp/run.log 2>&1 || { tail -n 20 /tmp/run.log >&2; exit 1; }
 kept() { (cat /etc/abcal/bench.toml /var/lib/abcal/old.run && readlink $service && getent passwd abcal) | sha256sum; }
 before=$(kept)
 
