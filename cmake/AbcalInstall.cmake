@@ -158,8 +158,8 @@ another process, or simulated in the program.")
 set(CPACK_DEBIAN_DOC_PACKAGE_NAME abcal-doc)
 set(CPACK_DEBIAN_DOC_PACKAGE_SECTION doc)
 set(CPACK_DEBIAN_DOC_PACKAGE_ARCHITECTURE all)
-# Before, the package abcal held these files (0.1, 0.2).
-set(CPACK_DEBIAN_DOC_PACKAGE_BREAKS "abcal (<< ${PROJECT_VERSION}-1)")
+# Before, the package abcal held these files (0.1, 0.2). No Breaks: `dpkg -i *.deb` comes to this package before the new abcal,
+# and would refuse it.
 set(CPACK_DEBIAN_DOC_PACKAGE_REPLACES "abcal (<= 0.2.0-1)")
 set(CPACK_COMPONENT_DOC_DESCRIPTION "calibrates triaxial accelerometers with gravity, pages and examples
 The pages of abcal: tutorial, bench files, estimators and their theory,
