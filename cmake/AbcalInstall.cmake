@@ -86,6 +86,13 @@ if(TARGET abcal_python)
     ${PROJECT_SOURCE_DIR}/app/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
 endif()
 
+# Matrices go from one side to the other, so that both must allocate them alike: Eigen changes that with -mavx or GCC's address
+# sanitizer. The library is compiled with what Eigen takes without them.
+foreach(target IN LISTS library_targets ITEMS abcal_library)
+  target_compile_definitions(${target} INTERFACE
+    $<INSTALL_INTERFACE:EIGEN_MAX_ALIGN_BYTES=16> $<INSTALL_INTERFACE:EIGEN_MALLOC_ALREADY_ALIGNED=1>)
+endforeach()
+
 set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/abcal)
 install(EXPORT abcal-library-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
 install(EXPORT abcal-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
