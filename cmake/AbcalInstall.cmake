@@ -28,7 +28,7 @@ find_program(ABCAL_GZIP gzip REQUIRED)
 set(manual_folder ${PROJECT_BINARY_DIR}/manual)
 add_custom_command(OUTPUT ${manual_folder}/done
   COMMAND ${CMAKE_COMMAND} -E rm -rf ${manual_folder}
-  COMMAND ${CMAKE_COMMAND} -E env SOURCE_DATE_EPOCH=${ABCAL_SOURCE_DATE} $<TARGET_FILE:abcal> --write-manual ${manual_folder}
+  COMMAND ${CMAKE_COMMAND} -E env SOURCE_DATE_EPOCH=${ABCAL_SOURCE_DATE} ${CMAKE_CROSSCOMPILING_EMULATOR} $<TARGET_FILE:abcal> --write-manual ${manual_folder}
   COMMAND sh -c "${ABCAL_GZIP} -9n '${manual_folder}'/*.1"
   COMMAND ${CMAKE_COMMAND} -E touch ${manual_folder}/done
   DEPENDS abcal VERBATIM COMMENT "Manual pages and completions")
@@ -39,14 +39,12 @@ install(FILES ${manual_folder}/abcal.bash DESTINATION ${CMAKE_INSTALL_DATADIR}/b
   RENAME abcal COMPONENT abcal)
 install(FILES ${manual_folder}/_abcal DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions COMPONENT abcal)
 
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal
-  PATTERN "cpp" EXCLUDE)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/examples/cpp DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/libabcal-dev/examples
   COMPONENT dev)
-# The pages that messages and the command line's help name; the changelog has its own place.
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT abcal
-  FILES_MATCHING PATTERN "*.md" PATTERN "*.ipynb" PATTERN "images/*.png" PATTERN "changelog.md" EXCLUDE
-  PATTERN "decisions" EXCLUDE PATTERN "examples" EXCLUDE PATTERN "udev" EXCLUDE)
+# The pages that messages and the command line's help name, with examples, pictures and notebooks. The changelog has its own
+# place as well.
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/ DESTINATION ${CMAKE_INSTALL_DOCDIR} COMPONENT doc
+  PATTERN "examples/cpp" EXCLUDE PATTERN ".*" EXCLUDE)
 install(FILES ${PROJECT_SOURCE_DIR}/docs/udev/60-abcal.rules DESTINATION lib/udev/rules.d COMPONENT abcal)
 # The services name the program by its path, which only the installation knows (cmake --install --prefix).
 install(CODE "
@@ -88,6 +86,13 @@ if(TARGET abcal_python)
     ${PROJECT_SOURCE_DIR}/app/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
 endif()
 
+# Matrices go from one side to the other, so that both must allocate them alike: Eigen changes that with -mavx or GCC's address
+# sanitizer. The library is compiled with what Eigen takes without them.
+foreach(target IN LISTS library_targets ITEMS abcal_library)
+  target_compile_definitions(${target} INTERFACE
+    $<INSTALL_INTERFACE:EIGEN_MAX_ALIGN_BYTES=16> $<INSTALL_INTERFACE:EIGEN_MALLOC_ALREADY_ALIGNED=1>)
+endforeach()
+
 set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/abcal)
 install(EXPORT abcal-library-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
 install(EXPORT abcal-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
@@ -111,12 +116,13 @@ configure_file(${PROJECT_SOURCE_DIR}/docs/changelog.md ${documents}/changelog CO
 foreach(name changelog changelog.Debian)
   execute_process(COMMAND ${ABCAL_GZIP} -9nf ${documents}/${name} COMMAND_ERROR_IS_FATAL ANY)
 endforeach()
-set(package_components abcal dev library)
+set(package_components abcal dev doc library)
 if(TARGET abcal_python)
   list(APPEND package_components python)
 endif()
 set(package_of_abcal abcal)
 set(package_of_dev libabcal-dev)
+set(package_of_doc abcal-doc)
 set(package_of_library libabcal1)
 set(package_of_python python3-abcal)
 foreach(component IN LISTS package_components)
@@ -146,7 +152,7 @@ set(CPACK_DEBIAN_ABCAL_PACKAGE_SECTION science)
 set(CPACK_DEBIAN_ABCAL_PACKAGE_SHLIBDEPS ON)
 # The backend of the register is loaded when a register is opened, which dpkg-shlibdeps cannot see.
 set(CPACK_DEBIAN_ABCAL_PACKAGE_DEPENDS "adduser, libsoci-sqlite3-4.0 | libsoci-sqlite3-4.0t64")
-set(CPACK_DEBIAN_ABCAL_PACKAGE_RECOMMENDS "gnuplot-nox, weasyprint, libsoci-postgresql4.0 | libsoci-postgresql4.0t64")
+set(CPACK_DEBIAN_ABCAL_PACKAGE_RECOMMENDS "abcal-doc (= ${PROJECT_VERSION}-1), gnuplot-nox, weasyprint, libsoci-postgresql4.0 | libsoci-postgresql4.0t64")
 set(CPACK_DEBIAN_ABCAL_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/cmake/packaging/postinst
   ${PROJECT_SOURCE_DIR}/cmake/packaging/prerm)
 set(CPACK_COMPONENT_ABCAL_DESCRIPTION "calibrates triaxial accelerometers with gravity
@@ -155,6 +161,17 @@ averages the accelerometer's readings at each angle, and computes the 3x3
 sensitivity matrix, the offsets and the intrinsic properties with their
 uncertainties (NIST's ABC protocol). Instruments may be real, emulated by
 another process, or simulated in the program.")
+
+set(CPACK_DEBIAN_DOC_PACKAGE_NAME abcal-doc)
+set(CPACK_DEBIAN_DOC_PACKAGE_SECTION doc)
+set(CPACK_DEBIAN_DOC_PACKAGE_ARCHITECTURE all)
+# Before, the package abcal held these files (0.1, 0.2). No Breaks: `dpkg -i *.deb` comes to this package before the new abcal,
+# and would refuse it.
+set(CPACK_DEBIAN_DOC_PACKAGE_REPLACES "abcal (<= 0.2.0-1)")
+set(CPACK_COMPONENT_DOC_DESCRIPTION "calibrates triaxial accelerometers with gravity, pages and examples
+The pages of abcal: tutorial, bench files, estimators and their theory,
+certificates, the library for C++ and Python, drivers and their protocols,
+with example bench files and notebooks.")
 
 set(CPACK_DEBIAN_DEV_PACKAGE_NAME libabcal-dev)
 set(CPACK_DEBIAN_DEV_PACKAGE_SECTION libdevel)
@@ -171,6 +188,8 @@ set(CPACK_DEBIAN_LIBRARY_PACKAGE_SECTION libs)
 set(CPACK_DEBIAN_LIBRARY_PACKAGE_SHLIBDEPS ON)
 # The guard that halts a stage and the schemas of certificates come with the program.
 set(CPACK_DEBIAN_LIBRARY_PACKAGE_DEPENDS "abcal (= ${PROJECT_VERSION}-1)")
+install(FILES ${PROJECT_SOURCE_DIR}/cmake/packaging/libabcal1.lintian-overrides
+  DESTINATION ${CMAKE_INSTALL_DATADIR}/lintian/overrides RENAME libabcal1 COMPONENT library)
 file(WRITE ${documents}/triggers "activate-noawait ldconfig\n")
 file(WRITE ${documents}/shlibs "libabcal 1 libabcal1 (>= ${PROJECT_VERSION})\n")
 set(CPACK_DEBIAN_LIBRARY_PACKAGE_CONTROL_EXTRA ${documents}/triggers ${documents}/shlibs)

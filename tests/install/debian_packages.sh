@@ -21,10 +21,18 @@ for file in usr/bin/abcal usr/libexec/abcal/abcal-hdf5 usr/libexec/abcal/abcal-m
     usr/share/bash-completion/completions/abcal usr/share/zsh/vendor-completions/_abcal \
     usr/lib/udev/rules.d/60-abcal.rules usr/lib/systemd/system/abcal-console.service \
     usr/lib/systemd/system/abcal-bench.service usr/libexec/abcal/abcal-guard \
-    usr/share/doc/abcal/certificate.md usr/share/doc/abcal/examples/simulated.toml usr/share/doc/abcal/copyright \
+    usr/share/doc/abcal/copyright \
     usr/share/doc/abcal/changelog.gz usr/share/doc/abcal/changelog.Debian.gz; do
   grep -qx "./$file" "$work/program.list" || fail "the package abcal has no $file"
 done
+pages=$(ls "$work"/abcal-doc_*_all.deb)
+contents "$pages" >"$work/pages.list"
+for file in certificate.md theory/model.md decisions/0001-exceptions-for-instrument-faults.md examples/simulated.toml images/certificate.png \
+    notebooks/what_wobble_does.ipynb; do
+  grep -qx "./usr/share/doc/abcal/$file" "$work/pages.list" || fail "the package abcal-doc has no $file"
+done
+if grep -E 'share/doc/.*\.(md|png|ipynb)$' "$work/program.list"; then fail "these belong into abcal-doc"; fi
+if grep 'examples/cpp' "$work/pages.list"; then fail "these belong into libabcal-dev"; fi
 for file in usr/include/abcal/protocol/analysis/analyse.h; do
   grep -qx "./$file" "$work/library.list" || fail "the package libabcal-dev has no $file"
 done
@@ -37,7 +45,7 @@ if grep -q 'libabcal\.so$' "$work/runtime.list"; then fail "libabcal.so belongs 
 grep -q '/libabcal\.so$' "$work/library.list" || fail "libabcal-dev has no libabcal.so"
 grep -qx './usr/include/abcal/record.h' "$work/library.list" || fail "libabcal-dev has no abcal/record.h"
 case "$(field "$library" Depends)" in *"libabcal1 (= "*) ;; *) fail "libabcal-dev depends: $(field "$library" Depends)" ;; esac
-packages=("$program" "$library" "$runtime")
+packages=("$program" "$pages" "$library" "$runtime")
 if python=$(ls "$work"/python3-abcal_*.deb 2>/dev/null); then
   packages+=("$python")
   contents "$python" >"$work/python.list"
@@ -46,6 +54,7 @@ fi
 if grep -E '\.(a|h|cmake)$' "$work/program.list"; then fail "these belong into libabcal-dev"; fi
 # Unpacked once: a reader that ends early would break the pipe of dpkg-deb.
 dpkg-deb -x "$program" "$work/root"
+dpkg-deb -x "$pages" "$work/root"
 services=$work/root/usr/lib/systemd/system
 grep -q '^ExecStart=/usr/bin/abcal serve /etc/abcal/bench.toml' "$services/abcal-console.service" || fail "the service starts another program"
 # What a process that is attacked could reach: systemd's figure, 0 to 10.
@@ -58,7 +67,7 @@ fi
 # Installed, but nobody enabled it.
 if grep -q 'systemd/system/.*\.wants/' "$work/program.list"; then fail "the service is enabled"; fi
 
-# The program in the package works, from an empty folder, with the examples in the package.
+# The program in its package works, from an empty folder, with the examples in theirs.
 mkdir "$work/empty" && cd "$work/empty"
 "$work/root/usr/bin/abcal" plan "$work/root/usr/share/doc/abcal/examples/simulated.toml" >/dev/null
 # So does the module for Python, with the library of its package.

@@ -23,6 +23,9 @@ int main(int argc, char** argv) {
     std::printf("u(%s) = %.1e %s\n", covariance.labels[0].c_str(), std::sqrt(covariance.matrix(0, 0)),
                 covariance.units[0].c_str());
 
+    const abcal::Values alignment = result.alignment();  // of the joint estimator: Zx, Zy, Xz
+    std::printf("Zx = %.1e, u = %.0e\n", alignment.value(0), alignment.u(0));
+
     const abcal::MonteCarloStudy study = abcal::monte_carlo(record, {.trials = 20'000});
     std::printf("Monte Carlo: %zu outputs\n", study.covariance().labels.size());
     return 0;
