@@ -3,6 +3,7 @@
 #include <CLI/CLI.hpp>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "app/bench/real_clock.h"
 #include "app/commands/run_program.h"
@@ -22,10 +23,17 @@ void add_export(CLI::App& parent) {
   command->add_option("--file-name", options->file_name, "what OUTPUT will be called (NeXus: file_name)")
       ->required();
   command->add_option("--created-utc", options->created_utc, "when it is made, in ISO 8601")->required();
-  command->add_option("--item", options->item, "of a run with several items: which, from 1");
+  command->add_option("--item", options->item, "of a run with several items: which, from 1; 0: all");
   command->callback([options] {
     using namespace abcal;
-    ReportData data = gather_report(options->record, RealClock().utc_now(), options->item);
+    const auto now = RealClock().utc_now();
+    if (options->item == 0 && items_of_file(options->record) > 1) {
+      std::vector<ReportData> items = gather_items(options->record, now);
+      for (ReportData& data : items) data.created_utc = options->created_utc;
+      write_hdf5(items, options->output, options->file_name);
+      return;
+    }
+    ReportData data = gather_report(options->record, now, options->item);
     data.created_utc = options->created_utc;
     write_hdf5(data, options->output, options->file_name);
   });

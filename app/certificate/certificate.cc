@@ -320,7 +320,8 @@ CertificateRefused::CertificateRefused(const std::string& run, std::vector<Probl
       problems_(std::move(problems)) {}
 
 std::string draft_number(const ReportData& run) {
-  return "DRAFT-" + (run.sha256 ? run.sha256->substr(0, 12) : std::string("open"));
+  return "DRAFT-" + (run.sha256 ? run.sha256->substr(0, 12) : std::string("open")) +
+         (run.tray ? fmt::format("-{}", run.item) : "");
 }
 
 Certificate make_certificate(CertificateRequest request) {

@@ -59,12 +59,13 @@ IssuedCertificate issue_certificate(const Certificate& certificate, const DccSch
   issued.laboratory_toml = certificate.laboratory.text;
   issued.xml = std::move(xml);
   const ReportData& data = certificate.run.data;
+  issued.item = data.tray ? data.item : 0;
   ResultsFile(data.path, data.sha256.value()).add_certificate(issued);
   return issued;
 }
 
-std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run) {
-  std::vector<IssuedCertificate> issued = ResultsFile::certificates(run);
+std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run, int item) {
+  std::vector<IssuedCertificate> issued = ResultsFile::certificates(run, item);
   if (issued.empty()) return std::nullopt;
   return std::move(issued.back());
 }

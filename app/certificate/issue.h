@@ -24,7 +24,7 @@ std::string checked_xml(const Certificate& certificate, const DccSchema* schema)
 IssuedCertificate issue_certificate(const Certificate& certificate, const DccSchema* schema,
                                     const std::optional<SigningKey>& key, const std::string& utc);
 
-/// The certificate that holds for a run: the last that was issued.
-std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run);
+/// The certificate that holds for an item of a run (1 where it has one): the last that was issued.
+std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run, int item = 1);
 
 }  // namespace abcal

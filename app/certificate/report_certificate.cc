@@ -3,8 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
+#include <map>
 
 #include "app/certificate/issue.h"
+#include "app/results/load_record.h"
+#include "protocol/record/run_label.h"
 
 namespace abcal {
 namespace {
@@ -31,12 +35,30 @@ DccSchema schema_of(const CertificateFiles& files) {
   return DccSchema(files.schemas.empty() ? program_schemas() : std::filesystem::path(files.schemas));
 }
 
+ReportData gather_as_found(const std::filesystem::path& path, const ReportData& as_left, Clock::UtcTime now) {
+  const auto count = static_cast<int>(items_of_file(path));
+  for (int item = 1; item <= count; ++item) {
+    if (count == 1) return gather_report(path, now);
+    const LoadedRecord loaded = load_record(path, item);
+    const std::map<std::string, std::string>& labels = loaded.run->header.labels;
+    const bool is_same =
+        std::ranges::all_of(std::array{"item.maker", "item.model", "item.serial_number"},
+                            [&](const char* key) { return label_of(labels, key) == as_left.label(key); });
+    if (is_same) return gather_report(path, now, item);
+  }
+  throw std::invalid_argument(fmt::format(
+      "--as-found {}: none of its {} items is {} {}, serial number {}; required: a run of the same "
+      "item before it was adjusted",
+      path.string(), count, as_left.label("item.maker"), as_left.label("item.model"),
+      as_left.label("item.serial_number")));
+}
+
 std::string certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,
                                    Clock::UtcTime now) {
   std::optional<ReportData> as_found;
-  if (!files.as_found.empty()) as_found = gather_report(files.as_found, now);
+  if (!files.as_found.empty()) as_found = gather_as_found(files.as_found, data, now);
   if (data.run && !draft) {
-    if (auto issued = current_certificate(data.path)) {
+    if (auto issued = current_certificate(data.path, data.item)) {
       require_consistent(data);
       if (as_found) require_issued_with(*issued, *as_found);
       return std::move(issued->xml);

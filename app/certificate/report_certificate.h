@@ -12,7 +12,7 @@ namespace abcal {
 /// Files from which a certificate is made; empty: none.
 struct CertificateFiles {
   std::string laboratory;  ///< Laboratory file.
-  std::string as_found;    ///< Run of the item before it was adjusted.
+  std::string as_found;    ///< Run of the item before it was adjusted. Of several items: the same item's.
   std::string schemas;     ///< Folder with schemas to be used instead of the program's.
   std::string language;    ///< Instead of the laboratory file's.
 };
@@ -20,6 +20,11 @@ struct CertificateFiles {
 /// The schemas that every certificate is checked with: those of the files, or else those of the program.
 /// @throws std::invalid_argument as DccSchema
 DccSchema schema_of(const CertificateFiles& files);
+
+/// Reads the run of an item before it was adjusted. Of several items, it is the one with the maker, model and
+/// serial number of `as_left`.
+/// @throws as gather_report(); std::invalid_argument where none of several is this item
+ReportData gather_as_found(const std::filesystem::path& path, const ReportData& as_left, Clock::UtcTime now);
 
 /// The XML of a run's certificate: of the one that was issued, byte for byte, or else of a draft from the
 /// laboratory file.

@@ -73,8 +73,17 @@ std::vector<IntegrityCheck> check_printed_certificate(const std::filesystem::pat
   std::vector<IntegrityCheck> checks;
   const std::string name = pdf.filename().string();
   if (certificates.empty()) return {{name, false, "no certificate has been issued for this run"}};
-  const IssuedCertificate& current = certificates.back();
-  const bool is_same = attachment_of_pdf(pdf) == current.xml;
+  // Of several items each has a current one.
+  const std::string attached = attachment_of_pdf(pdf);
+  const IssuedCertificate* found = &certificates.back();
+  for (const IssuedCertificate& one : certificates) {
+    const bool is_replaced = std::any_of(
+        certificates.begin(), certificates.end(),
+        [&](const IssuedCertificate& other) { return !one.number.empty() && other.replaces == one.number; });
+    if (!is_replaced && one.xml == attached) found = &one;
+  }
+  const IssuedCertificate& current = *found;
+  const bool is_same = attached == current.xml;
   checks.push_back({name + ", XML inside", is_same,
                     is_same ? "is certificate " + current.number : "is not certificate " + current.number});
   const DetachedSignature signature = check_detached(read_file(pdf), read_file(signature_path_of(pdf)));

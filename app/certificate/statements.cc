@@ -141,6 +141,26 @@ void add_decision_rule(std::vector<Statement>& statements, const Certificate& ce
   statements.push_back(statement);
 }
 
+/// Of several items of one run: what the others have to do with this one's results.
+void add_items_together(std::vector<Statement>& statements, const Certificate& certificate) {
+  const ReportData& data = certificate.run.data;
+  if (!data.tray) return;
+  const Words& words = certificate.words;
+  const std::vector<TrayItemResult>& items = data.tray->tray.items;
+  const bool together = data.result().estimator == "joint" && data.tray->tray.stage &&
+                        items.at(static_cast<std::size_t>(data.item) - 1).in_common_fit;
+  statements.push_back(plain(
+      "abc_itemsTogether", words("Items measured together"),
+      together
+          ? words("Item {} of {} that were measured together on one stage. The errors of the stage were "
+                  "estimated once, from the readings of {} items; the sensitivity matrix and the offsets "
+                  "are those of this item.",
+                  data.item, items.size(), data.tray->tray.stage->items)
+          : words("Item {} of {} that were measured together on one stage. Its results are from its own "
+                  "readings alone.",
+                  data.item, items.size())));
+}
+
 /// Draft, training, simulation, recording: what must be seen first.
 void add_warnings(std::vector<Statement>& statements, const Certificate& certificate) {
   const Words& words = certificate.words;
@@ -185,6 +205,7 @@ std::vector<Statement> statements_of(const Certificate& certificate) {
             words("This certificate may not be reproduced except in full, unless the laboratory "
                   "agrees in writing.")));
   statements.push_back(traceability(certificate));
+  add_items_together(statements, certificate);
   add_uncertainty(statements, certificate);
   add_decision_rule(statements, certificate);
   add_optional(statements, certificate);

@@ -7,19 +7,20 @@
 #include <stdexcept>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "app/bench/bench_config.h"
 #include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
+#include "app/results/recompute.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
 #include "app/results/tray_results.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/terminal.h"
-#include "app/system/version.h"
 #include "protocol/analysis/pose_import.h"
 #include "protocol/record/sha256.h"
 
@@ -37,8 +38,11 @@ bool has_no_angles(const std::filesystem::path& path) {
   return false;
 }
 
-/// Keeps an analysis with a closed run; one that cannot be kept (a read-only folder) is shown all the same.
-void keep(const std::filesystem::path& path, const CalibrationResult& result) {
+/// Analyses of a run to be kept; each with its item of several, from 1, else 0.
+using Analyses = std::vector<std::pair<int, const CalibrationResult*>>;
+
+/// Keeps analyses with a closed run; what cannot be kept (a read-only folder) is shown all the same.
+void keep(const std::filesystem::path& path, const Analyses& analyses) {
   if (!RunFile::is_closed(path)) return;
   try {
     ResultsFile results(path, sha256_of_file(path));
@@ -46,8 +50,8 @@ void keep(const std::filesystem::path& path, const CalibrationResult& result) {
       print_log("{} was missing and is created again; earlier analyses are unknown\n",
                 ResultsFile::path_beside(path).string());
     }
-    results.add_analysis(format_utc(RealClock().utc_now()), program_version(), result.estimator,
-                         result_json(result).dump());
+    const std::string utc = format_utc(RealClock().utc_now());
+    for (const auto& [item, result] : analyses) keep_analysis(results, utc, *result, item);
   } catch (const RunFileError& error) {
     print_log("warning: the analysis was not stored: {}\n", error.what());
   }
@@ -85,10 +89,16 @@ std::optional<int> analyse_several(const AnalyseOptions& options) {
         options.estimator, path.string()));
   if (options.item == 0) {
     const TrayRun run = analyse_tray_run(path);
+    Analyses analyses;
+    for (std::size_t k = 0; k < run.tray.items.size(); ++k)
+      analyses.emplace_back(static_cast<int>(k) + 1, &run.tray.items[k].result);
+    keep(path, analyses);
     options.json ? print_result("{}\n", tray_json(run).dump(2)) : print_result("{}", tray_text(run, stdout));
     return run.tray.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
   }
-  const CalibrationResult result = result_of_item(options, chosen_item(path, options.item));
+  const int item = chosen_item(path, options.item);
+  const CalibrationResult result = result_of_item(options, item);
+  keep(path, {{item, &result}});
   options.json ? print_result("{}\n", result_json(result).dump(2))
                : print_result("{}", result_text(result, stdout));
   return result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
@@ -134,7 +144,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
     const std::string estimator =
         options->estimator.empty() ? declared_estimator(loaded.record).name : options->estimator;
     const CalibrationResult result = analyse(loaded.record, estimator);
-    if (loaded.run) keep(path, result);
+    if (loaded.run) keep(path, {{0, &result}});
     exit_code = result.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
     if (options->json) {
       print_result("{}\n", result_json(result).dump(2));

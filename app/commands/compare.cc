@@ -22,12 +22,15 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
       "compare", "Check whether results of one item agree: E_n, mounting, repeatability, control charts");
   command
       ->add_option("FILE", options->files,
-                   "two or more: run files, CSVs of averaged readings, or certificates (DCC XML)")
+                   "two or more: run files, CSVs of averaged readings, or certificates (DCC XML). Of a run "
+                   "with several items FILE#K is item K: it stands with its file, as results are named in "
+                   "the output. One such run alone: its items with one another")
       ->required()
-      ->expected(2, 10'000);
+      ->expected(1, 10'000);
   command
       ->add_option("--estimator", options->estimator,
-                   fmt::format("of runs and CSVs: {} (default: that of each run; {} with --shared)",
+                   fmt::format("of runs and CSVs: {} (default: that of each run, joint of several items; {} "
+                               "with --shared)",
                                estimator_choice(), kPublishedEstimator))
       ->check(CLI::IsMember(estimator_names()));
   command->add_flag("--shared", options->compare.shared_stage,
@@ -40,9 +43,8 @@ CLI::App* add_compare(CLI::App& parent, int& exit_code) {
   command->callback([options, &exit_code] {
     // What a stage does to two results alike is known of the published protocol's equations.
     if (options->estimator.empty() && options->compare.shared_stage) options->estimator = kPublishedEstimator;
-    std::vector<ComparedResult> results;
-    for (const std::string& file : options->files) results.push_back(load_compared(file, options->estimator));
-    const ResultsComparison comparison = compare_results(std::move(results), options->compare);
+    const ResultsComparison comparison =
+        compare_results(load_all_compared(options->files, options->estimator), options->compare);
     if (options->json) {
       print_result("{}\n", compare_json(comparison).dump(2));
     } else {

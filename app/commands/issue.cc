@@ -80,9 +80,9 @@ void check_outputs(const IssueOptions& options) {
 void print_issued(const IssueOptions& options, const IssueOutcome& outcome) {
   const IssuedCertificate& issued = outcome.issued;
   if (outcome.training) print_result("TRAINING: this certificate certifies nothing\n");
-  print_result("certificate {} of {}: measured by {}, approved by {}{}\n", issued.number, issued.date,
-               outcome.operators, issued.approved_by,
-               outcome.verified ? "" : fmt::format(" ({})", kNotVerified));
+  print_result("certificate {} of {}{}: measured by {}, approved by {}{}\n", issued.number, issued.date,
+               issued.item > 0 ? fmt::format(", item {}", issued.item) : "", outcome.operators,
+               issued.approved_by, outcome.verified ? "" : fmt::format(" ({})", kNotVerified));
   if (!issued.replaces.empty()) print_result("it replaces {}: {}\n", issued.replaces, issued.reason);
   print_result("kept in {}{}; SHA-256 of its XML {}\n", ResultsFile::path_beside(options.asked.run).string(),
                outcome.is_signed ? ", signed" : "", sha256_of(issued.xml));
@@ -113,6 +113,8 @@ CLI::App* add_issue(CLI::App& parent, int& exit_code) {
       "issue",
       "Issue the calibration certificate of a complete run: approved, numbered, kept in RUN.results");
   command->add_option("RUN", options->asked.run, "run file")->required();
+  command->add_option("--item", options->asked.item,
+                      "of a run with several items: whose certificate, from 1; each has its own");
   add_certificate_options(*command, options->asked.certificate);
   command->get_option("--laboratory")->required();
   command->add_option(

@@ -71,7 +71,7 @@ bool of_certificate(const ReportOptions& options, const ReportData& data) {
   if (options.draft || !options.dcc.empty() || !options.certificate.laboratory.empty()) return true;
   const bool unchanged = data.run && std::all_of(data.integrity.begin(), data.integrity.end(),
                                                  [](const IntegrityCheck& check) { return check.good; });
-  return unchanged && current_certificate(data.path);
+  return unchanged && current_certificate(data.path, data.item);
 }
 
 /// What makes the pages: the HTML page, once, and the printer, if a PDF is requested.
@@ -104,6 +104,18 @@ std::vector<Output> outputs_of(const ReportOptions& options, const ReportData& d
   return outputs;
 }
 
+/// @param json  standard output belongs to the JSON object
+void write_all(const std::vector<Output>& outputs, bool json) {
+  for (const Output& output : outputs) {
+    OutputFile file(output.requested.path);
+    output.write(file);
+    const std::string text = fmt::format("{} written: {}\n", output.requested.option.substr(2),
+                                         std::filesystem::absolute(output.requested.path).string());
+    json ? print_log("{}", text) : print_result("{}", text);
+    if (interrupt_token().stop_requested()) throw RunInterrupted("interrupted");
+  }
+}
+
 /// Reports all foreseeable errors before the first file is written.
 void check(const ReportOptions& options, const ReportData& data, const std::vector<Output>& outputs) {
   std::vector<RequestedOutput> requested;
@@ -124,11 +136,43 @@ void check(const ReportOptions& options, const ReportData& data, const std::vect
 
 }  // namespace
 
+namespace {
+
+/// All items of a run with several: data of all of them in one file each.
+/// @return the exit code; nothing: one item is asked for, or the file has one, or a page is wanted
+std::optional<int> report_items(const ReportOptions& options) {
+  if (options.item != 0 || items_of_file(options.file) == 1) return std::nullopt;
+  const bool of_one = options.json || options.draft || options.record || !options.html.empty() ||
+                      !options.pdf.empty() || !options.dcc.empty();
+  if (of_one || (options.csv.empty() && options.csv_raw.empty() && options.hdf5.empty())) return std::nullopt;
+  const std::vector<ReportData> items = gather_items(options.file, RealClock().utc_now());
+  std::vector<Output> outputs;
+  if (!options.csv.empty())
+    outputs.push_back({{"--csv", options.csv}, [&](OutputFile& file) { file.write(averaged_csv(items)); }});
+  if (!options.csv_raw.empty())
+    outputs.push_back({{"--csv-raw", options.csv_raw}, [&](OutputFile& file) {
+                         write_raw_csv(items, file.temporary());
+                         file.commit();
+                       }});
+  if (!options.hdf5.empty())
+    outputs.push_back({{"--hdf5", options.hdf5}, [&](OutputFile& file) {
+                         export_hdf5(items.front(), file.temporary(), file.path().filename().string(), true);
+                         file.commit();
+                       }});
+  check(options, items.front(), outputs);
+  write_all(outputs, false);
+  return items.front().tray->tray.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+}
+
+}  // namespace
+
 CLI::App* add_report(CLI::App& parent, int& exit_code) {
   auto options = std::make_shared<ReportOptions>();
   CLI::App* command = parent.add_subcommand("report", "The report of a run or CSV, for people and programs");
   command->add_option("RUN", options->file, "run file, or CSV of averaged readings")->required();
-  command->add_option("--item", options->item, "of a run with several items: whose report, from 1");
+  command->add_option("--item", options->item,
+                      "of a run with several items: whose report, from 1 (--csv, --csv-raw and --hdf5 alone: "
+                      "default all)");
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
   CLI::Option* pdf = command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
   command->add_option("--attach", options->attachment, "file to attach to the PDF")->needs(pdf);
@@ -151,6 +195,10 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.report/1");
   command->add_flag("--force", options->force, "overwrite files that exist");
   command->callback([options, &exit_code] {
+    if (const std::optional<int> code = report_items(*options)) {
+      exit_code = *code;
+      return;
+    }
     std::optional<PdfPrinter> printer;
     if (!options->pdf.empty()) printer.emplace();
     const ReportData data =
@@ -172,15 +220,7 @@ CLI::App* add_report(CLI::App& parent, int& exit_code) {
     const std::vector<Output> outputs =
         outputs_of(*options, data, certificate_xml, {page, printer ? &*printer : nullptr});
     check(*options, data, outputs);
-    for (const Output& output : outputs) {
-      OutputFile file(output.requested.path);
-      output.write(file);
-      // Standard output belongs to the JSON object if there is one.
-      const std::string text = fmt::format("{} written: {}\n", output.requested.option.substr(2),
-                                           std::filesystem::absolute(output.requested.path).string());
-      options->json ? print_log("{}", text) : print_result("{}", text);
-      if (interrupt_token().stop_requested()) throw RunInterrupted("interrupted");
-    }
+    write_all(outputs, options->json);
     if (options->json) {
       print_result("{}\n", report_json(data).dump(2));
     } else if (outputs.empty()) {

@@ -55,7 +55,7 @@ std::string run_file_text(const RunOutcome& outcome) {
 
 /// Of several items: all together.
 int print_items(const RunOutcome& outcome, bool json) {
-  const TrayRun run = analyse_tray_run(outcome.path);
+  const TrayRun& run = outcome.tray.value();
   if (json) {
     nlohmann::ordered_json output = tray_json(run);
     output["run"] = run_json(outcome);

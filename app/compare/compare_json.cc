@@ -69,6 +69,7 @@ Json pair_of(const PairComparison& pair, const ResultsComparison& comparison) {
             {"second", comparison.results[pair.second].file},
             {"agrees", pair.agrees()},
             {"why", pair.why},
+            {"common_fit", pair.common_fit},
             {"properties", std::move(properties)},
             {"largest_e_n", pair.intrinsic.largest_e_n},
             {"chi2", nullptr},

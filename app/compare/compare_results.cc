@@ -42,7 +42,16 @@ Eigen::Matrix<double, 12, 1> factors_of(const ComparedResult& result) {
   return factors;
 }
 
+/// Two items of one run whose numbers are those of its common fit.
+bool in_one_common_fit(const ComparedResult& first, const ComparedResult& second) {
+  return first.tray && first.tray == second.tray && first.tray_item != second.tray_item &&
+         first.of_common_fit() && second.of_common_fit();
+}
+
 Covariance12 shared_covariance(const ComparedResult& first, const ComparedResult& second) {
+  if (in_one_common_fit(first, second))
+    return factors_of(first).asDiagonal() * first.tray->tray.covariance(first.tray_item, second.tray_item) *
+           factors_of(second).asDiagonal();
   for (const ComparedResult* result : {&first, &second}) {
     if (!result->record || result->what != "abc estimator" || !result->matrix) {
       throw CompareError(
@@ -62,7 +71,12 @@ Covariance12 shared_covariance(const ComparedResult& first, const ComparedResult
 
 void note_common_stage(const ComparedResult& first, const ComparedResult& second, bool subtracted,
                        std::vector<std::string>& notes) {
-  if (subtracted) {
+  if (in_one_common_fit(first, second)) {
+    notes.push_back(fmt::format(
+        "{} and {} were measured together: what the stage did to both is known by their common fit, and was "
+        "subtracted from the uncertainty of the differences",
+        first.file, second.file));
+  } else if (subtracted) {
     notes.push_back(fmt::format(
         "{} and {}: what the same stage does to both (type B at equal angles; drift is each run's own) was "
         "subtracted from the uncertainty of the differences{}. What the stage did not do the same way twice "
@@ -102,6 +116,8 @@ std::string reason(const PairComparison& pair, const std::string& first, const s
 
 PairComparison compare_pair(const ComparedResult& first, const ComparedResult& second, bool shared_stage) {
   PairComparison pair;
+  pair.common_fit = in_one_common_fit(first, second);
+  shared_stage = shared_stage || pair.common_fit;
   const Covariance12 shared =
       shared_stage ? shared_covariance(first, second) : Covariance12(Covariance12::Zero());
   const Covariance9 shared_intrinsic = shared_stage
@@ -242,7 +258,11 @@ ResultsComparison compare_results(std::vector<ComparedResult> results, const Com
     throw CompareError(fmt::format("{} result(s) to compare; at least 2 are required", results.size()));
   ResultsComparison comparison;
   comparison.results = std::move(results);
-  if (!options.any_item) require_one_item(comparison.results, comparison.notes);
+  // Who names items of one run compares different ones.
+  const bool of_one_run = std::ranges::all_of(comparison.results, [&](const ComparedResult& result) {
+    return result.tray && result.tray == comparison.results.front().tray;
+  });
+  if (!options.any_item && !of_one_run) require_one_item(comparison.results, comparison.notes);
   for (std::string& note : convert_to_common_units(comparison.results))
     comparison.notes.push_back(std::move(note));
   const ComparedResult& first = comparison.results.front();
@@ -256,6 +276,11 @@ ResultsComparison compare_results(std::vector<ComparedResult> results, const Com
       comparison.notes.push_back(fmt::format("{} is by the {}, {} by the {}: both estimate the line response",
                                              first.file, first.what, other.file, other.what));
     note_common_stage(first, comparison.results[i], options.shared_stage, comparison.notes);
+  }
+  if (of_one_run) {
+    if (!options.group_by.empty())
+      throw CompareError("--group-by: items of one run make no groups; required: runs of one item");
+    return comparison;  // Means and charts are those of one item over time.
   }
   if (comparison.results.size() < 3) {
     if (!options.group_by.empty())

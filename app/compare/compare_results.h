@@ -25,6 +25,8 @@ struct PairComparison {
   std::size_t second = 1;  ///< Position in the list.
   IntrinsicComparison intrinsic;
   std::optional<RotationBetween> rotation;  ///< Absent where one of the two has no matrix.
+  /// Items of one run with a common fit: what they share is subtracted by their covariance.
+  bool common_fit = false;
   bool agrees() const { return intrinsic.agrees() && (!rotation || rotation->same_handedness); }
   std::string why;  ///< One sentence.
 };

@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
+#include <utility>
 
 #include "app/compare/check_chart.h"
 #include "app/compare/read_certificate.h"
@@ -122,6 +124,51 @@ void convert_response(const ComparedResult& first, ComparedResult& result) {
 
 }  // namespace
 
+namespace {
+
+void take_result(const CalibrationResult& calibration, ComparedResult& result) {
+  if (calibration.verdict == Verdict::kNotUsable)
+    throw std::runtime_error(fmt::format("{}: no usable result: {}", result.file, calibration.why));
+  set_values(calibration, result);
+}
+
+/// "a.run#2" is item 2 of a.run; 0: none is named.
+std::pair<std::string, int> named_item(const std::string& name) {
+  std::error_code ignored;
+  const std::size_t mark = name.rfind('#');
+  if (mark == std::string::npos || std::filesystem::exists(name, ignored)) return {name, 0};
+  int item = 0;
+  const char* end = name.data() + name.size();
+  const auto [rest, error] = std::from_chars(name.data() + mark + 1, end, item);
+  if (error != std::errc() || rest != end || item < 1)
+    throw CompareError(
+        fmt::format("{}: no such file; required: a file, or FILE#K for item K (from 1) of a "
+                    "run with several",
+                    name));
+  return {name.substr(0, mark), item};
+}
+
+ComparedResult compared_item(const std::string& file, std::shared_ptr<const TrayRun> tray, std::size_t k,
+                             const std::string& estimator) {
+  ComparedResult result;
+  result.file = fmt::format("{}#{}", file, k + 1);
+  const StoredRun& run = tray->items.at(k);
+  describe_run(run, result);
+  const TrayItemResult& item = tray->tray.items.at(k);
+  if (estimator.empty() || estimator == "joint") {
+    take_result(item.result, result);
+    if (!item.in_common_fit) result.notes.push_back("not in the common fit of its run: " + item.why_not);
+  } else {
+    take_result(analyse(run.record, estimator), result);
+  }
+  result.record = run.record;
+  result.tray = std::move(tray);
+  result.tray_item = k;
+  return result;
+}
+
+}  // namespace
+
 ComparedResult load_compared(const std::filesystem::path& path, const std::string& estimator) {
   if (looks_like_xml(path)) return read_certificate(path);
   ComparedResult result;
@@ -129,13 +176,39 @@ ComparedResult load_compared(const std::filesystem::path& path, const std::strin
   result.kind = "CSV";
   LoadedRecord loaded = load_record(path);
   if (loaded.run) describe_run(*loaded.run, result);
-  const CalibrationResult calibration = analyse(
-      loaded.record, estimator.empty() ? declared_estimator(loaded.record) : find_estimator(estimator));
-  if (calibration.verdict == Verdict::kNotUsable)
-    throw std::runtime_error(fmt::format("{}: no usable result: {}", path.string(), calibration.why));
-  set_values(calibration, result);
+  take_result(analyse(loaded.record,
+                      estimator.empty() ? declared_estimator(loaded.record) : find_estimator(estimator)),
+              result);
   result.record = std::move(loaded.record);
   return result;
+}
+
+bool ComparedResult::of_common_fit() const {
+  return tray && what == "joint estimator" && tray->tray.items[tray_item].in_common_fit;
+}
+
+std::vector<ComparedResult> load_all_compared(const std::vector<std::string>& names,
+                                              const std::string& estimator) {
+  std::map<std::filesystem::path, std::shared_ptr<const TrayRun>> trays;
+  std::vector<ComparedResult> results;
+  for (const std::string& name : names) {
+    const auto [file, item] = named_item(name);
+    const auto count = static_cast<int>(items_of_file(file));
+    if (count == 1 && item <= 1) {
+      results.push_back(load_compared(file, estimator));
+      continue;
+    }
+    if (item > count || (item == 0 && names.size() > 1))
+      throw CompareError(
+          fmt::format("{}: {} has {} items; required: {}#1 to {}#{}, or this run alone, which "
+                      "compares its items with one another",
+                      name, file, count, file, file, count));
+    std::shared_ptr<const TrayRun>& tray = trays[std::filesystem::canonical(file)];
+    if (!tray) tray = std::make_shared<const TrayRun>(analyse_tray_run(file));
+    for (int k = item == 0 ? 1 : item; k <= (item == 0 ? count : item); ++k)
+      results.push_back(compared_item(file, tray, static_cast<std::size_t>(k - 1), estimator));
+  }
+  return results;
 }
 
 std::vector<std::string> convert_to_common_units(std::vector<ComparedResult>& results) {

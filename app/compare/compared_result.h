@@ -3,11 +3,13 @@
 #include <Eigen/Core>
 #include <filesystem>
 #include <map>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "app/results/tray_results.h"
 #include "protocol/analysis/calibration_result.h"
 #include "protocol/analysis/comparison.h"
 #include "protocol/plan/response_unit.h"
@@ -41,7 +43,14 @@ struct ComparedResult {
   std::optional<Eigen::Matrix3d> matrix;  ///< Absent for the norm estimator.
   Covariance12 output_covariance;         ///< Of matrix and offset; read only where there is a matrix.
   std::optional<RunRecord> record;        ///< What it was computed from; absent for a certificate.
+  /// The run with several items that it is of, and which of them (from 0); null: none. Two results of one run
+  /// have the same.
+  std::shared_ptr<const TrayRun> tray;
+  std::size_t tray_item = 0;
   std::vector<std::string> notes;
+
+  /// Whether its numbers are those of the common fit of its run's items.
+  bool of_common_fit() const;
 };
 
 /// Results that cannot be compared: usage (exit code 2).
@@ -55,6 +64,14 @@ class CompareError : public std::invalid_argument {
 /// @throws as load_record() and read_certificate(); std::runtime_error for a record that gives no
 ///         usable result, with the reason
 ComparedResult load_compared(const std::filesystem::path& path, const std::string& estimator);
+
+/// The results that a person names: files as load_compared() reads them; FILE#K, item K of a run with several
+/// (a file of that very name comes first); one such run alone, all its items. Of several items the estimator
+/// is the joint one unless another is named, and each run is analysed once.
+/// @throws as load_compared(); CompareError for a run of several items beside others without #K, and for an
+///         item that it does not have
+std::vector<ComparedResult> load_all_compared(const std::vector<std::string>& names,
+                                              const std::string& estimator);
 
 /// Brings all into the response unit of the first, and sensitivities per m/s2 where they were measured at
 /// different or by certificates; per g_loc where all were measured at the same one. Says in the notes of a

@@ -38,6 +38,10 @@ std::string why_not_here(const std::filesystem::path& run, const StoredRun& stor
   if (stored.state != RunState::kComplete || !RunFile::is_closed(run))
     return "The run is not complete and closed.";
   if (!has_experiments(stored.header.plan)) return "This is a levelling, no calibration.";
+  if (stored.header.items.size() > 1)
+    return fmt::format(
+        "The run has {} items, each with a certificate of its own: `abcal issue RUN --item K` issues it.",
+        stored.header.items.size());
   return {};
 }
 

@@ -33,7 +33,7 @@ IssueFacts facts_of(const IssueAsked& asked, const std::string& now_utc) {
     throw std::invalid_argument("--replaces NUMBER and --reason TEXT go together");
   if (asked.replaces.empty()) return facts;
   facts.replaces = Replacement{asked.replaces, asked.reason, {}};
-  for (const IssuedCertificate& issued : ResultsFile::certificates(asked.run))
+  for (const IssuedCertificate& issued : ResultsFile::certificates(asked.run, asked.item))
     if (issued.number == asked.replaces) facts.replaces->sha256 = sha256_of(issued.xml);
   return facts;
 }
@@ -74,7 +74,7 @@ void use_register(Registered& registered, CertificateRequest& request) {
 /// @return its number; nothing: that was not so
 std::optional<std::string> record_kept_certificate(Registered& registered, const IssueAsked& asked,
                                                    Clock::UtcTime now) {
-  const auto kept = ResultsFile::certificates(asked.run);
+  const auto kept = ResultsFile::certificates(asked.run, asked.item);
   for (const lab::CertificateRecord& one : registered.opened.certificates_of(sha256_of_file(asked.run))) {
     const auto found = std::find_if(kept.begin(), kept.end(), [&](const IssuedCertificate& issued) {
       return issued.number == one.number;
@@ -86,12 +86,17 @@ std::optional<std::string> record_kept_certificate(Registered& registered, const
   return std::nullopt;
 }
 
+/// The register names an item so; no two items of a run have the same name.
+std::string item_name(const ReportData& data) {
+  return fmt::format("{} {} {}", data.label("item.maker"), data.label("item.model"),
+                     data.label("item.serial_number"));
+}
+
 void take_number(Registered& registered, Certificate& certificate, Clock::UtcTime now) {
   const ReportData& data = certificate.run.data;
   lab::NumberRequest request;
   request.run_sha256 = data.sha256.value();
-  request.item = fmt::format("{} {} {}", data.label("item.maker"), data.label("item.model"),
-                             data.label("item.serial_number"));
+  request.item = item_name(data);
   request.measured_by = certificate.measured_by();
   const BenchIdentity bench = subject_of(*data.run).bench;
   request.stage = bench.stage;
@@ -122,6 +127,7 @@ void require_own_key(Registered& registered, const std::string& certificate_file
 }  // namespace
 
 IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::UtcTime now) {
+  (void)chosen_item(asked.run, asked.item);
   IssueOutcome outcome;
   if (asked.key.empty() != asked.key_certificate.empty())
     throw std::invalid_argument("--sign KEY.pem and --certificate CERT.pem go together");
@@ -137,14 +143,9 @@ IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::U
   CertificateRequest request;
   request.laboratory = read_laboratory_file(asked.certificate.laboratory);
   if (!asked.certificate.language.empty()) request.laboratory.file.language = asked.certificate.language;
-  if (const std::size_t items = items_of_file(asked.run); items > 1)
-    throw std::invalid_argument(
-        fmt::format("issue: {} has {} items, and a run file keeps the certificate of one; required: a run of "
-                    "one item, or the "
-                    "draft of an item (abcal report --item K --draft)",
-                    asked.run, items));
-  request.run = gather_report(asked.run, now);
-  if (!asked.certificate.as_found.empty()) request.as_found = gather_report(asked.certificate.as_found, now);
+  request.run = gather_report(asked.run, now, asked.item);
+  if (!asked.certificate.as_found.empty())
+    request.as_found = gather_as_found(asked.certificate.as_found, request.run, now);
   request.issue = facts_of(asked, format_utc(now));
   if (registered != nullptr) use_register(*registered, request);
   Certificate certificate = make_certificate(std::move(request));

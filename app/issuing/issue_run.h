@@ -14,6 +14,7 @@ namespace abcal {
 /// What is asked for when a certificate is issued. Empty: as the meaning says.
 struct IssueAsked {
   std::string run;                   ///< Path of the run file.
+  int item = 0;                      ///< Of a run with several, from 1; 0: it has one.
   std::string number;                ///< Without a register; with one: none.
   std::string measured_by;           ///< Who measured, as the events of the run say: they.
   std::string approved_by;           ///< Without a register.

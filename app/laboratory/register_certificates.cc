@@ -47,6 +47,7 @@ std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& re
   lock_audit();
   require_not_blocked(request);
   for (const CertificateRecord& one : certificates_of(request.run_sha256)) {
+    if (one.item != request.item) continue;  // Of another item of the same run.
     if (one.state == "reserved" && one.replaces == request.replaces)
       return one.number;  // Its program ended too early.
     if (one.state == "issued" && one.number != request.replaces)
@@ -55,12 +56,17 @@ std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& re
                       one.number, one.number));
   }
   if (!request.replaces.empty()) {
-    const auto replaced = database_.query(1, "select state from certificate where number = :number",
-                                          {{"number", request.replaces}});
+    const auto replaced =
+        database_.query(3, "select state, run_sha256, item from certificate where number = :number",
+                        {{"number", request.replaces}});
     if (replaced.empty() || replaced[0][0] != "issued")
       throw RegisterError(fmt::format("certificate {}: is {}; required: an issued one to replace",
                                       request.replaces,
                                       replaced.empty() ? "not in the register" : replaced[0][0]));
+    if (replaced[0][1] == request.run_sha256 && replaced[0][2] != request.item)
+      throw RegisterError(
+          fmt::format("certificate {}: is of {}, another item of this run; required: one of {}",
+                      request.replaces, replaced[0][2], request.item));
   }
   const auto last =
       database_.query(1, "update counter set last = last + 1 where name = 'certificate' returning last");

@@ -7,6 +7,7 @@
 #include <fstream>
 #include <map>
 #include <optional>
+#include <sstream>
 #include <stdexcept>
 
 #include "app/document/valid_text.h"
@@ -65,18 +66,35 @@ std::string comments(const ReportData& data, const std::string& what) {
 
 }  // namespace
 
-std::string averaged_csv(const ReportData& data) {
+namespace {
+
+/// Comments of one of several items, told apart by their keys: "# item-2.response_unit: g".
+std::string of_item(const std::string& comments, int item) {
+  std::istringstream lines(comments);
+  std::string text;
+  for (std::string line; std::getline(lines, line);)
+    text += fmt::format("# item-{}.{}\n", item, line.substr(2));
+  return text;
+}
+
+/// A column in front of all others: "2," of item 2; empty: none.
+std::string item_column(const ReportData& data, bool with_item) {
+  return with_item ? fmt::format("{},", data.item) : std::string();
+}
+
+/// @param left_out  is raised by the number of angles without a finite mean
+std::string averaged_rows(const ReportData& data, bool with_item, int& left_out) {
   std::string rows;
-  int left_out = 0;
   for (const DwellRecord* each : dwells_in_time(data.record)) {
     const DwellRecord& dwell = *each;
     if (!dwell.mean.allFinite()) {
       ++left_out;
       continue;
     }
-    rows += fmt::format("{},{},{},{},{},{},{}", dwell.experiment, dwell.n, dwell.closing ? 1 : 0,
-                        csv_number(dwell.alpha.deg()), csv_number(dwell.mean[0]), csv_number(dwell.mean[1]),
-                        csv_number(dwell.mean[2]));
+    rows += item_column(data, with_item) + fmt::format("{},{},{},{},{},{},{}", dwell.experiment, dwell.n,
+                                                       dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()),
+                                                       csv_number(dwell.mean[0]), csv_number(dwell.mean[1]),
+                                                       csv_number(dwell.mean[2]));
     for (int j = 0; j < 3; ++j) rows += "," + (dwell.u_mean ? csv_number((*dwell.u_mean)[j]) : "");
     const auto degrees = [](const std::optional<Angle>& angle) {
       return angle ? csv_number(angle->deg()) : std::string();
@@ -87,12 +105,11 @@ std::string averaged_csv(const ReportData& data) {
                     dwell.flags, degrees(dwell.encoder_x), degrees(dwell.encoder_z),
                     csv_number(dwell.spread[0]), csv_number(dwell.spread[1]), csv_number(dwell.spread[2]));
   }
-  std::string flags;
-  for (std::uint32_t bit = 1; bit <= kAllFlags; bit *= 2)
-    flags += fmt::format("{}{} {}", flags.empty() ? "" : ", ", bit, describe_flags(bit));
-  std::string text =
-      comments(data, "averaged readings, their standard uncertainty (u_), times from the start");
-  if (left_out > 0) text += comment("left_out", fmt::format("{} angles without a finite mean", left_out));
+  return rows;
+}
+
+std::string check_pose_comments(const ReportData& data) {
+  std::string text;
   if (const auto study = compared_check_poses(data.record)) {
     constexpr std::string_view kOutputs = "uvw";
     const auto add = [&](const char* name, const std::array<PoseTrend, 3>& trends) {
@@ -107,27 +124,50 @@ std::string averaged_csv(const ReportData& data) {
   }
   if (!data.record.check_poses.empty())
     text += comment("experiment 0", "a check pose, n = 1 or 2: gravity along (1, 1, 1) or against it");
+  return text;
+}
+
+std::string averaged_text(std::span<const ReportData> items, bool with_item) {
+  std::string flags;
+  for (std::uint32_t bit = 1; bit <= kAllFlags; bit *= 2)
+    flags += fmt::format("{}{} {}", flags.empty() ? "" : ", ", bit, describe_flags(bit));
+  std::string text, rows;
+  for (const ReportData& data : items) {
+    int left_out = 0;
+    rows += averaged_rows(data, with_item, left_out);
+    std::string own =
+        comments(data, "averaged readings, their standard uncertainty (u_), times from the start");
+    if (left_out > 0) own += comment("left_out", fmt::format("{} angles without a finite mean", left_out));
+    own += check_pose_comments(data);
+    text += with_item ? of_item(own, data.item) : own;
+  }
   return text +
          comment("units", "alpha_deg and encoder_*_deg degree; r_*, u_*, spread_* response_unit; time_s s") +
-         comment("flags", "sum of " + flags) +
+         comment("flags", "sum of " + flags) + (with_item ? "item," : "") +
          "experiment,n,closing,alpha_deg,r_u,r_v,r_w,u_u,u_v,u_w,time_s,count,temperature_degc,flags,"
          "encoder_x_deg,encoder_z_deg,spread_u,spread_v,spread_w\n" +
          rows;
 }
 
-void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
-  if (!data.run) {
+void write_raw(std::span<const ReportData> items, bool with_item, const std::filesystem::path& path) {
+  const ReportData& first = items.front();
+  if (!first.run) {
     throw std::invalid_argument(
-        fmt::format("{}: a CSV of averaged readings has no single readings", data.path.string()));
+        fmt::format("{}: a CSV of averaged readings has no single readings", first.path.string()));
   }
   std::ofstream file(path, std::ios::binary | std::ios::trunc);
-  file << comments(data, "single readings as the accelerometer delivered them")
-       << comment("units", "alpha_deg degree; time_s s from the start; r_* response_unit")
+  for (const ReportData& data : items) {
+    const std::string own = comments(data, "single readings as the accelerometer delivered them");
+    file << (with_item ? of_item(own, data.item) : own);
+  }
+  file << comment("units", "alpha_deg degree; time_s s from the start; r_* response_unit")
+       << (with_item ? "item," : "")
        << "experiment,n,closing,alpha_deg,repeat,sequence,time_s,r_u,r_v,r_w,temperature_degc\n";
   RunFile::read_dwells(
-      data.path,
+      first.path,
       [&](const StoredDwell& dwell) {
         for (const StoredReading& r : dwell.readings) {
+          if (with_item) file << dwell.item << ',';
           file << fmt::format("{},{},{},{},{},{},{},{},{},{},{}\n", dwell.experiment, dwell.n,
                               dwell.closing ? 1 : 0, csv_number(dwell.alpha.deg()), dwell.repeat ? 1 : 0,
                               r.sequence, csv_number(r.time_s), csv_number(r.output[0]),
@@ -135,10 +175,28 @@ void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
                               csv_number(r.temperature_degc));
         }
       },
-      data.item);
+      with_item ? 0 : first.item);
   file.close();
   if (!file)
     throw std::runtime_error(fmt::format("{}: cannot be written (is the disk full?)", path.string()));
+}
+
+}  // namespace
+
+std::string averaged_csv(const ReportData& data) {
+  return averaged_text({&data, 1}, false);
+}
+
+std::string averaged_csv(std::span<const ReportData> items) {
+  return averaged_text(items, true);
+}
+
+void write_raw_csv(const ReportData& data, const std::filesystem::path& path) {
+  write_raw({&data, 1}, false, path);
+}
+
+void write_raw_csv(std::span<const ReportData> items, const std::filesystem::path& path) {
+  write_raw(items, true, path);
 }
 
 }  // namespace abcal

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <map>
 #include <stdexcept>
@@ -425,16 +426,17 @@ void put_note(const H5::Group& entry, const std::string& name, const std::string
   put(made, "data", data);
 }
 
-void write(const ReportData& data, const H5::H5File& file, const std::string& file_name) {
-  const H5::Group root = file.openGroup("/");
+void write_root(const ReportData& data, const H5::Group& root, const std::string& first_entry,
+                const std::string& file_name) {
   set_attribute(root, "NX_class", "NXroot");
-  set_attribute(root, "default", "entry");
+  set_attribute(root, "default", first_entry);
   set_attribute(root, "file_name", file_name);
   set_attribute(root, "file_time", data.created_utc);
   set_attribute(root, "creator", "abcal");
   set_attribute(root, "creator_version", data.program_version);
+}
 
-  const H5::Group entry = group(root, "entry", "NXentry");
+void write_entry(const ReportData& data, const H5::Group& entry) {
   set_attribute(entry, "default", "averaged");
   put(entry, "definition", "NXabc_calibration");  // docs/NXabc_calibration.nxdl.xml
   put(entry, "title", "calibration of a triaxial accelerometer by gravity (ABC protocol)");
@@ -466,11 +468,13 @@ void write(const ReportData& data, const H5::H5File& file, const std::string& fi
 
 }  // namespace
 
-void write_hdf5(const ReportData& data, const std::filesystem::path& path, const std::string& file_name) {
+namespace {
+
+void write_file(const std::filesystem::path& path, const std::function<void(const H5::Group& root)>& write) {
   H5::Exception::dontPrint();  // What went wrong is in the exception.
   try {
     H5::H5File file(path.string(), H5F_ACC_TRUNC);
-    write(data, file, file_name);
+    write(file.openGroup("/"));
     // Asked for here, as a destructor keeps to itself that the disk was full.
     file.flush(H5F_SCOPE_GLOBAL);
     file.close();
@@ -478,6 +482,28 @@ void write_hdf5(const ReportData& data, const std::filesystem::path& path, const
     throw std::runtime_error(fmt::format("{}: HDF5: {}: {} (is the disk full?)", path.string(),
                                          error.getFuncName(), error.getDetailMsg()));
   }
+}
+
+}  // namespace
+
+void write_hdf5(const ReportData& data, const std::filesystem::path& path, const std::string& file_name) {
+  write_file(path, [&](const H5::Group& root) {
+    write_root(data, root, "entry", file_name);
+    write_entry(data, group(root, "entry", "NXentry"));
+  });
+}
+
+void write_hdf5(std::span<const ReportData> items, const std::filesystem::path& path,
+                const std::string& file_name) {
+  const auto name = [](const ReportData& data) { return fmt::format("item_{}", data.item); };
+  write_file(path, [&](const H5::Group& root) {
+    write_root(items.front(), root, name(items.front()), file_name);
+    for (const ReportData& data : items) {
+      const H5::Group entry = group(root, name(data), "NXentry");
+      write_entry(data, entry);
+      if (&data == &items.front()) put_note(entry, "tray", "application/json", tray_json(*data.tray).dump());
+    }
+  });
 }
 
 }  // namespace abcal

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <span>
 #include <string>
 
 #include "app/results/report_data.h"
@@ -14,5 +15,10 @@ namespace abcal {
 /// @param file_name final name of the file (NeXus: file_name), if `path` is temporary
 /// @throws RunFileError, std::runtime_error (the message of HDF5)
 void write_hdf5(const ReportData& data, const std::filesystem::path& path, const std::string& file_name);
+
+/// The same of all items of a run: an NXentry of each, item_1, item_2 and so on, and what they share, the
+/// object abcal.tray/1, in the first.
+void write_hdf5(std::span<const ReportData> items, const std::filesystem::path& path,
+                const std::string& file_name);
 
 }  // namespace abcal

@@ -14,6 +14,7 @@ namespace {
 bool has_simulation(const BenchConfig& bench) {
   BenchConfig without = bench;
   without.simulation = {};
+  for (TrayItem& item : without.tray) item.simulation = {};
   return write_bench(without) != write_bench(bench);
 }
 
@@ -46,9 +47,8 @@ std::vector<std::string> instruments_not_real(const RunHeader& header, const Ben
   std::vector<std::string> list = simulated_instruments(bench);
   if (list.empty() && has_simulation(bench)) return {"stage", "accelerometer"};
   for (const char* name : {"stage", "accelerometer"}) {
-    const std::vector<InstrumentPort> ports = std::string_view(name) == "stage"
-                                                  ? stage_ports(bench.stage)
-                                                  : accelerometer_ports(bench.accelerometer);
+    const std::vector<InstrumentPort> ports =
+        std::string_view(name) == "stage" ? stage_ports(bench.stage) : all_accelerometer_ports(bench);
     const bool marked = std::any_of(
         header.instruments.begin(), header.instruments.end(), [&](const InstrumentIdentity& instrument) {
           return instrument.role.starts_with(name) && reports_simulated_serial_number(instrument, ports);

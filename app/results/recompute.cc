@@ -12,6 +12,7 @@
 
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
+#include "app/results/tray_results.h"
 #include "app/system/version.h"
 #include "protocol/record/run_seal.h"
 
@@ -89,7 +90,9 @@ std::string difference_from_plan(const StoredRun& stored, const BenchConfig* ben
         return where + ": the encoder is outside the position window, but no flag is set";
     }
   }
-  if (stored.state == RunState::kComplete && measured.size() != plan.size())
+  const auto progress = std::ranges::find(stored.items, stored.item, &ItemProgress::k);
+  const bool is_dropped = progress != stored.items.end() && progress->dropped_at;
+  if (stored.state == RunState::kComplete && !is_dropped && measured.size() != plan.size())
     return fmt::format("the run is complete, but {} of {} angles are measured", measured.size(), plan.size());
   return {};
 }
@@ -193,6 +196,12 @@ IntegrityCheck check_results(const std::filesystem::path& run, const std::vector
 
 }  // namespace
 
+void keep_analysis(ResultsFile& results, const std::string& utc, const CalibrationResult& result, int item) {
+  nlohmann::ordered_json json = result_json(result);
+  if (item > 0) json["item"] = item;
+  results.add_analysis(utc, program_version(), result.estimator, json.dump());
+}
+
 std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const StoredRun& stored,
                                       const BenchConfig* bench,
                                       const std::vector<CalibrationResult>& results) {
@@ -216,11 +225,10 @@ std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& ru
       checks.push_back(std::move(check));
     return checks;
   }
-  for (const ItemProgress& item : stored.items) {
-    if (item.dropped_at) continue;
-    const StoredRun of_item = RunFile::load(run, item.k);
-    for (IntegrityCheck& check : recompute(run, of_item, known, analyse_all(of_item.record))) {
-      check.what = fmt::format("item {}, {}", item.k, check.what);
+  const TrayRun all = analyse_tray_run(RunFile::load_items(run));
+  for (std::size_t k = 0; k < all.items.size(); ++k) {
+    for (IntegrityCheck& check : recompute(run, all.items[k], known, results_of_item(all, k))) {
+      check.what = fmt::format("item {}, {}", k + 1, check.what);
       checks.push_back(std::move(check));
     }
   }

@@ -10,11 +10,16 @@
 
 namespace abcal {
 
+/// Keeps an analysis with its closed run.
+/// @param item  of a run with several items: whose, from 1; 0: the run has one
+/// @throws RunFileError
+void keep_analysis(ResultsFile& results, const std::string& utc, const CalibrationResult& result, int item);
+
 /// What a run states beyond its readings, computed again: its plan from its bench file, whether every planned
 /// angle was measured where it was planned, and the stored analyses from the dwells.
 /// @param bench    the bench file of the run; null: this program cannot read it, and the plan is not compared
 /// with it
-/// @param results  the analyses of now, one an estimator
+/// @param results  the analyses of now, one an estimator; of several items those of results_of_item()
 std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const StoredRun& stored,
                                       const BenchConfig* bench,
                                       const std::vector<CalibrationResult>& results);

@@ -14,7 +14,6 @@
 #include "protocol/record/sha256.h"
 
 namespace abcal {
-namespace {}  // namespace
 
 bool measured_by_voltmeter(const ReportData& data) {
   return data.record.response_unit.ends_with("V") ||
@@ -87,47 +86,78 @@ std::vector<std::string> cautions(const ReportData& data) {
   return list;
 }
 
-ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item) {
+namespace {
+
+/// What of a run with several items is the same for all of them.
+struct GatheredRun {
+  std::vector<IntegrityCheck> integrity;  ///< As verify_run() finds it.
+  std::optional<std::string> sha256;      ///< As in ReportData.
+  std::shared_ptr<const TrayRun> tray;
+};
+
+void describe_bench(ReportData& data) {
+  try {
+    data.bench = parse_bench(data.run->header.bench_toml, "its bench file");
+  } catch (const BenchError& error) {
+    // Written by another abcal: the header of the run holds the most important values as well.
+    data.bench_unreadable = error.what();
+  }
+  if (data.bench) data.simulated = instruments_not_real(data.run->header, *data.bench);
+}
+
+ReportData gather(LoadedRecord loaded, const std::filesystem::path& path, Clock::UtcTime now,
+                  const GatheredRun& gathered) {
   ReportData data;
-  LoadedRecord loaded = load_record(path, item);
-  data.item = std::max(item, 1);
+  data.item = loaded.run ? loaded.run->item : 1;
   data.path = path;
   data.record = std::move(loaded.record);
   data.run = std::move(loaded.run);
   data.program_version = program_version();
   data.created_utc = format_utc(now);
-  if (data.run) {
-    try {
-      data.bench = parse_bench(data.run->header.bench_toml, "its bench file");
-    } catch (const BenchError& error) {
-      // Written by another abcal: the header of the run holds the most important values as well.
-      data.bench_unreadable = error.what();
-    }
-    data.integrity = verify_run(path);
-    if (data.bench) data.simulated = instruments_not_real(data.run->header, *data.bench);
-  }
-  if (data.complete()) data.sha256 = sha256_of_file(path);
-  data.results = analyse_all(data.record);
+  data.integrity = gathered.integrity;
+  data.tray = gathered.tray;
+  data.sha256 = gathered.sha256;
+  if (data.run) describe_bench(data);
+  data.results = data.tray ? results_of_item(*data.tray, static_cast<std::size_t>(data.item - 1))
+                           : analyse_all(data.record);
   data.estimator = declared_estimator(data.record).name;
   if (data.run) {
     for (IntegrityCheck& check :
          recompute(path, *data.run, data.bench ? &*data.bench : nullptr, data.results))
       data.integrity.push_back(std::move(check));
   }
-  // After the recomputation: what a run keeps of each item is that item alone.
-  if (data.run && has_several_items(*data.run)) {
-    data.tray = analyse_tray_run(path);
-    for (CalibrationResult& result : data.results) {
-      if (result.estimator == "joint")
-        result = data.tray->tray.items[static_cast<std::size_t>(data.item - 1)].result;
-    }
-  }
+  // From here on the bench is that of the item: its driver, its voltmeter.
+  if (data.tray && data.bench && !data.bench->tray.empty()) data.bench = for_item(*data.bench, data.item);
   if (const CalibrationResult& result = data.result();
       result.verdict != Verdict::kNotUsable && result.sensitivity_matrix) {
     data.budget = make_budget(data.record, result);
     for (std::string& words : unstated_voltmeter(data)) data.budget->not_covered.push_back(std::move(words));
   }
   return data;
+}
+
+GatheredRun gather_run(const std::filesystem::path& path, const std::optional<StoredRun>& run) {
+  GatheredRun gathered;
+  if (run) gathered.integrity = verify_run(path);
+  if (!run || run->state == RunState::kComplete) gathered.sha256 = sha256_of_file(path);
+  if (run && has_several_items(*run)) gathered.tray = std::make_shared<const TrayRun>(analyse_tray_run(path));
+  return gathered;
+}
+
+}  // namespace
+
+ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item) {
+  LoadedRecord loaded = load_record(path, item);
+  const GatheredRun gathered = gather_run(path, loaded.run);
+  return gather(std::move(loaded), path, now, gathered);
+}
+
+std::vector<ReportData> gather_items(const std::filesystem::path& path, Clock::UtcTime now) {
+  const GatheredRun gathered = gather_run(path, load_record(path, 1).run);
+  std::vector<ReportData> items;
+  for (const StoredRun& item : gathered.tray->items)
+    items.push_back(gather({item.record, item}, path, now, gathered));
+  return items;
 }
 
 }  // namespace abcal

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -31,7 +32,7 @@ struct ReportData {
   std::optional<BenchConfig> bench;            ///< As it was at the run. Absent for a CSV, and if unreadable.
   std::string bench_unreadable;                ///< Why the bench file of a run cannot be read; empty: it can.
   int item = 1;                                ///< Whose record it is, of a run with several.
-  std::optional<TrayRun> tray;                 ///< All items of such a run; absent: it has one.
+  std::shared_ptr<const TrayRun> tray;         ///< All items of such a run; null: it has one.
   std::vector<CalibrationResult> results;      ///< One an estimator; a refusal is a result too.
   std::string estimator{kPublishedEstimator};  ///< Whose result is reported; the others are its check.
   std::optional<Budget> budget;                ///< Of the reported result; absent where that has no matrix.
@@ -70,5 +71,8 @@ std::vector<std::string> cautions(const ReportData& data);
 /// @throws RunFileError, CsvError, std::runtime_error: each says what is wrong with the file.
 /// @param item  of a run with several, from 1: its joint result is that of the common fit of all items
 ReportData gather_report(const std::filesystem::path& path, Clock::UtcTime now, int item = 0);
+
+/// The same of every item of a run with several, in their order; the run is checked and analysed once.
+std::vector<ReportData> gather_items(const std::filesystem::path& path, Clock::UtcTime now);
 
 }  // namespace abcal

@@ -176,16 +176,21 @@ int chosen_item(const std::filesystem::path& path, int asked) {
 }
 
 TrayRun analyse_tray_run(const std::filesystem::path& path) {
-  TrayRun out;
-  out.items.push_back(RunFile::load(path));
-  const std::size_t count = std::max<std::size_t>(1, out.items.front().header.items.size());
-  std::vector<RunRecord> records{out.items.front().record};
-  for (std::size_t k = 2; k <= count; ++k) {
-    out.items.push_back(RunFile::load(path, static_cast<int>(k)));
-    records.push_back(out.items.back().record);
-  }
-  out.tray = analyse_items(records);
-  return out;
+  return analyse_tray_run(RunFile::load_items(path));
+}
+
+TrayRun analyse_tray_run(std::vector<StoredRun> items) {
+  std::vector<RunRecord> records;
+  for (const StoredRun& item : items) records.push_back(item.record);
+  TrayResult tray = analyse_items(records);
+  return {std::move(items), std::move(tray)};
+}
+
+std::vector<CalibrationResult> results_of_item(const TrayRun& run, std::size_t k) {
+  std::vector<CalibrationResult> results = analyse_all(run.items.at(k).record);
+  for (CalibrationResult& result : results)
+    if (result.estimator == "joint") result = run.tray.items.at(k).result;
+  return results;
 }
 
 std::string item_words(const RunItem& item) {

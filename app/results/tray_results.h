@@ -31,6 +31,12 @@ int chosen_item(const std::filesystem::path& path, int asked);
 /// Loads every item of a run file and analyses them together.
 /// @throws RunFileError
 TrayRun analyse_tray_run(const std::filesystem::path& path);
+/// The same of items that are loaded.
+TrayRun analyse_tray_run(std::vector<StoredRun> items);
+
+/// Results of item k (from 0) by every estimator, as analyse_all() gives them; the joint one is that of the
+/// common fit.
+std::vector<CalibrationResult> results_of_item(const TrayRun& run, std::size_t k);
 
 /// "2: Analog Devices ADXL355, serial number 17".
 std::string item_words(const RunItem& item);

@@ -3,13 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <utility>
 
 #include "app/bench/real_clock.h"
 #include "app/results/analyses.h"
-#include "app/results/result_json.h"
+#include "app/results/recompute.h"
 #include "app/results/result_text.h"
 #include "app/session/check_run_notice.h"
 #include "app/session/disk_space.h"
@@ -32,14 +31,16 @@ namespace {
 constexpr std::size_t kMostNotes = 20;
 constexpr std::size_t kMostPersonEvents = 200;
 
-/// Of several items: each is analysed by itself.
+/// Of several items: all together.
 void analyse_items(RunOutcome& outcome) {
-  const std::vector<ItemProgress> items = outcome.stored.items;
-  for (const ItemProgress& item : items) {
-    ItemOutcome& each = outcome.items.emplace_back();
-    each.stored = RunFile::load(outcome.path, item.k);
-    if (!item.dropped_at && !outcome.is_levelling()) each.results = analyse_all(each.stored.record);
-  }
+  for (StoredRun& stored : RunFile::load_items(outcome.path))
+    outcome.items.push_back({std::move(stored), {}});
+  if (outcome.is_levelling()) return;
+  std::vector<StoredRun> stored;
+  for (const ItemOutcome& each : outcome.items) stored.push_back(each.stored);
+  outcome.tray = analyse_tray_run(std::move(stored));
+  for (std::size_t k = 0; k < outcome.items.size(); ++k)
+    if (!outcome.stored.items[k].dropped_at) outcome.items[k].results = results_of_item(*outcome.tray, k);
   for (const ItemOutcome& each : outcome.items) {
     if (each.results.empty()) continue;
     outcome.stored = each.stored;
@@ -93,15 +94,16 @@ void keep_analyses(const RunOutcome& outcome, const std::string& utc, bool close
     const std::string name = label_of(outcome.stored.header.labels, "bench.name");
     sign_run(outcome.path, name.empty() ? "bench" : name, key);
   }
-  const auto keep = [&](const std::vector<CalibrationResult>& results, int item) {
-    for (const CalibrationResult& each : results) {
-      nlohmann::ordered_json json = result_json(each);
-      if (item > 0) json["item"] = item;
-      results_file.add_analysis(utc, program_version(), each.estimator, json.dump());
-    }
-  };
-  if (outcome.items.empty()) keep(outcome.results, 0);
-  for (const ItemOutcome& each : outcome.items) keep(each.results, each.stored.item);
+  if (outcome.items.empty())
+    for (const CalibrationResult& each : outcome.results) keep_analysis(results_file, utc, each, 0);
+  for (std::size_t k = 0; k < outcome.items.size(); ++k) {
+    const int item = static_cast<int>(k) + 1;
+    for (const CalibrationResult& each : outcome.items[k].results)
+      keep_analysis(results_file, utc, each, item);
+    // Of an item that was dropped, what is said of it.
+    if (outcome.items[k].results.empty() && outcome.tray)
+      keep_analysis(results_file, utc, outcome.tray->tray.items[k].result, item);
+  }
 }
 
 /// The name of the first free "a-replay.run", "a-replay-2.run" ... in the folder of "a.run".

@@ -12,6 +12,7 @@
 
 #include "app/bench/make_bench.h"
 #include "app/bench/transcript.h"
+#include "app/results/tray_results.h"
 #include "app/session/notifier.h"
 #include "app/session/run_bench.h"
 #include "app/session/session_events.h"
@@ -21,7 +22,7 @@
 
 namespace abcal {
 
-/// One of several items of a complete run.
+/// One of several items of a complete run. Its joint result is that of the common fit.
 struct ItemOutcome {
   StoredRun stored;                        ///< As it is for this item.
   std::vector<CalibrationResult> results;  ///< As in RunOutcome; empty: it was dropped.
@@ -35,6 +36,7 @@ struct RunOutcome {
   std::vector<CalibrationResult> results;  ///< One an estimator, the declared one first. Levelling: none.
   /// Of several items: all; `stored` and `results` are those of the first that was measured to the end.
   std::vector<ItemOutcome> items;
+  std::optional<TrayRun> tray;   ///< Of several items: all of them together. Levelling: nothing.
   bool measured_before = false;  ///< Nothing was measured now: only closed and analysed.
 
   bool is_levelling() const;

@@ -21,6 +21,7 @@
 #include "protocol/analysis/side_by_side.h"
 #include "protocol/analysis/tray_fit.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/analysis/voltmeter.h"
 
 namespace abcal {
 namespace {
@@ -100,6 +101,7 @@ class TrayAnalysis {
   void agree();
   double test_agreement(const TrayFit& fit);
   void fill_common();
+  void add_shared_voltmeters();
   void fill_stage(double level);
   double level() const;
 
@@ -337,11 +339,29 @@ void TrayAnalysis::fill_common() {
   }
 }
 
+/// The gain of a voltmeter that reads several items is no unknown of the fit, but common to them.
+void TrayAnalysis::add_shared_voltmeters() {
+  const auto effect = [&](std::size_t k) {
+    const CalibrationResult& result = out_.items[k].result;
+    const Eigen::Vector3d offset(result.offset[0].value, result.offset[1].value, result.offset[2].value);
+    return effect_of_gain(result.sensitivity_values(), offset, records_[k].tolerances);
+  };
+  for (std::size_t i = 0; i < members_.size(); ++i) {
+    for (std::size_t k = 0; k < members_.size(); ++k) {
+      if (!share_voltmeter(records_[members_[i]].tolerances, records_[members_[k]].tolerances)) continue;
+      out_.common_covariance.block<12, 12>(12 * static_cast<Eigen::Index>(i),
+                                           12 * static_cast<Eigen::Index>(k)) +=
+          effect(members_[i]) * effect(members_[k]).transpose();
+    }
+  }
+}
+
 TrayResult TrayAnalysis::result() && {
   choose_members();
   set_aside_copies();
   agree();
   fill_common();
+  add_shared_voltmeters();
   for (const auto& [k, words] : objections_) object_to(out_.items[k].result, words);
   judge_tray(out_);
   return std::move(out_);

@@ -2,9 +2,13 @@
 
 #include <cmath>
 #include <cstddef>
+#include <string_view>
 
 namespace abcal {
 namespace {
+
+/// How a source begins that the register gave (`{ from = "RECORD" }`); free text names no single instrument.
+constexpr std::string_view kOfRegister = "calibration ";
 
 void add_type_b(Quantity& quantity, double variance) {
   const double before = quantity.standard_uncertainty;
@@ -52,10 +56,22 @@ void add_to_model_equation(const CalibrationResult& result, const EffectSizes& s
 
 }  // namespace
 
-VoltmeterShare voltmeter_share(const Eigen::Matrix3d& s, const Eigen::Vector3d& o, const EffectSizes& sizes) {
+Eigen::Matrix<double, 12, 1> effect_of_gain(const Eigen::Matrix3d& s, const Eigen::Vector3d& o,
+                                            const EffectSizes& sizes) {
   Eigen::Matrix<double, 12, 1> by_gain;
   by_gain << s.row(0).transpose(), s.row(1).transpose(), s.row(2).transpose(), o;
-  by_gain *= sizes.voltmeter_gain;
+  return sizes.voltmeter_gain * by_gain;
+}
+
+bool share_voltmeter(const EffectSizes& a, const EffectSizes& b) {
+  if (!(a.voltmeter_gain > 0.0) || !(b.voltmeter_gain > 0.0)) return false;
+  const auto of_a = a.sources.find("voltmeter_gain"), of_b = b.sources.find("voltmeter_gain");
+  return of_a != a.sources.end() && of_b != b.sources.end() && of_a->second == of_b->second &&
+         of_a->second.starts_with(kOfRegister);
+}
+
+VoltmeterShare voltmeter_share(const Eigen::Matrix3d& s, const Eigen::Vector3d& o, const EffectSizes& sizes) {
+  const Eigen::Matrix<double, 12, 1> by_gain = effect_of_gain(s, o, sizes);
   VoltmeterShare share;
   share.gain = by_gain * by_gain.transpose();
   share.offset.diagonal().tail<3>() = (sizes.voltmeter_offset * s.rowwise().norm()).cwiseAbs2();

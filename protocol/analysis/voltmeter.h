@@ -20,6 +20,14 @@ struct VoltmeterShare {
 /// @param o  offsets, R
 VoltmeterShare voltmeter_share(const Eigen::Matrix3d& s, const Eigen::Vector3d& o, const EffectSizes& sizes);
 
+/// The part of the gain for one standard uncertainty of it, in the order of Covariance12.
+Eigen::Matrix<double, 12, 1> effect_of_gain(const Eigen::Matrix3d& s, const Eigen::Vector3d& o,
+                                            const EffectSizes& sizes);
+
+/// Whether one voltmeter reads two items: the gain of both is a value of the same calibration of the
+/// register, which names one instrument. Its error is common to them then.
+bool share_voltmeter(const EffectSizes& a, const EffectSizes& b);
+
 /// Whether `sizes` state anything of the voltmeter.
 bool states_voltmeter(const EffectSizes& sizes);
 

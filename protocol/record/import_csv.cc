@@ -317,12 +317,26 @@ class Importer {
     }
     const std::size_t problems_before = problems_.size();
     for (const std::string_view name : kRequired) require_column(header, name);
+    require_one_item(header);
     with_u_ = std::any_of(kUncertaintyColumns.begin(), kUncertaintyColumns.end(),
                           [&](std::string_view name) { return columns_.count(std::string(name)) > 0; });
     if (with_u_) {
       for (const std::string_view name : kUncertaintyColumns) require_column(header, name);
     }
     return problems_.size() == problems_before;
+  }
+
+  /// A CSV of all items of a run has the column "item".
+  void require_one_item(const Row& header) {
+    for (std::size_t i = 0; i < header.fields.size(); ++i) {
+      if (trimmed(header.fields[i]) != "item") continue;
+      for (const Row& row : table_.rows) {
+        if (&row == &header || i >= row.fields.size() || row.fields[i] == table_.rows[1].fields[i]) continue;
+        problem(fmt::format("line {}, item", row.line), as_quoted(row.fields[i]),
+                "one item in the whole file: `abcal report RUN --item K --csv FILE` writes it");
+        return;
+      }
+    }
   }
 
   void require_column(const Row& header, std::string_view name) {

@@ -1,5 +1,8 @@
 #include "protocol/record/results_file.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
 #include <array>
 
 #include "protocol/record/sha256.h"
@@ -17,7 +20,8 @@ create table if not exists analysis(id integer primary key, utc text, program_ve
                                     result_json text, chain text);
 create table if not exists certificate(id integer primary key, utc text, number text unique, measured_by text,
                                        approved_by text, date text, replaces text, reason text,
-                                       program_version text, laboratory_toml text, xml text, chain text);
+                                       program_version text, laboratory_toml text, xml text, chain text,
+                                       item integer);
 )";
 
 bool lacks_column(SqliteDatabase& database, const std::string& table, const std::string& column) {
@@ -29,6 +33,8 @@ bool lacks_column(SqliteDatabase& database, const std::string& table, const std:
 void add_missing_columns(SqliteDatabase& database) {
   if (lacks_column(database, "analysis", "chain"))
     database.execute("alter table analysis add column chain text");
+  if (lacks_column(database, "certificate", "item"))
+    database.execute("alter table certificate add column item integer");
   if (!lacks_column(database, "run", "note")) return;
   for (const char* column : {"note text", "signer text", "signature blob", "time_stamp blob"})
     database.execute(std::string("alter table run add column ") + column);
@@ -122,12 +128,13 @@ std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
   std::vector<IssuedCertificate> certificates;
   // Results of before certificates were issued have no such table.
   if (!database.has_table("certificate")) return certificates;
+  const bool knows_items = !lacks_column(database, "certificate", "item");
   SqliteStatement rows = database.prepare("select * from certificate order by id");
   while (rows.step()) {
     certificates.push_back({rows.text("utc"), rows.text("number"), rows.text("measured_by"),
                             rows.text("approved_by"), rows.text("date"), rows.text("replaces"),
                             rows.text("reason"), rows.text("program_version"), rows.text("laboratory_toml"),
-                            rows.text("xml")});
+                            rows.text("xml"), knows_items ? static_cast<int>(rows.integer("item")) : 0});
   }
   return certificates;
 }
@@ -135,6 +142,7 @@ std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
 /// @throws RunFileError if a certificate cannot be issued in addition to those that there are
 void require_issuable(const IssuedCertificate& certificate, const std::vector<IssuedCertificate>& issued,
                       const std::string& results) {
+  const IssuedCertificate* last = nullptr;  // Of the same item.
   bool replaces_one = false;
   for (const IssuedCertificate& one : issued) {
     if (one.number == certificate.number)
@@ -143,12 +151,19 @@ void require_issuable(const IssuedCertificate& certificate, const std::vector<Is
     if (!certificate.replaces.empty() && one.replaces == certificate.replaces)
       throw RunFileError(results + ": certificate " + certificate.replaces + " is replaced by " + one.number +
                          " already; replace that one");
+    if (one.item != certificate.item && one.number == certificate.replaces)
+      throw RunFileError(fmt::format("{}: --replaces {}: is of item {}; required: a certificate of item {}",
+                                     results, one.number, one.item, certificate.item));
+    if (one.item != certificate.item) continue;
+    last = &one;
     replaces_one = replaces_one || one.number == certificate.replaces;
   }
-  if (!issued.empty() && !replaces_one)
-    throw RunFileError(results + ": certificate " + issued.back().number +
-                       " was issued for this run already; amend it with --replaces " + issued.back().number +
-                       " --reason TEXT");
+  if (last != nullptr && !replaces_one)
+    throw RunFileError(
+        fmt::format("{}: certificate {} was issued for {} already; amend it with --replaces {} --reason TEXT",
+                    results, last->number,
+                    certificate.item > 0 ? fmt::format("item {} of this run", certificate.item) : "this run",
+                    last->number));
 }
 
 }  // namespace
@@ -157,24 +172,30 @@ void ResultsFile::add_certificate(const IssuedCertificate& certificate) {
   Transaction transaction(database_);
   const std::string results = database_.value("select file from pragma_database_list").value_or("results");
   require_issuable(certificate, read_certificates(database_), results);
-  const std::vector<std::string> fields{certificate.utc,
-                                        certificate.number,
-                                        certificate.measured_by,
-                                        certificate.approved_by,
-                                        certificate.date,
-                                        certificate.replaces,
-                                        certificate.reason,
-                                        certificate.program_version,
-                                        certificate.laboratory_toml,
-                                        certificate.xml};
+  std::vector<std::string> fields{certificate.utc,
+                                  certificate.number,
+                                  certificate.measured_by,
+                                  certificate.approved_by,
+                                  certificate.date,
+                                  certificate.replaces,
+                                  certificate.reason,
+                                  certificate.program_version,
+                                  certificate.laboratory_toml,
+                                  certificate.xml};
   const std::string before = last_link(database_, "certificate");
-  static constexpr std::array<std::string_view, 11> kColumns{
-      "utc",    "number",          "measured_by",     "approved_by", "date", "replaces",
-      "reason", "program_version", "laboratory_toml", "xml",         "chain"};
+  static constexpr std::array<std::string_view, 12> kColumns{
+      "utc",    "number",          "measured_by",     "approved_by", "date",  "replaces",
+      "reason", "program_version", "laboratory_toml", "xml",         "chain", "item"};
   SqliteStatement row = database_.prepare(insert_into("certificate", kColumns));
   for (std::size_t k = 0; k < fields.size(); ++k)
     row.set(std::string(kColumns.at(k)), std::string_view(fields[k]));
-  row.set("chain", std::string_view(next_link(before, fields))).run();
+  // A certificate of a run with one item is linked as it always was.
+  std::optional<std::int64_t> item;
+  if (certificate.item > 0) {
+    item = certificate.item;
+    fields.push_back(std::to_string(certificate.item));
+  }
+  row.set("item", item).set("chain", std::string_view(next_link(before, fields))).run();
   transaction.commit();
 }
 
@@ -183,6 +204,13 @@ std::vector<IssuedCertificate> ResultsFile::certificates(const std::filesystem::
   if (!std::filesystem::exists(path_beside(run_path), error)) return {};
   SqliteDatabase database(path_beside(run_path), SqliteDatabase::Mode::kReadOnly);
   return read_certificates(database);
+}
+
+std::vector<IssuedCertificate> ResultsFile::certificates(const std::filesystem::path& run_path, int item) {
+  std::vector<IssuedCertificate> all = certificates(run_path);
+  std::erase_if(all,
+                [&](const IssuedCertificate& one) { return std::max(one.item, 1) != std::max(item, 1); });
+  return all;
 }
 
 }  // namespace abcal

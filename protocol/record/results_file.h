@@ -21,6 +21,8 @@ struct IssuedCertificate {
   std::string program_version;
   std::string laboratory_toml;  ///< The laboratory file as it was read.
   std::string xml;              ///< Its bytes, signature included.
+  /// Of a run with several items: whose, from 1. 0: the run has one. Chained last, where it is not 0.
+  int item = 0;
 };
 
 /// `RUN.results`, in the folder of the run: analyses and issued certificates. Rows are only ever added, each
@@ -50,8 +52,9 @@ class ResultsFile {
   /// How many are stored.
   std::size_t analyses();
 
-  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate that does not
-  /// replace the first, and the replacement of one that is replaced already.
+  /// Keeps an issued certificate. Refuses a number that is there already, a second certificate of an item
+  /// that does not replace its first, and the replacement of one that is replaced already or is of another
+  /// item.
   void add_certificate(const IssuedCertificate& certificate);
 
   static std::filesystem::path path_beside(const std::filesystem::path& run_path);
@@ -62,6 +65,8 @@ class ResultsFile {
 
   /// The certificates issued for a run, oldest first; none where there are no results.
   static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path);
+  /// Those of one item: with several, from 1; the item of a run with one is 0 or 1.
+  static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path, int item);
 
  private:
   explicit ResultsFile(const std::filesystem::path& run_path);

@@ -537,10 +537,9 @@ std::string RunFile::finish_closing(const std::filesystem::path& path, const Try
                      "file open: end that program, then close and analyse the run with `abcal resume`");
 }
 
-StoredRun RunFile::load(const std::filesystem::path& path, int item) {
-  // A run that is being written, or whose program died, has a -wal beside it, which a read-only connection
-  // can use too where its -shm may be written; a closed run is a single file.
-  SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
+namespace {
+
+StoredRun load_from(SqliteDatabase& database, const std::filesystem::path& path, int item) {
   StoredRun run;
   run.item = item;
   read_run_header(database, path.string(), run);
@@ -582,6 +581,23 @@ StoredRun RunFile::load(const std::filesystem::path& path, int item) {
          environment.optional_real("humidity_percent"), environment.optional_real("pressure_hpa")});
   }
   return run;
+}
+
+}  // namespace
+
+StoredRun RunFile::load(const std::filesystem::path& path, int item) {
+  // A run that is being written, or whose program died, has a -wal beside it, which a read-only connection
+  // can use too where its -shm may be written; a closed run is a single file.
+  SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
+  return load_from(database, path, item);
+}
+
+std::vector<StoredRun> RunFile::load_items(const std::filesystem::path& path) {
+  SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
+  std::vector<StoredRun> items{load_from(database, path, 1)};
+  const std::size_t count = items.front().header.items.size();
+  for (std::size_t k = 2; k <= count; ++k) items.push_back(load_from(database, path, static_cast<int>(k)));
+  return items;
 }
 
 std::size_t RunFile::count_items(const std::filesystem::path& path) {

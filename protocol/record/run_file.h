@@ -226,6 +226,9 @@ class RunFile {
   /// Reads a run in any state, as it is for one of its items.
   static StoredRun load(const std::filesystem::path& path, int item = 1);
 
+  /// The same for every item of a run, in their order; damage is looked for once.
+  static std::vector<StoredRun> load_items(const std::filesystem::path& path);
+
   /// How many items a run has. Nothing else is read, and no damage is looked for.
   static std::size_t count_items(const std::filesystem::path& path);
 

@@ -17,13 +17,21 @@
 namespace abcal {
 namespace {
 
+bool has_column(SqliteDatabase& database, const std::string& table, const std::string& column) {
+  return database.value("select count(*) from pragma_table_info('" + table + "') where name = '" + column +
+                        "'") == "1";
+}
+
 /// Follows the chain of a table whose last column is the link.
+/// @param later  a column that entries of earlier versions do not have: linked where it is not null
 IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, const std::string& table,
-                           const std::vector<std::string>& columns) {
+                           const std::vector<std::string>& columns, const std::string& later = "") {
   std::string sql = "select ";
   for (const std::string& column : columns) sql += column + ", ";
-  if (database.value("select count(*) from pragma_table_info('" + table + "') where name = 'chain'") == "0")
+  if (!has_column(database, table, "chain"))
     return {what, false, "written by a version of abcal that did not link its entries"};
+  const bool has_later = !later.empty() && has_column(database, table, later);
+  if (has_later) sql += later + ", ";
   SqliteStatement rows = database.prepare(sql + "chain from " + table + " order by id");
   std::string link;
   std::size_t count = 0;
@@ -31,6 +39,7 @@ IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, co
     ++count;
     std::vector<std::string> fields;
     for (std::size_t k = 0; k < columns.size(); ++k) fields.push_back(rows.text(static_cast<int>(k)));
+    if (has_later && !rows.is_null(static_cast<int>(columns.size()))) fields.push_back(rows.text(later));
     link = next_link(link, fields);
     if (link != rows.text("chain"))
       return {what, false,
@@ -196,7 +205,30 @@ IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRu
                       dwells, readings)};
 }
 
-void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>& checks) {
+/// Of a run with several items: each item has certificates of its own, of which each replaces the one before.
+void check_certificates_of_items(const std::filesystem::path& run, std::size_t items,
+                                 std::vector<IntegrityCheck>& checks) {
+  for (const IssuedCertificate& one : ResultsFile::certificates(run)) {
+    if (one.item >= 1 && static_cast<std::size_t>(one.item) <= items) continue;
+    checks.push_back({"certificate " + one.number, false,
+                      fmt::format("is stated to be of item {}; the run has items 1 to {}", one.item, items)});
+  }
+  for (std::size_t k = 1; k <= items; ++k) {
+    const std::vector<IssuedCertificate> of_item = ResultsFile::certificates(run, static_cast<int>(k));
+    if (of_item.empty()) continue;
+    IntegrityCheck check{fmt::format("item {}, certificates", k), true, of_item.front().number};
+    for (std::size_t i = 1; i < of_item.size(); ++i) {
+      check.found += fmt::format(", replaced by {}", of_item[i].number);
+      if (of_item[i].replaces == of_item[i - 1].number) continue;
+      check.good = false;
+      check.found += fmt::format(" (which states that it replaces {})",
+                                 of_item[i].replaces.empty() ? "none" : of_item[i].replaces);
+    }
+    checks.push_back(std::move(check));
+  }
+}
+
+void check_results(const std::filesystem::path& run, std::size_t items, std::vector<IntegrityCheck>& checks) {
   const std::filesystem::path results = ResultsFile::path_beside(run);
   std::error_code error;
   if (!std::filesystem::exists(results, error)) {
@@ -213,7 +245,7 @@ void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>
        named == actual ? actual : fmt::format("the run has {}, but its results state {}", actual, named)});
   std::string sound = database.value("pragma integrity_check(1)").value_or("no answer");
   const bool is_sound = sound == "ok";
-  if (database.value("select count(*) from pragma_table_info('run') where name = 'note'") == "1") {
+  if (has_column(database, "run", "note")) {
     const std::string note = database.value("select note from run").value_or("");
     if (!note.empty()) sound += "; " + note;
   }
@@ -224,7 +256,9 @@ void check_results(const std::filesystem::path& run, std::vector<IntegrityCheck>
   if (database.has_table("certificate")) {
     checks.push_back(check_chain(database, "certificates", "certificate",
                                  {"utc", "number", "measured_by", "approved_by", "date", "replaces", "reason",
-                                  "program_version", "laboratory_toml", "xml"}));
+                                  "program_version", "laboratory_toml", "xml"},
+                                 "item"));
+    if (items > 1) check_certificates_of_items(run, items, checks);
   }
 }
 
@@ -248,7 +282,7 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
     if (stored.items.size() > 1) checks.push_back(check_items(database, stored));
   }
   checks.push_back(statements.get());
-  if (complete) check_results(run, checks);
+  if (complete) check_results(run, stored.items.size(), checks);
   return checks;
 }
 

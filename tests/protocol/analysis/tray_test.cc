@@ -329,6 +329,37 @@ TEST(TrayTest, ItemsShareWhatTheStageDoes) {
     EXPECT_GT(property.standard_uncertainty, 0.0);
 }
 
+TEST(TrayTest, GainOfOneVoltmeterIsCommonToItsItems) {
+  constexpr double kGain = 1e-3;
+  const std::string one = "calibration EX-V-1 of DMM-1 by EX, performed 2026-01-01, due 2027-01-01";
+  MadeTray tray = made_tray({.items = 3, .steps = 16}, 5);
+  const auto with_sources = [&](const std::string& first, const std::string& second) {
+    for (RunRecord& record : tray.records) record.tolerances.voltmeter_gain = kGain;
+    tray.records[0].tolerances.sources["voltmeter_gain"] = first;
+    tray.records[1].tolerances.sources["voltmeter_gain"] = second;
+    tray.records[2].tolerances.sources["voltmeter_gain"] = "data sheet";
+    return analyse_tray(tray.records);
+  };
+  const TrayResult shared = with_sources(one, one);
+  const TrayResult apart = with_sources(one, "calibration EX-V-2 of DMM-2 by EX");
+  ASSERT_EQ(shared.verdict, Verdict::kUsable) << shared.why;
+  const Vector12 first = values_of(shared.items[0].result), second = values_of(shared.items[1].result);
+  const Covariance12 gain = kGain * kGain * first * second.transpose();
+  EXPECT_TRUE((shared.covariance(0, 1) - apart.covariance(0, 1)).isApprox(gain, 1e-9));
+  EXPECT_EQ(shared.covariance(0, 2), apart.covariance(0, 2));
+  // The same words of a person do not name one instrument.
+  EXPECT_EQ(with_sources("data sheet", "data sheet").covariance(0, 1), apart.covariance(0, 1));
+  // The items' own uncertainties have the gain either way; what is common cancels in the difference.
+  EXPECT_EQ(shared.items[0].result.covariance, apart.items[0].result.covariance);
+  const double s1 = shared.items[0].result.intrinsic_sensitivity[0].value;
+  const double s2 = shared.items[1].result.intrinsic_sensitivity[0].value;
+  const double u = compare_items(shared, 0, 1).properties[0].standard_uncertainty;
+  const double u_apart = compare_items(apart, 0, 1).properties[0].standard_uncertainty;
+  EXPECT_NEAR(u_apart * u_apart - u * u, 2.0 * kGain * kGain * s1 * s2, 1e-9 * u_apart * u_apart);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(shared.common_covariance);
+  EXPECT_GT(eigen.eigenvalues()(0), -1e-12 * eigen.eigenvalues().tail(1)(0));
+}
+
 // One item that came loose: it is doubtful on its own, and the others are as without it.
 TEST(TrayTest, LooseItemDoesNotSpoilTheOthers) {
   MadeTray tray = made_tray({.items = 4, .steps = 16}, 11);

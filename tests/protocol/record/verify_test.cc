@@ -129,6 +129,53 @@ TEST_F(VerifyTest, AChangedAnalysisIsFound) {
   EXPECT_THAT(bad(), HasSubstr("analyses: entry 1"));
 }
 
+TEST_F(VerifyTest, CertificatesOfBeforeItemsStayLinked) {
+  const std::filesystem::path results = ResultsFile::path_beside(path);
+  IssuedCertificate first;
+  first.number = "1";
+  ResultsFile(path, hash).add_certificate(first);
+  // As an earlier abcal wrote it.
+  SqliteDatabase(results, SqliteDatabase::Mode::kReadWrite)
+      .execute("alter table certificate drop column item");
+  EXPECT_EQ(bad(), "");
+  ASSERT_EQ(ResultsFile::certificates(path).size(), 1U);
+  EXPECT_EQ(ResultsFile::certificates(path, 1).size(), 1U);
+  IssuedCertificate second;
+  second.number = "2";
+  second.replaces = "1";
+  ResultsFile(path, hash).add_certificate(second);
+  EXPECT_EQ(bad(), "");
+  EXPECT_EQ(ResultsFile::certificates(path).back().item, 0);
+  // An item that is written into an old entry is found.
+  SqliteDatabase(results, SqliteDatabase::Mode::kReadWrite)
+      .execute("update certificate set item = 2 where number = '1'");
+  EXPECT_THAT(bad(), HasSubstr("certificates: entry 1"));
+}
+
+TEST_F(VerifyTest, EachItemHasCertificatesOfItsOwn) {
+  const auto certificate = [](const std::string& number, int item, const std::string& replaces = "") {
+    IssuedCertificate one;
+    one.number = number;
+    one.item = item;
+    one.replaces = replaces;
+    return one;
+  };
+  ResultsFile results(path, hash);
+  results.add_certificate(certificate("1", 1));
+  results.add_certificate(certificate("2", 2));
+  EXPECT_THROW(results.add_certificate(certificate("3", 2)), RunFileError);
+  EXPECT_THROW(results.add_certificate(certificate("3", 2, "1")), RunFileError);
+  EXPECT_THROW(results.add_certificate(certificate("3", 3, "1")), RunFileError);
+  EXPECT_THROW(results.add_certificate(certificate("1", 3)), RunFileError);
+  results.add_certificate(certificate("3", 2, "2"));
+  EXPECT_EQ(ResultsFile::certificates(path, 2).size(), 2U);
+  EXPECT_EQ(ResultsFile::certificates(path, 1).size(), 1U);
+  EXPECT_EQ(bad(), "");
+  SqliteDatabase(ResultsFile::path_beside(path), SqliteDatabase::Mode::kReadWrite)
+      .execute("update certificate set item = 1 where number = '3'");
+  EXPECT_THAT(bad(), HasSubstr("certificates: entry 3"));
+}
+
 TEST_F(VerifyTest, MissingResultsAreSaidAndAnOpenRunHasNoHash) {
   std::filesystem::remove(ResultsFile::path_beside(path));
   EXPECT_THAT(bad(), HasSubstr("missing"));
