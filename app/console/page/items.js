@@ -26,5 +26,5 @@ export function resultItems(run, shown) {
     if (item.k === shown) made.classList.add('shown');
     return made;
   };
-  return element('nav', {id: 'result-items', 'aria-label': t('Items of this run'), class: 'no-print'}, element('ul', {class: 'items'}, ...run.items.map(card)));
+  return element('div', {id: 'result-items', role: 'navigation', 'aria-label': t('Items of this run'), class: 'no-print'}, element('ul', {class: 'items'}, ...run.items.map(card)));
 }

@@ -8,7 +8,7 @@ import {abcal, barriers, begin, complainsOfNothing, confirmDialog, eventually, l
 const examples = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/examples');
 const example = readFileSync(path.join(examples, 'tray.toml'), 'utf8');
 const tray = example.slice(0, example.lastIndexOf('[[item]]', example.indexOf('# item 4')))
-  .replace('steps = 24\nstep_deg = 15.0', 'steps = 12\nstep_deg = 30.0').replace('dwell_readings = 300', 'dwell_readings = 50');
+  .replace('bench with a tray', 'Bench 5').replace('steps = 24\nstep_deg = 15.0', 'steps = 12\nstep_deg = 30.0').replace('dwell_readings = 300', 'dwell_readings = 50');
 const step = begin({pace: 30, bench: tray, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
 
 step('the start form names the items, and asks what is to be done with those that are not there', async (page) => {
