@@ -30,23 +30,11 @@ std::string checked_xml(const Certificate& certificate, const DccSchema* schema)
   return xml_text(document);
 }
 
-IssuedCertificate issue_certificate(const Certificate& certificate, const DccSchema* schema,
-                                    const std::optional<SigningKey>& key, const std::string& utc) {
+PreparedCertificate prepare_certificate(const Certificate& certificate, const DccSchema* schema) {
   if (!certificate.issue) throw std::logic_error("a draft is not issued");
   const IssueFacts& facts = *certificate.issue;
-  std::string xml = checked_xml(certificate, schema);
-  if (key) {
-    xml = sign_xml(xml, *key);
-    // The signature is part of the document, and of its schema.
-    if (schema != nullptr) {
-      std::vector<Problem> problems;
-      add(problems, schema->check(parse_xml(xml, facts.number)), "the schema of DCC 3.3.0");
-      if (!problems.empty())
-        throw CertificateRefused(certificate.run.data.path.string(), std::move(problems));
-    }
-  }
-  IssuedCertificate issued;
-  issued.utc = utc;
+  PreparedCertificate prepared;
+  IssuedCertificate& issued = prepared.issued;
   issued.number = facts.number;
   issued.measured_by = certificate.measured_by();
   issued.approved_by = facts.approved_by;
@@ -57,11 +45,36 @@ IssuedCertificate issue_certificate(const Certificate& certificate, const DccSch
   }
   issued.program_version = certificate.program_version;
   issued.laboratory_toml = certificate.laboratory.text;
-  issued.xml = std::move(xml);
+  issued.xml = checked_xml(certificate, schema);
   const ReportData& data = certificate.run.data;
   issued.item = data.tray ? data.item : 0;
-  ResultsFile(data.path, data.sha256.value()).add_certificate(issued);
-  return issued;
+  prepared.run = data.path;
+  prepared.run_sha256 = data.sha256.value();
+  return prepared;
+}
+
+IssuedCertificate keep_certificate(PreparedCertificate prepared, std::string signed_xml,
+                                   const DccSchema* schema, const std::string& utc) {
+  IssuedCertificate& issued = prepared.issued;
+  if (!signed_xml.empty()) {
+    // The signature is part of the document, and of its schema.
+    if (schema != nullptr) {
+      std::vector<Problem> problems;
+      add(problems, schema->check(parse_xml(signed_xml, issued.number)), "the schema of DCC 3.3.0");
+      if (!problems.empty()) throw CertificateRefused(prepared.run.string(), std::move(problems));
+    }
+    issued.xml = std::move(signed_xml);
+  }
+  issued.utc = utc;
+  ResultsFile(prepared.run, prepared.run_sha256).add_certificate(issued);
+  return std::move(prepared.issued);
+}
+
+IssuedCertificate issue_certificate(const Certificate& certificate, const DccSchema* schema,
+                                    const std::optional<SigningKey>& key, const std::string& utc) {
+  PreparedCertificate prepared = prepare_certificate(certificate, schema);
+  std::string signed_xml = key ? sign_xml(prepared.issued.xml, *key) : std::string();
+  return keep_certificate(std::move(prepared), std::move(signed_xml), schema, utc);
 }
 
 std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run, int item) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <filesystem>
 #include <optional>
 #include <string>
 
@@ -14,6 +15,22 @@ namespace abcal {
 /// @param schema  null: by the rules only, for tests
 /// @throws CertificateRefused  with every violation: nothing is written then
 std::string checked_xml(const Certificate& certificate, const DccSchema* schema);
+
+/// A certificate whose XML is made and checked. Nobody keeps it yet.
+struct PreparedCertificate {
+  IssuedCertificate issued;  ///< Without a signature, and without the time of issue.
+  std::filesystem::path run;
+  std::string run_sha256;
+};
+
+/// @throws as checked_xml(), std::logic_error for a draft
+PreparedCertificate prepare_certificate(const Certificate& certificate, const DccSchema* schema);
+
+/// Keeps a certificate in RUN.results as issue_certificate() does.
+/// @param signed_xml  its XML with a signature; empty: it is not signed
+/// @throws as issue_certificate()
+IssuedCertificate keep_certificate(PreparedCertificate prepared, std::string signed_xml,
+                                   const DccSchema* schema, const std::string& utc);
 
 /// Issues a certificate: its XML, signed if there is a key, is kept in RUN.results, where it can be neither
 /// changed nor removed unnoticed. From then on every report of the run carries it as it was issued.

@@ -29,6 +29,20 @@ std::string certificate_in(const std::string& xml) {
   return pem + "-----END CERTIFICATE-----\n";
 }
 
+/// Whether there is one signature, and it is of all but itself. One of a part would let the rest be
+/// exchanged.
+bool signs_all(const std::string& signed_xml) {
+  const XmlDocument document = parse_xml(signed_xml, "certificate");
+  const XmlQuery query(document.get());
+  const std::string reference = "ds:Signature/ds:SignedInfo/ds:Reference";
+  const std::vector<std::string> transforms{"http://www.w3.org/2000/09/xmldsig#enveloped-signature",
+                                            "http://www.w3.org/2001/10/xml-exc-c14n#"};
+  return query.nodes("//ds:Signature").size() == 1 && query.nodes("//ds:Reference").size() == 1 &&
+         query.texts(reference + "/@URI") == std::vector<std::string>{""} &&
+         query.texts(reference + "/ds:Transforms/ds:Transform/@Algorithm") == transforms &&
+         query.text(reference + "/ds:DigestMethod/@Algorithm") == "http://www.w3.org/2001/04/xmlenc#sha256";
+}
+
 /// Whose the key of a signature is; bad where the approver's keys are known and it is none of them.
 IntegrityCheck judged(const std::string& what, const std::string& certificate_pem,
                       const std::string& approver, const std::vector<PersonKey>& keys) {
@@ -61,6 +75,26 @@ std::vector<IntegrityCheck> check_certificate_signatures(const std::vector<Issue
                                      : IntegrityCheck{what, false, why_not});
   }
   return checks;
+}
+
+std::string certificate_of_signature(const std::string& xml, const std::string& signed_xml) {
+  const std::string_view before = std::string_view(xml).substr(0, xml.rfind("</"));
+  if (!std::string_view(signed_xml).starts_with(before))
+    throw std::invalid_argument(
+        "the file is not the certificate that was to be signed; required: that file, unchanged, with a "
+        "signature (abcal lab sign)");
+  const std::string pem = certificate_in(signed_xml);
+  if (pem.empty())
+    throw std::invalid_argument(
+        "the file has no signature with an X.509 certificate; required: that of the approver (abcal lab "
+        "sign)");
+  if (!signs_all(signed_xml))
+    throw std::invalid_argument(
+        "the signature is of another kind; required: of the whole certificate, enveloped, SHA-256, exclusive "
+        "canonicalisation (abcal lab sign)");
+  if (const std::string why_not = why_signature_fails(signed_xml, pem); !why_not.empty())
+    throw std::invalid_argument("the signature: " + why_not);
+  return pem;
 }
 
 std::filesystem::path signature_path_of(const std::filesystem::path& file) {

@@ -20,6 +20,12 @@ struct PersonKey {
 std::vector<IntegrityCheck> check_certificate_signatures(const std::vector<IssuedCertificate>& certificates,
                                                          const std::vector<PersonKey>& keys);
 
+/// The X.509 certificate (PEM) of a signature that was made elsewhere: `signed_xml` is `xml`, byte for byte,
+/// with a signature of all of it at its end that verifies with this certificate. Whose it is, is for the
+/// caller to judge.
+/// @throws std::invalid_argument  if it is anything else; ProgramMissing, RunInterrupted
+std::string certificate_of_signature(const std::string& xml, const std::string& signed_xml);
+
 /// A printed certificate against the run's: its detached signature (FILE.p7s) verifies by a key as above, and
 /// the XML inside is that of the current certificate.
 /// @throws ProgramMissing, RunInterrupted, std::invalid_argument (the files cannot be read)

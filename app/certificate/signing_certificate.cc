@@ -12,6 +12,7 @@
 #include <stdexcept>
 
 #include "protocol/record/openssl_parts.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal {
 namespace {
@@ -46,6 +47,13 @@ std::string certificate_pem_of(X509* certificate) {
   const OpensslBio bio = writable();
   require_done(PEM_write_bio_X509(bio.get(), certificate) == 1, "certificate");
   return written(bio);
+}
+
+std::string utc_of(const ASN1_TIME* time) {
+  std::tm parts{};
+  require_done(ASN1_TIME_to_tm(time, &parts) == 1, "a time of the certificate");
+  return format_utc(std::chrono::time_point_cast<Clock::Duration>(
+      std::chrono::system_clock::from_time_t(::timegm(&parts))));
 }
 
 void add_name(X509_NAME* name, const char* field, const std::string& value) {
@@ -91,7 +99,8 @@ CertificateSubject subject_of(const std::string& certificate_pem) {
   X509_NAME_print_ex(name.get(), X509_get_subject_name(certificate.get()), 0,
                      XN_FLAG_ONELINE & ~static_cast<unsigned long>(ASN1_STRFLGS_ESC_MSB));
   require_done(PEM_write_bio_PUBKEY(key.get(), X509_get0_pubkey(certificate.get())) == 1, "public key");
-  return {written(name), written(key)};
+  return {written(name), written(key), utc_of(X509_get0_notBefore(certificate.get())),
+          utc_of(X509_get0_notAfter(certificate.get()))};
 }
 
 std::string sign_detached(std::string_view bytes, const SigningIdentity& by) {

@@ -17,10 +17,11 @@ struct SigningIdentity {
 SigningIdentity make_signing_identity(const std::string& person, const std::string& laboratory,
                                       Clock::UtcTime now);
 
-/// Whom a certificate names, and its public key.
+/// Whom a certificate names, its public key, and when it is valid.
 struct CertificateSubject {
   std::string name;  ///< "O = Example laboratory, CN = Approver N. N."
   std::string public_pem;
+  std::string valid_from_utc, valid_to_utc;  ///< As format_utc() writes times.
 };
 
 /// @throws std::invalid_argument if it is no X.509 certificate in PEM

@@ -106,6 +106,7 @@ CLI::App* add_lab(CLI::App& parent, int& exit_code) {
   add_lab_copies(*command, shared, exit_code);
   add_verify_register(*command, shared, exit_code);
   add_lab_time_stamp(*command, exit_code);
+  add_lab_sign(*command, exit_code);
   return command;
 }
 

@@ -25,4 +25,7 @@ void add_lab_copies(CLI::App& parent, const std::shared_ptr<LabOptions>& shared,
 /// Adds `abcal lab timestamp`, which needs no register.
 void add_lab_time_stamp(CLI::App& parent, int& exit_code);
 
+/// Adds `abcal lab sign`, which needs none either.
+void add_lab_sign(CLI::App& parent, int& exit_code);
+
 }  // namespace abcal

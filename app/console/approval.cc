@@ -85,39 +85,61 @@ void require_current(const ApprovalForm& form) {
                                     last.empty() ? "none" : last));
 }
 
+/// The valid keys of a person that the register knows.
+ApprovalJson keys_of(const std::string& person, const ApprovalPlace& place, Clock::UtcTime now) {
+  ApprovalJson list = ApprovalJson::array();
+  for (const lab::SigningKey& key : lab::Register::open(place.register_location, now).keys())
+    if (key.kind == "person" && key.owner == person && key.valid_to.empty())
+      list.push_back({{"fingerprint", key.fingerprint}, {"valid_from", key.valid_from}});
+  return list;
+}
+
 }  // namespace
 
+StoredRun require_approvable(const ApprovalForm& form, const ApprovalPlace& place) {
+  StoredRun stored = RunFile::load(form.run);
+  if (const std::string why = why_not_here(form.run, stored, place); !why.empty())
+    throw std::invalid_argument(why);
+  require_current(form);
+  return stored;
+}
+
+IssueAsked issue_asked(const ApprovalForm& form, const ApprovalPlace& place) {
+  IssueAsked asked;
+  asked.run = form.run.string();
+  asked.certificate.laboratory = place.laboratory_file.string();
+  asked.replaces = form.replaces;
+  asked.reason = form.reason;
+  return asked;
+}
+
+ApprovalJson issued_json(const IssueOutcome& outcome, const std::string& approver, bool training) {
+  return {{"number", outcome.known_now.empty() ? outcome.issued.number : outcome.known_now},
+          {"training", training},
+          {"approved_by", approver},
+          {"warnings", outcome.warnings}};
+}
+
 ApprovalJson approval_json(const std::filesystem::path& run, const ApprovalPlace& place,
-                           const Visitor& visitor) {
+                           const Visitor& visitor, Clock::UtcTime now) {
   const StoredRun stored = RunFile::load(run);
   const std::string why = why_not_here(run, stored, place);
   return {{"run_sha256", why.empty() ? sha256_of_file(run) : ""},
           {"measured_by", describe(operators_of(stored))},
           {"person", visitor.who.name},
           {"why_not", why},
+          {"keys", why.empty() ? keys_of(visitor.who.name, place, now) : ApprovalJson::array()},
           {"certificates", certificates_of(run)}};
 }
 
 ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now) {
-  const StoredRun stored = RunFile::load(form.run);
-  if (const std::string why = why_not_here(form.run, stored, place); !why.empty())
-    throw std::invalid_argument(why);
-  require_current(form);
+  const StoredRun stored = require_approvable(form, place);
   Approver approver(form, place, now);
   const lab::LoggedIn who = approver.who();
   if (const auto why = why_not_approve(who.person(), stored)) throw std::invalid_argument(*why);
-  IssueAsked asked;
-  asked.run = form.run.string();
-  asked.certificate.laboratory = place.laboratory_file.string();
-  asked.replaces = form.replaces;
-  asked.reason = form.reason;
   Registered registered{lab::Register::open(place.register_location, now), who};
-  const IssueOutcome outcome = issue_run(asked, &registered, now);
-  const std::string number = outcome.known_now.empty() ? outcome.issued.number : outcome.known_now;
-  return {{"number", number},
-          {"training", registered.opened.facts().training},
-          {"approved_by", who.name()},
-          {"warnings", outcome.warnings}};
+  const IssueOutcome outcome = issue_run(issue_asked(form, place), &registered, now);
+  return issued_json(outcome, who.name(), registered.opened.facts().training);
 }
 
 }  // namespace abcal::console

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "app/console/persons.h"
+#include "app/issuing/issue_run.h"
 #include "drivers/instrument/clock.h"
 
 namespace abcal::console {
@@ -30,9 +31,20 @@ class StaleApproval : public std::runtime_error {
 };
 
 /// What stands before the approval of a run: its hash, who measured it, its certificates, and why none can be
-/// issued here ("why_not"). Reads the run and opens the register.
+/// issued here ("why_not"), and the keys of whoever looks. Reads the run and opens the register.
 nlohmann::ordered_json approval_json(const std::filesystem::path& run, const ApprovalPlace& place,
-                                     const Visitor& visitor);
+                                     const Visitor& visitor, Clock::UtcTime now);
+
+/// Refuses what nobody can approve here, and what is older than the run or its last certificate.
+/// @return the run
+/// @throws StaleApproval, std::invalid_argument, RunFileError
+StoredRun require_approvable(const ApprovalForm& form, const ApprovalPlace& place);
+
+/// What issue_run() is asked for by a form.
+IssueAsked issue_asked(const ApprovalForm& form, const ApprovalPlace& place);
+
+/// A certificate that was issued, for pages.
+nlohmann::ordered_json issued_json(const IssueOutcome& outcome, const std::string& approver, bool training);
 
 /// Approves and issues, as `abcal issue` does. The approver proves with their password who they are.
 /// @return the certificate, for pages

@@ -1,5 +1,6 @@
 #include "app/console/download.h"
 
+#include <algorithm>
 #include <fstream>
 #include <stdexcept>
 
@@ -17,14 +18,15 @@
 #include "app/system/child_process.h"
 #include "app/system/read_file.h"
 #include "app/system/temporary_folder.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal::console {
 namespace {
 
 using Path = std::filesystem::path;
 
-ReportData data_of(const Path& run) {
-  return gather_report(run, RealClock().utc_now(), 1);  // Of several items the first, as the page shows.
+ReportData data_of(const ItemOfRun& of) {
+  return gather_report(of.run, RealClock().utc_now(), of.item);
 }
 
 /// The bytes that `write` puts into a file.
@@ -40,8 +42,8 @@ bool is_certified(const Path& run) {
 }
 
 /// As it was issued, byte for byte. Issuing is not for a page: `abcal issue`.
-std::string certificate(const Path& run, const std::stop_token&) {
-  const auto issued = current_certificate(run);
+std::string certificate(const ItemOfRun& of, const std::stop_token&) {
+  const auto issued = current_certificate(of.run);
   if (!issued) throw std::runtime_error("no certificate has been issued for this run; see `abcal issue`");
   return issued->xml;
 }
@@ -52,22 +54,22 @@ struct Shown {
   std::string certificate_xml;  ///< Empty: there is none.
 };
 
-Shown shown(const Path& run, const std::stop_token& cancelled) {
-  const ReportData data = data_of(run);
+Shown shown(const ItemOfRun& of, const std::stop_token& cancelled) {
+  const ReportData data = data_of(of);
   require_wanted(cancelled);
-  if (!is_certified(run)) return {document_html(calibration_document(data)).html, {}};
+  if (!is_certified(of.run)) return {document_html(calibration_document(data)).html, {}};
   std::string xml = certificate_for_report(data, {}, /*draft=*/false, RealClock().utc_now());
   return {document_html(certificate_page(xml)).html, std::move(xml)};
 }
 
-std::string report(const Path& run, const std::stop_token& cancelled) {
-  return shown(run, cancelled).html;
+std::string report(const ItemOfRun& of, const std::stop_token& cancelled) {
+  return shown(of, cancelled).html;
 }
 
-std::string printed_report(const Path& run, const std::stop_token& cancelled) {
+std::string printed_report(const ItemOfRun& of, const std::stop_token& cancelled) {
   return bytes_of([&](const Path& file) {
     PdfPrinter printer;
-    const Shown page = shown(run, cancelled);
+    const Shown page = shown(of, cancelled);
     require_wanted(cancelled);
     const auto is_cancelled = [&cancelled] { return cancelled.stop_requested(); };
     if (page.certificate_xml.empty()) return printer.print(page.html, file, std::nullopt, is_cancelled);
@@ -78,19 +80,25 @@ std::string printed_report(const Path& run, const std::stop_token& cancelled) {
   });
 }
 
-std::string averaged_readings(const Path& run, const std::stop_token&) {
-  return averaged_csv(data_of(run));
+std::string averaged_readings(const ItemOfRun& of, const std::stop_token&) {
+  return averaged_csv(data_of(of));
 }
 
-std::string single_readings(const Path& run, const std::stop_token&) {
-  return bytes_of([&](const Path& file) { write_raw_csv(data_of(run), file); });
+std::string single_readings(const ItemOfRun& of, const std::stop_token&) {
+  return bytes_of([&](const Path& file) { write_raw_csv(data_of(of), file); });
 }
 
-std::string hdf5(const Path& run, const std::stop_token&) {
-  return bytes_of([&](const Path& file) { export_hdf5(data_of(run), file, run.stem().string() + ".h5"); });
+std::string hdf5(const ItemOfRun& of, const std::stop_token&) {
+  return bytes_of([&](const Path& file) { export_hdf5(data_of(of), file, of.run.stem().string() + ".h5"); });
 }
 
 }  // namespace
+
+int first_whole_item(const Path& run) {
+  const std::vector<ItemProgress> items = RunFile::load(run).items;
+  const auto whole = std::ranges::find_if(items, [](const ItemProgress& item) { return !item.dropped_at; });
+  return whole == items.end() ? 1 : whole->k;
+}
 
 const std::vector<Download>& downloads() {
   static const std::vector<Download> all{

@@ -8,6 +8,15 @@
 
 namespace abcal::console {
 
+/// A run, and which of its items.
+struct ItemOfRun {
+  std::filesystem::path run;
+  int item = 1;
+};
+
+/// The first item of a run that was not left out; 1: there is one.
+int first_whole_item(const std::filesystem::path& run);
+
 /// Something that a page can fetch of a run. This list is the only place to add one.
 struct Download {
   std::string name;          ///< Last part of the path, and ending of the file's name: "readings.csv".
@@ -15,7 +24,7 @@ struct Download {
   std::string content_type;  ///< "text/csv; charset=utf-8"
   /// Called in a thread of a pool; `cancelled`: nobody waits for it any more. What it throws is shown to the
   /// person.
-  std::function<std::string(const std::filesystem::path& run, const std::stop_token& cancelled)> make;
+  std::function<std::string(const ItemOfRun& of, const std::stop_token& cancelled)> make;
   /// Whether a run has it; null: each has.
   std::function<bool(const std::filesystem::path& run)> available;
   bool is_printed = false;  ///< Takes seconds of another program.

@@ -13,6 +13,7 @@
 #include "app/console/watched.h"
 #include "app/session/bench_check.h"
 #include "app/session/item_check.h"
+#include "app/session/session_events.h"
 #include "drivers/instrument/clock.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/record/run_record.h"
@@ -40,6 +41,13 @@ struct RunBegan {
   std::string simulated;             ///< Which instruments are: "stage, accelerometer"; empty: none.
   std::optional<double> pace;        ///< If everything is simulated: simulated time over real time.
   std::string stage, accelerometer;  ///< Who they are, in words.
+  std::vector<ItemSummary> items{};  ///< Of several; empty: there is one.
+};
+
+/// One of several items takes no part any more.
+struct ItemDropped {
+  int k = 1;
+  std::string words;  ///< Why.
 };
 
 /// How long a phase may last before the run gives up.
@@ -74,7 +82,8 @@ struct InterruptedSeen {
 struct DwellSeen {
   std::size_t position = 0;
   DwellRecord dwell;
-  Clock::UtcTime told;  ///< When the measuring thread reported it, in real time.
+  Clock::UtcTime told;               ///< When the measuring thread reported it, in real time.
+  std::vector<ItemReading> items{};  ///< Of several: those that were measured. Empty: the first.
 };
 
 struct LogLine {
@@ -118,6 +127,6 @@ struct RunEnded {
 
 using Event = std::variant<ActivitySeen, RunBegan, PhaseSeen, DwellSeen, StageSeen, StripSeen, LogLine,
                            ChecksSeen, RunEnded, HaltSeen, FaultSeen, GuardSeen, InterruptedSeen, ItemChecked,
-                           QueueSeen, PortsSeen, LevelSeen>;
+                           ItemDropped, QueueSeen, PortsSeen, LevelSeen>;
 
 }  // namespace abcal::console

@@ -173,6 +173,9 @@ Json LiveView::on(const ActivitySeen& seen) {
 void LiveView::begin(const RunBegan& began) {
   run_ = began;
   dwells_.clear();
+  items_.clear();
+  for (const ItemSummary& item : began.items)
+    items_.push_back({item, item.missing.empty() ? began.measured.size() : 0, {}, item.missing});
   for (const auto& [position, dwell] : began.measured) store(position, dwell);
   phase_.reset();
   ended_.reset();
@@ -193,9 +196,45 @@ void LiveView::store(std::size_t position, const DwellRecord& dwell) {
   dwells_.insert_or_assign(position, dwell);
 }
 
+void LiveView::store_items(const DwellSeen& seen) {
+  std::vector<ItemReading> readings = seen.items;
+  if (readings.empty()) readings.push_back({1, seen.dwell.mean, seen.dwell.flags});
+  for (ItemSeen& item : items_) {
+    const auto reading = std::ranges::find(readings, item.summary.k, &ItemReading::k);
+    if (reading == readings.end()) continue;
+    // An angle that is measured again counts once.
+    if (!dwells_.contains(seen.position)) ++item.measured;
+    item.last = *reading;
+  }
+}
+
+Json LiveView::item_json(const ItemSeen& item) {
+  return {{"k", item.summary.k},
+          {"name", item.summary.name},
+          {"model", item.summary.model},
+          {"unit", item.summary.unit},
+          {"measured", item.measured},
+          {"mean", item.last ? vector(item.last->mean) : Json(nullptr)},
+          {"flags", item.last ? describe_flags(item.last->flags) : ""},
+          {"dropped", item.dropped.empty() ? Json(nullptr) : Json(item.dropped)}};
+}
+
+Json LiveView::items_json() const {
+  Json list = Json::array();
+  for (const ItemSeen& item : items_) list.push_back(item_json(item));
+  return list;
+}
+
+Json LiveView::on(const ItemDropped& seen) {
+  for (ItemSeen& item : items_)
+    if (item.summary.k == seen.k) item.dropped = seen.words;
+  return {{"type", "items"}, {"items", items_json()}};
+}
+
 Json LiveView::on(const DwellSeen& seen) {
   // The small turn of a check is no run.
   if (activity_.activity != Activity::kRunning) return {{"type", "nothing"}};
+  store_items(seen);
   store(seen.position, seen.dwell);
   const Clock::Instant now = clock_.now();
   if (last_dwell_) {
@@ -207,6 +246,7 @@ Json LiveView::on(const DwellSeen& seen) {
           {"dwell", dwell_json(seen.position, seen.dwell)},
           {"told_us", std::chrono::floor<std::chrono::microseconds>(seen.told).time_since_epoch().count()},
           {"fit", fit_of(seen.dwell.experiment)},
+          {"items", items_json()},
           {"progress", progress()}};
 }
 
@@ -380,6 +420,7 @@ std::string LiveView::snapshot() const {
                    {"plan", std::move(plan)},
                    {"dwells", std::move(dwells)},
                    {"fits", {fit_of(1), fit_of(2), fit_of(3)}},
+                   {"items", items_json()},
                    {"progress", progress()},
                    {"ended", ended_ ? ended_json(*ended_) : Json(nullptr)}};
   }

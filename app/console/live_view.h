@@ -44,6 +44,7 @@ class LiveView {
   Json on(const LogLine& line);
   Json on(const ChecksSeen& seen);
   Json on(const ItemChecked& seen);
+  Json on(const ItemDropped& seen);
   Json on(const QueueSeen& seen);
   Json on(const PortsSeen& seen);
   Json on(const LevelSeen& seen);
@@ -55,6 +56,7 @@ class LiveView {
   Json phase_json() const;
 
   void store(std::size_t position, const DwellRecord& dwell);
+  void store_items(const DwellSeen& seen);
   Json fit_of(int experiment) const;
   Json progress() const;
 
@@ -63,6 +65,16 @@ class LiveView {
   ActivitySeen activity_;
   std::optional<RunBegan> run_;
   std::map<std::size_t, DwellRecord> dwells_;  ///< By position in the plan.
+  /// One of several items, as far as it was measured.
+  struct ItemSeen {
+    ItemSummary summary;
+    std::size_t measured = 0;
+    std::optional<ItemReading> last;
+    std::string dropped;  ///< Why it takes no part any more; empty: it does.
+  };
+  static Json item_json(const ItemSeen& item);
+  Json items_json() const;
+  std::vector<ItemSeen> items_;  ///< Empty: there is one.
   std::optional<PhaseSeen> phase_;
   std::optional<RunEnded> ended_;
   std::optional<HaltSeen> halt_;  ///< The last of the current or last activity.

@@ -19,6 +19,7 @@ using asio::ip::tcp;
 
 constexpr std::uint32_t kLongestHeader = 8 * 1024;
 constexpr std::uint64_t kLongestBody = 1024;
+constexpr std::uint64_t kLongestCertificate = 8 * 1024 * 1024;
 /// Bytes a second at which a large answer must be taken.
 constexpr std::size_t kSlowest = 100 * 1024;
 constexpr std::size_t kLongestDrain = 64 * 1024;
@@ -194,11 +195,26 @@ void Server::Impl::HttpConnection::begin() {
 void Server::Impl::HttpConnection::read() {
   parser_.emplace();
   parser_->header_limit(kLongestHeader);
-  parser_->body_limit(kLongestBody);
+  parser_->body_limit(kLongestCertificate);  // A length beyond it ends the header with an error.
   stream_.next_layer().expires_after(server_.options.request_time);
+  http::async_read_header(
+      stream_, buffer_, *parser_,
+      [self = shared_from_this()](beast::error_code error, std::size_t) { self->have_header(error); });
+}
+
+void Server::Impl::HttpConnection::have_header(beast::error_code error) {
+  if (error) return have_read(error);
+  const HttpRequest& request = parser_->get();
+  const bool is_long = is_signed_certificate(request) &&
+                       server_.persons.find(server_.login_of(request), server_.clock.utc_now()) != nullptr;
+  if (!is_long) {
+    if (parser_->content_length().value_or(0) > kLongestBody)
+      return refuse_unreadable(make_error_code(http::error::body_limit));
+    parser_->body_limit(kLongestBody);
+  }
   http::async_read(
       stream_, buffer_, *parser_,
-      [self = shared_from_this()](beast::error_code error, std::size_t) { self->have_read(error); });
+      [self = shared_from_this()](beast::error_code failed, std::size_t) { self->have_read(failed); });
 }
 
 void Server::Impl::HttpConnection::refuse_unreadable(beast::error_code error) {

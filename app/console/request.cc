@@ -46,7 +46,8 @@ class Keys {
   }
   /// What a person chose for a run; its own keys are looked at there.
   RunChoice choice() {
-    seen_.insert({"item", "steps", "dwell_readings", "estimator", "bench_sha256", "form"});
+    seen_.insert(
+        {"item", "steps", "dwell_readings", "estimator", "without_missing_items", "bench_sha256", "form"});
     return parse_run_choice(object_);
   }
   void require_confirmation() {

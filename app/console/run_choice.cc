@@ -70,6 +70,10 @@ RunChoice parse_run_choice(const Json& object) {
   choice.steps = number_of(object, "steps", kLeastSteps, kMostSteps);
   choice.dwell_readings = number_of(object, "dwell_readings", 1, kMostReadings);
   choice.estimator = text_of(object, "estimator", kLongestForm);
+  if (const auto found = object.find("without_missing_items"); found != object.end()) {
+    if (!found->is_boolean()) throw RequestError("\"without_missing_items\" is neither true nor false");
+    choice.without_missing_items = found->get<bool>();
+  }
   choice.bench_sha256 = text_of(object, "bench_sha256", kLongestForm);
   choice.form = text_of(object, "form", kLongestForm);
   return choice;
@@ -108,6 +112,7 @@ nlohmann::ordered_json to_json(const RunChoice& choice) {
   if (choice.steps) json["steps"] = *choice.steps;
   if (choice.dwell_readings) json["dwell_readings"] = *choice.dwell_readings;
   if (!choice.estimator.empty()) json["estimator"] = choice.estimator;
+  if (choice.without_missing_items) json["without_missing_items"] = true;
   return json;
 }
 

@@ -24,6 +24,7 @@ struct RunChoice {
   std::optional<int> steps;           ///< Angles of each experiment, over a whole turn.
   std::optional<int> dwell_readings;  ///< At each angle.
   std::string estimator;
+  bool without_missing_items = false;  ///< Of several items those that are not there are left out.
   /// Of the bench file's bytes when the person looked at it; empty: whatever it says now.
   std::string bench_sha256;
   /// What tells one form from another: each starts one run at most; empty: any number.
@@ -31,8 +32,8 @@ struct RunChoice {
 };
 
 /// A choice that is not understood. what() says what was found and required.
-/// Reads the members "item", "steps", "dwell_readings", "estimator", "bench_sha256", "form" of an object;
-/// others are left to the caller.
+/// Reads the members "item", "steps", "dwell_readings", "estimator", "without_missing_items", "bench_sha256",
+/// "form" of an object; others are left to the caller.
 /// @throws RequestError (request.h)
 RunChoice parse_run_choice(const nlohmann::json& object);
 /// The same of the fields of an address: "serial_number", "maker", "model", "customer_number" and the others

@@ -295,9 +295,10 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
   return list;
 }
 
-Json RunLibrary::result(const std::filesystem::path& path) {
-  const StoredRun run = load_first_whole_item(path);
+Json RunLibrary::result(const std::filesystem::path& path, int item) {
+  const StoredRun run = item == 0 ? load_first_whole_item(path) : RunFile::load(path, item);
   Json json = {{"run", summary_of(path.filename().string(), run)}};
+  json["item"] = run.item;
   json["program_version"] = run.header.program_version;
   json["timing"] = {{"moving_s", run.timing.moving_s},
                     {"settling_s", run.timing.settling_s},

@@ -36,8 +36,9 @@ class RunLibrary {
   /// reason; one that `patience` left no time for, as "not read yet": ask again.
   nlohmann::ordered_json list(std::chrono::milliseconds patience = std::chrono::milliseconds(500));
   /// One run with the results of the three estimators (abcal.result/1 each), its angles and its events.
+  /// @param item  of several; 0: the first that was not left out
   /// @throws RunFileError
-  nlohmann::ordered_json result(const std::filesystem::path& run);
+  nlohmann::ordered_json result(const std::filesystem::path& run, int item);
   /// Two runs side by side (abcal.compare/1), also of different items.
   /// @param shared_stage  both were measured on one stage: the common part of its errors is subtracted
   /// @throws as load_compared() and compare_results()

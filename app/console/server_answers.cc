@@ -3,10 +3,11 @@
 
 #include <algorithm>
 #include <boost/asio/post.hpp>
+#include <charconv>
 #include <cmath>
 #include <utility>
 
-#include "app/console/approval.h"
+#include "app/bench/bench_config.h"
 #include "app/console/asset.h"
 #include "app/console/download.h"
 #include "app/console/server_impl.h"
@@ -28,6 +29,16 @@ std::string_view content_type(std::string_view path) {
   return "application/octet-stream";
 }
 
+/// The number of an item in a path; nothing: it is none.
+std::optional<int> item_of(const std::string& text) {
+  int item = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), item);
+  if (error != std::errc() || end != text.data() + text.size() || item < 1 ||
+      item > static_cast<int>(kMostItems))
+    return std::nullopt;
+  return item;
+}
+
 const Asset* find_asset(std::string_view path) {
   for (const Asset& asset : assets())
     if (asset.path == path) return &asset;
@@ -43,14 +54,6 @@ bool is_for_everybody(std::string_view path) {
 std::string answer_text(const nlohmann::ordered_json& body) {
   return with_visible_direction_controls(
       body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace));
-}
-
-HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body) {
-  return respond(to, http::status::ok, "application/json", answer_text(body));
-}
-
-std::shared_ptr<const Product> made_of_json(const nlohmann::ordered_json& body) {
-  return std::make_shared<const Product>(Product{200, "application/json", answer_text(body)});
 }
 
 }  // namespace
@@ -73,6 +76,14 @@ HttpResponse respond(const HttpRequest& request, http::status status, std::strin
   response.body() = std::move(body);
   response.prepare_payload();
   return response;
+}
+
+HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body) {
+  return respond(to, http::status::ok, "application/json", answer_text(body));
+}
+
+std::shared_ptr<const Product> made_of_json(const nlohmann::ordered_json& body) {
+  return std::make_shared<const Product>(Product{200, "application/json", answer_text(body)});
 }
 
 HttpResponse plain(const HttpRequest& request, http::status status, std::string text) {
@@ -121,6 +132,7 @@ HttpResponse Server::Impl::answer(const Asked& asked, Slow& later) {
   if (asked.access == Access::kNoToken) return ask_who(asked, path);
   if (path == "/logout" && request.method() == http::verb::post) return log_out(asked);
   if (path == "/approve" && request.method() == http::verb::post) return approve_certificate(asked, later);
+  if (is_signed_certificate(request)) return take_signed_certificate(asked, target->words, later);
   if (!reads) return refuse(asked, http::status::method_not_allowed, "Only GET is answered here.");
 
   if (const Asset* asset = find_asset(path == "/" ? "/index.html" : path))
@@ -284,94 +296,6 @@ HttpResponse Server::Impl::log_in(const Asked& asked, Slow& later) {
   return {};
 }
 
-/// POST /approve: a form with `run`, `run_sha256`, `name` and `password` of who approves, and `replaces` and
-/// `reason` where there is a certificate already. The login of the page does not count: approving is done by
-/// a person who is there.
-HttpResponse Server::Impl::approve_certificate(const Asked& asked, Slow& later) {
-  const auto form = parse_form(asked.request.body());
-  if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
-  const auto field = [&](const char* name) {
-    const auto found = form->find(name);
-    return found == form->end() ? std::string() : found->second;
-  };
-  const auto run = library.find(field("run"));
-  if (!run) return refuse(asked, http::status::not_found, "There is no such run.");
-  const ApprovalForm filled{
-      *run, field("run_sha256"), field("name"), field("password"), field("replaces"), field("reason")};
-  if (options.register_location.empty() || filled.approver.empty() || filled.password.empty())
-    return refuse(asked, http::status::bad_request,
-                  "Required: a register, and name and password of a person who may approve.");
-  try {
-    require_plain_text("reason", filled.reason, kLongestNote);
-  } catch (const RequestError& error) {
-    return refuse(asked, http::status::bad_request, error.what());
-  }
-  if (const auto wait = throttle.wait(filled.approver, asked.peer.client, clock.now());
-      wait > Clock::Duration::zero())
-    return too_many_failures(asked, wait);
-
-  // The request is gone when the certificate is made.
-  struct Attempt {
-    Peer peer;
-    HttpRequest head;
-    std::string name, run, by;
-    nlohmann::ordered_json issued;
-    http::status status = http::status::ok;
-    std::string problem;
-    bool wrong_password = false;
-  };
-  auto attempt = std::make_shared<Attempt>();
-  attempt->peer = asked.peer;
-  attempt->head = head_of(asked.request);
-  attempt->head.target("/approve");
-  attempt->head.method(http::verb::post);
-  attempt->name = filled.approver;
-  attempt->run = run->filename().string();
-  const auto finish = [this, attempt]() -> HttpResponse {
-    const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
-    if (attempt->wrong_password) throttle.failed(attempt->name, attempt->peer.client, clock.now());
-    if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
-    throttle.succeeded(attempt->name, attempt->peer.client);
-    print_log("console: certificate {} of {}, approved by {} at {}\n",
-              attempt->issued.at("number").get<std::string>(), attempt->run, attempt->name,
-              attempt->peer.remote);
-    return json_answer(attempt->head, attempt->issued);
-  };
-  const ApprovalPlace place{options.register_location, options.laboratory_file};
-  later.where = &seal;
-  later.job = [this, attempt, filled, place, finish] {
-    try {
-      attempt->issued = approve(filled, place, clock.utc_now());
-    } catch (const LoginRefused&) {
-      attempt->wrong_password = true;
-      attempt->status = http::status::unprocessable_entity;
-      attempt->problem = "Name or password is not right.";
-    } catch (const StaleApproval& stale) {
-      attempt->status = http::status::conflict;
-      attempt->problem = stale.what();
-    } catch (const std::exception& error) {
-      attempt->status = http::status::unprocessable_entity;
-      attempt->problem = error.what();
-    }
-    return Slow::Finish(finish);
-  };
-  return {};
-}
-
-/// GET /runs/NAME/approval
-bool Server::Impl::order_approval(const std::vector<std::string>& words, const Visitor& visitor,
-                                  Slow& later) {
-  if (words.size() != 3 || words[0] != "runs" || words[2] != "approval") return false;
-  const auto run = library.find(words[1]);
-  if (!run) return false;
-  later.workshop = &analyses;
-  later.name.clear();  // Each person sees their own.
-  later.make = [run = *run, visitor,
-                place = ApprovalPlace{options.register_location, options.laboratory_file}](
-                   const std::stop_token&) { return made_of_json(approval_json(run, place, visitor)); };
-  return true;
-}
-
 /// POST /logout: ends the login, its pages and its cookies.
 HttpResponse Server::Impl::log_out(const Asked& asked) {
   if (const std::string login = asked.visitor.login; !login.empty()) {
@@ -458,7 +382,8 @@ Workshop::Make Server::Impl::kept(const std::string& what, std::vector<std::file
   };
 }
 
-/// /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /compare/NAME/NAME[/shared-stage], /history/SERIAL
+/// /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /runs/NAME/items/K/result and so on,
+/// /compare/NAME/NAME[/shared-stage], /history/SERIAL
 bool Server::Impl::order_of_library(const std::vector<std::string>& words, Slow& later) {
   later.workshop = &analyses;
   if (words == std::vector<std::string>{"runs"}) {
@@ -483,22 +408,33 @@ bool Server::Impl::order_of_library(const std::vector<std::string>& words, Slow&
                       });
     return true;
   }
-  if (words.size() != 3 || words[0] != "runs") return false;
+  const bool of_item = words.size() == 5 && words[2] == "items";
+  if (words[0] != "runs" || (words.size() != 3 && !of_item)) return false;
   const auto path = library.find(words[1]);
-  if (!path) return false;
-  const std::vector<std::filesystem::path> files{*path, ResultsFile::path_beside(*path)};
-  if (words[2] == "result") {
-    later.make = kept("result", files, [this, run = *path](const std::stop_token&) {
-      return *made_of_json(library.result(run));
+  const auto item = of_item ? item_of(words[3]) : 0;
+  if (!path || !item) return false;
+  return order_of_run(*path, *item, words.back(), later);
+}
+
+/// What is made of a run, of one of its items. @param item  0: the first that was not left out
+bool Server::Impl::order_of_run(const std::filesystem::path& path, int item, const std::string& what,
+                                Slow& later) {
+  const std::vector<std::filesystem::path> files{path, ResultsFile::path_beside(path)};
+  const std::string of_item = item == 0 ? "" : fmt::format(", item {}", item);
+  if (what == "result") {
+    later.make = kept("result" + of_item, files, [this, path, item](const std::stop_token&) {
+      return *made_of_json(library.result(path, item));
     });
     return true;
   }
   for (const Download& download : downloads()) {
-    if (words[2] != download.name) continue;
+    if (what != download.name) continue;
     if (download.is_printed) later.workshop = &prints;
-    later.make = kept(download.name, files, [run = *path, download](const std::stop_token& cancelled) {
-      return Product{200, download.content_type, download.make(run, cancelled), true};
-    });
+    later.make =
+        kept(download.name + of_item, files, [path, item, download](const std::stop_token& cancelled) {
+          const ItemOfRun of{path, item == 0 ? first_whole_item(path) : item};
+          return Product{200, download.content_type, download.make(of, cancelled), true};
+        });
     return true;
   }
   return false;

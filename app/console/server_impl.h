@@ -30,6 +30,7 @@
 #include "app/console/request.h"
 #include "app/console/run_library.h"
 #include "app/console/server.h"
+#include "app/console/signature_desk.h"
 #include "app/console/silent_connections.h"
 #include "app/console/stream.h"
 #include "app/console/target.h"
@@ -99,6 +100,10 @@ inline std::string_view view(boost::beast::string_view text) {
 HttpResponse respond(const HttpRequest& request, boost::beast::http::status status, std::string_view type,
                      std::string body);
 HttpResponse plain(const HttpRequest& request, boost::beast::http::status status, std::string text);
+HttpResponse json_answer(const HttpRequest& to, const nlohmann::ordered_json& body);
+std::shared_ptr<const Product> made_of_json(const nlohmann::ordered_json& body);
+/// POST /runs/NAME/signed-certificate, which alone may be long.
+bool is_signed_certificate(const HttpRequest& request);
 /// The parts of a request that its answer needs.
 HttpRequest head_of(const HttpRequest& request);
 /// "192.0.2.1"; an IPv4 address in IPv6 is IPv4.
@@ -152,11 +157,16 @@ struct Server::Impl {
   HttpResponse log_in_by_token(const Asked& asked, const std::string& token);
   HttpResponse log_out(const Asked& asked);
   HttpResponse approve_certificate(const Asked& asked, Slow& later);
+  HttpResponse prepare_certificate(const Asked& asked, const ApprovalForm& form, Slow& later);
+  HttpResponse take_signed_certificate(const Asked& asked, const std::vector<std::string>& words,
+                                       Slow& later);
+  ApprovalPlace approval_place() const { return {options.register_location, options.laboratory_file}; }
   HttpResponse too_many_failures(const Asked& asked, Clock::Duration wait);
   void set_cookie(const Asked& asked, HttpResponse& response, const std::string& name,
                   const std::string& value, std::chrono::seconds life) const;
   /// Reads runs and makes something of them. Nothing for other paths.
   bool order_of_library(const std::vector<std::string>& words, Slow& later);
+  bool order_of_run(const std::filesystem::path& path, int item, const std::string& what, Slow& later);
   bool order_approval(const std::vector<std::string>& words, const Visitor& visitor, Slow& later);
   bool order_start_form(const Asked& asked, Slow& later);
   /// What is made of files, and kept.
@@ -198,8 +208,9 @@ struct Server::Impl {
   Page* controller = nullptr;
   bool controller_silent = false;
   std::int64_t pages_so_far = 0;
-  boost::asio::thread_pool door{1};  ///< Asks the register.
-  boost::asio::thread_pool seal{1};  ///< Issues certificates, one after another.
+  boost::asio::thread_pool door{1};            ///< Asks the register.
+  SignatureDesk signatures{approval_place()};  ///< For the thread of `seal`.
+  boost::asio::thread_pool seal{1};            ///< Issues certificates, one after another.
   // What takes seconds has threads of its own: nothing else waits for them.
   ProductCache products{kMostKept};
   Workshop lists{io, 1};
@@ -265,6 +276,8 @@ class Server::Impl::HttpConnection : public std::enable_shared_from_this<HttpCon
  private:
   bool know_peer();
   void read();
+  /// Of somebody who is logged in more is read than of others, for a signed certificate alone.
+  void have_header(boost::beast::error_code error);
   void have_read(boost::beast::error_code error);
   void refuse_unreadable(boost::beast::error_code error);
   /// Behind a proxy each request may come from another client.

@@ -298,6 +298,7 @@ RunBegan Session::describe(const RunBeganEvent& event) const {
   began.plan = event.plan;
   for (const DwellDoneEvent& each : event.measured) began.measured.emplace_back(each.position, each.dwell);
   began.estimated_s = event.estimated_s / began.pace.value_or(1.0);
+  began.items = event.items;
   began.stage = in_words(event.stage);
   began.accelerometer =
       fmt::format("{}, {:g} readings/s in {}", in_words(event.accelerometer), event.rate_hz, event.unit);
@@ -344,12 +345,13 @@ void Session::show(const SessionEvent& event) {
       session.tell_(PhaseSeen{phase.position, phase.phase, session.limit_of(phase.phase)});
     }
     void operator()(const DwellDoneEvent& done) const {
-      session.tell_(DwellSeen{done.position, done.dwell, RealClock().utc_now()});
+      session.tell_(DwellSeen{done.position, done.dwell, RealClock().utc_now(), done.items});
     }
     void operator()(const FlagEvent& flag) const { warn(flag.text); }
     void operator()(const PortLostEvent& lost) const { warn(lost.text); }
     void operator()(const PortBackEvent& back) const { warn(back.text); }
     void operator()(const NoticeEvent& notice) const {
+      if (notice.kind == kItemDroppedEvent) tell_dropped(notice.text);
       if (notice.kind != kGuardEvent) return warn(notice.text);
       session.tell_(GuardSeen{notice.text});
       session.log(notice.text);
@@ -382,6 +384,12 @@ void Session::show(const SessionEvent& event) {
     void operator()(const HeldEvent&) const {}
     void operator()(const ContinuedEvent&) const {}
     void operator()(const ReplayComparedEvent&) const {}
+    /// The words begin with the item: "item 3, accelerometer ...", "item 3 takes no part".
+    void tell_dropped(const std::string& words) const {
+      for (int k = 1; k <= static_cast<int>(kMostItems); ++k)
+        if (words.starts_with(fmt::format("item {},", k)) || words.starts_with(fmt::format("item {} ", k)))
+          session.tell_(ItemDropped{k, words});
+    }
     void warn(const std::string& text) const { session.tell_(LogLine{LogLine::Grade::kWarning, text}); }
   };
   std::visit(Show{*this}, event);
@@ -417,7 +425,10 @@ void Session::do_start(const std::string& name, const RunChoice& choice) {
   const BenchConfig& config = chosen.config;
   for (std::string& warning : chosen.warnings) tell_(LogLine{LogLine::Grade::kWarning, std::move(warning)});
   for (const std::string& warning : config.warnings) tell_(LogLine{LogLine::Grade::kWarning, warning});
-  run_->start({write_bench(config), options_.bench_file.string(), (options_.runs / name).string(), false});
+  StartRequest request{write_bench(config), options_.bench_file.string(), (options_.runs / name).string(),
+                       false};
+  request.without_missing_items = choice.without_missing_items;
+  run_->start(request);
 }
 
 void Session::do_level(const std::filesystem::path& run) {

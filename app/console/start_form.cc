@@ -82,7 +82,13 @@ class Form {
                      {"model", config.item.model},
                      {"serial_number", config.item.serial_number},
                      {"customer_number", config.item.customer_number}};
-    if (config.item.serial_number.empty())
+    json_["items"] = Json::array();
+    for (const TrayItem& item : config.tray)
+      json_["items"].push_back({{"maker", item.item.maker},
+                                {"model", item.item.model},
+                                {"serial_number", item.item.serial_number},
+                                {"driver", item.accelerometer.driver}});
+    if (config.tray.empty() && config.item.serial_number.empty())
       warn("The item has no serial number: the run will have the one that the instrument reports.");
     add_register(config);
     add_operator(config);

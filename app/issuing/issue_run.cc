@@ -8,6 +8,7 @@
 
 #include "app/certificate/certificate.h"
 #include "app/certificate/issue.h"
+#include "app/certificate/signature_checks.h"
 #include "app/certificate/signing_certificate.h"
 #include "app/compare/check_chart.h"
 #include "app/session/time_stamp_authority.h"
@@ -110,18 +111,43 @@ void take_number(Registered& registered, Certificate& certificate, Clock::UtcTim
 }
 
 /// With a register, an approver signs with a key of their own that the register knows.
-void require_own_key(Registered& registered, const std::string& certificate_file) {
-  const CertificateSubject subject = subject_of(read_file(certificate_file));
-  const std::string fingerprint = fingerprint_of(subject.public_pem);
+/// @param from  where the certificate of the key comes from, for messages
+void require_own_key(Registered& registered, const std::string& certificate_pem, const std::string& from,
+                     Clock::UtcTime now) {
+  const CertificateSubject subject = subject_of(certificate_pem);
+  const std::string fingerprint = fingerprint_of(subject.public_pem), today = format_utc(now);
   const std::string& approver = registered.approver.name();
-  for (const lab::SigningKey& key : registered.opened.keys())
-    if (key.fingerprint == fingerprint && key.kind == "person" && key.owner == approver &&
-        key.valid_to.empty())
-      return;
+  for (const lab::SigningKey& key : registered.opened.keys()) {
+    if (key.fingerprint != fingerprint || key.kind != "person" || key.owner != approver) continue;
+    if (!key.valid_to.empty())
+      throw std::invalid_argument(
+          fmt::format("{}: the key of \"{}\" was retired on {}; required: a key that is valid", from,
+                      subject.name, key.valid_to));
+    if (today < subject.valid_from_utc || today > subject.valid_to_utc)
+      throw std::invalid_argument(fmt::format(
+          "{}: the certificate of \"{}\" is valid from {} to {}; required: one that is valid today", from,
+          subject.name, subject.valid_from_utc, subject.valid_to_utc));
+    return;
+  }
   throw std::invalid_argument(fmt::format(
-      "--certificate {}: the key of \"{}\", which is none of {}'s in the register; required: a key of the "
-      "approver's own (abcal lab key \"{}\" --kind person --certificate FILE)",
-      certificate_file, subject.name, approver, approver));
+      "{}: the key of \"{}\", which is none of {}'s in the register; required: a key of the approver's own "
+      "(abcal lab key \"{}\" --kind person --certificate FILE)",
+      from, subject.name, approver, approver));
+}
+
+/// The certificate of a complete run, with its number.
+Certificate numbered_certificate(const IssueAsked& asked, Registered* registered, Clock::UtcTime now) {
+  CertificateRequest request;
+  request.laboratory = read_laboratory_file(asked.certificate.laboratory);
+  if (!asked.certificate.language.empty()) request.laboratory.file.language = asked.certificate.language;
+  request.run = gather_report(asked.run, now, asked.item);
+  if (!asked.certificate.as_found.empty())
+    request.as_found = gather_as_found(asked.certificate.as_found, request.run, now);
+  request.issue = facts_of(asked, format_utc(now));
+  if (registered != nullptr) use_register(*registered, request);
+  Certificate certificate = make_certificate(std::move(request));
+  if (registered != nullptr) take_number(*registered, certificate, now);
+  return certificate;
 }
 
 }  // namespace
@@ -136,24 +162,16 @@ IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::U
       outcome.known_now = *std::move(known);
       return outcome;
     }
-    if (!asked.key.empty()) require_own_key(*registered, asked.key_certificate);
+    if (!asked.key.empty())
+      require_own_key(*registered, read_file(asked.key_certificate), "--certificate " + asked.key_certificate,
+                      now);
   }
   if (RunFile::is_closed(asked.run))
     if (const auto why = stamp_if_configured(asked.run)) outcome.warnings.push_back(*why);
-  CertificateRequest request;
-  request.laboratory = read_laboratory_file(asked.certificate.laboratory);
-  if (!asked.certificate.language.empty()) request.laboratory.file.language = asked.certificate.language;
-  request.run = gather_report(asked.run, now, asked.item);
-  if (!asked.certificate.as_found.empty())
-    request.as_found = gather_as_found(asked.certificate.as_found, request.run, now);
-  request.issue = facts_of(asked, format_utc(now));
-  if (registered != nullptr) use_register(*registered, request);
-  Certificate certificate = make_certificate(std::move(request));
-
   const DccSchema schema = schema_of(asked.certificate);
+  const Certificate certificate = numbered_certificate(asked, registered, now);
   std::optional<SigningKey> key;
   if (!asked.key.empty()) key = SigningKey{asked.key, asked.key_certificate};
-  if (registered != nullptr) take_number(*registered, certificate, now);
   outcome.issued = issue_certificate(certificate, &schema, key, format_utc(now));
   if (registered != nullptr)
     registered->opened.record_issued(registered->approver, outcome.issued.number,
@@ -162,6 +180,38 @@ IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::U
   outcome.is_signed = key.has_value();
   outcome.verified = !certificate.issue->register_identity.empty();
   outcome.operators = describe(certificate.operators);
+  return outcome;
+}
+
+AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, Clock::UtcTime now) {
+  (void)chosen_item(asked.run, asked.item);
+  if (const auto known = record_kept_certificate(registered, asked, now))
+    throw std::invalid_argument(
+        fmt::format("certificate {} is kept with the run; the register knows it now", *known));
+  AwaitedSignature awaited;
+  if (RunFile::is_closed(asked.run))
+    if (const auto why = stamp_if_configured(asked.run)) awaited.warnings.push_back(*why);
+  const DccSchema schema = schema_of(asked.certificate);
+  const Certificate certificate = numbered_certificate(asked, &registered, now);
+  awaited.prepared = prepare_certificate(certificate, &schema);
+  awaited.files = asked.certificate;
+  awaited.training = certificate.training();
+  return awaited;
+}
+
+IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& signed_xml,
+                          Registered& registered, Clock::UtcTime now) {
+  const std::string pem = certificate_of_signature(awaited.prepared.issued.xml, signed_xml);
+  require_own_key(registered, pem, "the signature", now);
+  const DccSchema schema = schema_of(awaited.files);
+  IssueOutcome outcome;
+  outcome.issued = keep_certificate(awaited.prepared, signed_xml, &schema, format_utc(now));
+  registered.opened.record_issued(registered.approver, outcome.issued.number, sha256_of(outcome.issued.xml),
+                                  outcome.issued.date, now);
+  outcome.training = awaited.training;
+  outcome.is_signed = outcome.verified = true;
+  outcome.operators = outcome.issued.measured_by;
+  outcome.warnings = awaited.warnings;
   return outcome;
 }
 

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "app/certificate/issue.h"
 #include "app/certificate/report_certificate.h"
 #include "app/laboratory/register.h"
 #include "drivers/instrument/clock.h"
@@ -44,6 +45,25 @@ struct IssueOutcome {
 /// @param registered  null: there is no register
 /// @throws as make_certificate(), issue_certificate(); lab::RegisterError; std::invalid_argument
 IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::UtcTime now);
+
+/// A certificate that has its number, and waits for the signature of its approver, which is made elsewhere.
+struct AwaitedSignature {
+  PreparedCertificate prepared;
+  CertificateFiles files;
+  bool training = false;
+  std::vector<std::string> warnings;
+};
+
+/// The first half of issue_run(): all that comes before the signature, so that the approver's private key
+/// need not be on this computer. If nothing follows, the next certificate of the run has the same number.
+/// @throws as issue_run()
+AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, Clock::UtcTime now);
+
+/// The second half. @param signed_xml  the XML that was prepared, with its signature by a valid key of the
+/// approver that the register knows
+/// @throws as issue_run(); std::invalid_argument for another signature: nothing is issued then
+IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& signed_xml,
+                          Registered& registered, Clock::UtcTime now);
 
 /// Whether whoever approves may: the right, and not one of those who measured.
 /// @return why not, in words; nothing: they may

@@ -20,7 +20,8 @@ void SessionObserver::dwell(std::size_t position, const DwellRecord& dwell) {
 }
 
 void SessionObserver::dwells(std::size_t position, std::span<const ItemDwell> dwells) {
-  if (dwells.size() == 1) return dwell(position, dwells.front().dwell);
+  // Of several items the only one that is left is named, unless it is the first.
+  if (dwells.size() == 1 && dwells.front().item == 1) return dwell(position, dwells.front().dwell);
   DwellDoneEvent done{position, dwells.front().dwell};
   for (const ItemDwell& each : dwells) done.items.push_back({each.item, each.dwell.mean, each.dwell.flags});
   tell(std::move(done));

@@ -5,9 +5,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <string>
 
+#include "app/bench/real_clock.h"
 #include "app/certificate/issue.h"
+#include "app/certificate/signing_certificate.h"
 #include "tests/console/console_fixture.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/training_register.h"
@@ -150,6 +153,131 @@ TEST_F(ApprovalTest, FailuresSlowDown) {
   look();
   for (int i = 0; i < 5; ++i) EXPECT_EQ(approve("Approver N. N.", "", "wrong").status, 422U);
   EXPECT_EQ(approve("Approver N. N.").status, 429U);
+}
+
+/// The private key never comes to the console: what it is given is the certificate, signed elsewhere.
+class ApprovalByKeyTest : public ApprovalTest {
+ protected:
+  ApprovalByKeyTest() {
+    registered.log_in("Approver N. N.");
+    for (const auto& [name, file] : {std::pair{"Approver N. N.", "approver"}, {"Operator N. N.", "operator"}})
+      registered.lab({"key", name, "--kind", "person", "-o", in_folder(file, ".pem"), "--certificate",
+                      in_folder(file, ".crt")});
+  }
+  std::string in_folder(const std::string& name, const std::string& ending) const {
+    return (folder / (name + ending)).string();
+  }
+  test::Answer prepare(const std::string& more = "") {
+    return test::http_post(port, "/approve", "run=a.run&by_key=yes&run_sha256=" + sha256 + more, person);
+  }
+  /// The certificate that is to be signed.
+  std::string prepared(const std::string& more = "") {
+    const test::Answer answer = prepare(more);
+    EXPECT_EQ(answer.status, 200U) << answer.body;
+    return answer.status == 200U ? Json::parse(answer.body)["xml"].get<std::string>() : std::string();
+  }
+  std::string signed_by(const std::string& xml, const std::string& key) {
+    test::write_file(folder / "to-sign.xml", xml);
+    const auto signing = test::run_program({"lab", "sign", "to-sign.xml", "--sign", key + ".pem",
+                                            "--certificate", key + ".crt", "-o", "signed.xml", "--force"},
+                                           folder.path());
+    EXPECT_EQ(signing.exit_code, 0) << signing.err;
+    return test::read_file(folder / "signed.xml");
+  }
+  test::Answer hand_in(const std::string& xml) {
+    return test::http_post(port, "/runs/a.run/signed-certificate", xml, person);
+  }
+  void refuses(const std::string& xml, const std::string& words) {
+    const test::Answer answer = hand_in(xml);
+    EXPECT_EQ(answer.status, 422U) << words;
+    EXPECT_THAT(answer.body, HasSubstr(words));
+    EXPECT_FALSE(current_certificate(runs() / "a.run"));
+  }
+  void look_as_approver() {
+    person = logged_in("Approver N. N.");
+    sha256 = state()["run_sha256"];
+  }
+};
+
+TEST_F(ApprovalByKeyTest, TheApproverSignsElsewhere) {
+  open();
+  look_as_approver();
+  ASSERT_EQ(state()["keys"].size(), 1U) << "the operator's is not the approver's";
+  EXPECT_EQ(hand_in("<xml/>").status, 409U) << "none waits";
+  const std::string xml = prepared();
+  EXPECT_EQ(prepared(), xml) << "the same number again";
+  EXPECT_FALSE(current_certificate(runs() / "a.run")) << "nothing is issued before it is signed";
+  const std::string signed_xml = signed_by(xml, "approver");
+  const test::Answer issued = hand_in(signed_xml);
+  ASSERT_EQ(issued.status, 200U) << issued.body;
+  const std::string number = Json::parse(issued.body)["number"];
+  EXPECT_TRUE(is_logged("certificate " + number + " of a.run, approved by Approver N. N."));
+  const auto kept = current_certificate(runs() / "a.run");
+  ASSERT_TRUE(kept);
+  EXPECT_EQ(kept->number, number);
+  EXPECT_EQ(kept->approved_by, "Approver N. N.");
+  EXPECT_EQ(kept->xml, signed_xml);
+  const auto verified = test::run_program({"verify", "runs/a.run"}, folder.path());
+  EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
+  EXPECT_THAT(verified.out, HasSubstr("verifies by a key of Approver N. N."));
+  EXPECT_THAT(registered.lab({"verify"}), HasSubstr("certificate numbers: 1 given"));
+  EXPECT_EQ(hand_in(signed_xml).status, 409U) << "twice";
+  EXPECT_EQ(prepare().status, 409U) << "the form is older than the certificate";
+
+  const std::string amended = prepared("&replaces=" + number + "&reason=a+wrong+customer");
+  EXPECT_EQ(hand_in(signed_by(amended, "approver")).status, 200U);
+  EXPECT_EQ(state()["certificates"][1]["replaces"], number);
+}
+
+TEST_F(ApprovalByKeyTest, RefusesOtherSignatures) {
+  open();
+  look_as_approver();
+  const std::string xml = prepared(), good = signed_by(xml, "approver");
+  refuses(xml, "no signature with an X.509 certificate");
+  refuses("no XML", "not the certificate that was to be signed");
+  refuses(signed_by(xml, "operator"), "which is none of Approver N. N.'s in the register");
+  const auto changed = [&](const std::string& what, const std::string& by) {
+    std::string text = good;
+    replace(text, what, by);
+    return text;
+  };
+  refuses(changed("Example laboratory", "Another laboratory"), "not the certificate that was to be signed");
+  refuses(changed("xmldsig#enveloped-signature", "xmldsig#base64"), "the signature is of another kind");
+  refuses(changed("URI=\"\"", "URI=\"#results\""), "the signature is of another kind");
+  const std::size_t value = good.find("SignatureValue>") + std::string("SignatureValue>").size() + 3;
+  refuses(changed(good.substr(value, 8), "AAAAAAAA"), "it does not verify");
+
+  // A certificate of the key that has run out.
+  const SigningIdentity old = make_signing_identity("Approver N. N.", "Example laboratory",
+                                                    RealClock().utc_now() - std::chrono::hours(24 * 366 * 4));
+  test::write_file(folder / "old.pem", old.private_pem);
+  test::write_file(folder / "old.crt", old.certificate_pem);
+  registered.lab({"key", "Approver N. N.", "--kind", "person", "--certificate", in_folder("old", ".crt")});
+  refuses(signed_by(xml, "old"), "required: one that is valid today");
+
+  const Json keys = state()["keys"];
+  ASSERT_EQ(keys.size(), 2U);
+  for (const Json& key : keys)
+    registered.lab({"retire", "key", key["fingerprint"].get<std::string>(), "--reason", "lost"});
+  refuses(good, "was retired on");
+  EXPECT_EQ(state()["keys"].size(), 0U);
+}
+
+TEST_F(ApprovalByKeyTest, RefusesWhoMayNot) {
+  open();
+  look();  // As who measured.
+  const test::Answer own = prepare();
+  EXPECT_EQ(own.status, 422U);
+  EXPECT_THAT(own.body, HasSubstr("may not approve"));
+  EXPECT_EQ(test::http_post(port, "/approve", "run=a.run&by_key=yes").status, 401U) << "nobody";
+  look_as_approver();
+  const std::string signed_xml = signed_by(prepared(), "approver");
+  person = logged_in("Operator N. N.");
+  EXPECT_EQ(hand_in(signed_xml).status, 409U) << "it waits for another person";
+  test::Headers elsewhere = logged_in("Approver N. N.");
+  elsewhere["Origin"] = "http://evil.example.org";
+  EXPECT_EQ(test::http_post(port, "/runs/a.run/signed-certificate", signed_xml, elsewhere).status, 403U);
+  EXPECT_FALSE(current_certificate(runs() / "a.run"));
 }
 
 TEST_F(ApprovalTest, SaysWhyNothingIsIssuedHere) {

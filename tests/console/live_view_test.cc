@@ -72,6 +72,38 @@ TEST_F(LiveViewTest, GrowsACurvePointByPoint) {
   EXPECT_EQ(snapshot()["run"]["fits"][0]["outputs"][0], fit);
 }
 
+TEST_F(LiveViewTest, FollowsEachOfSeveralItems) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  RunBegan began = run_of(12);
+  began.items = {{1, "SN 1", "A", "g", 100.0, ""},
+                 {2, "SN 2", "B", "m/s2", 50.0, ""},
+                 {3, "SN 3", "A", "g", 100.0, "no answer"}};
+  apply(began);
+  EXPECT_EQ(snapshot()["run"]["items"][2]["dropped"], "no answer");
+  const auto see = [&](std::size_t position, std::vector<ItemReading> items) {
+    return apply(
+        DwellSeen{position, dwell(1, static_cast<int>(position) + 1, 1.0), {}, std::move(items)})["items"];
+  };
+  see(0, {{1, {1, 0, 0}, 0}, {2, {9, 0, 0}, 0}});
+  see(0, {{1, {1, 0, 0}, 0}, {2, {9, 0, 0}, 0}});  // Measured again.
+  const Json both = see(1, {{1, {1, 0, 0}, 0}, {2, {9.5, 0, 0}, kFlagNotFinite}});
+  EXPECT_EQ(both[1]["measured"], 2);
+  EXPECT_EQ(both[1]["mean"][0], 9.5);
+  EXPECT_NE(both[1]["flags"], "");
+  EXPECT_EQ(both[2]["measured"], 0);
+  EXPECT_EQ(both[2]["mean"], Json());
+
+  const Json dropped = apply(ItemDropped{2, "item 2, accelerometer B (SN 2) is left out"});
+  EXPECT_EQ(dropped["type"], "items");
+  EXPECT_EQ(dropped["items"][1]["dropped"], "item 2, accelerometer B (SN 2) is left out");
+  const Json alone = see(2, {});  // The first is the only one that is left.
+  EXPECT_EQ(alone[0]["measured"], 3);
+  EXPECT_EQ(alone[1]["measured"], 2);
+  EXPECT_EQ(snapshot()["run"]["items"], alone);
+  apply(run_of(12));
+  EXPECT_EQ(snapshot()["run"]["items"], Json::array());
+}
+
 TEST_F(LiveViewTest, TellsTheTimeLeftFromWhatTheLatestAnglesTook) {
   apply(ActivitySeen{Activity::kRunning, false, false});
   EXPECT_EQ(apply(run_of(12))["run"]["progress"]["left_s"], 120.0);

@@ -16,6 +16,7 @@
 #include "app/system/child_process.h"
 #include "protocol/analysis/check_meanings.h"
 #include "tests/console/console_fixture.h"
+#include "tests/console/tray_bench.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/training_register.h"
 
@@ -78,6 +79,33 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   EXPECT_THAT(get("/runs/a.run/run.h5").body, StartsWith("\x89HDF"));
   // What it prints is tested with the reports: WeasyPrint takes its time.
   EXPECT_EQ(std::count(names.begin(), names.end(), "report.pdf"), is_installed(kWeasyPrint) ? 1 : 0);
+}
+
+TEST_F(RunLibraryTest, HandsOutEachOfSeveralItems) {
+  test::write_file(folder / "tray.toml", test::small_tray());
+  measure("tray.toml", "tray.run");
+  open();
+  const auto result = [&](const std::string& of) {
+    return Json::parse(get("/runs/tray.run" + of + "/result").body);
+  };
+  const Json first = result(""), third = result("/items/3");
+  EXPECT_EQ(first["item"], 1);
+  EXPECT_EQ(first, result("/items/1"));
+  EXPECT_EQ(third["item"], 3);
+  EXPECT_EQ(third["run"]["items"].size(), 3U);
+  EXPECT_NE(first["results"][0]["offset"], third["results"][0]["offset"]);
+  for (const int k : {1, 3}) {
+    const std::string item = std::to_string(k);
+    const auto reported = abcal({"report", "runs/tray.run", "--item", item, "--csv", item + ".csv"});
+    ASSERT_EQ(reported.exit_code, 0) << reported.err;
+    EXPECT_EQ(but_for_when(get("/runs/tray.run/items/" + item + "/readings.csv").body),
+              but_for_when(test::read_file(folder / (item + ".csv"))));
+  }
+  EXPECT_THAT(get("/runs/tray.run/items/3/report.html").body, HasSubstr("6284.000003"));
+  EXPECT_THAT(get("/runs/tray.run/items/3/run.h5").body, StartsWith("\x89HDF"));
+  for (const char* none : {"0", "33", "-1", "1x", "", "99999999999999999999"})
+    EXPECT_EQ(get("/runs/tray.run/items/" + std::string(none) + "/result").status, 404U) << none;
+  EXPECT_EQ(get("/runs/tray.run/items/4/result").status, 422U);
 }
 
 TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {

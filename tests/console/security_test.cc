@@ -272,6 +272,14 @@ TEST_F(SecurityTest, RefusesWhatIsNoRequest) {
   EXPECT_EQ(status("GET / HTTP/1.1\r\n" + host + "X: " + std::string(20'000, 'a') + "\r\n\r\n"), 431U);
   EXPECT_EQ(status("GET /" + std::string(20'000, 'a') + " HTTP/1.1\r\n" + host + "\r\n"), 431U);
   EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 99999999\r\n\r\n"), 413U);
+  // More than that is read of a person who hands in a signed certificate, and of nobody else.
+  for (const char* path : {"/", "/approve", "/runs/a.run/signed-certificate"}) {
+    EXPECT_EQ(status(std::string("POST ") + path + " HTTP/1.1\r\n" + host + "Content-Length: 2000\r\n\r\n"),
+              413U);
+    EXPECT_EQ(status(std::string("POST ") + path + " HTTP/1.1\r\n" + host +
+                     "Transfer-Encoding: chunked\r\n\r\n7d0\r\n" + std::string(2000, 'x') + "\r\n"),
+              413U);
+  }
   EXPECT_EQ(status("POST / HTTP/1.1\r\n" + host + "Content-Length: 0\r\n\r\n"), 405U);
   EXPECT_EQ(status("DELETE /runs HTTP/1.1\r\n" + host + "\r\n"), 405U);
   for (const char* why : {"Only GET is answered here", "header limit", "body limit", "bad version"})

@@ -10,6 +10,7 @@
 #include "app/console/run_choice.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
+#include "tests/console/tray_bench.h"
 
 namespace abcal::console {
 namespace {
@@ -90,6 +91,46 @@ TEST_F(StartFormTest, StartsTheItemAndThePlanThatWereChosen) {
   EXPECT_EQ(run.record.estimator, "joint");
 }
 
+TEST_F(StartFormTest, ItemsThatAreNotThereAreLeftOutIfAPersonSaysSo) {
+  open();
+  std::string tray = test::small_tray();
+  const std::size_t port_of_second = tray.find("port = \"simulated\"", tray.find("# item 2"));
+  tray.replace(port_of_second, std::string("port = \"simulated\"").size(),
+               "port = \"" + (folder / "no-such-port").string() + "\"");
+  test::write_file(folder / "bench.toml", tray);
+  auto page = steering_page();
+  const auto start = [&] {
+    const Json shown = form();
+    EXPECT_EQ(shown["items"].size(), 3U);
+    EXPECT_EQ(shown["items"][1]["serial_number"], "6284.000002");
+    return Json{{"do", "start"},
+                {"confirmed", true},
+                {"form", shown["form"]},
+                {"bench_sha256", shown["bench_sha256"]}};
+  };
+  ASSERT_TRUE(page->ok(start()));
+  page->wait_for([](const Json& m) { return m["type"] == "log" && m["line"]["grade"] == "problem"; },
+                 "refused");
+  page->wait_for_activity("idle");
+  EXPECT_EQ(run_files(), 0U);
+
+  Json without = start();
+  without["without_missing_items"] = true;
+  ASSERT_TRUE(page->ok(without));
+  const Json began =
+      page->wait_for([](const Json& m) { return m["type"] == "snapshot" && !m["run"].is_null(); }, "a run");
+  ASSERT_EQ(began["run"]["items"].size(), 3U);
+  EXPECT_NE(began["run"]["items"][1]["dropped"], Json());
+  EXPECT_EQ(began["run"]["items"][2]["dropped"], Json());
+  page->wait_for(
+      [](const Json& m) {
+        return m["type"] == "dwell" && m["items"][2]["measured"] == 1 && m["items"][1]["measured"] == 0;
+      },
+      "an angle");
+  ASSERT_TRUE(page->ok({{"do", "stop"}}));
+  page->wait_for_activity("idle");
+}
+
 TEST_F(StartFormTest, OneFormStartsOneRun) {
   pace = 20.0;
   open();
@@ -148,6 +189,9 @@ TEST(RunChoiceTest, ReadsOnlyWhatItKnows) {
   EXPECT_THROW(start(R"("item":{"model":"TA-3"})"), RequestError);
   EXPECT_THROW(start(R"("item":{"serial_number":"a","colour":"red"})"), RequestError);
   EXPECT_THROW(start(R"("item":"SN 1")"), RequestError);
+  EXPECT_FALSE(choice.without_missing_items);
+  EXPECT_TRUE(start(R"("without_missing_items":true)").without_missing_items);
+  EXPECT_THROW(start(R"("without_missing_items":1)"), RequestError);
   EXPECT_THROW(start(R"("steps":3)"), RequestError);
   EXPECT_THROW(start(R"("steps":12.5)"), RequestError);
   EXPECT_THROW(start(R"("dwell_readings":0)"), RequestError);

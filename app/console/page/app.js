@@ -255,7 +255,7 @@ function route() {
   const name = ['live', 'queue', 'bench', 'runs', 'compare', 'chart'].includes(view) ? view : 'live';
   document.body.classList.remove('loading');
   document.body.classList.toggle('kiosk', kiosk);
-  if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0])) : showRuns(resume);
+  if (name === 'runs') rest.length ? showRun(decodeURIComponent(rest[0]), rest[1]) : showRuns(resume);
   if (name === 'compare') showCompare();
   if (name === 'chart') showChart();
   for (const view of document.querySelectorAll('main > section')) view.hidden = view.id !== `view-${name}`;

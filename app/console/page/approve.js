@@ -1,4 +1,5 @@
-// The certificate of a run: what was issued, and the approval. Whoever approves proves it with a password, here and now.
+// The certificate of a run: what was issued, and the approval. Whoever approves proves it here and now, with a password or with a
+// key that stays where it is: the certificate is downloaded, signed there, and handed in.
 import {element, DASH} from '/text.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
@@ -8,6 +9,9 @@ const TEXT = {
   fourEyes: t('Whoever measured cannot approve.'),
   approver: t('Approved by (a person who may approve)'), password: t('Password of this person'), reason: t('Why the certificate is amended'),
   seen: t('I have looked at the result, its checks and its pictures, and approve it.'), approve: t('Approve and issue'), amend: t('Approve and replace it'),
+  byKey: t('Approve with a key'), keys: t('Your keys in the register'), make: t('Make the certificate to be signed'), download: t('Download the certificate to be signed'),
+  howToSign: t('Sign it where your private key is:'), signedFile: t('The signed certificate'), handIn: t('Issue with this signature'), checking: t('The signature is being checked'),
+  noKey: t('With a key approves who is logged in, and the register has none of yours that is valid (abcal lab key NAME --kind person).'),
   busy: t('The certificate is being made'), training: t('TRAINING: it certifies nothing.'), amended: t('Amend it'),
 };
 
@@ -34,14 +38,82 @@ async function fill(run, body, changed) {
   const {certificates} = state;
   const list = certificates.length ? element('ul', {}, ...certificates.map((one) => element('li', {}, line(one)))) : element('p', {}, TEXT.none);
   if (state.why_not) return body.replaceChildren(list, element('p', {}, said(state.why_not)));
-  const form = approvalForm(run, state, changed);
-  body.replaceChildren(list, ...(certificates.length ? [element('details', {}, element('summary', {}, TEXT.amended), form)] : [form]));
+  const forms = [approvalForm(run, state, changed), keyForm(run, state, changed)];
+  body.replaceChildren(list, ...(certificates.length ? [element('details', {}, element('summary', {}, TEXT.amended), ...forms)] : forms));
+}
+
+const labelled = (words, control) => element('div', {}, element('label', {for: control.id}, words), control);
+
+// What the console answers to a request of a form; what it refuses stands below it.
+async function ask(told, words, path, body) {
+  told.className = '';
+  told.textContent = words;
+  try {
+    const response = await fetch(path, {method: 'POST', body});
+    if (!response.ok) throw new Error((await response.text()).trim());
+    return await response.json();
+  } catch (error) {
+    told.className = 'grade-problem';
+    told.replaceChildren(said(error.message || error));
+    return null;
+  }
+}
+
+function tellIssued(told, issued, changed) {
+  told.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', said(issued.warnings.join(' ')));
+  changed();
+}
+
+// Of the approval by key: first the certificate is made and downloaded, then it is handed in with its signature.
+function keyForm(run, state, changed) {
+  const box = element('details', {id: 'approve-by-key', class: 'no-print'}, element('summary', {}, TEXT.byKey));
+  if (!state.keys.length) {
+    box.append(element('p', {}, TEXT.noKey));
+    return box;
+  }
+  const last = state.certificates.at(-1);
+  const seen = element('input', {id: 'key-seen', type: 'checkbox', required: true});
+  const reason = element('input', {id: 'key-reason', required: true, autocomplete: 'off', maxlength: 200});
+  const make = element('button', {}, TEXT.make), told = element('p', {id: 'key-said', role: 'status'}), second = element('div', {});
+  const form = element('form', {id: 'key-form'},
+    element('p', {}, `${TEXT.keys} (${state.person}):`), element('ul', {}, ...state.keys.map((key) => element('li', {}, element('code', {}, key.fingerprint)))),
+    ...(last ? [labelled(TEXT.reason, reason)] : []), element('label', {class: 'check'}, seen, element('span', {}, TEXT.seen)), make);
+  form.addEventListener('submit', async (event) => {
+    event.preventDefault();
+    if (make.disabled) return;
+    make.disabled = true;
+    const made = await ask(told, TEXT.busy, '/approve', new URLSearchParams({run: run.name, run_sha256: state.run_sha256, by_key: 'yes',
+      ...(last ? {replaces: last.number, reason: reason.value} : {})}));
+    make.disabled = false;
+    if (!made) return;
+    told.textContent = t`${made.number} waits for your signature.`;
+    second.replaceChildren(handInForm(run, made, told, changed));
+  });
+  box.append(form, second, told);
+  return box;
+}
+
+function handInForm(run, made, told, changed) {
+  const file = `${made.number}.xml`, signed = `${made.number}-signed.xml`;
+  const link = element('a', {id: 'key-download', download: file, href: URL.createObjectURL(new Blob([made.xml], {type: 'application/xml'}))}, TEXT.download);
+  const chosen = element('input', {id: 'key-file', type: 'file', accept: '.xml', required: true}), button = element('button', {class: 'go'}, TEXT.handIn);
+  const form = element('form', {id: 'hand-in-form'}, element('p', {}, link), element('p', {}, TEXT.howToSign),
+    element('pre', {}, element('code', {}, `abcal lab sign ${file} --sign KEY.pem --certificate CERT.crt -o ${signed}`)),
+    labelled(TEXT.signedFile, chosen), button);
+  form.addEventListener('submit', async (event) => {
+    event.preventDefault();
+    if (button.disabled || !chosen.files.length) return;
+    button.disabled = true;
+    const issued = await ask(told, TEXT.checking, `/runs/${encoded(run.name)}/signed-certificate`, chosen.files[0]);
+    if (issued) tellIssued(told, issued, changed);
+    else button.disabled = false;
+  });
+  return form;
 }
 
 function approvalForm(run, state, changed) {
   const last = state.certificates.at(-1);
   const input = (id, attributes) => element('input', {id: `approve-${id}`, required: true, autocomplete: 'off', maxlength: 200, ...attributes});
-  const labelled = (words, control) => element('div', {}, element('label', {for: control.id}, words), control);
   const approver = input('name'), password = input('password', {type: 'password'}), reason = input('reason'), seen = input('seen', {type: 'checkbox'});
   approver.value = state.measured_by.split(', ').includes(state.person) ? '' : state.person;
   const button = element('button', {class: 'go'}, last ? TEXT.amend : TEXT.approve), told = element('p', {id: 'approve-said', role: 'status'});
@@ -53,22 +125,12 @@ function approvalForm(run, state, changed) {
     event.preventDefault();
     if (button.disabled) return;
     button.disabled = true;
-    told.className = '';
-    told.textContent = TEXT.busy;
     const fields = {run: run.name, run_sha256: state.run_sha256, name: approver.value, password: password.value};
     if (last) Object.assign(fields, {replaces: last.number, reason: reason.value});
     password.value = '';
-    try {
-      const response = await fetch('/approve', {method: 'POST', body: new URLSearchParams(fields)});
-      if (!response.ok) throw new Error((await response.text()).trim());
-      const issued = await response.json();
-      told.replaceChildren(t`Issued: ${issued.number}. `, issued.training ? TEXT.training : '', ' ', said(issued.warnings.join(' ')));
-      changed();
-    } catch (error) {
-      told.className = 'grade-problem';
-      told.replaceChildren(said(error.message || error));
-      button.disabled = false;
-    }
+    const issued = await ask(told, TEXT.busy, '/approve', new URLSearchParams(fields));
+    if (issued) tellIssued(told, issued, changed);
+    else button.disabled = false;
   });
   return form;
 }

@@ -2,6 +2,7 @@
 import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
 import {said} from '/said.js';
 import {drawGimbal} from '/gimbal.js';
+import {liveItem} from '/items.js';
 import {OUTPUTS, plot, pointRadius, series} from '/plots.js';
 import {PagedTable} from '/pages.js';
 import {angleIn, operatorIn, rolesIn, t} from '/language.js';
@@ -69,6 +70,7 @@ export class LiveView {
         residual.options.scales.y.title.text = t`residual (${this.run.unit})`;
       }
     }
+    this.items = this.run?.items ?? [];
     this.stripData = message.strip;
     this.stage('x', message.stage.x);
     this.stage('z', message.stage.z);
@@ -82,7 +84,7 @@ export class LiveView {
     this.interrupted = message.interrupted;
     byId('guard').replaceChildren(said(message.guard ?? ''));
     this.words();
-    this.dirty = new Set(['strip', 'table', 'stage', ...[1, 2, 3].flatMap((n) => [`response ${n}`, `residual ${n}`])]);
+    this.dirty = new Set(['strip', 'table', 'stage', 'items', ...[1, 2, 3].flatMap((n) => [`response ${n}`, `residual ${n}`])]);
   }
 
   receive(message) {
@@ -112,12 +114,14 @@ export class LiveView {
         this.lastDwell = message.dwell;
         this.settling();
         this.setProgress(message.progress);
-        this.dirty.add('table');
+        this.dirty.add('table').add('items');
+        this.items = message.items;
         if (message.fit.experiment > 0) {  // A check pose is of no experiment.
           this.fits[message.fit.experiment - 1] = message.fit.outputs;
           this.dirty.add(`response ${message.fit.experiment}`).add(`residual ${message.fit.experiment}`);
         }
         break;
+      case 'items': this.items = message.items; this.dirty.add('items'); break;
       case 'log': this.log(message.line); break;
       case 'checks': this.checks(message.findings); break;
       case 'ended': this.ended = message; this.interrupted = message.interrupted; this.words(); break;
@@ -229,6 +233,12 @@ export class LiveView {
     const [plotted, experiment] = part.split(' ');
     if (experiment) this.drawExperiment(plotted, Number(experiment) - 1);
     if (part === 'table') this.drawTable();
+    if (part === 'items') this.drawItems();
+  }
+
+  drawItems() {
+    byId('items-card').hidden = !this.items.length;
+    byId('items').replaceChildren(...this.items.map((item) => liveItem(item, this.progress?.total ?? 0)));
   }
 
   fitted(fit, alphaDeg) {

@@ -4,6 +4,7 @@ import {said} from '/said.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {PagedTable} from '/pages.js';
 import {certificateCard} from '/approve.js';
+import {resultItems} from '/items.js';
 import {askForView, savesPatiently} from '/making.js';
 import {timeElement, timeText} from '/time.js';
 import {OUTPUTS, band, bars, discard} from '/plots.js';
@@ -121,13 +122,14 @@ function drawPages(found, resume) {
 
 // One run.
 
-export async function showRun(name) {
+// item: of several, which; nothing: the first that was not left out.
+export async function showRun(name, item) {
   byId('run-list').hidden = true;
   clearCharts();
   const detail = byId('run-detail');
   let data;
   try {
-    data = await askForView(`/runs/${encoded(name)}/result`, detail, t`Reading and analysing ${name}`);
+    data = await askForView(`/runs/${encoded(name)}${item ? `/items/${encoded(item)}` : ''}/result`, detail, t`Reading and analysing ${name}`);
   } catch (error) {
     return say('run-detail', error);
   }
@@ -138,8 +140,9 @@ export async function showRun(name) {
   detail.replaceChildren(
     element('p', {class: 'no-print'}, element('a', {href: '#runs'}, t('All runs'))),
     element('h3', {id: 'run-name'}, run.name),
+    ...(run.items.length ? [resultItems(run, data.item), element('h3', {id: 'run-item'}, t`Result of item ${data.item}`)] : []),
     verdict(reported, run),
-    downloads(data.downloads, run),
+    downloads(data.downloads, run, run.items.length ? data.item : 0),
     card(t('Checks of the result'), checks(reported, data.meanings)),
     ...(reported.diagnostics.flags.length ? [card(t('Flagged angles'), flagged(reported, data.meanings))] : []),
     card(t('Estimators side by side'), estimators(results)),
@@ -148,7 +151,7 @@ export async function showRun(name) {
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
-  detail.append(certificateCard(run, () => showRun(name)));
+  detail.append(certificateCard(run, () => showRun(name, item)));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
     data.events.map((e) => [day(e.utc), said(e.kind), said(e.text)])))));
   byId('main').focus();
@@ -184,10 +187,12 @@ function flagged(result, meanings) {
     [t('Flag'), t('Angles'), t('Meaning')], flags.map((f) => [said(f.flag), f.dwells, said(meanings[f.flag])])));
 }
 
-function downloads(kinds, run) {
+// item: of several, which; 0: there is one.
+function downloads(kinds, run, item) {
   const bar = element('p', {class: 'bar'}, t('Download:')), making = element('div', {class: 'bar'});
   for (const {name, words} of kinds || []) {
-    const link = element('a', {class: 'button', href: `/runs/${encoded(run.name)}/${name}`, download: `${run.name.replace(/\.run$/, '')}-${name}`}, t(words));
+    const link = element('a', {class: 'button', href: `/runs/${encoded(run.name)}${item ? `/items/${item}` : ''}/${name}`,
+      download: `${run.name.replace(/\.run$/, '')}${item ? `-item-${item}` : ''}-${name}`}, t(words));
     bar.append(name.endsWith('.pdf') ? savesPatiently(link, making) : link);
   }
   return element('div', {}, bar, making);

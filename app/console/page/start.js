@@ -15,6 +15,7 @@ const TEXT = {
   uncertainty: t('Predicted standard uncertainties'), noNoise: t('not known: there is no earlier run of this item or model'), noPrediction: t('not predicted for this estimator'),
   noise: t('Noise of a reading'), disk: t('Free disk space'), check: t('Last check of this bench'), never: t('none from the console'),
   noMotion: t('without motion'), before: t('Before the start'), refused: t('It cannot be started'),
+  items: t('Items of the bench file'), withoutMissing: t('Leave out items that are not there, and measure the others'),
   reading: t('Reading the bench file, predicting'), asBench: t('as the bench file'),
 };
 const SYMBOLS = {s: t('s (sensitivity, relative)'), off: t('off-diagonal, relative to s'), O: t('O (offset), relative to s'), phi: t('phi (angles between the outputs)')};
@@ -59,10 +60,14 @@ export class StartForm {
     this.facts = element('dl', {id: 'start-facts'});
     this.state = element('p', {role: 'status', id: 'start-state'}, TEXT.reading);
     this.notices = element('div', {id: 'start-notices', role: 'status'});
-    this.holder = element('div', {class: 'start-form'},
-      labelled(TEXT.choose, this.items),
-      element('div', {class: 'pair'}, labelled(TEXT.serial, this.inputs.serial_number), labelled(TEXT.customer, this.inputs.customer_number),
-        labelled(TEXT.maker, this.inputs.maker), labelled(TEXT.model, this.inputs.model),
+    // Of one item, which; of several the bench file says which, and a person whether all of them must be there.
+    this.oneItem = [labelled(TEXT.choose, this.items), labelled(TEXT.serial, this.inputs.serial_number), labelled(TEXT.customer, this.inputs.customer_number),
+      labelled(TEXT.maker, this.inputs.maker), labelled(TEXT.model, this.inputs.model)];
+    this.withoutMissing = element('input', {id: 'start-without-missing', type: 'checkbox'});
+    this.severalItems = element('div', {id: 'start-items', hidden: true});
+    this.holder = element('div', {class: 'start-form'}, this.severalItems,
+      this.oneItem[0],
+      element('div', {class: 'pair'}, ...this.oneItem.slice(1),
         labelled(TEXT.steps, this.steps), labelled(TEXT.readings, this.inputs.dwell_readings), labelled(TEXT.estimator, this.estimators), ...(this.inputs.runs ? [labelled(TEXT.runs, this.inputs.runs)] : [])),
       this.state, this.notices, this.facts);
     holder.replaceChildren(this.holder);
@@ -146,6 +151,7 @@ export class StartForm {
     const list = (title, kind, lines) => (lines.length ? [element('h3', {}, title), element('ul', {class: `grade-${kind}`}, ...lines.map((line) => element('li', {}, line === TEXT.noSerial ? line : said(line))))] : []);
     this.notices.replaceChildren(...list(TEXT.refused, 'problem', answer.problems), ...list(TEXT.before, 'warning', answer.warnings));
     this.facts.hidden = !answer.plan;
+    if (answer.items) this.showItems(answer.items);
     if (!answer.plan) return;
     const option = (value, words, selected) => element('option', {value, selected}, words);
     const items = answer.register?.items ?? [];
@@ -157,6 +163,15 @@ export class StartForm {
     this.steps.replaceChildren(...choices.map((n) => option(n, `${n}${n === asBench.steps ? ` (${TEXT.asBench})` : ''}`, n === plan.steps)));
     this.estimators.replaceChildren(...answer.estimators.map((name) => option(name, `${name}${name === asBench.estimator ? ` (${TEXT.asBench})` : ''}`, name === plan.estimator)));
     this.showFacts(answer);
+  }
+
+  showItems(items) {
+    const several = items.length > 0;
+    for (const part of this.oneItem) part.hidden = several;
+    this.severalItems.hidden = !several;
+    if (!several || this.severalItems.childElementCount) return;
+    this.severalItems.append(element('h3', {}, TEXT.items), element('ol', {}, ...items.map((item) => element('li', {}, [item.maker, item.model, item.serial_number].filter(Boolean).join(' ') || item.driver))),
+      element('label', {class: 'check'}, this.withoutMissing, element('span', {}, TEXT.withoutMissing)));
   }
 
   showFacts(answer) {
@@ -184,6 +199,7 @@ export class StartForm {
   choice() {
     const {item, plan, bench_sha256: seen, form} = this.answer;
     const wanted = {steps: plan.steps, dwell_readings: plan.dwell_readings, estimator: plan.estimator, bench_sha256: seen, form};
+    if (this.answer.items.length) return this.withoutMissing.checked ? {...wanted, without_missing_items: true} : wanted;
     if (item.serial_number) wanted.item = item;
     return wanted;
   }

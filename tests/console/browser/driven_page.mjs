@@ -124,6 +124,7 @@ class Elements {
       for (const kind of ['input', 'change']) element.dispatchEvent(new Event(kind, {bubbles: true}));
     }, value);
   }
+  async choose(file) { await (await this.one('usable')).uploadFile(file); }
   async press(key) { await (await this.one('usable')).press(key); }
   async selectOption(value) { await (await this.one('usable')).select(value); }
 }

@@ -1,0 +1,30 @@
+// A card for each of several items: who it is, how far it was measured, and why it takes no part any more.
+import {element, signed, DASH} from '/text.js';
+import {said} from '/said.js';
+import {OUTPUTS} from '/plots.js';
+import {t} from '/language.js';
+
+function itemCard(item, of, ...more) {
+  return element('li', {class: item.dropped ? 'left-out' : false, 'data-item': item.k},
+    element('h4', {}, t`Item ${item.k}`, `: ${item.name}`), element('p', {}, item.model || DASH),
+    element('p', {}, of === null ? t`${item.measured} angles` : t`${item.measured} of ${of} angles`),
+    ...(item.dropped ? [element('p', {class: 'grade-warning'}, t('left out'), ': ', said(item.dropped))] : []), ...more);
+}
+
+// While a run goes on: with the mean of the last angle.
+export function liveItem(item, of) {
+  const means = element('table', {}, element('caption', {}, t`Last mean (${item.unit})`),
+    element('tbody', {}, ...OUTPUTS.map((name, j) => element('tr', {}, element('th', {scope: 'row'}, name), element('td', {class: 'number', 'data-heading': `${name} (${item.unit})`}, item.mean ? signed(item.mean[j], 6) : DASH)))));
+  return itemCard(item, of, means, ...(item.flags ? [element('p', {class: 'grade-warning'}, said(item.flags))] : []));
+}
+
+// Of a result: which item is shown, and the way to the others.
+export function resultItems(run, shown) {
+  const card = (item) => {
+    const made = itemCard({...item, name: item.serial_number}, run.planned || null,
+      element('p', {}, element('a', {href: `#runs/${encodeURIComponent(run.name)}/${item.k}`, 'aria-current': item.k === shown ? 'page' : false}, t`Result of item ${item.k}`)));
+    if (item.k === shown) made.classList.add('shown');
+    return made;
+  };
+  return element('div', {id: 'result-items', role: 'navigation', 'aria-label': t('Items of this run'), class: 'no-print'}, element('ul', {class: 'items'}, ...run.items.map(card)));
+}

@@ -1,0 +1,174 @@
+// The certificate of a run on the page: what was issued, and the approval by password or by key.
+#include <fmt/format.h>
+
+#include <functional>
+#include <utility>
+
+#include "app/console/approval.h"
+#include "app/console/server_impl.h"
+#include "app/system/output.h"
+
+namespace abcal::console {
+namespace {
+
+namespace http = boost::beast::http;
+
+constexpr const char* kLogInAsApprover =
+    "Log in on this page as the person who approves: with a key nobody approves for another.";
+
+/// The request is gone when the certificate is made.
+struct Attempt {
+  Peer peer;
+  HttpRequest head;
+  std::string name, run;
+  nlohmann::ordered_json answer;
+  http::status status = http::status::ok;
+  std::string problem;
+  bool wrong_password = false;
+};
+
+/// Keeps what `make` returns, or why it did not.
+void carry_out_attempt(Attempt& attempt, const std::function<nlohmann::ordered_json()>& make,
+                       const std::string& not_logged_in) {
+  attempt.status = http::status::unprocessable_entity;
+  try {
+    attempt.answer = make();
+    attempt.status = http::status::ok;
+  } catch (const LoginRefused&) {
+    attempt.wrong_password = true;
+    attempt.problem = not_logged_in;
+  } catch (const StaleApproval& stale) {
+    attempt.status = http::status::conflict;
+    attempt.problem = stale.what();
+  } catch (const std::exception& error) {
+    attempt.problem = error.what();
+  }
+}
+
+std::shared_ptr<Attempt> attempt_of(const Asked& asked, const std::string& target, const std::string& name,
+                                    const std::filesystem::path& run) {
+  auto attempt = std::make_shared<Attempt>();
+  attempt->peer = asked.peer;
+  attempt->head = head_of(asked.request);
+  attempt->head.target(target);
+  attempt->head.method(http::verb::post);
+  attempt->name = name;
+  attempt->run = run.filename().string();
+  return attempt;
+}
+
+void log_issued(const Attempt& attempt, const char* how) {
+  print_log("console: certificate {} of {}, approved by {} at {}{}\n",
+            attempt.answer.at("number").get<std::string>(), attempt.run, attempt.name, attempt.peer.remote,
+            how);
+}
+
+}  // namespace
+
+bool is_signed_certificate(const HttpRequest& request) {
+  return request.method() == http::verb::post && view(request.target()).ends_with("/signed-certificate");
+}
+
+/// POST /approve: a form with `run`, `run_sha256`, and `replaces` and `reason` where there is a certificate
+/// already. With `name` and `password` of who approves it is issued: the login of the page does not count,
+/// approving is done by a person who is there. With `by_key` the one that is to be signed is made for who is
+/// logged in.
+HttpResponse Server::Impl::approve_certificate(const Asked& asked, Slow& later) {
+  const auto form = parse_form(asked.request.body());
+  if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
+  const auto field = [&](const char* name) {
+    const auto found = form->find(name);
+    return found == form->end() ? std::string() : found->second;
+  };
+  const auto run = library.find(field("run"));
+  if (!run) return refuse(asked, http::status::not_found, "There is no such run.");
+  const ApprovalForm filled{
+      *run, field("run_sha256"), field("name"), field("password"), field("replaces"), field("reason")};
+  try {
+    require_plain_text("reason", filled.reason, kLongestNote);
+  } catch (const RequestError& error) {
+    return refuse(asked, http::status::bad_request, error.what());
+  }
+  if (form->contains("by_key")) return prepare_certificate(asked, filled, later);
+  if (options.register_location.empty() || filled.approver.empty() || filled.password.empty())
+    return refuse(asked, http::status::bad_request,
+                  "Required: a register, and name and password of a person who may approve.");
+  if (const auto wait = throttle.wait(filled.approver, asked.peer.client, clock.now());
+      wait > Clock::Duration::zero())
+    return too_many_failures(asked, wait);
+
+  const auto attempt = attempt_of(asked, "/approve", filled.approver, *run);
+  const auto finish = [this, attempt]() -> HttpResponse {
+    const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
+    if (attempt->wrong_password) throttle.failed(attempt->name, attempt->peer.client, clock.now());
+    if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
+    throttle.succeeded(attempt->name, attempt->peer.client);
+    log_issued(*attempt, "");
+    return json_answer(attempt->head, attempt->answer);
+  };
+  later.where = &seal;
+  later.job = [this, attempt, filled, finish] {
+    carry_out_attempt(
+        *attempt, [&] { return approve(filled, approval_place(), clock.utc_now()); },
+        "Name or password is not right.");
+    return Slow::Finish(finish);
+  };
+  return {};
+}
+
+HttpResponse Server::Impl::prepare_certificate(const Asked& asked, const ApprovalForm& form, Slow& later) {
+  if (asked.visitor.login.empty()) return refuse(asked, http::status::unprocessable_entity, kLogInAsApprover);
+  const auto attempt = attempt_of(asked, "/approve", asked.visitor.who.name, form.run);
+  const auto finish = [this, attempt]() -> HttpResponse {
+    const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
+    if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
+    print_log("console: certificate {} of {} waits for the signature of {}\n",
+              attempt->answer.at("number").get<std::string>(), attempt->run, attempt->name);
+    return json_answer(attempt->head, attempt->answer);
+  };
+  later.where = &seal;
+  later.job = [this, attempt, form, visitor = asked.visitor, finish] {
+    carry_out_attempt(
+        *attempt, [&] { return signatures.prepare(form, visitor, clock.utc_now()); }, kLogInAsApprover);
+    return Slow::Finish(finish);
+  };
+  return {};
+}
+
+/// POST /runs/NAME/signed-certificate: the XML that was prepared, with the signature of who is logged in.
+HttpResponse Server::Impl::take_signed_certificate(const Asked& asked, const std::vector<std::string>& words,
+                                                   Slow& later) {
+  const auto run = words.size() == 3 && words[0] == "runs" ? library.find(words[1]) : std::nullopt;
+  if (!run) return refuse(asked, http::status::not_found, "There is no such run.");
+  if (asked.visitor.login.empty()) return refuse(asked, http::status::unprocessable_entity, kLogInAsApprover);
+  const auto attempt = attempt_of(asked, "/signed-certificate", asked.visitor.who.name, *run);
+  const auto finish = [this, attempt]() -> HttpResponse {
+    const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
+    if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
+    log_issued(*attempt, ", signed with a key");
+    return json_answer(attempt->head, attempt->answer);
+  };
+  later.where = &seal;
+  later.job = [this, attempt, run = *run, visitor = asked.visitor, xml = asked.request.body(), finish] {
+    carry_out_attempt(
+        *attempt, [&] { return signatures.take(run, xml, visitor, clock.utc_now()); }, kLogInAsApprover);
+    return Slow::Finish(finish);
+  };
+  return {};
+}
+
+/// GET /runs/NAME/approval
+bool Server::Impl::order_approval(const std::vector<std::string>& words, const Visitor& visitor,
+                                  Slow& later) {
+  if (words.size() != 3 || words[0] != "runs" || words[2] != "approval") return false;
+  const auto run = library.find(words[1]);
+  if (!run) return false;
+  later.workshop = &analyses;
+  later.name.clear();  // Each person sees their own.
+  later.make = [this, run = *run, visitor, place = approval_place()](const std::stop_token&) {
+    return made_of_json(approval_json(run, place, visitor, clock.utc_now()));
+  };
+  return true;
+}
+
+}  // namespace abcal::console
