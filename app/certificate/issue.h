@@ -42,6 +42,6 @@ IssuedCertificate issue_certificate(const Certificate& certificate, const DccSch
                                     const std::optional<SigningKey>& key, const std::string& utc);
 
 /// The certificate that holds for an item of a run (1 where it has one): the last that was issued.
-std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run, int item = 1);
+std::optional<IssuedCertificate> current_certificate(const std::filesystem::path& run, int item);
 
 }  // namespace abcal

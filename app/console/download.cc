@@ -37,13 +37,13 @@ std::string bytes_of(const std::function<void(const Path& file)>& write) {
   return read_file(file);
 }
 
-bool is_certified(const Path& run) {
-  return current_certificate(run).has_value();
+bool is_certified(const ItemOfRun& of) {
+  return current_certificate(of.run, of.item).has_value();
 }
 
 /// As it was issued, byte for byte. Issuing is not for a page: `abcal issue`.
 std::string certificate(const ItemOfRun& of, const std::stop_token&) {
-  const auto issued = current_certificate(of.run);
+  const auto issued = current_certificate(of.run, of.item);
   if (!issued) throw std::runtime_error("no certificate has been issued for this run; see `abcal issue`");
   return issued->xml;
 }
@@ -57,7 +57,7 @@ struct Shown {
 Shown shown(const ItemOfRun& of, const std::stop_token& cancelled) {
   const ReportData data = data_of(of);
   require_wanted(cancelled);
-  if (!is_certified(of.run)) return {document_html(calibration_document(data)).html, {}};
+  if (!is_certified(of)) return {document_html(calibration_document(data)).html, {}};
   std::string xml = certificate_for_report(data, {}, /*draft=*/false, RealClock().utc_now());
   return {document_html(certificate_page(xml)).html, std::move(xml)};
 }
@@ -104,7 +104,7 @@ const std::vector<Download>& downloads() {
   static const std::vector<Download> all{
       {"report.html", "Report (HTML)", "text/html; charset=utf-8", report, nullptr},
       {"report.pdf", "Report (PDF)", "application/pdf", printed_report,
-       [](const Path&) { return is_installed(kWeasyPrint); }, true},
+       [](const ItemOfRun&) { return is_installed(kWeasyPrint); }, true},
       {"certificate.xml", "Certificate (DCC XML)", "application/xml", certificate, is_certified},
       {"readings.csv", "Averaged readings (CSV)", "text/csv; charset=utf-8", averaged_readings, nullptr},
       {"single-readings.csv", "Single readings (CSV)", "text/csv; charset=utf-8", single_readings, nullptr},

@@ -25,8 +25,8 @@ struct Download {
   /// Called in a thread of a pool; `cancelled`: nobody waits for it any more. What it throws is shown to the
   /// person.
   std::function<std::string(const ItemOfRun& of, const std::stop_token& cancelled)> make;
-  /// Whether a run has it; null: each has.
-  std::function<bool(const std::filesystem::path& run)> available;
+  /// Whether an item of a run has it; null: each has.
+  std::function<bool(const ItemOfRun& of)> available;
   bool is_printed = false;  ///< Takes seconds of another program.
 };
 

@@ -18,6 +18,7 @@
 #include "app/results/analyses.h"
 #include "app/results/estimators.h"
 #include "app/results/result_json.h"
+#include "app/results/tray_results.h"
 #include "app/system/output_file.h"
 #include "app/system/version.h"
 #include "protocol/analysis/check_meanings.h"
@@ -318,12 +319,15 @@ Json RunLibrary::result(const std::filesystem::path& path, int item) {
     json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text}});
   json["downloads"] = Json::array();
   for (const Download& download : downloads()) {
-    if (!download.available || download.available(path))
+    if (!download.available || download.available({path, run.item}))
       json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
   }
   json["results"] = Json::array();
   json["meanings"] = Json::object();
-  for (const CalibrationResult& result : analyse_all(run.record)) {
+  const std::vector<CalibrationResult> results =
+      has_several_items(run) ? results_of_item(analyse_tray_run(path), static_cast<std::size_t>(run.item - 1))
+                             : analyse_all(run.record);
+  for (const CalibrationResult& result : results) {
     json["results"].push_back(result_json(result));
     for (const Check& check : result.diagnostics.checks)
       json["meanings"][check.name] = meaning_of_check(check.name);

@@ -92,7 +92,7 @@ TEST_F(ApprovalTest, ASecondPersonApprovesWithTheirPassword) {
   EXPECT_EQ(Json::parse(issued.body)["training"], true);
   EXPECT_TRUE(is_logged("certificate " + number + " of a.run, approved by Approver N. N."));
   // As the command line has it.
-  const auto kept = current_certificate(runs() / "a.run");
+  const auto kept = current_certificate(runs() / "a.run", 1);
   ASSERT_TRUE(kept);
   EXPECT_EQ(kept->number, number);
   EXPECT_EQ(kept->approved_by, "Approver N. N.");
@@ -129,7 +129,7 @@ TEST_F(ApprovalTest, RefusesWhoMayNot) {
   test::Headers elsewhere = person;
   elsewhere["Origin"] = "http://evil.example.org";
   EXPECT_EQ(test::http_post(port, "/approve", "run=a.run&name=a&password=b", elsewhere).status, 403U);
-  EXPECT_FALSE(current_certificate(runs() / "a.run"));
+  EXPECT_FALSE(current_certificate(runs() / "a.run", 1));
 }
 
 TEST_F(ApprovalTest, FourEyes) {
@@ -191,7 +191,7 @@ class ApprovalByKeyTest : public ApprovalTest {
     const test::Answer answer = hand_in(xml);
     EXPECT_EQ(answer.status, 422U) << words;
     EXPECT_THAT(answer.body, HasSubstr(words));
-    EXPECT_FALSE(current_certificate(runs() / "a.run"));
+    EXPECT_FALSE(current_certificate(runs() / "a.run", 1));
   }
   void look_as_approver() {
     person = logged_in("Approver N. N.");
@@ -206,13 +206,13 @@ TEST_F(ApprovalByKeyTest, TheApproverSignsElsewhere) {
   EXPECT_EQ(hand_in("<xml/>").status, 409U) << "none waits";
   const std::string xml = prepared();
   EXPECT_EQ(prepared(), xml) << "the same number again";
-  EXPECT_FALSE(current_certificate(runs() / "a.run")) << "nothing is issued before it is signed";
+  EXPECT_FALSE(current_certificate(runs() / "a.run", 1)) << "nothing is issued before it is signed";
   const std::string signed_xml = signed_by(xml, "approver");
   const test::Answer issued = hand_in(signed_xml);
   ASSERT_EQ(issued.status, 200U) << issued.body;
   const std::string number = Json::parse(issued.body)["number"];
   EXPECT_TRUE(is_logged("certificate " + number + " of a.run, approved by Approver N. N."));
-  const auto kept = current_certificate(runs() / "a.run");
+  const auto kept = current_certificate(runs() / "a.run", 1);
   ASSERT_TRUE(kept);
   EXPECT_EQ(kept->number, number);
   EXPECT_EQ(kept->approved_by, "Approver N. N.");
@@ -277,7 +277,7 @@ TEST_F(ApprovalByKeyTest, RefusesWhoMayNot) {
   test::Headers elsewhere = logged_in("Approver N. N.");
   elsewhere["Origin"] = "http://evil.example.org";
   EXPECT_EQ(test::http_post(port, "/runs/a.run/signed-certificate", signed_xml, elsewhere).status, 403U);
-  EXPECT_FALSE(current_certificate(runs() / "a.run"));
+  EXPECT_FALSE(current_certificate(runs() / "a.run", 1));
 }
 
 TEST_F(ApprovalTest, SaysWhyNothingIsIssuedHere) {

@@ -102,10 +102,38 @@ TEST_F(RunLibraryTest, HandsOutEachOfSeveralItems) {
               but_for_when(test::read_file(folder / (item + ".csv"))));
   }
   EXPECT_THAT(get("/runs/tray.run/items/3/report.html").body, HasSubstr("6284.000003"));
+  // The numbers of the common fit, as every command gives them.
+  const auto analysed = abcal({"analyse", "runs/tray.run", "--item", "3", "--json"});
+  ASSERT_EQ(analysed.exit_code, 0) << analysed.err;
+  const Json same = Json::parse(analysed.out);
+  int joint = 0;
+  for (const Json& shown : third["results"]) {
+    if (shown["estimator"] != same["estimator"]) continue;
+    ++joint;
+    for (const char* each : {"sensitivity_matrix", "offset"}) EXPECT_EQ(shown[each], same[each]) << each;
+  }
+  EXPECT_EQ(joint, 1);
   EXPECT_THAT(get("/runs/tray.run/items/3/run.h5").body, StartsWith("\x89HDF"));
   for (const char* none : {"0", "33", "-1", "1x", "", "99999999999999999999"})
     EXPECT_EQ(get("/runs/tray.run/items/" + std::string(none) + "/result").status, 404U) << none;
   EXPECT_EQ(get("/runs/tray.run/items/4/result").status, 422U);
+}
+
+TEST_F(RunLibraryTest, HandsOutTheCertificateOfAnItem) {
+  test::write_file(folder / "tray.toml", test::small_tray());
+  measure("tray.toml", "tray.run");
+  open();
+  const test::TrainingRegister registered(folder.path());
+  const auto issued = abcal({"issue", "runs/tray.run", "--item", "2", "--laboratory",
+                             (examples / "laboratory.toml").string(), "--dcc", "second.xml"});
+  ASSERT_EQ(issued.exit_code, 0) << issued.err;
+  EXPECT_EQ(get("/runs/tray.run/items/2/certificate.xml").body, test::read_file(folder / "second.xml"));
+  EXPECT_THAT(get("/runs/tray.run/items/2/report.html").body, HasSubstr(test::number_of(issued.out)));
+  for (const char* other : {"1", "3"}) {
+    EXPECT_EQ(get("/runs/tray.run/items/" + std::string(other) + "/certificate.xml").status, 422U) << other;
+    EXPECT_THAT(get("/runs/tray.run/items/" + std::string(other) + "/result").body,
+                Not(HasSubstr("certificate.xml")));
+  }
 }
 
 TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {
