@@ -42,8 +42,8 @@ using HttpRequest = boost::beast::http::request<boost::beast::http::string_body>
 using HttpResponse = boost::beast::http::response<boost::beast::http::string_body>;
 using SharedText = std::shared_ptr<const std::string>;
 
-/// What was made of runs and is kept for who asks again: some hundred results, some tens of PDFs.
-inline constexpr std::size_t kMostKept = 64 * 1024 * 1024;
+/// What was made of runs and is kept for who asks again: some hundred results, some PDFs.
+inline constexpr std::size_t kMostKept = 16 * 1024 * 1024;
 /// As many analyses at a time; two processors are the least on which a bench is run.
 inline constexpr std::size_t kAnalysts = 2;
 

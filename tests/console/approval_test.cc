@@ -242,6 +242,9 @@ TEST_F(ApprovalByKeyTest, RefusesOtherSignatures) {
     return text;
   };
   refuses(changed("Example laboratory", "Another laboratory"), "not the certificate that was to be signed");
+  std::string added = xml;
+  added.insert(xml.rfind("</"), "<dcc:comment>valid for ten years</dcc:comment>");
+  refuses(signed_by(added, "approver"), "not the certificate that was to be signed");
   refuses(changed("xmldsig#enveloped-signature", "xmldsig#base64"), "the signature is of another kind");
   refuses(changed("URI=\"\"", "URI=\"#results\""), "the signature is of another kind");
   const std::size_t value = good.find("SignatureValue>") + std::string("SignatureValue>").size() + 3;
