@@ -44,8 +44,11 @@ bool is_run(const std::filesystem::path& path) {
 
 /// As the person named the item; else as the accelerometer named itself.
 std::string serial_number_of(const RunHeader& header) {
-  if (header.items.size() > 1)
-    return fmt::format("{}", fmt::join(header.items | std::views::transform(&RunItem::serial_number), ", "));
+  if (header.items.size() > 1) {
+    std::vector<std::string> of_items;
+    for (const RunItem& item : header.items) of_items.push_back(item.serial_number);
+    return fmt::format("{}", fmt::join(of_items, ", "));
+  }
   const std::string given = label_of(header.labels, "item.serial_number");
   if (!given.empty()) return given;
   for (const InstrumentIdentity& instrument : header.instruments)

@@ -19,6 +19,7 @@
 #include "app/planner/known_bench.h"
 #include "app/planner/plan_search.h"
 #include "app/results/effect_words.h"
+#include "app/results/estimators.h"
 #include "app/results/result_json.h"
 #include "app/session/disk_space.h"
 #include "app/session/register_records.h"
