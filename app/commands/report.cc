@@ -134,10 +134,6 @@ void check(const ReportOptions& options, const ReportData& data, const std::vect
   }
 }
 
-}  // namespace
-
-namespace {
-
 /// All items of a run with several: data of all of them in one file each.
 /// @return the exit code; nothing: one item is asked for, or the file has one, or a page is wanted
 std::optional<int> report_items(const ReportOptions& options) {

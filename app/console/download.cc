@@ -1,6 +1,5 @@
 #include "app/console/download.h"
 
-#include <algorithm>
 #include <fstream>
 #include <stdexcept>
 
@@ -18,7 +17,6 @@
 #include "app/system/child_process.h"
 #include "app/system/read_file.h"
 #include "app/system/temporary_folder.h"
-#include "protocol/record/run_file.h"
 
 namespace abcal::console {
 namespace {
@@ -93,12 +91,6 @@ std::string hdf5(const ItemOfRun& of, const std::stop_token&) {
 }
 
 }  // namespace
-
-int first_whole_item(const Path& run) {
-  const std::vector<ItemProgress> items = RunFile::load(run).items;
-  const auto whole = std::ranges::find_if(items, [](const ItemProgress& item) { return !item.dropped_at; });
-  return whole == items.end() ? 1 : whole->k;
-}
 
 const std::vector<Download>& downloads() {
   static const std::vector<Download> all{

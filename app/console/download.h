@@ -14,9 +14,6 @@ struct ItemOfRun {
   int item = 1;
 };
 
-/// The first item of a run that was not left out; 1: there is one.
-int first_whole_item(const std::filesystem::path& run);
-
 /// Something that a page can fetch of a run. This list is the only place to add one.
 struct Download {
   std::string name;          ///< Last part of the path, and ending of the file's name: "readings.csv".

@@ -7,7 +7,6 @@
 #include <cmath>
 #include <cstdint>
 #include <fstream>
-#include <ranges>
 #include <utility>
 
 #include "app/bench/bench_config.h"
@@ -82,9 +81,8 @@ Json items_of(const StoredRun& run) {
 /// A run as it is for its only item, or for the first of several that was not dropped.
 StoredRun load_first_whole_item(const std::filesystem::path& path) {
   StoredRun run = RunFile::load(path);
-  const auto whole =
-      std::ranges::find_if(run.items, [](const ItemProgress& item) { return !item.dropped_at; });
-  return whole == run.items.end() || whole->k == run.item ? run : RunFile::load(path, whole->k);
+  const int whole = first_whole_item(run);
+  return whole == run.item ? run : RunFile::load(path, whole);
 }
 
 Json summary_of(const std::string& name, const StoredRun& run) {

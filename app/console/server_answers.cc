@@ -13,6 +13,7 @@
 #include "app/console/server_impl.h"
 #include "app/console/start_form.h"
 #include "app/console/visible_text.h"
+#include "app/results/tray_results.h"
 #include "app/system/output.h"
 #include "protocol/record/run_file.h"
 
@@ -237,10 +238,7 @@ HttpResponse Server::Impl::log_in_by_token(const Asked& asked, const std::string
 HttpResponse Server::Impl::log_in(const Asked& asked, Slow& later) {
   const auto form = parse_form(asked.request.body());
   if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
-  const auto field = [&](const char* name) {
-    const auto found = form->find(name);
-    return found == form->end() ? std::string() : found->second;
-  };
+  const auto field = [&](const char* name) { return field_of(*form, name); };
   if (form->contains("token")) return log_in_by_token(asked, field("token"));
   const std::string name = field("name"), password = field("password");
   if (!options.access.persons || name.empty())
@@ -432,7 +430,7 @@ bool Server::Impl::order_of_run(const std::filesystem::path& path, int item, con
     if (download.is_printed) later.workshop = &prints;
     later.make =
         kept(download.name + of_item, files, [path, item, download](const std::stop_token& cancelled) {
-          const ItemOfRun of{path, item == 0 ? first_whole_item(path) : item};
+          const ItemOfRun of{path, item == 0 ? first_whole_item(RunFile::load(path)) : item};
           return Product{200, download.content_type, download.make(of, cancelled), true};
         });
     return true;

@@ -76,10 +76,7 @@ bool is_signed_certificate(const HttpRequest& request) {
 HttpResponse Server::Impl::approve_certificate(const Asked& asked, Slow& later) {
   const auto form = parse_form(asked.request.body());
   if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
-  const auto field = [&](const char* name) {
-    const auto found = form->find(name);
-    return found == form->end() ? std::string() : found->second;
-  };
+  const auto field = [&](const char* name) { return field_of(*form, name); };
   const auto run = library.find(field("run"));
   if (!run) return refuse(asked, http::status::not_found, "There is no such run.");
   const ApprovalForm filled{

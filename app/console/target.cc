@@ -33,4 +33,9 @@ std::optional<std::map<std::string, std::string>> parse_form(std::string_view bo
   return fields;
 }
 
+std::string field_of(const std::map<std::string, std::string>& form, const std::string& name) {
+  const auto found = form.find(name);
+  return found == form.end() ? std::string() : found->second;
+}
+
 }  // namespace abcal::console

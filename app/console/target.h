@@ -21,5 +21,7 @@ std::optional<Target> parse_target(std::string_view text);
 /// Reads the fields of a form (application/x-www-form-urlencoded), decoded. Of two with one name the first.
 /// @return nothing if it is none
 std::optional<std::map<std::string, std::string>> parse_form(std::string_view body);
+/// A field of such a form; empty where it is not there.
+std::string field_of(const std::map<std::string, std::string>& form, const std::string& name);
 
 }  // namespace abcal::console

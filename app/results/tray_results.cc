@@ -162,6 +162,12 @@ std::size_t items_of_file(const std::filesystem::path& path) {
   return is_run ? std::max<std::size_t>(1, RunFile::count_items(path)) : 1;
 }
 
+int first_whole_item(const StoredRun& run) {
+  const auto whole =
+      std::ranges::find_if(run.items, [](const ItemProgress& item) { return !item.dropped_at; });
+  return whole == run.items.end() ? 1 : whole->k;
+}
+
 int chosen_item(const std::filesystem::path& path, int asked) {
   const auto count = static_cast<int>(items_of_file(path));
   const std::string has = count == 1 ? "one item" : fmt::format("{} items", count);

@@ -20,6 +20,9 @@ struct TrayRun {
 /// Whether the run holds more than one item.
 bool has_several_items(const StoredRun& run);
 
+/// The only item of a run, or the first of several that was not dropped; all were: the first.
+int first_whole_item(const StoredRun& run);
+
 /// How many items a run file has; 1 for whatever else it is.
 std::size_t items_of_file(const std::filesystem::path& path);
 

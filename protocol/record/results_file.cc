@@ -24,18 +24,13 @@ create table if not exists certificate(id integer primary key, utc text, number 
                                        item integer);
 )";
 
-bool lacks_column(SqliteDatabase& database, const std::string& table, const std::string& column) {
-  return database.value("select count(*) from pragma_table_info('" + table + "') where name = '" + column +
-                        "'") == "0";
-}
-
 /// Results that an earlier abcal began: they stay readable, and `verify` says what they lack.
 void add_missing_columns(SqliteDatabase& database) {
-  if (lacks_column(database, "analysis", "chain"))
+  if (!database.has_column("analysis", "chain"))
     database.execute("alter table analysis add column chain text");
-  if (lacks_column(database, "certificate", "item"))
+  if (!database.has_column("certificate", "item"))
     database.execute("alter table certificate add column item integer");
-  if (!lacks_column(database, "run", "note")) return;
+  if (database.has_column("run", "note")) return;
   for (const char* column : {"note text", "signer text", "signature blob", "time_stamp blob"})
     database.execute(std::string("alter table run add column ") + column);
 }
@@ -128,7 +123,7 @@ std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
   std::vector<IssuedCertificate> certificates;
   // Results of before certificates were issued have no such table.
   if (!database.has_table("certificate")) return certificates;
-  const bool knows_items = !lacks_column(database, "certificate", "item");
+  const bool knows_items = database.has_column("certificate", "item");
   SqliteStatement rows = database.prepare("select * from certificate order by id");
   while (rows.step()) {
     certificates.push_back({rows.text("utc"), rows.text("number"), rows.text("measured_by"),

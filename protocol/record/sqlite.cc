@@ -166,6 +166,12 @@ bool SqliteDatabase::has_table(std::string_view name) {
   return found.step();
 }
 
+bool SqliteDatabase::has_column(std::string_view table, std::string_view column) {
+  SqliteStatement found = prepare("select 1 from pragma_table_info(:table) where name = :name");
+  found.set("table", table).set("name", column);
+  return found.step();
+}
+
 std::optional<std::string> SqliteDatabase::value(std::string_view sql) {
   SqliteStatement statement = prepare(sql);
   if (!statement.step()) return std::nullopt;

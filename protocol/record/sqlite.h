@@ -94,6 +94,7 @@ class SqliteDatabase {
   /// The first column of the first row of a query; nothing if there is no row.
   std::optional<std::string> value(std::string_view sql);
   bool has_table(std::string_view name);
+  bool has_column(std::string_view table, std::string_view column);
   std::int64_t last_row_id() const { return sqlite3_last_insert_rowid(handle_.get()); }
 
  private:

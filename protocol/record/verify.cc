@@ -6,6 +6,8 @@
 #include <cmath>
 #include <future>
 #include <limits>
+#include <map>
+#include <utility>
 
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/reading_statistics.h"
@@ -17,20 +19,15 @@
 namespace abcal {
 namespace {
 
-bool has_column(SqliteDatabase& database, const std::string& table, const std::string& column) {
-  return database.value("select count(*) from pragma_table_info('" + table + "') where name = '" + column +
-                        "'") == "1";
-}
-
 /// Follows the chain of a table whose last column is the link.
 /// @param later  a column that entries of earlier versions do not have: linked where it is not null
 IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, const std::string& table,
                            const std::vector<std::string>& columns, const std::string& later = "") {
   std::string sql = "select ";
   for (const std::string& column : columns) sql += column + ", ";
-  if (!has_column(database, table, "chain"))
+  if (!database.has_column(table, "chain"))
     return {what, false, "written by a version of abcal that did not link its entries"};
-  const bool has_later = !later.empty() && has_column(database, table, later);
+  const bool has_later = !later.empty() && database.has_column(table, later);
   if (has_later) sql += later + ", ";
   SqliteStatement rows = database.prepare(sql + "chain from " + table + " order by id");
   std::string link;
@@ -208,14 +205,16 @@ IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRu
 /// Of a run with several items: each item has certificates of its own, of which each replaces the one before.
 void check_certificates_of_items(const std::filesystem::path& run, std::size_t items,
                                  std::vector<IntegrityCheck>& checks) {
-  for (const IssuedCertificate& one : ResultsFile::certificates(run)) {
-    if (one.item >= 1 && static_cast<std::size_t>(one.item) <= items) continue;
+  std::map<int, std::vector<IssuedCertificate>> by_item;
+  for (IssuedCertificate& one : ResultsFile::certificates(run)) {
+    if (one.item >= 1 && static_cast<std::size_t>(one.item) <= items) {
+      by_item[one.item].push_back(std::move(one));
+      continue;
+    }
     checks.push_back({"certificate " + one.number, false,
                       fmt::format("is stated to be of item {}; the run has items 1 to {}", one.item, items)});
   }
-  for (std::size_t k = 1; k <= items; ++k) {
-    const std::vector<IssuedCertificate> of_item = ResultsFile::certificates(run, static_cast<int>(k));
-    if (of_item.empty()) continue;
+  for (const auto& [k, of_item] : by_item) {
     IntegrityCheck check{fmt::format("item {}, certificates", k), true, of_item.front().number};
     for (std::size_t i = 1; i < of_item.size(); ++i) {
       check.found += fmt::format(", replaced by {}", of_item[i].number);
@@ -245,7 +244,7 @@ void check_results(const std::filesystem::path& run, std::size_t items, std::vec
        named == actual ? actual : fmt::format("the run has {}, but its results state {}", actual, named)});
   std::string sound = database.value("pragma integrity_check(1)").value_or("no answer");
   const bool is_sound = sound == "ok";
-  if (has_column(database, "run", "note")) {
+  if (database.has_column("run", "note")) {
     const std::string note = database.value("select note from run").value_or("");
     if (!note.empty()) sound += "; " + note;
   }

@@ -9,6 +9,7 @@
 #include "app/certificate/certificate.h"
 #include "app/results/report_data.h"
 #include "protocol/plan/effect_sizes.h"
+#include "tests/app/bench_text.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
@@ -41,26 +42,7 @@ rate_hz = 200.0
 [environment]
 temperature_degc = 23.0
 humidity_percent = 45.0
-[protocol]
-check_poses = false
-steps = 12
-step_deg = 30.0
-settle_s = 0.05
-dwell_readings = 10
-[simulation]
-noise = 1e-4
-quantisation = 1e-6
-sensitivity_matrix = [[1.0021, -0.0047, 0.0037], [0.0069, 0.9982, 0.0086], [-0.0117, 0.0064, 1.0009]]
-offset = [0.01, 0.02, 0.03]
-[simulation.x]
-speed_deg_per_s = 700.0
-acceleration_deg_per_s2 = 20000.0
-step_error_deg = 0.005
-[simulation.z]
-speed_deg_per_s = 700.0
-acceleration_deg_per_s2 = 20000.0
-step_error_deg = 0.005
-)";
+)" + quick_calibration();
 }
 
 inline std::string example_laboratory() {

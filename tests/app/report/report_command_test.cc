@@ -20,6 +20,7 @@
 #include "protocol/record/run_record.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/program_fixtures.h"
+#include "tests/support/h5py_check.h"
 
 namespace abcal {
 namespace {
@@ -252,11 +253,7 @@ print("good")
   ASSERT_EQ(run().exit_code, 0);
   ASSERT_EQ(abcal({"report", "a.run", "--hdf5", "a.h5"}).exit_code, 0);
   test::write_file(folder / "result.json", abcal({"analyse", "a.run", "--estimator", "abc", "--json"}).out);
-  // The system's own: h5py is a package of the system's.
-  test::Program python("/usr/bin/python3", {"check.py"}, folder.path());
-  const int code = python.wait();
-  if (code == 77) GTEST_SKIP() << "python3-h5py is not installed";
-  EXPECT_EQ(code, 0) << python.err();
+  test::check_with_h5py(folder.path());
 }
 
 // Whoever reads a number sees which sizes behind it are nobody's.
@@ -320,10 +317,7 @@ with h5py.File("a.h5") as file:
     assert file["entry/conditions/wobble_urad"][()] == 50.0
     assert file["entry/conditions/wobble_urad_source"][()] == b"default"
 )");
-  test::Program python("/usr/bin/python3", {"check.py"}, folder.path());
-  const int code = python.wait();
-  if (code == 77) GTEST_SKIP() << "python3-h5py is not installed";
-  EXPECT_EQ(code, 0) << python.err();
+  test::check_with_h5py(folder.path());
 }
 
 TEST_F(ReportTest, ThePageLoadsNothingAndANameWithMarkupIsAName) {

@@ -18,6 +18,8 @@
 #include "protocol/record/run_seal.h"
 #include "protocol/record/sha256.h"
 #include "protocol/record/sqlite.h"
+#include "tests/app/bench_text.h"
+#include "tests/support/h5py_check.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"
@@ -47,27 +49,7 @@ driver = "pi_gcs"
 port = "simulated"
 [environment]
 temperature_degc = 23.0
-[protocol]
-check_poses = false
-steps = 12
-step_deg = 30.0
-settle_s = 0.05
-dwell_readings = 10
-[simulation]
-seed = 11
-noise = 1e-4
-quantisation = 1e-6
-sensitivity_matrix = [[1.0021, -0.0047, 0.0037], [0.0069, 0.9982, 0.0086], [-0.0117, 0.0064, 1.0009]]
-offset = [0.01, 0.02, 0.03]
-[simulation.x]
-speed_deg_per_s = 700.0
-acceleration_deg_per_s2 = 20000.0
-step_error_deg = 0.005
-[simulation.z]
-speed_deg_per_s = 700.0
-acceleration_deg_per_s2 = 20000.0
-step_error_deg = 0.005
-)";
+)" + quick_calibration("seed = 11\n");
   for (int k = 1; k <= kItems; ++k)
     text += fmt::format(
         "[[item]]\nmaker = \"Maker\"\nmodel = \"M-3\"\nserial_number = \"SN-{}\"\n[item.accelerometer]\n"
@@ -267,10 +249,7 @@ with h5py.File("a.h5") as file:
     assert file["entry/sample/serial_number"][()].decode() == "SN-2"
 print("good")
 )");
-  test::Program python("/usr/bin/python3", {"check.py"}, folder.path());
-  const int code = python.wait();
-  if (code == 77) GTEST_SKIP() << "python3-h5py is not installed";
-  EXPECT_EQ(code, 0) << python.err();
+  test::check_with_h5py(folder.path());
 }
 
 TEST_F(TrayRunTest, FilesOfTheWholeTrayHoldEveryItem) {
@@ -324,10 +303,7 @@ with h5py.File("all.h5") as file:
     kept = json.loads(file["item_1/tray/data"][()].decode())
     assert kept["covariance_between_items"] == tray["covariance_between_items"]
 )");
-  test::Program python("/usr/bin/python3", {"check.py"}, folder.path());
-  const int code = python.wait();
-  if (code == 77) GTEST_SKIP() << "python3-h5py is not installed";
-  EXPECT_EQ(code, 0) << python.err();
+  test::check_with_h5py(folder.path());
 }
 
 TEST_F(TrayRunTest, AReplayGivesTheAnglesOfEveryItem) {
