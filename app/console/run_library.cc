@@ -4,9 +4,12 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <fstream>
+#include <limits>
+#include <string_view>
 #include <utility>
 
 #include "app/bench/bench_config.h"
@@ -32,7 +35,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 /// Of what is kept of each run; another one is made again.
-constexpr int kSummaryFormat = 2;
+constexpr int kSummaryFormat = 3;
 
 /// A file NAME.run itself: a link would lead out of the folder.
 bool is_run(const std::filesystem::path& path) {
@@ -119,42 +122,23 @@ std::string kept_verdict(const std::filesystem::path& path, const std::string& e
   return verdict;
 }
 
-Json quantities_of(const CalibrationResult& result) {
-  Json list = Json::array();
-  const auto add = [&](const std::string& name, const Quantity& q) {
-    list.push_back({{"name", name},
-                    {"value", json_number(q.value)},
-                    {"standard_uncertainty", json_number(q.standard_uncertainty)},
-                    {"unit", q.unit}});
-  };
-  constexpr const char* kOutputs[] = {"u", "v", "w"};
-  constexpr const char* kPairs[] = {"uv", "vw", "wu"};
-  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("s_{}", kOutputs[j]), result.intrinsic_sensitivity[j]);
-  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("phi_{}", kPairs[j]), result.intrinsic_angle[j]);
-  for (std::size_t j = 0; j < 3; ++j) add(fmt::format("O_{}", kOutputs[j]), result.offset[j]);
-  return list;
-}
+constexpr std::array<std::string_view, 9> kCharted{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
+                                                   "phi_wu", "O_u", "O_v", "O_w"};
 
-/// For each property the limits of a chart of single values; nothing where there are too few.
+/// The limits of a chart of single values; null where there are too few.
 Json limits_of(const Json& runs) {
-  std::map<std::string, std::vector<double>> values;
-  for (const Json& run : runs) {
-    for (const Json& q : run["quantities"])
-      if (q["value"].is_number()) values[q["name"]].push_back(q["value"]);
-  }
-  Json limits = Json::object();
-  for (const auto& [name, series] : values) {
-    if (series.size() < 2) continue;
-    const ControlChart chart = individuals_chart(series);
-    const auto outside = std::count_if(chart.points.begin(), chart.points.end(),
-                                       [](const ChartPoint& point) { return !point.inside(); });
-    limits[name] = {{"centre", chart.centre},
-                    {"standard_deviation", chart.standard_deviation},
-                    {"lower", chart.points.front().lower},
-                    {"upper", chart.points.front().upper},
-                    {"outside", outside}};
-  }
-  return limits;
+  std::vector<double> series;
+  for (const Json& run : runs)
+    if (run["value"].is_number()) series.push_back(run["value"]);
+  if (series.size() < 2) return nullptr;
+  const ControlChart chart = individuals_chart(series);
+  const auto outside = std::count_if(chart.points.begin(), chart.points.end(),
+                                     [](const ChartPoint& point) { return !point.inside(); });
+  return {{"centre", chart.centre},
+          {"standard_deviation", chart.standard_deviation},
+          {"lower", chart.points.front().lower},
+          {"upper", chart.points.front().upper},
+          {"outside", outside}};
 }
 
 }  // namespace
@@ -179,6 +163,7 @@ void RunLibrary::read_summaries() {
       entry.summary = kept.at("summary");
       if (!entry.summary.is_object()) continue;
       entry.estimator = kept.at("estimator").get<std::string>();
+      if (kept.contains("charted")) entry.charted = charted_from(kept.at("charted"));
       entry.closed = true;
       known_[name] = std::move(entry);
     }
@@ -191,11 +176,13 @@ void RunLibrary::keep_summaries() {
   if (!std::exchange(have_new_, false)) return;
   Json runs = Json::object();
   for (const auto& [name, entry] : known_) {
-    if (entry.closed)
-      runs[name] = {{"time", entry.time.time_since_epoch().count()},
-                    {"size", entry.size},
-                    {"estimator", entry.estimator},
-                    {"summary", entry.summary}};
+    if (!entry.closed) continue;
+    Json& kept = runs[name];
+    kept = {{"time", entry.time.time_since_epoch().count()},
+            {"size", entry.size},
+            {"estimator", entry.estimator},
+            {"summary", entry.summary}};
+    if (entry.charted) kept["charted"] = to_json(*entry.charted);
   }
   const Json json = {{"program", program_version()}, {"format", kSummaryFormat}, {"runs", std::move(runs)}};
   try {
@@ -351,48 +338,95 @@ Json RunLibrary::compare(const std::filesystem::path& first, const std::filesyst
   return compare_json(compare_results(std::move(results), options));
 }
 
+RunLibrary::Charted RunLibrary::charted_of(const StoredRun& run) {
+  const CalibrationResult result = analyse(run.record, std::string(kPublishedEstimator));
+  Charted charted{std::string(to_string(result.verdict)), {}};
+  const std::array<const std::array<Quantity, 3>*, 3> groups{&result.intrinsic_sensitivity,
+                                                             &result.intrinsic_angle, &result.offset};
+  for (std::size_t i = 0; i < charted.values.size(); ++i) {
+    const Quantity& quantity = (*groups[i / 3])[i % 3];
+    charted.values[i] = {quantity.value, quantity.standard_uncertainty, quantity.unit};
+  }
+  return charted;
+}
+
+Json RunLibrary::to_json(const Charted& charted) {
+  Json values = Json::array();
+  for (const Charted::Value& each : charted.values)
+    values.push_back({json_number(each.value), json_number(each.standard_uncertainty), each.unit});
+  return {{"verdict", charted.verdict}, {"values", std::move(values)}};
+}
+
+RunLibrary::Charted RunLibrary::charted_from(const Json& kept) {
+  const auto number = [](const Json& json) {
+    return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
+  };
+  Charted charted{kept.at("verdict").get<std::string>(), {}};
+  for (std::size_t i = 0; i < charted.values.size(); ++i) {
+    const Json& each = kept.at("values").at(i);
+    charted.values[i] = {number(each.at(0)), number(each.at(1)), each.at(2).get<std::string>()};
+  }
+  return charted;
+}
+
 /// The lock is held while a summary is looked up or stored, never while a run is analysed: the list of runs
 /// waits for nobody's chart.
-std::optional<Json> RunLibrary::point_of_chart(const std::string& name, const std::string& serial_number) {
+std::optional<Json> RunLibrary::point_of_chart(const std::string& name, const std::string& serial_number,
+                                               std::size_t index) {
   Json point;
+  std::optional<Charted> charted;
   std::filesystem::file_time_type time;
   {
     const std::lock_guard lock(mutex_);
     const Entry& known = entry(name);
     if (known.summary["item"] != serial_number || known.summary["state"] != "complete") return std::nullopt;
     time = known.time;
+    charted = known.charted;
     point = {{"name", name},
              {"created_utc", known.summary["created_utc"]},
              {"simulated", known.summary["simulated"]}};
-    if (known.intrinsic) {
-      point.update(*known.intrinsic);
-      return point;
+  }
+  if (!charted) {
+    charted = charted_of(RunFile::load(folder_ / name));
+    const std::lock_guard lock(mutex_);
+    const auto known = known_.find(name);  // It may have been deleted or have changed meanwhile.
+    if (known != known_.end() && known->second.time == time) {
+      known->second.charted = charted;
+      have_new_ = true;
     }
   }
-  const CalibrationResult result =
-      analyse(RunFile::load(folder_ / name).record, std::string(kPublishedEstimator));
-  const Json intrinsic = {{"verdict", to_string(result.verdict)}, {"quantities", quantities_of(result)}};
-  point.update(intrinsic);
-  const std::lock_guard lock(mutex_);
-  const auto known = known_.find(name);  // It may have been deleted or have changed meanwhile.
-  if (known != known_.end() && known->second.time == time) known->second.intrinsic = intrinsic;
+  const Charted::Value& value = charted->values.at(index);
+  point["verdict"] = charted->verdict;
+  point["value"] = json_number(value.value);
+  point["standard_uncertainty"] = json_number(value.standard_uncertainty);
+  point["unit"] = value.unit;
   return point;
 }
 
-Json RunLibrary::history(const std::string& serial_number) {
+bool RunLibrary::is_charted(const std::string& property) {
+  return std::find(kCharted.begin(), kCharted.end(), property) != kCharted.end();
+}
+
+Json RunLibrary::history(const std::string& serial_number, const std::string& property) {
+  const auto index =
+      static_cast<std::size_t>(std::find(kCharted.begin(), kCharted.end(), property) - kCharted.begin());
   Json list = Json::array();
   std::vector<std::string> oldest_first = names();
   std::reverse(oldest_first.begin(), oldest_first.end());
   for (const std::string& name : oldest_first) {
     try {
-      if (auto point = point_of_chart(name, serial_number)) list.push_back(std::move(*point));
+      if (auto point = point_of_chart(name, serial_number, index)) list.push_back(std::move(*point));
     } catch (const RunFileError&) {
       continue;  // list() reports the reason.
     }
   }
+  {
+    const std::lock_guard lock(mutex_);
+    keep_summaries();
+  }
   // Stable: runs in simulated time may all begin at one time.
   std::stable_sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
-    return a["created_utc"].get<std::string>() < b["created_utc"].get<std::string>();
+    return a["created_utc"].get_ref<const std::string&>() < b["created_utc"].get_ref<const std::string&>();
   });
   Json limits = limits_of(list);
   return {{"runs", std::move(list)}, {"limits", std::move(limits)}};

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <array>
 #include <chrono>
+#include <cstddef>
 #include <filesystem>
 #include <map>
 #include <mutex>
@@ -44,25 +46,40 @@ class RunLibrary {
   /// @throws as load_compared() and compare_results()
   static nlohmann::ordered_json compare(const std::filesystem::path& first,
                                         const std::filesystem::path& second, bool shared_stage);
-  /// The results of the published protocol of every complete run of one item, oldest first, with the limits
-  /// of a control chart of single values.
-  nlohmann::ordered_json history(const std::string& serial_number);
+  /// Whether a chart shows this property: s_u to O_w.
+  static bool is_charted(const std::string& property);
+  /// One charted property, by the published protocol, in every complete run of one item, oldest first, with
+  /// the limits of a control chart of single values.
+  nlohmann::ordered_json history(const std::string& serial_number, const std::string& property);
 
  private:
+  /// The properties that a chart shows, of one run: kept as numbers, as JSON takes twenty times the memory.
+  struct Charted {
+    struct Value {
+      double value = 0.0, standard_uncertainty = 0.0;
+      std::string unit;
+    };
+    std::string verdict;
+    std::array<Value, 9> values;  ///< In the order of kCharted.
+  };
   struct Entry {
     std::filesystem::file_time_type time;
     std::uintmax_t size = 0;
     nlohmann::ordered_json summary;
     bool closed = false;                                               ///< It will not change any more.
-    std::optional<nlohmann::ordered_json> intrinsic;                   ///< For the history.
+    std::optional<Charted> charted;                                    ///< For the history.
     std::string estimator = {};                                        ///< Chosen for the run.
     std::optional<std::filesystem::file_time_type> results_time = {};  ///< When its verdict was looked for.
   };
 
   std::vector<std::string> names() const;
-  /// Nothing: the run is not a complete one of this item. Throws RunFileError.
+  static Charted charted_of(const StoredRun& run);
+  static nlohmann::ordered_json to_json(const Charted& charted);
+  static Charted charted_from(const nlohmann::ordered_json& kept);
+  /// A point of property number `index`. Nothing: the run is not a complete one of this item. Throws
+  /// RunFileError.
   std::optional<nlohmann::ordered_json> point_of_chart(const std::string& name,
-                                                       const std::string& serial_number);
+                                                       const std::string& serial_number, std::size_t index);
   Entry& entry(const std::string& name);
   void find_verdict(const std::string& name, Entry& known);
   bool is_known(const std::string& name) const;

@@ -381,7 +381,7 @@ Workshop::Make Server::Impl::kept(const std::string& what, std::vector<std::file
 }
 
 /// /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /runs/NAME/items/K/result and so on,
-/// /compare/NAME/NAME[/shared-stage], /history/SERIAL
+/// /compare/NAME/NAME[/shared-stage], /history/SERIAL/PROPERTY
 bool Server::Impl::order_of_library(const std::vector<std::string>& words, Slow& later) {
   later.workshop = &analyses;
   if (words == std::vector<std::string>{"runs"}) {
@@ -389,9 +389,10 @@ bool Server::Impl::order_of_library(const std::vector<std::string>& words, Slow&
     later.make = [this](const std::stop_token&) { return made_of_json(library.list()); };
     return true;
   }
-  if (words.size() == 2 && words[0] == "history") {
-    later.make = [this, serial = words[1]](const std::stop_token&) {
-      return made_of_json(library.history(serial));
+  if (words.size() == 3 && words[0] == "history") {
+    if (!RunLibrary::is_charted(words[2])) return false;
+    later.make = [this, serial = words[1], property = words[2]](const std::stop_token&) {
+      return made_of_json(library.history(serial, property));
     };
     return true;
   }

@@ -187,15 +187,33 @@ TEST_F(RunLibraryTest, ChartsTheRunsOfOneItemAgainstTheirLimits) {
   }
   open();
   const std::string item = Json::parse(get("/runs").body)[0]["item"];
-  const Json history = Json::parse(get("/history/" + item).body);
+  const Json history = Json::parse(get("/history/" + item + "/s_u").body);
   ASSERT_EQ(history["runs"].size(), 4U);
-  const Json& limits = history["limits"]["s_u"];
+  const Json& limits = history["limits"];
   double sum = 0.0;
-  for (const Json& run : history["runs"]) sum += run["quantities"][0]["value"].get<double>();
+  for (const Json& run : history["runs"]) sum += run["value"].get<double>();
   EXPECT_NEAR(limits["centre"], sum / 4.0, 1e-12);
   EXPECT_LT(limits["lower"], limits["centre"]);
   EXPECT_GT(limits["upper"], limits["centre"]);
-  EXPECT_EQ(Json::parse(get("/history/another").body)["runs"].size(), 0U);
+  EXPECT_EQ(Json::parse(get("/history/another/s_u").body)["runs"].size(), 0U);
+  EXPECT_EQ(get("/history/" + item + "/mass").status, 404U);
+
+  // Each property is that of the run's own page, also by the next console, which reads it from what is kept.
+  const auto charted = [&](const std::string& property) {
+    return Json::parse(get("/history/" + item + "/" + property).body)["runs"][3];
+  };
+  const Json kept = {charted("phi_vw"), charted("O_w")};
+  Json abc;
+  const Json shown = Json::parse(get("/runs/4.run/result").body);
+  for (const Json& result : shown["results"])
+    if (result["estimator"] == "abc") abc = result;
+  EXPECT_EQ(kept[0]["value"], abc["intrinsic_angle"][1]["value"]) << abc;
+  EXPECT_EQ(kept[1]["standard_uncertainty"], abc["offset"][2]["standard_uncertainty"]);
+  const Json written = Json::parse(test::read_file(runs() / RunLibrary::kSummaries));
+  EXPECT_EQ(written["runs"]["4.run"]["charted"]["values"][4][0], kept[0]["value"]);
+  close();
+  open();
+  EXPECT_EQ((Json{charted("phi_vw"), charted("O_w")}), kept);
 }
 
 }  // namespace

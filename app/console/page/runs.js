@@ -364,13 +364,13 @@ export async function showChart(serial) {
 async function drawChart(serial, property) {
   let data;
   try {
-    data = await fetchJson(`/history/${encoded(serial)}`);
+    data = await fetchJson(`/history/${encoded(serial)}/${property}`);
   } catch (error) {
     return say('chart-body', error);
   }
   clearCharts();
-  const points = data.runs.map((run, i) => ({run, x: i + 1, ...run.quantities.find((q) => q.name === property)})).filter((p) => p.value !== null && p.value !== undefined);
-  const limits = data.limits ? data.limits[property] : null;
+  const points = data.runs.map((run, i) => ({run, x: i + 1, value: run.value, standard_uncertainty: run.standard_uncertainty, unit: run.unit})).filter((p) => p.value !== null);
+  const limits = data.limits;
   const unit = points[0]?.unit || '1';
   const canvas = element('canvas', {role: 'img', 'aria-label': t`Control chart of ${inWords(property)}; the table has the numbers`});
   const words = limits
