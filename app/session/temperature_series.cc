@@ -24,7 +24,7 @@ constexpr double kLookS = 20.0;
 constexpr double kReadingPatienceS = 2.0;
 constexpr double kTellEveryS = 600.0;
 /// The air of a chamber that is switched off must be so near to 23 degC.
-constexpr double kWarmEnoughK = 5.0, kAmbientDegc = 23.0;
+constexpr double kWarmEnoughK = 5.0;
 constexpr double kWaitForAmbientS = 7200.0;
 
 double number_of(const std::string& text) {
