@@ -19,8 +19,9 @@
 namespace abcal {
 namespace {
 
-/// Between two looks at the item while it soaks.
+/// Between two looks at the item while it soaks; at least so many within [temperature] soak_span_s.
 constexpr double kLookS = 20.0;
+constexpr double kLooksInSpan = 15.0;
 constexpr double kReadingPatienceS = 2.0;
 constexpr double kTellEveryS = 600.0;
 /// The air of a chamber that is switched off must be so near to 23 degC.
@@ -194,6 +195,7 @@ std::string TemperatureSeries::soak(RunSession& session, const Progress& progres
   guard(set_degc, chamber.read());
   chamber.set_temperature(set_degc, t.ramp_k_per_min > 0.0 ? std::optional(t.ramp_k_per_min) : std::nullopt);
   SoakRule rule(t, set_degc);
+  const Clock::Duration between_looks = from_seconds(std::min(kLookS, t.soak_span_s / kLooksInSpan));
   const Clock::Instant begin = clock.now();
   double told_s = 0.0;
   for (;;) {
@@ -214,7 +216,7 @@ std::string TemperatureSeries::soak(RunSession& session, const Progress& progres
       told_s = since_s;
       say(rule.words());
     }
-    clock.wait_until(clock.now() + from_seconds(kLookS));
+    clock.wait_until(clock.now() + between_looks);
   }
 }
 

@@ -9,7 +9,10 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
+#include "app/bench/real_clock.h"
 #include "app/session/temperature_series.h"
+#include "drivers/wire/byte_stream.h"
+#include "drivers/wire/open_stream.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/app/temperature_text.h"
 
@@ -159,6 +162,119 @@ TEST_F(ModbusMasterTest, ReadsAnF4) {
   EXPECT_THAT(ask(port, {"-r", "100", "-t", "4"}), HasSubstr("230"));
   EXPECT_THAT(ask(port, {"-r", "606", "-t", "4"}), HasSubstr("[606]: \t1"));
   EXPECT_THAT(ask(port, {"-r", "300", "-t", "4"}, "9999"), HasSubstr("Illegal data value"));
+}
+
+/// A series over the emulator, in real time, that is killed in the middle of a motion.
+class KilledSeriesTest : public TemperatureTest {
+ protected:
+  static constexpr double kSet = 26.0;
+
+  struct Chamber {
+    std::string driver, model, port;
+  };
+
+  static std::string bench_text(const Chamber& chamber, const std::string& end) {
+    BenchText text;
+    text.stage_port = "links/stage";
+    text.accelerometer_port = "links/accelerometer";
+    text.motion = "speed_deg_per_s = 30.0\nacceleration_deg_per_s2 = 200.0\n";
+    return text.text() +
+           fmt::format(
+               "[chamber]\ndriver = \"{}\"\nmodel = \"{}\"\nport = \"{}\"\npause_output = 2\ndry_gas = true\n"
+               "[temperature]\nset_points_degc = [{:g}, 30]\nreference_degc = {:g}\nramp_k_per_min = "
+               "0\nair_window_k = 20\nsoak_min_s = 0\nsoak_span_s = 8\nsoak_rate_k_per_min = 100\nend = "
+               "\"{}\"\n",
+               chamber.driver, chamber.model, chamber.port, kSet, kSet, end);
+  }
+
+  /// What follows `begin` in what the emulator says, up to the end of the line.
+  std::string told(const std::string& begin) const {
+    const std::string out = emulator_->out();
+    const std::size_t at = out.find(begin);
+    EXPECT_NE(at, std::string::npos) << out << emulator_->err();
+    if (at == std::string::npos) return "";
+    return out.substr(at + begin.size(), out.find('\n', at) - at - begin.size());
+  }
+
+  void start(Chamber chamber, const std::string& end) {
+    test::write_file(folder / "emulated.toml", bench_text(chamber, end));
+    emulator_ = std::make_unique<Program>(
+        std::vector<std::string>{"emulate", "emulated.toml", "--link-dir", "links", "--control", "0"},
+        folder.path());
+    ASSERT_TRUE(test::wait_for([&] { return emulator_->out().find("Serving") != std::string::npos; }, 20s))
+        << emulator_->err();
+    const std::string tcp = "tcp:127.0.0.1:";
+    if (chamber.port.starts_with(tcp))
+      chamber.port = tcp + told(fmt::format("chamber: {} on {}", chamber.driver, tcp));
+    test::write_file(folder / "bench.toml", bench_text(chamber, end));
+    control_ = wire::open_stream(tcp + told("control: tcp:127.0.0.1:"), {}, clock_);
+  }
+
+  Json status() {
+    control_->write("{\"do\": \"status\"}\n");
+    std::string line;
+    while (!line.ends_with('\n')) {
+      const std::string more = control_->read_until(clock_.now() + 10s).bytes;
+      if (more.empty()) throw std::runtime_error("the emulator does not answer");
+      line += more;
+    }
+    return Json::parse(line);
+  }
+
+  static bool stage_moves(const Json& status) { return status["x"]["moving"].get<bool>() || status["z"]["moving"].get<bool>(); }
+
+  /// Kills a series while the stage moves and the chamber has its set point, and waits for the guard.
+  std::string kill_one() {
+    Program series({"temperature", "bench.toml"}, folder.path());
+    const bool moves = test::wait_for(
+        [&] {
+          const Json now = status();
+          return (stage_moves(now) && now.contains("chamber") &&
+                  std::filesystem::exists(series_paths(folder / "bench-temperature", 1)[0])) ||
+                 !series.running();
+        },
+        60s);
+    EXPECT_TRUE(moves && series.running()) << series.err();
+    const double before = status()["chamber"]["target_degc"];
+    EXPECT_NEAR(before, kSet, 1e-3);
+    series.signal(SIGKILL);
+    EXPECT_EQ(series.wait(), 128 + SIGKILL);
+    const auto said = [&] {
+      const std::string err = series.err();
+      return err.find("chamber: ") != std::string::npos && err.find("stage: ") != std::string::npos;
+    };
+    EXPECT_TRUE(test::wait_for(said, 30s)) << series.err();
+    return series.err();
+  }
+
+  RealClock clock_;
+  std::unique_ptr<Program> emulator_;
+  std::unique_ptr<wire::ByteStream> control_;
+};
+
+TEST_F(KilledSeriesTest, LeavesTheChamberAsThePolicySaysAndTheStageHalted) {
+  const std::vector<std::pair<Chamber, std::string>> cases{
+      {{"watlow_f4", "F4T", "tcp:127.0.0.1:0"}, "ambient"},
+      {{"watlow_f4", "F4", "links/chamber"}, "off"},
+      {{"weiss_simserv", "simserv", "tcp:127.0.0.1:0"}, "ambient"},
+      {{"watlow_f4", "F4T", "links/chamber"}, "hold"}};
+  for (const auto& [chamber, end] : cases) {
+    SCOPED_TRACE(fmt::format("{} {} on {}, {}", chamber.driver, chamber.model, chamber.port, end));
+    start(chamber, end);
+    if (HasFatalFailure()) return;
+    const std::string words = kill_one();
+    EXPECT_THAT(words, AllOf(HasSubstr("axis X: halted; axis Z: halted"),
+                             HasSubstr(end == "hold" ? "chamber: holds its last set point"
+                                                     : "chamber: is driven to 23 degC")));
+    const Json after = status();
+    EXPECT_FALSE(stage_moves(after));
+    EXPECT_NEAR(after["chamber"]["target_degc"].get<double>(), end == "hold" ? kSet : 23.0, 1e-3);
+    EXPECT_TRUE(after["chamber"]["running"].get<bool>());
+    EXPECT_FALSE(after["chamber"]["paused"].get<bool>());
+    emulator_.reset();
+    for (const char* name : {"bench-temperature-01.run", "bench-temperature-01.run.results"})
+      std::filesystem::remove(folder / name);
+  }
 }
 
 using LongTemperatureTest = TemperatureTest;
