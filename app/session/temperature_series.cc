@@ -172,6 +172,7 @@ void TemperatureSeries::measure_point(RunSession& session, Progress& progress, s
                     {kLegLabel, std::string(to_string(point.leg))},
                     {kSetLabel, fmt::format("{:g}", point.set_degc)},
                     {kSoakLabel, soaked}};
+  if (!progress.request.plan_words.empty()) request.labels[kPlanLabel] = progress.request.plan_words;
   session.start(request);
 }
 

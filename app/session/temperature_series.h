@@ -17,6 +17,7 @@ inline constexpr const char* kPointLabel = "temperature.point";   ///< "3 of 15"
 inline constexpr const char* kLegLabel = "temperature.leg";       ///< "up"
 inline constexpr const char* kSetLabel = "temperature.set_degc";  ///< "-40"
 inline constexpr const char* kSoakLabel = "temperature.soak";     ///< In words.
+inline constexpr const char* kPlanLabel = "temperature.plan";     ///< What its plan was found for, if it was.
 
 /// One point to measure.
 struct SeriesPoint {
@@ -42,6 +43,7 @@ class TemperatureSeries {
   struct Request {
     std::string bench_toml, bench_file;
     std::filesystem::path stem;  ///< Of the run files.
+    std::string plan_words{};    ///< What the plan was found for; empty: it is that of the bench file.
   };
 
   explicit TemperatureSeries(Options options) : options_(std::move(options)) {}

@@ -9,10 +9,12 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
+#include "app/bench/bench_config.h"
 #include "app/bench/real_clock.h"
 #include "app/session/temperature_series.h"
 #include "drivers/wire/byte_stream.h"
 #include "drivers/wire/open_stream.h"
+#include "protocol/record/run_file.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/app/temperature_text.h"
 
@@ -105,6 +107,48 @@ TEST_F(TemperatureTest, AChamberInFahrenheitIsRefused) {
   const ProgramResult result = series(text);
   EXPECT_EQ(result.exit_code, 3);
   EXPECT_THAT(result.err, AllOf(HasSubstr("its unit is degF"), HasSubstr("required: degC")));
+  EXPECT_EQ(run_files(), 0U);
+}
+
+TEST_F(TemperatureTest, ThePlannerFindsThePlanOfEachPoint) {
+  SeriesText text;
+  text.temperature = "set_points_degc = [23, 50]\ndown = false\nramp_k_per_min = 5.0\nsoak_min_s = 1200\n";
+  const ProgramResult result = series(text, {"--reach", "s=2e-5", "--noise", "1e-4", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_THAT(result.err, HasSubstr("Plan of each point, found for reach s=2e-5, noise 1e-4: 3 x "));
+  const auto protocol = [](const StoredRun& run) {
+    return parse_bench(run.header.bench_toml, "run").protocol;
+  };
+  const auto paths = series_paths(folder / "bench-temperature", 4);
+  const ProtocolConfig first = protocol(RunFile::load(paths[0]));
+  EXPECT_GE(first.steps, 12) << "the bench file has 8";
+  for (const auto& path : paths) {
+    const StoredRun run = RunFile::load(path);
+    EXPECT_EQ(run.header.labels.at(kPlanLabel), "reach s=2e-5, noise 1e-4");
+    EXPECT_EQ(protocol(run).steps, first.steps);
+    EXPECT_EQ(protocol(run).dwell_readings, first.dwell_readings);
+  }
+  // The least that reaches it does so.
+  const Json point = Json::parse(result.out)["points"][0];
+  const double u = std::hypot(point["own_standard_uncertainty"][0].get<double>(),
+                              point["shared_standard_uncertainty"][0].get<double>());
+  EXPECT_LT(u, 1.3 * 2e-5);
+  EXPECT_GT(u, 0.3 * 2e-5);
+
+  // It goes on with the plan that it has; another one would be another series.
+  for (const char* suffix : {"", ".results"}) std::filesystem::remove(paths[3].string() + suffix);
+  const ProgramResult on = series(text);
+  ASSERT_EQ(on.exit_code, 0) << on.err;
+  EXPECT_EQ(protocol(RunFile::load(paths[3])).steps, first.steps);
+  const ProgramResult other = series(text, {"--reach", "s=1e-5", "--noise", "1e-4"});
+  EXPECT_EQ(other.exit_code, 2);
+  EXPECT_THAT(other.err, AllOf(HasSubstr("found for: reach s=2e-5, noise 1e-4"), HasSubstr("-o")));
+}
+
+TEST_F(TemperatureTest, APlanOutOfReachEndsBeforeAnythingHeats) {
+  const ProgramResult result = series({}, {"--reach", "s=1e-12", "--noise", "1e-4"});
+  EXPECT_EQ(result.exit_code, 1);
+  EXPECT_THAT(result.err, AllOf(HasSubstr("out of reach: s: 1e-12 is wanted"), Not(HasSubstr("Chamber"))));
   EXPECT_EQ(run_files(), 0U);
 }
 
