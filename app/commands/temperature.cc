@@ -101,18 +101,9 @@ std::vector<std::filesystem::path> measure(const TemperatureOptions& options, co
   }
 }
 
-TemperatureReport report_of(const std::vector<std::filesystem::path>& paths, const BenchConfig& config) {
-  TemperatureReport report;
-  report.files = paths;
-  const StoredRun first = RunFile::load(paths.front());
-  if (!first.header.items.empty()) {
-    const RunItem& item = first.header.items.front();
-    report.item = fmt::format("{} {}{}{}", item.maker, item.model,
-                              item.serial_number.empty() ? "" : ", serial number ", item.serial_number);
-  }
-  report.unit = first.header.response_unit;
-  report.result = fit_temperature(points_of_series(paths), config.temperature.reference_degc, report.unit);
-  return report;
+TemperatureReport report_of(const std::vector<std::filesystem::path>& paths) {
+  AnalysedSeries series = analyse_series(paths);
+  return {paths, std::move(series.item), std::move(series.response_unit), std::move(series.result)};
 }
 
 void write_pages(const TemperatureOptions& options, const Document& document) {
@@ -161,7 +152,7 @@ CLI::App* add_temperature(CLI::App& parent, int& exit_code) {
     const std::vector<std::filesystem::path> paths =
         options->analyse_only ? series_paths(stem_of(*options), series_points(config.temperature).size())
                               : measure(*options, config);
-    const TemperatureReport report = report_of(paths, config);
+    const TemperatureReport report = report_of(paths);
     const Document document = temperature_document(report);
     write_pages(*options, document);
     if (options->json) {

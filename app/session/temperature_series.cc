@@ -293,4 +293,21 @@ std::vector<TemperaturePoint> points_of_series(const std::vector<std::filesystem
   return points;
 }
 
+AnalysedSeries analyse_series(const std::vector<std::filesystem::path>& paths) {
+  AnalysedSeries series;
+  const StoredRun first = RunFile::load(paths.at(0));
+  if (!first.header.items.empty()) {
+    const RunItem& item = first.header.items.front();
+    series.item = fmt::format("{} {}{}{}", item.maker, item.model,
+                              item.serial_number.empty() ? "" : ", serial number ", item.serial_number);
+  }
+  series.response_unit = first.header.response_unit;
+  series.performed = first.header.created_utc;
+  series.g_loc_mps2 = first.record.g_loc.value_mps2;
+  const BenchConfig config = parse_bench(first.header.bench_toml, paths[0].string());
+  series.result =
+      fit_temperature(points_of_series(paths), config.temperature.reference_degc, series.response_unit);
+  return series;
+}
+
 }  // namespace abcal

@@ -69,4 +69,17 @@ class TemperatureSeries {
 /// @throws std::invalid_argument for a file that is none of a series, or not complete
 std::vector<TemperaturePoint> points_of_series(const std::vector<std::filesystem::path>& paths);
 
+/// A measured series and its fit.
+struct AnalysedSeries {
+  TemperatureResult result;
+  std::string item;  ///< Maker, model, serial number of the first run; empty: not known.
+  std::string response_unit;
+  std::string performed;  ///< UTC, of the first run.
+  double g_loc_mps2 = 0.0;
+};
+
+/// points_of_series() and their fit, about the reference that the runs' bench file names.
+/// @throws std::invalid_argument as these
+AnalysedSeries analyse_series(const std::vector<std::filesystem::path>& paths);
+
 }  // namespace abcal

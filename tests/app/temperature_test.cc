@@ -69,6 +69,22 @@ TEST_F(TemperatureTest, ASeriesUpAndDownFindsTheCoefficients) {
   EXPECT_NEAR(json["coefficients"][0]["at_reference"].get<double>(), -100.0, 2.0);
   EXPECT_THAT(result.err, AllOf(HasSubstr("set points -70 to 180 degC by its own hardware"),
                                 HasSubstr("Point 7 of 7"), HasSubstr("The chamber is driven to 23 degC")));
+  std::vector<std::string> points{"export"};
+  for (int n = 1; n <= 7; ++n) points.push_back(fmt::format("bench-temperature-{:02}.run", n));
+  const auto exported = [&](const std::vector<std::string>& options) {
+    std::vector<std::string> arguments = points;
+    arguments.insert(arguments.end(), options.begin(), options.end());
+    return abcal(arguments);
+  };
+  const ProgramResult constants = exported({"--as", "json"});
+  ASSERT_EQ(constants.exit_code, 0) << constants.err;
+  EXPECT_EQ(Json::parse(constants.out)["outputs"][0]["coefficients"], json["polynomials"][0]["coefficients"]);
+  EXPECT_EQ(Json::parse(constants.out)["T0_degc"], 23.0);
+  const ProgramResult px4 = exported({"--as", "px4"});
+  EXPECT_EQ(px4.exit_code, 2);
+  EXPECT_THAT(px4.err, HasSubstr("7 files, the points of a series over temperature"));
+  EXPECT_EQ(exported({"--as", "csv", "--frame", "platter"}).exit_code, 2);
+
   // Again: nothing is measured, the same is said.
   const ProgramResult again = series({});
   EXPECT_EQ(again.exit_code, 0);
