@@ -1,5 +1,6 @@
-// abcal-guard: holds the ports of a stage for the program that moves it, and halts the axes if that program
-// dies (app/bench/halt_guard.h). Started by abcal, with one end of a socket as descriptor 3.
+// abcal-guard: holds the ports of a stage and a chamber for the program that moves them, halts the axes and
+// leaves the chamber as its policy says if that program dies (app/bench/halt_guard.h). Started by abcal, with
+// one end of a socket as descriptor 3.
 #include <csignal>
 #include <exception>
 #include <string>
@@ -23,7 +24,7 @@ int main(int argc, char** argv) {
     abcal::RealClock clock;
     const std::vector<std::string> words = abcal::guard_until_owner_dies(kSocket, clock);
     for (const std::string& each : words)
-      abcal::print_log("abcal-guard: the program that moved the stage has died; {}\n", each);
+      abcal::print_log("abcal-guard: the program that moved the bench has died; {}\n", each);
     return 0;
   } catch (const std::exception& error) {
     abcal::print_log("abcal-guard: {}\n", error.what());

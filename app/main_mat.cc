@@ -4,11 +4,15 @@
 #include <matio.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <array>
+#include <cmath>
+#include <cstddef>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "app/commands/run_program.h"
@@ -54,9 +58,47 @@ class MatFile {
   std::unique_ptr<mat_t, int (*)(mat_t*)> file_;
 };
 
-/// @param constants  schema abcal.constants/1
+/// Coefficients of polynomials as rows of one length, with zeros behind.
+std::vector<std::vector<double>> rows_of(const std::vector<std::vector<double>>& coefficients) {
+  std::size_t terms = 1;
+  for (const std::vector<double>& each : coefficients) terms = std::max(terms, each.size());
+  std::vector<std::vector<double>> rows = coefficients;
+  for (std::vector<double>& row : rows) row.resize(terms, 0.0);
+  return rows;
+}
+
+/// One row for each polynomial: M_xu, M_xv, ... M_zw; b, s: u, v, w; phi: uv, vw, wu.
+/// @param constants  schema abcal.temperature_constants/1
+void write_over_temperature(const nlohmann::json& constants, MatFile& file) {
+  std::vector<std::vector<double>> matrix;
+  for (const auto& row : constants.at("M").at("coefficients"))
+    for (const auto& element : row) matrix.push_back(element.get<std::vector<double>>());
+  file.add("M", rows_of(matrix));
+  const auto& outputs = constants.at("outputs");
+  for (const auto& [name, first] : {std::pair{"s", 0U}, {"phi", 3U}, {"b", 6U}}) {
+    std::vector<std::vector<double>> values, uncertainties;
+    for (std::size_t k = first; k < first + 3U; ++k) {
+      const auto covariance = outputs.at(k).at("covariance").get<std::vector<std::vector<double>>>();
+      values.push_back(outputs.at(k).at("coefficients").get<std::vector<double>>());
+      std::vector<double>& u = uncertainties.emplace_back();
+      for (std::size_t n = 0; n < covariance.size(); ++n) u.push_back(std::sqrt(covariance[n].at(n)));
+    }
+    file.add(name, rows_of(values));
+    file.add((std::string("u_") + name).c_str(), rows_of(uncertainties));
+  }
+  for (const char* name : {"T0_degc", "least_degc", "most_degc", "g_loc_mps2"})
+    file.add(name, std::vector<std::vector<double>>(1, {constants.at(name).get<double>()}));
+}
+
+/// @param constants  schema abcal.constants/1 or abcal.temperature_constants/1
 void write_mat(const nlohmann::json& constants, const std::string& path) {
   MatFile file(path);
+  for (const char* name : {"rule", "response_unit", "frame", "item", "source", "performed", "verdict"})
+    file.add(name, constants.at(name).get<std::string>());
+  if (constants.at("schema") == "abcal.temperature_constants/1") {
+    write_over_temperature(constants, file);
+    return;
+  }
   const auto column = [](const nlohmann::json& numbers) {
     std::vector<std::vector<double>> rows;
     for (const auto& number : numbers) rows.push_back({number.get<double>()});
@@ -69,8 +111,6 @@ void write_mat(const nlohmann::json& constants, const std::string& path) {
   file.add("b", column(offset.at("value")));
   file.add("u_b", column(offset.at("standard_uncertainty")));
   file.add("g_loc_mps2", column(nlohmann::json::array({constants.at("g_loc_mps2")})));
-  for (const char* name : {"rule", "response_unit", "frame", "item", "source", "performed", "verdict"})
-    file.add(name, constants.at(name).get<std::string>());
   if (!constants.contains("noise")) return;
   const auto& noise = constants.at("noise");
   file.add("noise_density", column(nlohmann::json::array({noise.at("density")})));

@@ -539,6 +539,11 @@ void SimBench::command_chamber(const ChamberCommand& command, Clock::Instant t) 
   thermal_.command(command, t);
 }
 
+bool SimBench::chamber_in_use() const {
+  const std::lock_guard lock(mutex_);
+  return thermal_.in_use();
+}
+
 ChamberCommand SimBench::commanded_chamber() const {
   const std::lock_guard lock(mutex_);
   return thermal_.commanded();

@@ -113,6 +113,7 @@ class SimBench {
   // from then on that of the chamber.
 
   void command_chamber(const ChamberCommand& command, Clock::Instant t);
+  bool chamber_in_use() const;  ///< It was told anything.
   ChamberCommand commanded_chamber() const;
   double chamber_set_point(Clock::Instant t) const;
   double chamber_air(Clock::Instant t) const;

@@ -10,8 +10,6 @@
 namespace abcal {
 namespace {
 
-constexpr double kAmbientDegc = 23.0;
-
 class WatchedStage final : public RotationStage {
  public:
   WatchedStage(std::unique_ptr<RotationStage> stage, ChamberWatch& watch)

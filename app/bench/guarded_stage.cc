@@ -11,20 +11,17 @@ namespace abcal {
 
 void GuardedStage::have_guard() noexcept {
   try {
-    if (guard_->generation() == held_by_) return;
-    const int descriptor = descriptor_();
-    if (descriptor < 0) return;  // The motion that follows fails with the reason.
-    guard_->hold({port_, stage_->halt_recipes()}, descriptor);
-    held_by_ = guard_->generation();
+    // A port that is not open: the motion that follows fails with the reason.
+    if (!handover_.ensure([this] { return stage_->halt_recipes(); })) return;
     note(
         fmt::format("A process of its own (abcal-guard, {}) holds the port of the {} and halts its axes if "
                     "this program dies.",
-                    guard_->process(), port_));
+                    handover_.guard_process(), handover_.port()));
   } catch (const std::exception& error) {
     if (std::exchange(told_missing_, true)) return;
     const std::string text =
         fmt::format("Nobody halts the {} if this program dies ({}): keep the stage's own switch at hand.",
-                    port_, error.what());
+                    handover_.port(), error.what());
     print_warning(text);
     note(text);
   }

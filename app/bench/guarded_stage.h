@@ -1,12 +1,12 @@
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
-#include "app/bench/halt_guard.h"
+#include "app/bench/port_handover.h"
 #include "drivers/instrument/rotation_stage.h"
 
 namespace abcal {
@@ -18,13 +18,8 @@ inline constexpr std::string_view kGuardEvent = "guard";
 /// event and no error: the stage is then as safe as without.
 class GuardedStage final : public RotationStage {
  public:
-  /// @param descriptor  of the port now; -1: it is not open
-  GuardedStage(std::unique_ptr<RotationStage> stage, std::shared_ptr<HaltGuard> guard, std::string port,
-               std::function<int()> descriptor)
-      : stage_(std::move(stage)),
-        guard_(std::move(guard)),
-        port_(std::move(port)),
-        descriptor_(std::move(descriptor)) {}
+  GuardedStage(std::unique_ptr<RotationStage> stage, PortHandover handover)
+      : stage_(std::move(stage)), handover_(std::move(handover)) {}
 
   StageInfo identify() override { return stage_->identify(); }
   void home(StageAxis axis) override;
@@ -42,10 +37,7 @@ class GuardedStage final : public RotationStage {
   void note(std::string text);
 
   std::unique_ptr<RotationStage> stage_;
-  std::shared_ptr<HaltGuard> guard_;
-  std::string port_;
-  std::function<int()> descriptor_;
-  int held_by_ = 0;  ///< Generation of the guard that holds the port; 0: none.
+  PortHandover handover_;
   bool told_missing_ = false;
   std::vector<StageEvent> events_;
 };

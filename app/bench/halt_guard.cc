@@ -49,7 +49,8 @@ Json recipe_json(const HaltRecipe& recipe) {
           {"questions", std::move(questions)},
           {"reply_time_ms", recipe.reply_time.count()},
           {"reply_end", recipe.reply_end},
-          {"binary", recipe.binary}};
+          {"binary", recipe.binary},
+          {"chamber", recipe.chamber}};
 }
 
 HaltRecipe recipe_from(const Json& json) {
@@ -61,6 +62,7 @@ HaltRecipe recipe_from(const Json& json) {
   recipe.reply_time = std::chrono::milliseconds(json.at("reply_time_ms").get<std::int64_t>());
   recipe.reply_end = json.at("reply_end").get<std::string>();
   recipe.binary = json.at("binary").get<bool>();
+  recipe.chamber = json.at("chamber").get<std::string>();
   for (const Json& each : json.at("questions"))
     recipe.questions.push_back({each.at("bytes").get<std::string>(), each.at("reply").get<std::string>(),
                                 each.at("standing").get<std::string>(),
@@ -132,6 +134,9 @@ struct HeldPort {
     std::string words;
     for (const HaltRecipe& recipe : port.recipes) {
       const bool halted = wire::carry_out(recipe, stream, clock, clock.now() + kHaltTime);
+      if (!recipe.chamber.empty())
+        words = halted ? recipe.chamber
+                       : "did not acknowledge its set point, is left as it is and may be heating or cooling";
       for (const StageAxis axis : kStageAxes) {
         if (!recipe.axes[index(axis)]) continue;
         words += fmt::format("{}axis {}: {}", words.empty() ? "" : "; ", to_string(axis),

@@ -10,14 +10,15 @@
 
 namespace abcal {
 
-/// A port of a stage, as another process holds it.
+/// A port of a stage or of a chamber, as another process holds it.
 struct GuardedPort {
   std::string name;  ///< For messages.
   std::vector<HaltRecipe> recipes;
 };
 
-/// The owner's end of a guard: a process of its own (abcal-guard) that holds the descriptors of a stage's
-/// ports and does nothing with them until this process has died; then it halts the axes by the recipes.
+/// The owner's end of a guard: a process of its own (abcal-guard) that holds the descriptors of the ports of
+/// a stage and a chamber and does nothing with them until this process has died; then it halts the axes and
+/// leaves the chamber by the recipes.
 /// However this process dies, also by SIGKILL, the system closes its end of their socket, and the guard sees
 /// that. For one thread.
 class HaltGuard {
@@ -47,8 +48,8 @@ class HaltGuard {
   int generation_ = 0;
 };
 
-/// The guard itself: holds what comes over `socket` until its other end is closed, then halts the axes unless
-/// it was told that they are at rest.
+/// The guard itself: holds what comes over `socket` until its other end is closed, then halts the axes and
+/// leaves the chamber unless it was told that they are at rest.
 /// @return what happened to each port, in words; nothing: the owner ended in order.
 std::vector<std::string> guard_until_owner_dies(int socket, Clock& clock);
 

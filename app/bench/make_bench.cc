@@ -12,8 +12,10 @@
 #include <stdexcept>
 #include <utility>
 
+#include "app/bench/guarded_chamber.h"
 #include "app/bench/guarded_stage.h"
 #include "app/bench/make_firmware.h"
+#include "app/bench/port_handover.h"
 #include "app/bench/real_clock.h"
 #include "app/bench/stage_watchdog.h"
 #include "app/system/interrupt.h"
@@ -211,8 +213,7 @@ class Opener {
       parts.push_back(driver.make(std::move(streams), clock_, stage_settings(config_, port)));
       if (driver.connections == 0) continue;  // Nothing of ours to halt it by.
       if (wire::ReopenableStream* real = opened_.at(port.name).port)
-        parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), guard_, port.name,
-                                                      [real] { return real->descriptor(); });
+        parts.back() = std::make_unique<GuardedStage>(std::move(parts.back()), handover(port.name, *real));
       const std::lock_guard lock(halt_mutex_);
       halt_ports_[port.name] = {opened_.at(port.name).stream, parts.back()->halt_recipes()};
     }
@@ -275,7 +276,12 @@ class Opener {
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
     for (const InstrumentPort& port : chamber_ports(config_.chamber))
       streams.push_back(open(port, driver.serial));
-    return driver.make(std::move(streams), clock_, chamber_settings(config_.chamber));
+    auto chamber = driver.make(std::move(streams), clock_, chamber_settings(config_.chamber));
+    for (const InstrumentPort& port : chamber_ports(config_.chamber))
+      if (wire::ReopenableStream* real = opened_.at(port.name).port)
+        chamber = std::make_unique<GuardedChamber>(std::move(chamber), handover(port.name, *real),
+                                                   config_.temperature.policy());
+    return chamber;
   }
 
   std::unique_ptr<EnvironmentSensor> environment() {
@@ -291,6 +297,10 @@ class Opener {
     std::shared_ptr<wire::ByteStream> stream;
     wire::ReopenableStream* port = nullptr;  ///< At the end of `stream`; null: nothing real to be opened.
   };
+
+  PortHandover handover(const std::string& name, const wire::ReopenableStream& port) const {
+    return {guard_, name, [&port] { return port.descriptor(); }};
+  }
 
   /// The bytes to and from an instrument; the port is opened again if it was gone.
   std::unique_ptr<wire::ByteStream> open(const InstrumentPort& port, const SerialDefaults& defaults) {

@@ -1,7 +1,9 @@
 #include <fmt/format.h>
 
 #include <memory>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include "app/commands/commands.h"
 #include "app/export/formats.h"
@@ -9,6 +11,7 @@
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
 #include "app/results/tray_results.h"
+#include "app/session/temperature_series.h"
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
@@ -17,7 +20,7 @@ namespace abcal {
 namespace {
 
 struct ExportCommand {
-  std::string file;
+  std::vector<std::string> files;  ///< One; or the points of a series over temperature.
   std::string format;
   std::string estimator;
   std::string frame = "item";
@@ -28,21 +31,23 @@ struct ExportCommand {
 
 /// Of one of several items, as the common fit of all of them knows it.
 CalibrationResult result_of_file(const ExportCommand& command, const LoadedRecord& loaded, int item) {
+  const std::string& file = command.files.front();
   const std::string estimator =
       command.estimator.empty() ? declared_estimator(loaded.record).name : command.estimator;
   if (estimator == "joint" && loaded.run && has_several_items(*loaded.run))
-    return std::move(analyse_tray_run(command.file).tray.items[static_cast<std::size_t>(item - 1)].result);
+    return std::move(analyse_tray_run(file).tray.items[static_cast<std::size_t>(item - 1)].result);
   return analyse(loaded.record, estimator);
 }
 
 CorrectionConstants constants_of_file(const ExportCommand& command) {
-  const int chosen = chosen_item(command.file, command.item);
-  const LoadedRecord loaded = load_record(command.file, chosen);
+  const std::string& file = command.files.front();
+  const int chosen = chosen_item(file, command.item);
+  const LoadedRecord loaded = load_record(file, chosen);
   const CalibrationResult result = result_of_file(command, loaded, chosen);
   CorrectionConstants constants =
       constants_of(result, command.frame == "item" ? ExportFrame::kItem : ExportFrame::kPlatter);
   if (!loaded.run) return constants;
-  constants.noise = noise_of_readings(command.file, chosen);
+  constants.noise = noise_of_readings(file, chosen);
   constants.performed = loaded.run->header.created_utc;
   if (!loaded.run->header.items.empty()) {
     const RunItem& item = loaded.run->header.items[static_cast<std::size_t>(chosen - 1)];
@@ -51,21 +56,55 @@ CorrectionConstants constants_of_file(const ExportCommand& command) {
   return constants;
 }
 
+/// What a format writes, and the verdict on it.
+struct Exported {
+  std::string text, verdict;
+};
+
+Exported constants_of_series(const ExportCommand& command, const ExportFormat& format) {
+  if (!format.write_over_temperature)
+    throw std::invalid_argument(
+        fmt::format("--as {}: found {} files, the points of a series over temperature; required: one file, "
+                    "or the formats "
+                    "json, csv, mat, c, which hold constants over temperature",
+                    format.name, command.files.size()));
+  if (command.frame != "item" || command.item != 0 || !command.estimator.empty())
+    throw std::invalid_argument(
+        "--frame, --item and --estimator: not with the points of a series over temperature; required: none "
+        "of them, as its "
+        "polynomials are of what the mounting does not change, of one item, by the estimator that the runs "
+        "declare");
+  const AnalysedSeries series = analyse_series({command.files.begin(), command.files.end()});
+  TemperatureConstants constants = temperature_constants(series.result, series.g_loc_mps2);
+  constants.response_unit = series.response_unit;
+  constants.item = series.item;
+  constants.performed = series.performed;
+  constants.source = fmt::format("{} and {} more runs", command.files.front(), command.files.size() - 1);
+  constants.verdict = series.result.usable() ? "usable" : "doubtful";
+  return {format.write_over_temperature(constants), constants.verdict};
+}
+
+Exported exported(const ExportCommand& command, const ExportFormat& format) {
+  if (command.files.size() > 1) return constants_of_series(command, format);
+  const CorrectionConstants constants = constants_of_file(command);
+  return {format.write(constants), constants.verdict};
+}
+
 void export_constants(const ExportCommand& command) {
   const ExportFormat& format = export_format(command.format);
   if (command.output.empty() && !format.is_text)
     throw std::invalid_argument(fmt::format("--as {}: is no text; required: --output FILE", format.name));
   if (!command.output.empty())
-    require_writable({{"--output", command.output}}, {command.file}, command.force);
-  const CorrectionConstants constants = constants_of_file(command);
-  const std::string text = format.write(constants);
-  if (constants.verdict != "usable")
-    print_warning(fmt::format("the result is {}: look at it with `abcal analyse {}` first", constants.verdict,
-                              command.file));
+    require_writable({{"--output", command.output}}, {command.files.begin(), command.files.end()},
+                     command.force);
+  const Exported done = exported(command, format);
+  if (done.verdict != "usable")
+    print_warning(fmt::format("the result is {}: look at it with `abcal analyse {}` first", done.verdict,
+                              command.files.front()));
   if (command.output.empty()) {
-    print_result("{}", text);
+    print_result("{}", done.text);
   } else {
-    OutputFile(command.output).write(text);
+    OutputFile(command.output).write(done.text);
   }
 }
 
@@ -78,7 +117,10 @@ CLI::App* add_export(CLI::App& parent, int& exit_code) {
   std::string formats;
   for (const ExportFormat& format : export_formats())
     formats += fmt::format("\n  {}: {}", format.name, format.words);
-  command->add_option("FILE", options->file, "run file or CSV")->required();
+  command
+      ->add_option("FILE", options->files,
+                   "run file or CSV; several: the points of a series over temperature")
+      ->required();
   command->add_option("--as", options->format, "format:" + formats)->required();
   command->add_option("--estimator", options->estimator, "instead of the one that the run declares")
       ->check(CLI::IsMember(std::vector<std::string>(kEstimatorNames.begin(), kEstimatorNames.end())));

@@ -1,6 +1,7 @@
 #include "app/commands/plan_reach.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -111,6 +112,39 @@ nlohmann::ordered_json prediction_json(const PlanPrediction& plan, const WantedV
           {"outputs", outputs}};
 }
 
+/// What is wanted of a bench with its noise.
+struct PlanQuestion {
+  WantedValues wanted;
+  std::optional<double> within_s;  ///< Nothing: the shortest plan is asked for.
+  PlanningBench bench;
+};
+
+PlanQuestion question_of(const ReachOptions& options, PlanningBench bench) {
+  PlanQuestion question{
+      options.reach.empty() ? published_wanted() : parse_wanted(options.reach), {}, std::move(bench)};
+  if (!options.time.empty()) question.within_s = seconds_of(options.time);
+  if (!options.estimator.empty()) question.bench.config.protocol.estimator = options.estimator;
+  question.bench.noise = noise_of(options, question.bench.config);
+  return question;
+}
+
+FoundPlan answer_to(const PlanQuestion& question, const ReachOptions& options, PlanSearch& search) {
+  if (!question.within_s) return search.shortest(question.wanted);
+  FoundPlan found;
+  found.plan = search.best_within(*question.within_s, question.wanted);
+  if (!found.plan)
+    found.out_of_reach.push_back(
+        fmt::format("--time {}: moves and settling alone last longer", options.time));
+  return found;
+}
+
+PlanSearch search_with_bar(const PlanQuestion& question, ProgressBar& bar) {
+  return PlanSearch(question.bench, [&bar](std::size_t done) {
+    constexpr double kUsualPredictions = 120.0;
+    bar.show(std::min(static_cast<double>(done), kUsualPredictions), kUsualPredictions);
+  });
+}
+
 /// The best plan for each of kCurveMinutes that is long enough.
 std::vector<PlanPrediction> curve(PlanSearch& search, const WantedValues& wanted) {
   std::vector<PlanPrediction> plans;
@@ -158,7 +192,7 @@ void write_into_bench_file(const ReachOptions& options, const PlanPrediction& pl
 
 }  // namespace
 
-void add_reach_options(CLI::App& command, ReachOptions& options) {
+void add_question_options(CLI::App& command, ReachOptions& options) {
   command.add_option(
       "--reach", options.reach,
       "find the shortest plan with these standard uncertainties: 's=2e-5, off=2e-4, O=5e-5, phi=1e-3 deg'");
@@ -166,41 +200,55 @@ void add_reach_options(CLI::App& command, ReachOptions& options) {
   command.add_option("--noise", options.noise,
                      "noise of one reading: standard deviation in g_loc, or an earlier run (default: that of "
                      "[simulation], where the accelerometer is simulated)");
+}
+
+void add_reach_options(CLI::App& command, ReachOptions& options) {
+  add_question_options(command, options);
   command.add_option("--estimator", options.estimator, "instead of the one in the bench file")
       ->check(CLI::IsMember({"abc", "joint"}));
   command.add_option("--plot", options.plot, "SVG to write: uncertainties against time");
   command.add_flag("--write", options.write, "put the plan that was found into the bench file");
 }
 
-int run_reach(const ReachOptions& options, PlanningBench bench) {
-  const WantedValues wanted = options.reach.empty() ? published_wanted() : parse_wanted(options.reach);
-  const double within_s = options.time.empty() ? 0.0 : seconds_of(options.time);
-  if (!options.plot.empty()) require_writable({{"--plot", options.plot}}, {options.bench_file}, true);
-  if (!options.estimator.empty()) bench.config.protocol.estimator = options.estimator;
-  bench.noise = noise_of(options, bench.config);
-  const double rate_hz = bench.config.accelerometer.rate_hz;
+std::string question_words(const ReachOptions& options) {
+  std::string words;
+  const auto add = [&](std::string_view name, const std::string& value) {
+    if (!value.empty()) words += fmt::format("{}{} {}", words.empty() ? "" : ", ", name, value);
+  };
+  add("reach", options.reach);
+  add("time", options.time);
+  add("noise", options.noise);
+  return words;
+}
+
+PlanPrediction find_plan(const ReachOptions& options, const BenchConfig& config) {
+  const PlanQuestion question = question_of(options, planning_bench(config, 0.0));
   RealClock clock;
   ProgressBar bar("Predicting", clock);
-  constexpr double kUsualPredictions = 120.0;
-  PlanSearch search(bench, [&](std::size_t done) {
-    bar.show(std::min(static_cast<double>(done), kUsualPredictions), kUsualPredictions);
-  });
-  FoundPlan found;
-  if (options.time.empty()) {
-    found = search.shortest(wanted);
-  } else {
-    found.plan = search.best_within(within_s, wanted);
-    if (!found.plan)
-      found.out_of_reach.push_back(
-          fmt::format("--time {}: moves and settling alone last longer", options.time));
-  }
+  PlanSearch search = search_with_bar(question, bar);
+  FoundPlan found = answer_to(question, options, search);
+  bar.clear();
+  if (!found.plan)
+    throw std::runtime_error(fmt::format("out of reach: {}", fmt::join(found.out_of_reach, "; ")));
+  return *std::move(found.plan);
+}
+
+int run_reach(const ReachOptions& options, PlanningBench bench) {
+  const PlanQuestion question = question_of(options, std::move(bench));
+  const WantedValues& wanted = question.wanted;
+  const BenchConfig& config = question.bench.config;
+  if (!options.plot.empty()) require_writable({{"--plot", options.plot}}, {options.bench_file}, true);
+  RealClock clock;
+  ProgressBar bar("Predicting", clock);
+  PlanSearch search = search_with_bar(question, bar);
+  const FoundPlan found = answer_to(question, options, search);
   const std::vector<PlanPrediction> others = curve(search, wanted);
   bar.clear();
   if (!options.plot.empty()) plot_curve(options.plot, others);
   if (options.write && found.plan) write_into_bench_file(options, *found.plan);
   if (options.json) {
     nlohmann::ordered_json json{{"schema", "abcal.plan/1"},
-                                {"noise", bench.noise},
+                                {"noise", question.bench.noise},
                                 {"predicted", nullptr},
                                 {"out_of_reach", found.out_of_reach},
                                 {"curve", nlohmann::ordered_json::array()}};
@@ -210,12 +258,12 @@ int run_reach(const ReachOptions& options, PlanningBench bench) {
   } else {
     for (const std::string& words : found.out_of_reach) print_result("Out of reach: {}\n", words);
     if (found.plan) {
-      print_plan(*found.plan, rate_hz);
+      print_plan(*found.plan, config.accelerometer.rate_hz);
       print_prediction(*found.plan, wanted);
     }
     print_curve(others);
-    print_result("Noise of one reading: {:.3g} g_loc, taken as white. Estimator: {}.\n", bench.noise,
-                 bench.config.protocol.estimator);
+    print_result("Noise of one reading: {:.3g} g_loc, taken as white. Estimator: {}.\n", question.bench.noise,
+                 config.protocol.estimator);
   }
   return found.plan ? kExitDone : kExitFailed;
 }

@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// What `abcal plan BENCH --reach` and `--time` are asked.
+/// What `--reach` and `--time` of `abcal plan` and `abcal temperature` are asked.
 struct ReachOptions {
   std::string bench_file;
   std::string reach;  ///< "phi=1e-3 deg, s=2e-5"; empty: the paper's uncertainties, as a scale for --time.
@@ -25,8 +25,18 @@ struct ReachOptions {
   bool has_details() const { return !noise.empty() || !estimator.empty() || !plot.empty() || write; }
 };
 
-/// --reach, --time and what goes with them.
+/// --reach, --time and --noise.
+void add_question_options(CLI::App& command, ReachOptions& options);
+/// These and what else goes with them.
 void add_reach_options(CLI::App& command, ReachOptions& options);
+
+/// What --reach, --time and --noise ask, in one line: "reach s=1e-5, noise 1e-4". Empty: nothing.
+std::string question_words(const ReachOptions& options);
+
+/// The plan that they ask for.
+/// @throws std::invalid_argument  a value that is none; noise that is not known
+/// @throws std::runtime_error  out of reach, with the reason
+PlanPrediction find_plan(const ReachOptions& options, const BenchConfig& config);
 
 /// Finds the plan and prints it.
 /// @param bench  without its noise

@@ -6,6 +6,7 @@
 #include "app/bench/bench_config.h"
 #include "app/bench/bench_records.h"
 #include "app/commands/commands.h"
+#include "app/commands/plan_reach.h"
 #include "app/commands/run.h"
 #include "app/commands/terminal_listener.h"
 #include "app/document/document_html.h"
@@ -18,6 +19,9 @@
 #include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
+#include "app/system/progress.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/run_label.h"
 
 namespace abcal {
 namespace {
@@ -25,6 +29,7 @@ namespace {
 struct TemperatureOptions {
   std::string bench_file, output, html, pdf;
   bool analyse_only = false, json = false;
+  ReachOptions plan;
 };
 
 /// "BENCH" in the folder of the call, or what -o names, without an ending: the same each time, so that a
@@ -37,7 +42,46 @@ std::filesystem::path stem_of(const TemperatureOptions& options) {
   return stem;
 }
 
+/// The bench of a series, with the plan of its points.
+struct PlannedSeries {
+  BenchConfig config;
+  std::string plan_words;  ///< As TemperatureSeries::Request has them.
+};
+
+/// Finds the plan that was asked for. A series that goes on has that of its first point, and is not asked
+/// again.
+PlannedSeries with_plan(const TemperatureOptions& options, BenchConfig config) {
+  PlannedSeries series{std::move(config), question_words(options.plan)};
+  ProtocolConfig& protocol = series.config.protocol;
+  const std::filesystem::path first = series_paths(stem_of(options), 1).front();
+  if (std::filesystem::exists(first)) {
+    const RunHeader header = RunFile::load(first).header;
+    const std::string kept = label_of(header.labels, kPlanLabel);
+    if (!series.plan_words.empty() && series.plan_words != kept)
+      throw std::invalid_argument(fmt::format(
+          "{}: was measured with {}; found: {}; required: the same for all points of a series, or another "
+          "name with -o",
+          first.string(), kept.empty() ? "the plan of the bench file" : "a plan found for: " + kept,
+          series.plan_words));
+    if (kept.empty()) return series;
+    const ProtocolConfig measured = parse_bench(header.bench_toml, first.string()).protocol;
+    protocol.steps = measured.steps;
+    protocol.step = measured.step;
+    protocol.dwell_readings = measured.dwell_readings;
+    series.plan_words = kept;
+    return series;
+  }
+  if (series.plan_words.empty()) return series;
+  const PlanPrediction found = find_plan(options.plan, series.config);
+  protocol = found.protocol;
+  print_log("Plan of each point, found for {}: 3 x {} angles of {:g} deg, {} readings at each; about {}\n",
+            series.plan_words, protocol.steps, protocol.step.deg(), protocol.dwell_readings,
+            describe_duration(found.duration.total_s()));
+  return series;
+}
+
 std::vector<std::filesystem::path> measure(const TemperatureOptions& options, const BenchConfig& config) {
+  const PlannedSeries planned = with_plan(options, config);
   std::optional<TerminalListener> terminal;
   TemperatureSeries::Options series;
   series.session.stop = interrupt_token();
@@ -49,7 +93,7 @@ std::vector<std::filesystem::path> measure(const TemperatureOptions& options, co
   series.tell = [](const std::string& text) { print_log("{}\n", text); };
   try {
     return TemperatureSeries(std::move(series))
-        .measure({write_bench(config), options.bench_file, stem_of(options)});
+        .measure({write_bench(planned.config), options.bench_file, stem_of(options), planned.plan_words});
   } catch (...) {
     print_log("The series goes on where it ended with: abcal temperature {}{}\n", options.bench_file,
               options.output.empty() ? std::string() : " -o " + options.output);
@@ -57,18 +101,9 @@ std::vector<std::filesystem::path> measure(const TemperatureOptions& options, co
   }
 }
 
-TemperatureReport report_of(const std::vector<std::filesystem::path>& paths, const BenchConfig& config) {
-  TemperatureReport report;
-  report.files = paths;
-  const StoredRun first = RunFile::load(paths.front());
-  if (!first.header.items.empty()) {
-    const RunItem& item = first.header.items.front();
-    report.item = fmt::format("{} {}{}{}", item.maker, item.model,
-                              item.serial_number.empty() ? "" : ", serial number ", item.serial_number);
-  }
-  report.unit = first.header.response_unit;
-  report.result = fit_temperature(points_of_series(paths), config.temperature.reference_degc, report.unit);
-  return report;
+TemperatureReport report_of(const std::vector<std::filesystem::path>& paths) {
+  AnalysedSeries series = analyse_series(paths);
+  return {paths, std::move(series.item), std::move(series.response_unit), std::move(series.result)};
 }
 
 void write_pages(const TemperatureOptions& options, const Document& document) {
@@ -98,12 +133,15 @@ CLI::App* add_temperature(CLI::App& parent, int& exit_code) {
       "-o,--output", options->output,
       "run files OUTPUT-01.run and so on (default: BENCH-temperature here); those that are there are kept");
   command->add_flag("--analyse", options->analyse_only, "measure nothing: analyse the points that are there");
+  add_question_options(*command, options->plan);
   command->add_option("--html", options->html, "write the report as one HTML page with figures");
   command->add_option("--pdf", options->pdf, "write the report as PDF (by WeasyPrint)");
   command->add_flag("--json", options->json, "print one JSON object, schema abcal.temperature/1");
   command->callback([options, &exit_code] {
     const BenchConfig config = read_bench(options->bench_file, register_records());
     print_warnings(config);
+    if (!options->plan.noise.empty() && !options->plan.asked())
+      throw CLI::ValidationError("--noise goes with --reach or --time");
     if (!config.temperature.wanted())
       throw BenchError(options->bench_file, {{"[temperature] set_points_degc", "nothing",
                                               "the set points of the series (docs/temperature.md)"}});
@@ -114,7 +152,7 @@ CLI::App* add_temperature(CLI::App& parent, int& exit_code) {
     const std::vector<std::filesystem::path> paths =
         options->analyse_only ? series_paths(stem_of(*options), series_points(config.temperature).size())
                               : measure(*options, config);
-    const TemperatureReport report = report_of(paths, config);
+    const TemperatureReport report = report_of(paths);
     const Document document = temperature_document(report);
     write_pages(*options, document);
     if (options->json) {

@@ -28,6 +28,14 @@ Json axis_status(const sim::SimBench& world, StageAxis axis, Clock::Instant now)
           {"moving", world.moving(axis, now)}};
 }
 
+Json chamber_status(const sim::SimBench& world, Clock::Instant now) {
+  const sim::ChamberCommand command = world.commanded_chamber();
+  return {{"target_degc", command.target_degc},
+          {"running", command.running},
+          {"paused", command.paused},
+          {"air_degc", world.chamber_air(now)}};
+}
+
 }  // namespace
 
 EmulatorControl::EmulatorControl(SimWorlds worlds, const Clock& clock,
@@ -58,6 +66,7 @@ std::string EmulatorControl::answer(const std::string& line) {
       reply["x"] = axis_status(world_, StageAxis::kX, now);
       reply["z"] = axis_status(world_, StageAxis::kZ, now);
       reply["temperature_degc"] = world_.temperature_degc(now);
+      if (world_.chamber_in_use()) reply["chamber"] = chamber_status(world_, now);
       reply["faults"] = Json::array();
       const auto add = [&](sim::FaultKind kind, const std::string& where) {
         for (const sim::FaultDescription& d : sim::fault_descriptions())

@@ -14,20 +14,6 @@
 namespace abcal {
 namespace {
 
-/// Sensitivity in the item's own axes: lower triangular, with the norms and angles of the rows.
-/// @param sensitivity  R/g_loc  @param angle_deg  uv, vw, wu
-Eigen::Matrix3d own_axes(const Eigen::Vector3d& sensitivity, const Eigen::Vector3d& angle_deg) {
-  const auto cosine = [&](Eigen::Index k) { return std::cos(angle_deg[k] * std::numbers::pi / 180.0); };
-  Eigen::Matrix3d gram;
-  gram << 1.0, cosine(0), cosine(2),  //
-      cosine(0), 1.0, cosine(1),      //
-      cosine(2), cosine(1), 1.0;
-  const Eigen::LLT<Eigen::Matrix3d> directions(gram);
-  if (directions.info() != Eigen::Success)
-    throw std::invalid_argument("the axes of the accelerometers lie in one plane");
-  return sensitivity.asDiagonal() * Eigen::Matrix3d(directions.matrixL());
-}
-
 /// The nine numbers that a frame's matrix is made of: s, phi for the item's; s row by row for the platter's.
 struct Inputs {
   Eigen::Matrix<double, 9, 1> value;
@@ -35,7 +21,7 @@ struct Inputs {
 };
 
 Eigen::Matrix3d matrix_of(ExportFrame frame, const Eigen::Matrix<double, 9, 1>& x) {
-  if (frame == ExportFrame::kItem) return own_axes(x.head<3>(), x.segment<3>(3));
+  if (frame == ExportFrame::kItem) return sensitivity_in_own_axes(x.head<3>(), x.segment<3>(3));
   return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(x.data());
 }
 
@@ -82,6 +68,19 @@ Eigen::Matrix3d uncertainty_of_inverse(ExportFrame frame, const Inputs& inputs, 
 }
 
 }  // namespace
+
+Eigen::Matrix3d sensitivity_in_own_axes(const Eigen::Vector3d& sensitivity,
+                                        const Eigen::Vector3d& angle_deg) {
+  const auto cosine = [&](Eigen::Index k) { return std::cos(angle_deg[k] * std::numbers::pi / 180.0); };
+  Eigen::Matrix3d gram;
+  gram << 1.0, cosine(0), cosine(2),  //
+      cosine(0), 1.0, cosine(1),      //
+      cosine(2), cosine(1), 1.0;
+  const Eigen::LLT<Eigen::Matrix3d> directions(gram);
+  if (directions.info() != Eigen::Success)
+    throw std::invalid_argument("the axes of the accelerometers lie in one plane");
+  return sensitivity.asDiagonal() * Eigen::Matrix3d(directions.matrixL());
+}
 
 Eigen::Matrix3d CorrectionConstants::matrix_si() const {
   if (!unit_mps2) {

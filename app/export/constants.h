@@ -50,6 +50,12 @@ struct CorrectionConstants {
   double diagonal_remainder_mps2() const;
 };
 
+/// Sensitivity in the item's own axes (x along the axis of u, y in the plane of u and v): lower triangular,
+/// with the norms and angles of the rows.
+/// @param sensitivity  u, v, w; R/g_loc  @param angle_deg  uv, vw, wu
+/// @throws std::invalid_argument  axes in one plane
+Eigen::Matrix3d sensitivity_in_own_axes(const Eigen::Vector3d& sensitivity, const Eigen::Vector3d& angle_deg);
+
 /// The constants of a result with numbers.
 /// @throws std::invalid_argument a result that is not usable, one without g_loc, a frame that it does not
 /// have (norm has no platter)

@@ -228,11 +228,15 @@ std::string as_imucal(const CorrectionConstants& c) {
 
 const std::vector<ExportFormat>& export_formats() {
   static const std::vector<ExportFormat> formats{
-      {"json", "matrix and offset with uncertainties, a = M (r - b)", as_json},
-      {"csv", "the same as a table", as_csv},
-      {"mat", "the same as a MATLAB file (version 5)",
-       [](const CorrectionConstants& c) { return as_mat(as_json(c)); }, /*is_text=*/false},
-      {"c", "the same as a C header, also in fixed point", as_c},
+      {"json", "matrix and offset with uncertainties, a = M (r - b); also over temperature", as_json,
+       /*is_text=*/true, temperature_constants_json},
+      {"csv", "the same as a table; also over temperature", as_csv, /*is_text=*/true,
+       temperature_constants_csv},
+      {"mat", "the same as a MATLAB file (version 5); also over temperature",
+       [](const CorrectionConstants& c) { return as_mat(as_json(c)); }, /*is_text=*/false,
+       [](const TemperatureConstants& c) { return as_mat(temperature_constants_json(c)); }},
+      {"c", "the same as a C header, also in fixed point; over temperature as floating point", as_c,
+       /*is_text=*/true, temperature_constants_c},
       {"px4", "parameter file of PX4 (QGroundControl): scales and offsets", as_px4},
       {"ardupilot", "parameter file of ArduPilot: scales and offsets", as_ardupilot},
       {"ros", "YAML of the ROS package imu_calib", as_ros},

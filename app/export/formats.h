@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/export/constants.h"
+#include "app/export/temperature_constants.h"
 
 namespace abcal {
 
@@ -16,6 +17,8 @@ struct ExportFormat {
   /// @throws std::invalid_argument where the constants do not fit the format
   std::function<std::string(const CorrectionConstants& constants)> write;
   bool is_text = true;  ///< Else it belongs into a file, not onto a terminal.
+  /// Of a series over temperature; empty: the format holds constants of one temperature.
+  std::function<std::string(const TemperatureConstants& constants)> write_over_temperature{};
 };
 
 /// One entry for each: json, csv, mat, c, px4, ardupilot, ros, kalibr, imucal.

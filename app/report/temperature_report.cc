@@ -210,18 +210,13 @@ Json json_of(const TemperaturePoint& point, const std::string& file) {
 
 }  // namespace
 
-bool TemperatureReport::usable() const {
-  return std::all_of(result.points.begin(), result.points.end(),
-                     [](const TemperaturePoint& point) { return point.verdict == Verdict::kUsable; });
-}
-
 Document temperature_document(const TemperatureReport& report) {
   Document document;
   document.title = "Calibration over temperature";
   document.subtitle = report.item.empty() ? std::string("accelerometer") : report.item;
   document.identification = document.subtitle;
   document.origin = std::string("abcal ") + program_version();
-  if (!report.usable())
+  if (!report.result.usable())
     document.cautions.emplace_back(
         "Not every point of this series is usable: see the verdicts of the points.");
   document.sections.push_back({"Points", {points_table(report)}});
@@ -242,7 +237,7 @@ Json temperature_json(const TemperatureReport& report) {
             {"reference_degc", result.reference_degc},
             {"least_degc", result.least_degc},
             {"most_degc", result.most_degc},
-            {"verdict", report.usable() ? "usable" : "doubtful"},
+            {"verdict", report.result.usable() ? "usable" : "doubtful"},
             {"outputs", {"s_u", "s_v", "s_w", "phi_uv", "phi_vw", "phi_wu", "O_u", "O_v", "O_w"}},
             {"points", Json::array()},
             {"polynomials", Json::array()},

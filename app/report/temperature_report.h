@@ -15,9 +15,6 @@ struct TemperatureReport {
   std::vector<std::filesystem::path> files;  ///< Of the points, in their order.
   std::string item, unit;
   TemperatureResult result;
-
-  /// Whether no point is doubtful.
-  bool usable() const;
 };
 
 /// Points, coefficients, polynomials, hysteresis and closure; as a page also the curves with their bands.

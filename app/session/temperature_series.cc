@@ -19,12 +19,13 @@
 namespace abcal {
 namespace {
 
-/// Between two looks at the item while it soaks.
+/// Between two looks at the item while it soaks; at least so many within [temperature] soak_span_s.
 constexpr double kLookS = 20.0;
+constexpr double kLooksInSpan = 15.0;
 constexpr double kReadingPatienceS = 2.0;
 constexpr double kTellEveryS = 600.0;
 /// The air of a chamber that is switched off must be so near to 23 degC.
-constexpr double kWarmEnoughK = 5.0, kAmbientDegc = 23.0;
+constexpr double kWarmEnoughK = 5.0;
 constexpr double kWaitForAmbientS = 7200.0;
 
 double number_of(const std::string& text) {
@@ -171,6 +172,7 @@ void TemperatureSeries::measure_point(RunSession& session, Progress& progress, s
                     {kLegLabel, std::string(to_string(point.leg))},
                     {kSetLabel, fmt::format("{:g}", point.set_degc)},
                     {kSoakLabel, soaked}};
+  if (!progress.request.plan_words.empty()) request.labels[kPlanLabel] = progress.request.plan_words;
   session.start(request);
 }
 
@@ -194,6 +196,7 @@ std::string TemperatureSeries::soak(RunSession& session, const Progress& progres
   guard(set_degc, chamber.read());
   chamber.set_temperature(set_degc, t.ramp_k_per_min > 0.0 ? std::optional(t.ramp_k_per_min) : std::nullopt);
   SoakRule rule(t, set_degc);
+  const Clock::Duration between_looks = from_seconds(std::min(kLookS, t.soak_span_s / kLooksInSpan));
   const Clock::Instant begin = clock.now();
   double told_s = 0.0;
   for (;;) {
@@ -214,7 +217,7 @@ std::string TemperatureSeries::soak(RunSession& session, const Progress& progres
       told_s = since_s;
       say(rule.words());
     }
-    clock.wait_until(clock.now() + from_seconds(kLookS));
+    clock.wait_until(clock.now() + between_looks);
   }
 }
 
@@ -288,6 +291,23 @@ std::vector<TemperaturePoint> points_of_series(const std::vector<std::filesystem
     points.push_back(std::move(point));
   }
   return points;
+}
+
+AnalysedSeries analyse_series(const std::vector<std::filesystem::path>& paths) {
+  AnalysedSeries series;
+  const StoredRun first = RunFile::load(paths.at(0));
+  if (!first.header.items.empty()) {
+    const RunItem& item = first.header.items.front();
+    series.item = fmt::format("{} {}{}{}", item.maker, item.model,
+                              item.serial_number.empty() ? "" : ", serial number ", item.serial_number);
+  }
+  series.response_unit = first.header.response_unit;
+  series.performed = first.header.created_utc;
+  series.g_loc_mps2 = first.record.g_loc.value_mps2;
+  const BenchConfig config = parse_bench(first.header.bench_toml, paths[0].string());
+  series.result =
+      fit_temperature(points_of_series(paths), config.temperature.reference_degc, series.response_unit);
+  return series;
 }
 
 }  // namespace abcal

@@ -17,6 +17,7 @@ inline constexpr const char* kPointLabel = "temperature.point";   ///< "3 of 15"
 inline constexpr const char* kLegLabel = "temperature.leg";       ///< "up"
 inline constexpr const char* kSetLabel = "temperature.set_degc";  ///< "-40"
 inline constexpr const char* kSoakLabel = "temperature.soak";     ///< In words.
+inline constexpr const char* kPlanLabel = "temperature.plan";     ///< What its plan was found for, if it was.
 
 /// One point to measure.
 struct SeriesPoint {
@@ -42,6 +43,7 @@ class TemperatureSeries {
   struct Request {
     std::string bench_toml, bench_file;
     std::filesystem::path stem;  ///< Of the run files.
+    std::string plan_words{};    ///< What the plan was found for; empty: it is that of the bench file.
   };
 
   explicit TemperatureSeries(Options options) : options_(std::move(options)) {}
@@ -66,5 +68,18 @@ class TemperatureSeries {
 /// The points of a series from their run files, in order, for fit_temperature().
 /// @throws std::invalid_argument for a file that is none of a series, or not complete
 std::vector<TemperaturePoint> points_of_series(const std::vector<std::filesystem::path>& paths);
+
+/// A measured series and its fit.
+struct AnalysedSeries {
+  TemperatureResult result;
+  std::string item;  ///< Maker, model, serial number of the first run; empty: not known.
+  std::string response_unit;
+  std::string performed;  ///< UTC, of the first run.
+  double g_loc_mps2 = 0.0;
+};
+
+/// points_of_series() and their fit, about the reference that the runs' bench file names.
+/// @throws std::invalid_argument as these
+AnalysedSeries analyse_series(const std::vector<std::filesystem::path>& paths);
 
 }  // namespace abcal

@@ -29,12 +29,14 @@ struct HaltReport {
 /// For messages and records: "axis X: halted; axis Z: unreachable, may be moving".
 std::string in_words(const HaltReport& report);
 
-/// How to halt the axes on one port without the driver, e.g. from another process on an inherited descriptor
-/// after this one has died in the middle of a command: plain data. wire::carry_out() does it.
+/// How to halt the axes on one port, or to leave a thermal chamber, without the driver, e.g. from another
+/// process on an inherited descriptor after this one has died in the middle of a command: plain data.
+/// wire::carry_out() does it.
 struct HaltRecipe {
   /// A question whose reply says whether the axes stand still, or, without `standing`, that all replies
-  /// before it belong to the past. Patterns are ECMAScript regular expressions for one whole reply (of a
-  /// binary protocol: for a part of the hexadecimal digits of all that came since the question).
+  /// before it belong to the past. Also a command of which each waits for its reply. Patterns are ECMAScript
+  /// regular expressions for one whole reply (of a binary protocol: for a part of the hexadecimal digits of
+  /// all that came since the question).
   struct Question {
     std::string bytes;
     std::string reply;     ///< A line that answers this question; other lines are passed over.
@@ -53,6 +55,8 @@ struct HaltRecipe {
   /// Replies have no end that can be seen: patterns are searched for in the digits of what came, two
   /// lower-case ones for each byte.
   bool binary = false;
+  /// Of a chamber: what it does afterwards, in words ("is driven to 23 degC"). Empty: of a stage.
+  std::string chamber{};
 };
 
 }  // namespace abcal

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "drivers/instrument/clock.h"
+#include "drivers/instrument/halt.h"
 
 namespace abcal {
 
@@ -14,6 +15,9 @@ enum class ChamberPolicy {
   kAmbient,  ///< It is driven to 23 degC, and goes on.
   kOff,      ///< It is driven to 23 degC first, then switched off: an item that is cold would be iced.
 };
+
+/// Where kAmbient and kOff drive a chamber, degC.
+inline constexpr double kAmbientDegc = 23.0;
 
 /// What a bench file says of a thermal chamber, as far as a driver needs it. A driver reads what concerns it.
 struct ChamberSettings {
@@ -74,6 +78,16 @@ class ThermalChamber {
   /// Pauses compressor or fan, so that nothing vibrates during a dwell, or lets them go on.
   /// @return false: it cannot, and nothing was done
   virtual bool pause(bool paused) = 0;
+
+  /// How to leave it as `policy` says without this driver, from now until the driver's end: compressor or fan
+  /// go on, and by kAmbient and kOff it is driven to 23 degC as fast as it can. Nobody is there to switch it
+  /// off once it is warm. Bytes hold the temperature in the unit that identify() has verified.
+  /// @return nothing: there is nothing to be done, or it cannot be done
+  /// @throws InstrumentError kNotReady before identify()
+  virtual std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) {
+    (void)policy;
+    return std::nullopt;
+  }
 };
 
 }  // namespace abcal

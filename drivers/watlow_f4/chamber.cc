@@ -8,12 +8,15 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/wire/readable_bytes.h"
 
 namespace abcal::watlow_f4 {
 namespace {
 
 constexpr Clock::Duration kPatience = std::chrono::milliseconds(700);
 constexpr std::uint16_t kToken = 0xA5C3;
+/// Transaction of the recipe, which runs after all others.
+constexpr std::uint16_t kRestTransaction = 0xFFFF;
 
 // Registers of the F4 (map 2).
 constexpr std::uint16_t kF4Air = 100, kF4AirError = 101, kF4Second = 104, kF4Set = 300, kF4Least = 602,
@@ -267,6 +270,52 @@ bool WatlowChamber::pause(bool paused) {
   if (settings_.pause_output <= 0) return false;
   switch_output(settings_.pause_output, paused);
   return true;
+}
+
+/// A write whose whole answer is known: where it wrote, and of one register what.
+HaltRecipe::Question WatlowChamber::write_step(std::string_view pdu) const {
+  const auto framed = [&](std::string_view bytes) {
+    return frame(framing_, settings_.address, kRestTransaction, bytes);
+  };
+  return {framed(pdu), wire::hexadecimal_digits(framed(pdu.substr(0, 5))), {}};
+}
+
+/// Half an RTU frame gets old; its silence is waited for by trying again.
+std::optional<HaltRecipe> WatlowChamber::rest_recipe(ChamberPolicy policy) {
+  if (!info_) throw failure(Fault::kNotReady, "asked how to leave it before it was identified");
+  HaltRecipe recipe{.driver = "watlow_f4",
+                    .axes = {},
+                    .end_partial = {},
+                    .stop = {},
+                    .questions = {},
+                    .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kPatience),
+                    .binary = true,
+                    .chamber = "holds its last set point"};
+  if (settings_.pause_output > 0) {
+    const std::uint16_t off = is_f4t_ ? kEventOff : 0;
+    recipe.questions.push_back(write_step(write_register(output_register(settings_.pause_output), off)));
+  }
+  if (policy != ChamberPolicy::kHold) {
+    recipe.chamber = fmt::format("is driven to {:g} degC", kAmbientDegc);
+    std::string value;
+    if (is_f4t_) {
+      const std::vector<std::uint16_t> words = registers_of(static_cast<float>(kAmbientDegc));
+      recipe.questions.push_back(write_step(write_register(kRampAction, kRampOff)));
+      recipe.questions.push_back(write_step(write_registers(kSet, words)));
+      for (const std::uint16_t word : words) value += fmt::format("{:04x}", word);
+    } else {
+      const auto raw = raw_of(kAmbientDegc, decimals_);
+      if (!raw) return std::nullopt;
+      recipe.questions.push_back(write_step(write_register(kF4Set, *raw)));
+      value = fmt::format("{:04x}", *raw);
+    }
+    const auto count = static_cast<std::uint16_t>(value.size() / 4);
+    const std::string pdu = read_registers(is_f4t_ ? kSet : kF4Set, count);
+    const std::string head = fmt::format("{:02x}03{:02x}", settings_.address, value.size() / 2);
+    recipe.questions.push_back({frame(framing_, settings_.address, kRestTransaction, pdu),
+                                head + std::string(value.size(), '.'), head + value});
+  }
+  return recipe.questions.empty() ? std::nullopt : std::optional(std::move(recipe));
 }
 
 std::vector<std::string> WatlowChamber::alarms() {

@@ -30,8 +30,10 @@ class WatlowChamber final : public ThermalChamber {
   void stop() override { switch_output(settings_.run_output, false); }
   ChamberReading read() override;
   bool pause(bool paused) override;
+  std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) override;
 
  private:
+  HaltRecipe::Question write_step(std::string_view pdu) const;
   Reply exchange(std::string_view pdu, std::string_view shown);
   std::optional<std::vector<std::uint16_t>> try_read(std::uint16_t first, std::uint16_t count);
   std::vector<std::uint16_t> read_at(std::uint16_t first, std::uint16_t count);

@@ -24,6 +24,7 @@ class Ascii2 final : public Dialect {
   void switch_run(bool on) override;
   void switch_output(int number, bool on) override;
   ChamberReading read() override;
+  std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) override;
 
  private:
   InstrumentError failure(Fault fault, std::string_view detail) const {
@@ -51,6 +52,7 @@ class Ascii2 final : public Dialect {
     tell(set_command(settings_.address, layout_, now, degc, channels));
   }
   void set_channel(std::size_t channel, bool on);
+  std::size_t start_channel() const { return layout_.start_channel.value_or(1); }
 
   wire::QueryExchange& exchange_;
   Clock& clock_;
@@ -130,7 +132,7 @@ void Ascii2::set_channel(std::size_t channel, bool on) {
 }
 
 void Ascii2::switch_run(bool on) {
-  set_channel(layout_.start_channel.value_or(1), on);
+  set_channel(start_channel(), on);
 }
 
 void Ascii2::switch_output(int number, bool on) {
@@ -147,10 +149,27 @@ ChamberReading Ascii2::read() {
     const std::vector<double> humidity = values_of(layout_, now, fmt::format("CV{:02}", *layout_.humidity));
     if (humidity.size() == 2) reading.humidity_percent = humidity[1];
   }
-  reading.running = now.channels[layout_.start_channel.value_or(1)] == '1';
+  reading.running = now.channels[start_channel()] == '1';
   if (settings_.door_input > 0 && static_cast<std::size_t>(settings_.door_input) < now.channels.size())
     reading.door_open = now.channels[static_cast<std::size_t>(settings_.door_input)] == '1';
   return reading;
+}
+
+/// One command sets everything, so what it sets besides the temperature is what is there now; but it must
+/// run, and not pause. The set point of kHold is not known yet: where it pauses, it goes on pausing.
+std::optional<HaltRecipe> Ascii2::rest_recipe(ChamberPolicy policy) {
+  if (policy == ChamberPolicy::kHold) return std::nullopt;
+  const Ascii2State now = state();
+  std::string channels = now.channels;
+  const auto pause = static_cast<std::size_t>(settings_.pause_output);
+  if (pause > 0 && pause < channels.size()) channels[pause] = '0';
+  if (start_channel() < channels.size()) channels[start_channel()] = '1';
+  HaltRecipe recipe = rest_recipe_of_lines(exchange_.manner().patience, policy);
+  recipe.questions = {{slope_command(settings_.address, 0.0, 0.0), "0", {}},
+                      {set_command(settings_.address, layout_, now, kAmbientDegc, channels), "0", {}},
+                      {plain_command(settings_.address, 'I'), "[-+0-9.]+ .* [01]+Z?",
+                       fmt::format("0*{:g}\\.0* .*", kAmbientDegc)}};
+  return recipe;
 }
 
 }  // namespace

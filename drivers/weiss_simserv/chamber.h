@@ -25,6 +25,9 @@ class WeissChamber final : public ThermalChamber {
   void stop() override { dialect().switch_run(false); }
   ChamberReading read() override { return dialect().read(); }
   bool pause(bool paused) override;
+  std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) override {
+    return dialect().rest_recipe(policy);
+  }
 
  private:
   Dialect& dialect();

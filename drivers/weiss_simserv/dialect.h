@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <memory>
 #include <optional>
 #include <string>
@@ -19,7 +20,21 @@ class Dialect {
   virtual void switch_run(bool on) = 0;
   virtual void switch_output(int number, bool on) = 0;
   virtual ChamberReading read() = 0;
+  virtual std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) = 0;
 };
+
+/// Of a recipe for either language, all but its questions.
+inline HaltRecipe rest_recipe_of_lines(Clock::Duration patience, ChamberPolicy policy) {
+  return {.driver = "weiss_simserv",
+          .axes = {},
+          .end_partial = "?\r",  // Half a line and this is no number: refused.
+          .stop = {},
+          .questions = {},
+          .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(patience),
+          .reply_end = {},
+          .binary = false,
+          .chamber = policy == ChamberPolicy::kHold ? "holds its last set point" : "is driven to 23 degC"};
+}
 
 std::unique_ptr<Dialect> make_simserv(wire::QueryExchange& exchange, const ChamberSettings& settings);
 std::unique_ptr<Dialect> make_ascii2(wire::QueryExchange& exchange, Clock& clock,

@@ -34,6 +34,7 @@ class Simserv final : public Dialect {
   void switch_run(bool on) override { set_output(1, on); }
   void switch_output(int number, bool on) override { set_output(number + 1, on); }
   ChamberReading read() override;
+  std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) override;
 
  private:
   InstrumentError failure(Fault fault, std::string_view detail) const {
@@ -143,6 +144,26 @@ ChamberReading Simserv::read() {
   reading.running = number(kIsOn, {"1"}) != 0.0;
   read_messages(reading);
   return reading;
+}
+
+std::optional<HaltRecipe> Simserv::rest_recipe(ChamberPolicy policy) {
+  HaltRecipe recipe = rest_recipe_of_lines(exchange_.manner().patience, policy);
+  const auto step = [&](int command, const std::vector<std::string>& arguments) {
+    recipe.questions.push_back({simserv_request(command, arguments), "1", {}});
+  };
+  if (settings_.pause_output > 0) step(kSwitch, {std::to_string(settings_.pause_output + 1), "0"});
+  if (policy != ChamberPolicy::kHold) {
+    step(kSetGradientUp, {"1", "0"});
+    step(kSetGradientDown, {"1", "0"});
+    step(kSet, {"1", fmt::format("{:.1f}", kAmbientDegc)});
+    // The separator is one byte of any value.
+    recipe.questions.push_back(
+        {simserv_request(kNominal, {"1"}), "1.[-+0-9.]+", fmt::format("1.0*{:g}(\\.0*)?", kAmbientDegc)});
+  } else if (settings_.pause_output > 0) {
+    // An answer that no older one can be taken for.
+    recipe.questions.push_back({simserv_request(kIdentity, {"1"}), "1.+", {}});
+  }
+  return recipe.questions.empty() ? std::nullopt : std::optional(std::move(recipe));
 }
 
 }  // namespace

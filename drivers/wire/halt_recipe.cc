@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/wire/readable_bytes.h"
 
 namespace abcal::wire {
 namespace {
@@ -60,17 +61,6 @@ class ReplyInput {
     std::string reply = received_.substr(0, at);
     received_.erase(0, at + length);
     return reply;
-  }
-
-  static std::string hexadecimal_digits(std::string_view bytes) {
-    constexpr std::string_view kDigits = "0123456789abcdef";
-    std::string digits;
-    for (const char c : bytes) {
-      const auto value = static_cast<unsigned char>(c);
-      digits += kDigits[value >> 4U];
-      digits += kDigits[value & 15U];
-    }
-    return digits;
   }
 
   const HaltRecipe& recipe_;

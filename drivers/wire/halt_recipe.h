@@ -9,9 +9,9 @@
 namespace abcal::wire {
 
 /// Halts the axes on a port without their driver: ends what it may have written by half, sends the stop, asks
-/// whether the axes stand still, and begins again until they do. Nobody else reads from `port` meanwhile.
-/// Never throws.
-/// @return false: not acknowledged by `deadline`; the axes may be moving.
+/// whether the axes stand still, and begins again until they do. Likewise a chamber, whose commands are among
+/// the questions. Nobody else reads from `port` meanwhile. Never throws.
+/// @return false: not acknowledged by `deadline`; the axes may be moving, the chamber may be heating.
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept;
 
 /// An open descriptor (a serial port or a socket) as a stream, e.g. one that was inherited from a process

@@ -8,6 +8,10 @@ namespace abcal::wire {
 /// Bytes as a message shows them: "55 51 AE FF".
 std::string bytes_in_hex(std::string_view bytes);
 
+/// Two lower-case digits for each byte and nothing else, as the patterns of a HaltRecipe of a binary protocol
+/// have them: "5551aeff".
+std::string hexadecimal_digits(std::string_view bytes);
+
 /// Text as a message shows it: what is not printable as "\x0A".
 std::string bytes_as_text(std::string_view bytes);
 

@@ -255,6 +255,11 @@ double TemperaturePolynomial::slope_at(double from_t0) const {
   return slope;
 }
 
+bool TemperatureResult::usable() const {
+  return std::all_of(points.begin(), points.end(),
+                     [](const TemperaturePoint& point) { return point.verdict == Verdict::kUsable; });
+}
+
 TemperaturePoint temperature_point(const CalibrationResult& result) {
   if (!result.covariance_intrinsic || result.verdict == Verdict::kNotUsable)
     throw std::invalid_argument(

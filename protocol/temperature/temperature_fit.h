@@ -80,6 +80,9 @@ struct TemperatureResult {
   std::vector<TemperaturePolynomial> polynomials;    ///< 9, in the order of the outputs.
   std::vector<TemperatureCoefficient> coefficients;  ///< 9
   std::vector<TemperatureHysteresis> hysteresis;     ///< 9
+
+  /// Whether no point is doubtful.
+  bool usable() const;
 };
 
 /// Largest order that is tried.

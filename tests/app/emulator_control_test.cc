@@ -55,6 +55,15 @@ TEST_F(EmulatorControlTest, SaysWhereTheStageIsAndWhatIsWrong) {
   EXPECT_EQ(status["faults"], Json::array());
 }
 
+TEST_F(EmulatorControlTest, SaysWhatAChamberWasTold) {
+  EXPECT_FALSE(ask(R"({"do": "status"})").contains("chamber"));
+  world->command_chamber({.target_degc = -40.0, .running = true}, clock.now());
+  const Json status = ask(R"({"do": "status"})");
+  EXPECT_EQ(status["chamber"]["target_degc"], -40.0);
+  EXPECT_EQ(status["chamber"]["running"], true);
+  EXPECT_EQ(status["chamber"]["paused"], false);
+}
+
 TEST_F(EmulatorControlTest, AFaultOfTheWireBeginsNowAndEnds) {
   clock.sleep_until(clock.now() + 10s);
   EXPECT_EQ(ask(R"({"do": "fault", "kind": "silence", "instrument": "stage", "for_s": 5})")["ok"], true);

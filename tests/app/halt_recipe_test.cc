@@ -7,6 +7,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <memory>
 
@@ -181,6 +182,139 @@ TEST_P(HaltRecipes, AreUsedByAnotherProcessOnAnInheritedDescriptor) {
 
 INSTANTIATE_TEST_SUITE_P(EachStage, HaltRecipes, testing::ValuesIn(names_of_stages()),
                          [](const auto& name) { return name.param; });
+
+/// A chamber's driver in one of its languages.
+struct ChamberCase {
+  std::string name, driver, model, port;
+};
+
+std::vector<ChamberCase> chambers() {
+  return {{"f4_rtu", "watlow_f4", "F4", "simulated"},
+          {"f4_tcp", "watlow_f4", "F4", "tcp:chamber:502"},
+          {"f4t_rtu", "watlow_f4", "F4T", "simulated"},
+          {"f4t_tcp", "watlow_f4", "F4T", "tcp:chamber:502"},
+          {"simserv", "weiss_simserv", "simserv", "simulated"},
+          {"ascii2", "weiss_simserv", "ascii2", "simulated"}};
+}
+
+constexpr int kPauseOutput = 3;
+constexpr double kCold = -40.0;
+
+/// A chamber that ramps to -40 degC and pauses in a dwell.
+struct ChamberRig {
+  explicit ChamberRig(const ChamberCase& which) {
+    BenchConfig config;
+    config.chamber.driver = which.driver;
+    config.chamber.model = which.model;
+    config.chamber.port = which.port;
+    config.chamber.pause_output = kPauseOutput;
+    port = std::make_shared<sim::FirmwareStream>(
+        make_firmware(config, chamber_ports(config.chamber).at(0), world), clock);
+    ChamberSettings settings;
+    settings.model = which.model;
+    settings.tcp_framing = has_tcp_frames(which.port);
+    settings.pause_output = kPauseOutput;
+    std::vector<std::unique_ptr<wire::ByteStream>> streams;
+    streams.push_back(std::make_unique<NotedStream>(port, written));
+    for (const ChamberDriver& each : chamber_drivers())
+      if (each.name == which.driver) driver = each.make(std::move(streams), clock, settings);
+    driver->identify();
+  }
+
+  void cool() {
+    driver->set_temperature(kCold, 1.0);
+    driver->run();
+    driver->pause(true);
+    clock.sleep_until(clock.now() + 60s);
+  }
+
+  sim::SimClock clock;
+  std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock.now());
+  std::shared_ptr<wire::ByteStream> port;
+  std::vector<std::string> written;
+  std::unique_ptr<ThermalChamber> driver;
+};
+
+class ChamberRecipes : public testing::TestWithParam<ChamberCase> {};
+
+TEST_P(ChamberRecipes, DriveToAmbientAfterAnyPartOfAnyCommand) {
+  ChamberRig model(GetParam());
+  model.cool();
+  model.written.clear();
+  model.driver->set_temperature(60.0, 2.0);
+  model.driver->read();
+  std::string commands;
+  for (const std::string& write : model.written) commands += write;
+  ASSERT_FALSE(commands.empty());
+  for (const ChamberPolicy policy : {ChamberPolicy::kAmbient, ChamberPolicy::kOff}) {
+    for (std::size_t length = 0; length <= commands.size(); length += 3) {
+      SCOPED_TRACE(fmt::format("after {} of {} bytes", length, commands.size()));
+      ChamberRig rig(GetParam());
+      const auto recipe = rig.driver->rest_recipe(policy);  // Before the first set point.
+      ASSERT_TRUE(recipe);
+      EXPECT_EQ(recipe->driver, GetParam().driver);
+      EXPECT_EQ(recipe->chamber, "is driven to 23 degC");
+      rig.cool();
+      // One at a time, as the driver writes them; the last one is half written.
+      std::size_t left = length;
+      for (const std::string& write : model.written) {
+        rig.port->write(std::string_view(write).substr(0, left));
+        left -= std::min(left, write.size());
+        if (left == 0) break;
+        rig.clock.sleep_until(rig.clock.now() + 20ms);
+      }
+      // The process dies here. Another one:
+      const Clock::Instant begin = rig.clock.now();
+      ASSERT_TRUE(wire::carry_out(*recipe, *rig.port, rig.clock, begin + 20s));
+      EXPECT_LE(rig.clock.now() - begin, 10s);
+      const sim::ChamberCommand command = rig.world->commanded_chamber();
+      EXPECT_EQ(command.target_degc, 23.0);
+      EXPECT_FALSE(command.rate_k_per_min) << "as fast as it can";
+      EXPECT_TRUE(command.running);
+      EXPECT_FALSE(command.paused);
+    }
+  }
+}
+
+TEST_P(ChamberRecipes, HoldEndsThePauseAndNothingElse) {
+  ChamberRig rig(GetParam());
+  const auto recipe = rig.driver->rest_recipe(ChamberPolicy::kHold);
+  rig.cool();
+  if (GetParam().name == "ascii2") {  // Its only command sets everything.
+    EXPECT_FALSE(recipe);
+    return;
+  }
+  ASSERT_TRUE(recipe);
+  EXPECT_TRUE(wire::carry_out(*recipe, *rig.port, rig.clock, rig.clock.now() + 20s));
+  const sim::ChamberCommand command = rig.world->commanded_chamber();
+  EXPECT_NEAR(command.target_degc, kCold, 1e-3);
+  EXPECT_TRUE(command.running);
+  EXPECT_FALSE(command.paused);
+}
+
+TEST_P(ChamberRecipes, AreNotAcknowledgedBySilence) {
+  ChamberRig rig(GetParam());
+  const auto recipe = rig.driver->rest_recipe(ChamberPolicy::kAmbient);
+  ASSERT_TRUE(recipe);
+  sim::FaultyStream deaf(std::make_unique<NotedStream>(rig.port, rig.written), rig.clock,
+                         {{.kind = sim::FaultKind::kSilence}});
+  const Clock::Instant begin = rig.clock.now();
+  EXPECT_FALSE(wire::carry_out(*recipe, deaf, rig.clock, begin + 20s));
+  EXPECT_LE(rig.clock.now() - begin, 21s);
+}
+
+TEST_P(ChamberRecipes, AskForWhatWasIdentifiedFirst) {
+  ChamberRig rig(GetParam());
+  std::vector<std::unique_ptr<wire::ByteStream>> streams;
+  streams.push_back(std::make_unique<NotedStream>(rig.port, rig.written));
+  std::unique_ptr<ThermalChamber> unknown;
+  for (const ChamberDriver& each : chamber_drivers())
+    if (each.name == GetParam().driver) unknown = each.make(std::move(streams), rig.clock, {});
+  EXPECT_THROW(unknown->rest_recipe(ChamberPolicy::kAmbient), InstrumentError);
+}
+
+INSTANTIATE_TEST_SUITE_P(EachChamber, ChamberRecipes, testing::ValuesIn(chambers()),
+                         [](const auto& which) { return which.param.name; });
 
 TEST(SplitStageHalts, TheAxisThatIsLeftWhereTheOtherOnesPortIsGone) {
   for (const StageAxis lost : kStageAxes) {

@@ -7,13 +7,16 @@
 #include <matio.h>
 
 #include <Eigen/LU>
+#include <array>
 #include <cmath>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
+#include <vector>
 
 #include "app/export/formats.h"
 #include "app/export/reading_noise.h"
@@ -264,6 +267,184 @@ TEST_F(ExportTest, ScipyReadsTheMatlabFile) {
   if (code == 77)
     GTEST_SKIP() << "python3-scipy is not installed (Debian 12 cannot have it beside Boost 1.81)";
   EXPECT_EQ(code, 0) << scipy.err();
+}
+
+/// A series of an item whose sensitivities, angles and offsets change by polynomials.
+class ExportOverTemperatureTest : public testing::Test {
+ protected:
+  static constexpr double kReference = 23.0;
+  static constexpr std::array kTemperatures{-40.0, -10.0, 23.0, 50.0, 85.0};
+
+  static Eigen::Matrix<double, 9, 1> truth(double degc) {
+    const double d = degc - kReference;
+    Eigen::Matrix<double, 9, 1> x;
+    x << 1.01 - 1e-4 * d + 2e-7 * d * d, 0.99 + 5e-5 * d, 1.0, 89.7 + 1e-4 * d, 90.4, 90.1, 0.02 + 3e-5 * d,
+        -0.01 - 5e-5 * d + 1e-7 * d * d, 0.03;
+    return x;
+  }
+
+  static TemperatureConstants constants() {
+    std::vector<TemperaturePoint> points;
+    for (const double degc : kTemperatures) {
+      TemperaturePoint point;
+      point.number = static_cast<int>(points.size()) + 1;
+      point.set_degc = point.temperature_degc = degc;
+      point.value = truth(degc);
+      point.own = Covariance9::Identity() * 1e-12;
+      point.shared = Covariance9::Zero();
+      points.push_back(point);
+    }
+    TemperatureConstants c = temperature_constants(fit_temperature(points, kReference, "g"), kG);
+    c.response_unit = "g";
+    c.verdict = "usable";
+    return c;
+  }
+
+  /// Largest | |a| - g_loc | of the readings of an item at its temperature, m/s2.
+  static double worst(const std::function<Eigen::Vector3d(const Eigen::Vector3d& r, double degc)>& rule) {
+    double worst = 0.0;
+    for (double degc = -40.0; degc <= 85.0; degc += 5.0) {
+      const Eigen::Matrix<double, 9, 1> x = truth(degc);
+      const Eigen::Matrix3d S = sensitivity_in_own_axes(x.head<3>(), x.segment<3>(3));
+      for (const Eigen::Vector3d& f : {Eigen::Vector3d(0.6, 0.0, 0.8), Eigen::Vector3d(-0.48, 0.6, -0.64)})
+        worst = std::max(worst, std::abs(rule(S * f + x.tail<3>(), degc).norm() - kG));
+    }
+    return worst;
+  }
+
+  static double polynomial(const std::vector<double>& c, double degc) {
+    double value = 0.0;
+    for (std::size_t n = 0; n < c.size(); ++n)
+      value += c[n] * std::pow(degc - kReference, static_cast<double>(n));
+    return value;
+  }
+};
+
+TEST_F(ExportOverTemperatureTest, TheConstantsTurnReadingsIntoLocalGravityAtEveryTemperature) {
+  const TemperatureConstants c = constants();
+  EXPECT_LT(c.largest_error, 1e-6);
+  EXPECT_GT(c.largest_error, 0.0) << "an inverse is no polynomial";
+  EXPECT_LT(worst([&](const Eigen::Vector3d& r, double degc) -> Eigen::Vector3d {
+              return c.M_at(degc) * (r - c.b_at(degc));
+            }),
+            3e-5);  // 3 times the 1e-6 of the points' own uncertainty.
+}
+
+TEST_F(ExportOverTemperatureTest, JsonAndCsvHoldTheRuleThatTheyName) {
+  const auto json = nlohmann::json::parse(export_format("json").write_over_temperature(constants()));
+  EXPECT_EQ(json.at("schema"), "abcal.temperature_constants/1");
+  EXPECT_EQ(json.at("T0_degc"), kReference);
+  EXPECT_EQ(json.at("outputs").size(), 9U);
+  EXPECT_GT(json.at("outputs")[0].at("covariance")[1][1].get<double>(), 0.0);
+  const auto from_json = [&](const Eigen::Vector3d& r, double degc) -> Eigen::Vector3d {
+    Eigen::Vector3d a = Eigen::Vector3d::Zero();
+    for (std::size_t j = 0; j < 3; ++j)
+      for (std::size_t k = 0; k < 3; ++k)
+        a[static_cast<Eigen::Index>(j)] +=
+            polynomial(json.at("M").at("coefficients")[j][k].get<std::vector<double>>(), degc) *
+            (r[static_cast<Eigen::Index>(k)] -
+             polynomial(json.at("b").at("coefficients")[k].get<std::vector<double>>(), degc));
+    return a;
+  };
+  EXPECT_LT(worst(from_json), 3e-5);
+
+  std::map<std::string, std::vector<double>> rows;
+  std::istringstream lines(export_format("csv").write_over_temperature(constants()));
+  for (std::string line; std::getline(lines, line);) {
+    if (line.starts_with('#') || line.starts_with("name")) continue;
+    std::istringstream cells(line);
+    std::string name, n, value;
+    std::getline(cells, name, ',');
+    std::getline(cells, n, ',');
+    std::getline(cells, value, ',');
+    EXPECT_EQ(std::to_string(rows[name].size()), n);
+    rows[name].push_back(std::stod(value));
+  }
+  const auto from_csv = [&](const Eigen::Vector3d& r, double degc) -> Eigen::Vector3d {
+    Eigen::Vector3d a = Eigen::Vector3d::Zero();
+    for (std::size_t j = 0; j < 3; ++j)
+      for (std::size_t k = 0; k < 3; ++k)
+        a[static_cast<Eigen::Index>(j)] +=
+            polynomial(rows.at(fmt::format("M_{}{}", "xyz"[j], "uvw"[k])), degc) *
+            (r[static_cast<Eigen::Index>(k)] - polynomial(rows.at(fmt::format("b_{}", "uvw"[k])), degc));
+    return a;
+  };
+  EXPECT_LT(worst(from_csv), 3e-5);
+  EXPECT_EQ(rows.at("phi_uv").size(), 2U);
+}
+
+constexpr const char* kCorrectInC = R"c(
+#include "constants.h"
+#include <stdio.h>
+static double at(const double* c, double degc) {
+  double value = 0.0;
+  for (int n = abcal_terms; n-- > 0;) value = value * (degc - abcal_T0_degc) + c[n];
+  return value;
+}
+int main(void) {
+  double r[3], degc;
+  while (scanf("%lf %lf %lf %lf", &degc, &r[0], &r[1], &r[2]) == 4)
+    for (int j = 0; j < 3; ++j) {
+      double a = 0.0;
+      for (int k = 0; k < 3; ++k) a += at(abcal_M[j][k], degc) * (r[k] - at(abcal_b[k], degc));
+      printf("%.12g\n", a);
+    }
+  return abcal_least_degc < abcal_most_degc ? 0 : 1;
+}
+)c";
+
+TEST_F(ExportOverTemperatureTest, ACompilerTakesTheHeader) {
+  if (!std::filesystem::exists("/usr/bin/cc")) GTEST_SKIP() << "no C compiler";
+  const test::TemporaryFolder folder;
+  test::write_file(folder / "constants.h", export_format("c").write_over_temperature(constants()));
+  test::write_file(folder / "correct.c", kCorrectInC);
+  test::Program compiler("/usr/bin/cc", {"-std=c99", "-Wall", "-Werror", "correct.c", "-o", "correct"},
+                         folder.path());
+  ASSERT_EQ(compiler.wait(), 0) << compiler.err();
+  const auto by_header = [&](const Eigen::Vector3d& r, double degc) -> Eigen::Vector3d {
+    test::write_file(folder / "readings", fmt::format("{} {} {} {}\n", degc, r[0], r[1], r[2]));
+    test::Program program("/bin/sh", {"-c", "./correct < readings"}, folder.path());
+    EXPECT_EQ(program.wait(), 0);
+    std::istringstream numbers(program.out());
+    Eigen::Vector3d a;
+    numbers >> a[0] >> a[1] >> a[2];
+    return a;
+  };
+  EXPECT_LT(worst(by_header), 3e-5);
+}
+
+TEST_F(ExportOverTemperatureTest, AMatlabFileHoldsIt) {
+  set_helper_folder(std::filesystem::path(test::abcal_program()).parent_path());
+  const test::TemporaryFolder folder;
+  const std::string path = (folder / "constants.mat").string();
+  OutputFile(path).write(export_format("mat").write_over_temperature(constants()));
+  const std::unique_ptr<mat_t, int (*)(mat_t*)> file(Mat_Open(path.c_str(), MAT_ACC_RDONLY), Mat_Close);
+  ASSERT_TRUE(file);
+  const std::vector<double> M = numbers_of(file.get(), "M"), b = numbers_of(file.get(), "b"),
+                            u_s = numbers_of(file.get(), "u_s");
+  ASSERT_EQ(M.size() % 9, 0U);
+  ASSERT_EQ(b.size() % 3, 0U);
+  EXPECT_GT(u_s.at(3), 0.0) << "of the slope of u";
+  // Columns one after the other: one for each power.
+  const auto from_mat = [&](const Eigen::Vector3d& r, double degc) -> Eigen::Vector3d {
+    Eigen::Matrix3d matrix = Eigen::Matrix3d::Zero();
+    Eigen::Vector3d bias = Eigen::Vector3d::Zero();
+    for (std::size_t n = 0; n < M.size() / 9; ++n)
+      for (std::size_t k = 0; k < 9; ++k)
+        matrix(static_cast<Eigen::Index>(k / 3), static_cast<Eigen::Index>(k % 3)) +=
+            M[9 * n + k] * std::pow(degc - kReference, static_cast<double>(n));
+    for (std::size_t n = 0; n < b.size() / 3; ++n)
+      for (std::size_t k = 0; k < 3; ++k)
+        bias[static_cast<Eigen::Index>(k)] +=
+            b[3 * n + k] * std::pow(degc - kReference, static_cast<double>(n));
+    return matrix * (r - bias);
+  };
+  EXPECT_LT(worst(from_mat), 3e-5);
+}
+
+TEST_F(ExportOverTemperatureTest, FormatsOfOneTemperatureHoldNone) {
+  for (const char* name : {"px4", "ardupilot", "ros", "kalibr", "imucal"})
+    EXPECT_FALSE(export_format(name).write_over_temperature) << name;
 }
 
 TEST_F(ExportTest, WhatDoesNotFitIsRefusedWithTheReason) {

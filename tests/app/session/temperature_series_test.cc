@@ -134,6 +134,30 @@ TEST_F(TemperatureSeriesTest, AnAlarmEndsTheSeries) {
   }
 }
 
+TEST_F(TemperatureSeriesTest, NothingIsCooledToTheDewPointOfTheChambersAir) {
+  const auto bench = [](double coldest, const std::string& chamber) {
+    SeriesText text;
+    text.chamber += chamber;
+    text.temperature = fmt::format(
+        "set_points_degc = [{}, 40]\ndown = false\nramp_k_per_min = 5.0\nsoak_min_s = "
+        "600\ndew_point_margin_k = "
+        "2\n",
+        coldest);
+    text.more = "dew_point_degc = 5.0\n";
+    return text;
+  };
+  const InstrumentError error = failure_of(bench(6.0, ""), "wet");
+  EXPECT_EQ(error.fault(), Fault::kNotReady);
+  EXPECT_THAT(error.what(),
+              AllOf(HasSubstr("6.0 degC is below the dew point of its air, 5.0 degC with a margin of 2 K"),
+                    HasSubstr("required: dry air or nitrogen")));
+  EXPECT_THAT(told_, HasSubstr("The chamber is driven to 23 degC"));
+  EXPECT_TRUE(std::filesystem::exists(series_paths(folder_ / "wet", 4)[0])) << "the reference is warm";
+  EXPECT_FALSE(std::filesystem::exists(series_paths(folder_ / "wet", 4)[1]));
+  EXPECT_EQ(measure(bench(6.0, "dry_gas = true\n"), "dry").points.size(), 4U);
+  EXPECT_EQ(measure(bench(8.0, ""), "warm").points.size(), 4U);
+}
+
 // Between two points, and while a run measures.
 TEST_F(TemperatureSeriesTest, ALostChamberIsSaidToHeat) {
   for (const int at_s : {4000, 1300}) {
