@@ -88,7 +88,7 @@ function drawList(resume) {
     if (run.state === 'interrupted' || run.state === 'running' || (measured && run.analysed === false)) {
       const word = measured ? t('Analyse') : t('Resume');
       const button = element('button', {type: 'button', class: 'resume', 'data-run': run.name, 'aria-label': `${word} ${run.name}`}, word);
-      button.addEventListener('click', () => resume(run.name, measured));
+      button.addEventListener('click', () => resume(run.name, measured, run.items.filter(({dropped}) => !dropped).length));
       button.disabled = !document.body.classList.contains('may-resume');
       actions.append(button);
     }
@@ -151,7 +151,7 @@ export async function showRun(name, item) {
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
-  detail.append(certificateCard(run, () => showRun(name, item)));
+  detail.append(certificateCard(run, run.items.length ? data.item : 0, () => showRun(name, item)));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
     data.events.map((e) => [day(e.utc), said(e.kind), said(e.text)])))));
   byId('main').focus();
