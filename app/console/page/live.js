@@ -250,7 +250,7 @@ export class LiveView {
     const chart = this.charts[i][plotted];
     const dwells = this.ofResponding().filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
     const fits = dwells.length ? this.fits[i] : null;
-    chart.options.scales.y.title.text = plotted === 'residual' ? t`residual (${this.unit})` : t`output (${this.unit})`;
+    if (this.unit) chart.options.scales.y.title.text = plotted === 'residual' ? t`residual (${this.unit})` : t`output (${this.unit})`;
     OUTPUTS.forEach((name, j) => {
       const fit = fits ? fits[j] : null, points = chart.data.datasets[j];
       points.pointRadius = pointRadius(dwells);

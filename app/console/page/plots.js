@@ -136,5 +136,5 @@ export function band(canvas, {x, y, points, output, limits = null, marks = false
   if (limits) datasets.push(level(t('centre'), limits.centre, []), level(t('limits'), limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
   return plot(canvas, {x, y, datasets, xRange: {
     min: points[0]?.x, max: points.at(-1)?.x, offset: marks,
-    ticks: {precision: 0, maxRotation: 0, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});
+    ticks: {precision: 0, maxRotation: 0, autoSkipPadding: 10, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});
 }

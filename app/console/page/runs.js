@@ -98,7 +98,7 @@ function drawList(resume) {
       cell(1, run.item || DASH),
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
-      cell(4, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? t(', not analysed') : ''}`),
+      cell(4, element('span', {}, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? t(', not analysed') : ''}`)),
       cell(5, VERDICTS[run.verdict] || DASH),
       cell(6, operatorIn(run.operator) || DASH),
       cell(7, run.planned ? t`${run.measured} of ${run.planned} angles` : DASH),
