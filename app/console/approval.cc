@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -15,9 +16,9 @@ namespace {
 
 using ApprovalJson = nlohmann::ordered_json;
 
-ApprovalJson certificates_of(const std::filesystem::path& run) {
+ApprovalJson certificates_of(const ItemOfRun& of) {
   ApprovalJson list = ApprovalJson::array();
-  for (const IssuedCertificate& issued : ResultsFile::certificates(run))
+  for (const IssuedCertificate& issued : ResultsFile::certificates(of.run, of.item))
     list.push_back({{"number", issued.number},
                     {"date", issued.date},
                     {"measured_by", issued.measured_by},
@@ -28,21 +29,30 @@ ApprovalJson certificates_of(const std::filesystem::path& run) {
   return list;
 }
 
+/// Why an item of a run has no certificate; empty: it can have one.
+std::string why_not_item(int item, const StoredRun& stored) {
+  const std::size_t count = stored.items.size();
+  if (item == 0 && count > 1)
+    return fmt::format("The run has {} items, each with a certificate of its own: choose one of them.",
+                       count);
+  const auto k = static_cast<std::size_t>(std::max(item, 1));
+  if (k > count)
+    return fmt::format("The run has {}, and no item {}.",
+                       count == 1 ? "one item" : fmt::format("{} items", count), item);
+  if (stored.items[k - 1].dropped_at) return fmt::format("Item {} was left out of the run.", item);
+  return {};
+}
+
 /// Why nothing can be issued on this page, for everybody; empty: it can.
-std::string why_not_here(const std::filesystem::path& run, const StoredRun& stored,
-                         const ApprovalPlace& place) {
+std::string why_not_here(const ItemOfRun& of, const StoredRun& stored, const ApprovalPlace& place) {
   if (place.register_location.empty())
     return "Certificates are issued on this page with a register only (ABCAL_REGISTER); see `abcal issue`.";
   if (place.laboratory_file.empty())
     return "The console knows no laboratory file; start it with `abcal serve --laboratory FILE`.";
-  if (stored.state != RunState::kComplete || !RunFile::is_closed(run))
+  if (stored.state != RunState::kComplete || !RunFile::is_closed(of.run))
     return "The run is not complete and closed.";
   if (!has_experiments(stored.header.plan)) return "This is a levelling, no calibration.";
-  if (stored.header.items.size() > 1)
-    return fmt::format(
-        "The run has {} items, each with a certificate of its own: `abcal issue RUN --item K` issues it.",
-        stored.header.items.size());
-  return {};
+  return why_not_item(of.item, stored);
 }
 
 /// Logged in for one approval, and out again.
@@ -76,9 +86,9 @@ class Approver {
 };
 
 void require_current(const ApprovalForm& form) {
-  if (sha256_of_file(form.run) != form.run_sha256)
+  if (sha256_of_file(form.of.run) != form.run_sha256)
     throw StaleApproval("the run is not the one that was looked at; open its result again");
-  const std::vector<IssuedCertificate> issued = ResultsFile::certificates(form.run);
+  const std::vector<IssuedCertificate> issued = ResultsFile::certificates(form.of.run, form.of.item);
   const std::string last = issued.empty() ? std::string() : issued.back().number;
   if (last != form.replaces)
     throw StaleApproval(fmt::format("certificate {} was issued for this run meanwhile; open its result again",
@@ -97,8 +107,8 @@ ApprovalJson keys_of(const std::string& person, const ApprovalPlace& place, Cloc
 }  // namespace
 
 StoredRun require_approvable(const ApprovalForm& form, const ApprovalPlace& place) {
-  StoredRun stored = RunFile::load(form.run);
-  if (const std::string why = why_not_here(form.run, stored, place); !why.empty())
+  StoredRun stored = RunFile::load(form.of.run);
+  if (const std::string why = why_not_here(form.of, stored, place); !why.empty())
     throw std::invalid_argument(why);
   require_current(form);
   return stored;
@@ -106,7 +116,8 @@ StoredRun require_approvable(const ApprovalForm& form, const ApprovalPlace& plac
 
 IssueAsked issue_asked(const ApprovalForm& form, const ApprovalPlace& place) {
   IssueAsked asked;
-  asked.run = form.run.string();
+  asked.run = form.of.run.string();
+  asked.item = form.of.item;
   asked.certificate.laboratory = place.laboratory_file.string();
   asked.replaces = form.replaces;
   asked.reason = form.reason;
@@ -120,16 +131,16 @@ ApprovalJson issued_json(const IssueOutcome& outcome, const std::string& approve
           {"warnings", outcome.warnings}};
 }
 
-ApprovalJson approval_json(const std::filesystem::path& run, const ApprovalPlace& place,
-                           const Visitor& visitor, Clock::UtcTime now) {
-  const StoredRun stored = RunFile::load(run);
-  const std::string why = why_not_here(run, stored, place);
-  return {{"run_sha256", why.empty() ? sha256_of_file(run) : ""},
+ApprovalJson approval_json(const ItemOfRun& of, const ApprovalPlace& place, const Visitor& visitor,
+                           Clock::UtcTime now) {
+  const StoredRun stored = RunFile::load(of.run);
+  const std::string why = why_not_here(of, stored, place);
+  return {{"run_sha256", why.empty() ? sha256_of_file(of.run) : ""},
           {"measured_by", describe(operators_of(stored))},
           {"person", visitor.who.name},
           {"why_not", why},
           {"keys", why.empty() ? keys_of(visitor.who.name, place, now) : ApprovalJson::array()},
-          {"certificates", certificates_of(run)}};
+          {"certificates", certificates_of(of)}};
 }
 
 ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now) {

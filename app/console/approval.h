@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "app/console/download.h"
 #include "app/console/persons.h"
 #include "app/issuing/issue_run.h"
 #include "drivers/instrument/clock.h"
@@ -18,7 +19,7 @@ struct ApprovalPlace {
 
 /// What a person fills in to approve a certificate.
 struct ApprovalForm {
-  std::filesystem::path run;
+  ItemOfRun of;                    ///< Item 0: the run has one.
   std::string run_sha256;          ///< Of the run that the person looked at.
   std::string approver, password;  ///< As they log in.
   std::string replaces, reason;    ///< Empty: it replaces none.
@@ -30,10 +31,12 @@ class StaleApproval : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// What stands before the approval of a run: its hash, who measured it, its certificates, and why none can be
-/// issued here ("why_not"), and the keys of whoever looks. Reads the run and opens the register.
-nlohmann::ordered_json approval_json(const std::filesystem::path& run, const ApprovalPlace& place,
-                                     const Visitor& visitor, Clock::UtcTime now);
+/// What stands before the approval of an item of a run: the hash of the run, who measured it, the
+/// certificates of the item, and why none can be issued here ("why_not"), and the keys of whoever looks.
+/// Reads the run and opens the register.
+/// @param of  item 0: the run has one
+nlohmann::ordered_json approval_json(const ItemOfRun& of, const ApprovalPlace& place, const Visitor& visitor,
+                                     Clock::UtcTime now);
 
 /// Refuses what nobody can approve here, and what is older than the run or its last certificate.
 /// @return the run

@@ -227,7 +227,7 @@ Session::Refusal BenchService::Impl::carry_out(const Asker& by, const Command& c
     Session::Refusal operator()(const ResumeRun& resume) const {
       const auto path = RunLibrary::find_in(impl.options.bench.runs, resume.run);
       if (!path) return "there is no such run in the run folder";
-      return impl.session->resume(*path, by);
+      return impl.session->resume({path->string(), resume.without_missing_items}, by);
     }
     Session::Refusal operator()(const Jog& jog) const { return impl.session->jog(jog); }
     Session::Refusal operator()(const Note& note) const { return impl.session->note(note.text, by); }

@@ -5,7 +5,6 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
-#include <utility>
 #include <variant>
 #include <vector>
 
@@ -31,13 +30,20 @@ struct ActivitySeen {
   bool stop_asked = false;
 };
 
+struct DwellSeen {
+  std::size_t position = 0;
+  DwellRecord dwell;                 ///< Of several items that of the first of `items`.
+  Clock::UtcTime told;               ///< When the measuring thread reported it, in real time.
+  std::vector<ItemReading> items{};  ///< Of several: those that were measured. Empty: the first.
+};
+
 struct RunBegan {
   std::string file;  ///< Name in the run folder; empty for the small turn of a check.
   std::string bench, item, operator_name;
   std::string unit;  ///< R
   std::vector<PlannedAngle> plan;
-  std::vector<std::pair<std::size_t, DwellRecord>> measured;  ///< Before an interruption.
-  double estimated_s = 0.0;                                   ///< Of real time, for the whole plan.
+  std::vector<DwellSeen> measured;   ///< Before an interruption; `told` is not known.
+  double estimated_s = 0.0;          ///< Of real time, for the whole plan.
   std::string simulated;             ///< Which instruments are: "stage, accelerometer"; empty: none.
   std::optional<double> pace;        ///< If everything is simulated: simulated time over real time.
   std::string stage, accelerometer;  ///< Who they are, in words.
@@ -52,8 +58,9 @@ struct ItemDropped {
 
 /// How long a phase may last before the run gives up.
 struct TimeLimit {
-  double seconds = 0.0;  ///< Real time.
+  double seconds = 0.0;  ///< In the time of the bench.
   std::string words;     ///< What happens then, or what it is beyond: "beyond the time that its speed needs".
+  bool simulated = false;  ///< Everything is simulated, and so is the time.
 };
 
 struct PhaseSeen {
@@ -77,13 +84,6 @@ struct GuardSeen {
 /// A run that a person may go on with, or nothing.
 struct InterruptedSeen {
   std::optional<InterruptedRun> run;
-};
-
-struct DwellSeen {
-  std::size_t position = 0;
-  DwellRecord dwell;
-  Clock::UtcTime told;               ///< When the measuring thread reported it, in real time.
-  std::vector<ItemReading> items{};  ///< Of several: those that were measured. Empty: the first.
 };
 
 struct LogLine {

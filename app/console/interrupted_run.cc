@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "protocol/record/run_file.h"
@@ -51,8 +52,12 @@ std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& 
     if (run.state != RunState::kRunning && run.state != RunState::kInterrupted) return std::nullopt;
     std::string words = "Its program died, or another program is measuring it now.";
     if (run.state == RunState::kInterrupted && !run.events.empty()) words = run.events.back().text;
-    return describe_interrupted(path->filename().string(), std::move(words), run.header.plan,
-                                {run.measured.begin(), run.measured.end()});
+    InterruptedRun interrupted =
+        describe_interrupted(path->filename().string(), std::move(words), run.header.plan,
+                             {run.measured.begin(), run.measured.end()});
+    const auto takes_part = [](const ItemProgress& item) { return !item.dropped_at; };
+    interrupted.items = static_cast<std::size_t>(std::ranges::count_if(run.items, takes_part));
+    return interrupted;
   } catch (const RunFileError&) {
     return std::nullopt;  // The list of runs says why it cannot be read.
   }

@@ -16,7 +16,8 @@ struct InterruptedRun {
   std::string file;   ///< Name in the run folder.
   std::string words;  ///< Why it ended.
   std::size_t measured = 0, planned = 0;
-  std::string angle;  ///< The first that is missing, in words; empty: all are measured.
+  std::string angle;      ///< The first that is missing, in words; empty: all are measured.
+  std::size_t items = 1;  ///< Those that take part still.
 };
 
 /// @param measured  positions in the plan

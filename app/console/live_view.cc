@@ -78,8 +78,10 @@ Json planned_json(const PlannedAngle& angle) {
           {"check", angle.check}};
 }
 
-Json dwell_json(std::size_t position, const DwellRecord& dwell) {
+Json dwell_json(std::size_t position, const ItemDwell& measured) {
+  const DwellRecord& dwell = measured.dwell;
   return {{"position", position},
+          {"item", measured.item},
           {"experiment", dwell.experiment},
           {"n", dwell.n},
           {"closing", dwell.closing},
@@ -120,11 +122,8 @@ Json fault_json(const FaultSeen& seen) {
 }
 
 Json interrupted_json(const InterruptedRun& run) {
-  return {{"file", run.file},
-          {"words", run.words},
-          {"measured", run.measured},
-          {"planned", run.planned},
-          {"angle", run.angle}};
+  return {{"file", run.file},       {"words", run.words}, {"measured", run.measured},
+          {"planned", run.planned}, {"angle", run.angle}, {"items", run.items}};
 }
 
 /// What instruments say of themselves need not be UTF-8.
@@ -161,7 +160,6 @@ Json LiveView::on(const ActivitySeen& seen) {
   if (activity_.activity == Activity::kIdle && seen.activity != Activity::kIdle) {
     fault_.reset();
     halt_.reset();
-    interrupted_.reset();
   }
   activity_ = seen;
   if (seen.activity == Activity::kIdle) phase_.reset();
@@ -174,11 +172,11 @@ void LiveView::begin(const RunBegan& began) {
   run_ = began;
   dwells_.clear();
   items_.clear();
-  for (const ItemSummary& item : began.items)
-    items_.push_back({item, item.missing.empty() ? began.measured.size() : 0, {}, item.missing});
-  for (const auto& [position, dwell] : began.measured) store(position, dwell);
+  for (const ItemSummary& item : began.items) items_.push_back({item, item.measured, {}, item.missing});
+  for (const DwellSeen& measured : began.measured) store(measured);
   phase_.reset();
   ended_.reset();
+  interrupted_.reset();
   strip_.clear();
   last_dwell_.reset();
   dwell_intervals_s_.clear();
@@ -192,13 +190,15 @@ Json LiveView::on(const PhaseSeen& seen) {
   return message;
 }
 
-void LiveView::store(std::size_t position, const DwellRecord& dwell) {
-  dwells_.insert_or_assign(position, dwell);
+void LiveView::store(const DwellSeen& seen) {
+  const int item = seen.items.empty() ? 1 : seen.items.front().k;
+  dwells_.insert_or_assign(seen.position, ItemDwell{item, seen.dwell, {}});
 }
 
 void LiveView::store_items(const DwellSeen& seen) {
   std::vector<ItemReading> readings = seen.items;
-  if (readings.empty()) readings.push_back({1, seen.dwell.mean, seen.dwell.flags});
+  if (readings.empty())
+    readings.push_back({1, seen.dwell.mean, seen.dwell.flags, seen.dwell.temperature_degc});
   for (ItemSeen& item : items_) {
     const auto reading = std::ranges::find(readings, item.summary.k, &ItemReading::k);
     if (reading == readings.end()) continue;
@@ -209,14 +209,17 @@ void LiveView::store_items(const DwellSeen& seen) {
 }
 
 Json LiveView::item_json(const ItemSeen& item) {
-  return {{"k", item.summary.k},
-          {"name", item.summary.name},
-          {"model", item.summary.model},
-          {"unit", item.summary.unit},
-          {"measured", item.measured},
-          {"mean", item.last ? vector(item.last->mean) : Json(nullptr)},
-          {"flags", item.last ? describe_flags(item.last->flags) : ""},
-          {"dropped", item.dropped.empty() ? Json(nullptr) : Json(item.dropped)}};
+  return {
+      {"k", item.summary.k},
+      {"name", item.summary.name},
+      {"model", item.summary.model},
+      {"unit", item.summary.unit},
+      {"measured", item.measured},
+      {"mean", item.last ? vector(item.last->mean) : Json(nullptr)},
+      {"flags", item.last ? describe_flags(item.last->flags) : ""},
+      {"temperature_degc",
+       item.last && item.last->temperature_degc ? json_number(*item.last->temperature_degc) : Json(nullptr)},
+      {"dropped", item.dropped.empty() ? Json(nullptr) : Json(item.dropped)}};
 }
 
 Json LiveView::items_json() const {
@@ -235,7 +238,7 @@ Json LiveView::on(const DwellSeen& seen) {
   // The small turn of a check is no run.
   if (activity_.activity != Activity::kRunning) return {{"type", "nothing"}};
   store_items(seen);
-  store(seen.position, seen.dwell);
+  store(seen);
   const Clock::Instant now = clock_.now();
   if (last_dwell_) {
     dwell_intervals_s_.push_back(to_seconds(now - *last_dwell_));
@@ -243,18 +246,21 @@ Json LiveView::on(const DwellSeen& seen) {
   }
   last_dwell_ = now;
   return {{"type", "dwell"},
-          {"dwell", dwell_json(seen.position, seen.dwell)},
+          {"dwell", dwell_json(seen.position, dwells_.at(seen.position))},
           {"told_us", std::chrono::floor<std::chrono::microseconds>(seen.told).time_since_epoch().count()},
           {"fit", fit_of(seen.dwell.experiment)},
           {"items", items_json()},
           {"progress", progress()}};
 }
 
-/// The one-harmonic curve through the angles of an experiment that are measured so far.
+/// The one-harmonic curve through the angles of an experiment that are measured so far. Of several items
+/// through those of the item that was measured last: the first may have been dropped.
 Json LiveView::fit_of(int experiment) const {
   std::vector<Angle> alpha;
   std::array<std::vector<double>, 3> readings;
-  for (const auto& [position, dwell] : dwells_) {
+  for (const auto& [position, measured] : dwells_) {
+    const DwellRecord& dwell = measured.dwell;
+    if (measured.item != dwells_.rbegin()->second.item) continue;
     if (dwell.experiment != experiment || dwell.closing || !dwell.mean.allFinite()) continue;
     alpha.push_back(dwell.alpha);
     for (std::size_t j = 0; j < 3; ++j) readings[j].push_back(dwell.mean[static_cast<Eigen::Index>(j)]);
@@ -304,9 +310,12 @@ Json LiveView::on(const StageSeen& seen) {
 }
 
 Json LiveView::on(const StripSeen& seen) {
-  // The readings have begun again, and their time with them.
-  if (!strip_.empty() && strip_.back()["stream"] != seen.stream) strip_.clear();
+  // The readings of this item have begun again, and their time with them.
+  if (const auto known = streams_.find(seen.item); known == streams_.end() || known->second != seen.stream)
+    std::erase_if(strip_, [&](const Json& group) { return group["item"] == seen.item; });
+  streams_[seen.item] = seen.stream;
   const Json group = {
+      {"item", seen.item},
       {"stream", seen.stream},
       {"time_s", json_number(seen.time_s)},
       {"mean", vector(seen.mean)},
@@ -357,10 +366,14 @@ Json LiveView::on(const LevelSeen& seen) {
 
 Json LiveView::on(const RunEnded& ended) {
   ended_ = ended;
+  interrupted_.reset();
   if (!ended.complete && run_) {
     std::set<std::size_t> measured;
     for (const auto& [position, dwell] : dwells_) measured.insert(position);
     interrupted_ = describe_interrupted(ended.file, ended.words, run_->plan, measured);
+    if (!items_.empty())
+      interrupted_->items = static_cast<std::size_t>(
+          std::ranges::count_if(items_, [](const ItemSeen& item) { return item.dropped.empty(); }));
   }
   Json message = ended_json(ended);
   message["type"] = "ended";
@@ -397,6 +410,7 @@ Json LiveView::phase_json() const {
   Json json = {{"position", phase_->position}, {"phase", to_string(phase_->phase)}};
   json["limit_s"] = phase_->limit ? json_number(phase_->limit->seconds) : Json(nullptr);
   json["limit_words"] = phase_->limit ? Json(phase_->limit->words) : Json(nullptr);
+  json["limit_simulated"] = phase_->limit && phase_->limit->simulated;
   return json;
 }
 

@@ -11,6 +11,7 @@
 
 #include "app/console/event.h"
 #include "drivers/instrument/clock.h"
+#include "protocol/record/run_file.h"
 
 namespace abcal::console {
 
@@ -55,7 +56,7 @@ class LiveView {
   Json on(const InterruptedSeen& seen);
   Json phase_json() const;
 
-  void store(std::size_t position, const DwellRecord& dwell);
+  void store(const DwellSeen& seen);
   void store_items(const DwellSeen& seen);
   Json fit_of(int experiment) const;
   Json progress() const;
@@ -64,7 +65,7 @@ class LiveView {
   const Clock& clock_;
   ActivitySeen activity_;
   std::optional<RunBegan> run_;
-  std::map<std::size_t, DwellRecord> dwells_;  ///< By position in the plan.
+  std::map<std::size_t, ItemDwell> dwells_;  ///< By position in the plan; of several items the first's.
   /// One of several items, as far as it was measured.
   struct ItemSeen {
     ItemSummary summary;
@@ -84,7 +85,8 @@ class LiveView {
   std::optional<ChecksSeen> checks_;
   Json queue_, ports_, levelling_;
   std::array<StageSeen, 2> stage_{StageSeen{StageAxis::kX, {}, {}}, StageSeen{StageAxis::kZ, {}, {}}};
-  std::deque<Json> strip_;
+  std::deque<Json> strip_;              ///< Of all items.
+  std::map<int, std::size_t> streams_;  ///< In the strip, by item.
   std::deque<Json> log_;
   std::optional<Clock::Instant> last_dwell_;  ///< Unless the run was held since.
   std::deque<double> dwell_intervals_s_;      ///< Real time from one angle to the next.

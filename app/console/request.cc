@@ -156,7 +156,7 @@ Command command_of(const std::string& what, Keys& keys) {
   if (what == "stop") return Stop{};
   if (what == "resume") {
     keys.require_confirmation();
-    return ResumeRun{keys.text("run")};
+    return ResumeRun{keys.text("run"), keys.flag("without_missing_items")};
   }
   if (what == "jog") {
     keys.require_confirmation();

@@ -36,7 +36,8 @@ struct HoldRun {};
 struct ContinueRun {};
 struct Stop {};
 struct ResumeRun {
-  std::string run;  ///< Name of a file in the run folder.
+  std::string run;                     ///< Name of a file in the run folder.
+  bool without_missing_items = false;  ///< Of several: those that are not there are left out.
 };
 struct Jog {
   StageAxis axis = StageAxis::kX;

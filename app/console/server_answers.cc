@@ -30,7 +30,7 @@ std::string_view content_type(std::string_view path) {
   return "application/octet-stream";
 }
 
-/// The number of an item in a path; nothing: it is none.
+/// The number of an item; nothing: it is none.
 std::optional<int> item_of(const std::string& text) {
   int item = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), item);
@@ -407,33 +407,41 @@ bool Server::Impl::order_of_library(const std::vector<std::string>& words, Slow&
                       });
     return true;
   }
-  const bool of_item = words.size() == 5 && words[2] == "items";
-  if (words[0] != "runs" || (words.size() != 3 && !of_item)) return false;
-  const auto path = library.find(words[1]);
-  const auto item = of_item ? item_of(words[3]) : 0;
-  if (!path || !item) return false;
-  return order_of_run(*path, *item, words.back(), later);
+  const auto of = find_item(words);
+  return of && order_of_run(*of, words.back(), later);
 }
 
-/// What is made of a run, of one of its items. @param item  0: the first that was not left out
-bool Server::Impl::order_of_run(const std::filesystem::path& path, int item, const std::string& what,
-                                Slow& later) {
-  const std::vector<std::filesystem::path> files{path, ResultsFile::path_beside(path)};
-  const std::string of_item = item == 0 ? "" : fmt::format(", item {}", item);
+std::optional<ItemOfRun> Server::Impl::find_item(const std::string& run, const std::string& item) const {
+  const auto path = library.find(run);
+  const auto number = item.empty() ? 0 : item_of(item);
+  if (!path || !number) return std::nullopt;
+  return ItemOfRun{*path, *number};
+}
+
+std::optional<ItemOfRun> Server::Impl::find_item(const std::vector<std::string>& words) const {
+  const bool of_item = words.size() == 5 && words[2] == "items";
+  if ((words.size() != 3 && !of_item) || words[0] != "runs") return std::nullopt;
+  if (of_item && words[3].empty()) return std::nullopt;
+  return find_item(words[1], of_item ? words[3] : "");
+}
+
+/// What is made of a run, of one of its items; item 0 is the first that was not left out.
+bool Server::Impl::order_of_run(const ItemOfRun& of, const std::string& what, Slow& later) {
+  const std::vector<std::filesystem::path> files{of.run, ResultsFile::path_beside(of.run)};
+  const std::string of_item = of.item == 0 ? "" : fmt::format(", item {}", of.item);
   if (what == "result") {
-    later.make = kept("result" + of_item, files, [this, path, item](const std::stop_token&) {
-      return *made_of_json(library.result(path, item));
+    later.make = kept("result" + of_item, files, [this, of](const std::stop_token&) {
+      return *made_of_json(library.result(of.run, of.item));
     });
     return true;
   }
   for (const Download& download : downloads()) {
     if (what != download.name) continue;
     if (download.is_printed) later.workshop = &prints;
-    later.make =
-        kept(download.name + of_item, files, [path, item, download](const std::stop_token& cancelled) {
-          const ItemOfRun of{path, item == 0 ? first_whole_item(RunFile::load(path)) : item};
-          return Product{200, download.content_type, download.make(of, cancelled), true};
-        });
+    later.make = kept(download.name + of_item, files, [of, download](const std::stop_token& cancelled) {
+      const int item = of.item == 0 ? first_whole_item(RunFile::load(of.run)) : of.item;
+      return Product{200, download.content_type, download.make({of.run, item}, cancelled), true};
+    });
     return true;
   }
   return false;

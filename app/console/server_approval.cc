@@ -13,6 +13,7 @@ namespace {
 
 namespace http = boost::beast::http;
 
+constexpr const char* kNoSuchRun = "There is no such run, or no such item.";
 constexpr const char* kLogInAsApprover =
     "Log in on this page as the person who approves: with a key nobody approves for another.";
 
@@ -46,14 +47,15 @@ void carry_out_attempt(Attempt& attempt, const std::function<nlohmann::ordered_j
 }
 
 std::shared_ptr<Attempt> attempt_of(const Asked& asked, const std::string& target, const std::string& name,
-                                    const std::filesystem::path& run) {
+                                    const ItemOfRun& of) {
   auto attempt = std::make_shared<Attempt>();
   attempt->peer = asked.peer;
   attempt->head = head_of(asked.request);
   attempt->head.target(target);
   attempt->head.method(http::verb::post);
   attempt->name = name;
-  attempt->run = run.filename().string();
+  attempt->run = of.run.filename().string();
+  if (of.item > 0) attempt->run += fmt::format(", item {}", of.item);
   return attempt;
 }
 
@@ -69,18 +71,18 @@ bool is_signed_certificate(const HttpRequest& request) {
   return request.method() == http::verb::post && view(request.target()).ends_with("/signed-certificate");
 }
 
-/// POST /approve: a form with `run`, `run_sha256`, and `replaces` and `reason` where there is a certificate
-/// already. With `name` and `password` of who approves it is issued: the login of the page does not count,
-/// approving is done by a person who is there. With `by_key` the one that is to be signed is made for who is
-/// logged in.
+/// POST /approve: a form with `run`, of several items `item`, `run_sha256`, and `replaces` and `reason` where
+/// there is a certificate already. With `name` and `password` of who approves it is issued: the login of the
+/// page does not count, approving is done by a person who is there. With `by_key` the one that is to be
+/// signed is made for who is logged in.
 HttpResponse Server::Impl::approve_certificate(const Asked& asked, Slow& later) {
   const auto form = parse_form(asked.request.body());
   if (!form) return refuse(asked, http::status::bad_request, "The form cannot be read.");
   const auto field = [&](const char* name) { return field_of(*form, name); };
-  const auto run = library.find(field("run"));
-  if (!run) return refuse(asked, http::status::not_found, "There is no such run.");
+  const auto of = find_item(field("run"), field("item"));
+  if (!of) return refuse(asked, http::status::not_found, kNoSuchRun);
   const ApprovalForm filled{
-      *run, field("run_sha256"), field("name"), field("password"), field("replaces"), field("reason")};
+      *of, field("run_sha256"), field("name"), field("password"), field("replaces"), field("reason")};
   try {
     require_plain_text("reason", filled.reason, kLongestNote);
   } catch (const RequestError& error) {
@@ -94,7 +96,7 @@ HttpResponse Server::Impl::approve_certificate(const Asked& asked, Slow& later) 
       wait > Clock::Duration::zero())
     return too_many_failures(asked, wait);
 
-  const auto attempt = attempt_of(asked, "/approve", filled.approver, *run);
+  const auto attempt = attempt_of(asked, "/approve", filled.approver, *of);
   const auto finish = [this, attempt]() -> HttpResponse {
     const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
     if (attempt->wrong_password) throttle.failed(attempt->name, attempt->peer.client, clock.now());
@@ -115,7 +117,7 @@ HttpResponse Server::Impl::approve_certificate(const Asked& asked, Slow& later) 
 
 HttpResponse Server::Impl::prepare_certificate(const Asked& asked, const ApprovalForm& form, Slow& later) {
   if (asked.visitor.login.empty()) return refuse(asked, http::status::unprocessable_entity, kLogInAsApprover);
-  const auto attempt = attempt_of(asked, "/approve", asked.visitor.who.name, form.run);
+  const auto attempt = attempt_of(asked, "/approve", asked.visitor.who.name, form.of);
   const auto finish = [this, attempt]() -> HttpResponse {
     const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
     if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
@@ -132,13 +134,14 @@ HttpResponse Server::Impl::prepare_certificate(const Asked& asked, const Approva
   return {};
 }
 
-/// POST /runs/NAME/signed-certificate: the XML that was prepared, with the signature of who is logged in.
+/// POST /runs/NAME/signed-certificate, /runs/NAME/items/K/signed-certificate: the XML that was prepared, with
+/// the signature of who is logged in.
 HttpResponse Server::Impl::take_signed_certificate(const Asked& asked, const std::vector<std::string>& words,
                                                    Slow& later) {
-  const auto run = words.size() == 3 && words[0] == "runs" ? library.find(words[1]) : std::nullopt;
-  if (!run) return refuse(asked, http::status::not_found, "There is no such run.");
+  const auto of = find_item(words);
+  if (!of) return refuse(asked, http::status::not_found, kNoSuchRun);
   if (asked.visitor.login.empty()) return refuse(asked, http::status::unprocessable_entity, kLogInAsApprover);
-  const auto attempt = attempt_of(asked, "/signed-certificate", asked.visitor.who.name, *run);
+  const auto attempt = attempt_of(asked, "/signed-certificate", asked.visitor.who.name, *of);
   const auto finish = [this, attempt]() -> HttpResponse {
     const Asked then{attempt->peer, attempt->head, Access::kGranted, {}};
     if (!attempt->problem.empty()) return refuse(then, attempt->status, attempt->problem);
@@ -146,24 +149,23 @@ HttpResponse Server::Impl::take_signed_certificate(const Asked& asked, const std
     return json_answer(attempt->head, attempt->answer);
   };
   later.where = &seal;
-  later.job = [this, attempt, run = *run, visitor = asked.visitor, xml = asked.request.body(), finish] {
+  later.job = [this, attempt, of = *of, visitor = asked.visitor, xml = asked.request.body(), finish] {
     carry_out_attempt(
-        *attempt, [&] { return signatures.take(run, xml, visitor, clock.utc_now()); }, kLogInAsApprover);
+        *attempt, [&] { return signatures.take(of, xml, visitor, clock.utc_now()); }, kLogInAsApprover);
     return Slow::Finish(finish);
   };
   return {};
 }
 
-/// GET /runs/NAME/approval
+/// GET /runs/NAME/approval, /runs/NAME/items/K/approval
 bool Server::Impl::order_approval(const std::vector<std::string>& words, const Visitor& visitor,
                                   Slow& later) {
-  if (words.size() != 3 || words[0] != "runs" || words[2] != "approval") return false;
-  const auto run = library.find(words[1]);
-  if (!run) return false;
+  const auto of = find_item(words);
+  if (!of || words.back() != "approval") return false;
   later.workshop = &analyses;
   later.name.clear();  // Each person sees their own.
-  later.make = [this, run = *run, visitor, place = approval_place()](const std::stop_token&) {
-    return made_of_json(approval_json(run, place, visitor, clock.utc_now()));
+  later.make = [this, of = *of, visitor, place = approval_place()](const std::stop_token&) {
+    return made_of_json(approval_json(of, place, visitor, clock.utc_now()));
   };
   return true;
 }

@@ -25,6 +25,7 @@
 
 #include "app/bench/real_clock.h"
 #include "app/console/bench_link.h"
+#include "app/console/download.h"
 #include "app/console/login_throttle.h"
 #include "app/console/persons.h"
 #include "app/console/request.h"
@@ -160,13 +161,17 @@ struct Server::Impl {
   HttpResponse prepare_certificate(const Asked& asked, const ApprovalForm& form, Slow& later);
   HttpResponse take_signed_certificate(const Asked& asked, const std::vector<std::string>& words,
                                        Slow& later);
+  /// A run, and which of its items, as a form or a path names them: item "" is 0, of a run that has one.
+  std::optional<ItemOfRun> find_item(const std::string& run, const std::string& item) const;
+  /// Of /runs/NAME/WHAT and /runs/NAME/items/K/WHAT. Nothing for other paths, and where there is no such run.
+  std::optional<ItemOfRun> find_item(const std::vector<std::string>& words) const;
   ApprovalPlace approval_place() const { return {options.register_location, options.laboratory_file}; }
   HttpResponse too_many_failures(const Asked& asked, Clock::Duration wait);
   void set_cookie(const Asked& asked, HttpResponse& response, const std::string& name,
                   const std::string& value, std::chrono::seconds life) const;
   /// Reads runs and makes something of them. Nothing for other paths.
   bool order_of_library(const std::vector<std::string>& words, Slow& later);
-  bool order_of_run(const std::filesystem::path& path, int item, const std::string& what, Slow& later);
+  bool order_of_run(const ItemOfRun& of, const std::string& what, Slow& later);
   bool order_approval(const std::vector<std::string>& words, const Visitor& visitor, Slow& later);
   bool order_start_form(const Asked& asked, Slow& later);
   /// What is made of files, and kept.

@@ -51,6 +51,23 @@ std::string file_name(const std::string& path) {
   return std::filesystem::path(path).filename().string();
 }
 
+/// The readings of each accelerometer are passed on to `see`.
+void watch_accelerometers(Bench& bench, const std::function<void(const StripSeen&)>& see) {
+  const auto watch = [&](std::unique_ptr<Accelerometer>& accelerometer, ItemOfBench item) {
+    accelerometer = std::make_unique<WatchedAccelerometer>(std::move(accelerometer), see, item);
+  };
+  if (bench.items.empty()) return watch(bench.accelerometer, {});
+  // The first of the items that are there, then the others in their order.
+  std::vector<std::unique_ptr<Accelerometer>*> there{&bench.accelerometer};
+  for (std::unique_ptr<Accelerometer>& further : bench.further_accelerometers) there.push_back(&further);
+  auto next = there.begin();
+  for (BenchItem& item : bench.items) {
+    if (item.accelerometer == nullptr) continue;
+    watch(**next, {item.k, there.size()});
+    item.accelerometer = (*next++)->get();
+  }
+}
+
 }  // namespace
 
 Session::Session(Options options, std::function<void(Event)> tell)
@@ -196,9 +213,9 @@ Session::Refusal Session::start(const RunChoice& choice, const Asker& by) {
   return std::nullopt;
 }
 
-Session::Refusal Session::resume(const std::filesystem::path& run, const Asker& by) {
+Session::Refusal Session::resume(const ResumeRequest& request, const Asker& by) {
   return begin(
-      Activity::kRunning, [this, run] { do_resume(run); }, by);
+      Activity::kRunning, [this, request] { run_->resume(request); }, by);
 }
 
 Session::Refusal Session::level(const Asker& by) {
@@ -277,10 +294,10 @@ Bench Session::open(const BenchConfig& config) {
   Bench bench = make_bench(config, {}, std::make_unique<PacedClock>(options_.pace, utc));
   protocol_ = config.protocol;
   simulated_ = fmt::format("{}", fmt::join(simulated_instruments(config), ", "));
-  hurry_ = bench.simulated_time ? options_.pace : 1.0;
+  simulated_time_ = bench.simulated_time;
   const auto see = [this](const auto& seen) { tell_(seen); };
   bench.stage = std::make_unique<WatchedStage>(std::move(bench.stage), see, see);
-  bench.accelerometer = std::make_unique<WatchedAccelerometer>(std::move(bench.accelerometer), see);
+  watch_accelerometers(bench, see);
   return bench;
 }
 
@@ -296,7 +313,8 @@ RunBegan Session::describe(const RunBeganEvent& event) const {
   began.unit = event.unit;
   began.simulated = simulated_;
   began.plan = event.plan;
-  for (const DwellDoneEvent& each : event.measured) began.measured.emplace_back(each.position, each.dwell);
+  for (const DwellDoneEvent& each : event.measured)
+    began.measured.push_back({each.position, each.dwell, {}, each.items});
   began.estimated_s = event.estimated_s / began.pace.value_or(1.0);
   began.items = event.items;
   began.stage = in_words(event.stage);
@@ -306,7 +324,9 @@ RunBegan Session::describe(const RunBeganEvent& event) const {
 }
 
 std::optional<TimeLimit> Session::limit_of(RunPhase phase) const {
-  const auto limit = [this](double seconds, const char* words) { return TimeLimit{seconds / hurry_, words}; };
+  const auto limit = [this](double seconds, const char* words) {
+    return TimeLimit{seconds, words, simulated_time_};
+  };
   switch (phase) {
     case RunPhase::kHoming:
       return limit(protocol_.homing_timeout_s, "for each axis");
@@ -472,10 +492,6 @@ void Session::do_probe() {
   }
   log(fmt::format("{} ports are asked, of {}.", probed.size(), ports.size()));
   tell_(PortsSeen{std::move(list)});
-}
-
-void Session::do_resume(const std::filesystem::path& path) {
-  run_->resume({path.string()});
 }
 
 void Session::do_jog(const Jog& jog) {

@@ -48,7 +48,7 @@ class Session {
   Refusal start(const RunChoice& choice, const Asker& by);
   /// Looks at the item of an entry of the queue, which a person has mounted; nothing moves.
   Refusal check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
-  Refusal resume(const std::filesystem::path& run, const Asker& by);
+  Refusal resume(const ResumeRequest& request, const Asker& by);
   /// As `abcal level`, into the run folder.
   Refusal level(const Asker& by);
   /// As `abcal instruments --probe`.
@@ -78,13 +78,12 @@ class Session {
   RunBegan describe(const RunBeganEvent& event) const;
 
   Bench open(const BenchConfig& config);
-  /// How long a phase may last, in real time.
+  /// How long a phase may last, in the time of the bench.
   std::optional<TimeLimit> limit_of(RunPhase phase) const;
   void do_check(bool with_motion, const Asker& by);
   void do_check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
   void do_start(const std::string& name, const RunChoice& choice);
   Refusal stale(const RunChoice& choice) const;
-  void do_resume(const std::filesystem::path& run);
   void do_level(const std::filesystem::path& run);
   void do_probe();
   void do_jog(const Jog& jog);
@@ -108,10 +107,10 @@ class Session {
     Bench bench;
   };
   std::optional<JogBench> jog_bench_;
-  /// Of the bench that was opened last, and how much faster its time passes; of the measuring thread alone.
+  /// Of the bench that was opened last; of the measuring thread alone.
   ProtocolConfig protocol_;
   std::string simulated_;
-  double hurry_ = 1.0;
+  bool simulated_time_ = false;
 
   std::jthread stopper_;  ///< Sends the halt, so that no other thread waits for it.
   std::jthread worker_;

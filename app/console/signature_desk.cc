@@ -6,8 +6,12 @@
 namespace abcal::console {
 namespace {
 
-/// Whoever prepares more lets go of the oldest: it can be prepared again.
-constexpr std::size_t kMostWaiting = 20;
+/// Whoever prepares more lets go of the oldest: it can be prepared again. More than a full platter has.
+constexpr std::size_t kMostWaiting = 40;
+
+bool is_same(const ItemOfRun& a, const ItemOfRun& b) {
+  return a.run == b.run && a.item == b.item;
+}
 
 }  // namespace
 
@@ -30,7 +34,7 @@ nlohmann::ordered_json SignatureDesk::prepare(const ApprovalForm& form, const Vi
   Registered registered = approver(stored, visitor, now);
   Waiting waits{form, registered.approver.name(),
                 prepare_to_sign(issue_asked(form, place_), registered, now)};
-  std::erase_if(waiting_, [&](const Waiting& each) { return each.form.run == form.run; });
+  std::erase_if(waiting_, [&](const Waiting& each) { return is_same(each.form.of, form.of); });
   if (waiting_.size() >= kMostWaiting) waiting_.pop_front();
   const IssuedCertificate& made = waits.awaited.prepared.issued;
   nlohmann::ordered_json json{{"number", made.number}, {"xml", made.xml}};
@@ -38,14 +42,17 @@ nlohmann::ordered_json SignatureDesk::prepare(const ApprovalForm& form, const Vi
   return json;
 }
 
-nlohmann::ordered_json SignatureDesk::take(const std::filesystem::path& run, const std::string& signed_xml,
+nlohmann::ordered_json SignatureDesk::take(const ItemOfRun& of, const std::string& signed_xml,
                                            const Visitor& visitor, Clock::UtcTime now) {
   const auto found = std::find_if(waiting_.begin(), waiting_.end(), [&](const Waiting& each) {
-    return each.form.run == run && each.person == visitor.who.name;
+    return is_same(each.form.of, of) && each.person == visitor.who.name;
   });
   if (found == waiting_.end())
     throw StaleApproval(
-        "no certificate of this run waits for your signature; make the one that is to be signed again");
+        of.item == 0
+            ? "no certificate of this run waits for your signature; make the one that is to be signed again"
+            : "no certificate of this item waits for your signature; make the one that is to be signed "
+              "again");
   const StoredRun stored = require_approvable(found->form, place_);
   Registered registered = approver(stored, visitor, now);
   const IssueOutcome outcome = issue_signed(found->awaited, signed_xml, registered, now);

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "app/console/approval.h"
+#include "app/console/download.h"
 #include "app/console/persons.h"
 #include "app/issuing/issue_run.h"
 
@@ -23,8 +24,8 @@ class SignatureDesk {
 
   /// Issues it, as it was signed. @return the certificate, for pages
   /// @throws the same; StaleApproval if none of this person waits here; what issue_signed() throws
-  nlohmann::ordered_json take(const std::filesystem::path& run, const std::string& signed_xml,
-                              const Visitor& visitor, Clock::UtcTime now);
+  nlohmann::ordered_json take(const ItemOfRun& of, const std::string& signed_xml, const Visitor& visitor,
+                              Clock::UtcTime now);
 
  private:
   struct Waiting {

@@ -36,8 +36,8 @@ Angle WatchedStage::encoder_angle(StageAxis axis) {
 }
 
 WatchedAccelerometer::WatchedAccelerometer(std::unique_ptr<Accelerometer> accelerometer,
-                                           std::function<void(const StripSeen&)> see)
-    : accelerometer_(std::move(accelerometer)), see_(std::move(see)) {}
+                                           std::function<void(const StripSeen&)> see, ItemOfBench item)
+    : accelerometer_(std::move(accelerometer)), see_(std::move(see)), item_(item) {}
 
 AccelerometerInfo WatchedAccelerometer::identify() {
   AccelerometerInfo info = accelerometer_->identify();
@@ -71,8 +71,9 @@ void WatchedAccelerometer::note(const Reading& reading) {
   group_.highest = group_.highest.cwiseMax(reading.output);
   if (reading.temperature_degc) group_.temperature_degc = reading.temperature_degc;
   const Clock::Instant now = real_.now();
-  if (now - last_seen_ < kGroup) return;
+  if (now - last_seen_ < kGroup * static_cast<int>(item_.of)) return;
   last_seen_ = now;
+  group_.item = item_.k;
   group_.unit = unit_;
   group_.stream = streams_;
   group_.time_s = to_seconds(reading.arrival - *first_arrival_);

@@ -29,6 +29,7 @@ struct HaltSeen {
 
 /// The readings of a short while of real time.
 struct StripSeen {
+  int item = 1;            ///< Of several items, which.
   std::size_t stream = 0;  ///< Grows with each start of the stream: the times of two streams do not compare.
   double time_s = 0.0;     ///< Of the last of them, in the bench's time from the start of the stream.
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
@@ -64,12 +65,19 @@ class WatchedStage final : public RotationStage {
   std::function<void(const HaltSeen&)> see_halt_;
 };
 
-/// An accelerometer whose readings are also passed on, in at most 20 groups a second.
+/// Which of the items of a bench an accelerometer is.
+struct ItemOfBench {
+  int k = 1;
+  std::size_t of = 1;  ///< As many are there.
+};
+
+/// An accelerometer whose readings are also passed on, in groups. All items of a bench together have at most
+/// 20 groups a second, so that several cost a page no more than one.
 class WatchedAccelerometer final : public Accelerometer {
  public:
   /// `see` must return at once.
   WatchedAccelerometer(std::unique_ptr<Accelerometer> accelerometer,
-                       std::function<void(const StripSeen&)> see);
+                       std::function<void(const StripSeen&)> see, ItemOfBench item);
 
   AccelerometerInfo identify() override;
   void start() override;
@@ -87,6 +95,7 @@ class WatchedAccelerometer final : public Accelerometer {
 
   std::unique_ptr<Accelerometer> accelerometer_;
   std::function<void(const StripSeen&)> see_;
+  ItemOfBench item_;
   RealClock real_;  // Real time, for people.
   Clock::Instant last_seen_{};
   std::optional<Clock::Instant> first_arrival_;

@@ -152,6 +152,37 @@ void leave_out_dropped(const std::vector<ItemProgress>& items, BenchConfig& conf
   }
 }
 
+std::string item_name(const BenchConfig& config, int k, const std::string& reported) {
+  std::string name = config.tray.at(static_cast<std::size_t>(k) - 1).item.serial_number;
+  if (name.empty()) name = reported;
+  return name.empty() ? fmt::format("item {}", k) : name;
+}
+
+/// Of several items all of them, also those that were dropped before an interruption.
+/// @param resumed  null: the run is a new one
+std::vector<ItemSummary> item_summaries(const BenchConfig& config, const Identities& identities,
+                                        const StoredRun* resumed) {
+  std::vector<ItemSummary> items;
+  for (const ItemIdentity& item : identities.items) {
+    const AccelerometerInfo& info = item.accelerometer;
+    items.push_back({item.k, item_name(config, item.k, info.serial_number), info.model, info.output_unit,
+                     info.rate_hz, item.missing});
+  }
+  if (resumed == nullptr || items.empty()) return items;
+  for (const ItemProgress& before : resumed->items) {
+    auto item = std::ranges::find(items, before.k, &ItemSummary::k);
+    if (item == items.end()) {
+      const RunItem& stored = resumed->header.items.at(static_cast<std::size_t>(before.k) - 1);
+      items.push_back({before.k, item_name(config, before.k, stored.serial_number), stored.model,
+                       stored.response_unit, stored.rate_hz.value_or(0.0), before.reason});
+      item = items.end() - 1;
+    }
+    item->measured = before.measured;
+  }
+  std::ranges::sort(items, {}, &ItemSummary::k);
+  return items;
+}
+
 /// Those whose items are there.
 std::vector<StoredRun> there(const std::vector<StoredRun>& of_items, const Identities& identities) {
   std::vector<StoredRun> present;
@@ -520,17 +551,14 @@ void RunSession::tell_begun(const OpenedBench& opened, const std::filesystem::pa
   began.rate_hz = identities.accelerometer.rate_hz;
   began.plan = opened.plan;
   for (std::size_t i = 0; resumed != nullptr && i < resumed->measured.size(); ++i) {
-    began.measured.push_back({resumed->measured[i], resumed->dwells[i]});
+    const DwellRecord& dwell = resumed->dwells[i];
+    DwellDoneEvent& done = began.measured.emplace_back(DwellDoneEvent{resumed->measured[i], dwell});
+    if (resumed->item != 1)
+      done.items.push_back({resumed->item, dwell.mean, dwell.flags, dwell.temperature_degc});
   }
   began.estimated_s = estimate_duration(opened.plan, config, identities).total_s();
   began.simulated_time = opened.bench.simulated_time;
-  for (const ItemIdentity& item : identities.items) {
-    const AccelerometerInfo& info = item.accelerometer;
-    std::string name = config.tray[static_cast<std::size_t>(item.k) - 1].item.serial_number;
-    if (name.empty()) name = info.serial_number;
-    if (name.empty()) name = fmt::format("item {}", item.k);
-    began.items.push_back({item.k, name, info.model, info.output_unit, info.rate_hz, item.missing});
-  }
+  began.items = item_summaries(config, identities, resumed);
   tell(std::move(began));
 }
 

@@ -169,6 +169,7 @@ void visit_members(Visitor& v, Item& item) {
   v.member("k", item.k);
   v.member("mean", item.mean);
   v.member("flags", item.flags);
+  v.member("temperature_degc", item.temperature_degc);
 }
 
 template <class Visitor, Like<ItemSummary> Item>
@@ -179,6 +180,7 @@ void visit_members(Visitor& v, Item& item) {
   v.member("unit", item.unit);
   v.member("rate_hz", item.rate_hz);
   v.member("missing", item.missing);
+  v.member("measured", item.measured);
 }
 
 template <class Visitor, Like<InstrumentSummary> Instrument>

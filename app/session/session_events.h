@@ -25,6 +25,7 @@ struct ItemReading {
   int k = 1;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();  ///< R of the item.
   std::uint32_t flags = 0;
+  std::optional<double> temperature_degc{};  ///< As in DwellRecord.
 };
 
 /// One angle that is measured and on the disk.
@@ -32,7 +33,7 @@ struct DwellDoneEvent {
   static constexpr const char* kName = "dwell_done";
   std::size_t position = 0;          ///< In the plan.
   DwellRecord dwell;                 ///< Of several items that of the first.
-  std::vector<ItemReading> items{};  ///< Of several items, all of them.
+  std::vector<ItemReading> items{};  ///< Of several items, all of them; `dwell` is that of the first here.
 };
 
 /// The identity that an instrument reported. An empty text: it reports none.
@@ -46,7 +47,8 @@ struct ItemSummary {
   std::string name;  ///< Serial number, or "item 3".
   std::string model, unit;
   double rate_hz = 0.0;
-  std::string missing;  ///< Why it takes no part; empty: it does.
+  std::string missing;       ///< Why it takes no part; empty: it does.
+  std::size_t measured = 0;  ///< Its angles before an interruption.
 };
 
 /// A run has a file and a plan; nothing has moved yet.

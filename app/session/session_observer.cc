@@ -23,7 +23,8 @@ void SessionObserver::dwells(std::size_t position, std::span<const ItemDwell> dw
   // Of several items the only one that is left is named, unless it is the first.
   if (dwells.size() == 1 && dwells.front().item == 1) return dwell(position, dwells.front().dwell);
   DwellDoneEvent done{position, dwells.front().dwell};
-  for (const ItemDwell& each : dwells) done.items.push_back({each.item, each.dwell.mean, each.dwell.flags});
+  for (const ItemDwell& each : dwells)
+    done.items.push_back({each.item, each.dwell.mean, each.dwell.flags, each.dwell.temperature_degc});
   tell(std::move(done));
 }
 

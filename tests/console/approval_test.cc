@@ -12,6 +12,7 @@
 #include "app/certificate/issue.h"
 #include "app/certificate/signing_certificate.h"
 #include "tests/console/console_fixture.h"
+#include "tests/console/tray_bench.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/training_register.h"
 
@@ -58,16 +59,22 @@ class ApprovalTest : public ConsoleTest {
     return {{"Cookie", cookie.substr(0, cookie.find(';'))}};
   }
   Json state() {
-    const test::Answer answer = test::http_get(port, "/runs/a.run/approval", person);
+    const test::Answer answer = test::http_get(port, path() + "/approval", person);
     EXPECT_EQ(answer.status, 200U) << answer.body;
     return Json::parse(answer.body);
   }
   test::Answer approve(const std::string& name, const std::string& more = "",
                        const std::string& password = "correct horse 7") {
-    return test::http_post(
-        port, "/approve",
-        "run=a.run&run_sha256=" + sha256 + "&name=" + plus(name) + "&password=" + plus(password) + more,
-        person);
+    return test::http_post(port, "/approve",
+                           form() + "&name=" + plus(name) + "&password=" + plus(password) + more, person);
+  }
+  /// The run, or the item of it, in a path and in a form.
+  std::string path() const {
+    return "/runs/" + run + (item > 0 ? "/items/" + std::to_string(item) : std::string());
+  }
+  std::string form() const {
+    return "run=" + run + (item > 0 ? "&item=" + std::to_string(item) : std::string()) +
+           "&run_sha256=" + sha256;
   }
   void look() {
     person = logged_in("Operator N. N.");
@@ -77,7 +84,8 @@ class ApprovalTest : public ConsoleTest {
   const std::filesystem::path examples = test::source_folder() / "docs/examples";
   test::TrainingRegister registered{folder.path()};
   test::Headers person;
-  std::string sha256;
+  std::string run = "a.run", sha256;
+  int item = 0;  ///< Of several, from 1.
 };
 
 TEST_F(ApprovalTest, ASecondPersonApprovesWithTheirPassword) {
@@ -168,7 +176,7 @@ class ApprovalByKeyTest : public ApprovalTest {
     return (folder / (name + ending)).string();
   }
   test::Answer prepare(const std::string& more = "") {
-    return test::http_post(port, "/approve", "run=a.run&by_key=yes&run_sha256=" + sha256 + more, person);
+    return test::http_post(port, "/approve", form() + "&by_key=yes" + more, person);
   }
   /// The certificate that is to be signed.
   std::string prepared(const std::string& more = "") {
@@ -185,7 +193,7 @@ class ApprovalByKeyTest : public ApprovalTest {
     return test::read_file(folder / "signed.xml");
   }
   test::Answer hand_in(const std::string& xml) {
-    return test::http_post(port, "/runs/a.run/signed-certificate", xml, person);
+    return test::http_post(port, path() + "/signed-certificate", xml, person);
   }
   void refuses(const std::string& xml, const std::string& words) {
     const test::Answer answer = hand_in(xml);
@@ -281,6 +289,107 @@ TEST_F(ApprovalByKeyTest, RefusesWhoMayNot) {
   elsewhere["Origin"] = "http://evil.example.org";
   EXPECT_EQ(test::http_post(port, "/runs/a.run/signed-certificate", signed_xml, elsewhere).status, 403U);
   EXPECT_FALSE(current_certificate(runs() / "a.run", 1));
+}
+
+/// A run of three items, of which each has a certificate of its own.
+class TrayApprovalTest : public ApprovalByKeyTest {
+ protected:
+  TrayApprovalTest() {
+    registered.log_in("Operator N. N.");
+    std::string text = test::small_tray();
+    replace(text, "[operator]\nname = \"Operator N. N.\"\n", "");
+    test::write_file(folder / "tray.toml", text);
+    const auto ran = test::run_program({"run", "tray.toml", "-o", "runs/tray.run"}, folder.path());
+    EXPECT_EQ(ran.exit_code, 0) << ran.err;
+    run = "tray.run";
+  }
+  std::string number_of(int k) const {
+    const auto kept = current_certificate(runs() / "tray.run", k);
+    return kept ? kept->number : "";
+  }
+};
+
+TEST_F(TrayApprovalTest, EachItemIsApprovedByItself) {
+  open();
+  item = 2;
+  look();
+  EXPECT_EQ(state()["why_not"], "");
+  const test::Answer issued = approve("Approver N. N.");
+  ASSERT_EQ(issued.status, 200U) << issued.body;
+  const std::string number = Json::parse(issued.body)["number"];
+  EXPECT_TRUE(is_logged("certificate " + number + " of tray.run, item 2, approved by Approver N. N."));
+  EXPECT_EQ(number_of(2), number);
+  EXPECT_EQ(number_of(1) + number_of(3), "");
+  EXPECT_THAT(current_certificate(runs() / "tray.run", 2)->xml, HasSubstr("6284.000002"));
+  EXPECT_EQ(approve("Approver N. N.").status, 409U) << "twice";
+
+  // That of another item is another one, and replaces none.
+  item = 3;
+  EXPECT_EQ(state()["certificates"], Json::array());
+  EXPECT_EQ(approve("Approver N. N.", "&replaces=" + number + "&reason=none").status, 409U);
+  EXPECT_EQ(approve("Approver N. N.").status, 200U);
+  EXPECT_NE(number_of(3), number);
+  item = 2;
+  EXPECT_EQ(approve("Approver N. N.", "&replaces=" + number + "&reason=a+wrong+customer").status, 200U);
+  ASSERT_EQ(state()["certificates"].size(), 2U);
+  EXPECT_EQ(state()["certificates"][1]["replaces"], number);
+  const auto verified = test::run_program({"verify", "runs/tray.run"}, folder.path());
+  EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
+  EXPECT_THAT(registered.lab({"verify"}), HasSubstr("certificate numbers: 3 given"));
+}
+
+TEST_F(TrayApprovalTest, ACertificateWaitsForItsSignatureByItem) {
+  open();
+  item = 1;
+  look_as_approver();
+  const std::string first = prepared();
+  item = 3;
+  const std::string third = prepared();
+  EXPECT_THAT(first, HasSubstr("6284.000001"));
+  EXPECT_THAT(third, HasSubstr("6284.000003"));
+  EXPECT_EQ(hand_in(signed_by(first, "approver")).status, 422U) << "of another item";
+  ASSERT_EQ(hand_in(signed_by(third, "approver")).status, 200U);
+  EXPECT_EQ(number_of(1), "") << "it waits still";
+  item = 1;
+  ASSERT_EQ(hand_in(signed_by(first, "approver")).status, 200U);
+  EXPECT_EQ(current_certificate(runs() / "tray.run", 1)->approved_by, "Approver N. N.");
+  EXPECT_NE(number_of(1), number_of(3));
+  item = 2;
+  EXPECT_EQ(hand_in("<xml/>").status, 409U) << "none waits";
+  const auto verified = test::run_program({"verify", "runs/tray.run"}, folder.path());
+  EXPECT_EQ(verified.exit_code, 0) << verified.out << verified.err;
+}
+
+TEST_F(TrayApprovalTest, AnItemMustBeNamedAndTakePart) {
+  open();
+  item = 1;
+  look();
+  item = 0;
+  EXPECT_THAT(state()["why_not"].get<std::string>(), HasSubstr("The run has 3 items"));
+  EXPECT_EQ(approve("Approver N. N.").status, 422U);
+  item = 4;
+  EXPECT_THAT(state()["why_not"].get<std::string>(), HasSubstr("no item 4"));
+  EXPECT_EQ(approve("Approver N. N.").status, 422U);
+  item = 33;
+  EXPECT_EQ(approve("Approver N. N.").status, 404U);
+  EXPECT_EQ(test::http_get(port, path() + "/approval", person).status, 404U);
+  EXPECT_EQ(number_of(1) + number_of(2) + number_of(3), "");
+}
+
+TEST_F(TrayApprovalTest, AnItemThatWasLeftOutHasNoCertificate) {
+  test::write_file(folder / "tray.toml",
+                   test::read_file(folder / "tray.toml") +
+                       "[[fault]]\nkind = \"no-output\"\ninstrument = \"item-3\"\nat_s = 60.0\n");
+  const auto ran = test::run_program({"run", "tray.toml", "-o", "runs/short.run"}, folder.path());
+  EXPECT_EQ(ran.exit_code, 1) << ran.err;
+  open();
+  run = "short.run";
+  item = 1;
+  look();
+  EXPECT_EQ(state()["why_not"], "");
+  item = 3;
+  EXPECT_THAT(state()["why_not"].get<std::string>(), HasSubstr("Item 3 was left out"));
+  EXPECT_EQ(approve("Approver N. N.").status, 422U);
 }
 
 TEST_F(ApprovalTest, SaysWhyNothingIsIssuedHere) {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <vector>
 
 #include "tests/support/fake_clock.h"
 
@@ -102,6 +103,91 @@ TEST_F(LiveViewTest, FollowsEachOfSeveralItems) {
   EXPECT_EQ(snapshot()["run"]["items"], alone);
   apply(run_of(12));
   EXPECT_EQ(snapshot()["run"]["items"], Json::array());
+}
+
+TEST_F(LiveViewTest, ShowsTheReadingsOfEachOfSeveralItems) {
+  const auto group = [&](int item, std::size_t stream, double time_s) {
+    StripSeen seen;
+    seen.item = item;
+    seen.stream = stream;
+    seen.time_s = time_s;
+    seen.temperature_degc = 20.0 + item;
+    return apply(seen)["group"];
+  };
+  const auto kept = [&](int item) {
+    std::vector<double> times;
+    const Json all = snapshot();
+    for (const Json& each : all["strip"])
+      if (each["item"] == item) times.push_back(each["time_s"]);
+    return times;
+  };
+  EXPECT_EQ(group(1, 1, 0.0)["temperature_degc"], 21.0);
+  EXPECT_EQ(group(2, 1, 0.5)["item"], 2);
+  group(1, 1, 1.0);
+  EXPECT_THAT(kept(1), testing::ElementsAre(0.0, 1.0)) << "the other item's come between";
+  // The readings of one item begin again; those of the other go on.
+  group(2, 2, 0.0);
+  EXPECT_THAT(kept(1), testing::ElementsAre(0.0, 1.0));
+  EXPECT_THAT(kept(2), testing::ElementsAre(0.0));
+  for (int i = 0; i < 1000; ++i) group(1 + i % 3, 2, i);
+  EXPECT_EQ(snapshot()["strip"].size(), 400U) << "of all items together";
+}
+
+TEST_F(LiveViewTest, TheCurveIsThatOfOneItemAlone) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  RunBegan began = run_of(12);
+  began.items = {{1, "SN 1", "A", "g", 100.0, ""}, {2, "SN 2", "B", "g", 100.0, ""}};
+  apply(began);
+  const auto see = [&](std::size_t position, int first, double u) {
+    return apply(DwellSeen{
+        position, dwell(1, static_cast<int>(position) + 1, u), {}, {{first, {u, 0.5, 0.25}, 0, 23.5}}});
+  };
+  for (std::size_t position = 0; position < 6; ++position)
+    EXPECT_EQ(see(position, 1, 1.0)["dwell"]["item"], 1);
+  // Item 1 is left out: what is shown then is of item 2, without the angles of the other.
+  EXPECT_TRUE(see(6, 2, -1.0)["fit"]["outputs"][0].is_null()) << "one angle";
+  Json last;
+  for (std::size_t position = 7; position < 11; ++position) last = see(position, 2, -1.0);
+  EXPECT_EQ(last["dwell"]["item"], 2);
+  EXPECT_EQ(last["items"][1]["temperature_degc"], 23.5);
+  EXPECT_EQ(last["progress"]["measured"], 11);
+  EXPECT_NEAR(last["fit"]["outputs"][0]["constant"].get<double>(), -1.0, 1e-12);  // Rounding near 1.
+}
+
+TEST_F(LiveViewTest, ARunThatGoesOnHasTheItemsThatWereLeftOutBefore) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  RunBegan began = run_of(12);
+  began.items = {{1, "SN 1", "A", "g", 100.0, "left out", 3}, {2, "SN 2", "B", "g", 100.0, "", 5}};
+  began.measured.push_back({4, dwell(1, 5, 1.0), {}, {{2, {1, 0, 0}, 0}}});
+  const Json run = apply(began)["run"];
+  EXPECT_EQ(run["items"][0]["measured"], 3);
+  EXPECT_EQ(run["items"][0]["dropped"], "left out");
+  EXPECT_EQ(run["items"][1]["measured"], 5);
+  EXPECT_EQ(run["dwells"][0]["item"], 2);
+  const Json ended = apply(RunEnded{"a.run", false, "stopped"});
+  EXPECT_EQ(ended["interrupted"]["items"], 1) << "one is left";
+}
+
+TEST_F(LiveViewTest, AnInterruptedRunIsOfferedUntilOneBegins) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  apply(run_of(12));
+  measure(0);
+  apply(RunEnded{"a.run", false, "stopped"});
+  apply(ActivitySeen{Activity::kIdle, false, false});
+  // A check, or a resumption that an instrument refuses.
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  apply(ActivitySeen{Activity::kIdle, false, false});
+  EXPECT_EQ(snapshot()["interrupted"]["file"], "a.run");
+  apply(run_of(12));
+  EXPECT_EQ(snapshot()["interrupted"], Json());
+}
+
+TEST_F(LiveViewTest, ALimitIsInTheTimeOfTheBench) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  const Json phase = apply(PhaseSeen{0, RunPhase::kDwelling, TimeLimit{2.0, "without any reading", true}});
+  EXPECT_EQ(phase["limit_s"], 2.0);
+  EXPECT_EQ(phase["limit_simulated"], true);
+  EXPECT_EQ(apply(PhaseSeen{0, RunPhase::kHolding, {}})["limit_s"], Json());
 }
 
 TEST_F(LiveViewTest, TellsTheTimeLeftFromWhatTheLatestAnglesTook) {

@@ -34,6 +34,10 @@ TEST(RequestTest, ReadsEveryRequestThatDocsNames) {
   read<ContinueRun>(R"({"do":"continue","confirmed":true})");
   read<Stop>(R"({"do":"stop"})");
   EXPECT_EQ(read<ResumeRun>(R"({"do":"resume","run":"a.run","confirmed":true})").run, "a.run");
+  EXPECT_FALSE(read<ResumeRun>(R"({"do":"resume","run":"a.run","confirmed":true})").without_missing_items);
+  EXPECT_TRUE(
+      read<ResumeRun>(R"({"do":"resume","run":"a.run","confirmed":true,"without_missing_items":true})")
+          .without_missing_items);
   const Jog jog = read<Jog>(R"({"do":"jog","axis":"z","by_deg":-12.5,"confirmed":true})");
   EXPECT_EQ(jog.axis, StageAxis::kZ);
   EXPECT_EQ(jog.by.deg(), -12.5);
@@ -64,6 +68,7 @@ TEST(RequestTest, RefusesWhatIsNotUnderstood) {
                            R"({"do":"stop","id":1.5})",
                            R"({"do":"stop","id":1e300})",
                            R"({"do":"resume","run":7,"confirmed":true})",
+                           R"({"do":"resume","run":"a.run","confirmed":true,"without_missing_items":1})",
                            R"({"do":"jog","axis":"y","by_deg":1,"confirmed":true})",
                            R"({"do":"jog","axis":"x","by_deg":361,"confirmed":true})",
                            R"({"do":"jog","axis":"x","by_deg":1e999,"confirmed":true})",

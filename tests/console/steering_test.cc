@@ -14,6 +14,7 @@
 #include "app/results/result_json.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
+#include "tests/console/tray_bench.h"
 
 namespace abcal::console {
 namespace {
@@ -237,6 +238,50 @@ TEST_F(SteeringTest, JogsAnAxisWhenNoRunIsOn) {
   page->wait_for_activity("idle");
   ASSERT_TRUE(page->ok(kStart));
   EXPECT_FALSE(page->ok({{"do", "jog"}, {"axis", "x"}, {"by_deg", 1.0}, {"confirmed", true}}));
+}
+
+TEST_F(SteeringTest, EachOfSeveralItemsIsShownAndOneThatFallsSilentIsLeftOut) {
+  pace = 50.0;
+  open();
+  test::write_file(
+      folder / "bench.toml",
+      test::small_tray() + "[[fault]]\nkind = \"no-output\"\ninstrument = \"item-3\"\nat_s = 60.0\n");
+  auto page = steering_page();
+  ASSERT_TRUE(page->ok(kStart));
+  std::set<int> shown;
+  bool faulted = false;
+  const Json items = page->wait_for(
+      [&](const Json& message) {
+        if (message["type"] == "strip") shown.insert(message["group"]["item"].get<int>());
+        faulted = faulted || message["type"] == "fault";
+        return message["type"] == "items";
+      },
+      "an item that is left out")["items"];
+  EXPECT_EQ(shown, (std::set<int>{1, 2, 3}));
+  EXPECT_THAT(items[2]["dropped"].get<std::string>(), HasSubstr("item 3, accelerometer"));
+  EXPECT_EQ(items[0]["dropped"], Json());
+  EXPECT_FALSE(faulted);
+  const auto left = items[2]["measured"].get<int>();
+  const Json later = page->wait_for(
+      [&](const Json& message) {
+        return message["type"] == "dwell" && message["items"][0]["measured"].get<int>() > left + 1;
+      },
+      "the others go on");
+  EXPECT_EQ(later["items"][2]["measured"], left);
+  EXPECT_EQ(later["dwell"]["item"], 1);
+  ASSERT_TRUE(page->ok({{"do", "stop"}}));
+  const Json ended = page->wait_for_type("ended");
+  EXPECT_EQ(ended["interrupted"]["items"], 2);
+  // It goes on without that item, which is still named.
+  page->wait_for_activity("idle");
+  ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", ended["file"]}, {"confirmed", true}}));
+  const Json again =
+      page->wait_for([](const Json& m) { return m["type"] == "snapshot"; }, "the run's beginning")["run"];
+  ASSERT_EQ(again["items"].size(), 3U);
+  EXPECT_EQ(again["items"][2]["dropped"], items[2]["dropped"]);
+  EXPECT_EQ(again["items"][2]["measured"], left);
+  ASSERT_TRUE(page->ok({{"do", "stop"}}));
+  page->wait_for_activity("idle");
 }
 
 TEST_F(SteeringTest, AFaultEndsTheRunAndIsTold) {

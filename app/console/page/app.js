@@ -1,7 +1,8 @@
-import {byId, duration} from '/text.js';
+import {byId, duration, element, small} from '/text.js';
 import {said, translated} from '/said.js';
 import {BenchView} from '/bench.js';
 import {Link, SILENT_AFTER_MS, UNCONFIRMED_AFTER_MS} from '/link.js';
+import {withoutMissing} from '/items.js';
 import {LiveView} from '/live.js';
 import {endMaking} from '/making.js';
 import {QueueView} from '/queue.js';
@@ -85,11 +86,17 @@ function show() {
   offer(contact);
 }
 
+// How long a phase may last. Of a bench in simulated time that is not what a person sees.
+function limitIn({seconds, simulated, words}) {
+  const time = seconds < 1 ? small(seconds, 's') : duration(seconds);
+  return simulated ? t`Limit: ${time} of simulated time ${t(words)}.` : t`Limit: ${time} ${t(words)}.`;
+}
+
 let shown = '';
 function showState(state, contact) {
   const word = contact ? state.word : t('No contact');
   const sentence = contact || !state.known ? state.sentence : t`Last known: ${state.word}. ${state.sentence}`;
-  const limit = contact && state.limit ? t`Limit: ${duration(state.limit.seconds)} ${t(state.limit.words)}.` : '';
+  const limit = contact && state.limit ? limitIn(state.limit) : '';
   const more = [state.fault && t`At fault: ${state.fault}.`, limit, state.todo].filter(Boolean).join(' ');
   const now = JSON.stringify([word, sentence, state.english, more, state.kind, state.icon]);
   const {measured, total} = live.progress ?? {};
@@ -241,12 +248,17 @@ byId('jog-form').addEventListener('submit', async (event) => {
     await ask(t('Jog'), {do: 'jog', axis, by_deg: by, confirmed: true});
 });
 
-// Of a run whose angles are all measured only the analysis is missing: nothing moves.
-async function resume(run, measured) {
-  if (!measured && !(await confirmed(t`Resume ${run}?`, t`Both axes are homed, the last angle is measured again, and the run continues. ${CLEAR}`, t('Resume, and turn the stage')))) return;
-  if (await ask(measured ? t('Analyse') : t('Resume'), {do: 'resume', run, confirmed: true}, {moves: !measured})) location.hash = '#live';
+// Of a run whose angles are all measured only the analysis is missing: nothing moves. items: how many take part still.
+async function resume(run, measured, items) {
+  const missing = withoutMissing('resume-without-missing');
+  const form = items > 1 ? {open: (holder) => holder.append(element('p', {}, t`${items} items take part. One that is left out stays left out.`), missing.label)} : null;
+  if (!measured && !(await confirmed(t`Resume ${run}?`, t`Both axes are homed, the last angle is measured again, and the run continues. ${CLEAR}`, t('Resume, and turn the stage'), form))) return;
+  if (await ask(measured ? t('Analyse') : t('Resume'), {do: 'resume', run, confirmed: true, ...missing.choice()}, {moves: !measured})) location.hash = '#live';
 }
-byId('resume-interrupted').addEventListener('click', () => resume(live.interrupted.file, live.interrupted.measured === live.interrupted.planned));
+byId('resume-interrupted').addEventListener('click', () => {
+  const {file, measured, planned, items} = live.interrupted;
+  resume(file, measured === planned, items);
+});
 
 function route() {
   endMaking();

@@ -5,7 +5,7 @@ import {said} from '/said.js';
 import {t} from '/language.js';
 
 const TEXT = {
-  title: t('Certificate'), none: t('No certificate has been issued for this run.'), reading: t('Reading what was issued'),
+  title: t('Certificate'), none: t('No certificate has been issued for this run.'), noneOfItem: t('No certificate has been issued for this item.'), reading: t('Reading what was issued'),
   fourEyes: t('Whoever measured cannot approve.'),
   approver: t('Approved by (a person who may approve)'), password: t('Password of this person'), reason: t('Why the certificate is amended'),
   seen: t('I have looked at the result, its checks and its pictures, and approve it.'), approve: t('Approve and issue'), amend: t('Approve and replace it'),
@@ -18,27 +18,31 @@ const TEXT = {
 const encoded = (name) => encodeURIComponent(name);
 const line = ({number, date, approved_by: approver, replaces, reason}) => t`${number}, issued ${date}, approved by ${approver}` + (replaces ? t`; replaces ${replaces}: ${reason}` : '');
 
-// A card that fills itself; `changed` is called when a certificate was issued.
-export function certificateCard(run, changed) {
+// Where the console has what belongs to an item of a run; 0: it has one.
+const pathOf = ({run, item}) => `/runs/${encoded(run.name)}${item ? `/items/${item}` : ''}`;
+const namedIn = ({run, item}) => ({run: run.name, ...(item ? {item} : {})});
+
+// A card that fills itself; `changed` is called when a certificate was issued. item: of several, which; 0: the run has one.
+export function certificateCard(run, item, changed) {
   const body = element('div', {id: 'certificate'}, element('p', {role: 'status'}, TEXT.reading));
-  fill(run, body, changed);
+  fill({run, item}, body, changed);
   return element('section', {class: 'card block', 'aria-labelledby': 'certificate-title'}, element('h3', {id: 'certificate-title'}, TEXT.title), body);
 }
 
-async function fill(run, body, changed) {
+async function fill(of, body, changed) {
   const problem = (words) => element('p', {role: 'alert', class: 'grade-problem'}, words);
   let state;
   try {
-    const response = await fetch(`/runs/${encoded(run.name)}/approval`);
+    const response = await fetch(`${pathOf(of)}/approval`);
     if (!response.ok) throw new Error((await response.text()).trim());
     state = await response.json();
   } catch (error) {
     return body.replaceChildren(problem(said(error.message || error)));
   }
   const {certificates} = state;
-  const list = certificates.length ? element('ul', {}, ...certificates.map((one) => element('li', {}, line(one)))) : element('p', {}, TEXT.none);
+  const list = certificates.length ? element('ul', {}, ...certificates.map((one) => element('li', {}, line(one)))) : element('p', {}, of.item ? TEXT.noneOfItem : TEXT.none);
   if (state.why_not) return body.replaceChildren(list, element('p', {}, said(state.why_not)));
-  const forms = [approvalForm(run, state, changed), keyForm(run, state, changed)];
+  const forms = [approvalForm(of, state, changed), keyForm(of, state, changed)];
   body.replaceChildren(list, ...(certificates.length ? [element('details', {}, element('summary', {}, TEXT.amended), ...forms)] : forms));
 }
 
@@ -65,7 +69,7 @@ function tellIssued(told, issued, changed) {
 }
 
 // Of the approval by key: first the certificate is made and downloaded, then it is handed in with its signature.
-function keyForm(run, state, changed) {
+function keyForm(of, state, changed) {
   const box = element('details', {id: 'approve-by-key', class: 'no-print'}, element('summary', {}, TEXT.byKey));
   if (!state.keys.length) {
     box.append(element('p', {}, TEXT.noKey));
@@ -82,18 +86,18 @@ function keyForm(run, state, changed) {
     event.preventDefault();
     if (make.disabled) return;
     make.disabled = true;
-    const made = await ask(told, TEXT.busy, '/approve', new URLSearchParams({run: run.name, run_sha256: state.run_sha256, by_key: 'yes',
+    const made = await ask(told, TEXT.busy, '/approve', new URLSearchParams({...namedIn(of), run_sha256: state.run_sha256, by_key: 'yes',
       ...(last ? {replaces: last.number, reason: reason.value} : {})}));
     make.disabled = false;
     if (!made) return;
     told.textContent = t`${made.number} waits for your signature.`;
-    second.replaceChildren(handInForm(run, made, told, changed));
+    second.replaceChildren(handInForm(of, made, told, changed));
   });
   box.append(form, second, told);
   return box;
 }
 
-function handInForm(run, made, told, changed) {
+function handInForm(of, made, told, changed) {
   const file = `${made.number}.xml`, signed = `${made.number}-signed.xml`;
   const link = element('a', {id: 'key-download', download: file, href: URL.createObjectURL(new Blob([made.xml], {type: 'application/xml'}))}, TEXT.download);
   const chosen = element('input', {id: 'key-file', type: 'file', accept: '.xml', required: true}), button = element('button', {class: 'go'}, TEXT.handIn);
@@ -104,14 +108,14 @@ function handInForm(run, made, told, changed) {
     event.preventDefault();
     if (button.disabled || !chosen.files.length) return;
     button.disabled = true;
-    const issued = await ask(told, TEXT.checking, `/runs/${encoded(run.name)}/signed-certificate`, chosen.files[0]);
+    const issued = await ask(told, TEXT.checking, `${pathOf(of)}/signed-certificate`, chosen.files[0]);
     if (issued) tellIssued(told, issued, changed);
     else button.disabled = false;
   });
   return form;
 }
 
-function approvalForm(run, state, changed) {
+function approvalForm(of, state, changed) {
   const last = state.certificates.at(-1);
   const input = (id, attributes) => element('input', {id: `approve-${id}`, required: true, autocomplete: 'off', maxlength: 200, ...attributes});
   const approver = input('name'), password = input('password', {type: 'password'}), reason = input('reason'), seen = input('seen', {type: 'checkbox'});
@@ -125,7 +129,7 @@ function approvalForm(run, state, changed) {
     event.preventDefault();
     if (button.disabled) return;
     button.disabled = true;
-    const fields = {run: run.name, run_sha256: state.run_sha256, name: approver.value, password: password.value};
+    const fields = {...namedIn(of), run_sha256: state.run_sha256, name: approver.value, password: password.value};
     if (last) Object.assign(fields, {replaces: last.number, reason: reason.value});
     password.value = '';
     const issued = await ask(told, TEXT.busy, '/approve', new URLSearchParams(fields));

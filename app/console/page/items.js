@@ -1,5 +1,5 @@
 // A card for each of several items: who it is, how far it was measured, and why it takes no part any more.
-import {element, signed, DASH} from '/text.js';
+import {element, number, signed, DASH} from '/text.js';
 import {said} from '/said.js';
 import {OUTPUTS} from '/plots.js';
 import {t} from '/language.js';
@@ -15,7 +15,15 @@ function itemCard(item, of, ...more) {
 export function liveItem(item, of) {
   const means = element('table', {}, element('caption', {}, t`Last mean (${item.unit})`),
     element('tbody', {}, ...OUTPUTS.map((name, j) => element('tr', {}, element('th', {scope: 'row'}, name), element('td', {class: 'number', 'data-heading': `${name} (${item.unit})`}, item.mean ? signed(item.mean[j], 6) : DASH)))));
-  return itemCard(item, of, means, ...(item.flags ? [element('p', {class: 'grade-warning'}, said(item.flags))] : []));
+  const temperature = item.temperature_degc === null ? [] : [element('p', {}, t`Temperature ${number(item.temperature_degc, 2, '°C')}`)];
+  return itemCard(item, of, means, ...temperature, ...(item.flags ? [element('p', {class: 'grade-warning'}, said(item.flags))] : []));
+}
+
+// Before a run of several items begins or goes on: whether all of them must be there. id: of the box that a person ticks.
+export function withoutMissing(id) {
+  const box = element('input', {id, type: 'checkbox'});
+  return {label: element('label', {class: 'check'}, box, element('span', {}, t('Leave out items that are not there, and measure the others'))),
+    choice: () => (box.checked ? {without_missing_items: true} : {})};
 }
 
 // Of a result: which item is shown, and the way to the others.

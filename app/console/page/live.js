@@ -6,22 +6,21 @@ import {liveItem} from '/items.js';
 import {OUTPUTS, plot, pointRadius, series} from '/plots.js';
 import {PagedTable} from '/pages.js';
 import {angleIn, operatorIn, rolesIn, t} from '/language.js';
+import {Strip} from '/strip.js';
 import {timeElement} from '/time.js';
 
 const REDRAWN_AFTER_MS = 100;
-const STRIP_SECONDS_OF_GROUPS = 400;  // As many groups as the server keeps.
 
 export class LiveView {
   constructor() {
     this.run = null;
+    this.items = [];  // Empty: there is one.
     this.dwells = new Map();
     this.fits = [null, null, null];
     this.charts = [];
-    this.stripData = [];
     this.angles = {x: null, z: null};
     this.dirty = new Set(['strip']);
-    this.strip = plot(byId('strip'), {x: t('time since the readings began (s)'), y: t('output (response unit)'),
-      datasets: OUTPUTS.map((name) => series(name, name))});
+    this.strip = new Strip(() => this.dirty.add('strip'));
     this.makeResponses();
     this.makeTable();
     drawGimbal(0, 0);  // Until an angle is known; the table says that none is.
@@ -61,17 +60,13 @@ export class LiveView {
       for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
       this.setProgress(this.run.progress);
       byId('run-file').textContent = this.run.file || DASH;
-      byId('item').textContent = this.run.item || DASH;
+      byId('item').textContent = this.run.items.map(({name}) => name).join(', ') || this.run.item || DASH;
       byId('operator').textContent = operatorIn(this.run.operator) || DASH;
       byId('simulated').textContent = this.run.simulated ? t`SIMULATED: ${rolesIn(this.run.simulated)}` : '';
       byId('time').textContent = this.run.pace === null ? t('real') : t`simulated, ${this.run.pace} times as fast as real time`;
-      for (const {response, residual} of this.charts) {
-        response.options.scales.y.title.text = t`output (${this.run.unit})`;
-        residual.options.scales.y.title.text = t`residual (${this.run.unit})`;
-      }
     }
     this.items = this.run?.items ?? [];
-    this.stripData = message.strip;
+    this.strip.begin(message.strip, message.activity.activity === 'checking' ? [] : this.items);
     this.stage('x', message.stage.x);
     this.stage('z', message.stage.z);
     byId('log-lines').replaceChildren();
@@ -84,15 +79,20 @@ export class LiveView {
     this.interrupted = message.interrupted;
     byId('guard').replaceChildren(said(message.guard ?? ''));
     this.words();
-    this.dirty = new Set(['strip', 'table', 'stage', 'items', ...[1, 2, 3].flatMap((n) => [`response ${n}`, `residual ${n}`])]);
+    for (const part of ['strip', 'table', 'stage', 'items']) this.dirty.add(part);
+    this.responsesChange();
+  }
+
+  responsesChange() {
+    for (const n of [1, 2, 3]) this.dirty.add(`response ${n}`).add(`residual ${n}`);
   }
 
   receive(message) {
     switch (message.type) {
       case 'snapshot': this.snapshot(message); break;
       case 'activity':
-        if (message.activity === 'checking') this.stripData = [];  // The readings begin again, and their time with them.
-        if (message.activity !== 'idle') { this.fault = null; this.interrupted = null; }
+        if (message.activity === 'checking') this.strip.begin([], []);  // The readings begin again, and their time with them.
+        if (message.activity !== 'idle') this.fault = null;
         if (message.activity === 'idle') this.phase = null;
         this.activity = message;
         this.words();
@@ -103,29 +103,33 @@ export class LiveView {
       case 'guard': byId('guard').replaceChildren(said(message.words)); break;
       case 'interrupted': this.interrupted = message.run; this.words(); break;
       case 'strip':
-        // The readings have begun again: what was before belongs to another axis of time.
-        if (this.stripData.length && message.group.stream !== this.stripData.at(-1).stream) this.stripData = [];
-        this.stripData.push(message.group);
-        if (this.stripData.length > STRIP_SECONDS_OF_GROUPS) this.stripData.shift();
+        this.strip.receive(message.group);
         this.dirty.add('strip');
         break;
       case 'dwell':
         this.dwells.set(message.dwell.position, message.dwell);
+        if (message.dwell.item !== this.responding) this.responsesChange();
         this.lastDwell = message.dwell;
         this.settling();
         this.setProgress(message.progress);
-        this.dirty.add('table').add('items');
-        this.items = message.items;
+        this.dirty.add('table');
+        this.know(message.items);
         if (message.fit.experiment > 0) {  // A check pose is of no experiment.
           this.fits[message.fit.experiment - 1] = message.fit.outputs;
           this.dirty.add(`response ${message.fit.experiment}`).add(`residual ${message.fit.experiment}`);
         }
         break;
-      case 'items': this.items = message.items; this.dirty.add('items'); break;
+      case 'items': this.know(message.items); break;
       case 'log': this.log(message.line); break;
       case 'checks': this.checks(message.findings); break;
       case 'ended': this.ended = message; this.interrupted = message.interrupted; this.words(); break;
     }
+  }
+
+  // What became of the items.
+  know(items) {
+    this.items = this.strip.items = items;
+    this.dirty.add('items').add('strip');
   }
 
   // Whether the server is heard; what is not known now does not count on.
@@ -154,7 +158,7 @@ export class LiveView {
     if (!run) return;
     const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
     byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
-      ...(run.words ? [said(run.words), ' '] : []), t('Nothing moves until a person resumes it.'));
+      ...(run.words ? [said(run.words), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
   }
 
   // Whether all is still now; else how long that took at the angle measured last.
@@ -214,18 +218,7 @@ export class LiveView {
     if (part === undefined) return;
     this.dirty.delete(part);
     this.drawn.set(part, now);
-    if (part === 'strip') {
-      OUTPUTS.forEach((name, j) => {
-        this.strip.data.datasets[j].data = this.stripData.map((group) => ({x: group.time_s, y: group.mean[j]}));
-      });
-      const last = this.stripData.at(-1), unit = last ? last.unit : '';
-      if (unit) this.strip.options.scales.y.title.text = t`output (${unit})`;
-      this.strip.update('none');
-      byId('strip-table').replaceChildren(...OUTPUTS.map((name, j) => element('tr', {},
-        element('th', {scope: 'row'}, name), element('td', {}, last ? signed(last.mean[j], 6, unit) : DASH),
-        element('td', {}, last ? t`${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
-      byId('temperature').textContent = last ? number(last.temperature_degc, 2, '°C') : DASH;
-    }
+    if (part === 'strip') this.strip.draw();
     if (part === 'stage') {
       drawGimbal(this.angles.x ?? 0, this.angles.z ?? 0);
       byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
@@ -236,8 +229,14 @@ export class LiveView {
     if (part === 'items') this.drawItems();
   }
 
+  // The responses are those of one item: of several the first that takes part, which is another if that was left out.
+  get responding() { return this.lastDwell?.item ?? this.items.find(({dropped}) => !dropped)?.k ?? 1; }
+  get unit() { return this.items.find(({k}) => k === this.responding)?.unit ?? this.run?.unit ?? ''; }
+  ofResponding() { return [...this.dwells.values()].filter(({item}) => item === this.responding); }
+
   drawItems() {
     byId('items-card').hidden = !this.items.length;
+    byId('response-of').textContent = this.items.length ? `: ${t`Item ${this.responding}`}` : '';
     byId('items').replaceChildren(...this.items.map((item) => liveItem(item, this.progress?.total ?? 0)));
   }
 
@@ -248,8 +247,10 @@ export class LiveView {
 
   // The response of experiment i, or its residual.
   drawExperiment(plotted, i) {
-    const chart = this.charts[i][plotted], fits = this.fits[i];
-    const dwells = [...this.dwells.values()].filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
+    const chart = this.charts[i][plotted];
+    const dwells = this.ofResponding().filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
+    const fits = dwells.length ? this.fits[i] : null;
+    if (this.unit) chart.options.scales.y.title.text = plotted === 'residual' ? t`residual (${this.unit})` : t`output (${this.unit})`;
     OUTPUTS.forEach((name, j) => {
       const fit = fits ? fits[j] : null, points = chart.data.datasets[j];
       points.pointRadius = pointRadius(dwells);
@@ -264,16 +265,15 @@ export class LiveView {
   }
 
   makeTable() {
-    const unit = () => this.run?.unit ?? '';
     const cells = (d) => [d.experiment ? `${d.experiment}${d.closing ? t(' (closing)') : ''}` : t`check pose ${d.n}`,
       d.experiment ? number(d.alpha_deg, 2) : DASH,
       ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
       number(d.temperature_degc, 2), d.flags || t('none')];
     this.table = new PagedTable(byId('dwell-table'), {
       follow: true,
-      caption: () => t`Means of the outputs and their standard uncertainty in ${unit()}`,
-      head: () => [t('Experiment'), t('Angle (degrees)'), `u (${unit()})`, `v (${unit()})`, `w (${unit()})`, t`Largest std. uncertainty (${unit()})`, t('Temperature (°C)'), t('Flags')],
-      rows: (from, to) => [...this.dwells.values()].sort((a, b) => a.position - b.position).slice(from, to).map(cells),
+      caption: () => t`Means of the outputs and their standard uncertainty in ${this.unit}`,
+      head: () => [t('Experiment'), t('Angle (degrees)'), `u (${this.unit})`, `v (${this.unit})`, `w (${this.unit})`, t`Largest std. uncertainty (${this.unit})`, t('Temperature (°C)'), t('Flags')],
+      rows: (from, to) => this.ofResponding().sort((a, b) => a.position - b.position).slice(from, to).map(cells),
     });
     const folded = byId('dwell-table').closest('details');
     folded.addEventListener('toggle', () => this.dirty.add('table'));
@@ -284,6 +284,6 @@ export class LiveView {
     const flagged = [...this.dwells.values()].filter((d) => d.flags);
     const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
     byId('flagged').textContent = this.run ? t`${flagged.length} of ${this.dwells.size}` + (flags && `: ${flags}`) : DASH;
-    if (this.tableIsSeen()) this.table.show(this.dwells.size);
+    if (this.tableIsSeen()) this.table.show(this.ofResponding().length);
   }
 }

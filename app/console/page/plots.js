@@ -43,20 +43,19 @@ function axis(words, more = {}) {
 const LEFT = 78;  // px, if that is enough
 const aligned = (group) => ({afterFit: (scale) => { scale.width = group.width = Math.max(LEFT, group.width ?? 0, scale.width); }});
 
-// What stands for an output in the legend of lines: its dashes, and its marker if it has one. Drawn once: the legend asks at
-// each update.
+// What stands for a line in the legend: its dashes, and its marker if it has one. Drawn once: the legend asks at each update.
 const drawnSamples = new Map();
-function sample(item) {
-  const key = `${item.text} ${item.pointStyle} ${item.strokeStyle}`;
-  if (!drawnSamples.has(key)) drawnSamples.set(key, drawSample(item));
+function sample(item, dash) {
+  const key = `${dash} ${item.pointStyle} ${item.strokeStyle}`;
+  if (!drawnSamples.has(key)) drawnSamples.set(key, drawSample(item, dash));
   return drawnSamples.get(key);
 }
-function drawSample(item) {
+function drawSample(item, dash) {
   const picture = document.createElement('canvas'), brush = picture.getContext('2d');
   [picture.width, picture.height] = [34, 10];
   brush.strokeStyle = brush.fillStyle = item.strokeStyle;
   brush.lineWidth = 1.8;
-  brush.setLineDash(DASHES[OUTPUTS.indexOf(item.text)] ?? []);
+  brush.setLineDash(dash);
   brush.beginPath();
   brush.moveTo(0, 5);
   brush.lineTo(34, 5);
@@ -66,7 +65,7 @@ function drawSample(item) {
   return picture;
 }
 const samples = (chart) => Chart.defaults.plugins.legend.labels.generateLabels(chart)
-  .map((item) => (OUTPUTS.includes(item.text) ? {...item, pointStyle: sample(item)} : item));
+  .map((item) => ({...item, pointStyle: sample(item, chart.data.datasets[item.datasetIndex].borderDash)}));
 
 // "4.0e−5" where Chart.js would write 4.000000E-5.
 function tick(value, index, ticks) {
@@ -76,7 +75,6 @@ function tick(value, index, ticks) {
 }
 
 function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = null}) {
-  const ofOutputs = type === 'line' && data.datasets.some(({label}) => OUTPUTS.includes(label));  // Their samples are wide.
   const chart = new Chart(canvas, {
     type,
     data,
@@ -86,7 +84,7 @@ function draw(canvas, type, data, {x, y, legend = true, xRange = {}, group = nul
       ...(type === 'line' && {parsing: false}),  // Points come as {x, y}, in numbers.
       interaction: {mode: 'nearest', intersect: false},
       scales: {x: axis(x, xRange), y: axis(y, {...(group ? aligned(group) : {}), ticks: {callback: tick}})},
-      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(type === 'line' && {generateLabels: samples}), ...(ofOutputs && {pointStyleWidth: 34}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
+      plugins: {legend: {display: legend, labels: {color: dim, usePointStyle: true, ...(type === 'line' && {generateLabels: samples, pointStyleWidth: 34}), boxHeight: 7, filter: (item) => !item.text.startsWith('_')}}},
     },
   });
   made.add(chart);
@@ -138,5 +136,5 @@ export function band(canvas, {x, y, points, output, limits = null, marks = false
   if (limits) datasets.push(level(t('centre'), limits.centre, []), level(t('limits'), limits.upper, [8, 4]), level('_limit', limits.lower, [8, 4]));
   return plot(canvas, {x, y, datasets, xRange: {
     min: points[0]?.x, max: points.at(-1)?.x, offset: marks,
-    ticks: {precision: 0, maxRotation: 0, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});
+    ticks: {precision: 0, maxRotation: 0, autoSkipPadding: 10, ...(marks && {stepSize: 1, callback: (n) => points.find((p) => p.x === n)?.words ?? ''})}}});
 }

@@ -88,7 +88,7 @@ function drawList(resume) {
     if (run.state === 'interrupted' || run.state === 'running' || (measured && run.analysed === false)) {
       const word = measured ? t('Analyse') : t('Resume');
       const button = element('button', {type: 'button', class: 'resume', 'data-run': run.name, 'aria-label': `${word} ${run.name}`}, word);
-      button.addEventListener('click', () => resume(run.name, measured));
+      button.addEventListener('click', () => resume(run.name, measured, run.items.filter(({dropped}) => !dropped).length));
       button.disabled = !document.body.classList.contains('may-resume');
       actions.append(button);
     }
@@ -98,7 +98,7 @@ function drawList(resume) {
       cell(1, run.item || DASH),
       cell(2, [run.maker, run.model].filter(Boolean).join(' ') || DASH),
       cell(3, day(run.created_utc)),
-      cell(4, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? t(', not analysed') : ''}`),
+      cell(4, element('span', {}, ...(run.simulated ? [simulatedMark(run), ' '] : []), run.why ? `${STATES[run.state]}: ${run.why}` : `${STATES[run.state] || run.state}${measured && run.analysed === false ? t(', not analysed') : ''}`)),
       cell(5, VERDICTS[run.verdict] || DASH),
       cell(6, operatorIn(run.operator) || DASH),
       cell(7, run.planned ? t`${run.measured} of ${run.planned} angles` : DASH),
@@ -151,7 +151,7 @@ export async function showRun(name, item) {
   if (abc.diagnostics.closures.length) detail.append(closures(abc));
   detail.append(harmonics(abc));
   if (joint && joint.step_error) detail.append(stepErrors(joint));
-  detail.append(certificateCard(run, () => showRun(name, item)));
+  detail.append(certificateCard(run, run.items.length ? data.item : 0, () => showRun(name, item)));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
     data.events.map((e) => [day(e.utc), said(e.kind), said(e.text)])))));
   byId('main').focus();

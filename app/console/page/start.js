@@ -2,6 +2,7 @@
 // asks whether to start, and knows nothing that the console has not said.
 import {duration, element, small, DASH} from '/text.js';
 import {said} from '/said.js';
+import {withoutMissing} from '/items.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
 
@@ -15,7 +16,7 @@ const TEXT = {
   uncertainty: t('Predicted standard uncertainties'), noNoise: t('not known: there is no earlier run of this item or model'), noPrediction: t('not predicted for this estimator'),
   noise: t('Noise of a reading'), disk: t('Free disk space'), check: t('Last check of this bench'), never: t('none from the console'),
   noMotion: t('without motion'), before: t('Before the start'), refused: t('It cannot be started'),
-  items: t('Items of the bench file'), withoutMissing: t('Leave out items that are not there, and measure the others'),
+  items: t('Items of the bench file'),
   reading: t('Reading the bench file, predicting'), asBench: t('as the bench file'),
 };
 const SYMBOLS = {s: t('s (sensitivity, relative)'), off: t('off-diagonal, relative to s'), O: t('O (offset), relative to s'), phi: t('phi (angles between the outputs)')};
@@ -63,7 +64,7 @@ export class StartForm {
     // Of one item, which; of several the bench file says which, and a person whether all of them must be there.
     this.oneItem = [labelled(TEXT.choose, this.items), labelled(TEXT.serial, this.inputs.serial_number), labelled(TEXT.customer, this.inputs.customer_number),
       labelled(TEXT.maker, this.inputs.maker), labelled(TEXT.model, this.inputs.model)];
-    this.withoutMissing = element('input', {id: 'start-without-missing', type: 'checkbox'});
+    this.withoutMissing = withoutMissing('start-without-missing');
     this.severalItems = element('div', {id: 'start-items', hidden: true});
     this.holder = element('div', {class: 'start-form'}, this.severalItems,
       this.oneItem[0],
@@ -171,7 +172,7 @@ export class StartForm {
     this.severalItems.hidden = !several;
     if (!several || this.severalItems.childElementCount) return;
     this.severalItems.append(element('h3', {}, TEXT.items), element('ol', {}, ...items.map((item) => element('li', {}, [item.maker, item.model, item.serial_number].filter(Boolean).join(' ') || item.driver))),
-      element('label', {class: 'check'}, this.withoutMissing, element('span', {}, TEXT.withoutMissing)));
+      this.withoutMissing.label);
   }
 
   showFacts(answer) {
@@ -199,7 +200,7 @@ export class StartForm {
   choice() {
     const {item, plan, bench_sha256: seen, form} = this.answer;
     const wanted = {steps: plan.steps, dwell_readings: plan.dwell_readings, estimator: plan.estimator, bench_sha256: seen, form};
-    if (this.answer.items.length) return this.withoutMissing.checked ? {...wanted, without_missing_items: true} : wanted;
+    if (this.answer.items.length) return {...wanted, ...this.withoutMissing.choice()};
     if (item.serial_number) wanted.item = item;
     return wanted;
   }

@@ -46,7 +46,7 @@ export function stateOf({known, activity, phase, ended, fault, bench}) {
   if (what === 'running') {
     if (!phase) return made(t('Starting'), 'busy', 'homing', t('The run begins'));
     const [word, kind, icon, sentence] = PHASES[phase.phase] ?? [phase.phase, 'busy', 'moving', phase.phase];
-    const limit = phase.limit_s === null || phase.limit_s === undefined ? null : {seconds: phase.limit_s, words: phase.limit_words};
+    const limit = phase.limit_s === null || phase.limit_s === undefined ? null : {seconds: phase.limit_s, words: phase.limit_words, simulated: phase.limit_simulated};
     const asked = activity.hold_asked && phase.phase !== 'held' ? t('; it holds after this angle') : '';
     const todo = {held: t('Continue or stop when you are ready.'), 'waiting for a port to come back': t('Plug it in again; the run goes on by itself.')}[phase.phase] ?? '';
     return made(word, kind, icon, sentence + asked, {limit, todo, fault: phase.phase.startsWith('waiting for a port') ? phase.words ?? '' : ''});

@@ -53,10 +53,11 @@ std::vector<SessionEvent> events() {
   began.measured = {{1, a_dwell()}};
   began.estimated_s = 3601.5;
   began.simulated_time = true;
+  began.items = {{2, "SN 2", "VN-100", "m/s2", 100.0, "no reading", 7}};
   return {began,
           PhaseEvent{4, RunPhase::kTemperature},
           AngleBegunEvent{5},
-          DwellDoneEvent{6, a_dwell()},
+          DwellDoneEvent{6, a_dwell(), {{2, {1.0, 2.0, 3.0}, kFlagStuck, 23.5}}},
           FlagEvent{"not quiet"},
           PortLostEvent{"the port is gone"},
           PortBackEvent{"it is back"},

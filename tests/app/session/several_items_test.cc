@@ -243,8 +243,18 @@ TEST_F(SeveralItemsTest, AResumedRunHasTheSameBitsAndWhatWasDroppedStaysDropped)
   EXPECT_THROW(run(toml), RunInterrupted);
   on_event = {};
   ASSERT_TRUE(stored(1).items.at(2).dropped_at);
+  std::vector<ItemSummary> shown;
+  on_event = [&](const SessionEvent& event) {
+    if (const auto* began = std::get_if<RunBeganEvent>(&event)) shown = began->items;
+  };
   RunSession session(options());
   session.resume({(folder / "a.run").string()});
+  ASSERT_EQ(shown.size(), 3U) << "also the one that takes no part any more";
+  EXPECT_EQ(shown[1].missing, "");
+  EXPECT_EQ(shown[1].measured, 10U);
+  EXPECT_EQ(shown[2].name, "3");
+  EXPECT_EQ(shown[2].missing, stored(3).items.at(2).reason);
+  EXPECT_EQ(shown[2].measured, *stored(3).items.at(2).dropped_at);
   for (const int k : {1, 2}) {
     const StoredRun whole = stored(k, "whole.run"), resumed = stored(k);
     ASSERT_EQ(resumed.dwells.size(), whole.dwells.size());

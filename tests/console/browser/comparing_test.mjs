@@ -1,4 +1,5 @@
 // Two runs of an item side by side, and its control chart.
+import assert from 'node:assert/strict';
 import {abcal, begin, complainsOfNothing, confirmDialog, look, says, stateIs} from './page_test.mjs';
 
 const step = begin({pace: 40, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
@@ -17,6 +18,10 @@ step('compares two runs and shows the control chart of an item', async (page) =>
   await page.locator('#chart-words').waitFor();
   await page.locator('#chart-body tbody tr').countIs(2);
   await says('#chart-words', /^Centre [\d.]+ g\/g_loc; limits/);
+  // The legend shows each line as it is drawn, not by colour alone.
+  const samples = await page.evaluate(() => Chart.getChart(document.querySelector('#chart-body canvas')).legend.legendItems
+    .filter(({text}) => !text.startsWith('_')).map(({pointStyle}) => pointStyle.toDataURL()));
+  assert.equal(new Set(samples).size, 4, `${samples.length} lines`);
   await look('chart');
 });
 

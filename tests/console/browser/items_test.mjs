@@ -1,14 +1,9 @@
 // Several items: the start form, a card for each while the run goes on, and the result of each.
 import assert from 'node:assert/strict';
-import {readFileSync} from 'node:fs';
 import path from 'node:path';
-import {fileURLToPath} from 'node:url';
 import {abcal, barriers, begin, complainsOfNothing, confirmDialog, eventually, look, noEnglish, says, served, stateIs} from './page_test.mjs';
+import {tray} from './tray.mjs';
 
-const examples = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../docs/examples');
-const example = readFileSync(path.join(examples, 'tray.toml'), 'utf8');
-const tray = example.slice(0, example.lastIndexOf('[[item]]', example.indexOf('# item 4')))
-  .replace('bench with a tray', 'Bench 5').replace('steps = 24\nstep_deg = 15.0', 'steps = 12\nstep_deg = 30.0').replace('dwell_readings = 300', 'dwell_readings = 50');
 const step = begin({pace: 30, bench: tray, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run')});
 
 step('the start form names the items, and asks what is to be done with those that are not there', async (page) => {
@@ -28,6 +23,45 @@ step('each item has a card while the run goes on', async (page) => {
   await page.locator('#items > li').countIs(3);
   await page.locator('#items > li', {hasText: /Item 3: 6284\.000003.*[1-9]\d* of \d+ angles.*[+−]\d\.\d{6}/}).waitFor();
   await look('items-live');
+});
+
+// What the console has told of the readings.
+const told = (page) => page.evaluate(() => new Promise((resolve) => {
+  const socket = new WebSocket(`ws://${location.host}/live`);
+  socket.onmessage = ({data}) => {
+    const message = JSON.parse(data);
+    if (message.type === 'snapshot') { socket.close(); resolve(message.strip); }
+  };
+}));
+const drawn = (page) => page.evaluate(() => Chart.getChart(document.getElementById('strip')).data.datasets.map(({data}) => data.map(({x, y}) => [x, y])));
+
+step('the readings of one item are drawn, of the one that is chosen', async (page) => {
+  await page.locator('#strip-item option').countIs(3);
+  await says('#strip-of', ': Item 1');
+  await says('#strip-table', /[+−]\d\.\d{6} g/);
+  await says('#temperature', /^2\d\.\d\d °C \(Item 1\)$/);
+  await page.locator('#items > li[data-item="2"]', {hasText: /Temperature 2\d\.\d\d °C/}).waitFor();
+  await page.locator('#do-hold:enabled').click();
+  await stateIs(/^Held/);
+  for (const k of [3, 1, 2]) {
+    await page.locator('#strip-item').selectOption(String(k));
+    await says('#strip-of', `: Item ${k}`);
+    await eventually(async () => {
+      const groups = (await told(page)).filter(({item}) => item === k);
+      assert.ok(groups.length >= 2, String(groups.length));
+      assert.deepEqual(await drawn(page), [0, 1, 2].map((j) => groups.map(({time_s: x, mean}) => [x, mean[j]])));
+    });
+  }
+  await page.goto(`${served.address}#kiosk`);
+  await page.locator('#strip-choice').becomesHidden();  // Nothing to press but Stop.
+  assert.ok(await page.locator('#strip-of').isVisible());
+  await look('items-kiosk');
+  await page.goto(`${served.address}#live`);
+  await page.locator('#do-continue:enabled').click();
+  await confirmDialog();
+});
+
+step('all angles of each item are counted', async (page) => {
   await stateIs(/^The run is complete/);
   await eventually(async () => {
     for (const words of await page.locator('#items > li').allInnerTexts()) assert.match(words, /\b(\d+) of \1 angles/);

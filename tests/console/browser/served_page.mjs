@@ -7,6 +7,7 @@
 import {execFileSync, spawn} from 'node:child_process';
 import {existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync} from 'node:fs';
 import {createRequire} from 'node:module';
+import {connect} from 'node:net';
 import {tmpdir} from 'node:os';
 import path from 'node:path';
 import {DrivenPage, PATIENCE, slowDown, until} from './driven_page.mjs';
@@ -165,10 +166,21 @@ export class ServedPage {
   }
   goTo(view) { return this.page.locator(`nav a[href="#${view}"]`).click(); }
 
-  // Emulated instruments on pseudo-terminals in the folder `links`, in real time.
-  emulate() {
-    this.emulator = spawn(process.env.ABCAL_PROGRAM, ['emulate', 'bench.toml', '--link-dir', 'links'], {cwd: this.folder, stdio: 'ignore'});
-    return until(() => ['stage', 'accelerometer'].every((name) => existsSync(path.join(this.folder, 'links', name))), {what: 'the emulated instruments'});
+  // Emulated instruments on pseudo-terminals in the folder `links`, in real time. Gives what sends a request to the emulator.
+  async emulate(names = ['stage', 'accelerometer']) {
+    this.emulator = spawn(process.env.ABCAL_PROGRAM, ['emulate', 'bench.toml', '--link-dir', 'links', '--control', '0'], {cwd: this.folder, stdio: ['ignore', 'pipe', 'ignore']});
+    let said = '';
+    this.emulator.stdout.on('data', (bytes) => { said += bytes; });
+    const port = await until(() => said.match(/control: tcp:127\.0\.0\.1:(\d+)/)?.[1], {what: 'the emulated instruments'});
+    await until(() => names.every((name) => existsSync(path.join(this.folder, 'links', name))), {what: 'the links to them'});
+    return (request) => new Promise((resolve, reject) => {
+      const socket = connect(Number(port), '127.0.0.1', () => socket.write(`${JSON.stringify(request)}\n`));
+      socket.once('error', reject);
+      socket.once('data', (reply) => {
+        socket.end();
+        if (JSON.parse(reply).ok) resolve(); else reject(new Error(String(reply)));
+      });
+    });
   }
 
   // At once, for a test that takes too long; the browser ends with this process.

@@ -43,6 +43,7 @@ step('checks the bench', async (page) => {
 });
 
 step('starts a run, and points appear', async (page) => {
+  const more = await served.recorded('banner-more');
   await page.locator('#do-start').click();
   await confirmDialog();
   await says('#left', /^about (\d+ min )?\d+ s$/);
@@ -55,6 +56,9 @@ step('starts a run, and points appear', async (page) => {
   await says('#x-encoder', /^−?\d+\.\d{4}°$/);
   await says('#strip-table', /[+−]\d\.\d{6} g/);
   await stateIs(/^Held/);
+  const limits = (await more()).filter((words) => words.startsWith('Limit: '));
+  assert.ok(limits.length > 0, 'the limits of the phases are shown');
+  for (const words of limits) assert.match(words, /^Limit: (?!0 s)[\d.]+ .* of simulated time /);
 });
 
 step('shows a part of a plot, by keyboard and pointer, and no label is over another', async (page) => {

@@ -1,0 +1,62 @@
+// The strip of single readings. Of several items it is that of one: the one that is chosen, else the first that takes part.
+import {byId, element, number, signed, DASH} from '/text.js';
+import {OUTPUTS, plot, series} from '/plots.js';
+import {t} from '/language.js';
+
+const GROUPS = 400;  // As many as the console keeps, of all items.
+
+export class Strip {
+  // changed: called when another item is chosen.
+  constructor(changed) {
+    this.groups = [];
+    this.items = [];  // As the messages have them; empty: there is one, or it is not known which there are.
+    this.chosen = null;
+    this.plot = plot(byId('strip'), {x: t('time since the readings began (s)'), y: t('output (response unit)'),
+      datasets: OUTPUTS.map((name) => series(name, name))});
+    byId('strip-item').addEventListener('change', () => { this.chosen = Number(byId('strip-item').value); changed(); });
+  }
+
+  begin(groups, items) {
+    this.groups = groups;
+    this.items = items;
+  }
+
+  receive(group) {
+    // The readings of this item have begun again: what was before belongs to another axis of time.
+    const last = this.groups.findLast(({item}) => item === group.item);
+    if (last && last.stream !== group.stream) this.groups = this.groups.filter(({item}) => item !== group.item);
+    this.groups.push(group);
+    if (this.groups.length > GROUPS) this.groups.shift();
+  }
+
+  // The items that can be shown, by number.
+  numbers() {
+    return [...new Set([...this.items.map(({k}) => k), ...this.groups.map(({item}) => item)])].sort((a, b) => a - b);
+  }
+
+  shown(numbers) {
+    return numbers.includes(this.chosen) ? this.chosen : this.items.find(({dropped}) => !dropped)?.k ?? numbers[0] ?? 1;
+  }
+
+  offer(numbers, shown) {
+    byId('strip-choice').hidden = numbers.length < 2;
+    byId('strip-of').textContent = numbers.length < 2 ? '' : `: ${t`Item ${shown}`}`;
+    const select = byId('strip-item'), names = numbers.map((k) => [t`Item ${k}`, this.items.find((item) => item.k === k)?.name].filter(Boolean).join(': '));
+    if ([...select.options].map(({text}) => text).join() !== names.join())
+      select.replaceChildren(...numbers.map((k, i) => element('option', {value: k}, names[i])));
+    if (Number(select.value) !== shown) select.value = shown;
+  }
+
+  draw() {
+    const numbers = this.numbers(), shown = this.shown(numbers), groups = this.groups.filter(({item}) => item === shown);
+    this.offer(numbers, shown);
+    OUTPUTS.forEach((_, j) => { this.plot.data.datasets[j].data = groups.map((group) => ({x: group.time_s, y: group.mean[j]})); });
+    const last = groups.at(-1), unit = last ? last.unit : '';
+    if (unit) this.plot.options.scales.y.title.text = t`output (${unit})`;
+    this.plot.update('none');
+    byId('strip-table').replaceChildren(...OUTPUTS.map((name, j) => element('tr', {},
+      element('th', {scope: 'row'}, name), element('td', {}, last ? signed(last.mean[j], 6, unit) : DASH),
+      element('td', {}, last ? t`${signed(last.lowest[j], 6)} to ${signed(last.highest[j], 6, unit)}` : DASH))));
+    byId('temperature').textContent = (last ? number(last.temperature_degc, 2, '°C') : DASH) + (numbers.length < 2 ? '' : ` (${t`Item ${shown}`})`);
+  }
+}
