@@ -46,6 +46,9 @@ struct StageDriver {
   /// To the same port: a controller on the network may need one for each motion that it carries out. The axes
   /// are halted by the first one.
   std::size_t connections = 1;
+  /// The axes on the line, where this driver's instrument has been recognised, as `axis` names them in a
+  /// bench file: of all controllers of a daisy chain. Asks only. None: its controllers make no chains.
+  std::function<std::vector<std::string>(std::unique_ptr<wire::ByteStream>, Clock&)> axes_on_line{};
 };
 
 /// A driver of accelerometers, recognised in the same way.

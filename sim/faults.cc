@@ -37,6 +37,8 @@ const std::vector<FaultDescription>& fault_descriptions() {
       {FaultKind::kMissedStep, "missed-step", "an axis is at another angle, and its encoder does not show it",
        false},
       {FaultKind::kMovedAxis, "moved-axis", "an axis is at another angle, as its encoder shows", false},
+      {FaultKind::kLostController, "lost-controller",
+       "the controller of an axis is cut off from its daisy chain: it neither hears nor answers", false},
       {FaultKind::kChamberAlarm, "chamber-alarm", "the thermal chamber has an alarm", false},
       {FaultKind::kChamberDoor, "chamber-door", "the door of the thermal chamber is open", false},
   };

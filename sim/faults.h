@@ -30,18 +30,19 @@ enum class FaultKind {
   kUnplug,         ///< The port is gone: every call throws kLinkLost.
   kPowerCycle,     ///< As kUnplug, and the instrument is without power: it starts anew when the fault ends.
   // In the world.
-  kStuckOutput,    ///< The output stays at the value it had.
-  kClippedOutput,  ///< The output clips at a small full scale, and the instrument says so.
-  kNotFinite,      ///< The output is NaN.
-  kNoOutput,       ///< The accelerometer makes no readings.
-  kStalledAxis,    ///< An axis stops on its way and never says that it is done.
-  kStopsShort,     ///< Moves end short of their target; the controller says that all is well.
-  kLostReference,  ///< The controller forgets the reference of an axis.
-  kRefusedMove,    ///< The controller refuses to move.
-  kMissedStep,     ///< An axis is off by some degrees, and its encoder does not see it.
-  kMovedAxis,      ///< An axis is off by some degrees, as its encoder says.
-  kChamberAlarm,   ///< The thermal chamber has an alarm.
-  kChamberDoor,    ///< Its door is open.
+  kStuckOutput,     ///< The output stays at the value it had.
+  kClippedOutput,   ///< The output clips at a small full scale, and the instrument says so.
+  kNotFinite,       ///< The output is NaN.
+  kNoOutput,        ///< The accelerometer makes no readings.
+  kStalledAxis,     ///< An axis stops on its way and never says that it is done.
+  kStopsShort,      ///< Moves end short of their target; the controller says that all is well.
+  kLostReference,   ///< The controller forgets the reference of an axis.
+  kRefusedMove,     ///< The controller refuses to move.
+  kMissedStep,      ///< An axis is off by some degrees, and its encoder does not see it.
+  kMovedAxis,       ///< An axis is off by some degrees, as its encoder says.
+  kLostController,  ///< The controller of an axis is cut off from its daisy chain: neither hears nor answers.
+  kChamberAlarm,    ///< The thermal chamber has an alarm.
+  kChamberDoor,     ///< Its door is open.
 };
 
 struct FaultDescription {

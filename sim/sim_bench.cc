@@ -794,7 +794,8 @@ std::vector<WorldFault> SimBench::faults_at(Clock::Instant t) const {
 const WorldFault* SimBench::find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const {
   const bool of_an_axis = kind == FaultKind::kStalledAxis || kind == FaultKind::kStopsShort ||
                           kind == FaultKind::kLostReference || kind == FaultKind::kRefusedMove ||
-                          kind == FaultKind::kMissedStep || kind == FaultKind::kMovedAxis;
+                          kind == FaultKind::kMissedStep || kind == FaultKind::kMovedAxis ||
+                          kind == FaultKind::kLostController;
   for (const WorldFault& fault : faults_)
     if (fault.kind == kind && (!of_an_axis || fault.axis == axis) && fault.at <= t && t < fault.until)
       return &fault;

@@ -22,6 +22,8 @@ constexpr Clock::Duration kAnswers = milliseconds(300);
 constexpr Clock::Duration kStreams = milliseconds(1200);
 constexpr std::size_t kMostHeard = 65536;
 
+using AxisNames = decltype(StageSettings::axis_names);
+
 /// A driver, of whichever kind, as far as a probe needs it.
 struct Candidate {
   std::string name;
@@ -30,8 +32,10 @@ struct Candidate {
   bool stage;
   bool generic;
   std::size_t ports;
-  /// `axes`: of a stage, how many it is asked for.
-  std::function<ProbeAnswer(std::unique_ptr<wire::ByteStream>, Clock&, std::size_t axes)> identify;
+  /// `axes`: of a stage, those that it is asked for.
+  std::function<ProbeAnswer(std::unique_ptr<wire::ByteStream>, Clock&, const AxisNames& axes)> identify;
+  /// StageDriver::axes_on_line
+  std::function<std::vector<std::string>(std::unique_ptr<wire::ByteStream>, Clock&)> axes_on_line{};
 };
 
 ProbeAnswer answer(const std::string& driver, bool stage, const auto& info) {
@@ -42,18 +46,19 @@ std::vector<Candidate> all_candidates() {
   std::vector<Candidate> all;
   for (const StageDriver& driver : stage_drivers()) {
     all.push_back({driver.name, driver.serial, &driver.recognition, true, false, 1,
-                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, std::size_t axes) {
+                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, const AxisNames& axes) {
                      std::vector<std::unique_ptr<wire::ByteStream>> streams;
                      streams.push_back(std::move(stream));
                      StageSettings settings;
-                     if (axes == 1) settings.axis_names[1].clear();
+                     settings.axis_names = axes;
                      return answer(driver.name, true,
                                    driver.make(std::move(streams), clock, settings)->identify());
-                   }});
+                   },
+                   driver.axes_on_line});
   }
   for (const AccelerometerDriver& driver : accelerometer_drivers()) {
     all.push_back({driver.name, driver.serial, &driver.recognition, false, driver.generic, driver.ports,
-                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, std::size_t) {
+                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, const AxisNames&) {
                      std::vector<std::unique_ptr<wire::ByteStream>> streams;
                      streams.push_back(std::move(stream));
                      return answer(
@@ -63,7 +68,7 @@ std::vector<Candidate> all_candidates() {
   }
   for (const ChamberDriver& driver : chamber_drivers()) {
     all.push_back({driver.name, driver.serial, &driver.recognition, false, false, 1,
-                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, std::size_t) {
+                   [&driver](std::unique_ptr<wire::ByteStream> stream, Clock& clock, const AxisNames&) {
                      ChamberSettings settings;
                      settings.tcp_framing = stream->name().starts_with("tcp:");
                      std::vector<std::unique_ptr<wire::ByteStream>> streams;
@@ -193,10 +198,16 @@ class Probe {
   }
 
   std::optional<ProbeAnswer> identify(const Candidate& candidate) {
+    const std::vector<std::string> found = axes_on_line(candidate);
     // A stage's controller may have one axis only.
-    for (const std::size_t axes : {2U, 1U}) {
+    AxisNames names = StageSettings{}.axis_names;
+    for (std::size_t k = 0; k < names.size() && !found.empty(); ++k)
+      names[k] = k < found.size() ? found[k] : "";
+    for (const AxisNames& axes : {names, AxisNames{names[0], ""}}) {
       try {
-        return candidate.identify(open_(candidate.serial), clock_, axes);
+        ProbeAnswer answer = candidate.identify(open_(candidate.serial), clock_, axes);
+        answer.axes = found;
+        return answer;
       } catch (const InstrumentError& error) {
         if (!is_another_instrument(error)) throw;
         if (!candidate.stage || !candidate.recognition->knows || error.fault() != Fault::kWrongIdentity)
@@ -204,6 +215,16 @@ class Probe {
       }
     }
     return std::nullopt;
+  }
+
+  std::vector<std::string> axes_on_line(const Candidate& candidate) {
+    if (!candidate.axes_on_line) return {};
+    try {
+      return candidate.axes_on_line(open_(candidate.serial), clock_);
+    } catch (const InstrumentError& error) {
+      if (!is_another_instrument(error)) throw;
+      return {};
+    }
   }
 
   const ProbeOpener& open_;

@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "drivers/instrument/clock.h"
 #include "drivers/registry.h"
@@ -19,6 +20,9 @@ struct ProbeAnswer {
   std::string said{};     ///< What it said to a question, where no driver fits; printable.
   std::size_t ports = 1;  ///< How many such instruments the driver needs.
   bool chamber = false;   ///< A thermal chamber.
+  /// Of a stage whose controllers may share a line: all axes on it, as `axis` names them in a bench file. The
+  /// answer is of those that have the first two.
+  std::vector<std::string> axes{};
 
   std::string role() const { return stage ? "stage" : chamber ? "chamber" : "accelerometer"; }
 };

@@ -1,6 +1,7 @@
 #include "app/bench/probe_ports.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <exception>
 #include <nlohmann/json.hpp>
@@ -38,6 +39,21 @@ std::vector<std::string> ports_to_ask(const std::vector<wire::PortInfo>& ports) 
   return asked;
 }
 
+namespace {
+
+/// How a bench file names the axes that were found.
+std::string axes_in_words(const std::vector<std::string>& axes) {
+  if (axes.empty()) return {};
+  if (axes.size() == 1) return fmt::format("; axis = \"{}\" under [stage.x] or [stage.z]", axes[0]);
+  const std::string two =
+      fmt::format("; axis = \"{}\" under [stage.x] and axis = \"{}\" under [stage.z], or the other way round",
+                  axes[0], axes[1]);
+  if (axes.size() == 2) return two;
+  return fmt::format("{}; the axes on this port are \"{}\"", two, fmt::join(axes, "\", \""));
+}
+
+}  // namespace
+
 std::string in_words(const Probed& probed) {
   if (!probed.failure.empty()) return probed.failure;
   if (!probed.answer) return "no instrument that a driver recognises answered";
@@ -46,9 +62,10 @@ std::string in_words(const Probed& probed) {
   const std::string others = probed.answer->ports > 1
                                  ? fmt::format(", with {} more of its kind", probed.answer->ports - 1)
                                  : std::string();
-  return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]{}", probed.answer->maker, probed.answer->model,
+  return fmt::format("{} {}{}{}: driver = \"{}\" under [{}]{}{}", probed.answer->maker, probed.answer->model,
                      probed.answer->serial_number.empty() ? "" : ", serial number ",
-                     probed.answer->serial_number, probed.answer->driver, probed.answer->role(), others);
+                     probed.answer->serial_number, probed.answer->driver, probed.answer->role(), others,
+                     axes_in_words(probed.answer->axes));
 }
 
 nlohmann::ordered_json probed_json(const Probed& probed) {
@@ -65,6 +82,7 @@ nlohmann::ordered_json probed_json(const Probed& probed) {
     object["model"] = probed.answer->model;
     object["serial_number"] = probed.answer->serial_number;
     object["firmware"] = probed.answer->firmware;
+    if (!probed.answer->axes.empty()) object["axes"] = probed.answer->axes;
   } else {
     object["role"] = nullptr;
   }

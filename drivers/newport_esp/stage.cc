@@ -395,15 +395,16 @@ class NewportEspController final : public wire::LineController {
 
   Clock::Duration reply_deadline() const override { return kReplyDeadline; }
 
-  bool has_stopped() override {
+  HaltReport stopped_axes(const HaltReport& /*so_far*/) override {
     if (replies_.identity().empty()) identify_controller();
-    return std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
+    const bool all = std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
       return settings_.axis_names[index(axis)].empty() || done(axis);
     });
+    return HaltReport::of_both(all);
   }
 
   /// A half-written command ends in words that no command has, which the controller refuses.
-  HaltRecipe halt_recipe() const override {
+  std::vector<HaltRecipe> halt_recipes() const override {
     HaltRecipe recipe{
         .driver = "newport_esp",
         .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
@@ -416,7 +417,7 @@ class NewportEspController final : public wire::LineController {
       recipe.questions.push_back(
           {.bytes = command_line(name + "MD?"), .reply = " *[01] *", .standing = " *1 *"});
     }
-    return recipe;
+    return {recipe};
   }
 
  private:

@@ -69,7 +69,7 @@ void check_settings(const wire::ByteStream* stream, const StageSettings& setting
         fmt::format("Newport XPS stage: address \"{}\"; required: none", printable(settings.address)));
 }
 
-/// Stop both groups at once; has_stopped() asks and stops again.
+/// Stop both groups at once; stopped_axes() asks and stops again.
 std::string stop_request(const StageSettings& settings) {
   std::string stop;
   for (const std::string& name : settings.axis_names)
@@ -394,7 +394,7 @@ class NewportXpsController final : public wire::LineController {
 
   Clock::Duration reply_deadline() const override { return kReplyDeadline; }
 
-  bool has_stopped() override {
+  HaltReport stopped_axes(const HaltReport& /*so_far*/) override {
     ensure_known();
     replies_.expect_stray_reply();  // The stop is answered, too.
     bool all = true;
@@ -407,12 +407,12 @@ class NewportXpsController final : public wire::LineController {
           fmt::format("{}({})", state == GroupState::kHoming ? "GroupKill" : "GroupMoveAbort", group(axis));
       replies_.execute(request, request);
     }
-    return all;
+    return HaltReport::of_both(all);
   }
 
   /// Without the driver a home search is not ended (that takes GroupKill, which switches the motor off): the
   /// halt is not acknowledged before it has ended by itself.
-  HaltRecipe halt_recipe() const override {
+  std::vector<HaltRecipe> halt_recipes() const override {
     HaltRecipe recipe{.driver = "newport_xps",
                       .axes = {has(StageAxis::kX), has(StageAxis::kZ)},
                       .end_partial = std::string(kEndPartial),
@@ -432,7 +432,7 @@ class NewportXpsController final : public wire::LineController {
                                   .reply = "0,[0-9]+",
                                   .standing = "0,([0-9]|[123][0-9]|42|50|63)"});
     }
-    return recipe;
+    return {recipe};
   }
 
  private:

@@ -10,9 +10,11 @@ void register_pi_gcs(DriverList& drivers) {
            "PI controllers that speak GCS 2.0 (C-884, C-863, E-861, ...), serial or TCP port 50000",
        .serial = {115200, false},
        .make = make_stage_of<pi_gcs::PiGcsStage>,
-       .recognition = {"*IDN?\r\n", [](std::string_view received) {
+       .recognition = {"*IDN?\r\n",
+                       [](std::string_view received) {
                          return received.find("Physik Instrumente") != std::string_view::npos;
-                       }}});
+                       }},
+       .axes_on_line = pi_gcs::axes_on_line});
 }
 
 }  // namespace abcal

@@ -51,32 +51,44 @@ AxisPlace place_of(const std::string& axis_name, const std::string& address) {
   return {address, axis_name};
 }
 
-bool is_address(std::string_view text) {
-  return text.find_first_not_of("0123456789") == std::string_view::npos;
+/// Of a controller in a chain. Others are the computer's own, or reach all of them at once.
+constexpr int kLastAddress = 16;
+
+bool is_address(const std::string& text) {
+  for (int address = 1; address <= kLastAddress; ++address)
+    if (text == std::to_string(address)) return true;
+  return text.empty();
 }
 
 void check_settings(const wire::ByteStream* stream, const StageSettings& settings) {
   wire::check_stage_settings("PI", "the controller's name", stream, settings);
   for (const std::string& name : settings.axis_names) {
     const AxisPlace place = place_of(name, settings.address);
-    if (place.name.find_first_of(" \t\r\n=") != std::string::npos || !is_address(place.address)) {
+    if (place.name.find_first_of(" \t\r\n=") != std::string::npos) {
       throw std::invalid_argument(
           fmt::format("PI stage: axis name \"{}\" contains a blank or '='; required: a name without them, or "
                       "\"<address> <name>\" in a daisy chain",
                       printable(name)));
     }
+    if (!is_address(place.address)) {
+      throw std::invalid_argument(
+          fmt::format("PI stage: address \"{}\"; required: the controller's number in the daisy chain, 1 to "
+                      "{}, or nothing",
+                      printable(place.address), kLastAddress));
+    }
   }
   const AxisPlace x = place_of(settings.axis_names[0], settings.address);
   const AxisPlace z = place_of(settings.axis_names[1], settings.address);
+  if (x.address == z.address && x.name == z.name) {
+    throw std::invalid_argument(
+        fmt::format("PI stage: X and Z are both axis \"{}\" of the controller with address {}; required: two "
+                    "different axes",
+                    x.name, x.address));
+  }
   if (!x.name.empty() && !z.name.empty() && x.address != z.address &&
       (x.address.empty() || z.address.empty())) {
     throw std::invalid_argument(
         "PI stage: one axis has an address, the other has none; required: both, in a daisy chain");
-  }
-  if (!is_address(settings.address)) {
-    throw std::invalid_argument(fmt::format(
-        "PI stage: address \"{}\"; required: the controller's number in the daisy chain, or nothing",
-        printable(settings.address)));
   }
 }
 
@@ -97,6 +109,38 @@ std::string stop_command(const StageSettings& settings) {
   for (const std::string& address : addresses_of(settings))
     if (!address.empty()) stop += command_line("STP", address);
   return stop;
+}
+
+/// The reply to SAI?.
+std::optional<Lines> parse_axis_names(const Lines& lines) {
+  const bool plausible =
+      !lines.empty() && std::all_of(lines.begin(), lines.end(), [](const std::string& line) {
+        return !line.empty() && line.size() <= 16 && line.find_first_of("= ,") == std::string::npos;
+      });
+  return plausible ? std::optional(lines) : std::nullopt;
+}
+
+/// What `parse` makes of the reply to a question at an address, asked once; nothing if none comes in time.
+template <class Parse>
+auto asked_once(wire::ByteStream& stream, Clock& clock, const std::string& address, std::string_view text,
+                Parse parse) {
+  using Value = std::invoke_result_t<Parse, const Lines&>;
+  stream.discard_input();
+  stream.write(command_line(text, address));
+  const Clock::Instant deadline = clock.now() + (address.empty() ? kOptionalReplyDeadline : kAddressDeadline);
+  std::string received;
+  for (;;) {
+    const wire::FrameVerdict reply = check_reply(received);
+    if (reply.check == wire::FrameCheck::kInvalid) return Value();
+    if (reply.check == wire::FrameCheck::kComplete) {
+      const auto lines = reply_lines(std::string_view(received).substr(0, reply.length), address);
+      if (auto value = lines ? parse(*lines) : Value()) return value;
+      received.erase(0, reply.length);
+      continue;
+    }
+    if (clock.now() >= deadline) return Value();
+    received += stream.read_until(deadline).bytes;
+  }
 }
 
 /// Two texts of the controllers as one.
@@ -285,13 +329,7 @@ class PiGcsController final : public wire::LineController {
     m.replies->error_may_wait(true);
     read_error(m, "an earlier program");
     read_commands(m);
-    m.axes = require(m, "SAI?", [](const Lines& lines) -> std::optional<Lines> {
-      const bool plausible =
-          !lines.empty() && std::all_of(lines.begin(), lines.end(), [](const std::string& line) {
-            return !line.empty() && line.size() <= 16 && line.find_first_of("= ,") == std::string::npos;
-          });
-      return plausible ? std::optional(lines) : std::nullopt;
-    });
+    m.axes = require(m, "SAI?", parse_axis_names);
     for (const StageAxis axis : kStageAxes) {
       const std::string& name = places_[index(axis)].name;
       if (name.empty() || &member_of(axis) != &m) continue;
@@ -501,8 +539,36 @@ class PiGcsController final : public wire::LineController {
 
   Clock::Duration reply_deadline() const override { return kReplyDeadline; }
 
-  bool has_stopped() override {
-    return std::all_of(members_.begin(), members_.end(), [this](const auto& m) { return has_stopped(*m); });
+  HaltReport stopped_axes(const HaltReport& so_far) override {
+    HaltReport report = so_far;
+    std::vector<Member*> asked;
+    for (const StageAxis axis : kStageAxes)
+      if (!is_here(axis)) report.axes[index(axis)] = AxisHalt::kHalted;
+    for (const auto& m : members_)
+      if (!all_halted(*m, report)) asked.push_back(m.get());
+    // One that is silent must not use up the time of the other.
+    std::stable_partition(asked.begin(), asked.end(), [](const Member* m) { return m->replies->in_step(); });
+    for (Member* m : asked) {
+      if (!says_so([&] { return has_stopped(*m); })) continue;
+      for (const StageAxis axis : axes_of(*m)) report.axes[index(axis)] = AxisHalt::kHalted;
+    }
+    return report;
+  }
+
+  bool is_here(StageAxis axis) const { return !places_[index(axis)].name.empty(); }
+
+  /// Those of the stage that are on this controller.
+  std::vector<StageAxis> axes_of(const Member& m) const {
+    std::vector<StageAxis> axes;
+    for (const StageAxis axis : kStageAxes)
+      if (is_here(axis) && members_[member_of_[index(axis)]].get() == &m) axes.push_back(axis);
+    return axes;
+  }
+
+  bool all_halted(const Member& m, const HaltReport& report) const {
+    const std::vector<StageAxis> axes = axes_of(m);
+    return std::all_of(axes.begin(), axes.end(),
+                       [&](StageAxis axis) { return report.axes[index(axis)] == AxisHalt::kHalted; });
   }
 
   bool has_stopped(Member& m) {
@@ -514,21 +580,22 @@ class PiGcsController final : public wire::LineController {
       const auto mask = ask(m, single_byte(kAskMotion, m.address), "#5", parse_motion_mask);
       return mask.value == std::uint64_t{0};
     }
-    return std::none_of(kStageAxes.begin(), kStageAxes.end(), [&](StageAxis axis) {
-      return !places_[index(axis)].name.empty() && &member_of(axis) == &m && moving(axis);
-    });
+    const std::vector<StageAxis> axes = axes_of(m);
+    return std::none_of(axes.begin(), axes.end(), [&](StageAxis axis) { return moving(axis); });
   }
 
   /// A half-written command becomes one with a word too many, which the controller refuses. The identity
-  /// comes in between, so that an older reply does not pass for the mask.
-  HaltRecipe halt_recipe() const override {
-    HaltRecipe recipe{.driver = "pi_gcs",
-                      .axes = {!places_[0].name.empty(), !places_[1].name.empty()},
-                      .end_partial = " x\n",
-                      .stop = stop_command(settings_),
-                      .questions = {},
-                      .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
+  /// comes in between, so that an older reply does not pass for the mask. Each recipe stops all controllers.
+  std::vector<HaltRecipe> halt_recipes() const override {
+    std::vector<HaltRecipe> recipes;
     for (const auto& m : members_) {
+      HaltRecipe recipe{.driver = "pi_gcs",
+                        .axes = {},
+                        .end_partial = " x\n",
+                        .stop = stop_command(settings_),
+                        .questions = {},
+                        .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
+      for (const StageAxis axis : axes_of(*m)) recipe.axes[index(axis)] = true;
       const std::string chained = m->address.empty() ? "" : "0 " + m->address + " ";
       const std::string identified = members_.size() == 1 ? "" : chained;
       recipe.questions.push_back({.bytes = command_line(kIdentityQuery, m->address),
@@ -537,8 +604,9 @@ class PiGcsController final : public wire::LineController {
       recipe.questions.push_back({.bytes = single_byte(kAskMotion, m->address),
                                   .reply = chained + "[0-9A-Fa-f]+",
                                   .standing = chained + "0+"});
+      recipes.push_back(std::move(recipe));
     }
-    return recipe;
+    return recipes;
   }
 
  private:
@@ -556,5 +624,21 @@ class PiGcsController final : public wire::LineController {
 PiGcsStage::PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
     : LineStage((check_settings(stream.get(), settings),
                  std::make_unique<PiGcsController>(std::move(stream), clock, settings))) {}
+
+std::vector<std::string> axes_on_line(std::unique_ptr<wire::ByteStream> stream, Clock& clock) {
+  std::vector<std::pair<std::string, Lines>> chain;  // Addresses and their axes.
+  for (int n = 1; n <= kLastAddress; ++n) {
+    const std::string address = std::to_string(n);
+    if (!asked_once(*stream, clock, address, kIdentityQuery, parse_identity)) continue;
+    if (auto axes = asked_once(*stream, clock, address, "SAI?", parse_axis_names))
+      chain.emplace_back(address, *std::move(axes));
+  }
+  // One alone answers without its address, too.
+  if (chain.size() < 2) return asked_once(*stream, clock, "", "SAI?", parse_axis_names).value_or(Lines{});
+  std::vector<std::string> names;
+  for (const auto& [address, axes] : chain)
+    for (const std::string& axis : axes) names.push_back(address + " " + axis);
+  return names;
+}
 
 }  // namespace abcal::pi_gcs

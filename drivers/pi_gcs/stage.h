@@ -2,6 +2,8 @@
 
 #include <chrono>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/instrument_settings.h"
@@ -40,15 +42,23 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(5);
 /// there is none by the negative limit switch (FNL). move_to() throws kNotReady if the axis has lost its
 /// reference or its servo (errors 5 and 31), kOutOfTravel (error 7), kRefused for any other error code, with
 /// its text. motion_state() is what the controller says now (#5, or #4, or ONT? where these are not known):
-/// stopped is not yet "on target". halt() sends #24, then asks until the controller says that it was stopped
-/// (error 10) or that nothing moves.
+/// stopped is not yet "on target". halt() sends #24 (in a chain also STP to each controller), then asks until
+/// the controller says that it was stopped (error 10) or that nothing moves; halt_axes() tells of each axis,
+/// so that a controller that is silent does not hide what the other one says.
 class PiGcsStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.
   /// @throws std::invalid_argument for settings that cannot be meant: no axis, one axis twice, a speed that
   /// is
-  ///   not a positive number, an address that is not a number.
+  ///   not a positive number, an address that is not a number from 1 to 16.
   PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
 };
+
+/// How long each address of a chain is waited for.
+inline constexpr Clock::Duration kAddressDeadline = std::chrono::milliseconds(100);
+
+/// The axes of the controllers on the line, as StageSettings::axis_names: "1", "2" of one alone, "1 1", "2 1"
+/// of a daisy chain, whose addresses are asked one after the other. Asks only.
+std::vector<std::string> axes_on_line(std::unique_ptr<wire::ByteStream> stream, Clock& clock);
 
 }  // namespace abcal::pi_gcs

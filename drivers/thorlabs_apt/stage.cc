@@ -453,14 +453,15 @@ class ThorlabsAptController final : public wire::LineController {
 
   Clock::Duration reply_deadline() const override { return kReplyDeadline; }
 
-  bool has_stopped() override {
+  HaltReport stopped_axes(const HaltReport& /*so_far*/) override {
     ensure_known();
-    return std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
+    const bool all = std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
       return axes_[index(axis)].name.number == 0 || !status(axis).moving();
     });
+    return HaltReport::of_both(all);
   }
 
-  HaltRecipe halt_recipe() const override {
+  std::vector<HaltRecipe> halt_recipes() const override {
     HaltRecipe recipe{.driver = "thorlabs_apt",
                       .axes = {axes_[0].name.number > 0, axes_[1].name.number > 0},
                       // What is half written is ended; a position that it lacks is then near zero, and the
@@ -485,7 +486,7 @@ class ThorlabsAptController final : public wire::LineController {
       question.standing = head + "0.[0-9a-f][014589cd]....";
       recipe.questions.push_back(std::move(question));
     }
-    return recipe;
+    return {recipe};
   }
 
  private:

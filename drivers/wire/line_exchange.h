@@ -124,6 +124,9 @@ class LineExchange {
   /// Asks the error query once. Never twice: the code would be gone.
   int ask_error(std::string_view after);
 
+  /// Whether no reply is owed: one that is may be silent for good.
+  bool in_step() const { return in_step_; }
+
   /// Something was sent whose reply nobody waits for: the next query begins with the identity.
   void expect_stray_reply() { in_step_ = identity_.empty(); }
 
@@ -166,17 +169,30 @@ class LineController {
 
   /// A halt begins: what was known of the motion is known no more.
   virtual void forget_motion() = 0;
-  /// Whether the controller says that all axes stand still.
-  virtual bool has_stopped() = 0;
+  /// Which axes stand still, as their controllers say; one that is not on the line does. An axis that has
+  /// stopped in this halt before (`so_far`) has not been told to move since, and need not be asked again.
+  virtual HaltReport stopped_axes(const HaltReport& so_far) = 0;
   virtual Clock::Duration reply_deadline() const = 0;
-  /// How another process halts it, with what is known so far.
-  virtual HaltRecipe halt_recipe() const = 0;
+  /// How another process halts it, with what is known so far: a recipe for each controller on the line.
+  virtual std::vector<HaltRecipe> halt_recipes() const = 0;
 
   HaltableLine& line() { return line_; }
   const HaltableLine& line() const { return line_; }
 
  protected:
   InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
+
+  /// What one of several controllers on the line says: that it is silent must not hide what the other says.
+  /// @throws InstrumentError kLinkLost: the line is gone for all of them
+  template <class Call>
+  static bool says_so(const Call& has_stopped) {
+    try {
+      return has_stopped();
+    } catch (const InstrumentError& error) {
+      if (error.fault() == Fault::kLinkLost) throw;
+      return false;
+    }
+  }
 
  private:
   HaltableLine line_;  ///< Its lock guards all that the driver keeps.
@@ -207,15 +223,21 @@ class LineStage : public RotationStage {
   Angle encoder_angle(StageAxis axis) final {
     return locked([&](LineController& c) { return c.encoder_angle(axis); });
   }
+  bool halt() noexcept final { return halt_axes().all_halted(); }
   /// Sends the stop at once, without waiting for an exchange that is under way; then asks until all axes
   /// stand still.
-  bool halt() noexcept final {
-    return controller_->line().halt([this] { controller_->forget_motion(); },
-                                    [this] { return controller_->has_stopped(); });
+  HaltReport halt_axes() noexcept final {
+    HaltReport report;
+    controller_->line().halt([this] { controller_->forget_motion(); },
+                             [this, &report] {
+                               report = controller_->stopped_axes(report);
+                               return report.all_halted();
+                             });
+    return report;
   }
   Clock::Duration reply_deadline() const final { return controller_->reply_deadline(); }
   std::vector<HaltRecipe> halt_recipes() final {
-    return locked([](LineController& c) { return std::vector{c.halt_recipe()}; });
+    return locked([](LineController& c) { return c.halt_recipes(); });
   }
 
  protected:

@@ -24,7 +24,8 @@ void register_zaber_ascii(DriverList& drivers) {
        .description = "Zaber rotary stages that speak ASCII, on one controller or in a daisy chain",
        .serial = {115200, false},
        .make = make_stage_of<zaber_ascii::ZaberAsciiStage>,
-       .recognition = {"/get system.axiscount\r\n", is_a_reply}});
+       .recognition = {"/get system.axiscount\r\n", is_a_reply},
+       .axes_on_line = zaber_ascii::axes_on_line});
 }
 
 }  // namespace abcal

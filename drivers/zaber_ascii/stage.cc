@@ -267,11 +267,32 @@ class ZaberAsciiController final : public wire::LineController {
                               what_was_heard(heard)));
   }
 
+  static std::vector<Place> places_of(const std::map<int, Device>& devices) {
+    std::vector<Place> places;
+    for (const auto& [number, device] : devices)
+      for (int axis = 1; axis <= device.axes; ++axis) places.push_back({number, axis});
+    return places;
+  }
+
   static std::string list(const std::map<int, Device>& devices) {
     std::vector<std::string> names;
-    for (const auto& [number, device] : devices)
-      for (int axis = 1; axis <= device.axes; ++axis) names.push_back(fmt::format("\"{} {}\"", number, axis));
+    for (const Place& place : places_of(devices))
+      names.push_back(fmt::format("\"{} {}\"", place.device, place.axis));
     return fmt::format("{}", fmt::join(names, ", "));
+  }
+
+  /// Microsteps of a turn; nothing: it does not rotate.
+  std::optional<double> steps_per_turn(Place place) {
+    const auto steps = ask_optional(place, "get limit.cycle.dist", first_number);
+    return steps && *steps > 0.0 ? steps : std::nullopt;
+  }
+
+  /// Of all devices on the line, those that rotate, as a bench file names them.
+  std::vector<std::string> rotating_axes() {
+    std::vector<std::string> names;
+    for (const Place& place : places_of(who_is_there(0)))
+      if (steps_per_turn(place)) names.push_back(fmt::format("{} {}", place.device, place.axis));
+    return names;
   }
 
   Place resolve(StageAxis axis, const std::map<int, Device>& devices) const {
@@ -312,8 +333,8 @@ class ZaberAsciiController final : public wire::LineController {
     for (const StageAxis axis : kStageAxes) {
       if (settings_.axis_names[index(axis)].empty()) continue;
       const Place place = resolve(axis, devices);
-      const auto steps = ask_optional(place, "get limit.cycle.dist", first_number);
-      if (!steps || !(*steps > 0.0)) {
+      const auto steps = steps_per_turn(place);
+      if (!steps) {
         throw failure(
             Fault::kWrongIdentity,
             fmt::format("axis {} of device {} (for {}) has no limit.cycle.dist, so it is not a rotary axis",
@@ -506,43 +527,69 @@ class ZaberAsciiController final : public wire::LineController {
 
   Clock::Duration reply_deadline() const override { return kReplyDeadline; }
 
-  bool has_stopped() override {
-    ensure_known();
-    return std::all_of(kStageAxes.begin(), kStageAxes.end(), [this](StageAxis axis) {
-      if (settings_.axis_names[index(axis)].empty()) return true;
-      const Message status = exchange(places_[index(axis)], "", true);
-      return status.accepted && !status.busy;
-    });
+  bool is_here(StageAxis axis) const { return !settings_.axis_names[index(axis)].empty(); }
+
+  /// Where an axis is, as far as that is known without asking for it.
+  std::optional<Place> place_to_halt(StageAxis axis) const {
+    if (known_) return places_[index(axis)];
+    const AxisName name = *parse_axis_name(settings_.axis_names[index(axis)]);
+    if (name.device) return Place{*name.device, name.number};
+    if (!settings_.address.empty()) return Place{*number_between(settings_.address, 1, 99), name.number};
+    return std::nullopt;
   }
 
-  /// A half-written command ends in a checksum that is wrong, so that no device takes it. Before it is known
-  /// where the axes are, all devices are asked.
-  HaltRecipe halt_recipe() const override {
-    HaltRecipe recipe{.driver = "zaber_ascii",
-                      .axes = {!settings_.axis_names[0].empty(), !settings_.axis_names[1].empty()},
-                      .end_partial = ":??\n",
-                      .stop = command_line("0 0 stop"),
-                      .questions = {},
-                      .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline)};
-    const auto ask = [&recipe](int device, int axis, int id, Clock::Duration listen) {
-      const std::string who = device == 0 ? "[0-9]{2} 0" : fmt::format("{:02} {}", device, axis);
+  HaltReport stopped_axes(const HaltReport& so_far) override {
+    HaltReport report = so_far;
+    for (const StageAxis axis : kStageAxes) {
+      AxisHalt& found = report.axes[index(axis)];
+      if (!is_here(axis)) found = AxisHalt::kHalted;
+      if (found == AxisHalt::kHalted) continue;
+      const bool stands = says_so([&] {
+        if (!place_to_halt(axis)) ensure_known();
+        const Message status = exchange(*place_to_halt(axis), "", true);
+        return status.accepted && !status.busy;
+      });
+      if (stands) found = AxisHalt::kHalted;
+    }
+    return report;
+  }
+
+  /// A half-written command ends in a checksum that is wrong, so that no device takes it. Each recipe stops
+  /// all devices. Where it is not known on which devices the axes are, all of them are asked.
+  std::vector<HaltRecipe> halt_recipes() const override {
+    std::map<int, HaltRecipe> of_device;
+    for (const StageAxis axis : kStageAxes) {
+      if (!is_here(axis)) continue;
+      const Place place = place_to_halt(axis).value_or(Place{});
+      HaltRecipe& recipe = of_device[place.device];
+      recipe.axes[index(axis)] = true;
+      const bool all_are_asked = place.device == 0 && !recipe.questions.empty();
+      if (!all_are_asked) add_questions(recipe, place);
+    }
+    std::vector<HaltRecipe> recipes;
+    for (auto& [device, recipe] : of_device) {
+      recipe.driver = "zaber_ascii";
+      recipe.end_partial = ":??\n";
+      recipe.stop = command_line("0 0 stop");
+      recipe.reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline);
+      recipes.push_back(std::move(recipe));
+    }
+    return recipes;
+  }
+
+  /// Whether an axis stands still; of device 0 whether all axes of all devices do.
+  static void add_questions(HaltRecipe& recipe, Place place) {
+    // Two message ids: late replies to a driver have at most one of them.
+    for (const int id : {41, 83}) {
+      const std::string who =
+          place.device == 0 ? "[0-9]{2} 0" : fmt::format("{:02} {}", place.device, place.axis);
       const std::string reply = fmt::format("@{} {:02} OK ", who, id);
-      recipe.questions.push_back({.bytes = command(device, axis, id, ""),
+      const Clock::Duration listen = place.device == 0 ? kQuiet : Clock::Duration::zero();
+      recipe.questions.push_back({.bytes = command(place.device, place.axis, id, ""),
                                   .reply = reply + "(IDLE|BUSY) .*",
                                   .standing = reply + "IDLE .*",
                                   .listen = std::chrono::duration_cast<std::chrono::milliseconds>(listen)});
-    };
-    // Two message ids: late replies to a driver have at most one of them.
-    constexpr std::array<int, 2> kIds{41, 83};
-    if (!known_) {
-      for (const int id : kIds) ask(0, 0, id, kQuiet);
-      return recipe;
     }
-    for (const StageAxis axis : kStageAxes) {
-      if (settings_.axis_names[index(axis)].empty()) continue;
-      for (const int id : kIds) ask(places_[index(axis)].device, places_[index(axis)].axis, id, {});
-    }
-    return recipe;
   }
 
  private:
@@ -564,5 +611,11 @@ ZaberAsciiStage::ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock
                                  const StageSettings& settings)
     : LineStage((check_settings(stream.get(), settings),
                  std::make_unique<ZaberAsciiController>(std::move(stream), clock, settings))) {}
+
+std::vector<std::string> axes_on_line(std::unique_ptr<wire::ByteStream> stream, Clock& clock) {
+  ZaberAsciiController line(std::move(stream), clock, StageSettings{});
+  const std::lock_guard lock(line.line());
+  return line.rotating_axes();
+}
 
 }  // namespace abcal::zaber_ascii

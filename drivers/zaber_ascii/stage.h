@@ -2,6 +2,8 @@
 
 #include <chrono>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "drivers/instrument/clock.h"
 #include "drivers/instrument/instrument_settings.h"
@@ -33,7 +35,8 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(8);
 /// is off, and homes. move_to() throws kNotReady (no reference: WR, WH), kOutOfTravel, kRefused with the flag
 /// or the reason of the rejection in words. motion_state() throws kRefused for a fault flag (F*), and for a
 /// motion that something else ended: interrupted (NI), manual control (NC), unexpected limit (WL), displaced
-/// (WM). halt() sends "stop" to all devices, then asks until the axes of this stage are idle.
+/// (WM). halt() sends "stop" to all devices, then asks until the axes of this stage are idle; halt_axes()
+/// tells of each, so that a device that is silent does not hide what the other one says.
 ///
 /// One owner thread; halt() from any.
 class ZaberAsciiStage final : public wire::LineStage {
@@ -42,5 +45,9 @@ class ZaberAsciiStage final : public wire::LineStage {
   /// @throws std::invalid_argument for settings that cannot be meant.
   ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
 };
+
+/// The rotating axes of all devices on the line, as StageSettings::axis_names: "1 1", "2 1". Asks only.
+/// @throws InstrumentError as identify()
+std::vector<std::string> axes_on_line(std::unique_ptr<wire::ByteStream> stream, Clock& clock);
 
 }  // namespace abcal::zaber_ascii

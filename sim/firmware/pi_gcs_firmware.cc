@@ -143,6 +143,7 @@ class PiGcsFirmware::Controller {
   bool knows(std::string_view name) const;
 
   void power_on();
+  bool cut_off() const;
   void run_line(std::string line);
   void single_byte(char byte);
   std::optional<std::string> chain_prefix(Words& words) const;
@@ -365,6 +366,7 @@ bool PiGcsFirmware::Controller::knows(std::string_view name) const {
 void PiGcsFirmware::Controller::receive(std::string_view bytes, Clock::Instant now) {
   now_ = now;
   update();
+  if (cut_off()) return forget_session();
   for (const char c : bytes) {
     switch (c) {
       case '\x03':
@@ -390,6 +392,14 @@ void PiGcsFirmware::Controller::receive(std::string_view bytes, Clock::Instant n
         }
     }
   }
+}
+
+/// From the daisy chain, by a scripted fault of one of its axes.
+bool PiGcsFirmware::Controller::cut_off() const {
+  for (std::size_t k = 0; k < 2; ++k)
+    if (!settings_.axis_names[k].empty() && bench_->fault_at(FaultKind::kLostController, now_, kStageAxes[k]))
+      return true;
+  return false;
 }
 
 /// Takes the address off the words. Nothing: the line is for another controller of the chain.

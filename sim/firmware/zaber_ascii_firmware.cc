@@ -192,6 +192,7 @@ class ZaberAsciiFirmware::Chain {
   void finish(std::size_t k, Clock::Instant t);
   bool stands_still(std::size_t k, Clock::Instant t) const;
   Device& device_of(std::size_t k, int* axis);
+  bool cut_off(const Device& device, Clock::Instant t) const;
   const AxisTruth& truth(std::size_t k) const { return k == 0 ? bench_->truth().x : bench_->truth().z; }
   double steps_per_turn(std::size_t k) const {
     return settings_.full_steps_per_turn[k] * axes_[k].resolution;
@@ -465,7 +466,8 @@ void ZaberAsciiFirmware::Chain::run(const Words& words, bool with_checksum) {
   if (at == 2 && at < words.size() && words[at] == "--") ++at;  // No id [unverified against a device].
   const Words data(words.begin() + static_cast<std::ptrdiff_t>(at), words.end());
   for (Device& device : devices_)
-    if (header[0] == 0 || header[0] == device.number) run_on({&device, header[1], id, with_checksum, data});
+    if ((header[0] == 0 || header[0] == device.number) && !cut_off(device, now_))
+      run_on({&device, header[1], id, with_checksum, data});
 }
 
 void ZaberAsciiFirmware::Chain::run_on(Command command) {
@@ -626,7 +628,7 @@ void ZaberAsciiFirmware::Chain::finish(std::size_t k, Clock::Instant t) {
   }
   int number_of_axis = 0;
   const Device& device = device_of(k, &number_of_axis);
-  if (device.alerts)
+  if (device.alerts && !cut_off(device, t))
     put(fmt::format("!{:02} {} {}", device.number, number_of_axis, status({k})), "", "", device.checksums, t);
 }
 
@@ -638,6 +640,13 @@ ZaberAsciiFirmware::Chain::Device& ZaberAsciiFirmware::Chain::device_of(std::siz
     return device;
   }
   throw std::logic_error("simulated Zaber device: an axis that is not on the line has moved");
+}
+
+/// From the daisy chain, by a scripted fault of one of its axes.
+bool ZaberAsciiFirmware::Chain::cut_off(const Device& device, Clock::Instant t) const {
+  return std::any_of(device.axes.begin(), device.axes.end(), [&](const auto& k) {
+    return k && bench_->fault_at(FaultKind::kLostController, t, kStageAxes[*k]);
+  });
 }
 
 double ZaberAsciiFirmware::Chain::controller_deg(std::size_t k, Angle protocol) const {

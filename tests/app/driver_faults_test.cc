@@ -28,6 +28,7 @@
 #include "sim/faults.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/sim_clock.h"
+#include "tests/app/stage_variants.h"
 #include "tests/drivers/wire/pseudo_terminal.h"
 
 namespace abcal {
@@ -99,12 +100,13 @@ struct Nature {
 
 Nature nature_of(const std::string& driver, Clock::Instant now = {}) {
   if (driver == "pi_gcs") return {.refusal = "23\n"};
+  if (driver == "pi_gcs_chain") return {.refusal = "0 2 23\n"};
   if (driver == "newport_esp") {
     // With the controller's time, in steps of 0.4 ms since it was switched on.
     return {.refusal = fmt::format("7, {}, PARAMETER OUT OF RANGE\r\n", now.time_since_epoch() / 400us)};
   }
   if (driver == "newport_xps") return {.refusal = "-22,GroupMoveAbsolute(Group1.Pos,1),EndOfAPI"};
-  if (driver == "zaber_ascii") return {.checksums = true};
+  if (driver.starts_with("zaber_ascii")) return {.checksums = true};
   if (driver == "microstrain_mip")
     return {.checksums = true, .refusal = mip::make_packet(0x0C, {mip::make_field(0xF1, "\x0F\x03")})};
   if (driver == "vectornav")
@@ -163,12 +165,11 @@ class Rig {
 
 class StageRig final : public Rig {
  public:
-  explicit StageRig(const StageDriver& driver) {
+  explicit StageRig(const StageVariant& variant) {
     world_ = std::make_shared<sim::SimBench>(sim::BenchTruth());
-    BenchConfig config;
-    config.stage.driver = driver.name;
-    stage_ = driver.make(open(config, connections_of(stage_ports(config.stage).at(0), driver.connections)),
-                         clock_, StageSettings());
+    const BenchConfig config = variant.config();
+    stage_ = variant.make(
+        open(config, connections_of(stage_ports(config.stage).at(0), variant.driver->connections)), clock_);
   }
 
   std::vector<std::string> calls() const override {
@@ -364,7 +365,7 @@ class AccelerometerRig final : public Rig {
 };
 
 std::unique_ptr<Rig> make_rig(const std::string& driver) {
-  for (const StageDriver& stage : stage_drivers())
+  for (const StageVariant& stage : stage_variants())
     if (stage.name == driver) return std::make_unique<StageRig>(stage);
   for (const AccelerometerDriver& accelerometer : accelerometer_drivers())
     if (accelerometer.name == driver) return std::make_unique<AccelerometerRig>(accelerometer);
@@ -372,8 +373,7 @@ std::unique_ptr<Rig> make_rig(const std::string& driver) {
 }
 
 std::vector<std::string> driver_names() {
-  std::vector<std::string> names;
-  for (const StageDriver& driver : stage_drivers()) names.push_back(driver.name);
+  std::vector<std::string> names = names_of_stage_variants();
   for (const AccelerometerDriver& driver : accelerometer_drivers()) names.push_back(driver.name);
   return names;
 }
@@ -398,8 +398,8 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
   }
 
   bool is_stage() const {
-    return std::any_of(stage_drivers().begin(), stage_drivers().end(),
-                       [this](const StageDriver& one) { return one.name == driver(); });
+    return std::any_of(stage_variants().begin(), stage_variants().end(),
+                       [this](const StageVariant& one) { return one.name == driver(); });
   }
 
   /// Begins with the `at`-th command of the call on this link; 0: when it is made.
@@ -542,14 +542,11 @@ std::vector<std::unique_ptr<wire::ByteStream>> simulated_streams(const BenchConf
 class StageRefusals : public testing::TestWithParam<std::string> {};
 
 TEST_P(StageRefusals, ARefusedMoveIsSaidInTheControllersWords) {
-  const auto stage = std::find_if(stage_drivers().begin(), stage_drivers().end(),
-                                  [](const StageDriver& driver) { return driver.name == GetParam(); });
+  const StageVariant& stage = stage_variant(GetParam());
   sim::SimClock clock;
   const auto world = std::make_shared<sim::SimBench>(sim::BenchTruth());
-  BenchConfig config;
-  config.stage.driver = GetParam();
   const auto driver =
-      stage->make(simulated_streams(config, stage->connections, world, clock), clock, StageSettings());
+      stage.make(simulated_streams(stage.config(), stage.driver->connections, world, clock), clock);
   for (const StageAxis axis : kStageAxes) {
     driver->home(axis);
     while (driver->motion_state(axis) == MotionState::kMoving) clock.sleep_until(clock.now() + 50ms);
@@ -567,13 +564,7 @@ TEST_P(StageRefusals, ARefusedMoveIsSaidInTheControllersWords) {
   EXPECT_NEAR(world->target(StageAxis::kX, clock.now()).deg(), 10.0, 1e-3);
 }
 
-std::vector<std::string> stage_driver_names() {
-  std::vector<std::string> names;
-  for (const StageDriver& driver : stage_drivers()) names.push_back(driver.name);
-  return names;
-}
-
-INSTANTIATE_TEST_SUITE_P(EachStage, StageRefusals, testing::ValuesIn(stage_driver_names()),
+INSTANTIATE_TEST_SUITE_P(EachStage, StageRefusals, testing::ValuesIn(names_of_stage_variants()),
                          [](const auto& name) { return name.param; });
 
 /// A link on which nothing gets to the controller for a while.
@@ -602,24 +593,21 @@ class DeafStream final : public wire::ByteStream {
 class StageHalts : public testing::TestWithParam<std::string> {
  protected:
   static Clock::Duration deadline() {
-    if (GetParam() == "pi_gcs") return pi_gcs::kHaltDeadline;
-    if (GetParam() == "zaber_ascii") return zaber_ascii::kHaltDeadline;
+    if (GetParam().starts_with("pi_gcs")) return pi_gcs::kHaltDeadline;
+    if (GetParam().starts_with("zaber_ascii")) return zaber_ascii::kHaltDeadline;
     return kDeadline;
   }
 };
 
 TEST_P(StageHalts, AreRepeatedUntilTheControllerHears) {
-  const auto stage = std::find_if(stage_drivers().begin(), stage_drivers().end(),
-                                  [](const StageDriver& driver) { return driver.name == GetParam(); });
+  const StageVariant& stage = stage_variant(GetParam());
   sim::SimClock clock;
   const auto world = std::make_shared<sim::SimBench>(sim::BenchTruth());
-  BenchConfig config;
-  config.stage.driver = GetParam();
-  auto streams = simulated_streams(config, stage->connections, world, clock);
+  auto streams = simulated_streams(stage.config(), stage.driver->connections, world, clock);
   auto link = std::make_unique<DeafStream>(std::move(streams[0]), clock);
   DeafStream& deaf = *link;
   streams[0] = std::move(link);
-  const auto driver = stage->make(std::move(streams), clock, StageSettings());
+  const auto driver = stage.make(std::move(streams), clock);
   driver->identify();
   for (const StageAxis axis : kStageAxes) {
     driver->home(axis);
@@ -646,7 +634,7 @@ TEST_P(StageHalts, AreRepeatedUntilTheControllerHears) {
   EXPECT_LE(clock.now() - again, deadline());
 }
 
-INSTANTIATE_TEST_SUITE_P(EachStage, StageHalts, testing::ValuesIn(stage_driver_names()),
+INSTANTIATE_TEST_SUITE_P(EachStage, StageHalts, testing::ValuesIn(names_of_stage_variants()),
                          [](const auto& name) { return name.param; });
 
 TEST(TwoProgramsOnOnePort, TheSecondIsToldWhoHoldsIt) {

@@ -16,6 +16,7 @@
 #include "drivers/wire/replay_stream.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/sim_clock.h"
+#include "tests/app/stage_variants.h"
 
 namespace abcal {
 namespace {
@@ -94,14 +95,12 @@ void expect_same_in_replay(const BenchConfig& config, const std::vector<Instrume
 class DriverReplay : public testing::TestWithParam<std::string> {};
 
 TEST_P(DriverReplay, ComesToTheSameValues) {
-  for (const StageDriver& driver : stage_drivers()) {
-    if (driver.name != GetParam()) continue;
-    BenchConfig config;
-    config.stage.driver = driver.name;
-    expect_same_in_replay(config, connections_of(stage_ports(config.stage).at(0), driver.connections),
+  for (const StageVariant& stage : stage_variants()) {
+    if (stage.name != GetParam()) continue;
+    const BenchConfig config = stage.config();
+    expect_same_in_replay(config, connections_of(stage_ports(config.stage).at(0), stage.driver->connections),
                           [&](Streams streams, Clock& clock) {
-                            return session_of(*driver.make(std::move(streams), clock, StageSettings()),
-                                              clock);
+                            return session_of(*stage.make(std::move(streams), clock), clock);
                           });
   }
   for (const AccelerometerDriver& driver : accelerometer_drivers()) {
@@ -120,8 +119,7 @@ TEST_P(DriverReplay, ComesToTheSameValues) {
 }
 
 INSTANTIATE_TEST_SUITE_P(All, DriverReplay, testing::ValuesIn([] {
-                           std::vector<std::string> names;
-                           for (const StageDriver& driver : stage_drivers()) names.push_back(driver.name);
+                           std::vector<std::string> names = names_of_stage_variants();
                            for (const AccelerometerDriver& driver : accelerometer_drivers())
                              names.push_back(driver.name);
                            return names;

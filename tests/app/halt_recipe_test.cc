@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <array>
 #include <memory>
+#include <tuple>
 
 #include "app/bench/make_firmware.h"
 #include "app/bench/real_clock.h"
@@ -20,23 +21,12 @@
 #include "sim/faults.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/sim_clock.h"
+#include "tests/app/stage_variants.h"
 
 namespace abcal {
 namespace {
 
 using namespace std::chrono_literals;
-
-std::vector<std::string> names_of_stages() {
-  std::vector<std::string> names;
-  for (const StageDriver& driver : stage_drivers()) names.push_back(driver.name);
-  return names;
-}
-
-const StageDriver& stage_driver(const std::string& name) {
-  for (const StageDriver& driver : stage_drivers())
-    if (driver.name == name) return driver;
-  throw std::invalid_argument("no stage driver is called \"" + name + "\"");
-}
 
 /// What the driver uses; the test holds the other end and knows what was written.
 class NotedStream final : public wire::ByteStream {
@@ -58,18 +48,17 @@ class NotedStream final : public wire::ByteStream {
 
 template <class AnyClock>
 struct HaltRig {
-  explicit HaltRig(const std::string& name) {
-    BenchConfig config;
-    config.stage.driver = name;
+  explicit HaltRig(const std::string& name) : variant(stage_variant(name)) {
+    const BenchConfig config = variant.config();
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
     for (const InstrumentPort& connection :
-         connections_of(stage_ports(config.stage).at(0), stage_driver(name).connections)) {
+         connections_of(stage_ports(config.stage).at(0), variant.driver->connections)) {
       auto stream = std::make_shared<sim::FirmwareStream>(make_firmware(config, connection, world), clock);
       if (!port) port = stream;
       std::vector<std::string>& notes = port == stream ? written : written_elsewhere;
       streams.push_back(std::make_unique<NotedStream>(std::move(stream), notes));
     }
-    driver = stage_driver(name).make(std::move(streams), clock, StageSettings());
+    driver = variant.make(std::move(streams), clock);
   }
 
   void home() {
@@ -79,10 +68,19 @@ struct HaltRig {
       while (driver->motion_state(axis) == MotionState::kMoving) clock.sleep_until(clock.now() + 50ms);
   }
 
+  /// Without the driver, on the port that it has used: whether all that the recipes tell of was acknowledged.
+  bool carried_out(const std::vector<HaltRecipe>& recipes, wire::ByteStream& stream) {
+    bool all = !recipes.empty();
+    for (const HaltRecipe& recipe : recipes)
+      all = wire::carry_out(recipe, stream, clock, clock.now() + 20s) && all;
+    return all;
+  }
+
   bool anything_moves() const {
     return world->moving(StageAxis::kX, clock.now()) || world->moving(StageAxis::kZ, clock.now());
   }
 
+  const StageVariant& variant;
   AnyClock clock;
   std::shared_ptr<sim::SimBench> world = std::make_shared<sim::SimBench>(sim::BenchTruth(), clock.now());
   std::shared_ptr<wire::ByteStream> port;
@@ -110,16 +108,19 @@ TEST_P(HaltRecipes, StopBothAxesInTheMiddleOfAnyCommand) {
     rig.home();
     rig.driver->move_to(StageAxis::kX, Angle::degrees(150.0));
     const std::vector<HaltRecipe> recipes = rig.driver->halt_recipes();
-    ASSERT_EQ(recipes.size(), 1U);
-    EXPECT_EQ(recipes[0].driver, GetParam());
-    EXPECT_EQ(recipes[0].axes, (std::array{true, true}));
+    std::array<int, 2> told_of{};
+    for (const HaltRecipe& recipe : recipes) {
+      EXPECT_EQ(recipe.driver, rig.variant.driver->name);
+      for (const StageAxis axis : kStageAxes) told_of[index(axis)] += recipe.axes[index(axis)] ? 1 : 0;
+    }
+    EXPECT_EQ(told_of, (std::array{1, 1}));
     rig.clock.sleep_until(rig.clock.now() + 500ms);
     rig.port->write(std::string_view(commands).substr(0, length));
     const bool z_was_told = rig.world->moving(StageAxis::kZ, rig.clock.now());
     ASSERT_TRUE(rig.anything_moves());
     // The process dies here. Another one:
     const Clock::Instant begin = rig.clock.now();
-    ASSERT_TRUE(wire::carry_out(recipes[0], *rig.port, rig.clock, begin + 20s));
+    ASSERT_TRUE(rig.carried_out(recipes, *rig.port));
     EXPECT_FALSE(rig.anything_moves());
     EXPECT_LE(rig.clock.now() - begin, 5s);
     if (!z_was_told) {
@@ -131,28 +132,32 @@ TEST_P(HaltRecipes, StopBothAxesInTheMiddleOfAnyCommand) {
 
 TEST_P(HaltRecipes, WorkBeforeAnythingWasAskedAndAreNotAcknowledgedBySilence) {
   HaltRig<sim::SimClock> rig(GetParam());
-  const HaltRecipe recipe = rig.driver->halt_recipes().at(0);  // Of a driver that has asked nothing yet.
+  // Of a driver that has asked nothing yet.
+  const std::vector<HaltRecipe> recipes = rig.driver->halt_recipes();
   rig.home();
   rig.driver->move_to(StageAxis::kX, Angle::degrees(150.0));
   rig.port->write("\x7F half a li");
-  ASSERT_TRUE(wire::carry_out(recipe, *rig.port, rig.clock, rig.clock.now() + 20s));
+  ASSERT_TRUE(rig.carried_out(recipes, *rig.port));
   EXPECT_FALSE(rig.anything_moves());
 
   rig.driver->identify();  // Reads and clears what the half line has left among the errors.
   rig.driver->move_to(StageAxis::kX, Angle::degrees(-150.0));
   sim::FaultyStream deaf(std::make_unique<NotedStream>(rig.port, rig.written), rig.clock,
                          {{.kind = sim::FaultKind::kSilence}});
-  const Clock::Instant begin = rig.clock.now();
-  EXPECT_FALSE(wire::carry_out(recipe, deaf, rig.clock, begin + 20s));
-  EXPECT_LE(rig.clock.now() - begin, 21s);
+  for (const HaltRecipe& recipe : recipes) {
+    const Clock::Instant begin = rig.clock.now();
+    EXPECT_FALSE(wire::carry_out(recipe, deaf, rig.clock, begin + 20s));
+    EXPECT_LE(rig.clock.now() - begin, 21s);
+  }
   sim::FaultyStream gone(std::make_unique<NotedStream>(rig.port, rig.written), rig.clock,
                          {{.kind = sim::FaultKind::kUnplug}});
-  EXPECT_FALSE(wire::carry_out(recipe, gone, rig.clock, rig.clock.now() + 20s));
+  for (const HaltRecipe& recipe : recipes)
+    EXPECT_FALSE(wire::carry_out(recipe, gone, rig.clock, rig.clock.now() + 20s));
 }
 
 TEST_P(HaltRecipes, AreUsedByAnotherProcessOnAnInheritedDescriptor) {
   HaltRig<RealClock> rig(GetParam());
-  const HaltRecipe recipe = rig.driver->halt_recipes().at(0);
+  const std::vector<HaltRecipe> recipes = rig.driver->halt_recipes();
   std::array<int, 2> ends{};
   ASSERT_EQ(::socketpair(AF_UNIX, SOCK_STREAM, 0, ends.data()), 0);
   const std::string half = "\x7F half a li";
@@ -160,9 +165,8 @@ TEST_P(HaltRecipes, AreUsedByAnotherProcessOnAnInheritedDescriptor) {
   const pid_t child = ::fork();
   ASSERT_GE(child, 0);
   if (child == 0) {
-    RealClock clock;
-    wire::DescriptorStream port(ends[0], "inherited", clock);
-    ::_exit(wire::carry_out(recipe, port, clock, clock.now() + 20s) ? 0 : 1);
+    wire::DescriptorStream port(ends[0], "inherited", rig.clock);
+    ::_exit(rig.carried_out(recipes, port) ? 0 : 1);
   }
   ::close(ends[0]);
   // The controller, until the child has ended.
@@ -180,7 +184,7 @@ TEST_P(HaltRecipes, AreUsedByAnotherProcessOnAnInheritedDescriptor) {
   EXPECT_EQ(status, 0) << "not acknowledged";
 }
 
-INSTANTIATE_TEST_SUITE_P(EachStage, HaltRecipes, testing::ValuesIn(names_of_stages()),
+INSTANTIATE_TEST_SUITE_P(EachStage, HaltRecipes, testing::ValuesIn(names_of_stage_variants()),
                          [](const auto& name) { return name.param; });
 
 /// A chamber's driver in one of its languages.
@@ -315,6 +319,74 @@ TEST_P(ChamberRecipes, AskForWhatWasIdentifiedFirst) {
 
 INSTANTIATE_TEST_SUITE_P(EachChamber, ChamberRecipes, testing::ValuesIn(chambers()),
                          [](const auto& which) { return which.param.name; });
+
+/// Two controllers in a daisy chain, one of which is cut off while both axes turn.
+class ChainHalts : public testing::TestWithParam<std::tuple<std::string, StageAxis>> {
+ protected:
+  ChainHalts() {
+    rig.home();
+    for (const StageAxis axis : kStageAxes) rig.driver->move_to(axis, Angle::degrees(350.0));
+    rig.clock.sleep_until(rig.clock.now() + 500ms);
+    rig.world->inject({.kind = sim::FaultKind::kLostController, .at = rig.clock.now(), .axis = lost});
+    begin = rig.clock.now();
+  }
+
+  void expect_the_other_stopped_at_once() {
+    EXPECT_FALSE(rig.world->moving(left, rig.clock.now()));
+    EXPECT_LE(rig.world->motion_end(left, rig.clock.now()) - begin, 1s);
+    EXPECT_GE(rig.world->motion_end(lost, begin) - begin, 10s) << "it was not cut off";
+  }
+
+  HaltRig<sim::SimClock> rig{std::get<0>(GetParam())};
+  const StageAxis lost = std::get<1>(GetParam());
+  const StageAxis left = lost == StageAxis::kX ? StageAxis::kZ : StageAxis::kX;
+  const HaltReport each{lost == StageAxis::kX ? std::array{AxisHalt::kUnreachable, AxisHalt::kHalted}
+                                              : std::array{AxisHalt::kHalted, AxisHalt::kUnreachable}};
+  Clock::Instant begin;
+};
+
+TEST_P(ChainHalts, TheAxisThatIsLeftIsHaltedAtOnceAndEachIsReported) {
+  EXPECT_EQ(rig.driver->halt_axes(), each);
+  expect_the_other_stopped_at_once();
+  EXPECT_LE(rig.clock.now() - begin, 9s);
+  // Once more, by a driver that knows who is silent.
+  EXPECT_EQ(rig.driver->halt_axes(), each);
+  EXPECT_FALSE(rig.driver->halt());
+}
+
+TEST_P(ChainHalts, OfADriverThatHasAskedNothingYet) {
+  std::vector<std::unique_ptr<wire::ByteStream>> streams;
+  streams.push_back(std::make_unique<NotedStream>(rig.port, rig.written));
+  const auto another = rig.variant.make(std::move(streams), rig.clock);
+  EXPECT_EQ(another->halt_axes(), each);
+  expect_the_other_stopped_at_once();
+}
+
+TEST_P(ChainHalts, InTheMiddleOfAQuestionToTheOneThatIsLost) {
+  EXPECT_THROW(rig.driver->motion_state(lost), InstrumentError);
+  begin = rig.clock.now();
+  EXPECT_EQ(rig.driver->halt_axes(), each);
+  expect_the_other_stopped_at_once();
+}
+
+TEST_P(ChainHalts, WithoutTheDriver) {
+  HaltReport report;
+  for (const HaltRecipe& recipe : rig.driver->halt_recipes()) {
+    if (!wire::carry_out(recipe, *rig.port, rig.clock, rig.clock.now() + 5s)) continue;
+    for (const StageAxis axis : kStageAxes)
+      if (recipe.axes[index(axis)]) report.axes[index(axis)] = AxisHalt::kHalted;
+  }
+  EXPECT_EQ(report, each);
+  expect_the_other_stopped_at_once();
+}
+
+INSTANTIATE_TEST_SUITE_P(EachChain, ChainHalts,
+                         testing::Combine(testing::Values("pi_gcs_chain", "zaber_ascii_chain"),
+                                          testing::ValuesIn(kStageAxes)),
+                         [](const auto& one) {
+                           return std::get<0>(one.param) + "_" +
+                                  std::string(to_string(std::get<1>(one.param)));
+                         });
 
 TEST(SplitStageHalts, TheAxisThatIsLeftWhereTheOtherOnesPortIsGone) {
   for (const StageAxis lost : kStageAxes) {

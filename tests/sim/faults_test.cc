@@ -144,7 +144,7 @@ TEST_F(FaultyStreamTest, DiscardingForgetsWhatHasComeOnly) {
 }
 
 TEST(FaultsTest, EveryFaultHasAnOwnNameByWhichItIsFound) {
-  EXPECT_EQ(fault_descriptions().size(), 21U);
+  EXPECT_EQ(fault_descriptions().size(), 22U);
   for (const FaultDescription& description : fault_descriptions()) {
     EXPECT_EQ(fault_kind(description.name), description.kind);
     EXPECT_FALSE(description.what.empty());

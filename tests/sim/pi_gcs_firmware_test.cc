@@ -521,6 +521,27 @@ TEST_F(PiGcsTwoInAChainTest, EachControllerAnswersToItsAddress) {
   EXPECT_EQ(ask("3 ERR?"), "0 3 2\n");
 }
 
+TEST_F(PiGcsTwoInAChainTest, OneThatIsCutOffNeitherHearsNorAnswersAndMovesOn) {
+  for (const std::string address : {"1 ", "3 "}) {
+    ask(address + "SVO 1 1");
+    ask(address + "FRF 1");
+  }
+  host.listen(seconds(1));
+  ask("1 MOV 1 10");
+  ask("3 MOV 1 10");
+  const Clock::Instant now = host.clock().now();
+  bench->inject(
+      {.kind = FaultKind::kLostController, .at = now, .until = now + seconds(5), .axis = StageAxis::kZ});
+  EXPECT_EQ(ask("3 POS?"), "");
+  ask("1 STP");
+  ask("3 STP");
+  EXPECT_EQ(ask("1 ERR?"), "0 1 10\n") << "the other one is there";
+  host.listen(seconds(5));
+  EXPECT_EQ(ask("3 POS?"), "0 3 1=10.000000\n");
+  EXPECT_EQ(ask("3 ERR?"), "0 3 0\n");
+  EXPECT_LT(bench->commanded_angle(StageAxis::kX, host.clock().now()).deg(), 5.0);
+}
+
 TEST_F(PiGcsTwoInAChainTest, TheirAxesAreTheTwoOfTheWorld) {
   for (const std::string address : {"1 ", "3 "}) {
     ask(address + "SVO 1 1");

@@ -411,6 +411,23 @@ TEST_F(ZaberChainTest, AllDevicesAnswerABroadcast) {
   EXPECT_EQ(ask("/renumber"), "@01 0 OK IDLE WR 0\r\n@02 0 OK IDLE WR 0\r\n");
 }
 
+TEST_F(ZaberChainTest, OneThatIsCutOffNeitherHearsNorAnswersAndMovesOn) {
+  ask("/home");
+  host.listen(seconds(5));
+  ask("/1 set comm.alert 1");
+  ask("/1 1 move rel 10000");
+  ask("/2 1 move rel 10000");
+  const Clock::Instant now = host.clock().now();
+  bench->inject(
+      {.kind = FaultKind::kLostController, .at = now, .until = now + seconds(5), .axis = StageAxis::kZ});
+  EXPECT_EQ(ask("/get system.axiscount"), "@02 0 OK BUSY -- 1\r\n");
+  EXPECT_EQ(ask("/1 1"), "");
+  ask("/stop");
+  EXPECT_EQ(host.listen(seconds(6)), "") << "nor does it send an alert";
+  EXPECT_EQ(ask("/1 1 warnings"), "@01 1 OK IDLE -- 00\r\n") << "it was not stopped";
+  EXPECT_EQ(ask("/2 1 warnings"), "@02 1 OK IDLE NI 01 NI\r\n");
+}
+
 TEST_F(ZaberChainTest, CountsFromItsOwnZeroInItsOwnSenseOnceHomed) {
   EXPECT_EQ(ask("/get pos"), "@01 0 OK IDLE WR 0\r\n@02 0 OK IDLE WR 0\r\n") << "wherever they are";
   ask("/home");

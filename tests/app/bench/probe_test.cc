@@ -1,14 +1,17 @@
 #include "app/bench/probe.h"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <functional>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "app/bench/probe_ports.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"
@@ -136,6 +139,100 @@ TEST_F(ProbeTest, EveryKnownInstrumentIsFoundWithinThreeSeconds) {
     EXPECT_EQ(found->driver, known.driver);
     EXPECT_LT(to_seconds(clock.now() - start), 3.0) << known.driver;
   }
+}
+
+/// What a probe of a chain is asked to find.
+struct KnownChain {
+  std::string name;
+  std::function<std::shared_ptr<sim::Firmware>(std::shared_ptr<sim::SimBench>)> make;
+  std::string serial_number;
+  std::vector<std::string> axes;
+  std::string questions;  ///< To see whether anything has changed.
+};
+
+std::vector<KnownChain> known_chains() {
+  const auto pi = [](sim::PiGcsSettings settings) {
+    return [settings](std::shared_ptr<sim::SimBench> bench) -> std::shared_ptr<sim::Firmware> {
+      return std::make_shared<sim::PiGcsFirmware>(std::move(bench), settings);
+    };
+  };
+  const auto zaber = [](sim::ZaberAsciiSettings settings) {
+    return [settings](std::shared_ptr<sim::SimBench> bench) -> std::shared_ptr<sim::Firmware> {
+      return std::make_shared<sim::ZaberAsciiFirmware>(std::move(bench), settings);
+    };
+  };
+  const auto of_pi = [](const std::string& address) {
+    std::string all;
+    for (const char* query : {"SVO?", "FRF?", "VEL?", "ACC?", "MOV?", "POS?", "SPA?", "CCL?", "ERR?"})
+      all += fmt::format("{} {}\n", address, query);
+    return all;
+  };
+  const std::string of_zaber =
+      "/get pos\n/get maxspeed\n/get accel\n/get limit.min\n/get comm.alert\n/warnings\n/get comm.address\n";
+  return {
+      {"PI, the first two addresses",
+       pi({.axis_names = {"1 1", "2 1"}}),
+       "118001234/118001235",
+       {"1 1", "2 1"},
+       of_pi("1") + of_pi("2")},
+      {"PI, the first address and the last",
+       pi({.axis_names = {"16 1", "1 1"}}),
+       "118001235/118001234",
+       {"1 1", "16 1"},
+       of_pi("1") + of_pi("16")},
+      {"PI, one alone with other names", pi({.axis_names = {"A", "B"}}), "118001234", {"A", "B"}, of_pi("1")},
+      {"Zaber, the first two numbers",
+       zaber({.axis_names = {"1 1", "2 1"}}),
+       "54321/54322",
+       {"1 1", "2 1"},
+       of_zaber},
+      {"Zaber, other numbers",
+       zaber({.axis_names = {"7 1", "3 1"}, .alerts = true}),
+       "54322/54321",
+       {"3 1", "7 1"},
+       of_zaber},
+      {"Zaber, one alone", zaber({.axis_names = {"4 1", "4 2"}}), "54321", {"4 1", "4 2"}, of_zaber}};
+}
+
+TEST_F(ProbeTest, AChainIsFoundWithTheAddressesOfItsAxesAndNothingChanges) {
+  for (const KnownChain& chain : known_chains()) {
+    SCOPED_TRACE(chain.name);
+    const auto bench = std::make_shared<sim::SimBench>(sim::BenchTruth{}, clock.now());
+    const auto firmware = chain.make(bench);
+    const std::string before = ask(*firmware, chain.questions);
+    const Clock::Instant start = clock.now();
+    const auto found = probe(firmware);
+    EXPECT_LT(to_seconds(clock.now() - start), 3.0);
+    ASSERT_TRUE(found);
+    EXPECT_EQ(found->axes, chain.axes);
+    EXPECT_EQ(found->serial_number, chain.serial_number);
+    EXPECT_EQ(ask(*firmware, chain.questions), before);
+    for (const StageAxis axis : kStageAxes) {
+      EXPECT_FALSE(bench->moving(axis, clock.now()));
+      EXPECT_EQ(bench->target(axis, clock.now()).deg(), 0.0);
+    }
+  }
+}
+
+TEST(ProbeWords, SayHowTheBenchFileNamesTheAxes) {
+  const auto probed = [](const std::vector<std::string>& axes) {
+    ProbeAnswer answer{"pi_gcs", true, "PI", "C-863.12", "1/2", "1"};
+    answer.axes = axes;
+    return Probed{"/dev/ttyUSB0", answer, {}};
+  };
+  const auto words = [&](const std::vector<std::string>& axes) { return in_words(probed(axes)); };
+  EXPECT_EQ(words({}), "PI C-863.12, serial number 1/2: driver = \"pi_gcs\" under [stage]");
+  EXPECT_EQ(
+      words({"1"}),
+      "PI C-863.12, serial number 1/2: driver = \"pi_gcs\" under [stage]; axis = \"1\" under [stage.x] or "
+      "[stage.z]");
+  const std::string two =
+      "PI C-863.12, serial number 1/2: driver = \"pi_gcs\" under [stage]; axis = \"1 1\" under [stage.x] and "
+      "axis = \"2 1\" under [stage.z], or the other way round";
+  EXPECT_EQ(words({"1 1", "2 1"}), two);
+  EXPECT_EQ(words({"1 1", "2 1", "3 1"}), two + "; the axes on this port are \"1 1\", \"2 1\", \"3 1\"");
+  EXPECT_EQ(probed_json(probed({"1 1", "2 1"}))["axes"], (nlohmann::ordered_json{"1 1", "2 1"}));
+  EXPECT_FALSE(probed_json(probed({})).contains("axes"));
 }
 
 class DeadFirmware final : public sim::Firmware {

@@ -3,9 +3,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <future>
 #include <limits>
+#include <map>
+#include <memory>
 #include <stdexcept>
+#include <string>
+#include <vector>
 
 #include "drivers/instrument/instrument_error.h"
 #include "tests/drivers/pi_gcs/scripted_controller.h"
@@ -165,15 +170,19 @@ TEST_F(PiGcsStageTest, SettingsThatCannotBeMeantAreRefused) {
   settings.speed_deg_per_s[0] = std::numeric_limits<double>::quiet_NaN();
   EXPECT_THROW(with(settings), std::invalid_argument);
   settings = {};
-  settings.address = "two";
-  EXPECT_THROW(with(settings), std::invalid_argument);
-  for (const std::string name : {"two 1", "1 2 3"}) {
+  for (const std::string address : {"two", "0", "17", "02", "255"}) {  // 255: all of them at once
+    settings.address = address;
+    EXPECT_THROW(with(settings), std::invalid_argument) << address;
+  }
+  for (const std::string name : {"two 1", "1 2 3", "255 1"}) {
     settings = {};
     settings.axis_names = {name, "1 2"};
     EXPECT_THROW(with(settings), std::invalid_argument) << name;
   }
   settings = {};
   settings.axis_names = {"2 1", "1"};  // One has no address.
+  EXPECT_THROW(with(settings), std::invalid_argument);
+  settings.address = "2";  // The same axis.
   EXPECT_THROW(with(settings), std::invalid_argument);
 }
 
@@ -476,10 +485,11 @@ TEST_F(PiGcsStageTest, SpeaksToAControllerInADaisyChain) {
   EXPECT_EQ(stage_->motion_state(StageAxis::kZ), MotionState::kStopped);
 }
 
-TEST_F(PiGcsStageTest, TwoControllersOfAChainAreOneStage) {
+/// Replies of controllers at addresses 1 and 4, each with one axis; that at 4 moves.
+std::map<std::string, std::string> replies_of_a_chain(const std::map<std::string, std::string>& of_one) {
   std::map<std::string, std::string> chained;
   for (const std::string address : {"1", "4"}) {
-    for (const auto& [command, reply] : controller_.replies) {
+    for (const auto& [command, reply] : of_one) {
       if (command.size() > 1) chained[address + " " + command] = "0 " + address + " " + reply;
     }
     chained[address + " ERR?"] = "0 " + address + " 0\n";
@@ -488,7 +498,11 @@ TEST_F(PiGcsStageTest, TwoControllersOfAChainAreOneStage) {
   chained["4 *IDN?"] = "0 4 (c)2013 Physik Instrumente (PI) GmbH & Co. KG, C-863.12, 777, 1.2.3\n";
   chained["4 \x05"] = "0 4 1\n";
   chained["4 POS? 1"] = "0 4 1=-7.5\n";
-  controller_.replies = chained;
+  return chained;
+}
+
+TEST_F(PiGcsStageTest, TwoControllersOfAChainAreOneStage) {
+  controller_.replies = replies_of_a_chain(controller_.replies);
   connect({.axis_names = {"1 1", "4 1"}, .speed_deg_per_s = {}, .address = {}, .unit = {}});
   const StageInfo info = stage_->identify();
   EXPECT_EQ(info.model, "C-884.4DC/C-863.12");
@@ -504,8 +518,63 @@ TEST_F(PiGcsStageTest, TwoControllersOfAChainAreOneStage) {
   EXPECT_TRUE(stage_->halt());
   EXPECT_GE(controller_.count("1 STP"), 1U);
   EXPECT_GE(controller_.count("4 STP"), 1U);
-  const HaltRecipe recipe = stage_->halt_recipes().at(0);
-  EXPECT_EQ(recipe.questions.size(), 4U);
+  const std::vector<HaltRecipe> recipes = stage_->halt_recipes();
+  ASSERT_EQ(recipes.size(), 2U);
+  EXPECT_EQ(recipes[0].axes, (std::array{true, false}));
+  EXPECT_EQ(recipes[1].axes, (std::array{false, true}));
+  for (const HaltRecipe& recipe : recipes) {
+    EXPECT_EQ(recipe.stop,
+              "\x18"
+              "1 STP\n4 STP\n")
+        << "each stops both";
+    EXPECT_EQ(recipe.questions.size(), 2U);
+  }
+}
+
+TEST_F(PiGcsStageTest, AReplyOfTheOtherControllerIsNoAnswer) {
+  controller_.replies = replies_of_a_chain(controller_.replies);
+  connect({.axis_names = {"1 1", "4 1"}, .speed_deg_per_s = {}, .address = {}, .unit = {}});
+  stage_->identify();
+  controller_.mishaps["1 POS? 1"] = {{.instead = "0 4 1=-7.5\n", .late = {}}};
+  EXPECT_EQ(stage_->encoder_angle(StageAxis::kX).deg(), 14.5) << "asked again";
+  controller_.replies["1 POS? 1"] = "0 4 1=-7.5\n";
+  EXPECT_EQ(error_of([&] { stage_->encoder_angle(StageAxis::kX); }).fault(), Fault::kBadFrame);
+}
+
+TEST_F(PiGcsStageTest, WhatOneControllerOfAChainSaysOfAHaltIsHeardWhereTheOtherOneIsSilent) {
+  const std::map<std::string, std::string> chained = replies_of_a_chain(controller_.replies);
+  controller_.replies = chained;
+  connect({.axis_names = {"1 1", "4 1"}, .speed_deg_per_s = {}, .address = {}, .unit = {}});
+  stage_->identify();
+  for (const std::string silent : {"1 ", "4 "}) {
+    controller_.replies = chained;
+    for (const auto& [command, reply] : chained)
+      if (command.starts_with(silent)) controller_.replies.erase(command);
+    controller_.replies[silent == "1 " ? "4 ERR?" : "1 ERR?"] = silent == "1 " ? "0 4 10\n" : "0 1 10\n";
+    const Clock::Instant before = clock_.now();
+    const HaltReport report = stage_->halt_axes();
+    EXPECT_EQ(report.axes[0], silent == "1 " ? AxisHalt::kUnreachable : AxisHalt::kHalted) << silent;
+    EXPECT_EQ(report.axes[1], silent == "4 " ? AxisHalt::kUnreachable : AxisHalt::kHalted) << silent;
+    EXPECT_LE(clock_.now() - before, kHaltDeadline);
+  }
+}
+
+TEST_F(PiGcsStageTest, TheLineIsAskedForTheAxesOfAllItsControllers) {
+  const std::map<std::string, std::string> one = controller_.replies;
+  controller_.replies = replies_of_a_chain(one);
+  controller_.replies["4 SAI?"] = "0 4 A \nB\n";
+  auto line = std::make_unique<ScriptedController>(clock_);
+  line->replies = controller_.replies;
+  EXPECT_THAT(axes_on_line(std::move(line), clock_),
+              ::testing::ElementsAre("1 1", "1 2", "1 3", "4 A", "4 B"));
+  // One alone, which knows no addresses.
+  EXPECT_THAT(axes_on_line(std::make_unique<ScriptedController>(clock_), clock_),
+              ::testing::ElementsAre("1", "2", "3"));
+  line = std::make_unique<ScriptedController>(clock_);
+  line->silent = true;
+  const Clock::Instant before = clock_.now();
+  EXPECT_THAT(axes_on_line(std::move(line), clock_), ::testing::IsEmpty());
+  EXPECT_LE(clock_.now() - before, 16 * kAddressDeadline + 600ms);
 }
 
 TEST_F(PiGcsStageTest, AControllerOfAChainThatIsSilentIsNamedByItsAddress) {

@@ -4,9 +4,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <future>
+#include <map>
+#include <memory>
 #include <sstream>
 #include <stdexcept>
+#include <string>
+#include <vector>
 
 #include "drivers/instrument/instrument_error.h"
 #include "tests/support/scripted_line.h"
@@ -518,6 +523,45 @@ TEST_F(ZaberAsciiStageTest, HaltWorksBeforeAnythingWasAsked) {
   connect();
   EXPECT_TRUE(stage_->halt());
   EXPECT_EQ(line_.commands().front(), "0 0 stop") << "it stops first and asks afterwards";
+}
+
+TEST_F(ZaberAsciiStageTest, WhatOneDeviceOfAChainSaysOfAHaltIsHeardWhereTheOtherOneIsSilent) {
+  const std::map<int, std::vector<FakeAxis>> both{{1, {FakeAxis{}}}, {2, {FakeAxis{}}}};
+  chain_.devices = both;
+  connect();
+  stage_->identify();
+  for (const int silent : {1, 2}) {
+    chain_.devices = both;
+    chain_.devices.erase(silent);
+    const Clock::Instant before = clock_.now();
+    const HaltReport report = stage_->halt_axes();
+    EXPECT_EQ(report.axes[0], silent == 1 ? AxisHalt::kUnreachable : AxisHalt::kHalted) << silent;
+    EXPECT_EQ(report.axes[1], silent == 2 ? AxisHalt::kUnreachable : AxisHalt::kHalted) << silent;
+    EXPECT_LE(clock_.now() - before, kHaltDeadline);
+  }
+}
+
+TEST_F(ZaberAsciiStageTest, EachDeviceOfAChainHasARecipeThatStopsAllOfThem) {
+  chain_.devices = {{1, {FakeAxis{}}}, {2, {FakeAxis{}}}};
+  connect({.axis_names = {"2 1", "1 1"}, .speed_deg_per_s = {}, .address = {}});
+  const auto check = [&] {
+    const std::vector<HaltRecipe> recipes = stage_->halt_recipes();
+    ASSERT_EQ(recipes.size(), 2U);
+    EXPECT_EQ(recipes[0].axes, (std::array{false, true}));
+    EXPECT_EQ(recipes[1].axes, (std::array{true, false}));
+    EXPECT_EQ(recipes[1].questions.at(0).bytes.substr(0, 8), "/2 1 41:");
+    for (const HaltRecipe& recipe : recipes) EXPECT_EQ(recipe.stop.substr(0, 9), "/0 0 stop");
+  };
+  check();
+  stage_->identify();
+  check();
+}
+
+TEST_F(ZaberAsciiStageTest, TheLineIsAskedForTheRotatingAxesOfAllItsDevices) {
+  chain_.devices = {{3, {FakeAxis{}, FakeAxis{}}}, {12, {FakeAxis{}}}};
+  chain_.devices[3][1].rejections["get limit.cycle.dist"] = "BADCOMMAND";
+  EXPECT_THAT(axes_on_line(std::unique_ptr<wire::ByteStream>(owned_.release()), clock_),
+              ::testing::ElementsAre("3 1", "12 1"));
 }
 
 TEST_F(ZaberAsciiStageTest, HaltDoesNotWaitForAQueryUnderWay) {

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "app/bench/bench_config.h"
+#include "drivers/registry.h"
+
+namespace abcal {
+
+/// A stage driver with one controller for both axes, or with two in a daisy chain.
+struct StageVariant {
+  std::string name;  ///< "pi_gcs", "pi_gcs_chain"
+  const StageDriver* driver;
+  std::array<std::string, 2> axis_names = StageSettings{}.axis_names;
+
+  StageSettings settings() const {
+    StageSettings settings;
+    settings.axis_names = axis_names;
+    return settings;
+  }
+  BenchConfig config() const {
+    BenchConfig config;
+    config.stage.driver = driver->name;
+    config.stage.x.axis = axis_names[0];
+    config.stage.z.axis = axis_names[1];
+    return config;
+  }
+  std::unique_ptr<RotationStage> make(std::vector<std::unique_ptr<wire::ByteStream>> streams,
+                                      Clock& clock) const {
+    return driver->make(std::move(streams), clock, settings());
+  }
+};
+
+/// Every stage driver of the registry; those that make daisy chains also with a chain.
+inline const std::vector<StageVariant>& stage_variants() {
+  static const std::vector<StageVariant> all = [] {
+    std::vector<StageVariant> variants;
+    for (const StageDriver& driver : stage_drivers()) variants.push_back({driver.name, &driver});
+    for (const StageDriver& driver : stage_drivers())
+      if (driver.axes_on_line) variants.push_back({driver.name + "_chain", &driver, {"1 1", "2 1"}});
+    return variants;
+  }();
+  return all;
+}
+
+inline const StageVariant& stage_variant(const std::string& name) {
+  for (const StageVariant& variant : stage_variants())
+    if (variant.name == name) return variant;
+  throw std::invalid_argument("no stage driver is called \"" + name + "\"");
+}
+
+inline std::vector<std::string> names_of_stage_variants() {
+  std::vector<std::string> names;
+  for (const StageVariant& variant : stage_variants()) names.push_back(variant.name);
+  return names;
+}
+
+}  // namespace abcal
