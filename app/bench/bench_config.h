@@ -47,6 +47,8 @@ struct StageConfig {
   StageAxisConfig x, z;
 
   bool split() const { return !x.driver.empty() || !z.driver.empty(); }
+  /// An axis states the address of its controller.
+  bool addressed() const { return !x.address.empty() || !z.address.empty(); }
   /// Of two controllers: in a daisy chain, both on one port. TCP port 0, any free one, is another one each
   /// time.
   bool chained() const {

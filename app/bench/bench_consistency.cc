@@ -21,10 +21,33 @@ namespace {
 
 constexpr const char* kPortWords = "a port: a path, usb:VID:PID[:SERIAL], tcp:HOST:PORT, or \"simulated\"";
 
-/// Two controllers on one port: of one maker, in a daisy chain, told apart by their addresses.
+bool makes_daisy_chains(const std::string& driver) {
+  return driver == "pi_gcs" || driver == "zaber_ascii";
+}
+
+/// @param where of the section
+void check_address(TomlReader& reader, const std::string& where, const std::string& driver,
+                   const std::string& address) {
+  if (address.empty() || !makes_daisy_chains(driver)) return;
+  const int last = driver == "pi_gcs" ? 16 : 99;
+  for (int one = 1; one <= last; ++one)
+    if (address == std::to_string(one)) return;
+  reader.add_problem(where + ".address", "\"" + address + "\"", fmt::format("\"1\" to \"{}\"", last));
+}
+
+/// Two controllers on one port, told apart by their addresses.
+void check_addresses(TomlReader& reader, const StageConfig& stage, const std::string& driver) {
+  if (driver == "pi_gcs" && (stage.x.address.empty() || stage.z.address.empty()))
+    reader.add_problem("stage.z.address", "no address of one or both of the controllers on one port",
+                       "address under [stage.x] and [stage.z]");
+  if (stage.x.address == stage.z.address && stage.x.axis == stage.z.axis)
+    reader.add_problem("stage.z.axis", "\"" + stage.z.axis + "\", the same as [stage.x] axis",
+                       "two different axes");
+}
+
+/// Two controllers on one port: of one maker, in a daisy chain.
 void check_chain(TomlReader& reader, const StageConfig& stage) {
-  const bool chains = stage.x.driver == "pi_gcs" || stage.x.driver == "zaber_ascii";
-  if (stage.x.driver != stage.z.driver || !chains) {
+  if (stage.x.driver != stage.z.driver || !makes_daisy_chains(stage.x.driver)) {
     reader.add_problem("stage.z.port", "\"" + stage.z.port + "\", the port of [stage.x]",
                        "another port; or the driver pi_gcs or zaber_ascii for both, in a daisy chain");
     return;
@@ -32,12 +55,19 @@ void check_chain(TomlReader& reader, const StageConfig& stage) {
   if (stage.x.baud != stage.z.baud)
     reader.add_problem("stage.z.baud", "another one than that of [stage.x]",
                        "the same, as both are on one port");
-  if (stage.x.driver == "pi_gcs" && (stage.x.address.empty() || stage.z.address.empty()))
-    reader.add_problem("stage.z.address", "no address of one or both of the controllers on one port",
-                       "address under [stage.x] and [stage.z]");
-  if (stage.x.address == stage.z.address && stage.x.axis == stage.z.axis)
-    reader.add_problem("stage.z.axis", "\"" + stage.z.axis + "\", the same as [stage.x] axis",
-                       "two different axes");
+  check_addresses(reader, stage, stage.x.driver);
+}
+
+/// [stage] has driver and port, and each axis the address of its controller.
+void check_short_chain(TomlReader& reader, const StageConfig& stage) {
+  if (!makes_daisy_chains(stage.driver))
+    reader.add_problem("stage.driver",
+                       "\"" + stage.driver + "\", with an address under [stage.x] or [stage.z]",
+                       "the driver pi_gcs or zaber_ascii, for controllers in a daisy chain");
+  if (!stage.address.empty())
+    reader.add_problem("stage.address", "\"" + stage.address + "\", beside the addresses of the axes",
+                       "an address under [stage], or under [stage.x] and [stage.z]");
+  check_addresses(reader, stage, stage.driver);
 }
 
 /// One controller for both axes, or one for each; a driver that exchanges bytes has a port.
@@ -55,7 +85,10 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
       if (!axis->port.empty())
         reader.add_problem(std::string(section) + ".port", "\"" + axis->port + "\"",
                            "driver and port for both axes, or for neither");
+      check_address(reader, section, stage.driver, axis->address);
     }
+    check_address(reader, "stage", stage.driver, stage.address);
+    if (stage.addressed()) check_short_chain(reader, stage);
     return;
   }
   for (const auto& [key, value] : {std::pair{"driver", stage.driver}, std::pair{"port", stage.port}}) {
@@ -67,6 +100,7 @@ void check_stage_ports(TomlReader& reader, StageConfig& stage) {
     if (axis->driver.empty())
       reader.add_problem(std::string(section) + ".driver", "nothing", "a driver, as the other axis has one");
     if (axis->port.empty()) reader.add_problem(std::string(section) + ".port", "nothing", kPortWords);
+    check_address(reader, section, axis->driver, axis->address);
   }
   if (!stage.x.port.empty() && stage.chained()) check_chain(reader, stage);
 }
@@ -102,7 +136,7 @@ void check_stage_axes(TomlReader& reader, const StageConfig& stage) {
        {std::pair{"stage.x.sign", &stage.x}, std::pair{"stage.z.sign", &stage.z}}) {
     if (axis->sign == 0) reader.add_problem(section, "0", "1 or -1");
   }
-  if (!stage.split() && stage.x.axis == stage.z.axis) {
+  if (!stage.split() && !stage.addressed() && stage.x.axis == stage.z.axis) {
     reader.add_problem("stage.z.axis", "\"" + stage.z.axis + "\", the same as [stage.x] axis",
                        "two different axes");
   }
@@ -255,9 +289,21 @@ void check_notify(TomlReader& reader, const NotifyConfig& notify) {
                        "smtp://HOST[:PORT] or smtps://HOST[:PORT]");
 }
 
+/// @param where of the fault
+void check_lost_controller(TomlReader& reader, const std::string& where, const FaultConfig& fault,
+                           const StageConfig& stage) {
+  if (fault.kind != "lost-controller") return;
+  const StageAxisConfig& axis = fault.axis == "z" ? stage.z : stage.x;
+  const std::string& driver = stage.split() ? axis.driver : stage.driver;
+  if (!makes_daisy_chains(driver))
+    reader.add_problem(where + ".kind", "\"lost-controller\" with the driver \"" + driver + "\"",
+                       "the driver pi_gcs or zaber_ascii; for another: unplug, with its own port");
+}
+
 void check_faults_and_changes(TomlReader& reader, const BenchConfig& c) {
   for (std::size_t i = 0; i < c.faults.size(); ++i) {
     if (c.faults[i].kind.empty()) continue;  // reported already
+    check_lost_controller(reader, fmt::format("fault[{}]", i), c.faults[i], c.stage);
     if (const auto problem = problem_of(c.faults[i]))
       reader.add_problem(fmt::format("fault[{}].kind", i), *problem,
                          "instrument = \"stage\" or \"accelerometer\"");

@@ -381,7 +381,7 @@ bool has_bytes(const std::string& driver) {
 
 std::array<std::string, 2> InstrumentPort::axis_names(const StageConfig& stage) const {
   std::array<std::string, 2> names{stage.x.axis, stage.z.axis};
-  if (stage.chained()) {
+  if (stage.chained() || !stage.split()) {
     if (!stage.x.address.empty()) names[0] = stage.x.address + " " + names[0];
     if (!stage.z.address.empty()) names[1] = stage.z.address + " " + names[1];
   }

@@ -265,6 +265,47 @@ port = "simulated"
   EXPECT_THAT(problems_of(replaced(toml, "address = \"2\"", "address = \"1\"")),
               HasSubstr("two different axes"));
   EXPECT_THAT(problems_of(replaced(toml, "pi_gcs", "newport_esp")), HasSubstr("in a daisy chain"));
+  EXPECT_THAT(problems_of(replaced(toml, "address = \"2\"", "address = \"17\"")),
+              HasSubstr("[stage.z] address: found \"17\"; required: \"1\" to \"16\""));
+}
+
+TEST(BenchConfigTest, TheAxesOfADaisyChainMayHaveOneDriverAndTwoAddresses) {
+  const std::string toml = R"(
+[bench]
+g_loc_mps2 = 9.81
+[stage]
+driver = "zaber_ascii"
+port = "/dev/stage"
+[stage.x]
+address = "2"
+axis = "1"
+[stage.z]
+address = "14"
+axis = "1"
+[accelerometer]
+driver = "microstrain_mip"
+port = "simulated"
+)";
+  const StageConfig stage = parse_bench(toml, "bench.toml").stage;
+  ASSERT_EQ(stage_ports(stage).size(), 1U);
+  EXPECT_THAT(stage_ports(stage)[0].axis_names(stage), testing::ElementsAre("2 1", "14 1"));
+  EXPECT_THAT(problems_of(replaced(toml, "\"14\"", "\"2\"")), HasSubstr("two different axes"));
+  EXPECT_THAT(problems_of(replaced(toml, "\"14\"", "\"100\"")), HasSubstr("required: \"1\" to \"99\""));
+  EXPECT_THAT(problems_of(replaced(toml, "zaber_ascii", "newport_esp")), HasSubstr("in a daisy chain"));
+  EXPECT_THAT(problems_of(replaced(toml, "port = \"/dev/stage\"", "port = \"/dev/stage\"\naddress = \"3\"")),
+              HasSubstr("beside the addresses of the axes"));
+  const std::string pi = replaced(replaced(toml, "zaber_ascii", "pi_gcs"), "address = \"2\"\n", "");
+  EXPECT_THAT(problems_of(pi), HasSubstr("[stage.z] address"));
+}
+
+TEST(BenchConfigTest, AControllerIsLostFromADaisyChainOnly) {
+  const std::string fault = "[[fault]]\nkind = \"lost-controller\"\naxis = \"z\"\n";
+  const std::string toml =
+      "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"pi_gcs\"\nport = \"simulated\"\n"
+      "[accelerometer]\ndriver = \"microstrain_mip\"\nport = \"simulated\"\n" +
+      fault;
+  EXPECT_NO_THROW(parse_bench(toml, "bench.toml"));
+  EXPECT_THAT(problems_of(replaced(toml, "pi_gcs", "newport_esp")), HasSubstr("lost-controller"));
 }
 
 TEST(BenchConfigTest, ASimulatedSensitivityInAnotherUnitIsAProblem) {

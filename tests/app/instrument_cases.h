@@ -37,6 +37,9 @@ inline const std::vector<StageCase>& stages() {
     cases.push_back({"pi_chain",
                      "[stage]\ndriver = \"pi_gcs\"\nport = \"PORT\"\n"
                      "[stage.x]\naxis = \"1 1\"\n[stage.z]\naxis = \"2 1\"\n"});
+    cases.push_back({"zaber_chain",
+                     "[stage]\ndriver = \"zaber_ascii\"\nport = \"PORT\"\n"
+                     "[stage.x]\naxis = \"1 1\"\n[stage.z]\naxis = \"2 1\"\n"});
     cases.push_back({"two_controllers",
                      "[stage.x]\ndriver = \"newport_esp\"\nport = \"PORTX\"\naxis = \"1\"\n"
                      "[stage.z]\ndriver = \"pi_gcs\"\nport = \"PORTZ\"\naxis = \"1\"\n"});

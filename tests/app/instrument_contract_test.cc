@@ -1,12 +1,14 @@
 // The contract of stages and accelerometers on the simulated instruments without bytes, and on each driver of
 // the registry over its simulated firmware, in simulated time.
 
+#include <array>
 #include <string>
 #include <vector>
 
 #include "app/bench/bench_config.h"
 #include "app/bench/make_bench.h"
 #include "drivers/registry.h"
+#include "tests/app/stage_variants.h"
 #include "tests/contract/instrument_contract.h"
 
 namespace abcal::contract {
@@ -16,13 +18,14 @@ bool in_mps2(const std::string& driver) {
   return driver == "iio" || driver == "mavlink" || driver == "vectornav" || driver == "xsens_mti";
 }
 
+/// @param stage  [stage] and its axes, but for the port
 Bench simulated_bench(const std::string& stage, const std::string& accelerometer,
                       const std::string& accelerometer_lines) {
   const std::string matrix =
       in_mps2(accelerometer) ? "sensitivity_matrix = [[9.81, 0.0, 0.0], [0.0, 9.81, 0.0], [0.0, 0.0, 9.81]]\n"
                              : "";
-  return make_bench(parse_bench("[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"" + stage +
-                                    "\"\nport = \"simulated\"\n[accelerometer]\ndriver = \"" + accelerometer +
+  return make_bench(parse_bench("[bench]\ng_loc_mps2 = 9.81\n[stage]\nport = \"simulated\"\n" + stage +
+                                    "[accelerometer]\ndriver = \"" + accelerometer +
                                     "\"\nport = \"simulated\"\n" + accelerometer_lines +
                                     "[simulation]\nnoise = 1e-3\n" + matrix +
                                     "[simulation.x]\ntravel_min_deg = "
@@ -30,19 +33,26 @@ Bench simulated_bench(const std::string& stage, const std::string& accelerometer
                                 "contract"));
 }
 
-StageCase stage_case(const std::string& driver) {
-  return {
-      driver, [driver] {
-        const auto bench = std::make_shared<Bench>(simulated_bench(driver, "simulated", "rate_hz = 100.0\n"));
-        return StageBench{{bench, bench->clock.get()}, {bench, bench->stage.get()}, [bench](StageAxis axis) {
-                            return bench->world->commanded_angle(axis, bench->clock->now());
-                          }};
-      }};
+std::string stage_section(const std::string& driver, const std::array<std::string, 2>& axes) {
+  return "driver = \"" + driver + "\"\n[stage.x]\naxis = \"" + axes[0] + "\"\n[stage.z]\naxis = \"" +
+         axes[1] + "\"\n";
+}
+
+StageCase stage_case(const std::string& name, const std::string& section) {
+  return {name, [section] {
+            const auto bench =
+                std::make_shared<Bench>(simulated_bench(section, "simulated", "rate_hz = 100.0\n"));
+            return StageBench{
+                {bench, bench->clock.get()}, {bench, bench->stage.get()}, [bench](StageAxis axis) {
+                  return bench->world->commanded_angle(axis, bench->clock->now());
+                }};
+          }};
 }
 
 AccelerometerCase accelerometer_case(const std::string& driver, const std::string& lines) {
   return {driver, [driver, lines] {
-            const auto bench = std::make_shared<Bench>(simulated_bench("simulated", driver, lines));
+            const auto bench =
+                std::make_shared<Bench>(simulated_bench("driver = \"simulated\"\n", driver, lines));
             return AccelerometerBench{{bench, bench->clock.get()},
                                       {bench, bench->accelerometer.get()},
                                       Eigen::Vector3d(0.0, 0.0, in_mps2(driver) ? 9.81 : 1.0)};
@@ -50,8 +60,9 @@ AccelerometerCase accelerometer_case(const std::string& driver, const std::strin
 }
 
 std::vector<StageCase> stage_cases() {
-  std::vector<StageCase> cases{stage_case("simulated")};
-  for (const StageDriver& driver : stage_drivers()) cases.push_back(stage_case(driver.name));
+  std::vector<StageCase> cases{stage_case("simulated", "driver = \"simulated\"\n")};
+  for (const StageVariant& stage : stage_variants())
+    cases.push_back(stage_case(stage.name, stage_section(stage.driver->name, stage.axis_names)));
   return cases;
 }
 

@@ -87,7 +87,8 @@ INSTANTIATE_TEST_SUITE_P(
     EachDriver, WiredInstruments,
     testing::Values(Wired{"pi_gcs", "vectornav", true}, Wired{"newport_esp", "xsens_mti"},
                     Wired{"zaber_ascii", "scpi_voltmeter", true}, Wired{"two_controllers", "witmotion"},
-                    Wired{"pi_gcs", "text_line"}, Wired{"newport_esp", "microstrain_mip"}),
+                    Wired{"pi_gcs", "text_line"}, Wired{"newport_esp", "microstrain_mip"},
+                    Wired{"zaber_chain", "microstrain_mip"}, Wired{"pi_chain", "mavlink", true}),
     [](const auto& pair) {
       return pair.param.stage + "_with_" + pair.param.accelerometer + (pair.param.tcp ? "_tcp" : "_terminal");
     });

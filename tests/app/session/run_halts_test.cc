@@ -3,13 +3,18 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <condition_variable>
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
+#include <tuple>
 #include <utility>
+#include <vector>
 
 #include "app/bench/real_clock.h"
 #include "app/bench/stage_watchdog.h"
@@ -122,6 +127,83 @@ TEST_P(LostControllerTest, TheOtherAxisIsHaltedAtOnceAndTheRunFileSaysWhatBecame
 
 INSTANTIATE_TEST_SUITE_P(EachAxis, LostControllerTest, testing::ValuesIn(kStageAxes),
                          [](const auto& axis) { return std::string(to_string(axis.param)); });
+
+/// Two controllers in a daisy chain, one of which is cut off while the axis of the other turns.
+class LostInAChainTest : public testing::TestWithParam<std::tuple<std::string, StageAxis>> {
+ protected:
+  Bench open(const BenchConfig& config, BenchStreams streams) {
+    Bench bench = make_bench(config, std::move(streams));
+    stage = bench.stage.get();
+    clock = bench.clock.get();
+    world = bench.world;
+    return bench;
+  }
+
+  /// Begins to turn the axis that is left, 150 degrees away, and cuts off the controller of the other one.
+  void cut_off(StageAxis lost, StageAxis left) {
+    world->set_motion_limits(left, {.speed_deg_per_s = 10.0, .acceleration_deg_per_s2 = 100.0});
+    turned_from = world->commanded_angle(left, clock->now());
+    const double away = turned_from.deg() > 0.0 ? -150.0 : 150.0;
+    stage->move_to(left, turned_from + Angle::degrees(away));
+    world->inject({.kind = sim::FaultKind::kLostController, .at = clock->now(), .axis = lost});
+    cut = clock->now();
+  }
+
+  test::TemporaryFolder folder;
+  RotationStage* stage = nullptr;
+  Clock* clock = nullptr;
+  std::shared_ptr<sim::SimBench> world;
+  Angle turned_from;
+  std::optional<Clock::Instant> cut;
+};
+
+TEST_P(LostInAChainTest, TheOtherAxisIsHaltedAndTheRunFileSaysWhatBecameOfEach) {
+  const std::string& name = std::get<0>(GetParam());
+  const StageAxis lost = std::get<1>(GetParam());
+  const StageAxis left = lost == StageAxis::kX ? StageAxis::kZ : StageAxis::kX;
+  const int experiment =
+      lost == StageAxis::kX ? 1 : 3;  // One in which the run commands only the axis that is lost.
+  const auto chain =
+      std::find_if(stages().begin(), stages().end(), [&](const StageCase& one) { return one.name == name; });
+  std::size_t measured_there = 0;
+  std::vector<PlannedAngle> plan;
+  RunSession::Options options;
+  options.open_bench = [this](const BenchConfig& config, BenchStreams streams) {
+    return open(config, std::move(streams));
+  };
+  options.listener = [&](const SessionEvent& event) {
+    if (const auto* began = std::get_if<RunBeganEvent>(&event)) plan = began->plan;
+    const auto* phase = std::get_if<PhaseEvent>(&event);
+    if (phase != nullptr && phase->phase == RunPhase::kMoving && !cut &&
+        plan.at(phase->position).experiment == experiment && ++measured_there == 3) {
+      cut_off(lost, left);
+    }
+  };
+  RunSession session(std::move(options));
+  const std::string bench =
+      bench_text(*chain, accelerometers().front(), "simulated", "simulated", "simulated", "simulated");
+  const std::string each = lost == StageAxis::kX ? "axis X: unreachable, may be moving; axis Z: halted"
+                                                 : "axis X: halted; axis Z: unreachable, may be moving";
+  try {
+    session.start({bench, "bench.toml", (folder / "a.run").string(), false});
+    FAIL() << "the run did not end";
+  } catch (const InstrumentError& error) {
+    EXPECT_EQ(error.fault(), Fault::kNoReply) << error.what();
+    EXPECT_THAT(error.what(), AllOf(HasSubstr(each), HasSubstr("stop it by its own switch")));
+  }
+  ASSERT_TRUE(cut);
+  EXPECT_THAT(RunFile::load(folder / "a.run").events.back().text, HasSubstr(each));
+  // The driver's patience with a silent controller, twice 2 s, at 10 deg/s; not the 150 degrees.
+  EXPECT_LT(std::abs((world->commanded_angle(left, *cut + 1h) - turned_from).deg()), 60.0);
+}
+
+INSTANTIATE_TEST_SUITE_P(EachChain, LostInAChainTest,
+                         testing::Combine(testing::Values("pi_chain", "zaber_chain"),
+                                          testing::ValuesIn(kStageAxes)),
+                         [](const auto& one) {
+                           return std::get<0>(one.param) + "_" +
+                                  std::string(to_string(std::get<1>(one.param)));
+                         });
 
 /// Hangs in the middle of a move until it is halted; then its exchange fails because of the halt, as a
 /// driver's does.
