@@ -10,6 +10,7 @@
 #include <memory>
 #include <random>
 #include <regex>
+#include <stdexcept>
 #include <thread>
 
 #include "app/console/bench_service.h"
@@ -250,8 +251,13 @@ class KilledConsoleTest : public KillTest {
       kept = measured(only_run());
       EXPECT_FALSE(control->anything_moves());
       ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
-      page->wait_for([](const Json& m) { return m["type"] == "snapshot" && m["run"].is_object(); },
-                     "the run");
+      page->wait_for(
+          [](const Json& m) {
+            if (m["type"] == "log" && m["line"]["grade"] == "problem")
+              throw std::runtime_error(m["line"]["text"].get<std::string>());
+            return m["type"] == "snapshot" && m["run"].is_object();
+          },
+          "the run");
     }
     ASSERT_TRUE(page->ok({{"do", "stop"}}));
     fmt::print("{} killed holders: the stage stood still after {} ms at the latest\n", times,
