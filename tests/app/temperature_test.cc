@@ -168,62 +168,6 @@ TEST_F(TemperatureTest, APlanOutOfReachEndsBeforeAnythingHeats) {
   EXPECT_EQ(run_files(), 0U);
 }
 
-/// What a Modbus master of others reads of an emulated chamber.
-class ModbusMasterTest : public TemperatureTest {
- protected:
-  void SetUp() override {
-    if (!std::filesystem::exists(kMaster)) GTEST_SKIP() << "mbpoll is not installed (scripts/setup --tests)";
-  }
-  /// @return the port of the emulated chamber
-  std::string emulate(const std::string& model) {
-    SeriesText text;
-    text.chamber = fmt::format(
-        "driver = \"watlow_f4\"\nport = \"tcp:127.0.0.1:0\"\nmodel = \"{}\"\ndry_gas = true\n", model);
-    test::write_file(folder / "bench.toml", text.text());
-    emulator_ = std::make_unique<Program>(std::vector<std::string>{"emulate", "bench.toml"}, folder.path());
-    const std::string begin = "chamber: watlow_f4 on tcp:127.0.0.1:";
-    test::wait_for(
-        [&] { return emulator_->out().find("Serving") != std::string::npos || !emulator_->running(); }, 20s);
-    const std::string out = emulator_->out();
-    const std::size_t at = out.find(begin);
-    EXPECT_NE(at, std::string::npos) << out << emulator_->err();
-    return at == std::string::npos ? ""
-                                   : out.substr(at + begin.size(), out.find('\n', at) - at - begin.size());
-  }
-  std::string ask(const std::string& port, const std::vector<std::string>& what,
-                  const std::string& value = "") {
-    std::vector<std::string> arguments{"-m", "tcp", "-p", port, "-a", "1", "-0", "-1", "-q"};
-    arguments.insert(arguments.end(), what.begin(), what.end());
-    arguments.emplace_back("127.0.0.1");
-    if (!value.empty()) arguments.push_back(value);
-    Program program(kMaster, arguments, folder.path());
-    const int code = program.wait();
-    return program.out() + program.err() + fmt::format("exit code {}", code);
-  }
-  static constexpr const char* kMaster = "/usr/bin/mbpoll";
-  std::unique_ptr<Program> emulator_;
-};
-
-TEST_F(ModbusMasterTest, ReadsAndWritesAnF4t) {
-  const std::string port = emulate("F4T");
-  ASSERT_FALSE(port.empty());
-  EXPECT_THAT(ask(port, {"-r", "2820", "-t", "4:float"}),
-              AllOf(HasSubstr("[2820]: \t23"), HasSubstr("exit code 0")));
-  EXPECT_THAT(ask(port, {"-r", "2774", "-t", "4:float"}), HasSubstr("-70"));
-  EXPECT_THAT(ask(port, {"-r", "1328", "-t", "4"}), HasSubstr("15"));
-  EXPECT_THAT(ask(port, {"-r", "2794", "-t", "4"}, "85"), HasSubstr("exit code 0"));
-  EXPECT_THAT(ask(port, {"-r", "2794", "-t", "4"}), HasSubstr("85"));
-  EXPECT_THAT(ask(port, {"-r", "3", "-t", "4"}), HasSubstr("Illegal data address"));
-}
-
-TEST_F(ModbusMasterTest, ReadsAnF4) {
-  const std::string port = emulate("F4");
-  ASSERT_FALSE(port.empty());
-  EXPECT_THAT(ask(port, {"-r", "100", "-t", "4"}), HasSubstr("230"));
-  EXPECT_THAT(ask(port, {"-r", "606", "-t", "4"}), HasSubstr("[606]: \t1"));
-  EXPECT_THAT(ask(port, {"-r", "300", "-t", "4"}, "9999"), HasSubstr("Illegal data value"));
-}
-
 /// A series over the emulator, in real time, that is killed in the middle of a motion.
 class KilledSeriesTest : public TemperatureTest {
  protected:
@@ -281,7 +225,9 @@ class KilledSeriesTest : public TemperatureTest {
     return Json::parse(line);
   }
 
-  static bool stage_moves(const Json& status) { return status["x"]["moving"].get<bool>() || status["z"]["moving"].get<bool>(); }
+  static bool stage_moves(const Json& status) {
+    return status["x"]["moving"].get<bool>() || status["z"]["moving"].get<bool>();
+  }
 
   /// Kills a series while the stage moves and the chamber has its set point, and waits for the guard.
   std::string kill_one() {
