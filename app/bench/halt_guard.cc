@@ -19,6 +19,7 @@
 
 #include "app/system/detached_process.h"
 #include "app/system/helper_program.h"
+#include "drivers/instrument/rotation_stage.h"
 #include "drivers/wire/halt_recipe.h"
 
 namespace abcal {
@@ -28,7 +29,7 @@ using Json = nlohmann::json;
 
 /// A packet of the socket; recipes are a few hundred bytes each.
 constexpr std::size_t kLongestPacket = 64 * 1024;
-constexpr int kAnswerTime_ms = 5000;
+constexpr int kAnswerTimeMs = 5000;
 /// The guard tries so long to have the halt acknowledged.
 constexpr std::chrono::seconds kHaltTime{20};
 
@@ -158,7 +159,7 @@ void HaltGuard::end() {
   const std::vector<std::uint8_t> at_rest = Json::to_msgpack({{"at_rest", true}});
   if (::send(socket_, at_rest.data(), at_rest.size(), MSG_NOSIGNAL) > 0) {
     pollfd ended{.fd = socket_, .events = POLLIN, .revents = 0};
-    ::poll(&ended, 1, kAnswerTime_ms);  // So that the next owner finds the ports free.
+    ::poll(&ended, 1, kAnswerTimeMs);  // So that the next owner finds the ports free.
   }
   collect();
 }
@@ -190,7 +191,7 @@ void HaltGuard::hold(const GuardedPort& port, int descriptor) {
   (void)generation();
   pollfd answer{.fd = socket_, .events = POLLIN, .revents = 0};
   char taken = 0;
-  if (!send_packet(socket_, packet_of(port), descriptor) || ::poll(&answer, 1, kAnswerTime_ms) != 1 ||
+  if (!send_packet(socket_, packet_of(port), descriptor) || ::poll(&answer, 1, kAnswerTimeMs) != 1 ||
       ::recv(socket_, &taken, 1, 0) != 1)
     throw std::runtime_error(fmt::format("the guard did not take over {}", port.name));
 }

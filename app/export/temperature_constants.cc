@@ -58,7 +58,7 @@ void fit_matrix(TemperatureConstants& c) {
   for (int n = 0; n <= kSteps; ++n) {
     const double degc = c.least_degc + (c.most_degc - c.least_degc) * n / kSteps;
     const Eigen::Matrix3d unit =
-        c.M_at(degc) * sensitivity_at(c.outputs, degc - c.reference_degc) / c.g_loc_mps2;
+        c.matrix_at(degc) * sensitivity_at(c.outputs, degc - c.reference_degc) / c.g_loc_mps2;
     c.largest_error = std::max(c.largest_error, (unit - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff());
   }
 }
@@ -92,7 +92,7 @@ Json json_of(const TemperaturePolynomial& p) {
 
 }  // namespace
 
-Eigen::Matrix3d TemperatureConstants::M_at(double degc) const {
+Eigen::Matrix3d TemperatureConstants::matrix_at(double degc) const {
   Eigen::Matrix3d matrix;
   for (std::size_t k = 0; k < M.size(); ++k)
     matrix(static_cast<Eigen::Index>(k / 3), static_cast<Eigen::Index>(k % 3)) =
@@ -100,7 +100,7 @@ Eigen::Matrix3d TemperatureConstants::M_at(double degc) const {
   return matrix;
 }
 
-Eigen::Vector3d TemperatureConstants::b_at(double degc) const {
+Eigen::Vector3d TemperatureConstants::offset_at(double degc) const {
   Eigen::Vector3d bias;
   for (std::size_t j = 0; j < 3; ++j)
     bias[static_cast<Eigen::Index>(j)] = outputs.at(kFirstOffset + j).at(degc - reference_degc);

@@ -27,8 +27,8 @@ struct TemperatureConstants {
   // For the heading of a file.
   std::string item, source, performed, verdict;
 
-  Eigen::Matrix3d M_at(double degc) const;
-  Eigen::Vector3d b_at(double degc) const;
+  Eigen::Matrix3d matrix_at(double degc) const;
+  Eigen::Vector3d offset_at(double degc) const;
 };
 
 /// @param g_loc_mps2  of the runs

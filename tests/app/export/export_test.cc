@@ -325,7 +325,7 @@ TEST_F(ExportOverTemperatureTest, TheConstantsTurnReadingsIntoLocalGravityAtEver
   EXPECT_LT(c.largest_error, 1e-6);
   EXPECT_GT(c.largest_error, 0.0) << "an inverse is no polynomial";
   EXPECT_LT(worst([&](const Eigen::Vector3d& r, double degc) -> Eigen::Vector3d {
-              return c.M_at(degc) * (r - c.b_at(degc));
+              return c.matrix_at(degc) * (r - c.offset_at(degc));
             }),
             3e-5);  // 3 times the 1e-6 of the points' own uncertainty.
 }
