@@ -38,7 +38,7 @@ constexpr std::size_t kDeviceBuffer = 4096;
 constexpr int kWaitingClients = 16;
 constexpr int kMostSessions = 100;
 // The loop looks up this often even if nothing is due.
-constexpr Clock::Duration kLongestWait = std::chrono::milliseconds(500);
+constexpr Clock::Duration kLongestWait = std::chrono::milliseconds(50);
 
 class FileDescriptor {
  public:

@@ -57,7 +57,7 @@ FaultKind fault_kind(std::string_view name) {
 
 FaultyStream::FaultyStream(std::unique_ptr<wire::ByteStream> inner, Clock& clock,
                            std::vector<WireFault> faults, std::uint64_t seed, LinkTiming timing)
-    : inner_(std::move(inner)), clock_(clock), seed_(seed), timing_(timing) {
+    : inner_(std::move(inner)), clock_(clock), seed_(seed), timing_(timing), last_look_(clock.now()) {
   if (timing.latency < Clock::Duration::zero() || timing.jitter < Clock::Duration::zero())
     throw std::invalid_argument("faulty stream: latency and jitter must not be negative");
   for (WireFault& fault : faults) add(std::move(fault));
@@ -89,9 +89,17 @@ void FaultyStream::on_power(std::function<void(bool)> power) {
 }
 
 void FaultyStream::follow_power() {
+  const Clock::Instant last_look = std::exchange(last_look_, clock_.now());
   const bool on = active(FaultKind::kPowerCycle) == nullptr;
-  if (std::exchange(powered_, on) == on || !power_) return;
+  // The power may have gone and come back while nobody looked.
+  const bool was_off = powered_ && std::any_of(faults_.begin(), faults_.end(), [&](const WireFault& fault) {
+                         return fault.kind == FaultKind::kPowerCycle && fault.at && *fault.at >= last_look &&
+                                fault.until && *fault.until > *fault.at && *fault.until <= last_look_;
+                       });
+  const bool changed = std::exchange(powered_, on) != on;
+  if (!power_ || (!changed && !was_off)) return;
   held_.clear();
+  if (!changed) power_(false);
   power_(on);
 }
 

@@ -98,8 +98,9 @@ class FaultyStream final : public wire::ByteStream {
   std::size_t dropped_bytes() const override { return inner_->dropped_bytes(); }
   std::string name() const override { return inner_->name(); }
 
-  /// `power` is told when kPowerCycle begins (false) and ends (true), in the thread that uses the stream. A
-  /// stream without it treats kPowerCycle as kUnplug.
+  /// `power` is told when kPowerCycle begins (false) and ends (true), in the thread that uses the stream; at
+  /// its next use of both, if it did not use it meanwhile. A stream without `power` treats kPowerCycle as
+  /// kUnplug.
   void on_power(std::function<void(bool on)> power);
 
   void add(WireFault fault);
@@ -132,6 +133,7 @@ class FaultyStream final : public wire::ByteStream {
   std::vector<Held> held_;
   std::function<void(bool)> power_;
   bool powered_ = true;
+  Clock::Instant last_look_;  ///< At the power.
   mutable std::recursive_mutex mutex_;
 };
 

@@ -1,6 +1,7 @@
 #include "protocol/record/sqlite.h"
 
 #include <cmath>
+#include <utility>
 
 namespace abcal {
 
@@ -28,10 +29,31 @@ std::string explain_sqlite_error(const std::string& file, int code, std::string_
   }
 }
 
-SqliteStatement::SqliteStatement(sqlite3* database, const std::string& file, std::string_view sql)
-    : database_(database), file_(file) {
-  sqlite3_stmt* statement = nullptr;
-  check(sqlite3_prepare_v2(database, sql.data(), static_cast<int>(sql.size()), &statement, nullptr));
+IdleStatements::~IdleStatements() {
+  for (const auto& [sql, statement] : idle_) sqlite3_finalize(statement);
+}
+
+sqlite3_stmt* IdleStatements::take(const std::string& sql) {
+  const auto found = idle_.find(sql);
+  if (found == idle_.end()) return nullptr;
+  sqlite3_stmt* statement = found->second;
+  idle_.erase(found);
+  return statement;
+}
+
+void IdleStatements::put(const std::string& sql, sqlite3_stmt* statement) {
+  sqlite3_reset(statement);
+  sqlite3_clear_bindings(statement);
+  if (!idle_.emplace(sql, statement).second) sqlite3_finalize(statement);
+}
+
+SqliteStatement::SqliteStatement(sqlite3* database, std::shared_ptr<IdleStatements> idle,
+                                 const std::string& file, std::string_view sql)
+    : database_(database), file_(file), handle_(nullptr, PutBack{std::move(idle), std::string(sql)}) {
+  sqlite3_stmt* statement = handle_.get_deleter().idle->take(handle_.get_deleter().sql);
+  if (statement == nullptr)
+    check(sqlite3_prepare_v3(database, sql.data(), static_cast<int>(sql.size()), SQLITE_PREPARE_PERSISTENT,
+                             &statement, nullptr));
   handle_.reset(statement);
 }
 

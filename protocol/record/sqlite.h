@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -21,10 +22,28 @@ class RunFileError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// Statements of one database that are prepared and not in use, by their text. To prepare one takes longer
+/// than most of them run.
+class IdleStatements {
+ public:
+  IdleStatements() = default;
+  IdleStatements(const IdleStatements&) = delete;
+  IdleStatements& operator=(const IdleStatements&) = delete;
+  ~IdleStatements();
+  /// Nullptr: none of that text.
+  sqlite3_stmt* take(const std::string& sql);
+  /// Resets it, so that it holds no lock and no value; finalises it if there is one of that text already.
+  void put(const std::string& sql, sqlite3_stmt* statement);
+
+ private:
+  std::map<std::string, sqlite3_stmt*> idle_;
+};
+
 /// One prepared statement, reset after each use. Bind with 1-based positions as SQLite does.
 class SqliteStatement {
  public:
-  SqliteStatement(sqlite3* database, const std::string& file, std::string_view sql);
+  SqliteStatement(sqlite3* database, std::shared_ptr<IdleStatements> idle, const std::string& file,
+                  std::string_view sql);
 
   SqliteStatement& bind(int position, std::int64_t value);
   SqliteStatement& bind(int position, double value);  ///< A value that is not finite is stored as NULL.
@@ -70,12 +89,14 @@ class SqliteStatement {
   int parameter_index(const std::string& parameter) const;
   void check(int code) const;
 
-  struct Finalise {
-    void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+  struct PutBack {
+    std::shared_ptr<IdleStatements> idle;
+    std::string sql;
+    void operator()(sqlite3_stmt* statement) const { idle->put(sql, statement); }
   };
   sqlite3* database_;
   std::string file_;
-  std::unique_ptr<sqlite3_stmt, Finalise> handle_;
+  std::unique_ptr<sqlite3_stmt, PutBack> handle_;
 };
 
 /// An open SQLite database that says which file failed and how. One thread at a time may use it and its
@@ -90,7 +111,7 @@ class SqliteDatabase {
   void execute(const std::string& sql);
   /// As execute(), but returns false if another connection prevents it.
   bool execute_unless_busy(const std::string& sql);
-  SqliteStatement prepare(std::string_view sql) { return {handle_.get(), file_, sql}; }
+  SqliteStatement prepare(std::string_view sql) { return {handle_.get(), idle_, file_, sql}; }
   /// The first column of the first row of a query; nothing if there is no row.
   std::optional<std::string> value(std::string_view sql);
   bool has_table(std::string_view name);
@@ -103,6 +124,7 @@ class SqliteDatabase {
   };
   std::string file_;
   std::unique_ptr<sqlite3, Close> handle_;
+  std::shared_ptr<IdleStatements> idle_ = std::make_shared<IdleStatements>();
 };
 
 /// "insert into TABLE(a, b) values(:a, :b)": columns by name, whatever their order in the table.

@@ -178,5 +178,17 @@ TEST_F(FaultyStreamTest, APowerCycleIsALostLinkAndTellsTheInstrument) {
   EXPECT_EQ(told[1], std::pair(true, begin + seconds(5)));
 }
 
+TEST_F(FaultyStreamTest, APowerCycleThatNobodySawIsOneAllTheSame) {
+  std::vector<bool> told;
+  with({.kind = FaultKind::kPowerCycle, .at = clock.now() + seconds(2), .until = clock.now() + seconds(5)});
+  stream->on_power([&](bool on) { told.push_back(on); });
+  stream->write("x");
+  EXPECT_TRUE(told.empty());
+  clock.sleep_until(clock.now() + seconds(7));
+  stream->write("x");
+  stream->write("x");
+  EXPECT_EQ(told, (std::vector{false, true}));
+}
+
 }  // namespace
 }  // namespace abcal::sim
