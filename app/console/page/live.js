@@ -209,7 +209,7 @@ export class LiveView {
 
   checks(findings) {
     byId('checks').replaceChildren(table(t('Checks of the bench and their findings'), [t('Check'), t('Grade'), t('Found'), t('Advice')],
-      findings.map((f) => [said(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), said(f.found), said(f.advice)])));
+      findings.map((f) => [said(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), said(f.found), f.advice ? said(f.advice) : ''])));
   }
 
   // One part in a frame, each at most ten times a second: the page can be used however fast messages come.

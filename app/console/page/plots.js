@@ -21,7 +21,7 @@ export function repaint() {
     for (const set of chart.data.datasets) {
       for (const [name, colour] of Object.entries(coloursOf(set.output))) if (typeof set[name] !== 'function') set[name] = colour;
     }
-    chart.update('none');
+    chart.update();  // Without animation; the mode 'none' would leave the markers as they are.
   }
 }
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);

@@ -195,6 +195,13 @@ const settled = (viewport, colorScheme) => page.waitForFunction(([{width, height
     && [...document.querySelectorAll('canvas')].every((canvas) => !canvas.checkVisibility() || fits(canvas));
 }, [viewport, colorScheme]);
 
+// The lines of plots whose markers have another colour: that of the scheme before.
+const strangeMarkers = () => page.evaluate(() => Object.values(Chart.instances).flatMap((chart) => chart.data.datasets
+  .filter((set, i) => {
+    const marker = chart.getDatasetMeta(i).data[0]?.options;
+    return marker && typeof set.pointBackgroundColor === 'string' && marker.backgroundColor !== set.pointBackgroundColor;
+  }).map((set) => `${chart.canvas.id}: ${set.label}`)));
+
 // At each size, light and dark: nothing sticks out, is cut off or moves by itself, axe finds nothing, and a picture is kept. Axe
 // takes most of the time: it looks where the arrangement differs, and for colours alone where only they do.
 export async function look(name) {
@@ -210,6 +217,7 @@ export async function look(name) {
         assert.deepEqual(await lost(), [], where);
         assert.equal(await page.evaluate(() => document.getAnimations().length), 0, `${where}: nothing moves by itself`);
         assert.deepEqual(await unitless(), [], where);
+        assert.deepEqual(await strangeMarkers(), [], where);
         if (colorScheme === 'dark' && size === 'desk') assert.deepEqual(await barriers(page, ['color-contrast']), [], where);
         else if (['desk', 'narrow'].includes(size)) assert.deepEqual(await barriers(), [], where);
       });
