@@ -88,26 +88,6 @@ StoredRun load_first_whole_item(const std::filesystem::path& path) {
   return whole == run.item ? run : RunFile::load(path, whole);
 }
 
-Json summary_of(const std::string& name, const StoredRun& run) {
-  const RunHeader& header = run.header;
-  Json json = {{"name", name},
-               {"state", to_string(run.state)},
-               {"created_utc", header.created_utc},
-               {"item", serial_number_of(header)},
-               {"items", items_of(run)},
-               {"maker", label_of(header.labels, "item.maker")},
-               {"model", label_of(header.labels, "item.model")},
-               {"bench", label_of(header.labels, "bench.name")},
-               {"operator", describe(operators_of(run))},
-               {"unit", header.response_unit},
-               {"measured", run.measured.size()},
-               {"planned", header.plan.size()},
-               {"duration_s", run.timing.total_s()},
-               {"simulated", simulated_of(header)},
-               {"verdict", ""}};
-  return json;
-}
-
 /// The verdict of the estimator that was chosen for a run, as it was kept when the run was closed; empty: it
 /// is not analysed, or its results cannot be read.
 std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator) {
@@ -124,6 +104,11 @@ std::string kept_verdict(const std::filesystem::path& path, const std::string& e
 
 constexpr std::array<std::string_view, 9> kCharted{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
                                                    "phi_wu", "O_u", "O_v", "O_w"};
+
+/// Of what json_number() wrote.
+double number_from(const Json& json) {
+  return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
+}
 
 /// The limits of a chart of single values; null where there are too few.
 Json limits_of(const Json& runs) {
@@ -143,6 +128,63 @@ Json limits_of(const Json& runs) {
 
 }  // namespace
 
+RunLibrary::Summary RunLibrary::summary_of(const StoredRun& run) {
+  const RunHeader& header = run.header;
+  Summary summary;
+  summary.state = to_string(run.state);
+  summary.created_utc = header.created_utc;
+  summary.item = serial_number_of(header);
+  if (const Json items = items_of(run); !items.empty()) summary.items = items.dump();
+  summary.maker = label_of(header.labels, "item.maker");
+  summary.model = label_of(header.labels, "item.model");
+  summary.bench = label_of(header.labels, "bench.name");
+  summary.operators = describe(operators_of(run));
+  summary.unit = header.response_unit;
+  summary.measured = run.measured.size();
+  summary.planned = header.plan.size();
+  summary.duration_s = run.timing.total_s();
+  summary.simulated = simulated_of(header);
+  return summary;
+}
+
+Json RunLibrary::to_json(const std::string& name, const Summary& summary) {
+  return {{"name", name},
+          {"state", summary.state},
+          {"created_utc", summary.created_utc},
+          {"item", summary.item},
+          {"items", summary.items.empty() ? Json::array() : Json::parse(summary.items)},
+          {"maker", summary.maker},
+          {"model", summary.model},
+          {"bench", summary.bench},
+          {"operator", summary.operators},
+          {"unit", summary.unit},
+          {"measured", summary.measured},
+          {"planned", summary.planned},
+          {"duration_s", json_number(summary.duration_s)},
+          {"simulated", summary.simulated},
+          {"verdict", summary.verdict}};
+}
+
+RunLibrary::Summary RunLibrary::summary_from(const Json& kept) {
+  const auto text = [&kept](const char* key) { return kept.at(key).get<std::string>(); };
+  Summary summary;
+  summary.state = text("state");
+  summary.created_utc = text("created_utc");
+  summary.item = text("item");
+  if (const Json& items = kept.at("items"); !items.empty()) summary.items = items.dump();
+  summary.maker = text("maker");
+  summary.model = text("model");
+  summary.bench = text("bench");
+  summary.operators = text("operator");
+  summary.unit = text("unit");
+  summary.measured = kept.at("measured").get<std::size_t>();
+  summary.planned = kept.at("planned").get<std::size_t>();
+  summary.duration_s = number_from(kept.at("duration_s"));
+  summary.simulated = text("simulated");
+  summary.verdict = text("verdict");
+  return summary;
+}
+
 RunLibrary::RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)) {
   read_summaries();
 }
@@ -160,8 +202,7 @@ void RunLibrary::read_summaries() {
       entry.time = std::filesystem::file_time_type(
           std::filesystem::file_time_type::duration(kept.at("time").get<std::int64_t>()));
       entry.size = kept.at("size").get<std::uintmax_t>();
-      entry.summary = kept.at("summary");
-      if (!entry.summary.is_object()) continue;
+      entry.summary = summary_from(kept.at("summary"));
       entry.estimator = kept.at("estimator").get<std::string>();
       if (kept.contains("charted")) entry.charted = charted_from(kept.at("charted"));
       entry.closed = true;
@@ -181,7 +222,7 @@ void RunLibrary::keep_summaries() {
     kept = {{"time", entry.time.time_since_epoch().count()},
             {"size", entry.size},
             {"estimator", entry.estimator},
-            {"summary", entry.summary}};
+            {"summary", to_json(name, entry.summary)}};
     if (entry.charted) kept["charted"] = to_json(*entry.charted);
   }
   const Json json = {{"program", program_version()}, {"format", kSummaryFormat}, {"runs", std::move(runs)}};
@@ -235,7 +276,7 @@ RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
   if (known.closed && known.time == time && known.size == size) return known;
   const StoredRun run = RunFile::load(path);
   const bool closed = run.state == RunState::kComplete || run.state == RunState::kAbandoned;
-  known = {time, size, summary_of(name, run), closed, std::nullopt};
+  known = {time, size, summary_of(run), closed, std::nullopt};
   known.estimator = declared_estimator(run.record).name;
   have_new_ = have_new_ || closed;
   return known;
@@ -243,13 +284,13 @@ RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
 
 /// Of a closed run, unless it is known, or its results have none.
 void RunLibrary::find_verdict(const std::string& name, Entry& known) {
-  if (!known.closed || !known.summary.value("verdict", "").empty()) return;
+  if (!known.closed || !known.summary.verdict.empty()) return;
   std::error_code ignored;
   const auto time = std::filesystem::last_write_time(ResultsFile::path_beside(folder_ / name), ignored);
   if (known.results_time == time) return;
   known.results_time = time;
-  known.summary["verdict"] = kept_verdict(folder_ / name, known.estimator);
-  have_new_ = have_new_ || known.summary["verdict"] != "";
+  known.summary.verdict = kept_verdict(folder_ / name, known.estimator);
+  have_new_ = have_new_ || !known.summary.verdict.empty();
 }
 
 Json RunLibrary::list(std::chrono::milliseconds patience) {
@@ -267,7 +308,7 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
       // Not so where the program ended in between; resuming the run analyses it.
       const bool analysed = std::filesystem::exists(ResultsFile::path_beside(folder_ / name));
       if (analysed) find_verdict(name, known);
-      Json summary = known.summary;
+      Json summary = to_json(name, known.summary);
       summary["analysed"] = analysed;
       list.push_back(std::move(summary));
     } catch (const RunFileError& error) {
@@ -286,7 +327,7 @@ Json RunLibrary::list(std::chrono::milliseconds patience) {
 
 Json RunLibrary::result(const std::filesystem::path& path, int item) {
   const StoredRun run = item == 0 ? load_first_whole_item(path) : RunFile::load(path, item);
-  Json json = {{"run", summary_of(path.filename().string(), run)}};
+  Json json = {{"run", to_json(path.filename().string(), summary_of(run))}};
   json["item"] = run.item;
   json["program_version"] = run.header.program_version;
   json["timing"] = {{"moving_s", run.timing.moving_s},
@@ -358,13 +399,10 @@ Json RunLibrary::to_json(const Charted& charted) {
 }
 
 RunLibrary::Charted RunLibrary::charted_from(const Json& kept) {
-  const auto number = [](const Json& json) {
-    return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
-  };
   Charted charted{kept.at("verdict").get<std::string>(), {}};
   for (std::size_t i = 0; i < charted.values.size(); ++i) {
     const Json& each = kept.at("values").at(i);
-    charted.values[i] = {number(each.at(0)), number(each.at(1)), each.at(2).get<std::string>()};
+    charted.values[i] = {number_from(each.at(0)), number_from(each.at(1)), each.at(2).get<std::string>()};
   }
   return charted;
 }
@@ -379,12 +417,11 @@ std::optional<Json> RunLibrary::point_of_chart(const std::string& name, const st
   {
     const std::lock_guard lock(mutex_);
     const Entry& known = entry(name);
-    if (known.summary["item"] != serial_number || known.summary["state"] != "complete") return std::nullopt;
+    const Summary& summary = known.summary;
+    if (summary.item != serial_number || summary.state != to_string(RunState::kComplete)) return std::nullopt;
     time = known.time;
     charted = known.charted;
-    point = {{"name", name},
-             {"created_utc", known.summary["created_utc"]},
-             {"simulated", known.summary["simulated"]}};
+    point = {{"name", name}, {"created_utc", summary.created_utc}, {"simulated", summary.simulated}};
   }
   if (!charted) {
     charted = charted_of(RunFile::load(folder_ / name));

@@ -53,7 +53,7 @@ class RunLibrary {
   nlohmann::ordered_json history(const std::string& serial_number, const std::string& property);
 
  private:
-  /// The properties that a chart shows, of one run: kept as numbers, as JSON takes twenty times the memory.
+  /// The properties that a chart shows, of one run: kept as numbers, as JSON takes several times the memory.
   struct Charted {
     struct Value {
       double value = 0.0, standard_uncertainty = 0.0;
@@ -62,10 +62,17 @@ class RunLibrary {
     std::string verdict;
     std::array<Value, 9> values;  ///< In the order of kCharted.
   };
+  /// What the list says of a run. Kept as it is, as JSON takes several times the memory.
+  struct Summary {
+    std::string state, created_utc, item, maker, model, bench, operators, unit, simulated, verdict;
+    std::string items;  ///< Of several: JSON, how far each was measured; empty: there is one.
+    std::size_t measured = 0, planned = 0;
+    double duration_s = 0.0;
+  };
   struct Entry {
     std::filesystem::file_time_type time;
     std::uintmax_t size = 0;
-    nlohmann::ordered_json summary;
+    Summary summary;
     bool closed = false;                                               ///< It will not change any more.
     std::optional<Charted> charted;                                    ///< For the history.
     std::string estimator = {};                                        ///< Chosen for the run.
@@ -73,6 +80,9 @@ class RunLibrary {
   };
 
   std::vector<std::string> names() const;
+  static Summary summary_of(const StoredRun& run);
+  static nlohmann::ordered_json to_json(const std::string& name, const Summary& summary);
+  static Summary summary_from(const nlohmann::ordered_json& kept);
   static Charted charted_of(const StoredRun& run);
   static nlohmann::ordered_json to_json(const Charted& charted);
   static Charted charted_from(const nlohmann::ordered_json& kept);
