@@ -1,6 +1,9 @@
 // abcal-hdf5: a record and its results as HDF5. Started by abcal (app/report/hdf5_export.h), which so need
 // not load HDF5 and what that brings along.
 #include <CLI/CLI.hpp>
+#include <cstdio>
+#include <cstdlib>
+#include <iostream>
 #include <memory>
 #include <string>
 #include <vector>
@@ -42,8 +45,14 @@ void add_export(CLI::App& parent) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  return abcal::run_program(
+  // Where a file cannot be written, each destructor of HDF5 says there what the exception says as well.
+  std::cerr.setstate(std::ios::failbit);
+  const int exit_code = abcal::run_program(
       argc, argv,
       {"abcal-hdf5", "abcal-hdf5 writes the HDF5 files of `abcal report --hdf5` and of the console.",
        [](CLI::App& app, int&) { add_export(app); }});
+  // Every file is closed by now; where one could not be written, what HDF5 does at the end of a program
+  // crashes.
+  std::fflush(nullptr);
+  std::_Exit(exit_code);
 }

@@ -13,6 +13,7 @@
 #include "app/bench/real_clock.h"
 #include "app/commands/commands.h"
 #include "app/results/analyses.h"
+#include "app/results/estimators.h"
 #include "app/results/load_record.h"
 #include "app/results/recompute.h"
 #include "app/results/result_json.h"
@@ -65,10 +66,13 @@ struct AnalyseOptions {
   bool json = false;
 };
 
-/// One item of several, by the common fit or by another estimator alone.
+/// One item of several by the estimator asked for, else by the one that the run declares: joint is the common
+/// fit of all items, each other one knows this item alone.
 CalibrationResult result_of_item(const AnalyseOptions& options, int item) {
-  if (!options.estimator.empty() && options.estimator != "joint")
-    return analyse(load_record(options.file, item).record, options.estimator);
+  const LoadedRecord loaded = load_record(options.file, item);
+  const std::string estimator =
+      options.estimator.empty() ? declared_estimator(loaded.record).name : options.estimator;
+  if (estimator != "joint") return analyse(loaded.record, estimator);
   return std::move(analyse_tray_run(options.file).tray.items[static_cast<std::size_t>(item - 1)].result);
 }
 

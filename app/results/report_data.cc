@@ -2,7 +2,9 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+
 #include <algorithm>
+#include <iterator>
 
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
@@ -114,7 +116,9 @@ ReportData gather(LoadedRecord loaded, const std::filesystem::path& path, Clock:
   data.run = std::move(loaded.run);
   data.program_version = program_version();
   data.created_utc = format_utc(now);
-  data.integrity = gathered.integrity;
+  // A report goes to the owner of its item: other items' certificates are not his business.
+  std::copy_if(gathered.integrity.begin(), gathered.integrity.end(), std::back_inserter(data.integrity),
+               [&](const IntegrityCheck& check) { return check.item == 0 || check.item == data.item; });
   data.tray = gathered.tray;
   data.sha256 = gathered.sha256;
   if (data.run) describe_bench(data);

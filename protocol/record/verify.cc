@@ -215,7 +215,7 @@ void check_certificates_of_items(const std::filesystem::path& run, std::size_t i
                       fmt::format("is stated to be of item {}; the run has items 1 to {}", one.item, items)});
   }
   for (const auto& [k, of_item] : by_item) {
-    IntegrityCheck check{fmt::format("item {}, certificates", k), true, of_item.front().number};
+    IntegrityCheck check{fmt::format("item {}, certificates", k), true, of_item.front().number, k};
     for (std::size_t i = 1; i < of_item.size(); ++i) {
       check.found += fmt::format(", replaced by {}", of_item[i].number);
       if (of_item[i].replaces == of_item[i - 1].number) continue;

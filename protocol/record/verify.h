@@ -11,6 +11,7 @@ struct IntegrityCheck {
   std::string what;
   bool good = false;
   std::string found;  ///< In words.
+  int item = 0;       ///< Of several: whose alone it is, from 1; 0: of the run.
 };
 
 /// Whether a closed run and its results are consistent with each other: every byte of the run by its SHA-256,

@@ -490,6 +490,14 @@ TEST_F(ReportTest, AFullDiskLeavesNothingHalfWritten) {
     EXPECT_EQ(names(), before) << option;
     EXPECT_EQ(test::read_file(folder / "a.csv"), "precious") << option;
   }
+  // By an exit code, not by a crash.
+  const std::string helper =
+      std::filesystem::path(test::abcal_program()).replace_filename("abcal-hdf5").string();
+  test::Program export_alone(
+      helper, {"export", "--file-name", "b.h5", "--created-utc", "2026-03-01T12:00:00Z", "a.run", "b.h5"},
+      folder.path(), {2'000});
+  EXPECT_EQ(export_alone.wait(), 1);
+  EXPECT_THAT(export_alone.err(), HasSubstr("is the disk full?"));
 }
 
 TEST_F(ReportTest, WhatIsNoRecordIsRefused) {

@@ -146,7 +146,8 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   };
   const json all = json::parse(run({"analyse", path, "--json"}).out);
   EXPECT_EQ(all["schema"], "abcal.tray/1");
-  const json second = json::parse(run({"analyse", path, "--item", "2", "--json"}).out);
+  const json second =
+      json::parse(run({"analyse", path, "--item", "2", "--estimator", "joint", "--json"}).out);
   EXPECT_EQ(second, all["items"][1]["result"]);
   const json alone = json::parse(run({"analyse", path, "--item", "2", "--estimator", "abc", "--json"}).out);
   EXPECT_EQ(alone["estimator"], "abc");

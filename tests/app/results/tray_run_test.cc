@@ -174,12 +174,32 @@ TEST_F(TrayRunTest, EachItemHasACertificateOfItsOwn) {
   ASSERT_EQ(abcal({"report", "a.run", "--item", "2", "--dcc", "now.xml"}).exit_code, 0);
   EXPECT_EQ(test::read_file(folder / "now.xml"), test::read_file(folder / "2b.xml"));
   EXPECT_THAT(abcal({"report", "a.run", "--item", "3"}).out, HasSubstr("Calibration report"));
+  // The owner of an item reads nothing of another item's certificate.
+  const std::string of_second = abcal({"report", "a.run", "--item", "2", "--json"}).out;
+  EXPECT_THAT(of_second,
+              AllOf(HasSubstr("item 2, certificates"), HasSubstr(test::number_of(amended.out)),
+                    Not(HasSubstr("item 1, certificates")), Not(HasSubstr(test::number_of(first.out)))));
 
   SqliteDatabase(folder / "a.run.results", SqliteDatabase::Mode::kReadWrite)
       .execute("update certificate set item = 3 where number = '" + number + "'");
   const test::ProgramResult changed = abcal({"verify", "a.run"});
   EXPECT_EQ(changed.exit_code, 1);
   EXPECT_THAT(changed.out, HasSubstr("entry 1 of the certificate table"));
+}
+
+TEST_F(TrayRunTest, AnItemIsAnalysedByTheEstimatorThatTheRunDeclares) {
+  std::string bench = tray_bench();
+  const std::string section = "[protocol]\n";
+  ASSERT_NE(bench.find(section), std::string::npos);
+  bench.insert(bench.find(section) + section.size(), "estimator = \"abc\"\n");
+  test::write_file(folder / "abc.toml", bench);
+  ASSERT_EQ(abcal({"run", "abc.toml", "-o", "abc.run"}).exit_code, 0);
+  const json declared = json_of({"analyse", "abc.run", "--item", "2", "--json"});
+  EXPECT_EQ(declared["estimator"], "abc");
+  EXPECT_EQ(declared, json_of({"analyse", "abc.run", "--item", "2", "--estimator", "abc", "--json"}));
+  EXPECT_EQ(declared, json_of({"report", "abc.run", "--item", "2", "--json"})["results"][0]);
+  EXPECT_EQ(json_of({"analyse", "abc.run", "--item", "2", "--estimator", "joint", "--json"})["estimator"],
+            "joint");
 }
 
 TEST_F(TrayRunTest, CertificateReportAndAnalysisOfAnItemAgree) {
