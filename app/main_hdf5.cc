@@ -3,7 +3,6 @@
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <cstdlib>
-#include <iostream>
 #include <memory>
 #include <string>
 #include <vector>
@@ -11,6 +10,7 @@
 #include "app/bench/real_clock.h"
 #include "app/commands/run_program.h"
 #include "app/report/record_hdf5.h"
+#include "app/system/output.h"
 
 namespace {
 
@@ -46,7 +46,7 @@ void add_export(CLI::App& parent) {
 
 int main(int argc, char** argv) {
   // Where a file cannot be written, each destructor of HDF5 says there what the exception says as well.
-  std::cerr.setstate(std::ios::failbit);
+  abcal::silence_standard_error_stream();
   const int exit_code = abcal::run_program(
       argc, argv,
       {"abcal-hdf5", "abcal-hdf5 writes the HDF5 files of `abcal report --hdf5` and of the console.",

@@ -10,7 +10,7 @@ set(listed "")
 
 # Standard library and POSIX: no slash and no extension, or one of these.
 set(system_headers "^(sys|netinet|arpa|linux)/"
-  "^(cpuid|dlfcn|fcntl|unistd|poll|pty|termios|signal|spawn|grp|pwd|netdb|stdlib|dirent|errno|limits|time)\\.h$")
+  "^(cpuid|dlfcn|fcntl|malloc|unistd|poll|pty|termios|signal|spawn|grp|pwd|netdb|stdlib|dirent|errno|limits|time)\\.h$")
 
 function(check_file file may foreign)
   file(STRINGS "${file}" includes REGEX "^[ \t]*#[ \t]*include")

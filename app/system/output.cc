@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <iostream>
 #include <memory>
 #include <mutex>
 #include <utility>
@@ -246,6 +247,10 @@ void vprint_result(fmt::string_view format, fmt::format_args arguments) noexcept
   } catch (...) {
     note_lost_result(ENOMEM);
   }
+}
+
+void silence_standard_error_stream() noexcept {
+  std::cerr.setstate(std::ios::failbit);  // throws only where asked to
 }
 
 int finish_output(int exit_code) noexcept {

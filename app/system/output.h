@@ -42,6 +42,10 @@ void print_result(fmt::format_string<Arguments...> format, const Arguments&... a
   vprint_result(format, fmt::make_format_args(arguments...));
 }
 
+/// The C++ stream of standard error says nothing from now on: for a library that writes there what its
+/// exceptions say as well.
+void silence_standard_error_stream() noexcept;
+
 /// The exit code after all output: `exit_code`, or kExitFailed with words on standard error if that was
 /// kExitDone and a result could not be written.
 int finish_output(int exit_code) noexcept;

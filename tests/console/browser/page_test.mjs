@@ -195,8 +195,8 @@ const settled = (viewport, colorScheme) => page.waitForFunction(([{width, height
     && [...document.querySelectorAll('canvas')].every((canvas) => !canvas.checkVisibility() || fits(canvas));
 }, [viewport, colorScheme]);
 
-// The lines of plots whose markers have another colour: that of the scheme before.
-const strangeMarkers = () => page.evaluate(() => Object.values(Chart.instances).flatMap((chart) => chart.data.datasets
+// The lines of plots whose markers have another colour: that of the scheme before. (The page that asks who it is has no plots.)
+const strangeMarkers = () => page.evaluate(() => Object.values(globalThis.Chart?.instances ?? {}).flatMap((chart) => chart.data.datasets
   .filter((set, i) => {
     const marker = chart.getDatasetMeta(i).data[0]?.options;
     return marker && typeof set.pointBackgroundColor === 'string' && marker.backgroundColor !== set.pointBackgroundColor;
