@@ -253,7 +253,9 @@ Json temperature_json(const TemperatureReport& report) {
                                     {"at_reference", each.at_reference},
                                     {"standard_uncertainty", each.standard_uncertainty},
                                     {"box", each.box},
-                                    {"end_point", each.end_point}});
+                                    {"box_standard_uncertainty", each.box_uncertainty},
+                                    {"end_point", each.end_point},
+                                    {"end_point_standard_uncertainty", each.end_point_uncertainty}});
   for (const TemperatureHysteresis& each : result.hysteresis) {
     Json entry{{"name", each.name}, {"unit", each.unit}};
     if (each.has_both_ways) {
