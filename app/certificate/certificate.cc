@@ -4,7 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <string_view>
 
+#include "app/certificate/certified_series.h"
 #include "app/certificate/dsi_list.h"
 #include "app/certificate/scope.h"
 #include "app/certificate/traceability.h"
@@ -16,6 +18,16 @@ std::string problem_list(const std::string& head, const std::vector<Problem>& pr
   std::string text = fmt::format("{}: {} problem{}", head, problems.size(), problems.size() == 1 ? "" : "s");
   for (const Problem& problem : problems) text += "\n  " + to_string(problem);
   return text;
+}
+
+/// How problems name the run that a certificate is about, and what the points of a series have in common.
+constexpr const char* kRunWords = "run";
+constexpr const char* kSeriesWords = "runs over temperature";
+
+bool contains(const std::vector<Problem>& problems, const Problem& problem) {
+  return std::any_of(problems.begin(), problems.end(), [&](const Problem& each) {
+    return each.where == problem.where && each.found == problem.found && each.required == problem.required;
+  });
 }
 
 /// Collects the problems of a certificate in two lists: those that a draft cannot have either, and the rest.
@@ -54,10 +66,33 @@ class Inspection {
                           "what was done to the item between the as-found and the as-left run"});
   }
 
-  void check_issue(const IssueFacts& issue, const ReportData& data,
+  /// The points of a series. What is wrong with the bench of all of them, or with that of the run already, is
+  /// said once.
+  void check_series(const std::vector<ReportData>& points, const ReportData& run, const std::string& which) {
+    for (const ReportData& point : points) {
+      if (!point.run) continue;
+      if (point.sha256 != run.sha256) check_state(point, point.path.filename().string());
+      check_labels(point, kSeriesWords);
+      check_conditions(point, kSeriesWords);
+      check_equipment(point, kSeriesWords);
+    }
+    add_of_run(problems_of_series(points, run));
+    std::vector<Problem> each_once;
+    for (Problem& problem : of_run_) {
+      Problem of_the_run = problem;
+      if (problem.where.starts_with(kSeriesWords))
+        of_the_run.where.replace(0, std::string_view(kSeriesWords).size(), which);
+      if (!contains(each_once, problem) && !contains(each_once, of_the_run))
+        each_once.push_back(std::move(problem));
+    }
+    of_run_ = std::move(each_once);
+  }
+
+  /// @param runs  of the certificate; the last is the calibration
+  void check_issue(const IssueFacts& issue, const std::vector<const ReportData*>& runs,
                    const std::vector<RunOperator>& operators) {
-    check_persons(issue, operators, !equipment_of_run(data).empty());
-    check_dates(issue, data);
+    check_persons(issue, operators, !equipment_of_run(*runs.back()).empty());
+    check_dates(issue, runs);
     if (issue.number.find_first_not_of(" \t\r\n") == std::string::npos)
       of_run_.push_back({"number", quoted(issue.number), "the unique number of the certificate"});
     if (issue.replaces && issue.replaces->reason.find_first_not_of(" \t\r\n") == std::string::npos)
@@ -143,8 +178,9 @@ class Inspection {
   }
 
   /// Dates agree with each other and with the clock.
-  void check_dates(const IssueFacts& issue, const ReportData& data) {
-    const auto begin = parse_date(data.started_utc()), end = parse_date(data.ended_utc());
+  void check_dates(const IssueFacts& issue, const std::vector<const ReportData*>& runs) {
+    const auto [begin_utc, end_utc] = period_of(runs);
+    const auto begin = parse_date(begin_utc), end = parse_date(end_utc);
     if (end && issue.date < *end)
       of_run_.push_back(
           {"date of issue", format_date(issue.date), "not before the run's end, " + format_date(*end)});
@@ -153,7 +189,7 @@ class Inspection {
           {"date of issue", format_date(issue.date), "not after today, " + format_date(*issue.today)});
     const auto& received = laboratory_.job.received;
     // The clock of a simulated run is simulated, too.
-    if (received && begin && data.simulated.empty() && *received > *begin)
+    if (received && begin && runs.back()->simulated.empty() && *received > *begin)
       of_run_.push_back(
           {"[job] received", format_date(*received), "not after the run began, " + format_date(*begin)});
     if (issue.today && end && *end > *issue.today)
@@ -276,11 +312,19 @@ void require_certifiable(const ReportData& data) {
                            {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});
 }
 
+std::vector<const ReportData*> runs_of(const CertificateRequest& request) {
+  std::vector<const ReportData*> runs;
+  if (request.as_found) runs.push_back(&*request.as_found);
+  for (const ReportData& point : request.series) runs.push_back(&point);
+  runs.push_back(&request.run);
+  return runs;
+}
+
 /// Who measured, in all runs of a certificate.
-std::vector<RunOperator> operators_of_runs(const CertificateRequest& request) {
+std::vector<RunOperator> operators_of_runs(const std::vector<const ReportData*>& runs) {
   std::vector<RunOperator> operators;
-  for (const ReportData* data : {request.as_found ? &*request.as_found : nullptr, &request.run}) {
-    if (data == nullptr || !data->run) continue;
+  for (const ReportData* data : runs) {
+    if (!data->run) continue;
     for (RunOperator& who : operators_of(*data->run))
       if (std::find(operators.begin(), operators.end(), who) == operators.end())
         operators.push_back(std::move(who));
@@ -297,14 +341,41 @@ std::string in_words(const Words& words, const Problem& problem) {
 }
 
 std::vector<Problem> reasons_against(const LaboratoryFile& laboratory, const CertificateRequest& request) {
-  std::vector<Problem> reasons = against_traceability(laboratory, request.run, "run");
-  if (!request.as_found) return reasons;
-  for (Problem& problem : against_traceability(laboratory, *request.as_found, "as-found run"))
-    reasons.push_back(std::move(problem));
+  std::vector<Problem> reasons = against_traceability(laboratory, request.run, kRunWords);
+  if (request.as_found)
+    for (Problem& problem : against_traceability(laboratory, *request.as_found, "as-found run"))
+      reasons.push_back(std::move(problem));
+  // What speaks against the run itself, or against several points, is said once.
+  for (const ReportData& point : request.series) {
+    const std::vector<Problem> as_run = against_traceability(laboratory, point, kRunWords);
+    std::vector<Problem> as_series = against_traceability(laboratory, point, kSeriesWords);
+    for (std::size_t i = 0; i < as_series.size(); ++i)
+      if (!contains(reasons, as_run[i]) && !contains(reasons, as_series[i]))
+        reasons.push_back(std::move(as_series[i]));
+  }
   return reasons;
 }
 
 }  // namespace
+
+std::vector<const ReportData*> runs_of(const Certificate& certificate) {
+  std::vector<const ReportData*> runs;
+  if (certificate.as_found) runs.push_back(&certificate.as_found->data);
+  if (certificate.series)
+    for (const ReportData& point : certificate.series->points) runs.push_back(&point);
+  runs.push_back(&certificate.run.data);
+  return runs;
+}
+
+std::pair<std::string, std::string> period_of(const std::vector<const ReportData*>& runs) {
+  std::string begin, end;
+  for (const ReportData* run : runs) {
+    const std::string started = run->started_utc(), ended = run->ended_utc();
+    if (begin.empty() || (!started.empty() && started < begin)) begin = started;
+    if (end.empty() || ended > end) end = ended;
+  }
+  return {begin, end};
+}
 
 std::string Certificate::measured_by() const {
   std::string names;
@@ -327,6 +398,7 @@ std::string draft_number(const ReportData& run) {
 Certificate make_certificate(CertificateRequest request) {
   require_certifiable(request.run);
   if (request.as_found) require_certifiable(*request.as_found);
+  for (const ReportData& point : request.series) require_certifiable(point);
   ReadLaboratoryFile read = std::move(request.laboratory);
   Certificate certificate;
   certificate.laboratory = std::move(read.file);
@@ -334,18 +406,25 @@ Certificate make_certificate(CertificateRequest request) {
   // What the register said when the run began, rather than what a file says now.
   if (auto registered = equipment_of_run(request.run); !registered.empty())
     certificate.laboratory.equipment = std::move(registered);
-  certificate.operators = operators_of_runs(request);
+  certificate.operators = operators_of_runs(runs_of(request));
   const std::vector<Problem> not_traceable = reasons_against(certificate.laboratory, request);
   for (const Problem& problem : not_traceable)
     certificate.not_traceable.push_back(in_words(certificate.words, problem));
   Inspection inspection(certificate.laboratory, std::move(read.problems));
-  inspection.check(request.run, request.as_found ? "as-left run" : "run");
+  const std::string which = request.as_found ? "as-left run" : kRunWords;
+  inspection.check(request.run, which);
   if (request.as_found) {
     inspection.check(*request.as_found, "as-found run");
     inspection.check_pair(*request.as_found, request.run);
   }
+  if (!request.series.empty()) {
+    inspection.check_series(request.series, request.run, which);
+    std::vector<Problem> problems;
+    certificate.series = certified_series(request.series, problems);
+    inspection.add_of_run(problems);
+  }
   if (request.issue) {
-    inspection.check_issue(*request.issue, request.run, certificate.operators);
+    inspection.check_issue(*request.issue, runs_of(request), certificate.operators);
     if (!request.issue->training && !request.draft) inspection.add_of_run(not_traceable);
   }
 

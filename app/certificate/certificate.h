@@ -3,6 +3,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "app/certificate/decision.h"
@@ -11,6 +12,7 @@
 #include "app/certificate/words.h"
 #include "app/results/report_data.h"
 #include "protocol/record/run_operator.h"
+#include "protocol/temperature/temperature_fit.h"
 
 namespace abcal {
 
@@ -49,6 +51,12 @@ struct Shift {
   double normalised_error = 0.0;  ///< E_n: difference / U of the difference.
 };
 
+/// A series over temperature of the item in a certificate.
+struct CertifiedSeries {
+  std::vector<ReportData> points;           ///< One run each, in the order of the series.
+  std::optional<TemperatureResult> result;  ///< Absent in a draft whose runs make no series.
+};
+
 /// The content of a certificate, independent of its form.
 struct Certificate {
   std::string number;                     ///< "DRAFT-..." until issued.
@@ -58,7 +66,8 @@ struct Certificate {
   std::optional<CertifiedRun> as_found;  ///< The item before it was adjusted.
   CertifiedRun run;                      ///< The calibration; as left where there is an as_found.
   std::vector<Shift> shifts;
-  std::vector<RunOperator> operators;  ///< Who measured, as the events of the runs say.
+  std::optional<CertifiedSeries> series;  ///< Over temperature.
+  std::vector<RunOperator> operators;     ///< Who measured, as the events of the runs say.
   std::vector<std::string>
       not_traceable;  ///< Every reason why the results are not called traceable; empty: they are.
   std::string program_version;
@@ -75,6 +84,7 @@ struct CertificateRequest {
   ReadLaboratoryFile laboratory;  ///< With its problems, reported together with those of the run.
   ReportData run;
   std::optional<ReportData> as_found;
+  std::vector<ReportData> series;  ///< Points over temperature; empty: none.
   std::optional<IssueFacts> issue;
   bool draft = false;  ///< Make a draft in spite of problems of the run or the equipment.
 };
@@ -95,6 +105,12 @@ class CertificateRefused : public std::runtime_error {
 /// @throws LaboratoryFileError  with any problem of the laboratory file (problems of the run follow it)
 /// @throws CertificateRefused   if only the run has problems, or its estimator gives no matrix
 Certificate make_certificate(CertificateRequest request);
+
+/// Every run of a certificate: as found, points over temperature, and at the end the calibration.
+std::vector<const ReportData*> runs_of(const Certificate& certificate);
+
+/// From the first start to the last end of runs, UTC; empty where they do not say it.
+std::pair<std::string, std::string> period_of(const std::vector<const ReportData*>& runs);
 
 /// Name of the certificate until it is issued.
 std::string draft_number(const ReportData& run);

@@ -309,6 +309,31 @@ Section further_section(const PageSource& from, xmlNode* measurement, std::size_
   return section;
 }
 
+/// The annex of every calibration, and of a series over temperature.
+/// @param shown  refTypes of the last calibration's results that stand on the customer's pages already
+void add_annex(const PageSource& from, const std::vector<xmlNode*>& measurements,
+               const std::vector<xmlNode*>& series, const std::vector<std::string>& shown,
+               Document& document) {
+  const bool pair = measurements.size() > 1;
+  bool first = true;
+  for (xmlNode* measurement : measurements) {
+    std::vector<Section> annex = annex_sections(
+        from, measurement, measurement == measurements.back() ? shown : std::vector<std::string>{});
+    if (annex.empty()) continue;
+    annex.front().on_new_page = first;
+    const std::string name = pair ? ", " + from.content("dcc:name", measurement) : "";
+    annex.front().title = from.say("Annex") + name + ": " + annex.front().title;
+    first = false;
+    std::move(annex.begin(), annex.end(), std::back_inserter(document.sections));
+  }
+  for (xmlNode* one : series) {
+    std::vector<Section> annex = temperature_annex(from, one);
+    annex.front().title =
+        from.say("Annex") + ", " + from.content("dcc:name", one) + ": " + annex.front().title;
+    std::move(annex.begin(), annex.end(), std::back_inserter(document.sections));
+  }
+}
+
 }  // namespace
 
 Document certificate_page(const std::string& xml) {
@@ -329,7 +354,10 @@ Document certificate_page(const std::string& xml) {
       "abcal, " + from.content("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:description");
   add_marks(from, document);
   document.sections.push_back(head_section(from));
-  const auto measurements = query.nodes("dcc:measurementResults/dcc:measurementResult");
+  const auto measurements =
+      query.nodes("dcc:measurementResults/dcc:measurementResult[not(@refType='abc_temperatureSeries')]");
+  const auto series =
+      query.nodes("dcc:measurementResults/dcc:measurementResult[@refType='abc_temperatureSeries']");
   if (measurements.empty()) throw std::runtime_error("the certificate has no results");
   const bool pair = measurements.size() > 1;
   for (xmlNode* measurement : measurements)
@@ -362,17 +390,11 @@ Document certificate_page(const std::string& xml) {
   second.push_back(person_section(from));
   second.front().on_new_page = true;
   std::move(second.begin(), second.end(), std::back_inserter(document.sections));
-  bool first = true;
-  for (xmlNode* measurement : measurements) {
-    std::vector<Section> annex =
-        annex_sections(from, measurement, measurement == last ? shown : std::vector<std::string>{});
-    if (annex.empty()) continue;
-    annex.front().on_new_page = first;
-    const std::string name = pair ? ", " + from.content("dcc:name", measurement) : "";
-    annex.front().title = from.say("Annex") + name + ": " + annex.front().title;
-    first = false;
-    std::move(annex.begin(), annex.end(), std::back_inserter(document.sections));
+  for (xmlNode* one : series) {
+    std::vector<Section> over_temperature = temperature_sections(from, one);
+    std::move(over_temperature.begin(), over_temperature.end(), std::back_inserter(document.sections));
   }
+  add_annex(from, measurements, series, shown, document);
   return document;
 }
 

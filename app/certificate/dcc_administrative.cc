@@ -44,11 +44,10 @@ XmlElement add_contact_lines(XmlElement& contact, const Words& words, const Cont
 
 /// The dates of one certificate: of the first run's start and of the last one's end.
 std::pair<Date, Date> performed(const Certificate& certificate) {
-  const ReportData& first = certificate.as_found ? certificate.as_found->data : certificate.run.data;
-  const auto begin = parse_date(first.started_utc());
-  const auto end = parse_date(certificate.run.data.ended_utc());
+  const auto [begin_utc, end_utc] = period_of(runs_of(certificate));
+  const auto begin = parse_date(begin_utc), end = parse_date(end_utc);
   if (!begin || !end)
-    throw std::runtime_error(first.path.string() + ": the run does not say when it was made");
+    throw std::runtime_error(certificate.run.data.path.string() + ": the run does not say when it was made");
   return {*begin, *end};
 }
 

@@ -4,6 +4,7 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
+#include <cmath>
 #include <functional>
 
 #include "app/certificate/dcc_text.h"
@@ -20,17 +21,20 @@ struct Range {
   double low, high;
 };
 
-/// Smallest and largest of what is there.
-template <class Rows>
-std::optional<Range> range_of(
-    const Rows& rows, const std::function<std::optional<double>(const typename Rows::value_type&)>& value) {
+/// Smallest and largest of what is there, in any of the runs.
+template <class Row>
+std::optional<Range> range_of(const std::vector<const ReportData*>& runs,
+                              const std::function<const std::vector<Row>&(const ReportData&)>& rows,
+                              const std::function<std::optional<double>(const Row&)>& value) {
   std::optional<Range> range;
-  for (const auto& row : rows) {
-    const std::optional<double> found = value(row);
-    if (!found) continue;
-    if (!range) range = Range{*found, *found};
-    range->low = std::min(range->low, *found);
-    range->high = std::max(range->high, *found);
+  for (const ReportData* data : runs) {
+    for (const Row& row : rows(*data)) {
+      const std::optional<double> found = value(row);
+      if (!found) continue;
+      if (!range) range = Range{*found, *found};
+      range->low = std::min(range->low, *found);
+      range->high = std::max(range->high, *found);
+    }
   }
   return range;
 }
@@ -66,13 +70,16 @@ struct ConditionKind {
   std::string unit;
 };
 
+/// To a thousandth of its unit: more than what measures the surroundings has.
+double shown_condition(double value) { return std::round(value * 1e3) / 1e3; }
+
 void add_range(XmlElement& conditions, const Words& words, const ConditionKind& kind,
                const std::optional<Range>& range) {
   if (!range) return;
   XmlElement condition = add_condition(conditions, kind.ref_type, kind.name);
   XmlElement data = condition.add("dcc:data");
-  add_bound(data, kind.ref_type + "Min", words("smallest"), range->low, kind.unit);
-  add_bound(data, kind.ref_type + "Max", words("largest"), range->high, kind.unit);
+  add_bound(data, kind.ref_type + "Min", words("smallest"), shown_condition(range->low), kind.unit);
+  add_bound(data, kind.ref_type + "Max", words("largest"), shown_condition(range->high), kind.unit);
 }
 
 void add_gravity(XmlElement& conditions, const Certificate& certificate, const CalibrationResult& result) {
@@ -206,7 +213,7 @@ void add_effects(XmlElement& uncertainty, const Words& words, const EffectSizes&
 
 }  // namespace
 
-void add_methods(XmlElement& measurement, const Certificate& certificate, const ReportData& data) {
+XmlElement add_methods(XmlElement& measurement, const Certificate& certificate, const ReportData& data) {
   const Words& words = certificate.words;
   XmlElement methods = measurement.add("dcc:usedMethods");
   add_protocol(methods, certificate, data);
@@ -220,6 +227,7 @@ void add_methods(XmlElement& measurement, const Certificate& certificate, const 
   add_line(uncertainty, "dcc:norm", "JCGM 100:2008");
   add_line(uncertainty, "dcc:norm", "JCGM 102:2011");
   add_effects(uncertainty, words, data.record.tolerances);
+  return methods;
 }
 
 void add_used_software(XmlElement& measurement, const Certificate& certificate, const ReportData& data) {
@@ -238,15 +246,18 @@ void add_equipment(XmlElement& measurement, const Certificate& certificate, cons
     if (!instrument.role.starts_with("accelerometer")) add_instrument(list, certificate.words, instrument);
 }
 
-void add_conditions(XmlElement& measurement, const Certificate& certificate, const ReportData& data,
-                    const ItemState& state) {
+void add_conditions(XmlElement& measurement, const Certificate& certificate,
+                    const std::vector<const ReportData*>& runs, const ItemState& state) {
   const Words& words = certificate.words;
   XmlElement conditions = measurement.add("dcc:influenceConditions");
-  const auto& room = data.run->environment;
   // An observation is what an instrument said; a typed-in value is what the operator stated.
-  const bool stated = is_environment_stated(data);
+  const bool stated = std::any_of(runs.begin(), runs.end(),
+                                  [](const ReportData* data) { return is_environment_stated(*data); });
   const auto look = [&](std::optional<double> StoredEnvironment::*member) {
-    return range_of(room, [member](const StoredEnvironment& row) { return row.*member; });
+    return range_of<StoredEnvironment>(
+        runs,
+        [](const ReportData& data) -> const std::vector<StoredEnvironment>& { return data.run->environment; },
+        [member](const StoredEnvironment& row) { return row.*member; });
   };
   add_range(
       conditions, words,
@@ -265,10 +276,13 @@ void add_conditions(XmlElement& measurement, const Certificate& certificate, con
              stated ? words("Pressure of the air, stated by the operator") : words("Pressure of the air"),
              "\\hecto\\pascal"},
             look(&StoredEnvironment::pressure_hpa));
-  add_range(conditions, words,
-            {"abc_itemTemperature", words("Temperature of the item, by its own sensor"), "\\degreecelsius"},
-            range_of(data.record.dwells, [](const DwellRecord& dwell) { return dwell.temperature_degc; }));
-  add_gravity(conditions, certificate, data.result());
+  add_range(
+      conditions, words,
+      {"abc_itemTemperature", words("Temperature of the item, by its own sensor"), "\\degreecelsius"},
+      range_of<DwellRecord>(
+          runs, [](const ReportData& data) -> const std::vector<DwellRecord>& { return data.record.dwells; },
+          [](const DwellRecord& dwell) { return dwell.temperature_degc; }));
+  add_gravity(conditions, certificate, runs.front()->result());
   if (state.status.empty()) return;
   XmlElement condition = add_condition(conditions, "abc_itemState", words("State of the item"));
   condition.add("dcc:status", state.status);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "app/certificate/certificate.h"
 #include "app/xml/xml_tree.h"
@@ -15,13 +16,14 @@ struct ItemState {
 
 // The parts of one measurement result around its numbers, in the order of the schema.
 
-void add_methods(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
+/// @return dcc:usedMethods
+XmlElement add_methods(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
 void add_used_software(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
 /// The laboratory's equipment with its certificates, and the instruments as they identified themselves.
 void add_equipment(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
-/// Room, temperature of the item, local gravity, state of the item.
-void add_conditions(XmlElement& measurement, const Certificate& certificate, const ReportData& data,
-                    const ItemState& state);
+/// Room, temperature of the item, local gravity, state of the item, of one run or of several.
+void add_conditions(XmlElement& measurement, const Certificate& certificate,
+                    const std::vector<const ReportData*>& runs, const ItemState& state);
 /// Hash of the raw data, when it was measured, verdict of the analysis.
 void add_metadata(XmlElement& measurement, const Certificate& certificate, const ReportData& data);
 

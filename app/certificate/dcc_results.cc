@@ -1,21 +1,20 @@
 #include "app/certificate/dcc_results.h"
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <array>
 #include <cctype>
-#include <charconv>
 #include <cmath>
 #include <functional>
 
 #include "app/certificate/dcc_budget.h"
 #include "app/certificate/dcc_conditions.h"
+#include "app/certificate/dcc_quantity.h"
+#include "app/certificate/dcc_temperature.h"
 #include "app/certificate/dcc_text.h"
 #include "app/certificate/dsi_list.h"
 #include "app/certificate/scope.h"
-#include "app/units/dsi_unit.h"
 #include "protocol/analysis/intrinsic_properties.h"
 
 namespace abcal {
@@ -33,63 +32,6 @@ std::vector<std::string> row_labels(const std::string& symbol, std::size_t row) 
   std::vector<std::string> list;
   for (const char* axis : kPlatterAxes) list.push_back(symbol + "_" + kAccelerometers[row] + axis);
   return list;
-}
-
-XmlElement add_result(XmlElement& results, const std::string& ref_type, const Wording& name,
-                      const Wording& description = {}) {
-  XmlElement result = results.add("dcc:result");
-  result.attribute("refType", ref_type);
-  add_words(result, "dcc:name", name);
-  if (!description.text.empty()) add_words(result, "dcc:description", description);
-  return result.add("dcc:data");
-}
-
-XmlElement add_quantity(XmlElement& parent, const std::string& ref_type, const Wording& name) {
-  XmlElement quantity = parent.add("dcc:quantity");
-  quantity.attribute("refType", ref_type);
-  add_words(quantity, "dcc:name", name);
-  return quantity;
-}
-
-/// Degrees of freedom below this are stated; k of more is that of a normal distribution to all its digits.
-constexpr double kManyDegrees = 1000.0;
-
-/// Degrees of freedom of each output, and which uncertainties were raised to the scope's.
-void add_list_metadata(XmlElement& quantity, const Words& words, const ValueList& list) {
-  std::vector<std::string> labels, degrees, raised;
-  std::vector<std::string> calculated;
-  for (Eigen::Index i = 0; i < list.values.size(); ++i) {
-    const auto at = static_cast<std::size_t>(i);
-    if (list.degrees_of_freedom[i] < kManyDegrees) {
-      labels.push_back("nu(" + list.labels[at] + ")");
-      degrees.push_back(fmt::format("{:.0f}", std::floor(list.degrees_of_freedom[i])));
-    }
-    const double own = list.coverage_factor[i] * list.standard_uncertainty[i];
-    if (!list.cmc.empty() && certified_uncertainty(own, list.cmc[at]).raised) {
-      raised.push_back("U(" + list.labels[at] + ")");
-      calculated.push_back(rounded_value(0.0, own, list.labels[at]).expanded);
-    }
-  }
-  if (labels.empty() && raised.empty()) return;
-  XmlElement metadata = quantity.add("dcc:measurementMetaData");
-  if (!labels.empty()) {
-    XmlElement metadatum =
-        add_metadatum(metadata, "abc_degreesOfFreedom", words("Effective degrees of freedom"));
-    XmlElement data = metadatum.add("dcc:data");
-    XmlElement of = add_quantity(data, "abc_degreesOfFreedom", words("Effective degrees of freedom"));
-    add_number_list(of, labels, degrees, "\\one");
-  }
-  if (raised.empty()) return;
-  XmlElement metadatum = add_metadatum(metadata, "abc_raisedToScope",
-                                       words("U raised to the smallest of the laboratory's scope (CMC)"));
-  add_text(metadatum, words("As computed, in {}: {}", list.unit,
-                            fmt::format("{} = {}", fmt::join(raised, ", "), fmt::join(calculated, ", "))));
-}
-
-void add_list(XmlElement& parent, const Words& words, const Wording& name, const ValueList& list) {
-  XmlElement quantity = add_quantity(parent, "basic_measuredValue", name);
-  add_value_list(quantity, list);
-  add_list_metadata(quantity, words, list);
 }
 
 void add_rows(XmlElement& data, const Words& words, const std::function<ValueList(std::size_t)>& row) {
@@ -320,23 +262,6 @@ void add_derived_group(XmlElement& results, const Words& words, const ScopeOfRes
   add_list(data, words, name, scope.within(first.substr(0, first.rfind('_')), list_of(names, values)));
 }
 
-void add_number(XmlElement& data, const std::string& ref_type, const Wording& name, const std::string& number,
-                const std::string& unit) {
-  XmlElement quantity = add_quantity(data, ref_type, name);
-  const auto add_real = [&](XmlElement& parent, const std::string& text, const DsiUnit& of) {
-    XmlElement real = parent.add("si:real");
-    real.add("si:value", text);
-    real.add("si:unit", of.text());
-  };
-  const UnitInDsi in = unit_in_dsi(unit);
-  if (!in.own) return add_real(quantity, number, in.unit);
-  XmlElement both = quantity.add("si:hybrid");
-  double value = 0.0;
-  std::from_chars(number.data(), number.data() + number.size(), value);
-  add_real(both, dsi_number(value * in.factor, name.text), in.unit);
-  add_real(both, number, *in.own);
-}
-
 void add_decision(XmlElement& data, const Words& words, const Decision& decision) {
   const SpecificationLimit& limit = decision.limit;
   XmlElement quantity = add_quantity(data, "basic_measuredValue", {limit.quantity, {}});
@@ -438,10 +363,10 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
   if (!state.words.empty()) name += ", " + words.known(state.words);
   if (certificate.draft()) name = words("DRAFT").text + ": " + name;
   add_words(measurement, "dcc:name", words.as_given(name));
-  add_methods(measurement, certificate, run.data);
+  (void)add_methods(measurement, certificate, run.data);
   add_used_software(measurement, certificate, run.data);
   add_equipment(measurement, certificate, run.data);
-  add_conditions(measurement, certificate, run.data, state);
+  add_conditions(measurement, certificate, {&run.data}, state);
   add_results(measurement, words, certificate.laboratory.scope, run, shifts);
   add_metadata(measurement, certificate, run.data);
 }
@@ -450,13 +375,14 @@ void add_measurement(XmlElement& measurements, const Certificate& certificate, c
 
 void add_measurement_results(XmlElement& root, const Certificate& certificate) {
   XmlElement measurements = root.add("dcc:measurementResults");
-  if (!certificate.as_found) {
+  if (certificate.as_found) {
+    add_measurement(measurements, certificate, *certificate.as_found, {"as found", "beforeAdjustment"}, {});
+    add_measurement(measurements, certificate, certificate.run, {"as left", "afterAdjustment"},
+                    certificate.shifts);
+  } else {
     add_measurement(measurements, certificate, certificate.run, {}, {});
-    return;
   }
-  add_measurement(measurements, certificate, *certificate.as_found, {"as found", "beforeAdjustment"}, {});
-  add_measurement(measurements, certificate, certificate.run, {"as left", "afterAdjustment"},
-                  certificate.shifts);
+  if (certificate.series && certificate.series->result) add_temperature_series(measurements, certificate);
 }
 
 }  // namespace abcal

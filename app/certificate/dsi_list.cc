@@ -87,9 +87,9 @@ void add_real_list(XmlElement& parent, const ValueList& list, const Representati
     const RoundedValue rounded =
         rounded_value(list.values[i] * as.scale,
                       certified_uncertainty(own, cmc_of(list, i)).expanded * std::abs(as.scale), label);
-    values.push_back(rounded.value);
+    values.push_back(list.all_digits ? dsi_number(list.values[i] * as.scale, label) : rounded.value);
     expanded.push_back(rounded.expanded);
-    if (rounded.place) places.push_back(fmt::format("{}", *rounded.place));
+    if (rounded.place && !list.all_digits) places.push_back(fmt::format("{}", *rounded.place));
     factors.push_back(factor_text(list.coverage_factor[i], "coverage factor of " + label));
   }
   const auto join = [&](const std::vector<std::string>& texts) {

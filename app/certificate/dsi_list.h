@@ -54,6 +54,9 @@ struct ValueList {
   std::string unit;                           ///< As in a result: "V/g_loc".
   std::optional<Eigen::MatrixXd> covariance;  ///< In the square of `unit`.
   std::vector<std::optional<double>> cmc;     ///< In `unit`; empty: the scope has none.
+  /// Values that belong together, as coefficients of a polynomial do, have more digits than U: rounded alone,
+  /// their sum would be off by more than its uncertainty.
+  bool all_digits = false;
 };
 
 /// Takes values, uncertainties, coverage factors and the unit of quantities.

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <cmath>
 #include <map>
 
@@ -76,14 +75,19 @@ DocumentTable value_table(const PageSource& from) {
   return table;
 }
 
+std::map<std::string, std::string> degrees_of_freedom_of(const PageSource& from, xmlNode* quantity) {
+  std::map<std::string, std::string> degrees;
+  for (xmlNode* stated : from.xml.nodes(
+           "dcc:measurementMetaData/dcc:metaData[@refType='abc_degreesOfFreedom']/dcc:data/dcc:quantity",
+           quantity))
+    for (const PageValue& value : values_of(from, stated)) degrees[value.label] = value.value;
+  return degrees;
+}
+
 void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words) {
   table.rows.push_back({from.content("dcc:name", result)});
   for (xmlNode* quantity : quantities_of(from, result)) {
-    std::map<std::string, std::string> degrees;
-    for (xmlNode* stated : from.xml.nodes(
-             "dcc:measurementMetaData/dcc:metaData[@refType='abc_degreesOfFreedom']/dcc:data/dcc:quantity",
-             quantity))
-      for (const PageValue& value : values_of(from, stated)) degrees[value.label] = value.value;
+    const std::map<std::string, std::string> degrees = degrees_of_freedom_of(from, quantity);
     for (const PageValue& value : values_of(from, quantity, own)) {
       const auto nu = degrees.find("nu(" + value.label + ")");
       table.rows.push_back({in_words ? quantity_words(from, value.label) : value.label, value.value,
@@ -166,13 +170,6 @@ Section method_section(const PageSource& from, xmlNode* measurement) {
   return section;
 }
 
-/// A number of the XML, for choosing what to show.
-double number_of(const std::string& word) {
-  double value = 0.0;
-  std::from_chars(word.data(), word.data() + word.size(), value);
-  return value;
-}
-
 /// Contributions of one line of the budget: label, and the digits of the XML.
 std::map<std::string, std::string> contributions_of(const PageSource& from, xmlNode* line) {
   std::map<std::string, std::string> all;
@@ -190,7 +187,7 @@ std::map<std::string, std::string> contributions_of(const PageSource& from, xmlN
 std::vector<std::string> worst_outputs(const std::vector<std::map<std::string, std::string>>& lines) {
   std::map<std::string, double> squares;
   for (const auto& line : lines)
-    for (const auto& [label, value] : line) squares[label] += std::pow(number_of(value), 2);
+    for (const auto& [label, value] : line) squares[label] += std::pow(number_in_xml(value), 2);
   std::map<std::string, std::pair<double, std::string>> worst;
   for (const auto& [label, sum] : squares) {
     const std::string kind = label.starts_with("s_") ? (label.size() == 4 ? "1" : "2") : label.substr(0, 1);

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <array>
+#include <charconv>
+#include <cmath>
 #include <map>
 #include <string_view>
 
@@ -70,7 +72,7 @@ std::string typeset_unit(std::string_view d_si) {
     shown = rest.substr(1, end - 1);
     rest.remove_prefix(end);
   }
-  bool joined = true;  // A prefix belongs to the unit behind it.
+  bool joined = shown.empty();  // A prefix belongs to the unit behind it.
   while (rest.starts_with('\\')) {
     const std::size_t end = std::min(rest.find('\\', 1), rest.size());
     const std::string_view word = rest.substr(1, end - 1);
@@ -88,6 +90,12 @@ std::string typeset_unit(std::string_view d_si) {
   replace_all(shown, "m s⁻²", "m/s²");
   if (!per_acceleration) return shown;
   return (shown.empty() ? "1" : shown) + "/(m/s²)";
+}
+
+double number_in_xml(std::string_view word) {
+  double value = std::nan("");
+  std::from_chars(word.data(), word.data() + word.size(), value);
+  return value;
 }
 
 }  // namespace abcal

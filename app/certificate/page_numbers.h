@@ -15,4 +15,7 @@ std::string typeset_number(std::string_view decimal, const Words& words);
 /// "1", "|g" "g". What is not known stays as it is.
 std::string typeset_unit(std::string_view d_si);
 
+/// A number as the XML has it, for choosing what to show, and for curves. NaN: it is none.
+double number_in_xml(std::string_view word);
+
 }  // namespace abcal

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -46,6 +47,14 @@ std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* result);
 /// A table of quantities with U and k; every result is a group of rows.
 DocumentTable value_table(const PageSource& from);
 void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words);
+
+/// "nu(s_u)" and its degrees of freedom, of those that are few.
+std::map<std::string, std::string> degrees_of_freedom_of(const PageSource& from, xmlNode* quantity);
+
+/// Coefficients, differences and curves of a series over temperature; and for the annex, its polynomials and
+/// runs. @param series  its dcc:measurementResult
+std::vector<Section> temperature_sections(const PageSource& from, xmlNode* series);
+std::vector<Section> temperature_annex(const PageSource& from, xmlNode* series);
 
 /// The sections of the annex.
 /// @param shown  refTypes of the results that stand on the customer's pages already

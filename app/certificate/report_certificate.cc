@@ -21,12 +21,11 @@ void require_consistent(const ReportData& data) {
 }
 
 /// The page of a certificate must not show a calibration that its XML does not contain.
-void require_issued_with(const IssuedCertificate& issued, const ReportData& as_found) {
-  if (as_found.sha256 && issued.xml.find(*as_found.sha256) != std::string::npos) return;
-  throw CertificateRefused(
-      issued.number,
-      {{"--as-found", as_found.path.string() + ", whose results are not part of this certificate",
-        "the as-found run of the certificate"}});
+void require_issued_with(const IssuedCertificate& issued, const ReportData& with, const char* option) {
+  if (with.sha256 && issued.xml.find(*with.sha256) != std::string::npos) return;
+  throw CertificateRefused(issued.number,
+                           {{option, with.path.string() + ", whose results are not part of this certificate",
+                             "a run of the certificate"}});
 }
 
 }  // namespace
@@ -53,14 +52,23 @@ ReportData gather_as_found(const std::filesystem::path& path, const ReportData& 
       as_left.label("item.serial_number")));
 }
 
+std::vector<ReportData> gather_series(const std::vector<std::string>& paths, Clock::UtcTime now) {
+  std::vector<ReportData> points;
+  points.reserve(paths.size());
+  for (const std::string& path : paths) points.push_back(gather_report(path, now, chosen_item(path, 0)));
+  return points;
+}
+
 std::string certificate_for_report(const ReportData& data, const CertificateFiles& files, bool draft,
                                    Clock::UtcTime now) {
   std::optional<ReportData> as_found;
   if (!files.as_found.empty()) as_found = gather_as_found(files.as_found, data, now);
+  std::vector<ReportData> series = gather_series(files.temperature, now);
   if (data.run && !draft) {
     if (auto issued = current_certificate(data.path, data.item)) {
       require_consistent(data);
-      if (as_found) require_issued_with(*issued, *as_found);
+      if (as_found) require_issued_with(*issued, *as_found, "--as-found");
+      for (const ReportData& point : series) require_issued_with(*issued, point, "--temperature");
       return std::move(issued->xml);
     }
   }
@@ -73,6 +81,7 @@ std::string certificate_for_report(const ReportData& data, const CertificateFile
   if (!files.language.empty()) request.laboratory.file.language = files.language;
   request.run = data;
   request.as_found = std::move(as_found);
+  request.series = std::move(series);
   request.draft = draft;
   return checked_xml(make_certificate(std::move(request)), &schema);
 }

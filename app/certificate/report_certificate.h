@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "app/certificate/certificate.h"
 #include "app/certificate/schema_check.h"
@@ -13,8 +14,9 @@ namespace abcal {
 struct CertificateFiles {
   std::string laboratory;  ///< Laboratory file.
   std::string as_found;    ///< Run of the item before it was adjusted. Of several items: the same item's.
-  std::string schemas;     ///< Folder with schemas to be used instead of the program's.
-  std::string language;    ///< Instead of the laboratory file's.
+  std::vector<std::string> temperature;  ///< Runs of the points of a series over temperature.
+  std::string schemas;                   ///< Folder with schemas to be used instead of the program's.
+  std::string language;                  ///< Instead of the laboratory file's.
 };
 
 /// The schemas that every certificate is checked with: those of the files, or else those of the program.
@@ -25,6 +27,9 @@ DccSchema schema_of(const CertificateFiles& files);
 /// serial number of `as_left`.
 /// @throws as gather_report(); std::invalid_argument where none of several is this item
 ReportData gather_as_found(const std::filesystem::path& path, const ReportData& as_left, Clock::UtcTime now);
+
+/// Reads the runs of a series over temperature. @throws as gather_report()
+std::vector<ReportData> gather_series(const std::vector<std::string>& paths, Clock::UtcTime now);
 
 /// The XML of a run's certificate: of the one that was issued, byte for byte, or else of a draft from the
 /// laboratory file.

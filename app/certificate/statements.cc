@@ -81,6 +81,8 @@ void add_units(std::vector<Statement>& statements, const Certificate& certificat
       for (const DerivedQuantity& quantity : group.quantities) units.insert(quantity.value.unit);
     for (const Decision& decision : run->decisions) units.insert(decision.limit.unit);
   }
+  if (certificate.series && certificate.series->result)
+    for (const TemperatureCoefficient& one : certificate.series->result->coefficients) units.insert(one.unit);
   std::set<std::string> said;
   for (const std::string& unit : units) {
     const UnitInDsi in = unit_in_dsi(unit);

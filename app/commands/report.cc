@@ -125,6 +125,7 @@ void check(const ReportOptions& options, const ReportData& data, const std::vect
   for (const std::string& input :
        {options.attachment, options.certificate.laboratory, options.certificate.as_found})
     if (!input.empty()) inputs.emplace_back(input);
+  inputs.insert(inputs.end(), options.certificate.temperature.begin(), options.certificate.temperature.end());
   require_writable(requested, inputs, options.force);
   if (!options.attachment.empty() && !std::filesystem::is_regular_file(options.attachment))
     throw std::invalid_argument(fmt::format("--attach {}: no such file", options.attachment));

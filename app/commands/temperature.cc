@@ -13,6 +13,7 @@
 #include "app/document/document_text.h"
 #include "app/document/weasyprint.h"
 #include "app/report/temperature_report.h"
+#include "app/results/temperature_points.h"
 #include "app/session/register_records.h"
 #include "app/session/temperature_series.h"
 #include "app/system/exit_code.h"

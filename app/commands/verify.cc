@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "app/bench/real_clock.h"
+#include "app/certificate/series_files.h"
 #include "app/certificate/signature_checks.h"
 #include "app/commands/commands.h"
 #include "app/laboratory/login.h"
@@ -70,7 +71,8 @@ void compare_with_register(const VerifyOptions& options, lab::Register& opened,
     checks.push_back({"register, " + finding.what, finding.good, finding.found});
 }
 
-/// The signatures of the run's certificates, and of a printed one.
+/// The signatures of the run's certificates, and of a printed one; and the runs over temperature that they
+/// name.
 std::vector<IntegrityCheck> check_signatures(const VerifyOptions& options, lab::Register* opened) {
   std::vector<PersonKey> keys;
   if (opened != nullptr)
@@ -78,6 +80,8 @@ std::vector<IntegrityCheck> check_signatures(const VerifyOptions& options, lab::
       if (key.kind == "person") keys.push_back({key.fingerprint, key.owner});
   const std::vector<IssuedCertificate> certificates = ResultsFile::certificates(options.run_file);
   std::vector<IntegrityCheck> checks = check_certificate_signatures(certificates, keys);
+  const std::filesystem::path folder = std::filesystem::absolute(options.run_file).parent_path();
+  for (IntegrityCheck& check : check_series_files(certificates, folder)) checks.push_back(std::move(check));
   if (options.pdf.empty()) return checks;
   for (IntegrityCheck& check : check_printed_certificate(options.pdf, certificates, keys))
     checks.push_back(std::move(check));

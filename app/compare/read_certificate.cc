@@ -397,8 +397,10 @@ ComparedResult read_certificate(const std::filesystem::path& path) {
                              ": XML, but not a digital calibration certificate (root element of "
                              "https://ptb.de/dcc required)");
   fill_identity(certificate, result);
-  const std::vector<xmlNode*> measurements =
-      certificate.nodes("dcc:measurementResults/dcc:measurementResult[.//si:labelXMLList]");
+  // The results over temperature of our certificates are no calibration of the nine properties.
+  const std::vector<xmlNode*> measurements = certificate.nodes(
+      "dcc:measurementResults/dcc:measurementResult[.//si:labelXMLList]"
+      "[not(@refType = 'abc_temperatureSeries')]");
   std::vector<std::string> problems;
   Numbers numbers;
   if (!measurements.empty()) {

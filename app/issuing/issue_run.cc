@@ -143,6 +143,7 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
   request.run = gather_report(asked.run, now, asked.item);
   if (!asked.certificate.as_found.empty())
     request.as_found = gather_as_found(asked.certificate.as_found, request.run, now);
+  request.series = gather_series(asked.certificate.temperature, now);
   request.issue = facts_of(asked, format_utc(now));
   if (registered != nullptr) use_register(*registered, request);
   Certificate certificate = make_certificate(std::move(request));

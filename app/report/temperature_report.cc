@@ -4,10 +4,9 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 
-#include "app/document/gnuplot.h"
+#include "app/document/band_figure.h"
 #include "app/system/version.h"
 
 namespace abcal {
@@ -16,7 +15,6 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr double kCoverage = 2.0;
-constexpr std::array<const char*, 3> kColours{"#D55E00", "#009E73", "#0072B2"};
 
 std::string number(double value) {
   return fmt::format("{:.7g}", value);
@@ -113,47 +111,31 @@ DocumentTable quality_table(const TemperatureResult& result) {
   return table;
 }
 
-/// Three outputs of a group: the points with their uncertainty, the curves and the bands.
+/// Three outputs of a group: the points, the curves and the bands.
 Figure figure_of(const TemperatureResult& result, std::size_t group, const std::string& title) {
   constexpr int kSteps = 120;
-  std::string script =
-      "set grid lc rgb '#d0d0d0'\nset border lc rgb '#404040'\nset tics textcolor rgb '#202020'\n"
-      "set multiplot layout 1,3\nset xlabel 'item (degC)'\nset key off\nset format y '%.3g'\n";
-  for (std::size_t j = 0; j < 3; ++j) {
-    const std::size_t k = 3 * group + j;
+  std::vector<BandPanel> panels;
+  for (std::size_t k = 3 * group; k < 3 * group + 3; ++k) {
     const TemperaturePolynomial& p = result.polynomials[k];
     const double at_reference = p.coefficient.at(0);
-    std::string curve, up, down;
+    BandPanel& panel = panels.emplace_back();
+    panel.title = fmt::format("{} - {:.6g} {}", p.name, at_reference, p.unit);
     for (int n = 0; n <= kSteps; ++n) {
-      const double t = result.least_degc + (result.most_degc - result.least_degc) * n / kSteps;
-      const double d = t - result.reference_degc;
-      const double y = p.at(d) - at_reference, u = kCoverage * p.standard_uncertainty_at(d);
-      curve += fmt::format("{:.6g} {:.9g} {:.9g} {:.9g}\n", t, y, y - u, y + u);
+      panel.x.push_back(result.least_degc + (result.most_degc - result.least_degc) * n / kSteps);
+      const double d = panel.x.back() - result.reference_degc;
+      panel.y.push_back(p.at(d) - at_reference);
+      panel.half_width.push_back(kCoverage * p.standard_uncertainty_at(d));
     }
     for (const TemperaturePoint& point : result.points) {
-      const auto i = static_cast<Eigen::Index>(k);
-      (point.leg == SeriesLeg::kDown || point.leg == SeriesLeg::kReturn ? down : up) +=
-          fmt::format("{:.6g} {:.9g} {:.9g}\n", point.temperature_degc, point.value[i] - at_reference,
-                      kCoverage * std::sqrt(point.own(i, i)));
+      const bool down = point.leg == SeriesLeg::kDown || point.leg == SeriesLeg::kReturn;
+      (down ? panel.filled : panel.open)
+          .push_back({point.temperature_degc, point.value[static_cast<Eigen::Index>(k)] - at_reference});
     }
-    script +=
-        fmt::format("$c{0} << EOD\n{1}EOD\n$a{0} << EOD\n{2}EOD\n$b{0} << EOD\n{3}EOD\n", j, curve, up, down);
-    script += fmt::format(
-        "set title {}\nplot $c{} using 1:3:4 with filledcurves fc rgb '{}' fs transparent solid 0.25 "
-        "notitle, $c{} using 1:2 with lines lc rgb '{}' notitle, ",
-        gnuplot_quoted(fmt::format("{} - {:.6g} {}", p.name, at_reference, p.unit)), j, kColours[j], j,
-        kColours[j]);
-    script += fmt::format("$a{} using 1:2 with points pt 8 ps 0.7 lc rgb '#202020' notitle", j);
-    if (!down.empty())
-      script += fmt::format(", $b{} using 1:2 with points pt 11 ps 0.7 lc rgb '#202020' notitle", j);
-    script += "\n";
   }
-  script += "unset multiplot\n";
-  return {title +
-              ": change from the value at the reference. Open triangles: way up, filled ones: way down; "
-              "band: k = 2 "
-              "times the standard uncertainty of the polynomial.",
-          script, 280};
+  return band_figure(title +
+                         ": change from the value at the reference. Open triangles: way up, filled ones: way "
+                         "down; band: k = 2 times the standard uncertainty of the polynomial.",
+                     "item (degC)", panels);
 }
 
 std::string shared_words() {
@@ -253,7 +235,9 @@ Json temperature_json(const TemperatureReport& report) {
                                     {"at_reference", each.at_reference},
                                     {"standard_uncertainty", each.standard_uncertainty},
                                     {"box", each.box},
-                                    {"end_point", each.end_point}});
+                                    {"box_standard_uncertainty", each.box_uncertainty},
+                                    {"end_point", each.end_point},
+                                    {"end_point_standard_uncertainty", each.end_point_uncertainty}});
   for (const TemperatureHysteresis& each : result.hysteresis) {
     Json entry{{"name", each.name}, {"unit", each.unit}};
     if (each.has_both_ways) {

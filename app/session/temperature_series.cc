@@ -3,12 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <stdexcept>
 
 #include "app/bench/chamber_consistency.h"
-#include "app/results/analyses.h"
 #include "app/session/temperature_soak.h"
 #include "app/system/progress.h"
 #include "drivers/instrument/instrument_error.h"
@@ -27,12 +25,6 @@ constexpr double kTellEveryS = 600.0;
 /// The air of a chamber that is switched off must be so near to 23 degC.
 constexpr double kWarmEnoughK = 5.0;
 constexpr double kWaitForAmbientS = 7200.0;
-
-double number_of(const std::string& text) {
-  double value = std::nan("");
-  std::from_chars(text.data(), text.data() + text.size(), value);
-  return value;
-}
 
 /// What the item's own sensor says now.
 std::optional<double> item_temperature(Bench& bench) {
@@ -260,54 +252,6 @@ void TemperatureSeries::end(RunSession& session, const BenchConfig& config, bool
     say(fmt::format("The chamber was not left as [temperature] end = \"{}\" says: {}", config.temperature.end,
                     error.what()));
   }
-}
-
-std::vector<TemperaturePoint> points_of_series(const std::vector<std::filesystem::path>& paths) {
-  std::vector<TemperaturePoint> points;
-  for (const std::filesystem::path& path : paths) {
-    const StoredRun stored = RunFile::load(path);
-    const auto leg = series_leg_from(label_of(stored.header.labels, kLegLabel));
-    if (!leg)
-      throw std::invalid_argument(path.string() + ": is no run of a series over temperature (no label " +
-                                  kLegLabel + ")");
-    if (stored.state != RunState::kComplete)
-      throw std::invalid_argument(path.string() + ": is not complete; go on with: abcal temperature BENCH");
-    TemperaturePoint point = temperature_point(analyse(stored.record, declared_estimator(stored.record)));
-    point.number = static_cast<int>(points.size()) + 1;
-    point.leg = *leg;
-    point.set_degc = number_of(label_of(stored.header.labels, kSetLabel));
-    double sum = 0.0;
-    int count = 0;
-    for (const DwellRecord& dwell : stored.record.dwells) {
-      if (!dwell.temperature_degc) continue;
-      sum += *dwell.temperature_degc;
-      ++count;
-    }
-    // An item without a sensor: the air has soaked to the set point.
-    point.temperature_degc = count > 0 ? sum / count : point.set_degc;
-    if (count > 1)
-      point.change_k = stored.record.dwells.back().temperature_degc.value_or(point.temperature_degc) -
-                       stored.record.dwells.front().temperature_degc.value_or(point.temperature_degc);
-    points.push_back(std::move(point));
-  }
-  return points;
-}
-
-AnalysedSeries analyse_series(const std::vector<std::filesystem::path>& paths) {
-  AnalysedSeries series;
-  const StoredRun first = RunFile::load(paths.at(0));
-  if (!first.header.items.empty()) {
-    const RunItem& item = first.header.items.front();
-    series.item = fmt::format("{} {}{}{}", item.maker, item.model,
-                              item.serial_number.empty() ? "" : ", serial number ", item.serial_number);
-  }
-  series.response_unit = first.header.response_unit;
-  series.performed = first.header.created_utc;
-  series.g_loc_mps2 = first.record.g_loc.value_mps2;
-  const BenchConfig config = parse_bench(first.header.bench_toml, paths[0].string());
-  series.result =
-      fit_temperature(points_of_series(paths), config.temperature.reference_degc, series.response_unit);
-  return series;
 }
 
 }  // namespace abcal

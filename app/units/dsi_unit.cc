@@ -46,6 +46,23 @@ UnitMeaning meaning_to_the(UnitMeaning unit, int power) {
   return result;
 }
 
+/// What changes with temperature: "urad/K", "ug/K", and "ppm/K", parts in a million of a sensitivity.
+UnitInDsi per_kelvin(const std::string& unit, const std::string& output) {
+  const DsiUnit per_kelvin = DsiUnit("\\kelvin").to_the(-1);
+  UnitInDsi in;
+  if (output == "ppm") {
+    in.own = DsiUnit("|ppm");
+    in.factor = 1e-6;
+  } else {
+    in = unit_in_dsi(output);
+  }
+  in.unit = in.unit * per_kelvin;
+  if (!in.own) return in;
+  in.own = *in.own * per_kelvin;
+  in.definition = fmt::format("1 {} = {} in the SI unit {}", unit, in.factor, in.unit.text());
+  return in;
+}
+
 /// A unit of the table, with its D-SI form.
 UnitInDsi from_table(const PrefixedUnit& found, const std::string& name) {
   UnitInDsi in;
@@ -98,6 +115,7 @@ UnitInDsi unit_in_dsi(const std::string& unit) {
   const auto found = find_unit(unit);
   if (found && (!found->unit->d_si.empty() || acceleration_unit_mps2(unit))) return from_table(*found, unit);
   std::string output = unit;
+  if (take_suffix(output, "/K")) return per_kelvin(unit, output);
   if (take_suffix(output, "/V")) {
     in = unit_in_dsi(output);
     in.unit = in.unit * DsiUnit("\\volt").to_the(-1);

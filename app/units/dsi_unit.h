@@ -35,8 +35,8 @@ struct UnitInDsi {
 };
 
 /// "V", "g", "LSB", "degree", "%", "mrad"; per local gravity "V/g_loc", which has the unit of the output
-/// since the quantity is the change of the output for one g_loc; "V/(m/s2)", "mV/g" (standard gravity). A
-/// unit that is unknown is a count: \one, with a note.
+/// since the quantity is the change of the output for one g_loc; "V/(m/s2)", "mV/g" (standard gravity);
+/// "urad/K", "ug/K", "ppm/K". A unit that is unknown is a count: \one, with a note.
 UnitInDsi unit_in_dsi(const std::string& unit);
 
 /// A unit of D-SI: \volt\second\tothe{2}\metre\tothe{-1} (prefixes before the unit, \tothe{n} after it).

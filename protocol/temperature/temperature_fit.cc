@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <stdexcept>
 #include <utility>
@@ -34,7 +35,7 @@ struct Series {
 
 struct Solution {
   Eigen::VectorXd coefficient;
-  Eigen::MatrixXd covariance;
+  Eigen::MatrixXd covariance, excess_covariance;
   Eigen::VectorXd residual;
   double chi2 = 0.0;
 };
@@ -54,6 +55,8 @@ Solution solve(const Series& series, int order, double excess_variance) {
   Solution solution;
   solution.covariance = (a.transpose() * a).ldlt().solve(Eigen::MatrixXd::Identity(order + 1, order + 1));
   solution.coefficient = solution.covariance * (a.transpose() * y);
+  const Eigen::MatrixXd weights = factor.matrixU().solve(a * solution.covariance);
+  solution.excess_covariance = excess_variance * weights.transpose() * weights;
   solution.residual = series.value - design(series.d, order) * solution.coefficient;
   solution.chi2 = (y - a * solution.coefficient).squaredNorm();
   return solution;
@@ -143,25 +146,40 @@ Series series_of(const std::vector<TemperaturePoint>& points, double reference_d
   return series;
 }
 
-TemperaturePolynomial polynomial_of(const Series& series, int most_order) {
+/// The polynomial of one order.
+TemperaturePolynomial polynomial_of(const Series& series, int order) {
   TemperaturePolynomial polynomial;
-  const double variance = excess_variance(series, most_order);
-  polynomial.order = choose_order(series, most_order, variance, polynomial.likelihood_ratio);
-  polynomial.chi2 = solve(series, polynomial.order, 0.0).chi2;
-  polynomial.degrees_of_freedom = static_cast<int>(series.d.size()) - polynomial.order - 1;
-  const double own = excess_variance(series, polynomial.order);
-  polynomial.excess = std::sqrt(own);
-  Solution solution = solve(series, polynomial.order, own);
+  polynomial.order = order;
+  polynomial.chi2 = solve(series, order, 0.0).chi2;
+  polynomial.degrees_of_freedom = static_cast<int>(series.d.size()) - order - 1;
+  const double variance = excess_variance(series, order);
+  polynomial.excess = std::sqrt(variance);
+  const Solution solution = solve(series, order, variance);
   // From the scaled abscissa to kelvin.
-  Eigen::VectorXd by(polynomial.order + 1);
-  for (int n = 0; n <= polynomial.order; ++n) by[n] = std::pow(series.scale, -n);
+  Eigen::VectorXd by(order + 1);
+  for (int n = 0; n <= order; ++n) by[n] = std::pow(series.scale, -n);
   polynomial.covariance = by.asDiagonal() * solution.covariance * by.asDiagonal();
-  for (int n = 0; n <= polynomial.order; ++n)
-    polynomial.coefficient.push_back(solution.coefficient[n] * by[n]);
+  polynomial.excess_covariance = by.asDiagonal() * solution.excess_covariance * by.asDiagonal();
+  for (int n = 0; n <= order; ++n) polynomial.coefficient.push_back(solution.coefficient[n] * by[n]);
   polynomial.residual.assign(solution.residual.data(), solution.residual.data() + solution.residual.size());
   polynomial.residual_rms = std::sqrt(solution.residual.squaredNorm() / static_cast<double>(series.d.size()));
   polynomial.residual_max = solution.residual.cwiseAbs().maxCoeff();
   return polynomial;
+}
+
+/// The polynomial of the order that the likelihood ratios choose.
+TemperaturePolynomial chosen_polynomial(const Series& series, int most_order) {
+  std::vector<double> ratios;
+  const int order = choose_order(series, most_order, excess_variance(series, most_order), ratios);
+  TemperaturePolynomial polynomial = polynomial_of(series, order);
+  polynomial.likelihood_ratio = std::move(ratios);
+  return polynomial;
+}
+
+Eigen::VectorXd powers_of(double from_t0, int order) {
+  Eigen::VectorXd powers(order + 1);
+  for (int n = 0; n <= order; ++n) powers[n] = std::pow(from_t0, n);
+  return powers;
 }
 
 /// As data sheets have it: sensitivities in ppm/K, offsets in millionths of g_loc, angles in microradian.
@@ -171,19 +189,30 @@ TemperatureCoefficient coefficient_of(const TemperaturePolynomial& polynomial, s
   found.name = polynomial.name;
   const double factor = k >= 3 && k < 6 ? kMillion * std::numbers::pi / 180.0 : kMillion / sensitivity;
   found.unit = k < 3 ? "ppm/K" : k < 6 ? "urad/K" : "ug/K";
-  if (polynomial.order >= 1) {
-    found.at_reference = factor * polynomial.coefficient[1];
-    found.standard_uncertainty = std::abs(factor) * std::sqrt(polynomial.covariance(1, 1));
-  }
+  const auto uncertainty = [&](const Eigen::VectorXd& weights) {
+    return std::abs(factor) * std::sqrt(std::max(0.0, weights.dot(polynomial.covariance * weights)));
+  };
+  const Eigen::VectorXd slope = Eigen::VectorXd::Unit(polynomial.order + 1, 1);
+  found.at_reference = factor * polynomial.coefficient[1];
+  found.standard_uncertainty = uncertainty(slope);
+  found.degrees_of_freedom = polynomial.degrees_of_freedom_of(slope);
   constexpr int kSteps = 200;
-  double least = polynomial.at(from), most = least;
+  double lowest = from, highest = from;
   for (int n = 1; n <= kSteps; ++n) {
-    const double value = polynomial.at(from + (to - from) * n / kSteps);
-    least = std::min(least, value);
-    most = std::max(most, value);
+    const double d = from + (to - from) * n / kSteps;
+    if (polynomial.at(d) < polynomial.at(lowest)) lowest = d;
+    if (polynomial.at(d) > polynomial.at(highest)) highest = d;
   }
-  found.box = std::abs(factor) * (most - least) / (to - from);
+  const auto between = [&](double a, double b) -> Eigen::VectorXd {
+    return (powers_of(b, polynomial.order) - powers_of(a, polynomial.order)) / (to - from);
+  };
+  const Eigen::VectorXd box = between(lowest, highest), ends = between(from, to);
+  found.box = std::abs(factor) * (polynomial.at(highest) - polynomial.at(lowest)) / (to - from);
+  found.box_uncertainty = uncertainty(box);
+  found.box_degrees_of_freedom = polynomial.degrees_of_freedom_of(box);
   found.end_point = factor * (polynomial.at(to) - polynomial.at(from)) / (to - from);
+  found.end_point_uncertainty = uncertainty(ends);
+  found.end_point_degrees_of_freedom = polynomial.degrees_of_freedom_of(ends);
   return found;
 }
 
@@ -243,9 +272,14 @@ double TemperaturePolynomial::at(double from_t0) const {
 }
 
 double TemperaturePolynomial::standard_uncertainty_at(double from_t0) const {
-  Eigen::VectorXd powers(order + 1);
-  for (int n = 0; n <= order; ++n) powers[n] = std::pow(from_t0, n);
+  const Eigen::VectorXd powers = powers_of(from_t0, order);
   return std::sqrt(std::max(0.0, powers.dot(covariance * powers)));
+}
+
+double TemperaturePolynomial::degrees_of_freedom_of(const Eigen::VectorXd& weights) const {
+  const double all = weights.dot(covariance * weights), of_excess = weights.dot(excess_covariance * weights);
+  if (!(of_excess > 0.0)) return std::numeric_limits<double>::infinity();
+  return degrees_of_freedom * (all / of_excess) * (all / of_excess);
 }
 
 double TemperaturePolynomial::slope_at(double from_t0) const {
@@ -296,19 +330,22 @@ TemperatureResult fit_temperature(std::vector<TemperaturePoint> points, double r
   result.points = std::move(points);
   const int most_order =
       std::min({kMostTemperatureOrder, temperatures - 1, static_cast<int>(result.points.size()) - 2});
+  std::vector<TemperaturePolynomial> of_coefficients;
   for (std::size_t k = 0; k < kNames.size(); ++k) {
     const auto index = static_cast<Eigen::Index>(k);
-    TemperaturePolynomial polynomial =
-        polynomial_of(series_of(result.points, reference_degc, index), std::max(0, most_order));
+    const Series series = series_of(result.points, reference_degc, index);
+    TemperaturePolynomial polynomial = chosen_polynomial(series, std::max(0, most_order));
     polynomial.name = kNames[k];
     polynomial.unit = unit_of(k, response_unit);
+    // No slope is a value, too, and it has an uncertainty.
+    of_coefficients.push_back(polynomial.order > 0 ? polynomial : polynomial_of(series, 1));
+    of_coefficients.back().name = polynomial.name;
+    result.hysteresis.push_back(hysteresis_of(result.points, polynomial, index, reference_degc));
     result.polynomials.push_back(std::move(polynomial));
-    result.hysteresis.push_back(
-        hysteresis_of(result.points, result.polynomials.back(), index, reference_degc));
   }
   for (std::size_t k = 0; k < kNames.size(); ++k) {
     result.coefficients.push_back(
-        coefficient_of(result.polynomials[k], k, result.polynomials[k % 3].coefficient[0],
+        coefficient_of(of_coefficients[k], k, result.polynomials[k % 3].coefficient[0],
                        result.least_degc - reference_degc, result.most_degc - reference_degc));
   }
   return result;

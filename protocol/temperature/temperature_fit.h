@@ -47,19 +47,28 @@ struct TemperaturePolynomial {
   double excess = 0.0;
   double chi2 = 0.0;  ///< Without the excess.
   int degrees_of_freedom = 0;
+  /// The part of the covariance that comes of the excess, which is known from the scatter alone.
+  Eigen::MatrixXd excess_covariance;
 
   double at(double from_t0) const;
   double standard_uncertainty_at(double from_t0) const;
   double slope_at(double from_t0) const;
+  /// Effective degrees of freedom (JCGM 100, G.4.1) of the uncertainty of a sum of coefficients with these
+  /// weights; infinite where there is no excess.
+  double degrees_of_freedom_of(const Eigen::VectorXd& weights) const;
 };
 
-/// What the data sheet says of an output: per kelvin, and how it is reckoned.
+/// What the data sheet says of an output: per kelvin, and how it is reckoned. Where no order above 0 is
+/// significant, that of a straight line, which has an uncertainty.
 struct TemperatureCoefficient {
   std::string name;
   std::string unit;                                       ///< "ppm/K", "ug/K", "urad/K"
   double at_reference = 0.0, standard_uncertainty = 0.0;  ///< Slope of the polynomial at T0.
+  double degrees_of_freedom = 0.0;                        ///< Effective, of that uncertainty.
   double box = 0.0;                                       ///< (largest - smallest) / range of temperature.
-  double end_point = 0.0;                                 ///< From one end to the other.
+  double box_uncertainty = 0.0, box_degrees_of_freedom = 0.0;
+  double end_point = 0.0;  ///< From one end to the other.
+  double end_point_uncertainty = 0.0, end_point_degrees_of_freedom = 0.0;
 };
 
 /// Of one output: what differs between the ways up and down, at equal temperature of the item.

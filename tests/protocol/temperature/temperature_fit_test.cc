@@ -108,6 +108,45 @@ TEST(TemperatureFitTest, CoefficientsLieWithinTheirUncertainty) {
   EXPECT_LT(too_high, 45);
 }
 
+TEST(TemperatureFitTest, CoefficientsOfDataSheetsLieWithinTheirUncertainty) {
+  std::mt19937_64 random(5);
+  // d of the ends: the item is 3 K warmer than the set points, which scatter by 0.1 K.
+  constexpr double kLow = -60.0, kHigh = 65.0;
+  const auto s = [](double d) { return 1.0 - 1e-4 * d + 2e-7 * d * d; };
+  int within = 0, all = 0;
+  for (int n = 0; n < 300; ++n) {
+    const TemperatureResult result = fit_temperature(made_points(random), 23.0, "g");
+    const auto count = [&](double value, double truth, double u) {
+      ++all;
+      if (std::abs(value - truth) < 1.96 * u) ++within;
+    };
+    const double low = result.least_degc - 23.0, high = result.most_degc - 23.0;
+    EXPECT_NEAR(low, kLow, 1.0);
+    EXPECT_NEAR(high, kHigh, 1.0);
+    const double ends = 1e6 * (s(high) - s(low)) / (high - low);
+    // It falls over the whole range, so that its box has the size of its ends.
+    count(result.coefficients[0].end_point, ends, result.coefficients[0].end_point_uncertainty);
+    count(result.coefficients[0].box, -ends, result.coefficients[0].box_uncertainty);
+    // No slope is a value too.
+    EXPECT_GT(result.coefficients[3].standard_uncertainty, 0.0);
+    count(result.coefficients[3].at_reference, 0.0, result.coefficients[3].standard_uncertainty);
+    count(result.coefficients[3].end_point, 0.0, result.coefficients[3].end_point_uncertainty);
+  }
+  EXPECT_GT(within, 0.925 * all);
+  EXPECT_LT(within, 0.985 * all);
+}
+
+TEST(TemperatureFitTest, WhatTheScatterAloneTellsHasItsDegreesOfFreedom) {
+  std::mt19937_64 random(6);
+  const TemperatureResult without = fit_temperature(made_points(random, {.noise = 0.5 * kOwn}), 23.0, "g");
+  EXPECT_TRUE(std::isinf(without.coefficients[6].degrees_of_freedom));
+  // Scatter ten times what the points state: 15 points less the coefficients.
+  const TemperatureResult with = fit_temperature(made_points(random, {.noise = 10.0 * kOwn}), 23.0, "g");
+  const double degrees = with.coefficients[0].degrees_of_freedom;
+  EXPECT_GE(degrees, with.polynomials[0].degrees_of_freedom);
+  EXPECT_LT(degrees, 1.2 * with.polynomials[0].degrees_of_freedom);
+}
+
 TEST(TemperatureFitTest, OneTemperatureIsNoSeries) {
   std::mt19937_64 random(4);
   std::vector<TemperaturePoint> points = made_points(random);
