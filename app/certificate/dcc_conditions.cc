@@ -71,7 +71,9 @@ struct ConditionKind {
 };
 
 /// To a thousandth of its unit: more than what measures the surroundings has.
-double shown_condition(double value) { return std::round(value * 1e3) / 1e3; }
+double shown_condition(double value) {
+  return std::round(value * 1e3) / 1e3;
+}
 
 void add_range(XmlElement& conditions, const Words& words, const ConditionKind& kind,
                const std::optional<Range>& range) {
