@@ -129,6 +129,7 @@ struct BenchTruth : OutputTruth {
   // Stage.
   double zx = 0.0, zy = 0.0;  ///< Horizontal components of the Z axis at rest.
   double xz = 0.0;            ///< Vertical component of the X axis.
+  double zx_per_degc = 0.0;   ///< What the item's temperature adds to zx, from temperature_degc on.
   AxisTruth x, z;
   double span_s = 3600.0;  ///< Time of the effects that are said to act "over the span", from the start on.
   /// Tilt of the base about x and y of the LGCS over the span, linear in time, zero at its middle.

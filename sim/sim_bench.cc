@@ -168,6 +168,7 @@ void check(const OutputTruth& truth) {
 BenchTruth checked(BenchTruth truth) {
   check(static_cast<const OutputTruth&>(truth));
   require(truth.span_s >= kSmallestSpanS && std::isfinite(truth.span_s), "span_s", truth.span_s, ">= 0.001");
+  require(std::isfinite(truth.zx_per_degc), "zx_per_degc", truth.zx_per_degc, "finite");
   require(std::isfinite(truth.floor_tilt_x_urad), "floor_tilt_x_urad", truth.floor_tilt_x_urad, "finite");
   require(std::isfinite(truth.floor_tilt_y_urad), "floor_tilt_y_urad", truth.floor_tilt_y_urad, "finite");
   if (!truth.sag_urad.allFinite()) refuse("sag_urad", "not finite", "finite");
@@ -395,6 +396,12 @@ Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_command
   return Angle::degrees(error);
 }
 
+Eigen::Vector3d SimBench::axis_z(Clock::Instant t) const {
+  if (truth_.zx_per_degc == 0.0) return axis_z_;
+  const double from_start = item_temperature(truth_, t) - truth_.temperature_degc;
+  return (axis_z_ + from_start * truth_.zx_per_degc * Eigen::Vector3d::UnitX()).normalized();
+}
+
 Eigen::Matrix3d SimBench::wobble(std::size_t axis, double turn_rad) const {
   const Eigen::Vector3d& e = axis == 0 ? axis_x_ : axis_z_;
   // Neither axis comes near the vector that its first direction is made of: zx, zy, xz are small.
@@ -411,16 +418,17 @@ Eigen::Matrix3d SimBench::wobble(std::size_t axis, double turn_rad) const {
 }
 
 Eigen::Matrix3d SimBench::orientation(const std::array<double, 2>& actual_rad,
-                                      const std::array<double, 2>& commanded_rad) const {
+                                      const std::array<double, 2>& commanded_rad,
+                                      const Eigen::Vector3d& axis_z) const {
   // L: LGCS. P: platter, which carries the accelerometer. X carries Z, Z carries the platter.
   Eigen::Matrix3d R_LP;
   if (wobble_[0].empty() && wobble_[1].empty()) {
-    R_LP = (Eigen::AngleAxisd(actual_rad[0], axis_x_) * Eigen::AngleAxisd(actual_rad[1], axis_z_))
+    R_LP = (Eigen::AngleAxisd(actual_rad[0], axis_x_) * Eigen::AngleAxisd(actual_rad[1], axis_z))
                .toRotationMatrix() *
            R_LP_rest_;
   } else {
     R_LP = wobble(0, commanded_rad[0]) * Eigen::AngleAxisd(actual_rad[0], axis_x_).toRotationMatrix() *
-           wobble(1, commanded_rad[1]) * Eigen::AngleAxisd(actual_rad[1], axis_z_).toRotationMatrix() *
+           wobble(1, commanded_rad[1]) * Eigen::AngleAxisd(actual_rad[1], axis_z).toRotationMatrix() *
            R_LP_rest_;
   }
   if (truth_.sag_urad.isZero(0.0)) return R_LP;
@@ -461,7 +469,7 @@ BodyMotion SimBench::body_motion(Clock::Instant t) const {
   const std::lock_guard lock(mutex_);
   const Epoch& epoch = epoch_at(t);
   const Turn turn = turn_at(epoch, t);
-  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation(turn.actual, turn.commanded);
+  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation(turn.actual, turn.commanded, axis_z(t));
   // The rotation closest to the directions of the outputs (polar decomposition), right-handed in any case.
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(mounted_matrix(truth_at(t), t).rowwise().normalized(),
                                               Eigen::ComputeFullU | Eigen::ComputeFullV);
@@ -478,7 +486,7 @@ BodyMotion SimBench::body_motion(Clock::Instant t) const {
     rate_radps[k] = Angle::degrees(rate_degps).rad();
   }
   const Eigen::Vector3d rate_L =
-      rate_radps[0] * axis_x_ + rate_radps[1] * (Eigen::AngleAxisd(turn.actual[0], axis_x_) * axis_z_);
+      rate_radps[0] * axis_x_ + rate_radps[1] * (Eigen::AngleAxisd(turn.actual[0], axis_x_) * axis_z(t));
   const Eigen::Matrix3d R_LB = R_LP * R_BP.transpose();
   const Eigen::Vector3d field_L(kFieldNorthGauss, 0.0, -kFieldDownGauss);
   return {R_LB, R_LB.transpose() * rate_L, R_LB.transpose() * field_L};
@@ -489,12 +497,13 @@ Eigen::Vector3d SimBench::force(const Epoch& epoch, Clock::Instant t) const {
   for (std::size_t k = 0; k < 2; ++k)
     shift[k] = shift_deg(FaultKind::kMissedStep, k, t) + shift_deg(FaultKind::kMovedAxis, k, t);
   const bool level = truth_.floor_tilt_x_urad == 0.0 && truth_.floor_tilt_y_urad == 0.0;
-  const bool at_rest = level && shift[0] == 0.0 && shift[1] == 0.0 && t >= epoch.settled &&
+  const bool rigid = truth_.zx_per_degc == 0.0;
+  const bool at_rest = level && rigid && shift[0] == 0.0 && shift[1] == 0.0 && t >= epoch.settled &&
                        !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
   if (at_rest && epoch.force_at_rest) return *epoch.force_at_rest;
   const Turn turn = turn_at(epoch, t);
   const Eigen::Vector3d f_L = up_in_base(t);
-  const Eigen::Vector3d f_P = orientation(turn.actual, turn.commanded).transpose() * f_L;
+  const Eigen::Vector3d f_P = orientation(turn.actual, turn.commanded, axis_z(t)).transpose() * f_L;
   if (at_rest) epoch.force_at_rest = f_P;
   return f_P;
 }
@@ -742,7 +751,7 @@ TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
   const OutputTruth& truth = truth_at(t);
   // Up in the platter's frame is what the accelerometer feels; at the pose (0, 0) that frame, as it really
   // is, defines x, y, z.
-  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation({0.0, 0.0}, {0.0, 0.0});
+  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation({0.0, 0.0}, {0.0, 0.0}, axis_z(t));
   const Eigen::Array3d gains = gain(truth, t);
   const Eigen::Matrix3d s = gains.matrix().asDiagonal() * mounted_matrix(truth, t) * R_LP.transpose();
 

@@ -178,8 +178,10 @@ class SimBench {
   Turn turn_at(const Epoch& epoch, Clock::Instant t) const;
   void draw_stage();
   Eigen::Matrix3d wobble(std::size_t axis, double turn_rad) const;
+  Eigen::Vector3d axis_z(Clock::Instant t) const;
   Eigen::Matrix3d orientation(const std::array<double, 2>& actual_rad,
-                              const std::array<double, 2>& commanded_rad) const;
+                              const std::array<double, 2>& commanded_rad,
+                              const Eigen::Vector3d& axis_z) const;
   Eigen::Matrix3d floor_tilt(Clock::Instant t) const;
   Eigen::Vector3d up_in_base(Clock::Instant t) const;
   double span_time(Clock::Instant t) const;

@@ -250,6 +250,7 @@ void visit_simulation(KeyVisitor& keys, sim::BenchTruth& s) {
   keys.number("zx", s.zx, {-0.1, 0.1});
   keys.number("zy", s.zy, {-0.1, 0.1});
   keys.number("xz", s.xz, {-0.1, 0.1});
+  keys.number("zx_per_degc", s.zx_per_degc, {-1e-3, 1e-3});
   visit_world_effects(keys, s);
   keys.section("simulation.chamber");
   keys.number("air_lag_s", s.chamber.air_lag_s, kPositive);

@@ -278,6 +278,10 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"simulation.zx", {"Zx, horizontal component of axis Z at rest.", "1"}},
       {"simulation.zy", {"Zy, the other horizontal component of axis Z at rest.", "1"}},
       {"simulation.xz", {"Xz, vertical component of axis X.", "1"}},
+      {"simulation.zx_per_degc",
+       {"Change of Zx with the item's temperature: a stage that turns warm with it. From `temperature_degc` "
+        "on.",
+        "1/degC"}},
       {"simulation.AXIS.mean_step_error_deg", {"F_X or F_Z, at every angle except 0 and -90 degrees.", ""}},
       {"simulation.AXIS.initial_turn_error_deg", {"Error at -90 degrees: d3 for X, d2 for Z.", ""}},
       {"simulation.AXIS.step_error_deg",

@@ -124,6 +124,12 @@ CertifiedSeries certified_series(std::vector<ReportData> points, std::vector<Pro
     const ReportData& first = series.points.front();
     series.result = fit_temperature(std::move(values), first.bench->temperature.reference_degc,
                                     first.record.response_unit);
+    for (const StageTrend& trend : series.result->stage)
+      if (!trend.constant())
+        problems.push_back({fmt::format("{}, {} of the stage", kOption, trend.name),
+                            fmt::format("{:.2g} {}/K, standard uncertainty {:.1g}", trend.slope, trend.unit,
+                                        trend.standard_uncertainty),
+                            "a stage that does not change with temperature"});
   } catch (const std::invalid_argument& error) {
     problems.push_back({kOption, error.what(), "runs at several temperatures"});
   }

@@ -111,6 +111,22 @@ DocumentTable quality_table(const TemperatureResult& result) {
   return table;
 }
 
+DocumentTable stage_table(const TemperatureResult& result) {
+  DocumentTable table{"The stage over temperature, as each run found it",
+                      {{"", CellKind::kSymbol},
+                       {"slope", CellKind::kNumber},
+                       {"u", CellKind::kNumber},
+                       {"unit", CellKind::kUnit},
+                       {"probability", CellKind::kNumber},
+                       {""}},
+                      {}};
+  for (const StageTrend& each : result.stage)
+    table.rows.push_back({each.name, two_digits(each.slope), two_digits(each.standard_uncertainty),
+                          each.unit + "/K", fmt::format("{:.2g}", each.probability),
+                          each.constant() ? "no change found" : "CHANGES"});
+  return table;
+}
+
 /// Three outputs of a group: the points, the curves and the bands.
 Figure figure_of(const TemperatureResult& result, std::size_t group, const std::string& title) {
   constexpr int kSteps = 120;
@@ -198,9 +214,8 @@ Document temperature_document(const TemperatureReport& report) {
   document.subtitle = report.item.empty() ? std::string("accelerometer") : report.item;
   document.identification = document.subtitle;
   document.origin = std::string("abcal ") + program_version();
-  if (!report.result.usable())
-    document.cautions.emplace_back(
-        "Not every point of this series is usable: see the verdicts of the points.");
+  for (const std::string& reason : report.result.reasons())
+    document.cautions.push_back("This series is doubtful: " + reason + ".");
   document.sections.push_back({"Points", {points_table(report)}});
   document.sections.push_back(
       {"Over temperature",
@@ -208,6 +223,7 @@ Document temperature_document(const TemperatureReport& report) {
         figure_of(report.result, 0, "Sensitivities"), figure_of(report.result, 2, "Offsets"),
         figure_of(report.result, 1, "Angles between the axes"), quality_table(report.result),
         polynomials_table(report.result)}});
+  if (!report.result.stage.empty()) document.sections.back().blocks.emplace_back(stage_table(report.result));
   return document;
 }
 
@@ -224,7 +240,9 @@ Json temperature_json(const TemperatureReport& report) {
             {"points", Json::array()},
             {"polynomials", Json::array()},
             {"coefficients", Json::array()},
-            {"hysteresis", Json::array()}};
+            {"hysteresis", Json::array()},
+            {"stage", Json::array()}};
+  if (!result.usable()) json["why"] = result.reasons();
   for (std::size_t n = 0; n < result.points.size(); ++n)
     json["points"].push_back(json_of(
         result.points[n], n < report.files.size() ? report.files[n].filename().string() : std::string()));
@@ -251,6 +269,13 @@ Json temperature_json(const TemperatureReport& report) {
     }
     json["hysteresis"].push_back(entry);
   }
+  for (const StageTrend& each : result.stage)
+    json["stage"].push_back({{"name", each.name},
+                             {"unit", each.unit + "/K"},
+                             {"slope", each.slope},
+                             {"standard_uncertainty", each.standard_uncertainty},
+                             {"probability", each.probability},
+                             {"constant", each.constant()}});
   return json;
 }
 

@@ -1,10 +1,13 @@
 #include "protocol/temperature/temperature_fit.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
+#include <boost/math/distributions/normal.hpp>
+#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -25,6 +28,11 @@ constexpr double kOneMore = 3.841, kTwoMore = 5.991;
 /// Temperatures nearer than this are one: order of a polynomial, ways up and down.
 constexpr double kSameTemperatureK = 2.0;
 constexpr double kMillion = 1e6;
+/// What a run finds of the stage, with the unit of a trend.
+constexpr std::array<std::pair<const char*, const char*>, 5> kStage{
+    {{"Zx", "1"}, {"Zy", "1"}, {"Xz", "1"}, {"d2", "degree"}, {"d3", "degree"}}};
+/// A trend of the stage is found by chance in one series of a thousand, for each constant.
+constexpr double kTrendByChance = 1e-3;
 
 /// One output at all points, with d = (T - T0) / scale.
 struct Series {
@@ -117,6 +125,14 @@ std::string unit_of(std::size_t k, const std::string& response_unit) {
   return k < 3 ? response_unit + "/g_loc" : k < 6 ? "degree" : response_unit;
 }
 
+void scale(Series& series) {
+  series.scale = std::max(1.0, series.d.cwiseAbs().maxCoeff());
+  series.d /= series.scale;
+  // Readings without any scatter (a noiseless simulation): round-off is left.
+  const double least = 1e-12 * std::max(1.0, series.value.cwiseAbs().maxCoeff());
+  series.own_variance = series.own_variance.cwiseMax(least * least);
+}
+
 Series series_of(const std::vector<TemperaturePoint>& points, double reference_degc, Eigen::Index k) {
   const auto count = static_cast<Eigen::Index>(points.size());
   Series series;
@@ -138,11 +154,7 @@ Series series_of(const std::vector<TemperaturePoint>& points, double reference_d
     const double change = slope * points[static_cast<std::size_t>(i)].change_k;
     series.own_variance[i] += change * change / 12.0;
   }
-  series.scale = std::max(1.0, series.d.cwiseAbs().maxCoeff());
-  series.d /= series.scale;
-  // Readings without any scatter (a noiseless simulation): round-off is left.
-  const double least = 1e-12 * std::max(1.0, series.value.cwiseAbs().maxCoeff());
-  series.own_variance = series.own_variance.cwiseMax(least * least);
+  scale(series);
   return series;
 }
 
@@ -214,6 +226,51 @@ TemperatureCoefficient coefficient_of(const TemperaturePolynomial& polynomial, s
   found.end_point_uncertainty = uncertainty(ends);
   found.end_point_degrees_of_freedom = polynomial.degrees_of_freedom_of(ends);
   return found;
+}
+
+/// Two-sided probability of a slope this many standard uncertainties from zero.
+double probability_of(double slope, double standard_uncertainty, double degrees_of_freedom) {
+  const double t = std::abs(slope) / standard_uncertainty;
+  namespace math = boost::math;
+  return 2.0 * (std::isinf(degrees_of_freedom)
+                    ? math::cdf(math::complement(math::normal(), t))
+                    : math::cdf(math::complement(math::students_t(degrees_of_freedom), t)));
+}
+
+StageTrend trend_of(const std::vector<TemperaturePoint>& points, double reference_degc, std::size_t k) {
+  const auto count = static_cast<Eigen::Index>(points.size());
+  Series series{Eigen::VectorXd(count), Eigen::VectorXd(count), Eigen::VectorXd(count),
+                Eigen::VectorXd::Zero(count)};
+  for (Eigen::Index i = 0; i < count; ++i) {
+    const TemperaturePoint& point = points[static_cast<std::size_t>(i)];
+    const Quantity& found = point.stage->at(k);
+    series.d[i] = point.temperature_degc - reference_degc;
+    series.value[i] = found.value;
+    // What the run does not tell is the same at all points.
+    const double u = found.type_a.value_or(found.standard_uncertainty);
+    series.own_variance[i] = u * u;
+  }
+  scale(series);
+  const TemperaturePolynomial line = polynomial_of(series, 1);
+  StageTrend trend;
+  trend.name = kStage[k].first;
+  trend.unit = kStage[k].second;
+  trend.slope = line.coefficient[1];
+  trend.standard_uncertainty = std::sqrt(line.covariance(1, 1));
+  trend.probability = probability_of(trend.slope, trend.standard_uncertainty,
+                                     line.degrees_of_freedom_of(Eigen::VectorXd::Unit(2, 1)));
+  return trend;
+}
+
+/// Where every run found the stage by itself, and there are points enough to judge a line by.
+std::vector<StageTrend> stage_trends(const std::vector<TemperaturePoint>& points, double reference_degc) {
+  constexpr std::size_t kLeastPoints = 4;
+  std::vector<StageTrend> trends;
+  const bool found = std::all_of(points.begin(), points.end(),
+                                 [](const TemperaturePoint& point) { return point.stage.has_value(); });
+  if (!found || points.size() < kLeastPoints) return trends;
+  for (std::size_t k = 0; k < kStage.size(); ++k) trends.push_back(trend_of(points, reference_degc, k));
+  return trends;
 }
 
 TemperatureHysteresis hysteresis_of(const std::vector<TemperaturePoint>& points,
@@ -289,9 +346,25 @@ double TemperaturePolynomial::slope_at(double from_t0) const {
   return slope;
 }
 
-bool TemperatureResult::usable() const {
-  return std::all_of(points.begin(), points.end(),
-                     [](const TemperaturePoint& point) { return point.verdict == Verdict::kUsable; });
+bool StageTrend::constant() const {
+  return probability >= kTrendByChance;
+}
+
+std::vector<std::string> TemperatureResult::reasons() const {
+  std::vector<std::string> reasons;
+  std::vector<int> doubtful;
+  for (const TemperaturePoint& point : points)
+    if (point.verdict != Verdict::kUsable) doubtful.push_back(point.number);
+  if (!doubtful.empty())
+    reasons.push_back(fmt::format("points {} are not usable: see their verdicts", fmt::join(doubtful, ", ")));
+  for (const StageTrend& trend : stage)
+    if (!trend.constant())
+      reasons.push_back(fmt::format(
+          "the stage changes with temperature: {} by {:.2g}{} per kelvin (standard uncertainty {:.1g}), "
+          "while "
+          "what all points share is taken as constant",
+          trend.name, trend.slope, trend.unit == "1" ? "" : " " + trend.unit, trend.standard_uncertainty));
+  return reasons;
 }
 
 TemperaturePoint temperature_point(const CalibrationResult& result) {
@@ -310,6 +383,9 @@ TemperaturePoint temperature_point(const CalibrationResult& result) {
   point.shared =
       result.covariance_intrinsic_type_a ? result.covariance_intrinsic_type_b.value_or(none) : none;
   point.verdict = result.verdict;
+  if (const auto& joint = result.joint)
+    point.stage = {joint->alignment[0], joint->alignment[1], joint->alignment[2],
+                   joint->initial_turn_error[0], joint->initial_turn_error[1]};
   return point;
 }
 
@@ -348,6 +424,7 @@ TemperatureResult fit_temperature(std::vector<TemperaturePoint> points, double r
         coefficient_of(of_coefficients[k], k, result.polynomials[k % 3].coefficient[0],
                        result.least_degc - reference_degc, result.most_degc - reference_degc));
   }
+  result.stage = stage_trends(result.points, reference_degc);
   return result;
 }
 

@@ -28,6 +28,8 @@ struct TemperaturePoint {
   Covariance9 own;     ///< Of this point alone: the scatter of its readings (type A).
   Covariance9 shared;  ///< Of stage and effects that are the same at every point (type B).
   Verdict verdict = Verdict::kUsable;
+  /// What this run alone found of the stage: Zx, Zy, Xz (1), d2, d3 (degree). Its estimator may find nothing.
+  std::optional<std::array<Quantity, 5>> stage;
 };
 
 /// A polynomial of one output over (T - T0), fitted by generalised least squares: every point with its own
@@ -82,6 +84,16 @@ struct TemperatureHysteresis {
   bool has_closure = false, has_both_ways = false;
 };
 
+/// A constant of the stage, which each run of a joint fit finds by itself, over the item's temperature: the
+/// straight line of least squares. That the stage is the same at every point is assumed of what all points
+/// share; this is where it shows if it is not.
+struct StageTrend {
+  std::string name, unit;                          ///< "Zx", "1"; "d2", "degree"
+  double slope = 0.0, standard_uncertainty = 0.0;  ///< Unit / K; type A, with the scatter of the points.
+  double probability = 1.0;                        ///< Of a slope as large where there is none.
+  bool constant() const;
+};
+
 struct TemperatureResult {
   double reference_degc = 23.0;
   double least_degc = 0.0, most_degc = 0.0;  ///< Of the item's sensor: where the polynomials hold.
@@ -89,9 +101,11 @@ struct TemperatureResult {
   std::vector<TemperaturePolynomial> polynomials;    ///< 9, in the order of the outputs.
   std::vector<TemperatureCoefficient> coefficients;  ///< 9
   std::vector<TemperatureHysteresis> hysteresis;     ///< 9
+  std::vector<StageTrend> stage;  ///< 5, or none where an estimator finds nothing of the stage.
 
-  /// Whether no point is doubtful.
-  bool usable() const;
+  /// Why the result is doubtful, in words; empty: it is usable.
+  std::vector<std::string> reasons() const;
+  bool usable() const { return reasons().empty(); }
 };
 
 /// Largest order that is tried.

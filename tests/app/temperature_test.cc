@@ -66,6 +66,8 @@ TEST_F(TemperatureTest, ASeriesUpAndDownFindsTheCoefficients) {
   EXPECT_EQ(json["points"][5]["leg"], "down");
   EXPECT_NEAR(json["points"][1]["temperature_degc"].get<double>(), -37.0, 0.5) << "with its self-heating";
   for (const double error : slope_errors(json)) EXPECT_LT(std::abs(error), 4.5);
+  EXPECT_EQ(json["verdict"], "usable") << json["why"];
+  EXPECT_EQ(json["stage"].size(), 5U) << "each run found the stage by itself";
   EXPECT_NEAR(json["coefficients"][0]["at_reference"].get<double>(), -100.0, 2.0);
   EXPECT_THAT(result.err, AllOf(HasSubstr("set points -70 to 180 degC by its own hardware"),
                                 HasSubstr("Point 7 of 7"), HasSubstr("The chamber is driven to 23 degC")));
@@ -90,6 +92,20 @@ TEST_F(TemperatureTest, ASeriesUpAndDownFindsTheCoefficients) {
   EXPECT_EQ(again.exit_code, 0);
   EXPECT_EQ(again.out, result.out);
   EXPECT_THAT(again.err, Not(HasSubstr("Point")));
+}
+
+TEST_F(TemperatureTest, AStageThatTurnsWarmMakesTheSeriesDoubtful) {
+  SeriesText text;
+  text.world = "zx_per_degc = 3e-6\n";
+  const ProgramResult result = series(text);
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const Json json = Json::parse(result.out);
+  ASSERT_EQ(json["stage"].size(), 5U);
+  EXPECT_EQ(json["stage"][0]["name"], "Zx");
+  EXPECT_NEAR(json["stage"][0]["slope"].get<double>(), 3e-6, 1e-6);
+  EXPECT_FALSE(json["stage"][0]["constant"].get<bool>());
+  EXPECT_EQ(json["verdict"], "doubtful");
+  EXPECT_THAT(json["why"][0].get<std::string>(), HasSubstr("the stage changes with temperature: Zx"));
 }
 
 TEST_F(TemperatureTest, EveryProblemOfTheFileIsSaidAtOnceWithItsLine) {

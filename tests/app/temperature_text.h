@@ -13,7 +13,8 @@ struct SeriesText {
       "set_points_degc = [-40, 23, 85]\nramp_k_per_min = 5.0\nsoak_min_s = 1200\nsoak_max_s = 14400\n";
   std::string protocol =
       "steps = 8\nstep_deg = 45.0\ncheck_poses = false\nsettle_s = 0.1\ndwell_readings = 20\n";
-  std::string more;
+  std::string world;  ///< More keys of [simulation].
+  std::string more;   ///< Of [simulation.chamber], and sections behind it.
   int seed = 3;
 
   std::string text() const {
@@ -25,9 +26,9 @@ struct SeriesText {
         "0.0\n[item_uncertainty]\nsensitivity_drift = 0.0\n"
         "nonlinearity = 0.0\nhysteresis = 0.0\ndrift = 2e-5\n"
         "[simulation]\nseed = {}\nnoise = 1e-4\noffset = [0.01, -0.02, 0.03]\nzx = 2e-5\nxz = -2e-5\n"
-        "sensitivity_per_degc = [-1e-4, 5e-5, 2e-5]\noffset_per_degc = [3e-5, -5e-5, 1e-5]\n"
+        "sensitivity_per_degc = [-1e-4, 5e-5, 2e-5]\noffset_per_degc = [3e-5, -5e-5, 1e-5]\n{}"
         "[simulation.chamber]\nself_heating_degc = 3.0\n{}",
-        chamber, temperature, protocol, seed, more);
+        chamber, temperature, protocol, seed, world, more);
   }
 };
 

@@ -154,5 +154,53 @@ TEST(TemperatureFitTest, OneTemperatureIsNoSeries) {
   EXPECT_THROW(fit_temperature(points, 23.0, "g"), std::invalid_argument);
 }
 
+/// The stage as each run finds it: Zx by `slope` per kelvin, all with noise `scatter` times what is stated.
+TemperatureResult with_stage(std::mt19937_64& random, double slope, double scatter) {
+  constexpr double kStated = 1e-5;
+  std::normal_distribution<double> normal;
+  std::vector<TemperaturePoint> points = made_points(random);
+  for (TemperaturePoint& point : points) {
+    point.stage.emplace();
+    for (Quantity& each : *point.stage) {
+      each.value = 1e-4 + scatter * kStated * normal(random);
+      each.type_a = kStated;
+    }
+    point.stage->at(0).value += slope * (point.temperature_degc - 23.0);
+  }
+  return fit_temperature(std::move(points), 23.0, "g");
+}
+
+TEST(TemperatureFitTest, AStageThatChangesMakesTheSeriesDoubtful) {
+  std::mt19937_64 random(5);
+  const TemperatureResult result = with_stage(random, 5e-7, 1.0);
+  ASSERT_EQ(result.stage.size(), 5U);
+  EXPECT_FALSE(result.stage[0].constant());
+  EXPECT_NEAR(result.stage[0].slope, 5e-7, 4.0 * result.stage[0].standard_uncertainty);
+  EXPECT_TRUE(result.stage[2].constant());
+  ASSERT_EQ(result.reasons().size(), 1U);
+  EXPECT_NE(result.reasons()[0].find("the stage changes with temperature: Zx by "), std::string::npos)
+      << result.reasons()[0];
+  EXPECT_FALSE(result.usable());
+}
+
+TEST(TemperatureFitTest, AStageThatOnlyScattersDoesNot) {
+  // Twice and thrice the noise that is stated, too: step errors are not those of the run before.
+  std::mt19937_64 random(6);
+  int alarms = 0, tests = 0;
+  for (int series = 0; series < 400; ++series) {
+    for (const StageTrend& trend : with_stage(random, 0.0, 1.0 + series % 3).stage) {
+      alarms += trend.constant() ? 0 : 1;
+      ++tests;
+    }
+  }
+  EXPECT_EQ(tests, 2000);
+  EXPECT_LE(alarms, 9) << "one in a thousand is expected; 9 of 2000 have a probability of 2e-4";
+}
+
+TEST(TemperatureFitTest, WithoutAStageNothingIsSaidOfIt) {
+  std::mt19937_64 random(7);
+  EXPECT_TRUE(fit_temperature(made_points(random), 23.0, "g").stage.empty());
+}
+
 }  // namespace
 }  // namespace abcal
