@@ -94,8 +94,14 @@ void add_temperature_range(XmlElement& results, const SeriesSource& from) {
   const TemperatureResult& result = from.result;
   XmlElement data = add_result(
       results, "abc_temperatureSeries", words("Series over temperature"),
-      words("Temperature T is that of the item's own sensor, mean over each run; the sensor is not "
-            "calibrated here. What is stated over temperature holds between the lowest and the highest T."));
+      result.by_item()
+          ? words("Temperature T is that of the item's own sensor, mean over each run. The sensor is not "
+                  "calibrated here, and its errors are in no uncertainty: kelvins are those that it shows. "
+                  "What "
+                  "is stated over temperature holds between the lowest and the highest T.")
+          : words("Temperature T is the set point of the chamber, as the item has no sensor. Its difference "
+                  "from the temperature of the item is not known and in no uncertainty. What is stated over "
+                  "temperature holds between the lowest and the highest T."));
   const auto add = [&](const char* ref_type, const Wording& name, double degc) {
     XmlElement quantity = add_quantity(data, ref_type, name);
     add_temperature(quantity, {degc}, {});
@@ -119,7 +125,9 @@ void add_points(XmlElement& results, const SeriesSource& from) {
                  words("Each point is a calibration of its own; what they have in common of the stage is in "
                        "the uncertainty of each. Sensitivities are per local gravity."));
   XmlElement temperature =
-      add_quantity(data, "abc_temperature", words("Temperature of the item, by its own sensor"));
+      add_quantity(data, "abc_temperature",
+                   from.result.by_item() ? words("Temperature of the item, by its own sensor")
+                                         : words("Temperature, as the chamber was set"));
   add_temperature(temperature, degc, labels);
   for (std::size_t k = 0; k < kSeriesOutputs; ++k) {
     const auto i = static_cast<Eigen::Index>(k);

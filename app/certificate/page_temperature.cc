@@ -136,7 +136,7 @@ std::vector<Figure> figures_of(const PageSource& from, xmlNode* series) {
         title + " " +
             from.say("Open triangles: way up, filled ones: way down; band: k = 2 times the standard "
                      "uncertainty of the polynomial."),
-        from.say("item (°C)"), panels));
+        from.say("T (°C)"), panels));
   }
   return figures;
 }
@@ -228,7 +228,7 @@ DocumentTable point_table(const PageSource& from, xmlNode* series) {
   DocumentTable table;
   table.may_break = true;
   table.columns = {
-      {from.say("Point")}, {from.say("Item (°C)"), CellKind::kNumber}, {from.say("Run file")}, {"SHA-256"}};
+      {from.say("Point")}, {from.say("T (°C)"), CellKind::kNumber}, {from.say("Run file")}, {"SHA-256"}};
   const auto temperatures = values_of(
       from, series_quantity(from, series_result(from, series, "abc_temperaturePoints"), "abc_temperature"),
       true);

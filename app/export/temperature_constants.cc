@@ -70,8 +70,9 @@ std::string heading(const TemperatureConstants& c, std::string_view comment) {
   if (!c.item.empty()) line("Item: " + c.item);
   line("From: " + c.source + (c.performed.empty() ? "" : ", " + c.performed) + ", verdict: " + c.verdict);
   line("Axes: x along the axis of u, y in the plane of u and v (not the platter of the stage)");
-  line(fmt::format("a = M(T) (r - b(T)): a in m/s2, readings r in {}, T in degC of the item's own sensor",
-                   c.response_unit));
+  line(fmt::format(
+      "a = M(T) (r - b(T)): a in m/s2, readings r in {}, T in degC {}", c.response_unit,
+      c.by_item ? "of the item's own sensor" : "as the chamber was set (the item has no sensor)"));
   line(fmt::format(
       "Each element is c[0] + c[1] d + c[2] d^2 ..., d = T - {:g} degC, for T from {:.1f} to {:.1f} degC",
       c.reference_degc, c.least_degc, c.most_degc));
@@ -111,6 +112,7 @@ TemperatureConstants temperature_constants(const TemperatureResult& result, doub
   TemperatureConstants constants;
   constants.outputs = result.polynomials;
   constants.reference_degc = result.reference_degc;
+  constants.by_item = result.by_item();
   constants.least_degc = result.least_degc;
   constants.most_degc = result.most_degc;
   constants.g_loc_mps2 = g_loc_mps2;

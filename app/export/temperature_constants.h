@@ -23,6 +23,7 @@ struct TemperatureConstants {
   double least_degc = 0.0, most_degc = 0.0;  ///< Where the polynomials hold.
   std::string response_unit;
   double g_loc_mps2 = 9.80665;
+  bool by_item = true;  ///< T is that of the item's own sensor; else of the set points.
 
   // For the heading of a file.
   std::string item, source, performed, verdict;

@@ -28,7 +28,7 @@ DocumentTable points_table(const TemperatureReport& report) {
                       {{"no."},
                        {"leg"},
                        {"set (degC)", CellKind::kNumber},
-                       {"item (degC)", CellKind::kNumber},
+                       {"T (degC)", CellKind::kNumber},
                        {"change (K)", CellKind::kNumber},
                        {"verdict"},
                        {"run file"}},
@@ -61,14 +61,15 @@ DocumentTable coefficients_table(const TemperatureResult& result) {
 }
 
 DocumentTable polynomials_table(const TemperatureResult& result) {
-  DocumentTable table{
-      fmt::format("Polynomials over T - {:g} degC, T of the item's own sensor", result.reference_degc),
-      {{"", CellKind::kSymbol},
-       {"n", CellKind::kNumber},
-       {"coefficient of (T - T0)^n", CellKind::kNumber},
-       {"u", CellKind::kNumber},
-       {"unit", CellKind::kUnit}},
-      {}};
+  DocumentTable table{fmt::format("Polynomials over T - {:g} degC, T {}", result.reference_degc,
+                                  result.by_item() ? "of the item's own sensor"
+                                                   : "as the chamber was set (the item has no sensor)"),
+                      {{"", CellKind::kSymbol},
+                       {"n", CellKind::kNumber},
+                       {"coefficient of (T - T0)^n", CellKind::kNumber},
+                       {"u", CellKind::kNumber},
+                       {"unit", CellKind::kUnit}},
+                      {}};
   for (const TemperaturePolynomial& each : result.polynomials) {
     for (int n = 0; n <= each.order; ++n) {
       const auto i = static_cast<std::size_t>(n);
@@ -151,7 +152,7 @@ Figure figure_of(const TemperatureResult& result, std::size_t group, const std::
   return band_figure(title +
                          ": change from the value at the reference. Open triangles: way up, filled ones: way "
                          "down; band: k = 2 times the standard uncertainty of the polynomial.",
-                     "item (degC)", panels);
+                     "T (degC)", panels);
 }
 
 std::string shared_words() {
@@ -233,6 +234,7 @@ Json temperature_json(const TemperatureReport& report) {
             {"item", report.item},
             {"response_unit", report.unit},
             {"reference_degc", result.reference_degc},
+            {"temperature_by", result.by_item() ? "item" : "set_point"},
             {"least_degc", result.least_degc},
             {"most_degc", result.most_degc},
             {"verdict", report.result.usable() ? "usable" : "doubtful"},

@@ -50,6 +50,7 @@ TemperaturePoint point_of_series(const PlaceInSeries& place, const RunRecord& re
     ++count;
   }
   // An item without a sensor: the air has soaked to the set point.
+  point.by_item = count > 0;
   point.temperature_degc = count > 0 ? sum / count : point.set_degc;
   if (count > 1)
     point.change_k = record.dwells.back().temperature_degc.value_or(point.temperature_degc) -

@@ -350,6 +350,11 @@ bool StageTrend::constant() const {
   return probability >= kTrendByChance;
 }
 
+bool TemperatureResult::by_item() const {
+  return std::all_of(points.begin(), points.end(),
+                     [](const TemperaturePoint& point) { return point.by_item; });
+}
+
 std::vector<std::string> TemperatureResult::reasons() const {
   std::vector<std::string> reasons;
   std::vector<int> doubtful;

@@ -23,6 +23,7 @@ struct TemperaturePoint {
   SeriesLeg leg = SeriesLeg::kUp;
   double set_degc = 0.0;
   double temperature_degc = 0.0;  ///< Abscissa: the item's own sensor, mean over the run.
+  bool by_item = true;            ///< False: the item has no sensor, and it is the set point.
   double change_k = 0.0;          ///< Of that sensor from the first to the last angle of the run.
   Eigen::Matrix<double, 9, 1> value;
   Covariance9 own;     ///< Of this point alone: the scatter of its readings (type A).
@@ -103,6 +104,8 @@ struct TemperatureResult {
   std::vector<TemperatureHysteresis> hysteresis;     ///< 9
   std::vector<StageTrend> stage;  ///< 5, or none where an estimator finds nothing of the stage.
 
+  /// Whether every temperature is that of the item's own sensor.
+  bool by_item() const;
   /// Why the result is doubtful, in words; empty: it is usable.
   std::vector<std::string> reasons() const;
   bool usable() const { return reasons().empty(); }

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "app/certificate/dcc_xml.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
@@ -41,9 +42,8 @@ class SeriesCertificateTest : public testing::Test {
     const auto result = test::run_program({"temperature", "t.toml", "--json"}, shared_->path());
     ASSERT_EQ(result.exit_code, 0) << result.err;
     test::write_file(*shared_ / "series.json", result.out);
-    test::write_file(*shared_ / "lab.toml",
-                     replaced(example_laboratory(), "serial_number = \"118001234\"",
-                              "serial_number = \"SIM-1\"    "));
+    test::write_file(*shared_ / "lab.toml", replaced(example_laboratory(), "serial_number = \"118001234\"",
+                                                     "serial_number = \"SIM-1\"    "));
   }
   static void TearDownTestSuite() {
     delete shared_;
@@ -137,8 +137,8 @@ TEST_F(SeriesCertificateTest, AnIssuedCertificateHasTheSeriesAsASection) {
                              std::filesystem::copy_options::overwrite_existing);
   const auto changed = abcal({"verify", point(kPoints)});
   EXPECT_NE(changed.exit_code, 0);
-  EXPECT_THAT(changed.out,
-              AllOf(HasSubstr("required: that of the certificate"), HasSubstr("not in the folder of the run")));
+  EXPECT_THAT(changed.out, AllOf(HasSubstr("required: that of the certificate"),
+                                 HasSubstr("not in the folder of the run")));
 
   // A later report shows the issued certificate, and no other series.
   EXPECT_EQ(with_points({"report", point(kPoints), "--dcc", "again.xml"}, 4).exit_code, 0);
@@ -164,20 +164,41 @@ TEST_F(SeriesCertificateTest, ASeriesThatIsNotWholeIsRefused) {
 
 TEST_F(SeriesCertificateTest, EveryContradictionIsSaidAtOnceAndOnce) {
   // Another item's series, measured with another bench file; and a certificate about a run at -40 degC.
-  test::write_file(folder / "other.toml",
-                   replaced(certificate_series_bench(), "serial_number = \"SN-42\"",
-                            "serial_number = \"SN-43\""));
+  test::write_file(folder / "other.toml", replaced(certificate_series_bench(), "serial_number = \"SN-42\"",
+                                                   "serial_number = \"SN-43\""));
   ASSERT_EQ(abcal({"temperature", "other.toml", "-o", "other", "--json"}).exit_code, 0);
   std::filesystem::rename(folder / "other-01.run", folder / point(1));
   std::filesystem::rename(folder / "other-01.run.results", folder / (point(1) + ".results"));
   test::write_file(folder / "lab.toml", example_laboratory());  // without the angles of this stage
   const auto result = with_points({"report", point(2), "--dcc", "c.xml"});
   EXPECT_EQ(result.exit_code, 1);
-  EXPECT_THAT(result.err, AllOf(HasSubstr("item.serial_number: found \"SN-43\"; required: the item of the run"),
-                                HasSubstr("measured with another bench file"),
-                                HasSubstr("required: a run at the reference temperature of the series"),
-                                HasSubstr("run, stage: found serial number SIM-1"),
-                                Not(HasSubstr("runs over temperature, stage"))));
+  EXPECT_THAT(result.err,
+              AllOf(HasSubstr("item.serial_number: found \"SN-43\"; required: the item of the run"),
+                    HasSubstr("measured with another bench file"),
+                    HasSubstr("required: a run at the reference temperature of the series"),
+                    HasSubstr("run, stage: found serial number SIM-1"),
+                    Not(HasSubstr("runs over temperature, stage"))));
+}
+
+TEST_F(SeriesCertificateTest, WithoutASensorTheTemperatureIsTheSetPointAndSaysSo) {
+  const auto xml_of = [&](bool with_sensor) {
+    CertificateRequest asked;
+    asked.laboratory = parse_laboratory_file(test::read_file(folder / "lab.toml"), "lab.toml");
+    for (std::size_t number = 1; number <= kPoints; ++number)
+      asked.series.push_back(gather_report(folder / point(number), any_time()));
+    for (ReportData& data : asked.series)
+      for (DwellRecord& dwell : data.record.dwells)
+        if (!with_sensor) dwell.temperature_degc.reset();
+    asked.run = asked.series.back();
+    return xml_text(dcc_document(make_certificate(std::move(asked))));
+  };
+  const std::string with = xml_of(true), without = xml_of(false);
+  EXPECT_THAT(with, AllOf(HasSubstr("kelvins are those that it shows"), Not(HasSubstr("has no sensor"))));
+  EXPECT_THAT(without, AllOf(HasSubstr("the set point of the chamber, as the item has no sensor"),
+                             HasSubstr("Temperature, as the chamber was set"), Not(HasSubstr("own sensor"))));
+  EXPECT_EQ(CertificateXml(without).text(
+                "//dcc:quantity[@refType='abc_lowestTemperature']/si:hybrid/si:real[2]/si:value"),
+            "-40");
 }
 
 }  // namespace
