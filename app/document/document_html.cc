@@ -535,7 +535,7 @@ class PageBuilder {
       const auto end =
           std::find_if(rest.begin(), rest.end(), [](unsigned char c) { return std::isalnum(c) == 0; });
       const auto length = static_cast<std::size_t>(end - rest.begin());
-      add(node, "sub", nullptr, std::string(rest.substr(0, length)));
+      add(node, "sub", nullptr, with_signs(rest.substr(0, length)));
       rest.remove_prefix(length);
     }
   }

@@ -218,6 +218,16 @@ std::vector<EffectReading> effect_readings(const JointData& data, bool one_map_p
   return out;
 }
 
+/// A dead output has no sensitivity, and readings without scatter have no uncertainty.
+std::vector<std::string> outputs_that_never_change(const std::vector<EffectReading>& readings) {
+  std::vector<std::string> names;
+  for (const auto& [j, name] : {std::pair{0, "u"}, {1, "v"}, {2, "w"}})
+    if (std::all_of(readings.begin(), readings.end(),
+                    [&, k = j](const EffectReading& at) { return at.value[k] == readings.front().value[k]; }))
+      names.emplace_back(name);
+  return names;
+}
+
 /// A first guess of noise that nobody stated: the fit replaces it.
 void guess_noise(std::vector<EffectReading>& readings) {
   Eigen::Vector3d low = readings.front().value;
@@ -380,6 +390,11 @@ JointWork fit_jointly(const RunRecord& record, const JointOptions& options) {
     return work;
   }
   work.readings = effect_readings(work.data, options.one_map_per_axis);
+  if (const auto still = outputs_that_never_change(work.readings); !still.empty()) {
+    work.why = fmt::format("accelerometer {} does not respond: the same value at every angle",
+                           fmt::join(still, ", "));
+    return work;
+  }
   if (!work.data.u_known) guess_noise(work.readings);
   work.solution = solve_or_reason(work.readings, work.options, work.why);
   if (!work.solution) return work;

@@ -114,6 +114,9 @@ JointData collect_joint_data(const RunRecord& record, bool one_map_per_axis) {
 JointFit fit_with_unknown_noise(std::vector<JointReading>& readings, const JointPriors& priors,
                                 const JointModel& model) {
   const Eigen::Vector3d unit = rough_sensitivity(readings);
+  if (!(unit.minCoeff() > 0.0))
+    throw UnusableData(
+        "an output has the same value at every angle: there is nothing to estimate the noise from");
   Eigen::Vector3d u = 1e-5 * unit;
   JointFit fit;
   // Each pass moves u by the factor that the residuals ask for; 1 % of an uncertainty is finer than 216

@@ -584,6 +584,14 @@ TEST(JointFitTest, OutputThatNeverChangesGivesNoNumbers) {
     EXPECT_EQ(result.verdict, Verdict::kNotUsable);
     EXPECT_THAT(result.why, HasSubstr("accelerometer w does not respond"));
   }
+  // Nor where nothing responds and no uncertainty is stated.
+  for (DwellRecord& dwell : record.dwells) {
+    dwell.mean.setZero();
+    dwell.u_mean.reset();
+  }
+  const CalibrationResult result = analyse_joint(record);
+  EXPECT_EQ(result.verdict, Verdict::kNotUsable);
+  EXPECT_THAT(result.why, HasSubstr("accelerometer u, v, w does not respond"));
 }
 
 TEST(JointFitTest, ReadingsThatAreNotFiniteAreRefusedUnlessFlagged) {
