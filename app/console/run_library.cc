@@ -35,7 +35,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 /// Of what is kept of each run; another one is made again.
-constexpr int kSummaryFormat = 3;
+constexpr int kSummaryFormat = 4;
 
 /// A file NAME.run itself: a link would lead out of the folder.
 bool is_run(const std::filesystem::path& path) {
@@ -128,6 +128,16 @@ Json limits_of(const Json& runs) {
 
 }  // namespace
 
+/// The items of a run with this serial number that were measured to the end, from 1.
+std::vector<int> RunLibrary::whole_items_of(const Summary& summary, const std::string& serial_number) {
+  if (summary.items.empty()) return summary.item == serial_number ? std::vector<int>{1} : std::vector<int>{};
+  std::vector<int> items;
+  for (const Json& item : Json::parse(summary.items))
+    if (item.at("serial_number") == serial_number && item.at("dropped").is_null())
+      items.push_back(item.at("k").get<int>());
+  return items;
+}
+
 RunLibrary::Summary RunLibrary::summary_of(const StoredRun& run) {
   const RunHeader& header = run.header;
   Summary summary;
@@ -204,11 +214,13 @@ void RunLibrary::read_summaries() {
       entry.size = kept.at("size").get<std::uintmax_t>();
       entry.summary = summary_from(kept.at("summary"));
       entry.estimator = kept.at("estimator").get<std::string>();
-      if (kept.contains("charted")) entry.charted = charted_from(kept.at("charted"));
+      const Json charts = kept.value("charted", Json::object());
+      for (const auto& [item, charted] : charts.items())
+        entry.charted[std::stoi(item)] = charted_from(charted);
       entry.closed = true;
       known_[name] = std::move(entry);
     }
-  } catch (const Json::exception&) {
+  } catch (const std::exception&) {  // of JSON, or a number that is none
     known_.clear();
   }
 }
@@ -223,7 +235,8 @@ void RunLibrary::keep_summaries() {
             {"size", entry.size},
             {"estimator", entry.estimator},
             {"summary", to_json(name, entry.summary)}};
-    if (entry.charted) kept["charted"] = to_json(*entry.charted);
+    for (const auto& [item, charted] : entry.charted)
+      kept["charted"][std::to_string(item)] = to_json(charted);
   }
   const Json json = {{"program", program_version()}, {"format", kSummaryFormat}, {"runs", std::move(runs)}};
   try {
@@ -276,7 +289,7 @@ RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
   if (known.closed && known.time == time && known.size == size) return known;
   const StoredRun run = RunFile::load(path);
   const bool closed = run.state == RunState::kComplete || run.state == RunState::kAbandoned;
-  known = {time, size, summary_of(run), closed, std::nullopt};
+  known = {.time = time, .size = size, .summary = summary_of(run), .closed = closed, .charted = {}};
   known.estimator = declared_estimator(run.record).name;
   have_new_ = have_new_ || closed;
   return known;
@@ -409,35 +422,46 @@ RunLibrary::Charted RunLibrary::charted_from(const Json& kept) {
 
 /// The lock is held while a summary is looked up or stored, never while a run is analysed: the list of runs
 /// waits for nobody's chart.
-std::optional<Json> RunLibrary::point_of_chart(const std::string& name, const std::string& serial_number,
-                                               std::size_t index) {
+std::vector<Json> RunLibrary::points_of_chart(const std::string& name, const std::string& serial_number,
+                                              std::size_t index) {
   Json point;
-  std::optional<Charted> charted;
+  std::vector<int> items;
+  std::map<int, Charted> charted;
   std::filesystem::file_time_type time;
+  bool several = false;
   {
     const std::lock_guard lock(mutex_);
     const Entry& known = entry(name);
     const Summary& summary = known.summary;
-    if (summary.item != serial_number || summary.state != to_string(RunState::kComplete)) return std::nullopt;
+    if (summary.state != to_string(RunState::kComplete)) return {};
+    items = whole_items_of(summary, serial_number);
+    if (items.empty()) return {};
+    several = !summary.items.empty();
     time = known.time;
     charted = known.charted;
     point = {{"name", name}, {"created_utc", summary.created_utc}, {"simulated", summary.simulated}};
   }
-  if (!charted) {
-    charted = charted_of(RunFile::load(folder_ / name));
-    const std::lock_guard lock(mutex_);
-    const auto known = known_.find(name);  // It may have been deleted or have changed meanwhile.
-    if (known != known_.end() && known->second.time == time) {
-      known->second.charted = charted;
-      have_new_ = true;
+  std::vector<Json> points;
+  for (const int item : items) {
+    auto found = charted.find(item);
+    if (found == charted.end()) {
+      found = charted.emplace(item, charted_of(RunFile::load(folder_ / name, item))).first;
+      const std::lock_guard lock(mutex_);
+      const auto known = known_.find(name);  // It may have been deleted or have changed meanwhile.
+      if (known != known_.end() && known->second.time == time) {
+        known->second.charted.insert(*found);
+        have_new_ = true;
+      }
     }
+    const Charted::Value& value = found->second.values.at(index);
+    if (several) point["item"] = item;
+    point["verdict"] = found->second.verdict;
+    point["value"] = json_number(value.value);
+    point["standard_uncertainty"] = json_number(value.standard_uncertainty);
+    point["unit"] = value.unit;
+    points.push_back(point);
   }
-  const Charted::Value& value = charted->values.at(index);
-  point["verdict"] = charted->verdict;
-  point["value"] = json_number(value.value);
-  point["standard_uncertainty"] = json_number(value.standard_uncertainty);
-  point["unit"] = value.unit;
-  return point;
+  return points;
 }
 
 bool RunLibrary::is_charted(const std::string& property) {
@@ -452,7 +476,7 @@ Json RunLibrary::history(const std::string& serial_number, const std::string& pr
   std::reverse(oldest_first.begin(), oldest_first.end());
   for (const std::string& name : oldest_first) {
     try {
-      if (auto point = point_of_chart(name, serial_number, index)) list.push_back(std::move(*point));
+      for (Json& point : points_of_chart(name, serial_number, index)) list.push_back(std::move(point));
     } catch (const RunFileError&) {
       continue;  // list() reports the reason.
     }

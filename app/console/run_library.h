@@ -73,23 +73,24 @@ class RunLibrary {
     std::filesystem::file_time_type time;
     std::uintmax_t size = 0;
     Summary summary;
-    bool closed = false;                                               ///< It will not change any more.
-    std::optional<Charted> charted;                                    ///< For the history.
-    std::string estimator = {};                                        ///< Chosen for the run.
+    bool closed = false;             ///< It will not change any more.
+    std::map<int, Charted> charted;  ///< For the history, by item of the run, from 1.
+    std::string estimator = {};      ///< Chosen for the run.
     std::optional<std::filesystem::file_time_type> results_time = {};  ///< When its verdict was looked for.
   };
 
   std::vector<std::string> names() const;
   static Summary summary_of(const StoredRun& run);
+  static std::vector<int> whole_items_of(const Summary& summary, const std::string& serial_number);
   static nlohmann::ordered_json to_json(const std::string& name, const Summary& summary);
   static Summary summary_from(const nlohmann::ordered_json& kept);
   static Charted charted_of(const StoredRun& run);
   static nlohmann::ordered_json to_json(const Charted& charted);
   static Charted charted_from(const nlohmann::ordered_json& kept);
-  /// A point of property number `index`. Nothing: the run is not a complete one of this item. Throws
-  /// RunFileError.
-  std::optional<nlohmann::ordered_json> point_of_chart(const std::string& name,
-                                                       const std::string& serial_number, std::size_t index);
+  /// A point of property number `index`; several where several items of the run have this serial number,
+  /// none where the run is not a complete one of this item. Throws RunFileError.
+  std::vector<nlohmann::ordered_json> points_of_chart(const std::string& name,
+                                                      const std::string& serial_number, std::size_t index);
   Entry& entry(const std::string& name);
   void find_verdict(const std::string& name, Entry& known);
   bool is_known(const std::string& name) const;

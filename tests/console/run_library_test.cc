@@ -179,6 +179,27 @@ TEST_F(RunLibraryTest, SaysWhatEachCheckAndFlagMeans) {
     EXPECT_NE(shown["meanings"].value(flag["flag"].get<std::string>(), ""), "") << flag;
 }
 
+TEST_F(RunLibraryTest, ChartsEveryItemOfARunWithSeveral) {
+  test::write_file(folder / "tray.toml", test::small_tray());
+  std::filesystem::create_directories(runs());
+  const auto ran = test::run_program({"run", "tray.toml", "-o", "runs/tray.run"}, folder.path());
+  ASSERT_EQ(ran.exit_code, 0) << ran.err;
+  open();
+  const Json items = Json::parse(get("/runs").body)[0]["items"];
+  ASSERT_EQ(items.size(), 3U);
+  for (int k = 1; k <= 3; ++k) {
+    const std::string serial = items[static_cast<std::size_t>(k - 1)]["serial_number"];
+    const Json points = Json::parse(get("/history/" + serial + "/s_u").body)["runs"];
+    ASSERT_EQ(points.size(), 1U) << serial;
+    EXPECT_EQ(points[0]["item"], k);
+    Json abc;
+    const Json shown = Json::parse(get("/runs/tray.run/items/" + std::to_string(k) + "/result").body);
+    for (const Json& result : shown["results"])
+      if (result["estimator"] == "abc") abc = result;
+    EXPECT_EQ(points[0]["value"], abc["intrinsic_sensitivity"][0]["value"]);
+  }
+}
+
 TEST_F(RunLibraryTest, ChartsTheRunsOfOneItemAgainstTheirLimits) {
   for (int i = 1; i <= 4; ++i) {
     bench.simulation = "seed = " + std::to_string(i) + "\n";
@@ -210,7 +231,7 @@ TEST_F(RunLibraryTest, ChartsTheRunsOfOneItemAgainstTheirLimits) {
   EXPECT_EQ(kept[0]["value"], abc["intrinsic_angle"][1]["value"]) << abc;
   EXPECT_EQ(kept[1]["standard_uncertainty"], abc["offset"][2]["standard_uncertainty"]);
   const Json written = Json::parse(test::read_file(runs() / RunLibrary::kSummaries));
-  EXPECT_EQ(written["runs"]["4.run"]["charted"]["values"][4][0], kept[0]["value"]);
+  EXPECT_EQ(written["runs"]["4.run"]["charted"]["1"]["values"][4][0], kept[0]["value"]);
   close();
   open();
   EXPECT_EQ((Json{charted("phi_vw"), charted("O_w")}), kept);

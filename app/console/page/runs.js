@@ -348,7 +348,8 @@ export async function showChart(serial) {
   } catch (error) {
     return say('chart-body', error);
   }
-  const items = [...new Set(list.filter((run) => run.state === 'complete' && run.item).map((run) => run.item))].sort();
+  const measured = (run) => (run.items.length ? run.items.filter((item) => item.dropped === null).map((item) => item.serial_number) : [run.item]);
+  const items = [...new Set(list.filter((run) => run.state === 'complete').flatMap(measured).filter(Boolean))].sort();
   byId('chart-item').replaceChildren(...items.map((item) => element('option', {value: item, selected: item === serial}, item)));
   byId('chart-property').replaceChildren(...PROPERTIES.map((p) => element('option', {value: p}, inWords(p))));
   byId('chart-form').onchange = () => drawChart(byId('chart-item').value, byId('chart-property').value);
@@ -380,7 +381,7 @@ async function drawChart(serial, property) {
     element('p', {id: 'chart-words', role: 'status'}, words),
     element('div', {class: 'plot'}, canvas),
     scrollable('scroll-x', inWords(property), table(t`${inWords(property)}, of item ${serial}, oldest first`, [t('Run'), t('Begun'), t`Value (${unit})`, t`std. uncertainty (${unit})`, t('Limits'), t('Verdict')],
-      points.map((p) => [element('a', {href: `#runs/${encoded(p.run.name)}`}, `${p.x}: ${p.run.name}`), day(p.run.created_utc),
+      points.map((p) => [element('a', {href: `#runs/${encoded(p.run.name)}${p.run.item ? `/${p.run.item}` : ''}`}, `${p.x}: ${p.run.name}`), day(p.run.created_utc),
         signed(p.value, decimals(p.standard_uncertainty)), small(p.standard_uncertainty), against(limits, p.value), p.run.simulated ? simulatedMark(p.run) : VERDICTS[p.run.verdict]]))));
   charts.push(band(canvas, {x: t('number and day of the run'), y: `${property} (${unit})`, output: 'u', points: points.map((p) => ({x: p.x, y: p.value, u: p.standard_uncertainty, words: [String(p.x), timeText(p.run.created_utc, 'date')]})), limits, marks: true}));
 }
