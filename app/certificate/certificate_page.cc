@@ -299,8 +299,8 @@ Section further_section(const PageSource& from, xmlNode* measurement, std::size_
                          ref_type == "abc_transverseSensitivity" || ref_type == "abc_misalignment" ||
                          ref_type == "abc_nonOrthogonality" || ref_type == "abc_bias" ||
                          ref_type == "abc_transverseAzimuth";
-    constexpr std::size_t rows = 4;  // A group of three.
-    if (!offered || kRowsOfHeading + table.rows.size() + rows > room) continue;
+    constexpr std::size_t kRowsOfGroup = 4;  // of three outputs
+    if (!offered || kRowsOfHeading + table.rows.size() + kRowsOfGroup > room) continue;
     add_rows(table, from, result, true, true);
     shown.push_back(ref_type);
   }

@@ -25,7 +25,7 @@ struct VerifyOptions {
   std::vector<std::string> require, keys, authorities;
   bool json = false;
 
-  bool requires_(const std::string& what) const {
+  bool demands(const std::string& what) const {
     return std::find(require.begin(), require.end(), what) != require.end();
   }
 };
@@ -43,13 +43,13 @@ Trust trust_of(const VerifyOptions& options, lab::Register* opened) {
 /// What --require asks for and the run does not have.
 void add_required(const VerifyOptions& options, const Trust& trust, const Attestation& attestation,
                   std::vector<IntegrityCheck>& checks) {
-  if (options.requires_("signed") && !attestation.is_signed)
+  if (options.demands("signed") && !attestation.is_signed)
     checks.push_back({"signed", false,
                       trust.keys.empty()
                           ? "no key is trusted; --require signed requires a signature by one: --key "
                             "PUBLIC.pem, or a register with keys"
                           : "there is no signature by a trusted key, which --require signed requires"});
-  if (options.requires_("timestamped") && !attestation.is_stamped)
+  if (options.demands("timestamped") && !attestation.is_stamped)
     checks.push_back({"timestamped", false,
                       trust.authorities_pem.empty()
                           ? "no authority is trusted; --require timestamped requires a time stamp by one: "

@@ -23,9 +23,9 @@
 namespace abcal {
 namespace {
 
-constexpr std::size_t kLongestMessage = 16'384;    // bytes
-constexpr int kPatienceWithLogReader_ms = 1000;    // Longer would keep a run from its work.
-constexpr int kPatienceWithResultReader_ms = 200;  // Between two looks at the interrupt.
+constexpr std::size_t kLongestMessage = 16'384;  // bytes
+constexpr int kMostForLogReader = 1000;          // ms; longer would keep a run from its work.
+constexpr int kBetweenLooks = 200;               // ms, between two looks at the interrupt.
 
 /// The state of the streams. One lock for both, so that lines of several threads are not torn.
 struct Streams {
@@ -87,7 +87,7 @@ void write_log(std::string_view bytes) noexcept {
     }
     const auto write = [&](std::string_view text) {
       int error = 0;
-      const int patience_ms = state.log_is_stuck ? 0 : kPatienceWithLogReader_ms;
+      const int patience_ms = state.log_is_stuck ? 0 : kMostForLogReader;
       write_bytes(
           STDERR_FILENO, text, patience_ms, [] { return false; }, error);
       state.log_is_stuck = error == EAGAIN;
@@ -115,8 +115,7 @@ void note_lost_result(int error) noexcept {
 void write_result(std::string_view bytes) noexcept {
   int error = 0;
   write_bytes(
-      STDOUT_FILENO, bytes, kPatienceWithResultReader_ms, [] { return !interrupt_token().stop_requested(); },
-      error);
+      STDOUT_FILENO, bytes, kBetweenLooks, [] { return !interrupt_token().stop_requested(); }, error);
   if (error != 0) note_lost_result(error);
 }
 
