@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <random>
 #include <stdexcept>
 #include <string>
@@ -117,22 +118,29 @@ TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
   EXPECT_NEAR(phi / prediction.u[3], 1.0, 0.1);
 }
 
-/// The worst u of each group of a result, relative to a near-unit item.
-PlannedValues stated(const CalibrationResult& result) {
+/// The worst u of each group of a result, and the fewest degrees of freedom. Of the sensitivities those that
+/// do not depend on the mounting: the prediction's item stands straight.
+struct Stated {
   PlannedValues u{};
-  const auto worst = [&](PlannedOutput output, const Quantity& quantity) {
-    double& place = u[static_cast<std::size_t>(output)];
-    place = std::max(place, quantity.standard_uncertainty);
+  PlannedValues degrees_of_freedom{};
+};
+
+Stated stated(const CalibrationResult& result) {
+  Stated found;
+  found.degrees_of_freedom.fill(std::numeric_limits<double>::infinity());
+  const auto add = [&](PlannedOutput output, const Quantity& quantity) {
+    const auto group = static_cast<std::size_t>(output);
+    found.u[group] = std::max(found.u[group], quantity.standard_uncertainty);
+    found.degrees_of_freedom[group] = std::min(found.degrees_of_freedom[group], quantity.degrees_of_freedom);
   };
   for (std::size_t j = 0; j < 3; ++j) {
-    for (std::size_t k = 0; k < 3; ++k) {
-      worst(j == k ? PlannedOutput::kSensitivity : PlannedOutput::kOffDiagonal,
-            result.sensitivity_matrix.value()[j][k]);
-    }
-    worst(PlannedOutput::kOffset, result.offset[j]);
-    worst(PlannedOutput::kAngle, result.intrinsic_angle[j]);
+    for (std::size_t k = 0; k < 3; ++k)
+      if (j != k) add(PlannedOutput::kOffDiagonal, result.sensitivity_matrix.value()[j][k]);
+    add(PlannedOutput::kSensitivity, result.intrinsic_sensitivity[j]);
+    add(PlannedOutput::kOffset, result.offset[j]);
+    add(PlannedOutput::kAngle, result.intrinsic_angle[j]);
   }
-  return u;
+  return found;
 }
 
 TEST(PlanPredictionTest, HoldsOnRandomBenches) {
@@ -142,14 +150,16 @@ TEST(PlanPredictionTest, HoldsOnRandomBenches) {
   std::mt19937_64 random(20261122);
   std::uniform_real_distribution<double> uniform(0.0, 1.0);
   std::array<std::vector<double>, kPlannedOutputs> ratios;
+  int wandering = 0;
   for (std::uint64_t k = 0; k < 40; ++k) {
     ScenarioBench drawn = draw_bench(*within[k % within.size()], 1, k);
     drawn.steps = kTriedSteps[static_cast<std::size_t>(uniform(random) * kTriedSteps.size())];
-    drawn.noise = drawn.stated_noise = 3e-6 * std::pow(30.0, uniform(random));
+    drawn.noise = drawn.stated_noise = drawn.truth.noise = 3e-6 * std::pow(30.0, uniform(random));
     const sim::BenchTruth& truth = drawn.truth;
     const bool white =
         truth.random_walk == 0.0 && truth.flicker_noise == 0.0 && truth.correlated_noise == 0.0;
-    if (drawn.scale != 1.0 || !white) continue;  // Other units, and noise that the prediction does not know.
+    // Other units, noise that the prediction does not know, and an item that does not stand straight as its.
+    if (drawn.scale != 1.0 || !white || within[k % within.size()]->name == "tilted-item") continue;
     const CalibrationResult result = analyse(simulate_run(drawn).record, "joint");
     if (!result.sensitivity_matrix) continue;
 
@@ -160,10 +170,24 @@ TEST(PlanPredictionTest, HoldsOnRandomBenches) {
     protocol.step = Angle::degrees(360.0 / drawn.steps);
     protocol.dwell_readings = 100;
     const PlannedValues predicted = predict_plan(planned, protocol).u;
-    const PlannedValues found = stated(result);
-    for (std::size_t group = 0; group < kPlannedOutputs; ++group)
-      ratios[group].push_back(found[group] / predicted[group]);
+    const Stated found = stated(result);
+    // A run that finds a wandering noise in its readings states what that makes.
+    const bool wanders = result.joint->process_probability > 0.5;
+    wandering += wanders ? 1 : 0;
+    for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+      const double ratio = found.u[group] / predicted[group];
+      ratios[group].push_back(ratio);
+      if (wanders) continue;
+      const double limit = 0.1 + 2.0 / std::sqrt(2.0 * found.degrees_of_freedom[group]);
+      const auto symbol = symbol_of(static_cast<PlannedOutput>(group));
+      EXPECT_LE(ratio, 1.0 + limit) << symbol << ", bench " << k;
+      // Never more is promised. Angles come out better: those of the prediction's item, which stands straight
+      // and has no offset, are harder to tell from the stage's.
+      const double room = group == static_cast<std::size_t>(PlannedOutput::kAngle) ? 0.3 : 0.0;
+      EXPECT_GE(ratio, 1.0 - limit - room) << symbol << ", bench " << k;
+    }
   }
+  EXPECT_LE(wandering, 2);
   for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
     std::vector<double>& all = ratios[group];
     ASSERT_GE(all.size(), 30U);
