@@ -10,6 +10,7 @@ import {Strip} from '/strip.js';
 import {timeElement} from '/time.js';
 
 const REDRAWN_AFTER_MS = 100;
+const LINES = 200;  // Of the log, at most.
 
 export class LiveView {
   constructor() {
@@ -18,7 +19,10 @@ export class LiveView {
     this.dwells = new Map();
     this.fits = [null, null, null];
     this.charts = [];
-    this.angles = {x: null, z: null};
+    this.stageSeen = {x: {}, z: {}};
+    this.newLines = [];  // Of the log, not shown yet.
+    this.untold = new Set();
+    this.told = -Infinity;
     this.dirty = new Set(['strip']);
     this.strip = new Strip(() => this.dirty.add('strip'));
     this.makeResponses();
@@ -67,10 +71,9 @@ export class LiveView {
     }
     this.items = this.run?.items ?? [];
     this.strip.begin(message.strip, message.activity.activity === 'checking' ? [] : this.items);
-    this.stage('x', message.stage.x);
-    this.stage('z', message.stage.z);
+    this.stageSeen = {...message.stage};
     byId('log-lines').replaceChildren();
-    for (const line of message.log) this.log(line);
+    this.newLines = [...message.log];
     if (message.checks) this.checks(message.checks);
     this.activity = message.activity;
     this.phase = message.phase;
@@ -79,7 +82,8 @@ export class LiveView {
     this.interrupted = message.interrupted;
     byId('guard').replaceChildren(said(message.guard ?? ''));
     this.words();
-    for (const part of ['strip', 'table', 'stage', 'items']) this.dirty.add(part);
+    for (const part of ['strip', 'table', 'items']) this.dirty.add(part);
+    this.untold.add('stage').add('log');
     this.responsesChange();
   }
 
@@ -97,8 +101,8 @@ export class LiveView {
         this.activity = message;
         this.words();
         break;
-      case 'phase': this.phase = message; this.words(); break;
-      case 'stage': this.stage(message.axis, message); break;
+      case 'phase': this.phase = message; this.untold.add('words'); break;
+      case 'stage': this.stageSeen[message.axis] = message; this.untold.add('stage'); break;
       case 'fault': this.fault = message; break;
       case 'guard': byId('guard').replaceChildren(said(message.words)); break;
       case 'interrupted': this.interrupted = message.run; this.words(); break;
@@ -110,8 +114,8 @@ export class LiveView {
         this.dwells.set(message.dwell.position, message.dwell);
         if (message.dwell.item !== this.responding) this.responsesChange();
         this.lastDwell = message.dwell;
-        this.settling();
-        this.setProgress(message.progress);
+        this.knowProgress(message.progress);
+        this.untold.add('words');
         this.dirty.add('table');
         this.know(message.items);
         if (message.fit.experiment > 0) {  // A check pose is of no experiment.
@@ -120,10 +124,27 @@ export class LiveView {
         }
         break;
       case 'items': this.know(message.items); break;
-      case 'log': this.log(message.line); break;
+      case 'log': this.knowLine(message.line); break;
       case 'checks': this.checks(message.findings); break;
       case 'ended': this.ended = message; this.interrupted = message.interrupted; this.words(); break;
     }
+    this.tell();
+  }
+
+  // Words, log and angles: once for all messages of a short while. By time, not by frames: a page in the background has none.
+  tell() {
+    const wait = this.told + REDRAWN_AFTER_MS - performance.now();
+    if (!this.untold.size) return;
+    if (wait > 0) {
+      this.telling ??= setTimeout(() => { this.telling = null; this.tell(); }, wait);
+      return;
+    }
+    const parts = this.untold;
+    this.untold = new Set();
+    this.told = performance.now();
+    if (parts.has('stage')) this.drawStage();
+    if (parts.has('log')) this.drawLog();
+    if (parts.has('words')) { this.words(); this.drawProgress(); }
   }
 
   // What became of the items.
@@ -169,10 +190,20 @@ export class LiveView {
     byId('settling').textContent = [on ? now : '', took].filter(Boolean).join('; ') || DASH;
   }
 
-  setProgress(progress) {
+  knowProgress(progress) {
     this.progress = progress;
     this.left = progress.left_s;
     this.leftSince = performance.now();
+  }
+
+  setProgress(progress) {
+    this.knowProgress(progress);
+    this.drawProgress();
+  }
+
+  drawProgress() {
+    const {progress} = this;
+    if (!progress) return;
     byId('measured').textContent = t`${progress.measured} of ${progress.total}`;
     byId('progress').value = progress.total ? progress.measured / progress.total : 0;
     this.countDown();
@@ -190,20 +221,30 @@ export class LiveView {
     byId('left').textContent = t`about ${duration(Math.max(0, this.left - (performance.now() - this.leftSince) / 1000))}`;
   }
 
-  stage(axis, seen) {
-    byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
-    byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
-    this.angles[axis] = seen.encoder_deg;
-    this.dirty.add('stage');
+  drawStage() {
+    const {x, z} = this.stageSeen;
+    for (const [axis, seen] of [['x', x], ['z', z]]) {
+      byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
+      byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
+    }
+    drawGimbal(x.encoder_deg ?? 0, z.encoder_deg ?? 0);
+    byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
   }
 
-  log(line) {
+  knowLine(line) {
+    this.newLines.push(line);
+    if (this.newLines.length > LINES) this.newLines.shift();
+    this.untold.add('log');
+  }
+
+  drawLog() {
     const log = byId('log'), lines = byId('log-lines');
     const atEnd = log.scrollHeight - log.scrollTop - log.clientHeight < 30;
-    lines.append(element('li', {class: `grade-${line.grade}`},
+    lines.append(...this.newLines.map((line) => element('li', {class: `grade-${line.grade}`},
       timeElement(line.utc, 'clock'),
-      ...(line.grade === 'info' ? [] : [`${t(line.grade)}: `]), said(line.text)));
-    while (lines.children.length > 200) lines.firstChild.remove();
+      ...(line.grade === 'info' ? [] : [`${t(line.grade)}: `]), said(line.text))));
+    this.newLines = [];
+    while (lines.children.length > LINES) lines.firstChild.remove();
     if (atEnd) log.scrollTop = log.scrollHeight;
   }
 
@@ -219,10 +260,6 @@ export class LiveView {
     this.dirty.delete(part);
     this.drawn.set(part, now);
     if (part === 'strip') this.strip.draw();
-    if (part === 'stage') {
-      drawGimbal(this.angles.x ?? 0, this.angles.z ?? 0);
-      byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
-    }
     const [plotted, experiment] = part.split(' ');
     if (experiment) this.drawExperiment(plotted, Number(experiment) - 1);
     if (part === 'table') this.drawTable();
