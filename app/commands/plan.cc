@@ -171,7 +171,7 @@ CLI::App* add_plan(CLI::App& parent, int& exit_code) {
     if (options->reach.asked()) {
       options->reach.bench_file = options->bench_file;
       options->reach.json = options->json;
-      exit_code = run_reach(options->reach, planning_bench(config, 0.0));
+      exit_code = run_reach(options->reach, planning_bench(config, {}));
       return;
     }
     const ShownPlan plan = make_shown_plan(config);

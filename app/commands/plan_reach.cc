@@ -43,14 +43,14 @@ double seconds_of(const std::string& text) {
   return value;
 }
 
-double noise_of(const ReachOptions& options, const BenchConfig& config) {
+KnownItem item_of(const ReachOptions& options, const BenchConfig& config) {
   if (!options.noise.empty()) {
     double value = 0.0;
     const char* const end = options.noise.data() + options.noise.size();
     const auto [stopped, error] = std::from_chars(options.noise.data(), end, value);
     if (error != std::errc() || stopped != end) {
       try {
-        return noise_of_run(options.noise);
+        return item_of_run(options.noise);
       } catch (const std::invalid_argument& problem) {
         throw std::invalid_argument(fmt::format("--noise {}", problem.what()));
       }
@@ -58,9 +58,9 @@ double noise_of(const ReachOptions& options, const BenchConfig& config) {
     if (!(value > 0.0) || value > 1.0)
       throw std::invalid_argument(
           fmt::format("--noise {}: required: above 0 and at most 1 (g_loc)", options.noise));
-    return value;
+    return {.noise = value};
   }
-  if (const auto simulated = simulated_noise(config)) return *simulated;
+  if (const auto simulated = simulated_noise(config)) return {.noise = *simulated};
   throw std::invalid_argument(
       "the noise of a reading is not known; required: --noise RUN (an earlier run of such an item) or "
       "--noise VALUE "
@@ -124,7 +124,7 @@ PlanQuestion question_of(const ReachOptions& options, PlanningBench bench) {
       options.reach.empty() ? published_wanted() : parse_wanted(options.reach), {}, std::move(bench)};
   if (!options.time.empty()) question.within_s = seconds_of(options.time);
   if (!options.estimator.empty()) question.bench.config.protocol.estimator = options.estimator;
-  question.bench.noise = noise_of(options, question.bench.config);
+  question.bench.item = item_of(options, question.bench.config);
   return question;
 }
 
@@ -197,9 +197,11 @@ void add_question_options(CLI::App& command, ReachOptions& options) {
       "--reach", options.reach,
       "find the shortest plan with these standard uncertainties: 's=2e-5, off=2e-4, O=5e-5, phi=1e-3 deg'");
   command.add_option("--time", options.time, "find the best plan that lasts at most so long: 10min, 90s");
-  command.add_option("--noise", options.noise,
-                     "noise of one reading: standard deviation in g_loc, or an earlier run (default: that of "
-                     "[simulation], where the accelerometer is simulated)");
+  command.add_option(
+      "--noise", options.noise,
+      "noise of one reading: standard deviation in g_loc, or an earlier run of the item, which tells its "
+      "angles and offsets as well (default: that of [simulation], where the accelerometer is "
+      "simulated)");
 }
 
 void add_reach_options(CLI::App& command, ReachOptions& options) {
@@ -222,7 +224,7 @@ std::string question_words(const ReachOptions& options) {
 }
 
 PlanPrediction find_plan(const ReachOptions& options, const BenchConfig& config) {
-  const PlanQuestion question = question_of(options, planning_bench(config, 0.0));
+  const PlanQuestion question = question_of(options, planning_bench(config, {}));
   RealClock clock;
   ProgressBar bar("Predicting", clock);
   PlanSearch search = search_with_bar(question, bar);
@@ -248,7 +250,7 @@ int run_reach(const ReachOptions& options, PlanningBench bench) {
   if (options.write && found.plan) write_into_bench_file(options, *found.plan);
   if (options.json) {
     nlohmann::ordered_json json{{"schema", "abcal.plan/1"},
-                                {"noise", question.bench.noise},
+                                {"noise", question.bench.item.noise},
                                 {"predicted", nullptr},
                                 {"out_of_reach", found.out_of_reach},
                                 {"curve", nlohmann::ordered_json::array()}};
@@ -262,7 +264,11 @@ int run_reach(const ReachOptions& options, PlanningBench bench) {
       print_prediction(*found.plan, wanted);
     }
     print_curve(others);
-    print_result("Noise of one reading: {:.3g} g_loc, taken as white. Estimator: {}.\n", question.bench.noise,
+    print_result("Noise of one reading: {:.3g} g_loc, taken as white. The item {}. Estimator: {}.\n",
+                 question.bench.item.noise,
+                 question.bench.item.sensitivity_matrix.isIdentity(0.0)
+                     ? "is taken to stand straight; --noise RUN, an earlier run, would tell more"
+                     : "is as the earlier run found it",
                  config.protocol.estimator);
   }
   return found.plan ? kExitDone : kExitFailed;

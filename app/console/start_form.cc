@@ -35,9 +35,9 @@ using Json = nlohmann::ordered_json;
 /// An older check says little of the bench of today.
 constexpr std::chrono::hours kCheckHolds{24};
 
-/// The noise of a reading, and where it is known from.
+/// The item with the noise of a reading, and where it is known from.
 struct Noise {
-  double value = 0.0;
+  KnownItem item;
   std::string source;
 };
 
@@ -183,7 +183,7 @@ class Form {
 
   /// As simulated, else of an earlier run of this item, else of one of its model.
   std::optional<Noise> known_noise(const BenchConfig& config) {
-    if (const auto noise = simulated_noise(config)) return Noise{*noise, "the simulation"};
+    if (const auto noise = simulated_noise(config)) return Noise{{.noise = *noise}, "the simulation"};
     std::string of_model;
     for (const Json& run : library_.list()) {
       if (run.value("state", "") != "complete" || !run.value("simulated", "").empty()) continue;
@@ -198,7 +198,7 @@ class Form {
 
   std::optional<Noise> noise_of(const std::string& run) {
     try {
-      return Noise{noise_of_run(asked_.runs / run), fmt::format("run {}", run)};
+      return Noise{item_of_run(asked_.runs / run), fmt::format("run {}", run)};
     } catch (const std::exception& error) {
       warn(fmt::format("The noise of a reading is not known from run {}: {}", run, error.what()));
       return std::nullopt;
@@ -211,7 +211,7 @@ class Form {
     if (config.protocol.estimator == "norm") return;  // Its results have no orientation to predict.
     const std::optional<Noise> noise = known_noise(config);
     if (!noise) return;
-    const PlanPrediction plan = predict_plan(planning_bench(config, noise->value), config.protocol);
+    const PlanPrediction plan = predict_plan(planning_bench(config, noise->item), config.protocol);
     for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
       const auto output = static_cast<PlannedOutput>(group);
       json_["predicted"].push_back({{"symbol", symbol_of(output)},
@@ -220,7 +220,7 @@ class Form {
                                     {"largest_part", plan.limits[group].name},
                                     {"share", json_number(plan.limits[group].share)}});
     }
-    json_["noise"] = {{"value", noise->value}, {"source", noise->source}};
+    json_["noise"] = {{"value", noise->item.noise}, {"source", noise->source}};
   }
 
   void add_check() {

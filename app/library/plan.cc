@@ -30,14 +30,14 @@ PredictedPlan public_plan(const ::abcal::PlanPrediction& prediction) {
   return plan;
 }
 
-double noise_of(const PlanQuestion& question, const ::abcal::BenchConfig& config) {
-  if (!question.noise_of.empty()) return ::abcal::noise_of_run(question.noise_of);
+::abcal::KnownItem item_of(const PlanQuestion& question, const ::abcal::BenchConfig& config) {
+  if (!question.noise_of.empty()) return ::abcal::item_of_run(question.noise_of);
   if (question.noise) {
-    if (*question.noise > 0.0 && *question.noise <= 1.0) return *question.noise;
+    if (*question.noise > 0.0 && *question.noise <= 1.0) return {.noise = *question.noise};
     throw std::invalid_argument(
         fmt::format("noise: found {:g}; required: above 0 and at most 1 (g_loc)", *question.noise));
   }
-  if (const auto simulated = ::abcal::simulated_noise(config)) return *simulated;
+  if (const auto simulated = ::abcal::simulated_noise(config)) return {.noise = *simulated};
   throw std::invalid_argument(
       "the noise of a reading is not known; required: noise (standard deviation of one reading in g_loc) or "
       "noise_of (an earlier run of such an item)");
@@ -51,7 +51,7 @@ double noise_of(const PlanQuestion& question, const ::abcal::BenchConfig& config
           fmt::format("estimator: found \"{}\"; required: abc or joint", question.estimator));
     config.protocol.estimator = question.estimator;
   }
-  return ::abcal::planning_bench(config, noise_of(question, config));
+  return ::abcal::planning_bench(config, item_of(question, config));
 }
 
 }  // namespace

@@ -36,28 +36,38 @@ std::array<KnownAxis, 2> known_axes(const BenchConfig& config) {
           known_axis(config.stage, config.stage.z, config.simulation.z)};
 }
 
-double noise_of_run(const std::filesystem::path& run) {
-  const LoadedRecord loaded = load_record(run);
-  const CalibrationResult result = analyse_abc(loaded.record);
-  if (!result.sensitivity_matrix)
-    throw std::invalid_argument(fmt::format("{}: {}", run.string(), result.why));
+KnownItem known_item(const RunRecord& record, const CalibrationResult& result) {
+  KnownItem item;
   std::vector<double> noise;
-  for (const DwellRecord& dwell : loaded.record.dwells) {
-    if (!dwell.u_mean || dwell.count < 1) continue;
-    for (Eigen::Index j = 0; j < 3; ++j) {
-      // From the mean's uncertainty: the correlation of the readings is in it.
-      noise.push_back((*dwell.u_mean)[j] * std::sqrt(static_cast<double>(dwell.count)) /
-                      result.intrinsic_sensitivity[static_cast<std::size_t>(j)].value);
-    }
+  for (std::size_t j = 0; j < 3; ++j) {
+    const double s = result.intrinsic_sensitivity[j].value;
+    const auto row = static_cast<Eigen::Index>(j);
+    for (std::size_t k = 0; k < 3; ++k)
+      item.sensitivity_matrix(row, static_cast<Eigen::Index>(k)) =
+          result.sensitivity_matrix.value()[j][k].value / s;
+    item.offset[row] = result.offset[j].value / s;
+    // From the mean's uncertainty: the correlation of the readings is in it.
+    for (const DwellRecord& dwell : record.dwells)
+      if (dwell.u_mean && dwell.count >= 1)
+        noise.push_back((*dwell.u_mean)[row] * std::sqrt(static_cast<double>(dwell.count)) / s);
   }
   if (noise.empty()) {
     throw std::invalid_argument(fmt::format(
         "{}: no mean with its uncertainty and its number of readings; required: a run, or a number",
-        run.string()));
+        record.source));
   }
   const auto middle = noise.begin() + static_cast<std::ptrdiff_t>(noise.size() / 2);
   std::nth_element(noise.begin(), middle, noise.end());
-  return *middle;
+  item.noise = *middle;
+  return item;
+}
+
+KnownItem item_of_run(const std::filesystem::path& run) {
+  const LoadedRecord loaded = load_record(run);
+  const CalibrationResult result = analyse_abc(loaded.record);
+  if (!result.sensitivity_matrix)
+    throw std::invalid_argument(fmt::format("{}: {}", run.string(), result.why));
+  return known_item(loaded.record, result);
 }
 
 std::optional<double> simulated_noise(const BenchConfig& config) {
@@ -66,9 +76,9 @@ std::optional<double> simulated_noise(const BenchConfig& config) {
   return config.simulation.noise / scale.minCoeff();
 }
 
-PlanningBench planning_bench(const BenchConfig& config, double noise) {
+PlanningBench planning_bench(const BenchConfig& config, const KnownItem& item) {
   const auto [x, z] = known_axes(config);
-  return {config, {x.travel, z.travel}, {x.speed, z.speed}, noise};
+  return {config, {x.travel, z.travel}, {x.speed, z.speed}, item};
 }
 
 }  // namespace abcal

@@ -6,7 +6,9 @@
 
 #include "app/bench/bench_config.h"
 #include "app/planner/plan_prediction.h"
+#include "protocol/analysis/calibration_result.h"
 #include "protocol/plan/rotation_plan.h"
+#include "protocol/record/run_record.h"
 
 namespace abcal {
 
@@ -20,14 +22,18 @@ struct KnownAxis {
 /// X and Z of a bench, as its file or its simulation says.
 std::array<KnownAxis, 2> known_axes(const BenchConfig& config);
 
-/// Standard deviation of one reading over the sensitivity: median over the angles and outputs of a run.
-/// @throws std::invalid_argument if the file has no such means; RunFileError, CsvError
-double noise_of_run(const std::filesystem::path& run);
+/// The item as a run found it. Its noise is the median over the angles and outputs.
+/// @throws std::invalid_argument if no mean has its uncertainty and number of readings
+KnownItem known_item(const RunRecord& record, const CalibrationResult& result);
 
-/// The same of a simulated accelerometer; nothing: it is not simulated, or without noise.
+/// The same of a run's file, by ABC.
+/// @throws std::invalid_argument also if it has no result; RunFileError, CsvError
+KnownItem item_of_run(const std::filesystem::path& run);
+
+/// Noise of a simulated accelerometer, as in KnownItem; nothing: it is not simulated, or without noise.
 std::optional<double> simulated_noise(const BenchConfig& config);
 
 /// What predictions of this bench begin with.
-PlanningBench planning_bench(const BenchConfig& config, double noise);
+PlanningBench planning_bench(const BenchConfig& config, const KnownItem& item);
 
 }  // namespace abcal

@@ -14,7 +14,7 @@
 namespace abcal {
 namespace {
 
-/// What an ideal item with this noise reads on an ideal stage, in g_loc.
+/// What the item reads on an ideal stage, in g_loc.
 RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protocol,
                        const std::vector<PlannedAngle>& plan, const PlanDuration& duration,
                        std::uint64_t seed) {
@@ -30,11 +30,13 @@ RunRecord ideal_record(const PlanningBench& bench, const ProtocolConfig& protoco
   if (!config.stage.level_file.empty())
     record.measured_alignment = read_level_file(config.stage.level_file).alignment;
   const int readings = readings_per_dwell(protocol, config.accelerometer.rate_hz);
-  const double u = bench.noise / std::sqrt(readings);
+  const double u = bench.item.noise / std::sqrt(readings);
   const double angle_s = duration.total_s() / static_cast<double>(plan.size());
   sim::BenchTruth truth;
   truth.seed = seed;
   truth.noise = u;
+  truth.sensitivity_matrix = bench.item.sensitivity_matrix;
+  truth.offset = bench.item.offset;
   sim::SimBench world(truth);
   for (std::size_t i = 0; i < plan.size(); ++i) {
     const PlannedAngle& angle = plan[i];

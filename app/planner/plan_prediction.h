@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <string>
 
@@ -9,12 +10,21 @@
 
 namespace abcal {
 
+/// The item as far as it is known before the run; by default one that stands straight and has no offset. All
+/// of it is over the sensitivity of each output (1, that is g_loc).
+struct KnownItem {
+  double noise = 0.0;  ///< Standard deviation of one reading, white.
+  Eigen::Matrix3d sensitivity_matrix =
+      Eigen::Matrix3d::Identity();  ///< Rows of length 1: angles and mounting.
+  Eigen::Vector3d offset = Eigen::Vector3d::Zero();
+};
+
 /// What is known before the first angle.
 struct PlanningBench {
   BenchConfig config;
   std::array<AxisTravel, 2> travel;
   std::array<AxisSpeed, 2> speed;
-  double noise = 0.0;  ///< Standard deviation of one reading over its sensitivity, white (1, that is g_loc).
+  KnownItem item;
 };
 
 /// What makes most of an uncertainty.
@@ -31,9 +41,10 @@ struct PlanPrediction {
   std::array<LargestPart, kPlannedOutputs> limits;  ///< Of that output.
 };
 
-/// The uncertainties follow from the estimator itself: it analyses simulated runs of an ideal item on
-/// an ideal stage, whose means state the uncertainty that `noise` gives them, with the bench's sizes of all
-/// effects. What a bench's real errors make the result differ by is in them; noise that is not white is not.
+/// The uncertainties follow from the estimator itself: it analyses simulated runs of the item, as far as it
+/// is known, on an ideal stage, whose means state the uncertainty that its noise gives them, with the bench's
+/// sizes of all effects. What a bench's real errors make the result differ by is in them; noise that is not
+/// white is not.
 /// @throws PlanError if the stage cannot reach an angle; std::invalid_argument if the estimator refuses the
 /// plan
 PlanPrediction predict_plan(const PlanningBench& bench, const ProtocolConfig& protocol);

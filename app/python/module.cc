@@ -308,7 +308,7 @@ void add_plans(py::module_& m) {
       "The shortest plan of a bench file that reaches 's=2e-5, off=2e-4, O=5e-5, phi=1e-3 deg' (default: the "
       "paper's\n"
       "type B), or the best one within a time. noise: standard deviation of one reading, g_loc; noise_of: an "
-      "earlier run.");
+      "earlier run, which tells angles and offsets of the item as well.");
   m.def(
       "predict",
       [question](const std::filesystem::path& bench, int steps, int dwell_readings,
