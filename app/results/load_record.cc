@@ -19,7 +19,7 @@ LoadedRecord load_record(const std::filesystem::path& path, int item) {
     StoredRun run = RunFile::load(path, std::max(item, 1));
     if (item == 0 && run.items.size() > 1)
       throw std::invalid_argument(fmt::format(
-          "{} has {} items; required: a run of one. `abcal export {} --item K --as csv` gives the "
+          "{} has {} items; required: a run of one. `abcal report {} --item K --csv FILE` gives the "
           "averaged readings of one item",
           path.string(), run.items.size(), path.string()));
     RunRecord record = run.record;

@@ -157,7 +157,11 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   EXPECT_THAT(no_such.err, HasSubstr("has 3 items; required: 1 to 3"));
   const test::ProgramResult refused = run({"uncertainty", path});
   EXPECT_EQ(refused.exit_code, 2);
-  EXPECT_THAT(refused.err, HasSubstr("has 3 items; required: a run of one. `abcal export"));
+  EXPECT_THAT(refused.err, HasSubstr("has 3 items; required: a run of one. `abcal report " + path.string() +
+                                     " --item K --csv"));
+  EXPECT_EQ(run({"report", path, "--item", "2", "--csv", "two.csv"}).exit_code, 0);
+  const test::ProgramResult averaged = run({"analyse", "two.csv", "--json"});  // As the message says.
+  EXPECT_EQ(averaged.exit_code, 0) << averaged.err;
   const test::ProgramResult all_by_abc = run({"analyse", path, "--estimator", "abc"});
   EXPECT_EQ(all_by_abc.exit_code, 2);
   EXPECT_THAT(all_by_abc.err, HasSubstr("required: --item as well"));
