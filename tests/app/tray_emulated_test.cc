@@ -72,7 +72,7 @@ TEST_F(LongTrayTest, EightItemsInRealTimeTakeTheTimeOfOneAndLoseNothing) {
   const BenchConfig truth = parse_bench(eight, "eight");
   for (int k = 1; k <= 8; ++k) {
     const StoredRun stored = RunFile::load(folder / "eight.run", k);
-    EXPECT_EQ(stored.measured.size(), stored.header.plan.size()) << k;
+    EXPECT_EQ(stored.measured.size(), stored.header.plan.size()) << k << "\n" << run.err << run.out;
     for (const DwellRecord& dwell : stored.dwells) EXPECT_EQ(dwell.lost, 0) << k;
     const TruthComparison comparison =
         compare_with_truth(analyse(stored.record, "joint"), for_item(truth, k));
