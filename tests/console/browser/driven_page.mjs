@@ -5,6 +5,9 @@ import assert from 'node:assert/strict';
 // ms; a busy machine is slow, and a run takes some seconds on a fast one, but minutes in real time.
 export const PATIENCE = 1000 * Number(process.env.ABCAL_PATIENCE_S || 25);
 
+// ms; a click that the page has not heard by then fell on something disabled.
+const HEARD_WITHIN = 500;
+
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 // What `look` gives, as soon as it is true.
@@ -106,13 +109,18 @@ class Elements {
     }, {what: `${JSON.stringify(this.steps)} to be ${state}`});
   }
 
-  // Looked for anew if it was made anew before it was pressed, as the rows of a list are.
+  // Looked for anew if it was made anew before it was pressed, as the rows of a list are; pressed again if it was disabled at that
+  // very moment, as a button is while the form is checked. Gone with its page: it was pressed.
   click(options) {
     return until(async () => {
       const element = await this.one('usable');
       if (!await element.evaluate(STATES.reachable)) return false;
+      await element.evaluate((target) => {
+        target.wasClicked = false;
+        target.addEventListener('click', () => { target.wasClicked = true; }, {capture: true, once: true});
+      });
       await element.click(options);
-      return true;
+      return await until(() => element.evaluate((target) => target.wasClicked).catch(() => true), {timeout: HEARD_WITHIN, what: 'the click'}).catch(() => false);
     }, {what: `${JSON.stringify(this.steps)} to be in nobody's shade`});
   }
   dblclick() { return this.click({count: 2}); }
