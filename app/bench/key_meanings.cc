@@ -150,9 +150,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"protocol.mains_hz",
        {"Mains frequency: the dwell lasts a whole number of mains periods. 0: not considered.", ""}},
       {"protocol.reading_timeout_s",
-       {"If no reading arrives for this time, the accelerometer is considered to have failed. On a computer "
-        "that is too busy to look it may take five times as long.",
-        ""}},
+       {"If no reading arrives for this time, the accelerometer is considered to have failed.", ""}},
       {"protocol.warm_up_s", {"Waiting time with all instruments switched on, before the first angle.", ""}},
       {"protocol.replug_timeout_s", {"Longest wait for a vanished port to come back.", ""}},
       {"protocol.stability_s",

@@ -13,9 +13,6 @@ namespace {
 
 /// Longest wait for one of several items between two looks at the others.
 constexpr Clock::Duration kSliceBesideOthers = std::chrono::milliseconds(5);
-/// A busy computer lets the program wait for longer than it asked to, and may bring the bytes as late: only
-/// what was asked for counts as silence, until so many times the limit have passed.
-constexpr int kMostForBusyComputer = 5;
 /// Most readings that are kept for an item that nobody reads; older ones are dropped.
 constexpr std::size_t kMostWaiting = 65536;
 
@@ -37,20 +34,15 @@ Reading ReadingSource::read_one() {
   if (failure_) throw InstrumentError(*failure_);
   const StoppableClock& clock = context_.clock;
   const double timeout_s = context_.settings.protocol.reading_timeout_s;
-  const Clock::Duration limit = from_seconds(timeout_s);
-  const Clock::Instant began = clock.now();
-  Clock::Duration silent{};
+  const Clock::Instant deadline = clock.now() + from_seconds(timeout_s);
   while (true) {
     clock.throw_if_stopped();
     const Clock::Instant now = clock.now();
-    const Clock::Duration slice =
-        std::min(limit - silent, others_.empty() ? StoppableClock::kSlice : kSliceBesideOthers);
-    auto reading = accelerometer_.next(now + slice);
+    const Clock::Duration slice = others_.empty() ? StoppableClock::kSlice : kSliceBesideOthers;
+    auto reading = accelerometer_.next(std::min(deadline, now + slice));
     for (ReadingSource* other : others_) other->take_waiting();
     if (reading) return *std::move(reading);
-    const Clock::Instant after = clock.now();
-    silent += std::min(after - now, slice);
-    if (silent >= limit || after - began >= kMostForBusyComputer * limit) {
+    if (clock.now() >= deadline) {
       throw InstrumentError(context_.accelerometer_name(), Fault::kNoReply,
                             fmt::format("no reading for {} s (reading_timeout_s), after {} readings. Check "
                                         "the cable, the supply, and whether another program has stopped it",

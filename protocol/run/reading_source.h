@@ -25,8 +25,7 @@ class ReadingSource {
   void read_beside(std::vector<ReadingSource*> others) { others_ = std::move(others); }
 
   /// Waits for `count` readings.
-  /// @throws InstrumentError kNoReply after reading_timeout_s without any (longer on a computer too busy to
-  /// look), kLinkLost. RunInterrupted.
+  /// @throws InstrumentError kNoReply after reading_timeout_s without any, kLinkLost. RunInterrupted.
   std::vector<Reading> read(std::size_t count);
 
   /// Discards what arrived before now.

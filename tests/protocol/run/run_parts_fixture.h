@@ -95,9 +95,9 @@ class ScriptedAccelerometer final : public Accelerometer {
   }
   void start() override {}
   std::optional<Reading> next(Clock::Instant deadline) override {
-    const Clock::Instant now = clock_.now(), due = now + std::chrono::milliseconds(10);
-    if (!output || due > deadline || now < silent_until) {
-      clock_.sleep_until(now + busy * (deadline - now));
+    const Clock::Instant due = clock_.now() + std::chrono::milliseconds(10);
+    if (!output || due > deadline) {
+      clock_.sleep_until(deadline);
       return std::nullopt;
     }
     clock_.sleep_until(due);
@@ -115,8 +115,6 @@ class ScriptedAccelerometer final : public Accelerometer {
   std::function<Eigen::Vector3d(std::uint64_t)> output;  ///< Empty: silent.
   std::optional<double> temperature_degc;
   std::string serial_number = "2";
-  Clock::Instant silent_until{};
-  int busy = 1;  ///< The computer is: each wait in vain lasts as many times as long as asked for.
   std::uint64_t count = 0, lost = 0;
   int discards = 0;
 

@@ -218,17 +218,6 @@ TEST_F(ReadingSourceTest, ASilentAccelerometerIsAnErrorAfterItsTime) {
   EXPECT_NEAR(to_seconds(clock.now() - begin), 2.0, 0.03);
 }
 
-TEST_F(ReadingSourceTest, ThatTheComputerIsBusyIsNotTheSilenceOfTheAccelerometer) {
-  accelerometer.busy = 20;
-  accelerometer.silent_until = clock.now() + std::chrono::seconds(4);
-  EXPECT_EQ(readings().read(1).size(), 1U);
-
-  accelerometer.output = nullptr;
-  const Clock::Instant begin = clock.now();
-  EXPECT_EQ(failure_of([&] { readings().read(1); }).first, Fault::kNoReply);
-  EXPECT_NEAR(to_seconds(clock.now() - begin), 10.0, 0.5) << "five times reading_timeout_s";
-}
-
 TEST_F(ReadingSourceTest, AStopEndsTheWaitForReadings) {
   accelerometer.output = [this](std::uint64_t k) {
     if (k == 20) stop.request_stop();
