@@ -6,7 +6,7 @@ import assert from 'node:assert/strict';
 export const PATIENCE = 1000 * Number(process.env.ABCAL_PATIENCE_S || 25);
 
 // ms; a click that the page has not heard by then fell on something disabled.
-const HEARD_WITHIN = 500;
+const HEARD_WITHIN = 2000;
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
@@ -115,12 +115,13 @@ class Elements {
     return until(async () => {
       const element = await this.one('usable');
       if (!await element.evaluate(STATES.reachable)) return false;
-      await element.evaluate((target) => {
-        target.wasClicked = false;
-        target.addEventListener('click', () => { target.wasClicked = true; }, {capture: true, once: true});
+      // On the document: what was pressed may have been made anew at that moment, as the rows of a list are.
+      await element.evaluate(() => {
+        globalThis.clickHeard = false;
+        document.addEventListener('click', () => { globalThis.clickHeard = true; }, {capture: true, once: true});
       });
       await element.click(options);
-      return await until(() => element.evaluate((target) => target.wasClicked).catch(() => true), {timeout: HEARD_WITHIN, what: 'the click'}).catch(() => false);
+      return await until(() => element.evaluate(() => globalThis.clickHeard).catch(() => true), {timeout: HEARD_WITHIN, what: 'the click'}).catch(() => false);
     }, {what: `${JSON.stringify(this.steps)} to be in nobody's shade`});
   }
   dblclick() { return this.click({count: 2}); }
