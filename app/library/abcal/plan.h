@@ -29,8 +29,8 @@ struct PlanQuestion {
   std::string reach = {};
   double within_s = 0.0;                       ///< > 0: the best plan that lasts at most so long.
   std::optional<double> noise = std::nullopt;  ///< Standard deviation of one reading in g_loc.
-  std::filesystem::path noise_of = {};         ///< Instead: an earlier run, which tells angles and offsets as well.
-  std::string estimator = {};                  ///< Instead of the bench file's: "abc", "joint".
+  std::filesystem::path noise_of = {};  ///< Instead: an earlier run, which tells angles and offsets as well.
+  std::string estimator = {};           ///< Instead of the bench file's: "abc", "joint".
 };
 
 struct PlanAnswer {
