@@ -47,7 +47,7 @@ ProtocolConfig verification_plan(const std::filesystem::path& run, const BenchCo
     offset = std::max(offset, kCoarser * found.offset[j].standard_uncertainty / scale);
   }
   if (!std::isfinite(s) || !std::isfinite(offset)) return config.protocol;
-  PlanSearch search(planning_bench(config, known_item(loaded.record, found)));
+  PlanSearch search(planning_bench(config, item_of_run(run)));
   const FoundPlan plan = search.shortest(wanted);
   return plan.plan ? plan.plan->protocol : config.protocol;
 }

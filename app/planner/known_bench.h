@@ -23,6 +23,7 @@ struct KnownAxis {
 std::array<KnownAxis, 2> known_axes(const BenchConfig& config);
 
 /// The item as a run found it. Its noise is the median over the angles and outputs.
+/// @param result  with a sensitivity matrix
 /// @throws std::invalid_argument if no mean has its uncertainty and number of readings
 KnownItem known_item(const RunRecord& record, const CalibrationResult& result);
 

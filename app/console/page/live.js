@@ -21,7 +21,7 @@ export class LiveView {
     this.charts = [];
     this.stageSeen = {x: {}, z: {}};
     this.newLines = [];  // Of the log, not shown yet.
-    this.untold = new Set();
+    this.untold = new Set();  // Parts of the page whose words have changed, and when they were shown last.
     this.told = -Infinity;
     this.dirty = new Set(['strip']);
     this.strip = new Strip(() => this.dirty.add('strip'));
@@ -62,7 +62,8 @@ export class LiveView {
     if (this.run) {
       for (const dwell of this.run.dwells) this.dwells.set(dwell.position, dwell);
       for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
-      this.setProgress(this.run.progress);
+      this.knowProgress(this.run.progress);
+      this.drawProgress();
       byId('run-file').textContent = this.run.file || DASH;
       byId('item').textContent = this.run.items.map(({name}) => name).join(', ') || this.run.item || DASH;
       byId('operator').textContent = operatorIn(this.run.operator) || DASH;
@@ -133,8 +134,8 @@ export class LiveView {
 
   // Words, log and angles: once for all messages of a short while. By time, not by frames: a page in the background has none.
   tell() {
-    const wait = this.told + REDRAWN_AFTER_MS - performance.now();
     if (!this.untold.size) return;
+    const wait = this.told + REDRAWN_AFTER_MS - performance.now();
     if (wait > 0) {
       this.telling ??= setTimeout(() => { this.telling = null; this.tell(); }, wait);
       return;
@@ -194,11 +195,6 @@ export class LiveView {
     this.progress = progress;
     this.left = progress.left_s;
     this.leftSince = performance.now();
-  }
-
-  setProgress(progress) {
-    this.knowProgress(progress);
-    this.drawProgress();
   }
 
   drawProgress() {

@@ -27,7 +27,7 @@ step('checks the bench without motion, and levels it', async (page) => {
   await page.locator('#take-control').click();
   await served.goTo('bench');
   await page.locator('#bench-check:enabled').click();
-  await page.locator('#checks').says(/Grade/);  // Until then the other buttons go from enabled to disabled under the pointer.
+  await page.locator('#checks').says(/Grade/);
   await page.locator('#bench-level:enabled').click();
   await confirmDialog();
   await page.locator('#levelling', {hasText: 'tilt of the Z axis'}).waitFor();
