@@ -354,14 +354,17 @@ void Emulator::Loop::pump(Port& port) {
   const Clock::Instant now = clock.now();
   // Asked before: an answer to a change of the speed goes at the old one.
   const auto speed = port.line_speed();
+  // It may have been some time ago, on a busy machine: the line has carried since then.
+  const Clock::Instant put_out = std::min(now, port.firmware->next_due().value_or(now));
   std::string bytes = port.firmware->transmit(now);
   if (speed) {
+    port.output += port.to_host.arrived(now);
     if (!port.client) bytes.clear();
-    if (port.to_host.under_way() + bytes.size() > kDeviceBuffer) {
+    if (port.to_host.under_way() + bytes.size() > kDeviceBuffer + port.to_host.room(*speed, put_out, now)) {
       dropped += bytes.size();  // Whole messages, as the device itself loses them.
       bytes.clear();
     }
-    port.to_host.send(bytes, *speed, terminal_speed(port.slave.get()), now);
+    port.to_host.send(bytes, *speed, terminal_speed(port.slave.get()), put_out);
     bytes = port.to_host.arrived(now);
   }
   port.output += bytes;

@@ -31,10 +31,10 @@ bool SerialLine::fits(unsigned sent, unsigned read) {
 }
 
 void SerialLine::send(std::string_view bytes, unsigned speed, std::optional<unsigned> read_at,
-                      Clock::Instant now) {
+                      Clock::Instant at) {
   if (bytes.empty()) return;
   const double lasts_s = kBitsPerByte * static_cast<double>(bytes.size()) / speed;
-  Piece piece{std::max(now, free_at_), static_cast<double>(bytes.size()) / lasts_s, std::string(bytes)};
+  Piece piece{std::max(at, free_at_), static_cast<double>(bytes.size()) / lasts_s, std::string(bytes)};
   const double ratio = read_at ? static_cast<double>(*read_at) / speed : 1.0;
   if (!fits(speed, read_at.value_or(speed))) {
     const double count = std::ceil(static_cast<double>(bytes.size()) * std::min(ratio, kMostNoise));
@@ -46,6 +46,11 @@ void SerialLine::send(std::string_view bytes, unsigned speed, std::optional<unsi
   free_at_ = piece.start + from_seconds(lasts_s);
   under_way_ += piece.bytes.size();
   pieces_.push_back(std::move(piece));
+}
+
+std::size_t SerialLine::room(unsigned speed, Clock::Instant at, Clock::Instant now) const {
+  const double free_s = to_seconds(now - std::max(at, free_at_));
+  return static_cast<std::size_t>(std::max(0.0, free_s) * speed / kBitsPerByte);
 }
 
 std::string SerialLine::arrived(Clock::Instant now) {

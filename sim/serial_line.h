@@ -21,9 +21,12 @@ class SerialLine {
   /// Whether bytes sent at one speed can be read at the other.
   static bool fits(unsigned sent, unsigned read);
 
-  /// `bytes` are sent behind what is under way, at `speed` Bd. `read_at`: the speed of the other end;
-  /// nothing: the same.
-  void send(std::string_view bytes, unsigned speed, std::optional<unsigned> read_at, Clock::Instant now);
+  /// `bytes` are sent from `at` on, behind what is under way, at `speed` Bd. `read_at`: the speed of the
+  /// other end; nothing: the same.
+  void send(std::string_view bytes, unsigned speed, std::optional<unsigned> read_at, Clock::Instant at);
+
+  /// Bytes that it carries from `at` to `now` behind what is under way.
+  std::size_t room(unsigned speed, Clock::Instant at, Clock::Instant now) const;
 
   /// What has come through since the last call.
   std::string arrived(Clock::Instant now);

@@ -11,6 +11,7 @@
 #include <termios.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <chrono>
 #include <cstdlib>
 #include <filesystem>
@@ -34,9 +35,14 @@ using testing::HasSubstr;
 
 class SystemClock final : public Clock {
  public:
-  Instant now() const override { return std::chrono::steady_clock::now(); }
+  Instant now() const override { return std::chrono::steady_clock::now() + ahead_.load(); }
   UtcTime utc_now() const override { return std::chrono::system_clock::now(); }
-  void sleep_until(Instant instant) override { std::this_thread::sleep_until(instant); }
+  void sleep_until(Instant instant) override { std::this_thread::sleep_until(instant - ahead_.load()); }
+  /// Time passes of which an emulator sees nothing, as when the machine has others to serve.
+  void leap(Duration duration) { ahead_ = ahead_.load() + duration; }
+
+ private:
+  std::atomic<Duration> ahead_{Duration::zero()};
 };
 
 /// A program that knows nothing of ours: a file descriptor, with deadlines.
@@ -308,6 +314,19 @@ TEST_F(EmulatorTest, ARealLineCarriesATenthOfItsSpeedInBytes) {
   EXPECT_GE(bytes, 6000U);
   EXPECT_GT(elapsed_s, 6000.0 / 11520.0 - 0.05);  // what lay in the terminal at the start came at once
   EXPECT_GT(emulator->dropped_bytes(), 0U) << "the rest is lost";
+}
+
+TEST_F(EmulatorTest, AnEmulatorThatComesLateLosesNothingThatTheLineWouldHaveCarried) {
+  const auto streaming = accelerometer({.base_rate_hz = 500, .streaming_at_power_on = true});  // at 100 Hz
+  serve({{streaming, PtyLink{link("accelerometer"), LineModel::kReal}}});
+  Client client = Client::terminal(link("accelerometer"));
+  set_speed(client, B115200);
+  client.receive(10 * kPacket);
+  clock.leap(seconds(5));  // 15 kB, in 5 s of 57 kB.
+  const auto start = std::chrono::steady_clock::now();
+  EXPECT_GE(client.receive(480 * kPacket).size(), 480 * kPacket);
+  EXPECT_LT(std::chrono::steady_clock::now() - start, seconds(1)) << "it is due at once";
+  EXPECT_EQ(emulator->dropped_bytes(), 0U);
 }
 
 TEST_F(EmulatorTest, InstrumentsOfOneWorldFeelEachOther) {
