@@ -1,5 +1,7 @@
 #pragma once
 
+#include <sys/ioctl.h>
+
 #include <array>
 #include <atomic>
 #include <boost/asio/bind_cancellation_slot.hpp>
@@ -28,6 +30,7 @@ template <class Port>
 class AsioLink {
  public:
   static constexpr Clock::Duration kWriteDeadline = std::chrono::seconds(2);
+  static constexpr Clock::Duration kGrace = std::chrono::seconds(5);  ///< For the thread, on a busy machine.
 
   AsioLink(std::string name, Clock& clock, std::size_t queue_bytes)
       : clock_(clock), queue_(std::move(name), queue_bytes), port_(io_) {}
@@ -58,6 +61,23 @@ class AsioLink {
       }
       ended_ = true;
     });
+  }
+
+  /// What has come by the deadline; empty: nothing. Bytes that the system holds when it passes have come: on
+  /// a busy machine it is the thread fetching them that is late, not the instrument.
+  /// @throws InstrumentError kLinkLost if the port or its thread has ended, or the thread stands still
+  ReceivedBytes read_until(Clock::Instant deadline) {
+    ReceivedBytes received = queue_.pop_until(deadline);
+    int unfetched = 0;
+    if (!received.bytes.empty() || ::ioctl(port_.native_handle(), FIONREAD, &unfetched) != 0 ||
+        unfetched == 0) {
+      return received;
+    }
+    received = queue_.pop_until(std::chrono::steady_clock::now() + kGrace);
+    if (received.bytes.empty()) {
+      throw InstrumentError(queue_.name(), Fault::kLinkLost, "the thread that reads from it does not answer");
+    }
+    return received;
   }
 
   /// @throws InstrumentError kNoReply after kWriteDeadline, kLinkLost if the port or its thread has ended
@@ -118,7 +138,6 @@ class AsioLink {
 
   /// The job's timer ends every write in time, but not without the thread that runs both.
   void wait_for(WriteJob& job, const std::future<WriteResult>& result) {
-    constexpr auto kGrace = std::chrono::seconds(5);  // a busy machine
     const auto longest = std::chrono::steady_clock::now() + kWriteDeadline + kGrace;
     while (result.wait_for(std::chrono::milliseconds(20)) != std::future_status::ready) {
       const bool hangs = std::chrono::steady_clock::now() > longest;

@@ -134,7 +134,7 @@ void SerialPort::write(std::string_view bytes) {
   impl_->link.write(bytes);
 }
 ReceivedBytes SerialPort::read_until(Clock::Instant deadline) {
-  return impl_->link.queue().pop_until(deadline);
+  return impl_->link.read_until(deadline);
 }
 void SerialPort::discard_input() {
   impl_->link.queue().discard();

@@ -72,7 +72,7 @@ void TcpStream::write(std::string_view bytes) {
   impl_->link.write(bytes);
 }
 ReceivedBytes TcpStream::read_until(Clock::Instant deadline) {
-  return impl_->link.queue().pop_until(deadline);
+  return impl_->link.read_until(deadline);
 }
 void TcpStream::discard_input() {
   impl_->link.queue().discard();

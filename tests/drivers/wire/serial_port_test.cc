@@ -6,6 +6,7 @@
 #include <sys/ioctl.h>
 #include <sys/wait.h>
 
+#include <atomic>
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -72,6 +73,49 @@ TEST_F(SerialPortTest, BytesGoThereAndBackUnchanged) {
   EXPECT_LE(received.arrival, clock_.now());
   EXPECT_EQ(received.bytes + read_all(port, 256 - received.bytes.size()), every_byte);
   EXPECT_EQ(port.name(), terminal_.path());
+}
+
+/// Holds any thread but the one that made it, from the moment it is told to.
+class HoldingClock final : public Clock {
+ public:
+  Instant now() const override {
+    if (std::this_thread::get_id() != owner_ && holds_) {
+      held_ = true;
+      held_.notify_all();
+      holds_.wait(true);
+    }
+    return std::chrono::steady_clock::now();
+  }
+  UtcTime utc_now() const override { return std::chrono::system_clock::now(); }
+  void sleep_until(Instant instant) override { std::this_thread::sleep_until(instant); }
+  void hold() { holds_ = true; }
+  void wait_until_it_holds() const { held_.wait(false); }
+  void release() {
+    holds_ = false;
+    holds_.notify_all();
+  }
+
+ private:
+  const std::thread::id owner_ = std::this_thread::get_id();
+  std::atomic<bool> holds_ = false;
+  mutable std::atomic<bool> held_ = false;
+};
+
+TEST_F(SerialPortTest, WhatTheSystemHoldsHasComeHoweverLateTheThreadThatFetchesIt) {
+  HoldingClock clock;
+  SerialPort port({.path = terminal_.path(), .baud = 115200, .rts_cts = false}, clock);
+  EXPECT_EQ(port.read_until(clock.now()).bytes, "") << "nothing has come";
+  clock.hold();
+  terminal_.write("a");
+  clock.wait_until_it_holds();
+  terminal_.write("b");
+  int waiting = 0;
+  while (::ioctl(port.descriptor(), FIONREAD, &waiting) == 0 && waiting == 0) std::this_thread::yield();
+  auto late = std::async(std::launch::async, [&] {
+    std::this_thread::sleep_for(50ms);
+    clock.release();
+  });
+  EXPECT_EQ(port.read_until(clock.now()).bytes.substr(0, 1), "a");
 }
 
 TEST_F(SerialPortTest, OpensALinkToAPseudoTerminalAndTakesFlowControl) {
