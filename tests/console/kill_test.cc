@@ -56,9 +56,12 @@ class KillTest : public ProgramTest {
     control = std::make_unique<test::EmulatorControlClient>(std::stoi(found[1]));
   }
 
-  /// Waits for the stage to move, and a little longer.
-  void wait_until_in_motion(std::mt19937_64& random) {
-    ASSERT_TRUE(test::wait_for([&] { return control->anything_moves(); }, 60s));
+  /// Waits for `program` to move the stage, and a little longer.
+  void wait_until_in_motion(std::mt19937_64& random, Program& program) {
+    ASSERT_TRUE(test::wait_for([&] { return control->anything_moves() || !program.running(); }, 60s) &&
+                program.running())
+        << "nothing moves; " << (program.running() ? "the program runs\n" : "the program has ended\n")
+        << program.out() << program.err();
     std::this_thread::sleep_for(std::chrono::milliseconds(random() % 400));  // A random moment: the test.
   }
 
@@ -103,7 +106,7 @@ class KilledRunTest : public KillTest {
           [&] { return !run.running() || (std::filesystem::exists(path) && measured(path) >= wanted); },
           60s));
       ASSERT_TRUE(run.running()) << run.err();
-      wait_until_in_motion(random);
+      wait_until_in_motion(random, run);
       run.signal(SIGKILL);
       const auto died = std::chrono::steady_clock::now();
       run.wait();
@@ -138,7 +141,7 @@ TEST_F(KillTest, ACheckAndALevellingAreGuardedAsWell) {
   for (const char* command : {"check", "level"}) {
     SCOPED_TRACE(command);
     Program moving({command, "bench.toml"}, folder.path());
-    wait_until_in_motion(random);
+    wait_until_in_motion(random, moving);
     moving.signal(SIGKILL);
     const auto died = std::chrono::steady_clock::now();
     moving.wait();
@@ -237,7 +240,7 @@ class KilledConsoleTest : public KillTest {
     std::size_t kept = 0;
     for (int k = 0; k < times; ++k) {
       SCOPED_TRACE(k);
-      wait_until_in_motion(random);
+      wait_until_in_motion(random, *server);
       ::kill(holder(), SIGKILL);
       expect_that_it_stands_still(std::chrono::steady_clock::now());
       // The page is told, and then by the next process what was interrupted; nothing moves by itself.
@@ -300,7 +303,7 @@ TEST_F(KilledConsoleTest, AStopIsConfirmedForEachAxisWithinHalfASecond) {
     SCOPED_TRACE(k);
     const Json resume = {{"do", "resume"}, {"run", only_run().filename().string()}, {"confirmed", true}};
     ASSERT_TRUE(page->ok(k == 0 ? kStart : resume));
-    wait_until_in_motion(random);
+    wait_until_in_motion(random, *server);
     const auto asked = std::chrono::steady_clock::now();
     ASSERT_TRUE(page->ok({{"do", "stop"}}));
     const Json halt = page->wait_for_type("halt");
