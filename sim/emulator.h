@@ -62,7 +62,7 @@ class Emulator {
   /// What to connect to, in the order of the endpoints: the link's path, or "tcp:HOST:PORT".
   std::vector<std::string> addresses() const;
 
-  /// Bytes of output that no client took in time; only grows.
+  /// Bytes of output that no client took in time, or that were more than their line carries; only grows.
   std::uint64_t dropped_bytes() const;
 
  private:

@@ -205,7 +205,7 @@ void serve_instruments(const EmulateCommand& command) {
   emulator.run(end.get_token());
   if (follower) follower->finish();
   if (emulator.dropped_bytes() > 0) {
-    print_log("{} bytes of output were dropped because no program read them in time\n",
+    print_log("{} bytes of output were dropped: more than their line carries, or not read in time\n",
               emulator.dropped_bytes());
   }
 }
