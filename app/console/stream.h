@@ -1,76 +1,103 @@
 #pragma once
 
+#include <array>
+#include <boost/asio/buffer.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/ssl/context.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/ssl.hpp>
-#include <boost/beast/websocket/teardown.hpp>
+#include <boost/beast/core/error.hpp>
+#include <boost/beast/core/role.hpp>
+#include <boost/beast/core/tcp_stream.hpp>
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <type_traits>
 #include <utility>
-#include <variant>
 
 namespace abcal::console {
 
-/// A connection with TLS or without, as Beast's asynchronous functions take it.
+/// Up to 16 buffers, as Asio takes them: what one call reads or writes at the most. The rest follows with the
+/// next call.
+template <class Buffer>
+class GatheredBuffers {
+ public:
+  // Asio asks for these names. NOLINTBEGIN(readability-identifier-naming)
+  using value_type = Buffer;
+  using const_iterator = const Buffer*;
+  // NOLINTEND(readability-identifier-naming)
+
+  template <class Buffers>
+  explicit GatheredBuffers(const Buffers& buffers) {
+    const auto end = boost::asio::buffer_sequence_end(buffers);
+    for (auto next = boost::asio::buffer_sequence_begin(buffers); next != end && count_ < all_.size();
+         ++next) {
+      const Buffer buffer(*next);
+      if (buffer.size() > 0) all_[count_++] = buffer;
+    }
+  }
+
+  const_iterator begin() const { return all_.data(); }
+  const_iterator end() const { return all_.data() + count_; }
+
+ private:
+  std::array<Buffer, 16> all_;
+  std::size_t count_ = 0;
+};
+
+/// A connection with TLS or without, as Beast's asynchronous functions take it. What is below them is
+/// compiled once, in stream.cc: for every kind of buffers and of handler it would be half of the compiling of
+/// the console.
 class Stream {
  public:
   using Plain = boost::beast::tcp_stream;
-  using Secure = boost::beast::ssl_stream<Plain>;
   // Asio asks for this name. NOLINTNEXTLINE(readability-identifier-naming)
   using executor_type = Plain::executor_type;
 
   /// @param tls  null: without
-  Stream(boost::asio::ip::tcp::socket socket, boost::asio::ssl::context* tls)
-      : stream_(tls == nullptr
-                    ? std::variant<Plain, Secure>(std::in_place_type<Plain>, std::move(socket))
-                    : std::variant<Plain, Secure>(std::in_place_type<Secure>, std::move(socket), *tls)) {}
+  Stream(boost::asio::ip::tcp::socket socket, boost::asio::ssl::context* tls);
+  Stream(Stream&& other) noexcept;
+  Stream& operator=(Stream&& other) noexcept;
+  ~Stream();
 
   executor_type get_executor() { return next_layer().get_executor(); }
   /// What is below TLS, with its time limits.
-  Plain& next_layer() {
-    if (auto* secure = std::get_if<Secure>(&stream_)) return secure->next_layer();
-    return std::get<Plain>(stream_);
-  }
-  const Plain& next_layer() const {
-    if (const auto* secure = std::get_if<Secure>(&stream_)) return secure->next_layer();
-    return std::get<Plain>(stream_);
-  }
+  Plain& next_layer();
+  const Plain& next_layer() const;
 
   /// Where there is TLS: its beginning; else calls the handler at once.
-  template <class Handler>
-  void async_handshake(Handler&& handler) {
-    if (auto* secure = std::get_if<Secure>(&stream_))
-      secure->async_handshake(boost::asio::ssl::stream_base::server, std::forward<Handler>(handler));
-    else
-      handler(boost::beast::error_code());
-  }
+  void async_handshake(std::function<void(boost::beast::error_code)> handler);
 
   template <class Buffers, class Handler>
   void async_read_some(const Buffers& buffers, Handler&& handler) {
-    if (auto* secure = std::get_if<Secure>(&stream_))
-      secure->async_read_some(buffers, std::forward<Handler>(handler));
-    else
-      std::get<Plain>(stream_).async_read_some(buffers, std::forward<Handler>(handler));
+    read_some(GatheredBuffers<boost::asio::mutable_buffer>(buffers),
+              copyable(std::forward<Handler>(handler)));
   }
   template <class Buffers, class Handler>
   void async_write_some(const Buffers& buffers, Handler&& handler) {
-    if (auto* secure = std::get_if<Secure>(&stream_))
-      secure->async_write_some(buffers, std::forward<Handler>(handler));
-    else
-      std::get<Plain>(stream_).async_write_some(buffers, std::forward<Handler>(handler));
+    write_some(GatheredBuffers<boost::asio::const_buffer>(buffers), copyable(std::forward<Handler>(handler)));
   }
 
   /// The end of a WebSocket; Beast finds it by its name.
   template <class Handler>
   friend void async_teardown(boost::beast::role_type role, Stream& stream, Handler&& handler) {
-    using boost::beast::websocket::async_teardown;
-    if (auto* secure = std::get_if<Secure>(&stream.stream_))
-      secure->async_shutdown(std::forward<Handler>(handler));  // As Beast does it.
-    else
-      async_teardown(role, std::get<Plain>(stream.stream_), std::forward<Handler>(handler));
+    stream.tear_down(role, copyable(std::forward<Handler>(handler)));
   }
 
  private:
-  std::variant<Plain, Secure> stream_;
+  struct Layers;
+  using ReadOrWritten = std::function<void(boost::beast::error_code, std::size_t)>;
+
+  /// Beast's handlers can only be moved; they are called once.
+  template <class Handler>
+  static auto copyable(Handler&& handler) {
+    return [kept = std::make_shared<std::decay_t<Handler>>(std::forward<Handler>(handler))](auto... outcome) {
+      std::move (*kept)(outcome...);
+    };
+  }
+  void read_some(const GatheredBuffers<boost::asio::mutable_buffer>& buffers, ReadOrWritten handler);
+  void write_some(const GatheredBuffers<boost::asio::const_buffer>& buffers, ReadOrWritten handler);
+  void tear_down(boost::beast::role_type role, std::function<void(boost::beast::error_code)> handler);
+
+  std::unique_ptr<Layers> layers_;
 };
 
 }  // namespace abcal::console
