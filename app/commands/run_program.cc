@@ -4,6 +4,8 @@
 #include <cstdlib>
 #include <exception>
 #include <sstream>
+#include <string>
+#include <string_view>
 
 #include "app/bench/bench_config.h"
 #include "app/system/exit_code.h"
@@ -37,9 +39,15 @@ int explain_command_line(const CLI::App& app, const CLI::ParseError& error) {
 
 /// @return the exit code of the program.
 int run_command(int argc, char** argv, const ProgramDescription& program) {
+  const std::string version = program.name + " " + program_version();
+  if (argc == 2 &&
+      argv[1] == std::string_view("--version")) {  // Other programs ask often: without all the commands.
+    print_result("{}\n", version);
+    return kExitDone;
+  }
   int exit_code = kExitDone;
   CLI::App app(program.description, program.name);
-  app.set_version_flag("--version", program.name + " " + program_version());
+  app.set_version_flag("--version", version);
   app.require_subcommand(1);
   app.failure_message(CLI::FailureMessage::help);
   program.add_commands(app, exit_code);
