@@ -8,6 +8,17 @@ if(ABCAL_WERROR)
   list(APPEND ABCAL_WARNINGS -Werror)
 endif()
 
+# GCC searches its memory for what it needs no longer, from 128 MB on: 6 % of the time of our larger translation units.
+# Where there is memory for it, it begins later. What it puts out does not change.
+if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+  cmake_host_system_information(RESULT memory_mb QUERY TOTAL_PHYSICAL_MEMORY)
+  cmake_host_system_information(RESULT processors QUERY NUMBER_OF_LOGICAL_CORES)
+  math(EXPR memory_of_one "${memory_mb} / (${processors} + 2)")  # Ninja starts one or two more than there are processors.
+  if(memory_of_one GREATER 3000)
+    add_compile_options(--param=ggc-min-heapsize=1500000)
+  endif()
+endif()
+
 if(ABCAL_SANITIZE)
   add_compile_options(-fsanitize=${ABCAL_SANITIZE} -fno-omit-frame-pointer -fno-sanitize-recover=all)
   add_link_options(-fsanitize=${ABCAL_SANITIZE})
