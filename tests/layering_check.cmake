@@ -89,15 +89,16 @@ layer(drivers TOP MAY drivers/ FOREIGN fmt/)
 # --- protocol ------------------------------------------------------------------------------------------------------------
 set(angle drivers/instrument/angle.h)
 # Analysis and uncertainty cannot even name an instrument.
-set(numbers ${angle} protocol/plan/effect_sizes.h protocol/plan/limits.h protocol/plan/tolerances.h protocol/record/run_record.h protocol/model/)
+set(numbers ${angle} protocol/statistics/ protocol/plan/effect_sizes.h protocol/plan/limits.h protocol/plan/tolerances.h protocol/record/run_record.h protocol/model/)
 layer(protocol/plan MAY ${angle} FOREIGN Eigen/ fmt/)
 layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h FOREIGN Eigen/)
+layer(protocol/statistics FOREIGN boost/math/)
 layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
 layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
-layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ FOREIGN Eigen/ fmt/ boost/math/)
-layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ boost/math/ Random123/ hwy/)
+layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ protocol/statistics/ FOREIGN Eigen/ fmt/)
+layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ Random123/ hwy/)
 layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/ boost/sort/ Random123/ hwy/)
-layer(protocol/temperature MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/)
+layer(protocol/temperature MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/)
 
 # --- sim -----------------------------------------------------------------------------------------------------------------
 # Written apart from what it checks: neither protocol nor a driver's codec.
@@ -119,7 +120,7 @@ layer(app/document MAY app/system/ app/xml/ FOREIGN lcms2.h libxml/ nlohmann/ qp
 layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
 layer(app/laboratory MAY app/system/ drivers/instrument/clock.h protocol/record/ FOREIGN soci/ sodium.h nlohmann/ fmt/)
 layer(app/certificate MAY app/laboratory/ app/results/ drivers/instrument/clock.h app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
-  Eigen/ unsupported/Eigen/ boost/math/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
+  Eigen/ unsupported/Eigen/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
 layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
 layer(app/session MAY app/bench/ app/compare/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
   FOREIGN Eigen/ boost/ nlohmann/ fmt/)

@@ -3,13 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <boost/math/distributions/chi_squared.hpp>
 #include <charconv>
 #include <cmath>
 #include <functional>
 
 #include "app/results/report_data.h"
 #include "app/units/dsi_unit.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -197,7 +197,7 @@ CertifiedUncertainty certified_uncertainty(double expanded, const std::optional<
 }
 
 double ellipsoid_factor(int dimensions, double probability) {
-  return std::sqrt(boost::math::quantile(boost::math::chi_squared(dimensions), probability));
+  return std::sqrt(chi2_quantile(probability, dimensions));
 }
 
 ValueList list_of(const std::vector<std::string>& labels, const std::vector<Quantity>& quantities,

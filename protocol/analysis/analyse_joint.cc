@@ -12,7 +12,6 @@
 #include <utility>
 #include <vector>
 
-#include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/effect_fit.h"
 #include "protocol/analysis/flagged_angles.h"
 #include "protocol/analysis/intrinsic_properties.h"

@@ -12,7 +12,6 @@
 #include <tuple>
 #include <utility>
 
-#include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/joint_verdict.h"
 #include "protocol/analysis/joint_work.h"
@@ -22,6 +21,7 @@
 #include "protocol/analysis/tray_fit.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/analysis/voltmeter.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {

@@ -1,18 +1,14 @@
 #include "protocol/analysis/calibration_result.h"
 
-#include <boost/math/distributions/normal.hpp>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <cstddef>
+
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 
 double coverage_factor(const Quantity& quantity, double probability) {
-  const double outside = 0.5 * (1.0 - probability);
-  const double degrees = quantity.degrees_of_freedom;
-  if (!(degrees >= 1.0)) return std::numeric_limits<double>::quiet_NaN();
-  if (degrees > 1e7) return boost::math::quantile(boost::math::complement(boost::math::normal(), outside));
-  return boost::math::quantile(boost::math::complement(boost::math::students_t(degrees), outside));
+  return student_t_above(0.5 * (1.0 - probability), quantity.degrees_of_freedom);
 }
 
 std::string_view to_string(Verdict verdict) {

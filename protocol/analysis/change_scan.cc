@@ -3,7 +3,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
-#include <boost/math/special_functions/gamma.hpp>
 #include <cmath>
 #include <numbers>
 #include <numeric>
@@ -16,6 +15,7 @@
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/model/effects.h"
 #include "protocol/plan/limits.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -361,9 +361,7 @@ std::vector<Change> judged(const LinearModel& model, const RunRecord& record,
         std::max(1.0, (model.chi2() - gain.fall) / (model.degrees_of_freedom() - gain.degrees_of_freedom));
     change.gain = gain.fall / left;
     const double outputs = change.accelerometer >= 0 ? 3.0 : 1.0;
-    // The quantile of chi2 whose tail is this.
-    change.needed =
-        2.0 * boost::math::gamma_q_inv(0.5 * gain.degrees_of_freedom, kFalseAlarm / (looks * outputs));
+    change.needed = chi2_above(kFalseAlarm / (looks * outputs), gain.degrees_of_freedom);
     double limit = 0.0;
     if (is_turn(change.kind)) {
       change.magnitude = change.size.norm() * kDegrees;

@@ -7,7 +7,6 @@
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
-#include <boost/math/special_functions/gamma.hpp>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -20,6 +19,7 @@
 #include "protocol/model/effects.h"
 #include "protocol/model/stage_model.h"
 #include "protocol/plan/limits.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -263,9 +263,7 @@ class PoseProblem {
   }
 
   /// The fall of chi2 that a sound run reaches once in 1e6 runs.
-  double needed(int degrees_of_freedom) const {
-    return 2.0 * boost::math::gamma_q_inv(0.5 * degrees_of_freedom, kFalseAlarm / tests_);
-  }
+  double needed(int degrees_of_freedom) const { return chi2_above(kFalseAlarm / tests_, degrees_of_freedom); }
 
   std::optional<FoundChange> best_change() const {
     std::vector<FoundChange> all;

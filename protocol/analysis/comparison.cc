@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "protocol/analysis/analyse.h"
-#include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/sensitivity_matrix.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {

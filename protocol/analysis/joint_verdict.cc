@@ -4,14 +4,13 @@
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
-#include <boost/math/special_functions/erf.hpp>
 #include <cmath>
 #include <cstddef>
 #include <numbers>
 
-#include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/specification_test.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -169,7 +168,7 @@ double lag_one(const EffectFit& fit, const ReadingRows& design, int output) {
 /// Of `count` products the excess kurtosis is 18/count (Cornish and Fisher's expansion about the normal
 /// deviate).
 double deviate_of_products(double probability, std::size_t count) {
-  const double z = std::numbers::sqrt2 * boost::math::erfc_inv(probability);
+  const double z = -normal_quantile(0.5 * probability);
   return z + 18.0 / static_cast<double>(count) / 24.0 * (z * z * z - 3.0 * z);
 }
 

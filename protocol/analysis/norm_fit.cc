@@ -12,13 +12,13 @@
 #include <utility>
 #include <vector>
 
-#include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/flagged_angles.h"
 #include "protocol/analysis/norm_model.h"
 #include "protocol/analysis/run_time.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/analysis/voltmeter.h"
 #include "protocol/plan/limits.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {

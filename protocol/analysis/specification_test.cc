@@ -12,10 +12,10 @@
 #include <map>
 #include <vector>
 
-#include "protocol/analysis/chi2_tail.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/norm_model.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {

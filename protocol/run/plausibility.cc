@@ -3,10 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <boost/math/special_functions/gamma.hpp>
 #include <cmath>
 #include <limits>
 #include <numbers>
+
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -47,8 +48,7 @@ bool is_shaken(const DwellStatistics& statistics, const std::optional<Eigen::Vec
   if (statistics.count < kFewReadings || !usual_spread) return false;
   const auto freedom = static_cast<double>(statistics.count - 1);
   // The square of a spread is chi2 over its degrees of freedom.
-  const double of_noise =
-      std::sqrt(2.0 * boost::math::gamma_q_inv(0.5 * freedom, kFalseAlarm / 3.0) / freedom);
+  const double of_noise = std::sqrt(chi2_above(kFalseAlarm / 3.0, freedom) / freedom);
   const double factor = std::max(limits.spread_factor, of_noise);
   for (int j = 0; j < 3; ++j) {
     if (std::isnan((*usual_spread)[j])) continue;  // Frozen so far: not known.

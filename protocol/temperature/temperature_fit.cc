@@ -6,13 +6,13 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
-#include <boost/math/distributions/normal.hpp>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <limits>
 #include <numbers>
 #include <stdexcept>
 #include <utility>
+
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -230,11 +230,7 @@ TemperatureCoefficient coefficient_of(const TemperaturePolynomial& polynomial, s
 
 /// Two-sided probability of a slope this many standard uncertainties from zero.
 double probability_of(double slope, double standard_uncertainty, double degrees_of_freedom) {
-  const double t = std::abs(slope) / standard_uncertainty;
-  namespace math = boost::math;
-  return 2.0 * (std::isinf(degrees_of_freedom)
-                    ? math::cdf(math::complement(math::normal(), t))
-                    : math::cdf(math::complement(math::students_t(degrees_of_freedom), t)));
+  return 2.0 * student_t_tail(std::abs(slope) / standard_uncertainty, degrees_of_freedom);
 }
 
 StageTrend trend_of(const std::vector<TemperaturePoint>& points, double reference_degc, std::size_t k) {

@@ -3,11 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <boost/math/distributions/chi_squared.hpp>
-#include <boost/math/distributions/fisher_f.hpp>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -32,10 +32,10 @@ void require_finite(std::span<const double> values) {
   }
 }
 
-double f_tail(double f, int between_dof, int within_dof) {
+double probability_of_ratio(double f, int between_dof, int within_dof) {
   if (std::isnan(f)) return 1.0;  // nothing scatters at all: nothing speaks against equal groups
   if (std::isinf(f)) return 0.0;
-  return boost::math::cdf(boost::math::complement(boost::math::fisher_f(between_dof, within_dof), f));
+  return f_tail(f * between_dof, between_dof, within_dof);
 }
 
 }  // namespace
@@ -76,7 +76,7 @@ OneWayAnova one_way_anova(std::span<const std::vector<double>> groups) {
   const double within = result.within_mean_square();
   result.f = result.between_mean_square() / within;
   result.f_probability =
-      f_tail(result.f, result.between_degrees_of_freedom, result.within_degrees_of_freedom);
+      probability_of_ratio(result.f, result.between_degrees_of_freedom, result.within_degrees_of_freedom);
   result.repeatability = std::sqrt(within);
   // ISO 5725-2, 7.4.5: the size that an equal group would have.
   const double mean_size =
@@ -127,8 +127,7 @@ RunSpread spread_between_runs(std::span<const double> values, std::span<const do
     const double deviate = (values[i] - weighted_mean) / type_a[i];
     spread.chi2 += deviate * deviate;
   }
-  spread.chi2_probability =
-      boost::math::cdf(boost::math::complement(boost::math::chi_squared(runs - 1.0), spread.chi2));
+  spread.chi2_probability = chi2_tail(spread.chi2, static_cast<int>(values.size()) - 1);
   spread.mean_standard_uncertainty = std::sqrt((between + within) / runs);
   return spread;
 }

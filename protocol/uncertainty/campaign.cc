@@ -3,11 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <limits>
 
 #include "protocol/analysis/comparison.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -36,9 +36,7 @@ CampaignProperty summarise(std::span<const CalibrationResult> results, std::size
   out.standard_uncertainty = std::hypot(out.type_a, out.type_b);
   const double share = out.type_a / out.standard_uncertainty;
   out.degrees_of_freedom = (runs - 1.0) / (share * share * share * share);
-  // Beyond some 1e6 degrees of freedom Student's t is the normal distribution, also to Boost.
-  out.coverage_factor =
-      boost::math::quantile(boost::math::students_t(std::min(out.degrees_of_freedom, 1e6)), 0.975);
+  out.coverage_factor = student_t_above(0.025, out.degrees_of_freedom);
   return out;
 }
 

@@ -3,13 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <boost/math/distributions/chi_squared.hpp>
-#include <boost/math/distributions/normal.hpp>
-#include <boost/math/distributions/students_t.hpp>
 #include <cmath>
 #include <functional>
 #include <stdexcept>
 
+#include "protocol/statistics/distributions.h"
 #include "protocol/uncertainty/run_length.h"
 
 namespace abcal {
@@ -23,13 +21,11 @@ constexpr double kWidestLimit = 100.0;      // Beyond it nothing would be seen.
 /// standard deviation by one of chi-squared, independent of each other. Quantiles at equal steps; the run
 /// length depends on the size of the shift only, so that one side of the mean stands for both.
 std::vector<ChartedProcess> processes_seen(int runs) {
-  const boost::math::normal normal;
-  const boost::math::chi_squared chi_squared(runs - 1);
   std::vector<ChartedProcess> seen;
   for (int i = 0; i < kCentres; ++i) {
-    const double error = boost::math::quantile(normal, 0.5 + 0.5 * (i + 0.5) / kCentres) / std::sqrt(runs);
+    const double error = normal_quantile(0.5 + 0.5 * (i + 0.5) / kCentres) / std::sqrt(runs);
     for (int j = 0; j < kSpreads; ++j) {
-      const double ratio = std::sqrt(boost::math::quantile(chi_squared, (j + 0.5) / kSpreads) / (runs - 1));
+      const double ratio = std::sqrt(chi2_quantile((j + 0.5) / kSpreads, runs - 1) / (runs - 1));
       seen.push_back({error / ratio, 1.0 / ratio});
     }
   }
@@ -39,7 +35,7 @@ std::vector<ChartedProcess> processes_seen(int runs) {
 /// What the mean of a baseline is off by, in its own standard deviations, in one case of ten (two-sided).
 /// Sums with a smaller allowance would add up that error.
 double mean_is_off_by(int runs) {
-  return boost::math::quantile(boost::math::students_t(runs - 1), 0.95) / std::sqrt(runs);
+  return student_t_above(0.05, runs - 1) / std::sqrt(runs);
 }
 
 /// The run length that the wanted share of processes reaches.
@@ -84,7 +80,7 @@ double outlier_limit(int runs, double significance) {
     throw std::invalid_argument(fmt::format(
         "outliers of {} runs at {}; required: at least 3 runs, between 0 and 1", runs, significance));
   const double n = runs;
-  const double t = boost::math::quantile(boost::math::students_t(n - 2.0), 1.0 - significance / (2.0 * n));
+  const double t = student_t_above(significance / (2.0 * n), n - 2.0);
   return (n - 1.0) / std::sqrt(n) * std::sqrt(t * t / (n - 2.0 + t * t));
 }
 

@@ -1,17 +1,11 @@
 #include "protocol/uncertainty/gum_validation.h"
 
-#include <boost/math/distributions/normal.hpp>
 #include <cmath>
-#include <stdexcept>
 
+#include "protocol/statistics/distributions.h"
 #include "protocol/uncertainty/monte_carlo.h"
 
 namespace abcal {
-
-double normal_quantile(double p) {
-  if (!(p > 0.0 && p < 1.0)) throw std::invalid_argument("probability must lie between 0 and 1");
-  return boost::math::quantile(boost::math::normal(), p);
-}
 
 GumValidation validate_gum(const GumEstimate& estimate, const MonteCarloInterval& monte_carlo, int digits) {
   GumValidation validation;
@@ -25,8 +19,7 @@ GumValidation validate_gum(const GumEstimate& estimate, const MonteCarloInterval
       validation.d_low <= validation.tolerance && validation.d_high <= validation.tolerance;
   // Standard deviation of a quantile of M normal values.
   const double tail = 0.5 * (1.0 - monte_carlo.p);
-  const double end_point =
-      u * std::sqrt(tail * (1.0 - tail) / monte_carlo.trials) / boost::math::pdf(boost::math::normal(), k);
+  const double end_point = u * std::sqrt(tail * (1.0 - tail) / monte_carlo.trials) / normal_density(k);
   validation.decided = 2.0 * end_point <= validation.tolerance / 5.0;
   return validation;
 }

@@ -34,8 +34,4 @@ struct MonteCarloInterval {
 /// @throws std::invalid_argument if p is not within (0, 1)
 GumValidation validate_gum(const GumEstimate& estimate, const MonteCarloInterval& monte_carlo, int digits);
 
-/// The quantile of the standard normal distribution.
-/// @throws std::invalid_argument if p is not within (0, 1)
-double normal_quantile(double p);
-
 }  // namespace abcal

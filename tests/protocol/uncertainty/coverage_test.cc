@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "protocol/statistics/distributions.h"
 #include "protocol/uncertainty/gum_validation.h"
 #include "protocol/uncertainty/random_stream.h"
 
