@@ -1,6 +1,9 @@
 // German words for what the program says of a run and its bench; "{}" stands for a value. What certificates say too has its words
 // in their table.
 export default {
+  // What the page says of a request.
+  'there is no connection to the console': 'es gibt keine Verbindung zur Konsole',
+  'no answer came: nobody knows whether it was carried out; load the page again and look before you repeat it': 'keine Antwort kam: Niemand weiß, ob es ausgeführt wurde; die Seite neu laden und nachsehen, bevor man es wiederholt',
   // Checks of a result, and what they ask.
   'mounting slip': 'Verrutschen',
   'Did the accelerometer turn on the platter between two angles, and stay so?': 'Hat sich der Aufnehmer zwischen zwei Winkeln auf dem Drehteller verdreht und ist so geblieben?',

@@ -2,6 +2,7 @@
 import {byId, decimals, duration, element, number, scrollable, signed, small, table, DASH} from '/text.js';
 import {said} from '/said.js';
 import {operatorIn, rolesIn, t} from '/language.js';
+import {fetched} from '/link.js';
 import {PagedTable} from '/pages.js';
 import {certificateCard} from '/approve.js';
 import {resultItems} from '/items.js';
@@ -28,7 +29,7 @@ let list = [], firstRow = 0;
 const charts = [];
 
 async function fetchJson(path) {
-  const response = await fetch(path);
+  const response = await fetched(path);
   if (!response.ok) throw new Error((await response.text()).trim() || t`the console answered ${response.status}`);
   return response.json();
 }
@@ -41,7 +42,7 @@ function clearCharts() {
 }
 
 function say(id, error) {
-  byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, String(error.message || error)));
+  byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, said(error.message || String(error))));
 }
 
 // The list.
