@@ -17,7 +17,7 @@ import {showChart, showCompare, showRun, showRuns} from '/runs.js';
 translate();
 const live = new LiveView();
 let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
-let hadControl = false;
+let hadControl = false, answered = false;  // answered: what stands in #reply is over with the connection.
 const USE_THE_SWITCH = t('use the switch on the stage');
 
 let dayViews = [];  // Of a day's work, each with receive(message) and offer(may, idle).
@@ -36,6 +36,8 @@ const link = new Link((message) => {
     byId('person').hidden = !message.person;
     byId('person-name').textContent = message.person;
     byId('lost-control').replaceChildren();
+    // What was accepted before the connection was lost says nothing of now; what was not confirmed stands until something else is asked.
+    if (answered) byId('reply').textContent = '';
     if (hadControl) lostControl(t('this page lost its connection'));
   }
   if (message.type === 'control') {
@@ -145,7 +147,7 @@ function offer(contact) {
 // and the banner says how it goes.
 const DONE_WHEN_ANSWERED = new Set(['control', 'continue', 'queue_add', 'queue_move', 'queue_remove', 'queue_repeat', 'queue_pause']);
 async function ask(name, request, {moves = true} = {}) {
-  const say = (words) => { byId('reply').textContent = `${name}: ${words}`; };
+  const say = (words) => { byId('reply').textContent = `${name}: ${words}`; answered = false; };
   const advice = moves ? `: ${USE_THE_SWITCH}` : '';
   say(t('sent'));
   const late = setTimeout(() => say(t`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s` + advice), UNCONFIRMED_AFTER_MS);
@@ -155,6 +157,7 @@ async function ask(name, request, {moves = true} = {}) {
   else if (reply.unsent) say(t`not sent, ${reply.why}` + advice);
   else if (reply.lost) say(t`not confirmed, ${reply.why}` + advice);
   else say(t`refused: ${translated(reply.why) ?? reply.why}`);
+  answered = reply.ok;
   return reply.ok;
 }
 
@@ -291,7 +294,7 @@ function route() {
   }
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
-offerLanguage(byId('language'), () => { byId('reply').textContent = t('Language: not changed, there is no connection to the console'); });
+offerLanguage(byId('language'), () => { byId('reply').textContent = t('Language: not changed, there is no connection to the console'); answered = true; });
 offerTimes(byId('times'), () => { live.dirty.add('strip'); if (location.hash.startsWith('#chart')) route(); });
 keepFocus(byId('top'));
 readyForPaper();

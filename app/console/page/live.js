@@ -161,6 +161,7 @@ export class LiveView {
   // Whether the server is heard; what is not known now does not count on.
   setContact(contact) {
     if (this.contact === contact) return;
+    this.countDown();  // With what was known before; a run may have ended a moment ago.
     this.contact = contact;
     this.leftSince = performance.now();
     if (contact) this.countDown();
@@ -185,7 +186,7 @@ export class LiveView {
     if (!run) return;
     const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
     byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
-      ...(run.words ? [said(run.words), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
+      ...(run.words ? [said(run.words, {capital: true}), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
   }
 
   // Whether all is still now; else how long that took at the angle measured last.

@@ -42,7 +42,7 @@ function clearCharts() {
 }
 
 function say(id, error) {
-  byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, said(error.message || String(error))));
+  byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, said(error.message || String(error), {capital: true})));
 }
 
 // The list.

@@ -57,12 +57,23 @@ step('a page that has control again says nothing else', async (page) => {
   await says('#lost-control', /^This page no longer has control: this page lost its connection/);
   await contact();
   await says('#left', / s \(held\)$/);
+  await says('#reply', '');
   await page.locator('#take-control:enabled').click();
   await page.locator('#do-continue:enabled').waitFor();
   await says('#lost-control', '');
 });
 
-step('without contact the time left is the last that was known', async () => {
+step('without contact the time left is the last that was known', async (page) => {
+  // Of a run that ended a moment before, there is none.
+  await page.evaluate(() => {
+    globalThis.away = true;
+    globalThis.line.onmessage({data: JSON.stringify({type: 'activity', activity: 'idle', hold_asked: false, stop_asked: false})});
+    globalThis.line.close();
+  });
+  await page.waitForFunction(() => globalThis.line.readyState === 0);
+  await says('#left', '–');
+  await page.evaluate(() => { globalThis.away = false; globalThis.line.onclose(); });
+  await contact();
   served.server.kill('SIGSTOP');
   await says('#left', / s \(held\), last known$/);
   served.server.kill('SIGCONT');
@@ -111,11 +122,11 @@ step('without a console: says so in its own words, and is not left for a page of
   process.kill(holder, 'SIGKILL');
   await ended;
   await served.goTo('chart');
-  await says('#chart-body', 'there is no connection to the console');
+  await says('#chart-body', 'There is no connection to the console');
   await page.locator('#language').click();
   await says('#reply', 'Language: not changed, there is no connection to the console');
   await served.goTo('runs');
-  await says('#run-table', 'there is no connection to the console');
+  await says('#run-table', 'There is no connection to the console');
 });
 
 step('a bench that has begun anew has no run, and the page shows none', async () => {

@@ -117,6 +117,8 @@ step('is a display on a wall', async (page) => {
   await page.locator('#do-stop').waitFor();
   const height = await page.evaluate(() => parseFloat(getComputedStyle(document.getElementById('banner-word')).fontSize));
   assert.ok(height >= 80, `${height} px`);
+  await page.locator('#interrupted').waitFor();
+  assert.deepEqual(await page.evaluate(() => [...document.querySelectorAll('button')].filter((button) => button.checkVisibility()).map(({id}) => id)), ['do-stop']);
   await page.locator('#leave-kiosk').click();
   await page.locator('#steering').waitFor();
 });
