@@ -33,6 +33,14 @@ std::optional<std::filesystem::path> newest_run(const std::filesystem::path& fol
   return newest;
 }
 
+/// What a person did last is stored after it: a note, who asked for the stop.
+std::string why_interrupted(const std::vector<RunEvent>& events) {
+  const auto last = std::find_if(events.rbegin(), events.rend(), [](const RunEvent& event) {
+    return event.kind == to_string(RunState::kInterrupted);
+  });
+  return last == events.rend() ? "" : last->text;
+}
+
 }  // namespace
 
 InterruptedRun describe_interrupted(std::string file, std::string words,
@@ -51,7 +59,7 @@ std::optional<InterruptedRun> find_interrupted_run(const std::filesystem::path& 
     const StoredRun run = RunFile::load(*path);
     if (run.state != RunState::kRunning && run.state != RunState::kInterrupted) return std::nullopt;
     std::string words = "Its program died, or another program is measuring it now.";
-    if (run.state == RunState::kInterrupted && !run.events.empty()) words = run.events.back().text;
+    if (run.state == RunState::kInterrupted) words = why_interrupted(run.events);
     InterruptedRun interrupted =
         describe_interrupted(path->filename().string(), std::move(words), run.header.plan,
                              {run.measured.begin(), run.measured.end()});

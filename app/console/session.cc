@@ -335,11 +335,11 @@ std::optional<TimeLimit> Session::limit_of(RunPhase phase) const {
       return limit(protocol_.motion_timeout_s, "beyond the time that the speed of the stage needs");
     case RunPhase::kSettling:
       return limit((protocol_.settle_auto ? 0.0 : protocol_.settle_s) + protocol_.quiet_timeout_s,
-                   "then the angle is flagged");
+                   "until the angle is flagged");
     case RunPhase::kDwelling:
       return limit(protocol_.reading_timeout_s, "without any reading");
     case RunPhase::kReconnecting:
-      return limit(protocol_.replug_timeout_s, "then the run ends and can be resumed");
+      return limit(protocol_.replug_timeout_s, "until the run ends and can be resumed");
     case RunPhase::kWarmingUp:
       return limit(protocol_.warm_up_s, "of warming up");
     case RunPhase::kTemperature:

@@ -5,11 +5,13 @@
 
 #include <algorithm>
 #include <atomic>
+#include <optional>
 #include <set>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "app/console/interrupted_run.h"
 #include "app/results/analyses.h"
 #include "app/results/result_json.h"
 #include "protocol/record/run_file.h"
@@ -141,6 +143,10 @@ TEST_F(SteeringTest, StopsAtOnceAndResumes) {
   ASSERT_EQ(list.size(), 1U);
   EXPECT_EQ(list[0]["state"], "interrupted");
   EXPECT_EQ(list[0]["measured"], kept);
+  // Who asked for it is stored after the reason.
+  const std::optional<InterruptedRun> found = find_interrupted_run(runs());
+  ASSERT_TRUE(found);
+  EXPECT_EQ(found->words, ended["words"]);
   ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
   const Json began =
       page->wait_for([](const Json& m) { return m["type"] == "snapshot"; }, "the run's beginning");

@@ -17,7 +17,7 @@ import {showChart, showCompare, showRun, showRuns} from '/runs.js';
 translate();
 const live = new LiveView();
 let me = null, maySteer = true, steering = {page: null}, bench = {state: 'on'};
-let hadControl = false;
+let hadControl = false, answered = false;  // answered: what stands in #reply is over with the connection.
 const USE_THE_SWITCH = t('use the switch on the stage');
 
 let dayViews = [];  // Of a day's work, each with receive(message) and offer(may, idle).
@@ -36,24 +36,31 @@ const link = new Link((message) => {
     byId('person').hidden = !message.person;
     byId('person-name').textContent = message.person;
     byId('lost-control').replaceChildren();
+    // What was accepted before the connection was lost says nothing of now; what was not confirmed stands until something else is asked.
+    if (answered) byId('reply').textContent = '';
     if (hadControl) lostControl(t('this page lost its connection'));
   }
   if (message.type === 'control') {
     if (hadControl && message.page !== me) lostControl(message.page === null ? t('nobody has it now') : t`${message.who} has taken it`);
     hadControl = message.page === me;
+    if (hadControl) byId('lost-control').replaceChildren();
     steering = message;
   }
   if (message.type === 'snapshot') {
     byId('bench-name').textContent = message.about.bench_file;
     byId('link').title = message.about.program;
     bench = message.bench ?? {state: 'on'};
+    // Where axes have halted is not so any more if somebody has moved them while this page was away.
     if (message.halt) showHalt(message.halt);
-    else if (message.activity.activity === 'idle') byId('halt').textContent = '';
+    else if (message.activity.activity === 'idle' || haltKnown) clearHalt();
   }
   if (message.type === 'bench') bench = message;
-  if (message.type === 'activity' && message.activity !== 'idle' && live.activity?.activity === 'idle') byId('halt').textContent = '';
+  if (message.type === 'activity' && message.activity !== 'idle' && live.activity?.activity === 'idle') clearHalt();
   if (message.type === 'halt') showHalt(message);
+  const before = live.activity?.activity;
   live.receive(message);
+  // What a list of runs says of their states is not so any more.
+  if (before !== undefined && (message.type === 'snapshot' || live.activity.activity !== before) && location.hash === '#runs') showRuns(resume);
   for (const view of dayViews) view.receive(message);
   if (OFTEN.has(message.type)) showSoon(); else show();
 }, () => {
@@ -100,7 +107,7 @@ function showState(state, contact) {
   const more = [state.fault && t`At fault: ${state.fault}.`, limit, state.todo].filter(Boolean).join(' ');
   const now = JSON.stringify([word, sentence, state.english, more, state.kind, state.icon]);
   const {measured, total} = live.progress ?? {};
-  const count = total && canMove(live.activity) ? t`, ${measured} of ${total}` : '';
+  const count = total && live.activity?.activity === 'running' ? t`, ${measured} of ${total}` : '';
   const title = `${word}${contact ? count : ''} – ${byId('bench-name').textContent || 'abcal'}`;
   if (document.title !== title) document.title = title;
   if (now === shown) return;
@@ -136,25 +143,35 @@ function offer(contact) {
   for (const control of byId('note-form').elements) control.disabled = !(steer && what === 'running');
 }
 
-// Sends a request, and says what became of it: sent, done, refused, or not confirmed.
+// Sends a request, and says what became of it: sent, done, refused, or not confirmed. What takes time is accepted: it has begun,
+// and the banner says how it goes.
+const DONE_WHEN_ANSWERED = new Set(['control', 'continue', 'queue_add', 'queue_move', 'queue_remove', 'queue_repeat', 'queue_pause']);
 async function ask(name, request, {moves = true} = {}) {
-  const say = (words) => { byId('reply').textContent = `${name}: ${words}`; };
+  const say = (words) => { byId('reply').textContent = `${name}: ${words}`; answered = false; };
   const advice = moves ? `: ${USE_THE_SWITCH}` : '';
   say(t('sent'));
   const late = setTimeout(() => say(t`not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s` + advice), UNCONFIRMED_AFTER_MS);
   const reply = await link.ask(request);
   clearTimeout(late);
-  if (reply.ok) say(t('done'));
+  if (reply.ok) say(DONE_WHEN_ANSWERED.has(request.do) ? t('done') : t('accepted'));
   else if (reply.unsent) say(t`not sent, ${reply.why}` + advice);
   else if (reply.lost) say(t`not confirmed, ${reply.why}` + advice);
   else say(t`refused: ${translated(reply.why) ?? reply.why}`);
+  answered = reply.ok;
   return reply.ok;
 }
 
 // Stop is sent at once and by anybody; it is done when each axis has said that it stands still.
 let stopping = null;  // While the axes have not answered.
+let haltKnown = false;  // What stands there is what the axes have answered.
+function clearHalt() {
+  haltKnown = false;
+  byId('halt').textContent = '';
+}
+
 async function stop() {
   clearTimeout(stopping);
+  haltKnown = false;
   const say = (words) => { byId('halt').textContent = words; };
   say(t('Stop: sent'));
   const unconfirmed = () => say(t`Stop: not confirmed after ${UNCONFIRMED_AFTER_MS / 1000} s: ${USE_THE_SWITCH}`);
@@ -167,6 +184,7 @@ async function stop() {
 
 function showHalt({axes, took_s: took, since}) {
   clearTimeout(stopping);
+  haltKnown = true;
   const all = axes.x === 'halted' && axes.z === 'halted';
   const words = {halted: t('has halted'), unreachable: t('is unreachable and may be moving')};
   byId('halt').replaceChildren(t`Axis X ${words[axes.x]}. Axis Z ${words[axes.z]}. (${took.toFixed(2)} s, `, timeElement(since, 'clock'), ')', all ? '' : t(' Use the switch on the stage.'));
@@ -276,7 +294,7 @@ function route() {
   }
 }
 addEventListener('hashchange', () => { route(); byId('main').focus(); });
-offerLanguage(byId('language'));
+offerLanguage(byId('language'), () => { byId('reply').textContent = t('Language: not changed, there is no connection to the console'); answered = true; });
 offerTimes(byId('times'), () => { live.dirty.add('strip'); if (location.hash.startsWith('#chart')) route(); });
 keepFocus(byId('top'));
 readyForPaper();

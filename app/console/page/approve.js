@@ -1,6 +1,7 @@
 // The certificate of a run: what was issued, and the approval. Whoever approves proves it here and now, with a password or with a
 // key that stays where it is: the certificate is downloaded, signed there, and handed in.
 import {element, DASH} from '/text.js';
+import {fetched} from '/link.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 
@@ -14,6 +15,8 @@ const TEXT = {
   noKey: t('With a key approves who is logged in, and the register has none of yours that is valid (abcal lab key NAME --kind person).'),
   busy: t('The certificate is being made'), training: t('TRAINING: it certifies nothing.'), amended: t('Amend it'),
 };
+
+const UNANSWERED = 'no answer came: nobody knows whether it was carried out; load the page again and look before you repeat it';
 
 const encoded = (name) => encodeURIComponent(name);
 const line = ({number, date, approved_by: approver, replaces, reason}) => t`${number}, issued ${date}, approved by ${approver}` + (replaces ? t`; replaces ${replaces}: ${reason}` : '');
@@ -33,7 +36,7 @@ async function fill(of, body, changed) {
   const problem = (words) => element('p', {role: 'alert', class: 'grade-problem'}, words);
   let state;
   try {
-    const response = await fetch(`${pathOf(of)}/approval`);
+    const response = await fetched(`${pathOf(of)}/approval`);
     if (!response.ok) throw new Error((await response.text()).trim());
     state = await response.json();
   } catch (error) {
@@ -53,7 +56,7 @@ async function ask(told, words, path, body) {
   told.className = '';
   told.textContent = words;
   try {
-    const response = await fetch(path, {method: 'POST', body});
+    const response = await fetched(path, {method: 'POST', body}, UNANSWERED);
     if (!response.ok) throw new Error((await response.text()).trim());
     return await response.json();
   } catch (error) {

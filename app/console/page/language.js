@@ -44,12 +44,18 @@ export function translate(root = document.body) {
     for (const element of root.querySelectorAll(`[${name}]`)) element.setAttribute(name, t(element.getAttribute(name)));
 }
 
-// The switch: names the other language, in that language.
-export function offerLanguage(button) {
+// The switch: names the other language, in that language. Without an answer of the console the page is not left: what the browser
+// would show instead does not come back by itself.
+export function offerLanguage(button, unanswered = () => {}) {
   const other = language === 'de' ? 'en' : 'de';
   button.textContent = NAMES[other];
   button.lang = other;
-  button.addEventListener('click', () => {
+  button.addEventListener('click', async () => {
+    try {
+      await fetch('/who');
+    } catch {
+      return unanswered();
+    }
     localStorage.setItem(KEY, other);
     location.reload();
   });

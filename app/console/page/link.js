@@ -1,9 +1,19 @@
 import {t} from '/language.js';
 
-// The WebSocket: messages in, requests out; connects again by itself. Knows when the bench was last heard: each second it
+// How the page hears the console. The WebSocket: messages in, requests out; connects again by itself. Knows when the bench was last heard: each second it
 // sends a beat, which is answered.
 export const SILENT_AFTER_MS = 3000;
 export const UNCONFIRMED_AFTER_MS = 2000;
+
+// As fetch; that no answer came is said in words that the page has, and not as each browser says it.
+export async function fetched(path, options = {}, unanswered = 'there is no connection to the console') {
+  try {
+    return await fetch(path, options);
+  } catch (error) {
+    if (options.signal?.aborted) throw error;
+    throw new Error(unanswered);
+  }
+}
 
 export class Link {
   // onMessage gets each message; onContact() is called each second and whenever contact begins or ends.

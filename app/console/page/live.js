@@ -59,16 +59,18 @@ export class LiveView {
     this.dwells.clear();
     this.fits = [null, null, null];
     this.lastDwell = this.run ? this.run.dwells.at(-1) : null;
+    this.knowProgress(this.run?.progress);
     if (this.run) {
       for (const dwell of this.run.dwells) this.dwells.set(dwell.position, dwell);
       for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
-      this.knowProgress(this.run.progress);
-      this.drawProgress();
       byId('run-file').textContent = this.run.file || DASH;
       byId('item').textContent = this.run.items.map(({name}) => name).join(', ') || this.run.item || DASH;
       byId('operator').textContent = operatorIn(this.run.operator) || DASH;
       byId('simulated').textContent = this.run.simulated ? t`SIMULATED: ${rolesIn(this.run.simulated)}` : '';
       byId('time').textContent = this.run.pace === null ? t('real') : t`simulated, ${this.run.pace} times as fast as real time`;
+    } else {  // The process that holds the bench has begun anew.
+      for (const id of ['run-file', 'item', 'operator', 'time']) byId(id).textContent = DASH;
+      byId('simulated').textContent = '';
     }
     this.items = this.run?.items ?? [];
     this.strip.begin(message.strip, message.activity.activity === 'checking' ? [] : this.items);
@@ -76,6 +78,7 @@ export class LiveView {
     byId('log-lines').replaceChildren();
     this.newLines = [...message.log];
     if (message.checks) this.checks(message.checks);
+    else byId('checks').replaceChildren(element('p', {}, t('Not checked yet.')));
     this.activity = message.activity;
     this.phase = message.phase;
     this.fault = message.fault;
@@ -83,6 +86,7 @@ export class LiveView {
     this.interrupted = message.interrupted;
     byId('guard').replaceChildren(said(message.guard ?? ''));
     this.words();
+    this.drawProgress();
     for (const part of ['strip', 'table', 'items']) this.dirty.add(part);
     this.untold.add('stage').add('log');
     this.responsesChange();
@@ -157,9 +161,11 @@ export class LiveView {
   // Whether the server is heard; what is not known now does not count on.
   setContact(contact) {
     if (this.contact === contact) return;
-    if (contact) this.leftSince = performance.now();
+    this.countDown();  // With what was known before; a run may have ended a moment ago.
     this.contact = contact;
-    this.countDown();
+    this.leftSince = performance.now();
+    if (contact) this.countDown();
+    else if (byId('left').textContent !== DASH) byId('left').textContent = t`${byId('left').textContent}, last known`;
   }
 
   words() {
@@ -180,7 +186,7 @@ export class LiveView {
     if (!run) return;
     const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
     byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
-      ...(run.words ? [said(run.words), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
+      ...(run.words ? [said(run.words, {capital: true}), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
   }
 
   // Whether all is still now; else how long that took at the angle measured last.
@@ -193,28 +199,30 @@ export class LiveView {
 
   knowProgress(progress) {
     this.progress = progress;
-    this.left = progress.left_s;
+    this.left = progress?.left_s;
     this.leftSince = performance.now();
   }
 
   drawProgress() {
     const {progress} = this;
-    if (!progress) return;
-    byId('measured').textContent = t`${progress.measured} of ${progress.total}`;
-    byId('progress').value = progress.total ? progress.measured / progress.total : 0;
+    byId('measured').textContent = progress ? t`${progress.measured} of ${progress.total}` : DASH;
+    byId('progress').value = progress?.total ? progress.measured / progress.total : 0;
     this.countDown();
   }
 
   countDown() {
     if (this.contact === false) return;  // Nobody knows whether it goes on.
-    const on = this.activity && this.activity.activity === 'running' && !(this.phase && this.phase.phase === 'held');
-    if (!on || this.left === null || this.left === undefined) {
-      if (!on) this.leftSince = performance.now();
-      byId('left').textContent = this.left === undefined || this.left === null || !this.run || this.run.progress.total === 0 ? DASH
-        : (on ? DASH : this.left > 0 && this.activity && this.activity.activity === 'running' ? t`${duration(this.left)} (held)` : DASH);
-      return;
+    const elapsed = (performance.now() - this.leftSince) / 1000;
+    this.leftSince = performance.now();
+    const phase = this.phase?.phase ?? '', port = phase.startsWith('waiting for a port');
+    if (this.activity?.activity !== 'running' || this.left === undefined || this.left === null || !this.progress.total) {
+      byId('left').textContent = DASH;
+    } else if (phase === 'held' || port) {
+      byId('left').textContent = port ? t`${duration(Math.max(0, this.left))} (waiting for a port)` : this.left > 0 ? t`${duration(this.left)} (held)` : DASH;
+    } else {
+      this.left -= elapsed;
+      byId('left').textContent = this.left < 0 && this.progress.measured < this.progress.total ? t('longer than predicted') : t`about ${duration(Math.max(0, this.left))}`;
     }
-    byId('left').textContent = t`about ${duration(Math.max(0, this.left - (performance.now() - this.leftSince) / 1000))}`;
   }
 
   drawStage() {

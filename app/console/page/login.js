@@ -3,8 +3,9 @@ import {offerLanguage, t, translate} from '/language.js';
 // Who it is: the form is posted once; what proves it from then on is a cookie that no script can read. A token after "#" in
 // the address is never sent as a part of it.
 translate();
-offerLanguage(document.getElementById('language'));
 const refusal = document.getElementById('refusal');
+const unanswered = () => { refusal.textContent = t('The console does not answer.'); };
+offerLanguage(document.getElementById('language'), unanswered);
 
 async function post(fields) {
   refusal.textContent = '';
@@ -12,8 +13,8 @@ async function post(fields) {
     const response = await fetch('/login', {method: 'POST', body: new URLSearchParams(fields)});
     if (response.ok) return location.replace('/');
     refusal.textContent = (await response.text()).trim();
-  } catch (error) {
-    refusal.textContent = t`The console does not answer: ${error.message}`;
+  } catch {
+    unanswered();
   }
 }
 

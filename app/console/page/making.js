@@ -1,5 +1,6 @@
 // What takes seconds at the console: asked for with a word on what is done and a button that ends it, at the console too.
 import {element} from '/text.js';
+import {fetched} from '/link.js';
 import {said} from '/said.js';
 import {t} from '/language.js';
 
@@ -18,7 +19,7 @@ async function ask(path, holder, words, read, ends) {
   cancel.addEventListener('click', () => { ends.abort(); holder.replaceChildren(element('p', {role: 'status'}, TEXT.cancelled)); });
   holder.replaceChildren(element('p', {role: 'status'}, words), cancel);
   try {
-    const response = await fetch(path, {signal: ends.signal});
+    const response = await fetched(path, {signal: ends.signal});
     if (!response.ok) throw new Error((await response.text()).trim() || t`the console answered ${response.status}`);
     return await read(response);
   } catch (error) {

@@ -1,6 +1,9 @@
 // German words for what the program says of a run and its bench; "{}" stands for a value. What certificates say too has its words
 // in their table.
 export default {
+  // What the page says of a request.
+  'there is no connection to the console': 'es gibt keine Verbindung zur Konsole',
+  'no answer came: nobody knows whether it was carried out; load the page again and look before you repeat it': 'keine Antwort kam: Niemand weiß, ob es ausgeführt wurde; die Seite neu laden und nachsehen, bevor man es wiederholt',
   // Checks of a result, and what they ask.
   'mounting slip': 'Verrutschen',
   'Did the accelerometer turn on the platter between two angles, and stay so?': 'Hat sich der Aufnehmer zwischen zwei Winkeln auf dem Drehteller verdreht und ist so geblieben?',
@@ -209,6 +212,8 @@ export default {
   'the watchdog halted the stage: it may have been moving, and its controller had not answered for {} s, or this program had not polled it': 'der Wächter hat den Drehtisch angehalten: Er hat sich vielleicht bewegt, und seine Steuerung hatte {} s nicht geantwortet, oder dieses Programm hatte sie nicht gefragt',
   'all angles are measured, but the stage could not be parked: {}; {}': 'alle Winkel sind gemessen, aber der Drehtisch konnte nicht geparkt werden: {}; {}',
   'stopped by the operator': 'vom Bediener gestoppt', 'stopped before it began': 'gestoppt, bevor es begann',
+  'stopped by the operator (experiment {}, alpha = {} deg)': 'vom Bediener gestoppt (Experiment {}, alpha = {} Grad)',
+  'stopped by the operator (check pose {}, X = {} deg, Z = {} deg)': 'vom Bediener gestoppt (Prüfstellung {}, X = {} Grad, Z = {} Grad)',
   'stopped by the operator; the stage did not acknowledge the halt: stop it by its own switch': 'vom Bediener gestoppt; der Drehtisch hat das Anhalten nicht bestätigt: ihn mit seinem eigenen Schalter stoppen',
   'serial number {}; required: {} (serial_number in the bench file). Connect the right one, or name its port by usb:VID:PID:SERIAL': 'Seriennummer {}; verlangt: {} (serial_number in der Messplatzdatei). Das richtige Gerät anschließen oder seinen Anschluss durch usb:VID:PID:SERIAL nennen',
   'its output is in {}; required: {} ([accelerometer] response_unit)': 'seine Ausgabe ist in {}; verlangt: {} ([accelerometer] response_unit)',

@@ -2,6 +2,7 @@
 import {byId, decimals, duration, element, number, scrollable, signed, small, table, DASH} from '/text.js';
 import {said} from '/said.js';
 import {operatorIn, rolesIn, t} from '/language.js';
+import {fetched} from '/link.js';
 import {PagedTable} from '/pages.js';
 import {certificateCard} from '/approve.js';
 import {resultItems} from '/items.js';
@@ -28,7 +29,7 @@ let list = [], firstRow = 0;
 const charts = [];
 
 async function fetchJson(path) {
-  const response = await fetch(path);
+  const response = await fetched(path);
   if (!response.ok) throw new Error((await response.text()).trim() || t`the console answered ${response.status}`);
   return response.json();
 }
@@ -41,7 +42,7 @@ function clearCharts() {
 }
 
 function say(id, error) {
-  byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, String(error.message || error)));
+  byId(id).replaceChildren(element('p', {role: 'alert', class: 'grade-problem'}, said(error.message || String(error), {capital: true})));
 }
 
 // The list.
@@ -175,16 +176,20 @@ function checks(result, meanings) {
   const figure = (value, against) => (value === null ? DASH : number(value, Math.min(9, decimals(Math.abs(value) < 1e-3 * against ? 1e-3 * against : value))).replace('-', '−'));
   const outcome = (c) => element('span', {class: c.passed ? 'grade-good' : 'grade-problem'}, c.found === null && c.passed ? t('not made') : c.passed ? t('passed') : t('FAILED'));
   const failed = all.filter((c) => !c.passed).length;
-  return element('div', {class: 'stack', id: 'result-checks'}, table(failed ? t`${failed} of ${all.length} checks failed.` : t`All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
+  const made = scrollable('stack scroll-x', t('Checks of the result'), table(failed ? t`${failed} of ${all.length} checks failed.` : t`All ${all.length} checks passed. On a sound bench each fails about once in a million runs.`,
     [t('Check'), t('Outcome'), t('Found'), t('Limit'), t('Unit'), t('Meaning')],
     all.map((c) => [said(c.check), outcome(c), figure(c.found, c.limit), figure(c.limit, c.limit), said(c.unit),
       element('span', {}, said(meanings[c.check]), ...(c.words ? [' ', element('strong', {}, said(c.words, {capital: true}), '.')] : []))])));
+  made.id = 'result-checks';
+  return made;
 }
 
 function flagged(result, meanings) {
   const {flags, angles_used: used} = result.diagnostics;
-  return element('div', {class: 'stack', id: 'result-flags'}, table(t`Of ${used} angles used; an angle may have several flags.`,
+  const made = scrollable('stack scroll-x', t('Flagged angles'), table(t`Of ${used} angles used; an angle may have several flags.`,
     [t('Flag'), t('Angles'), t('Meaning')], flags.map((f) => [said(f.flag), f.dwells, said(meanings[f.flag])])));
+  made.id = 'result-flags';
+  return made;
 }
 
 // item: of several, which; 0: there is one.

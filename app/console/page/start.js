@@ -2,6 +2,7 @@
 // asks whether to start, and knows nothing that the console has not said.
 import {duration, element, small, DASH} from '/text.js';
 import {said} from '/said.js';
+import {fetched} from '/link.js';
 import {withoutMissing} from '/items.js';
 import {operatorIn, rolesIn, t} from '/language.js';
 import {timeElement} from '/time.js';
@@ -131,7 +132,7 @@ export class StartForm {
     const {runs, ...fields} = serial ? this.fields : {...others, maker: '', model: '', customer_number: ''};  // Without one, as the bench file says.
     let answer;
     try {
-      const response = await fetch(`/start-form?${new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== ''))}`);
+      const response = await fetched(`/start-form?${new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== ''))}`);
       answer = response.ok ? await response.json() : {warnings: [], problems: [(await response.text()).trim()]};
     } catch (error) {
       answer = {warnings: [], problems: [String(error.message || error)]};

@@ -39,7 +39,7 @@ export function stateOf({known, activity, phase, ended, fault, bench}) {
     return made(t('Not known'), 'fault', 'lost', t(bench.words), {todo: t('Look at the stage before anything else; use its own switch if it moves.')});
   }
   const what = activity.activity;
-  if (what !== 'idle' && activity.stop_asked) return made(t('Stopping'), 'fault', 'stop', t('Stopping: the stage is halted'), {todo: t('Use the switch on the stage if it still moves.')});
+  if (what !== 'idle' && activity.stop_asked) return made(t('Stopping'), 'fault', 'stop', t('Stopping: the stage is being halted'), {todo: t('Use the switch on the stage if it still moves.')});
   if (what === 'checking') return made(t('Checking'), 'busy', 'reading', t('Checking the bench'));
   if (what === 'jogging') return made(t('Moving'), 'busy', 'moving', t('The stage is jogged'));
   if (what === 'analysing') return made(t('Analysing'), 'busy', 'reading', t('All angles are measured; the run is being analysed'));

@@ -20,7 +20,7 @@ step('says what the bench does, in a word, with its limit, in the title and in t
   await page.waitForFunction(() => /^Limit: \d+ (s|min)/.test(document.getElementById('banner-more').textContent));
   await page.waitForFunction(() => /^(Moving|Settling|Reading), \d+ of 119 – bench\.toml$/.test(document.title));
   await iconIs('busy');
-  await says('#reply', 'Start: done');
+  await says('#reply', 'Start: accepted');
   await says('#run-file', /\.run$/);
   runName = await text('#run-file');
 });
@@ -92,6 +92,15 @@ step('stops with Escape pressed twice, in a dialog and without control', async (
   await says('#halt', /^Axis X has halted\. Axis Z has halted\. \(\d\.\d\d s, \d\d:\d\d:\d\d UTC\)$/);
 });
 
+step('shows times of one kind, UTC or local', async (page) => {
+  const zones = () => page.evaluate(() => [...document.querySelectorAll('time')].map((time) => time.textContent.split(' ').at(-1)));
+  const all = async (kind) => { const shown = await zones(); assert.ok(shown.length > 0 && shown.every((zone) => zone === kind), shown.join(' ')); };
+  await eventually(() => all('UTC'));
+  await page.locator('#times').click();
+  await eventually(() => all('local'));
+  await page.locator('#times').click();
+});
+
 step('with the process that holds the bench killed: says so, and offers the run again', async (page) => {
   await page.locator('#resume-interrupted:enabled').click();
   await confirmDialog();
@@ -102,21 +111,14 @@ step('with the process that holds the bench killed: says so, and offers the run 
   await wordIs(/^Idle$/);
 });
 
-step('shows times of one kind, UTC or local', async (page) => {
-  const zones = () => page.evaluate(() => [...document.querySelectorAll('time')].map((time) => time.textContent.split(' ').at(-1)));
-  const all = async (kind) => { const shown = await zones(); assert.ok(shown.length > 0 && shown.every((zone) => zone === kind), shown.join(' ')); };
-  await eventually(() => all('UTC'));
-  await page.locator('#times').click();
-  await eventually(() => all('local'));
-  await page.locator('#times').click();
-});
-
 step('is a display on a wall', async (page) => {
   await page.locator('nav a[href="#kiosk"]').click();
   await page.locator('#steering').becomesHidden();
   await page.locator('#do-stop').waitFor();
   const height = await page.evaluate(() => parseFloat(getComputedStyle(document.getElementById('banner-word')).fontSize));
   assert.ok(height >= 80, `${height} px`);
+  await page.locator('#interrupted').waitFor();
+  assert.deepEqual(await page.evaluate(() => [...document.querySelectorAll('button')].filter((button) => button.checkVisibility()).map(({id}) => id)), ['do-stop']);
   await page.locator('#leave-kiosk').click();
   await page.locator('#steering').waitFor();
 });

@@ -88,6 +88,13 @@ step('issues the certificate, which a second person approves with a password', a
   await page.getByText('Operator N. N. may not approve').waitFor();
   await approve('Admin N. N.', 'another horse 7');
   await page.getByText('Name or password is not right.').waitFor();
+  // An answer that is lost says nothing of the request.
+  await page.evaluate(() => {
+    const ask = globalThis.fetch;
+    globalThis.fetch = async (path) => { globalThis.fetch = ask; throw new TypeError(`no answer to ${path}`); };
+  });
+  await approve('Admin N. N.', PASSWORD);
+  await page.getByText(/^no answer came: nobody knows whether it was carried out/).waitFor();
   await approve('Admin N. N.', PASSWORD);
   await page.locator('#certificate', {hasText: 'approved by Admin N. N.'}).waitFor();
   const number = (await text('#certificate')).match(/T-\d{4}-\d{4}/)[0];

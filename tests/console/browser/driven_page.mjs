@@ -110,7 +110,8 @@ class Elements {
   }
 
   // Looked for anew if it was made anew before it was pressed, as the rows of a list are; pressed again if it was disabled at that
-  // very moment, as a button is while the form is checked. Gone with its page: it was pressed.
+  // very moment, as a button is while the form is checked. Gone with its page: it was pressed. (In Firefox it can still be asked,
+  // and the new page knows of no click: not false, but undefined.)
   click(options) {
     return until(async () => {
       const element = await this.one('usable');
@@ -121,7 +122,7 @@ class Elements {
         document.addEventListener('click', () => { globalThis.clickHeard = true; }, {capture: true, once: true});
       });
       await element.click(options);
-      return await until(() => element.evaluate(() => globalThis.clickHeard).catch(() => true), {timeout: HEARD_WITHIN, what: 'the click'}).catch(() => false);
+      return await until(() => element.evaluate(() => globalThis.clickHeard !== false).catch(() => true), {timeout: HEARD_WITHIN, what: 'the click'}).catch(() => false);
     }, {what: `${JSON.stringify(this.steps)} to be in nobody's shade`});
   }
   dblclick() { return this.click({count: 2}); }

@@ -1,6 +1,6 @@
 // In German, what there is of runs: no English but what is marked so.
 import assert from 'node:assert/strict';
-import {abcal, begin, complainsOfNothing, inGerman, look, noEnglish, says, served} from './page_test.mjs';
+import {abcal, begin, complainsOfNothing, eventually, inGerman, look, noEnglish, says, served} from './page_test.mjs';
 
 const step = begin({pace: 10, prepare: () => abcal('run', 'bench.toml', '-o', 'first.run'), enter: inGerman});
 
@@ -14,6 +14,9 @@ for (const [view, last] of Object.entries({runs: '#run-table table', 'runs/first
     await says('#result-checks', /Verrutschen/);
     assert.deepEqual(await page.evaluate(() => [...document.querySelectorAll('#result-checks [lang=en], #verdict [lang=en]')].map((each) => each.textContent)), []);
     await look('result-german');
+    // A tablet: German words are the longest, and here tables are tables still.
+    await page.setViewportSize({width: 768, height: 1024});
+    await eventually(async () => assert.equal(await page.evaluate(() => Math.max(0, document.documentElement.scrollWidth - innerWidth)), 0));
   });
 }
 

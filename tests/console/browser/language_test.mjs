@@ -3,7 +3,8 @@ import assert from 'node:assert/strict';
 import {readdirSync, readFileSync} from 'node:fs';
 import path from 'node:path';
 import {fileURLToPath} from 'node:url';
-import {barriers, begin, complainsOfNothing, confirmDialog, ENDLESS, noEnglish, served, stateIs} from './page_test.mjs';
+import {barriers, begin, complainsOfNothing, confirmDialog, ENDLESS, eventually, noEnglish, runOver, served, stateIs} from './page_test.mjs';
+import {SIZES} from './served_page.mjs';
 
 const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/console/page');
 // By its text: Node 18 takes a file "*.js" for a module only where a package.json says so.
@@ -58,6 +59,11 @@ step('a switch chooses German, which stays', async (page) => {
   await page.waitForFunction(() => document.documentElement.lang === 'de' && document.getElementById('link').textContent === 'Verbunden');
   await page.locator('#banner-word', {hasText: 'Bereit'}).waitFor();
   await noEnglish();
+  for (const size of Object.values(SIZES)) {
+    await page.setViewportSize(size);
+    await eventually(async () => assert.deepEqual(await runOver(), [], `${size.width} px`));
+  }
+  await page.setViewportSize(SIZES.desk);
   assert.deepEqual(await barriers(), []);
 });
 

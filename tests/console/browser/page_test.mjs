@@ -146,6 +146,10 @@ export const unseen = (where) => where.evaluate(() => {
   return element.contains(hit) || hit?.contains(element) ? null : `under ${hit?.outerHTML.slice(0, 60)}: ${name}`;
 });
 
+// Words that run over what stands beside them: a name of a list of facts is wider than its place.
+export const runOver = () => page.evaluate(() => [...document.querySelectorAll('dt')]
+  .filter((name) => name.checkVisibility() && name.scrollWidth > name.clientWidth + 1).map((name) => name.textContent));
+
 // What sticks out to the side, or is cut off, where nobody can scroll to it.
 async function lost() {
   return page.evaluate(() => {
@@ -215,6 +219,7 @@ export async function look(name) {
         const [wide, room] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
         assert.ok(wide <= room, `${where}: ${wide} px wide in ${room} px`);
         assert.deepEqual(await lost(), [], where);
+        assert.deepEqual(await runOver(), [], where);
         assert.equal(await page.evaluate(() => document.getAnimations().length), 0, `${where}: nothing moves by itself`);
         assert.deepEqual(await unitless(), [], where);
         assert.deepEqual(await strangeMarkers(), [], where);
