@@ -58,7 +58,7 @@ install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-bench.service ${PROJECT_BINA
   DESTINATION lib/systemd/system COMPONENT abcal)
 
 # --- the estimators as a library -------------------------------------------------------------------------------------
-set(library_targets abcal_instrument abcal_plan abcal_statistics abcal_model abcal_record abcal_analysis abcal_estimators)
+set(library_targets abcal_instrument abcal_plan abcal_linear abcal_statistics abcal_model abcal_record abcal_analysis abcal_estimators)
 foreach(target IN LISTS library_targets)
   string(REPLACE abcal_ "" name ${target})
   set_target_properties(${target} PROPERTIES EXPORT_NAME ${name})

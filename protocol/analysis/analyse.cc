@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <Eigen/SVD>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -25,6 +24,8 @@
 #include "protocol/analysis/sensitivity_matrix.h"
 #include "protocol/analysis/undetermined.h"
 #include "protocol/analysis/voltmeter.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/singular_values.h"
 
 namespace abcal {
 
@@ -203,9 +204,11 @@ AbcCoefficients effect_on_coefficients(const InputEffect& effect, const SeriesTa
 
 // What a unit of the input does to the outputs, less what it does to the measurand.
 Eigen::Matrix<double, 12, 1> effect_on_outputs(const InputEffect& effect, const Estimate& estimate) {
-  return abc_equations() * effect_on_coefficients(effect, estimate.series, estimate.fits) -
-         estimate.curvature->correction() *
-             estimate.curvature->change_of_k(effect.first_reading, effect.effect) -
+  const CurvatureFit& curvature = *estimate.curvature;
+  return product_with_vector(abc_equations(),
+                             effect_on_coefficients(effect, estimate.series, estimate.fits)) -
+         product_with_vector(curvature.correction(),
+                             curvature.change_of_k(effect.first_reading, effect.effect)) -
          effect.line;
 }
 
@@ -219,8 +222,8 @@ void fill_output_covariances(Estimate& estimate, double resolution) {
         of_k.block<2, 2>(2 * j, 2 * j) *=
             estimate.reading_variance[static_cast<std::size_t>(j)].value_or(0.0);
     }
-    estimate.output_covariance_a = equations * *estimate.covariance_a * equations.transpose() +
-                                   curvature.correction() * of_k * curvature.correction().transpose();
+    estimate.output_covariance_a = carried_covariance(equations, *estimate.covariance_a) +
+                                   carried_covariance(curvature.correction(), of_k);
   }
   Covariance12& covariance = estimate.output_covariance_b;
   covariance.setZero();
@@ -263,7 +266,7 @@ Covariance27 type_b_of_coefficients(const Estimate& estimate, double resolution)
   if (resolution > 0.0) {
     constexpr std::array<Eigen::Index, 3> kFrom{1, 2, 0};
     for (std::size_t i = 0; i < estimate.fits.size(); ++i) {
-      const Eigen::MatrixXd block = estimate.fits[i].estimator * estimate.fits[i].estimator.transpose();
+      const Eigen::MatrixXd block = covariance_of_root(estimate.fits[i].estimator);
       for (std::size_t a = 0; a < 3; ++a) {
         for (std::size_t b = 0; b < 3; ++b) {
           covariance(static_cast<Eigen::Index>(3 * i + a), static_cast<Eigen::Index>(3 * i + b)) +=
@@ -287,7 +290,7 @@ double effective_degrees(const Estimate& estimate, const Eigen::Matrix<double, 1
     Eigen::Matrix<double, 1, 12> own = Eigen::Matrix<double, 1, 12>::Zero();
     own.segment<3>(3 * j) = by_output.segment<3>(3 * j);
     own(offset_index(j)) = by_output(offset_index(j));
-    const double part = own.dot(*estimate.output_covariance_a * own.transpose());
+    const double part = own.dot(product_with_vector(*estimate.output_covariance_a, own.transpose()));
     sum += part * part / nu;
   }
   return sum > 0.0 ? variance * variance / sum : std::numeric_limits<double>::infinity();
@@ -302,9 +305,9 @@ void fill_outputs(const Estimate& estimate, CalibrationResult& result) {
   const Eigen::Matrix3d s = sensitivity_matrix_of(estimate.outputs);
   const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(s);
   if (result.covariance_type_a) {
-    result.covariance_intrinsic_type_a = jacobian * *result.covariance_type_a * jacobian.transpose();
+    result.covariance_intrinsic_type_a = carried_covariance(jacobian, *result.covariance_type_a);
   }
-  result.covariance_intrinsic_type_b = jacobian * *result.covariance_type_b * jacobian.transpose();
+  result.covariance_intrinsic_type_b = carried_covariance(jacobian, *result.covariance_type_b);
   result.covariance_intrinsic = *result.covariance_intrinsic_type_b;
   if (result.covariance_intrinsic_type_a) *result.covariance_intrinsic += *result.covariance_intrinsic_type_a;
 
@@ -416,8 +419,8 @@ Eigen::MatrixXd cleaned_by_dwell(const HarmonicFit& fit, const ReadingSeries& se
                                  const CurvatureFit& curvature) {
   const auto output = static_cast<std::size_t>(series.accelerometer);
   Eigen::MatrixXd out = by_dwell_of(fit, series);
-  const Eigen::MatrixXd of_shape = out * curvature.shape(output).transpose();
-  out.noalias() -= of_shape * curvature.weights(output);
+  const Eigen::MatrixXd of_shape = product_transposed(out, curvature.shape(output));
+  out -= product(of_shape, curvature.weights(output));
   return out;
 }
 
@@ -431,10 +434,12 @@ Variances variances_of(const Eigen::MatrixXd& by_dwell, const Estimate& estimate
   const OutputEffects& effects = estimate.output_effects[output];
   const Eigen::MatrixXd squares = by_dwell.cwiseAbs2();
   Variances out;
-  out.b = (by_dwell * effects.together).rowwise().squaredNorm() + squares * effects.alone +
-          squares.rowwise().sum() * (estimate.resolution * estimate.resolution / 12.0);
+  const Eigen::VectorXd sum = squares.rowwise().sum();
+  out.b = product(by_dwell, effects.together).rowwise().squaredNorm() +
+          product_with_vector(squares, effects.alone) +
+          sum * (estimate.resolution * estimate.resolution / 12.0);
   if (estimate.reading_variance[output]) {
-    out.a = squares.rowwise().sum() * *estimate.reading_variance[output];
+    out.a = sum * *estimate.reading_variance[output];
     return out;
   }
   Eigen::VectorXd of_reading = Eigen::VectorXd::Zero(by_dwell.cols());
@@ -447,7 +452,7 @@ Variances variances_of(const Eigen::MatrixXd& by_dwell, const Estimate& estimate
             series.u[static_cast<std::size_t>(place)] * series.u[static_cast<std::size_t>(place)];
     }
   }
-  out.a = squares * of_reading;
+  out.a = product_with_vector(squares, of_reading);
   return out;
 }
 
@@ -481,7 +486,8 @@ void arrange_effects(Estimate& estimate) {
       for (std::size_t n = 0; n < effect.effect.size(); ++n)
         estimate.output_effects[j].together(first + static_cast<Eigen::Index>(n), column) =
             u * effect.effect[n](row);
-      const Eigen::RowVectorXd taken = of_k.segment<2>(2 * row).transpose() * estimate.curvature->shape(j);
+      const Eigen::VectorXd taken =
+          transposed_product_with_vector(estimate.curvature->shape(j), of_k.segment<2>(2 * row));
       for (Eigen::Index n = 0; n < dwells; ++n) cleaned.effect[static_cast<std::size_t>(n)](row) -= taken(n);
     }
     ++column;
@@ -778,10 +784,10 @@ void judge_effects(const RunRecord& record, const Estimate& estimate, Calibratio
 void judge_matrix(const Estimate& estimate, Objections& objections) {
   Eigen::Matrix3d unit = sensitivity_matrix_of(estimate.outputs);
   for (Eigen::Index j = 0; j < 3; ++j) unit.row(j).normalize();
-  const Eigen::Vector3d singular_values = Eigen::JacobiSVD<Eigen::Matrix3d>(unit).singularValues();
+  const Eigen::Vector3d singular = singular_values(unit);
   constexpr double kNearlyInOnePlane =
       1e-2;  // half a degree out of one plane: no triaxial accelerometer is built so
-  if (!(singular_values(2) > kNearlyInOnePlane * singular_values(0))) {
+  if (!(singular(2) > kNearlyInOnePlane * singular(0))) {
     objections.add("the three axes of the accelerometer lie nearly in one plane; are two outputs the same?");
   }
 }
@@ -792,8 +798,8 @@ std::string dead_output(const Estimate& estimate) {
   for (Eigen::Index j = 0; j < 3; ++j) {
     double type_a = 0.0;
     if (estimate.covariance_a) {
-      const Eigen::Matrix<double, 3, 27> rows = abc_equations().middleRows<3>(3 * j);
-      type_a = std::sqrt((rows * *estimate.covariance_a * rows.transpose()).trace());
+      type_a =
+          std::sqrt(carried_covariance(abc_equations().middleRows<3>(3 * j), *estimate.covariance_a).trace());
     }
     const double response = s.row(j).norm();
     const double round_off = 1e-12 * std::abs(estimate.outputs(9 + j));
@@ -830,7 +836,7 @@ void correct_for_curvature(const RunRecord& record, const Selection& selection, 
     const CurvatureFit& curvature =
         estimate.curvature.emplace(selection.dwells, estimate.series, estimate.fits, at_zero,
                                    std::array{record.tolerances.k2 > 0.0, record.tolerances.k3 > 0.0});
-    estimate.outputs = seen - curvature.correction() * curvature.k();
+    estimate.outputs = seen - product_with_vector(curvature.correction(), curvature.k());
     const AbcOutputs before = at_zero;
     at_zero = curvature.at_zero(estimate.outputs);
     double left = 0.0;
@@ -962,7 +968,8 @@ std::vector<OutputEffect> type_b_effects(const RunRecord& record) {
           {effect.name, effect.group, effect.unit, effect.item != nullptr, effect.standard_uncertainty,
            effect.standard_uncertainty * effect_on_outputs(effect, estimate),
            effect.standard_uncertainty *
-               (abc_equations() * effect_on_coefficients(effect, estimate.series, estimate.fits))});
+               product_with_vector(abc_equations(),
+                                   effect_on_coefficients(effect, estimate.series, estimate.fits))});
     }
   }
   return effects;

@@ -23,6 +23,7 @@
 #include "protocol/analysis/undetermined.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/analysis/voltmeter.h"
+#include "protocol/linear/products.h"
 
 namespace abcal {
 namespace {
@@ -67,8 +68,8 @@ void fill_line_response(const EffectFit& fit, CalibrationResult& result) {
   }
   const IntrinsicProperties intrinsic = intrinsic_properties(s);
   const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(s);
-  const Covariance9 covariance9 = jacobian * covariance * jacobian.transpose();
-  const Covariance9 type_b9 = jacobian * type_b * jacobian.transpose();
+  const Covariance9 covariance9 = carried_covariance(jacobian, covariance);
+  const Covariance9 type_b9 = carried_covariance(jacobian, type_b);
   // An intrinsic property has the degrees of freedom of the least known element that it is made of.
   const auto degrees = [&](Eigen::Index row) {
     double least = std::numeric_limits<double>::infinity();
@@ -137,7 +138,7 @@ ModelEquation model_equation_of(const EffectFit& fit, const std::string& unit) {
       by(order, k) = std::pow(norm, order);
     }
     const double size = fit.unit(j);
-    out.covariance[at] = size * size * (by * fit.covariance * by.transpose());
+    out.covariance[at] = size * size * carried_covariance(by, fit.covariance);
     for (int order = 0; order <= 3; ++order) {
       Quantity& k = out.k[at][static_cast<std::size_t>(order)];
       if (order >= 2 && place_of(fit, order == 2 ? "k2" : "k3", j) < 0) continue;

@@ -21,6 +21,7 @@
 #include "protocol/analysis/tray_fit.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/analysis/voltmeter.h"
+#include "protocol/linear/products.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
@@ -386,7 +387,7 @@ Covariance18 TrayResult::covariance_of_all_outputs(std::size_t i, std::size_t k)
     out.bottomRows<6>() = intrinsic_jacobian(items.at(item).result.sensitivity_values()).topRows<6>();
     return out;
   };
-  return rows(i) * covariance(i, k) * rows(k).transpose();
+  return product_transposed(product(rows(i), covariance(i, k)), rows(k));
 }
 
 void judge_tray(TrayResult& tray) {
@@ -427,8 +428,9 @@ IntrinsicComparison compare_items(const TrayResult& tray, std::size_t i, std::si
   }
   const CalibrationResult& first = tray.items[i].result;
   const CalibrationResult& second = tray.items[k].result;
-  const Covariance9 shared = intrinsic_jacobian(first.sensitivity_values()) * tray.covariance(i, k) *
-                             intrinsic_jacobian(second.sensitivity_values()).transpose();
+  const Covariance9 shared =
+      product_transposed(product(intrinsic_jacobian(first.sensitivity_values()), tray.covariance(i, k)),
+                         intrinsic_jacobian(second.sensitivity_values()));
   return compare_intrinsic(intrinsic_values(first), *first.covariance_intrinsic, intrinsic_values(second),
                            *second.covariance_intrinsic, shared);
 }

@@ -1,7 +1,6 @@
 #include "protocol/analysis/change_scan.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -13,6 +12,8 @@
 #include "protocol/analysis/normal_matrix.h"
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
 #include "protocol/plan/limits.h"
 #include "protocol/statistics/distributions.h"
@@ -70,12 +71,11 @@ Gain gain_of(const Eigen::MatrixXd& information, const Eigen::VectorXd& right, c
   gain.size = Eigen::VectorXd::Zero(right.size());
   const Eigen::VectorXd scale =
       own.unaryExpr([](double value) { return value > 0.0 ? 1.0 / std::sqrt(value) : 0.0; });
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(scale.asDiagonal() * information *
-                                                              scale.asDiagonal());
+  const SymmetricEigen eigen = symmetric_eigen(scaled_on_both_sides(information, scale));
   for (Eigen::Index k = 0; k < right.size(); ++k) {
-    const double value = solver.eigenvalues()(k);
+    const double value = eigen.values(k);
     if (!(value > kUndetermined)) continue;
-    const Eigen::VectorXd direction = scale.asDiagonal() * solver.eigenvectors().col(k);
+    const Eigen::VectorXd direction = scale.cwiseProduct(eigen.vectors.col(k));
     const double along = direction.dot(right);
     gain.size += direction * (along / value);
     gain.fall += along * along / value;
@@ -134,25 +134,23 @@ class LinearModel {
   void solve() {
     Eigen::MatrixXd normal = products_of_columns(x_);
     normal.diagonal() += prior_weight_;
-    const Eigen::VectorXd right = x_.transpose() * y_ + prior_weight_.cwiseProduct(prior_distance_);
+    const Eigen::VectorXd right =
+        transposed_product_with_vector(x_, y_) + prior_weight_.cwiseProduct(prior_distance_);
     const NormalMatrix solved(std::move(normal));
     if (!solved.solvable()) {
       throw UnusableData("the readings do not determine the model that changes are looked for with");
     }
     root_ = solved.covariance_root();
-    const Eigen::VectorXd change = root_ * (root_.transpose() * right);
+    const Eigen::VectorXd change = product_with_vector(root_, transposed_product_with_vector(root_, right));
     solution_ = value_ + change.head<kJointUnknowns>();
-    residual_ = y_ - x_ * change;
+    residual_ = y_ - product_with_vector(x_, change);
     chi2_ = prior_weight_.dot((prior_distance_ - change).cwiseAbs2()) + residual_.squaredNorm();
     taken_ = times_upper(x_, root_);
   }
 
   double chi2() const { return chi2_; }
   const JointVector& solution() const { return solution_; }
-  JointMatrix covariance() const {
-    const auto rows = root_.topRows<kJointUnknowns>();
-    return rows * rows.transpose();
-  }
+  JointMatrix covariance() const { return covariance_of_root(root_.topRows<kJointUnknowns>()); }
   double degrees_of_freedom() const {
     return 3.0 * static_cast<double>(size()) - 12.0 -
            static_cast<double>(prior_weight_.size() - first_change_);
@@ -296,9 +294,9 @@ class LinearModel {
       const Eigen::Matrix<double, kLastingColumns, 3> whitened =
           (lower_[at].transpose() * lasting_[at]).transpose();
       own += whitened * whitened.transpose();
-      taken.noalias() += whitened * taken_.middleRows<3>(row(at));
+      taken += product(whitened, taken_.middleRows<3>(row(at)));
       right += whitened * residual_.segment<3>(row(at));
-      const Square information = own - taken * taken.transpose();
+      const Square information = own - covariance_of_root(taken);
       const auto block = [&](Eigen::Index first, Eigen::Index count) {
         return gain_of(information.block(first, first, count, count), right.segment(first, count),
                        own.diagonal().segment(first, count));
@@ -318,7 +316,7 @@ class LinearModel {
     for (std::size_t at = 0; at < size(); ++at) {
       const Eigen::Matrix3d& lower = lower_[at];
       const auto taken = taken_.middleRows<3>(row(at));
-      const Eigen::Matrix3d left = Eigen::Matrix3d::Identity() - taken * taken.transpose();
+      const Eigen::Matrix3d left = Eigen::Matrix3d::Identity() - covariance_of_root(taken);
       const Eigen::Matrix3d information = lower * left * lower.transpose();
       const Eigen::Matrix3d own = lower * lower.transpose();
       const Eigen::Vector3d right = lower * residual_.segment<3>(row(at));

@@ -3,9 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <Eigen/Cholesky>
-#include <Eigen/Core>
-#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -16,6 +14,9 @@
 #include "protocol/analysis/known_acs_fit.h"
 #include "protocol/analysis/run_time.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/linear/cholesky.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/model/effects.h"
 #include "protocol/model/stage_model.h"
 #include "protocol/plan/limits.h"
@@ -67,7 +68,7 @@ std::optional<RoughOutputs> rough_outputs(const RunRecord& record) {
   RoughOutputs out;
   out.unit = fit.sensitivity_matrix.rowwise().norm();
   if (!(out.unit.minCoeff() > 0.0)) return std::nullopt;
-  out.rows = out.unit.cwiseInverse().asDiagonal() * fit.sensitivity_matrix;
+  out.rows = scaled_rows(out.unit.cwiseInverse(), fit.sensitivity_matrix);
   for (std::size_t j = 0; j < 3; ++j) {
     const auto middle = u[j].begin() + static_cast<std::ptrdiff_t>(u[j].size() / 2);
     std::nth_element(u[j].begin(), middle, u[j].end());
@@ -117,7 +118,8 @@ class PoseProblem {
       const Eigen::MatrixXd covariance = cofactor_.block(at, at, count, count);
       each.change.size = count == 1 ? size(0) : size.norm();
       each.change.standard_uncertainty = std::sqrt(
-          std::max(0.0, count == 1 ? covariance(0, 0) : size.dot(covariance * size) / size.squaredNorm()));
+          std::max(0.0, count == 1 ? covariance(0, 0)
+                                   : size.dot(product_with_vector(covariance, size)) / size.squaredNorm()));
       at += count;
       if (each.change.kind == PoseChangeKind::kTurn && each.change.size <= angle_limit_) continue;
       out.push_back(std::move(each.change));
@@ -156,17 +158,16 @@ class PoseProblem {
       }
     }
     append(free, column);
-    const Eigen::LLT<Eigen::MatrixXd> llt(without_drift_);
-    const Eigen::MatrixXd weighted = llt.solve(free);
-    const Eigen::LLT<Eigen::MatrixXd> normal(free.transpose() * weighted);
-    const Eigen::VectorXd value = normal.solve(weighted.transpose() * data_);
-    const Eigen::MatrixXd covariance = normal.solve(Eigen::MatrixXd::Identity(free.cols(), free.cols()));
+    const Eigen::MatrixXd weighted = Cholesky(without_drift_).solve(free);
+    const Cholesky normal(transposed_product(free, weighted));
+    const Eigen::VectorXd value = normal.solve_vector(transposed_product_with_vector(weighted, data_));
+    const Eigen::MatrixXd covariance = normal.inverse();
     out.change = value(value.size() - 1);
     out.standard_uncertainty = std::sqrt(covariance(value.size() - 1, value.size() - 1));
     double information = std::numeric_limits<double>::infinity();
     for (std::size_t k = 0; k < last; ++k) {
       const Eigen::VectorXd step = column_of(kind, output, k);
-      information = std::min(information, step.dot(without_changes_ * step));
+      information = std::min(information, step.dot(product_with_vector(without_changes_, step)));
     }
     out.smallest_found = std::sqrt(needed(1) / std::max(information, 1e-300));
     return out;
@@ -233,7 +234,7 @@ class PoseProblem {
           for (std::size_t i = 0; i < readings_.size(); ++i)
             column(row(i) + j) =
                 prior * effect.share({readings_[i].t, readings_[i].y, Eigen::Vector3d::Zero()}, j, k).value;
-          v += column * column.transpose();
+          v += covariance_of_root(column);
         }
       }
     }
@@ -253,13 +254,11 @@ class PoseProblem {
   }
 
   void solve() {
-    const Eigen::LLT<Eigen::MatrixXd> llt(covariance_);
-    const Eigen::MatrixXd inverse = llt.solve(Eigen::MatrixXd::Identity(data_.size(), data_.size()));
-    const Eigen::MatrixXd weighted = inverse * free_;
-    const Eigen::LLT<Eigen::MatrixXd> normal(free_.transpose() * weighted);
-    cofactor_ = normal.solve(Eigen::MatrixXd::Identity(free_.cols(), free_.cols()));
-    estimate_ = cofactor_ * (weighted.transpose() * data_);
-    projector_ = inverse - weighted * cofactor_ * weighted.transpose();
+    const Eigen::MatrixXd inverse = Cholesky(covariance_).inverse();
+    const Eigen::MatrixXd weighted = product(inverse, free_);
+    cofactor_ = Cholesky(transposed_product(free_, weighted)).inverse();
+    estimate_ = product_with_vector(cofactor_, transposed_product_with_vector(weighted, data_));
+    projector_ = inverse - carried_covariance(weighted, cofactor_);
   }
 
   /// The fall of chi2 that a sound run reaches once in 1e6 runs.
@@ -306,17 +305,18 @@ class PoseProblem {
     out.change.kind = kind;
     out.change.accelerometer = output;
     out.change.after_visit = after_visit;
-    const Eigen::MatrixXd information = columns.transpose() * projector_ * columns;
-    const Eigen::VectorXd right = columns.transpose() * (projector_ * data_);
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(information);
-    const double largest = eigen.eigenvalues().maxCoeff();
+    const Eigen::MatrixXd information = product(transposed_product(columns, projector_), columns);
+    const Eigen::VectorXd right =
+        transposed_product_with_vector(columns, product_with_vector(projector_, data_));
+    const SymmetricEigen eigen = symmetric_eigen(information);
+    const double largest = eigen.values.maxCoeff();
     out.columns.resize(columns.rows(), 0);
     for (Eigen::Index k = 0; k < right.size() && largest > 0.0; ++k) {
-      const double value = eigen.eigenvalues()(k);
+      const double value = eigen.values(k);
       if (!(value > kPoseUndetermined * largest)) continue;
-      const double along = eigen.eigenvectors().col(k).dot(right);
+      const double along = eigen.vectors.col(k).dot(right);
       out.change.fall += along * along / value;
-      append(out.columns, columns * eigen.eigenvectors().col(k));
+      append(out.columns, product_with_vector(columns, eigen.vectors.col(k)));
     }
     const auto degrees = static_cast<int>(out.columns.cols());
     out.change.needed = degrees > 0 ? needed(degrees) : std::numeric_limits<double>::infinity();

@@ -2,7 +2,7 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Dense>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -12,6 +12,10 @@
 
 #include "protocol/analysis/analyse.h"
 #include "protocol/analysis/sensitivity_matrix.h"
+#include "protocol/linear/cholesky.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/singular_values.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
@@ -40,7 +44,7 @@ Eigen::Matrix3d unit_change(Eigen::Index element) {
 void require_full_rank(const Eigen::Matrix3d& m) {
   constexpr double kSmallestReciprocalCondition = 1e-6;
   const Eigen::Vector3d singular =
-      m.allFinite() ? Eigen::JacobiSVD<Eigen::Matrix3d>(m).singularValues() : Eigen::Vector3d::Zero();
+      m.allFinite() ? Eigen::Vector3d(singular_values(m)) : Eigen::Vector3d::Zero();
   if (!(singular(2) > kSmallestReciprocalCondition * singular(0))) {
     throw std::invalid_argument(
         "rotation between matrices: a sensitivity matrix is not of full rank; three independent axes are "
@@ -98,9 +102,9 @@ IntrinsicComparison compare_intrinsic(const IntrinsicValues& first, const Covari
     }
   }
   // Differences in units of their uncertainties: angles, sensitivities and offsets have different units.
-  const Eigen::LDLT<Eigen::MatrixXd> solver(correlation);
-  if (solver.info() == Eigen::Success && solver.isPositive()) {
-    const double chi2 = difference.dot(solver.solve(difference));
+  const PivotedCholesky factor(correlation);
+  if (factor.positive_semidefinite()) {
+    const double chi2 = difference.dot(factor.solve_vector(difference));
     if (std::isfinite(chi2)) {
       comparison.chi2 = chi2;
       comparison.chi2_probability = chi2_tail(chi2, comparison.degrees_of_freedom);
@@ -135,15 +139,15 @@ RotationBetween rotation_between(const Eigen::Matrix3d& first, const MatrixCovar
   RotationBetween result;
   result.same_handedness = first.determinant() * second.determinant() > 0.0;
   if (!result.same_handedness) return result;
-  const Eigen::Matrix3d product = second.transpose() * first;
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(product, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  const Eigen::Matrix3d m = second.transpose() * first;
+  const SingularValues svd = singular_value_decomposition(m);
   // Both determinants have one sign, so that this is a rotation and no reflection.
-  const Eigen::Matrix3d& t = result.rotation = svd.matrixU() * svd.matrixV().transpose();
+  const Eigen::Matrix3d& t = result.rotation = product_transposed(svd.u, svd.v);
   result.residual = second * t - first;
 
   // T follows from M = S_2' S_1 = T P with P symmetric. A change dM turns T into T (1 + [w]x), where
   // (tr P - P) w is the vector of the antisymmetric T'dM - dM'T.
-  const Eigen::Matrix3d p = t.transpose() * product;
+  const Eigen::Matrix3d p = t.transpose() * m;
   const Eigen::Matrix3d turning = (p.trace() * Eigen::Matrix3d::Identity() - p).inverse();
   Eigen::Matrix<double, 3, 18> rotation_jacobian;
   Eigen::Matrix<double, 9, 18> residual_jacobian;
@@ -158,9 +162,8 @@ RotationBetween rotation_between(const Eigen::Matrix3d& first, const MatrixCovar
   }
   Eigen::Matrix<double, 18, 18> covariance;
   covariance << covariance_1, shared, shared.transpose(), covariance_2;
-  const Eigen::Matrix3d turn_covariance = rotation_jacobian * covariance * rotation_jacobian.transpose();
-  const Eigen::Matrix<double, 9, 9> residual_covariance =
-      residual_jacobian * covariance * residual_jacobian.transpose();
+  const Eigen::Matrix3d turn_covariance = carried_covariance(rotation_jacobian, covariance);
+  const Covariance9 residual_covariance = carried_covariance(residual_jacobian, covariance);
   for (int j = 0; j < 3; ++j) {
     for (int k = 0; k < 3; ++k) {
       const Eigen::Index i = s_index(j, k);
@@ -175,17 +178,17 @@ RotationBetween rotation_between(const Eigen::Matrix3d& first, const MatrixCovar
   result.angle_deg = angle * kRadToDeg;
   result.angle_standard_uncertainty_deg = std::sqrt(std::max(0.0, angle_variance)) * kRadToDeg;
   // Near zero the angle is the length of a vector that may point anywhere: the largest variance decides.
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> spread(turn_covariance);
-  if (angle > 2.0 * std::sqrt(std::max(0.0, spread.eigenvalues()(2))) && angle > 0.0) {
+  const SymmetricEigen spread = symmetric_eigen(turn_covariance);
+  if (angle > 2.0 * std::sqrt(std::max(0.0, spread.values(2))) && angle > 0.0) {
     result.axis = n;
     // The axis tilts by J_r^-1(angle n) w / angle across n; across n that is a turn about n by angle/2 and a
     // stretch by (angle/2)/sin(angle/2), so that the variance is that of w across n over (2 sin(angle/2))^2.
     const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - n * n.transpose();
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> tilt(across * turn_covariance * across);
+    const SymmetricEigen tilt = symmetric_eigen(across * turn_covariance * across);
     result.axis_standard_uncertainty_deg =
-        std::sqrt(std::max(0.0, tilt.eigenvalues()(2))) / (2.0 * std::sin(angle / 2.0)) * kRadToDeg;
+        std::sqrt(std::max(0.0, tilt.values(2))) / (2.0 * std::sin(angle / 2.0)) * kRadToDeg;
   } else {
-    result.angle_standard_uncertainty_deg = std::sqrt(std::max(0.0, spread.eigenvalues()(2))) * kRadToDeg;
+    result.angle_standard_uncertainty_deg = std::sqrt(std::max(0.0, spread.values(2))) * kRadToDeg;
   }
   return result;
 }

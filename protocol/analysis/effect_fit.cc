@@ -12,6 +12,7 @@
 #include "protocol/analysis/noise_search.h"
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/size_evidence.h"
+#include "protocol/linear/products.h"
 
 namespace abcal {
 namespace {
@@ -20,21 +21,21 @@ LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGrou
   LineAtNoise out;
   Rows12 rows = model.line_rows();
   Covariance12 beyond = Covariance12::Zero();
-  out.change = rows * at.change;
+  out.change = product_with_vector(rows, at.change);
   ReadingRows mean_weights;  // V^-1 cov(readings, means of the process)
   if (at.noise.tau > 0.0) {
     // The mean of the process over the run belongs to the offset.
     mean_weights = at.whitener->covariance_with_mean();
     at.whitener->whiten(mean_weights);
-    out.change.tail<3>() += mean_weights.transpose() * at.whitened_residual;
-    rows.bottomRows<3>() -= mean_weights.transpose() * at.whitened_jacobian;
-    beyond.bottomRightCorner<3, 3>() = -(mean_weights.transpose() * mean_weights);
+    out.change.tail<3>() += transposed_product_with_vector(mean_weights, at.whitened_residual);
+    rows.bottomRows<3>() -= transposed_product(mean_weights, at.whitened_jacobian);
+    beyond.bottomRightCorner<3, 3>() = -products_of_columns(mean_weights);
     beyond.bottomRightCorner<3, 3>().diagonal() += at.whitener->mean_variance();
     at.whitener->whiten_transposed(mean_weights);
   }
   // C T' (unknowns x 12)
   const Eigen::MatrixXd response = at.normal.solve_columns(rows.transpose());
-  const Covariance12 covariance = rows * response + beyond;
+  const Covariance12 covariance = product(rows, response) + beyond;
   out.covariance = 0.5 * (covariance + covariance.transpose());
   out.gain = times(at.whitened_jacobian, response);
   at.whitener->whiten_transposed(out.gain);
@@ -88,7 +89,7 @@ Eigen::VectorXd told_of_steps_with_process(const AtNoise& best, const std::vecto
     links.block<3, 1>(3 * n, n) = angles[static_cast<std::size_t>(n)].by_step;
   best.whitener->whiten(links);
   const ReadingRows design = times_upper(best.whitened_jacobian, root);
-  const Eigen::MatrixXd taken = design.transpose() * links;
+  const Eigen::MatrixXd taken = transposed_product(design, links);
   return (links.colwise().squaredNorm() - taken.colwise().squaredNorm()).transpose();
 }
 

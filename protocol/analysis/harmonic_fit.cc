@@ -2,13 +2,15 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/QR>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <string>
 #include <vector>
+
+#include "protocol/linear/pivoted_qr.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/singular_values.h"
 
 namespace abcal {
 
@@ -87,18 +89,16 @@ HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> 
     }
     if (!u.empty()) weight(i) = u_smallest / u[index];
   }
-  const Eigen::MatrixXd weighted_design = weight.asDiagonal() * design;
+  const Eigen::MatrixXd weighted_design = scaled_rows(weight, design);
   const Eigen::VectorXd column_scale = weighted_design.colwise().norm().cwiseInverse();
-  const Eigen::MatrixXd scaled = weighted_design * column_scale.asDiagonal();
-  const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(scaled);
-  const Eigen::MatrixXd r = qr.matrixR().topLeftCorner(columns, columns).triangularView<Eigen::Upper>();
-  const Eigen::VectorXd singular_values = Eigen::JacobiSVD<Eigen::MatrixXd>(r).singularValues();
+  const PivotedQr qr(scaled_columns(weighted_design, column_scale));
+  const Eigen::VectorXd of_scaled = singular_values(qr.upper());
 
   HarmonicFit fit;
   fit.harmonics = harmonics;
   fit.weighted = !u.empty();
   fit.rank = static_cast<int>(qr.rank());
-  fit.reciprocal_condition = singular_values(columns - 1) / singular_values(0);
+  fit.reciprocal_condition = of_scaled(columns - 1) / of_scaled(0);
   if (fit.rank < columns || !(fit.reciprocal_condition >= kSmallestReciprocalCondition)) {
     throw UndeterminedFit(
         fmt::format("{} angles cannot determine {}: rank {}, reciprocal condition {:.1e}; a rank of {} and "
@@ -109,13 +109,9 @@ HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> 
   }
 
   // scaled * P = Q R, hence estimator = D P R^-1 Q' W and cofactor = (D P R^-1) (D P R^-1)'.
-  const Eigen::MatrixXd q = qr.householderQ() * Eigen::MatrixXd::Identity(rows, columns);
-  const auto upper = r.triangularView<Eigen::Upper>();
-  const Eigen::MatrixXd estimator_permuted = upper.solve(q.transpose() * weight.asDiagonal());
-  const Eigen::MatrixXd r_inverse = upper.solve(Eigen::MatrixXd::Identity(columns, columns));
-  fit.estimator = column_scale.asDiagonal() * (qr.colsPermutation() * estimator_permuted);
-  const Eigen::MatrixXd root = column_scale.asDiagonal() * (qr.colsPermutation() * r_inverse);
-  fit.cofactor = root * root.transpose();
+  const Eigen::MatrixXd q_weighted = scaled_rows(weight, qr.orthonormal());
+  fit.estimator = scaled_rows(column_scale, qr.solve_upper(q_weighted.transpose()));
+  fit.cofactor = covariance_of_root(scaled_rows(column_scale, qr.cofactor_root()));
   if (fit.weighted) fit.cofactor *= u_smallest * u_smallest;
 
   // Residuals are taken in long double and fitted again: with noise-free readings the result is then good to
@@ -131,7 +127,7 @@ HarmonicFit fit_harmonics(std::span<const Angle> alpha, std::span<const double> 
       fit.residuals(i) = static_cast<double>(residual);
     }
     if (pass > kRefinements) break;
-    x += fit.estimator * fit.residuals;
+    x += product_with_vector(fit.estimator, fit.residuals);
   }
   fit.coefficients = x;
   const Eigen::VectorXd weighted_residuals = weight.cwiseProduct(fit.residuals) / u_smallest;

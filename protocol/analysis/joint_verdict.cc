@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
@@ -10,6 +9,8 @@
 
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/specification_test.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
@@ -45,11 +46,11 @@ EffectTest test_effect(const EffectFit& fit, Eigen::Index first, Eigen::Index co
     }
   }
   test.times_stated = relative.norm() / std::sqrt(static_cast<double>(count));
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(predicted);
+  const SymmetricEigen eigen = symmetric_eigen(predicted);
   for (Eigen::Index i = 0; i < count; ++i) {
-    const double share = eigen.eigenvalues()(i);
+    const double share = eigen.values(i);
     if (share < kInformative) continue;
-    const double along = eigen.eigenvectors().col(i).dot(relative);
+    const double along = eigen.vectors.col(i).dot(relative);
     test.chi2 += along * along / share;
     ++test.degrees_of_freedom;
   }
@@ -87,19 +88,19 @@ EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const 
       unknown.output >= 0 ? fmt::format("{} of {}", unknown.effect, "uvw"[unknown.output]) : unknown.effect;
   test.key = unknown.key;
   test.stated_zero = true;
-  const auto columns = fit.left_out_design.middleCols(first, count);
+  const Eigen::MatrixXd columns = fit.left_out_design.middleCols(first, count);
   const Eigen::VectorXd own = columns.colwise().squaredNorm().transpose();
   const Eigen::VectorXd scale =
       own.unaryExpr([](double square) { return square > 0.0 ? 1.0 / std::sqrt(square) : 0.0; });
-  const Eigen::MatrixXd taken = design.transpose() * columns;  // by the unknowns of the fit
+  const Eigen::MatrixXd taken = transposed_product(design, columns);  // by the unknowns of the fit
   const Eigen::MatrixXd left =
-      scale.asDiagonal() * (columns.transpose() * columns - taken.transpose() * taken) * scale.asDiagonal();
-  const Eigen::VectorXd score = scale.asDiagonal() * (columns.transpose() * residual);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(left);
+      scaled_on_both_sides(transposed_product(columns, columns) - transposed_product(taken, taken), scale);
+  const Eigen::VectorXd score = scale.cwiseProduct(transposed_product_with_vector(columns, residual));
+  const SymmetricEigen eigen = symmetric_eigen(left);
   for (Eigen::Index i = 0; i < count; ++i) {
-    const double share = eigen.eigenvalues()(i);
+    const double share = eigen.values(i);
     if (share < kLeftByTheFit) continue;
-    const double along = eigen.eigenvectors().col(i).dot(score);
+    const double along = eigen.vectors.col(i).dot(score);
     test.chi2 += along * along / share;
     ++test.degrees_of_freedom;
   }

@@ -2,12 +2,14 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/QR>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
+
+#include "protocol/linear/pivoted_qr.h"
+#include "protocol/linear/products.h"
 
 namespace abcal {
 namespace {
@@ -119,20 +121,15 @@ TiltOfZ tilt_from_spin(std::span<const DwellRecord> dwells, const Eigen::Matrix3
     throw std::runtime_error(std::string(kTiltOfZ) +
                              ": the sensitivity matrix or the angles hide the harmonic");
   }
-  const Eigen::MatrixXd scaled = equations.design * scale.cwiseInverse().asDiagonal();
-  const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(scaled);
-  if (!(std::abs(qr.matrixR()(unknowns - 1, unknowns - 1)) > kSingular * std::abs(qr.matrixR()(0, 0)))) {
+  const Eigen::MatrixXd scaled = scaled_columns(equations.design, scale.cwiseInverse());
+  const PivotedQr qr(scaled);
+  if (!(qr.reciprocal_condition() > kSingular)) {
     throw std::runtime_error(
         fmt::format("{}: {} angles about Z hide the harmonic; angles around the circle are required",
                     kTiltOfZ, dwells.size()));
   }
-  const Eigen::VectorXd solution = qr.solve(equations.right);
-  const double squares = (equations.right - scaled * solution).squaredNorm();
-  const Eigen::MatrixXd r_inverse = qr.matrixR()
-                                        .topLeftCorner(unknowns, unknowns)
-                                        .triangularView<Eigen::Upper>()
-                                        .solve(Eigen::MatrixXd::Identity(unknowns, unknowns));
-  const Eigen::MatrixXd permuted = qr.colsPermutation() * r_inverse;
+  const Eigen::VectorXd solution = qr.solve_vector(equations.right);
+  const double squares = (equations.right - product_with_vector(scaled, solution)).squaredNorm();
 
   TiltOfZ out;
   out.degrees_of_freedom = static_cast<int>(equations.right.size() - unknowns);
@@ -142,8 +139,7 @@ TiltOfZ tilt_from_spin(std::span<const DwellRecord> dwells, const Eigen::Matrix3
     const double found = squares / out.degrees_of_freedom;
     factor = weighted ? std::max(1.0, found) : found;
   }
-  const Eigen::Matrix<double, 2, Eigen::Dynamic> half = permuted.topRows(2);
-  Eigen::Matrix2d covariance = factor * (half * half.transpose());
+  Eigen::Matrix2d covariance = factor * covariance_of_root(qr.cofactor_root().topRows(2));
   const Eigen::Vector2d units = scale.head(2).cwiseInverse();
   covariance = units.asDiagonal() * covariance * units.asDiagonal();
   const Eigen::Vector2d tilt = units.cwiseProduct(solution.head(2));
@@ -207,19 +203,16 @@ XZero x_zero_from_reversal(std::span<const DwellRecord> dwells, const Eigen::Mat
   Eigen::Matrix<double, 3, 2> design;
   design.col(0) = weight.cwiseProduct(sensitivity_matrix.col(1));
   design.col(1) = -weight.cwiseProduct(sensitivity_matrix.col(0));
-  const Eigen::ColPivHouseholderQR<Eigen::Matrix<double, 3, 2>> qr(design);
-  if (!(std::abs(qr.matrixR()(1, 1)) > kSingular * std::abs(qr.matrixR()(0, 0)))) {
+  const PivotedQr qr(design);
+  if (!(qr.reciprocal_condition() > kSingular)) {
     throw std::invalid_argument(std::string(kWhat) + ": the sensitivity matrix does not tell x from y");
   }
   const Eigen::Vector3d right = weight.cwiseProduct(difference);
-  const Eigen::Vector2d solution = qr.solve(right);
+  const Eigen::Vector2d solution = qr.solve_vector(right);
   const double squares = (right - design * solution).squaredNorm();
   // One degree of freedom is no estimate of the noise worth having, but the only one without u_mean.
   const double factor = weighted ? std::max(1.0, squares) : squares;
-  const Eigen::Matrix2d r_inverse =
-      qr.matrixR().topLeftCorner<2, 2>().triangularView<Eigen::Upper>().solve(Eigen::Matrix2d::Identity());
-  const Eigen::Matrix2d permuted = qr.colsPermutation() * r_inverse;
-  const Eigen::Matrix2d covariance = factor * (permuted * permuted.transpose());
+  const Eigen::Matrix2d covariance = factor * covariance_of_root(qr.cofactor_root());
 
   XZero out;
   const Angle error = Angle::radians(solution(0));

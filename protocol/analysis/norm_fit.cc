@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -17,6 +16,8 @@
 #include "protocol/analysis/run_time.h"
 #include "protocol/analysis/unusable_data.h"
 #include "protocol/analysis/voltmeter.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/plan/limits.h"
 #include "protocol/statistics/distributions.h"
 
@@ -234,8 +235,8 @@ void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult
   const NormSolution& fit = at.solution;
   Eigen::Matrix<double, 9, 1> units = Eigen::Matrix<double, 9, 1>::Constant(scale.size);
   units.segment<3>(3).setOnes();  // angles
-  Covariance9 total = units.asDiagonal() * fit.covariance * units.asDiagonal();
-  Covariance9 of_poses = units.asDiagonal() * fit.covariance_of_poses * units.asDiagonal();
+  Covariance9 total = scaled_on_both_sides(fit.covariance, units);
+  Covariance9 of_poses = scaled_on_both_sides(fit.covariance_of_poses, units);
   // Nine poses without uncertainties determine the values, and nothing says how well.
   if (!at.u_known && static_cast<int>(at.used.size()) <= kUnknowns) {
     total.setConstant(std::numeric_limits<double>::quiet_NaN());
@@ -270,8 +271,7 @@ void judge_coverage(const Estimate& at, CalibrationResult& result, Judgement& ju
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
   for (const Eigen::Vector3d& direction : directions)
     scatter += direction * direction.transpose() / static_cast<double>(directions.size());
-  norm.sphere_coverage =
-      std::clamp(3.0 * Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(scatter).eigenvalues()(0), 0.0, 1.0);
+  norm.sphere_coverage = std::clamp(3.0 * symmetric_eigen(scatter).values(0), 0.0, 1.0);
   const auto [radius, cap] = largest_empty_cap(directions);
   if (radius > kNamedCap) {
     norm.coverage_words =

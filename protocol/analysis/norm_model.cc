@@ -3,8 +3,6 @@
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
-#include <Eigen/LU>
-#include <Eigen/QR>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -13,6 +11,10 @@
 
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/linear/cholesky.h"
+#include "protocol/linear/lu.h"
+#include "protocol/linear/pivoted_qr.h"
+#include "protocol/linear/products.h"
 
 namespace abcal {
 namespace {
@@ -50,17 +52,16 @@ Basic start(std::span<const NormPose> poses) {
     design.row(i).tail<3>() = 2.0 * r.transpose();
     if (crossed) design.row(i).segment<3>(3) << 2.0 * r.x() * r.y(), 2.0 * r.x() * r.z(), 2.0 * r.y() * r.z();
   }
-  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(design);
-  qr.setThreshold(kSingular);
-  if (qr.rank() < design.cols()) throw undetermined(poses.size());
-  const Eigen::VectorXd p = qr.solve(Eigen::VectorXd::Ones(n));
+  const PivotedQr qr(design);
+  if (qr.rank_above(kSingular) < design.cols()) throw undetermined(poses.size());
+  const Eigen::VectorXd p = qr.solve_vector(Eigen::VectorXd::Ones(n));
   Eigen::Matrix3d m = p.head<3>().asDiagonal();
   if (crossed) {
     m(0, 1) = m(1, 0) = p(3);
     m(0, 2) = m(2, 0) = p(4);
     m(1, 2) = m(2, 1) = p(5);
   }
-  const Eigen::Vector3d offset = -m.partialPivLu().solve(p.tail<3>());
+  const Eigen::Vector3d offset = -solve_by_lu(m, p.tail<3>());
   const Eigen::Matrix3d unit = m / (1.0 + offset.dot(m * offset));
   const Eigen::LLT<Eigen::Matrix3d> llt(unit);
   if (llt.info() != Eigen::Success || !offset.allFinite()) throw undetermined(poses.size());
@@ -187,7 +188,8 @@ class NormProblem {
     const Eigen::Matrix3d s = upper(x).triangularView<Eigen::Upper>().solve(Eigen::Matrix3d::Identity());
     value = (intrinsic_properties(s).angle_deg.array() - 90.0) / kDegrees;
     by_unknown = Eigen::MatrixXd::Zero(3, count_);
-    by_unknown.leftCols<6>() = intrinsic_jacobian(s).middleRows<3>(3) * by_b(s).leftCols<6>() / kDegrees;
+    by_unknown.leftCols<6>() =
+        product(intrinsic_jacobian(s).middleRows<3>(3), by_b(s).leftCols<6>()) / kDegrees;
   }
 
   /// s = B^-1: ds = -s dB s; the offset follows its own unknowns.
@@ -205,11 +207,10 @@ class NormProblem {
   /// One Gauss-Newton step by the normal equations, columns scaled.
   Eigen::VectorXd step(NormSolution& at) {
     const Eigen::VectorXd root = at.variance.cwiseSqrt().cwiseInverse();
-    weighted_ = root.asDiagonal() * jacobian_;
+    weighted_ = scaled_rows(root, jacobian_);
     const Eigen::VectorXd left = -root.cwiseProduct(at.residual);
-    Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(count_, count_);
-    normal.selfadjointView<Eigen::Lower>().rankUpdate(weighted_.transpose());
-    Eigen::VectorXd right = weighted_.transpose() * left;
+    Eigen::MatrixXd normal = lower_of_products_of_columns(weighted_);
+    Eigen::VectorXd right = transposed_product_with_vector(weighted_, left);
     at.weighted_squares = left.squaredNorm();
     for (int j = 0; j < 3; ++j) {
       for (Eigen::Index k = 0; k < own_; ++k) {
@@ -226,16 +227,14 @@ class NormProblem {
       orthogonality(at.unknowns, value, by_unknown);
       by_unknown /= model_.orthogonality;
       value /= model_.orthogonality;
-      normal.selfadjointView<Eigen::Lower>().rankUpdate(by_unknown.transpose());
-      right -= by_unknown.transpose() * value;
+      normal += lower_of_products_of_columns(by_unknown);
+      right -= transposed_product_with_vector(by_unknown, value);
       at.weighted_squares += value.squaredNorm();
     }
     scale_ = normal.diagonal().cwiseSqrt().cwiseInverse();
-    normal =
-        scale_.asDiagonal() * Eigen::MatrixXd(normal.selfadjointView<Eigen::Lower>()) * scale_.asDiagonal();
-    llt_.compute(normal);
-    if (!scale_.allFinite() || llt_.info() != Eigen::Success) throw undetermined(poses_.size());
-    return scale_.cwiseProduct(Eigen::VectorXd(llt_.solve(scale_.cwiseProduct(right))));
+    factor_ = Cholesky(scaled_on_both_sides(normal, scale_));
+    if (!scale_.allFinite() || !factor_.positive_definite()) throw undetermined(poses_.size());
+    return scale_.cwiseProduct(factor_.solve_vector(scale_.cwiseProduct(right)));
   }
 
   /// The nine unknowns, of poses and what is known of the axes: the effects have priors of their own.
@@ -251,16 +250,14 @@ class NormProblem {
     }
     if (design.rows() < kBasic) return 0.0;
     const Basic scale = design.colwise().norm().cwiseInverse();
-    const Eigen::ColPivHouseholderQR<Eigen::MatrixXd> qr(design * scale.asDiagonal());
-    return std::abs(qr.matrixR()(kBasic - 1, kBasic - 1) / qr.matrixR()(0, 0));
+    return PivotedQr(scaled_columns(design, scale)).reciprocal_condition();
   }
 
   /// The line response, its covariance and gain.
   void finish(NormSolution& out) const {
-    const Eigen::MatrixXd inverse = llt_.solve(Eigen::MatrixXd::Identity(count_, count_));
-    out.cofactor = scale_.asDiagonal() * inverse * scale_.asDiagonal();
+    out.cofactor = scaled_on_both_sides(factor_.inverse(), scale_);
     out.reciprocal_condition = reciprocal_condition(out);
-    const Eigen::MatrixXd fitted = weighted_ * out.cofactor;
+    const Eigen::MatrixXd fitted = product(weighted_, out.cofactor);
     const Eigen::Index pairs = weighted_.rows() - 1;
     out.redundancy = static_cast<double>(weighted_.rows()) - fitted.cwiseProduct(weighted_).sum();
     out.successive_products = -fitted.topRows(pairs).cwiseProduct(weighted_.bottomRows(pairs)).sum();
@@ -290,14 +287,14 @@ class NormProblem {
     const IntrinsicProperties intrinsic = intrinsic_properties(out.line_sensitivity);
     out.intrinsic << intrinsic.sensitivity, intrinsic.angle_deg, out.line_offset;
     const Eigen::Matrix<double, 9, Eigen::Dynamic> jacobian =
-        intrinsic_jacobian(out.line_sensitivity) * by_unknown;
-    out.covariance = jacobian * out.cofactor * jacobian.transpose();
-    const Eigen::Matrix<double, 9, Eigen::Dynamic> by_norm =
-        -(jacobian * out.cofactor) * (jacobian_.transpose() * out.variance.cwiseInverse().asDiagonal());
-    out.covariance_of_poses = by_norm * out.variance.asDiagonal() * by_norm.transpose();
+        product(intrinsic_jacobian(out.line_sensitivity), by_unknown);
+    out.covariance = carried_covariance(jacobian, out.cofactor);
+    const Eigen::MatrixXd by_norm = -product_transposed(product(jacobian, out.cofactor),
+                                                        scaled_rows(out.variance.cwiseInverse(), jacobian_));
+    out.covariance_of_poses = product_transposed(scaled_columns(by_norm, out.variance), by_norm);
     out.gain.resize(9, 3 * jacobian_.rows());
     for (Eigen::Index i = 0; i < jacobian_.rows(); ++i)
-      out.gain.middleCols<3>(3 * i) = by_norm.col(i) * by_reading_.row(i);
+      out.gain.middleCols<3>(3 * i) = product(by_norm.col(i), by_reading_.row(i));
   }
 
   std::span<const NormPose> poses_;
@@ -308,7 +305,7 @@ class NormProblem {
   Eigen::Matrix<double, Eigen::Dynamic, 3> by_reading_;  ///< Of the norm.
   Eigen::MatrixXd weighted_;                             ///< The Jacobian over the standard deviations.
   Eigen::VectorXd scale_;
-  Eigen::LLT<Eigen::MatrixXd> llt_;  ///< Of the scaled normal matrix.
+  Cholesky factor_;  ///< Of the scaled normal matrix.
 };
 
 }  // namespace

@@ -1,10 +1,12 @@
 #include "protocol/analysis/size_evidence.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <string>
+
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 
 namespace abcal {
 namespace {
@@ -49,13 +51,13 @@ double larger_at(const EffectModel& model, const AtNoise& at, const Eigen::Matri
     estimate(i) = from_prior(from) / prior;
     rows.row(i) = root.row(from) / prior;
   }
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(rows * rows.transpose());
+  const SymmetricEigen eigen = symmetric_eigen(covariance_of_root(rows));
   double log_ratio = 0.0;
   for (Eigen::Index i = 0; i < count; ++i) {
-    const double told = 1.0 - eigen.eigenvalues()(i);
+    const double told = 1.0 - eigen.values(i);
     if (told < kTold) continue;
     const double wider = 1.0 + (kTimes * kTimes - 1.0) * told;
-    const double z = eigen.eigenvectors().col(i).dot(estimate);
+    const double z = eigen.vectors.col(i).dot(estimate);
     log_ratio += -0.5 * std::log(wider) + 0.5 * z * z / told * (1.0 - 1.0 / wider);
   }
   return log_ratio;

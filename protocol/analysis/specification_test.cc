@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -15,6 +14,8 @@
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/norm_model.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
@@ -228,20 +229,19 @@ SpecificationTest compare_norm_with_joint(std::span<const EffectReading> reading
   out.difference = of_norm - of_joint;
 
   const NormGain gain_difference =
-      units.asDiagonal() * norm.gain / size - intrinsic_jacobian(model.line()) * fit.gain.transpose();
+      scaled_rows(units, norm.gain) / size - product_transposed(intrinsic_jacobian(model.line()), fit.gain);
   const Covariance9 of_difference = model.covariance_of(gain_difference);
-  const Covariance9 covariance_norm = units.asDiagonal() * norm.covariance * units.asDiagonal();
+  const Covariance9 covariance_norm = scaled_on_both_sides(norm.covariance, units);
   out.standard_uncertainty = of_difference.diagonal().cwiseMax(0.0).cwiseSqrt();
   // Each output in units of its own uncertainty, so that degrees and counts are alike.
   const Nine scale = covariance_norm.diagonal().cwiseSqrt().cwiseInverse();
-  const Eigen::GeneralizedSelfAdjointEigenSolver<Covariance9> eigen(
-      Covariance9(scale.asDiagonal() * of_difference * scale.asDiagonal()),
-      Covariance9(scale.asDiagonal() * covariance_norm * scale.asDiagonal()));
+  const SymmetricEigen eigen = generalized_eigen(scaled_on_both_sides(of_difference, scale),
+                                                 scaled_on_both_sides(covariance_norm, scale));
   const Nine scaled = scale.cwiseProduct(out.difference);
   for (Eigen::Index k = 0; k < 9; ++k) {
-    const double share = eigen.eigenvalues()(k);
+    const double share = eigen.values(k);
     if (!(share > kTestedShare)) continue;
-    const double along = eigen.eigenvectors().col(k).dot(scaled);
+    const double along = eigen.vectors.col(k).dot(scaled);
     out.statistic += along * along / share;
     ++out.degrees_of_freedom;
   }

@@ -1,6 +1,5 @@
 #include "protocol/analysis/tray_fit.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
@@ -13,6 +12,8 @@
 #include "protocol/analysis/normal_matrix.h"
 #include "protocol/analysis/reading_kernels.h"
 #include "protocol/analysis/side_by_side.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 
 namespace abcal {
 namespace {
@@ -207,10 +208,10 @@ void Tray::add_steps_of(std::size_t k, const std::vector<NoiseAtAngle>& angles, 
   out.whitener->whiten(weighted);
   out.whitener->whiten_transposed(weighted);
   for (Eigen::Index n = 0; n < count; ++n) {
-    const Eigen::RowVectorXd row =
-        angles[static_cast<std::size_t>(n)].by_step.transpose() * weighted.middleRows<3>(3 * n);
+    const Eigen::Vector3d& by_step = angles[static_cast<std::size_t>(n)].by_step;
     for (Eigen::Index m = 0; m < count; ++m)
-      block(angle[static_cast<std::size_t>(n)], angle[static_cast<std::size_t>(m)]) += row(m);
+      block(angle[static_cast<std::size_t>(n)], angle[static_cast<std::size_t>(m)]) +=
+          by_step.dot(weighted.block<3, 1>(3 * n, m));
   }
 }
 
@@ -239,8 +240,9 @@ Reduced Tray::reduce(std::size_t k, const AssumedNoise& noise) const {
   out.root = out.own.covariance_root();
   Eigen::MatrixXd link(own, common_count());
   link << products.block(0, own, own, stage_count_), by_angle.leftCols(own).transpose();
-  out.link = out.root.transpose() * link;
-  out.own_right = out.root.transpose() * (products.col(count).head(own) - prior.cwiseProduct(away));
+  out.link = transposed_product(out.root, link);
+  const Eigen::VectorXd own_right = products.col(count).head(own) - prior.cwiseProduct(away);
+  out.own_right = transposed_product_with_vector(out.root, own_right);
 
   out.common = -products_of_columns(out.link);
   out.common.topLeftCorner(stage_count_, stage_count_) +=
@@ -251,7 +253,7 @@ Reduced Tray::reduce(std::size_t k, const AssumedNoise& noise) const {
   add_steps_of(k, angles, out);
   out.right.resize(common_count());
   out.right << products.col(count).segment(own, stage_count_), by_angle.col(count);
-  out.right -= out.link.transpose() * out.own_right;
+  out.right -= transposed_product_with_vector(out.link, out.own_right);
   out.squares = products(count, count) + prior.dot(away.cwiseAbs2()) - out.own_right.squaredNorm();
   return out;
 }
@@ -290,7 +292,8 @@ Common Tray::solve_with(std::size_t k, const Reduced* instead) const {
 }
 
 Eigen::VectorXd Tray::own_change(std::size_t k, const Common& common) const {
-  return reduced_[k].root * (reduced_[k].own_right - reduced_[k].link * common.change);
+  const Reduced& item = reduced_[k];
+  return product_with_vector(item.root, item.own_right - product_with_vector(item.link, common.change));
 }
 
 /// With each noise as the item's own fit says first; where all readings say otherwise, once more.
@@ -351,18 +354,18 @@ Tray::Rows Tray::rows_of(std::size_t k, const AssumedNoise& noise, const Reduced
     const std::vector<NoiseAtAngle> angles = item.noise_at_angles(noise.white);
     ReadingRows& weights = out.mean_weights = reduced.whitener->covariance_with_mean();
     reduced.whitener->whiten(weights);
-    out.beyond.bottomRightCorner<3, 3>() = -(weights.transpose() * weights);
+    out.beyond.bottomRightCorner<3, 3>() = -products_of_columns(weights);
     out.beyond.bottomRightCorner<3, 3>().diagonal() += reduced.whitener->mean_variance();
     reduced.whitener->whiten_transposed(weights);
-    out.start.tail<3>() = weights.transpose() * residual(k, angles);
-    of_line.bottomRows<3>() -= weights.transpose() * item.jacobian();
+    out.start.tail<3>() = transposed_product_with_vector(weights, residual(k, angles));
+    of_line.bottomRows<3>() -= transposed_product(weights, item.jacobian());
     for (std::size_t n = 0; n < angles.size() && step_count_ > 0; ++n)
       out.common.bottomRows<3>().col(stage_count_ + members_[k].angle[n]) -=
           weights.middleRows<3>(3 * static_cast<Eigen::Index>(n)).transpose() * angles[n].by_step;
   }
   out.common.leftCols(stage_count_) += of_line.middleCols(own, stage_count_);
-  out.own_root = of_line.leftCols(own) * reduced.root;
-  out.common -= out.own_root * reduced.link;
+  out.own_root = product(of_line.leftCols(own), reduced.root);
+  out.common -= product(out.own_root, reduced.link);
   return out;
 }
 
@@ -371,11 +374,13 @@ LineAtNoise Tray::line_of(std::size_t k, const AssumedNoise& noise, const Reduce
   const EffectModel& item = model(k);
   const Rows rows = rows_of(k, noise, reduced);
   LineAtNoise out;
-  out.change = rows.start + rows.own_root * reduced.own_right + rows.common * common.change;
+  out.change = rows.start + product_with_vector(rows.own_root, reduced.own_right) +
+               product_with_vector(rows.common, common.change);
   const Eigen::MatrixXd of_common = common.normal.solve_columns(rows.common.transpose());
-  const Eigen::MatrixXd of_own = reduced.root * (rows.own_root.transpose() - reduced.link * of_common);
+  const Eigen::MatrixXd of_own =
+      product(reduced.root, rows.own_root.transpose() - product(reduced.link, of_common));
   const Covariance12 covariance =
-      rows.own_root * rows.own_root.transpose() + rows.common * of_common + rows.beyond;
+      covariance_of_root(rows.own_root) + product(rows.common, of_common) + rows.beyond;
   out.covariance = 0.5 * (covariance + covariance.transpose());
   add_shares(k, of_own, of_common, out);
 
@@ -412,7 +417,7 @@ void Tray::count_other_priors() {
   own_priors_.clear();
   for (std::size_t k = 0; k < members_.size(); ++k) {
     const Eigen::VectorXd sd_inverse = model(k).prior_weight().head(own_count(k)).cwiseSqrt();
-    const ReadingRows of_priors = sd_inverse.asDiagonal() * reduced_[k].root * reduced_[k].link;
+    const ReadingRows of_priors = product(scaled_rows(sd_inverse, reduced_[k].root), reduced_[k].link);
     sum_of_own_priors_ += own_priors_.emplace_back(products_of_columns(of_priors));
   }
 }
@@ -435,7 +440,7 @@ void Tray::add_shares(std::size_t k, const Eigen::MatrixXd& of_own, const Eigen:
     add(groups.first_step + angles_[static_cast<std::size_t>(a)].experiment - 1, weight_(stage_count_ + a),
         of_common.row(stage_count_ + a));
   if (members_.size() < 2) return;
-  line.shares.back() = of_common.transpose() * (sum_of_own_priors_ - own_priors_[k]) * of_common;
+  line.shares.back() = carried_covariance(of_common.transpose(), sum_of_own_priors_ - own_priors_[k]);
 }
 
 /// The line response at the item's noise, and at every other that its own fit calls probable.
@@ -493,10 +498,10 @@ EffectFit Tray::item_fit(std::size_t k) const {
   EffectFit fit = own.fit;
   fit.degrees_of_freedom.setConstant(std::numeric_limits<double>::infinity());
   average_line(model(k), groups_of(k), lines, weights, fit);
-  const Eigen::SelfAdjointEigenSolver<Covariance12> added(fit.covariance_line - at_best.covariance);
-  fit.covariance_line = at_best.covariance + added.eigenvectors() *
-                                                 added.eigenvalues().cwiseMax(0.0).asDiagonal() *
-                                                 added.eigenvectors().transpose();
+  const SymmetricEigen added = symmetric_eigen(fit.covariance_line - at_best.covariance);
+  fit.covariance_line =
+      at_best.covariance +
+      product_transposed(scaled_columns(added.vectors, added.values.cwiseMax(0.0)), added.vectors);
   fit.gain = at_best.gain;
   if (fit.noise.white_estimated) add_degrees_of_estimated_noise(model(k), own.white, fit.gain, fit);
   fill_unknowns(k, fit);
@@ -510,11 +515,11 @@ void Tray::fill_unknowns(std::size_t k, EffectFit& fit) const {
   Eigen::VectorXd change(own + stage_count_);
   change << own_change(k, common_), common_.change.head(stage_count_);
   fit.value = model(k).value() + change;
-  const Eigen::MatrixXd link = reduced.root * reduced.link;
-  const Eigen::MatrixXd across = link * common_covariance_;
+  const Eigen::MatrixXd link = product(reduced.root, reduced.link);
+  const Eigen::MatrixXd across = product(link, common_covariance_);
   fit.covariance.resize(own + stage_count_, own + stage_count_);
   fit.covariance.topLeftCorner(own, own) =
-      reduced.root * reduced.root.transpose() + across * link.transpose();
+      covariance_of_root(reduced.root) + product_transposed(across, link);
   fit.covariance.topRightCorner(own, stage_count_) = -across.leftCols(stage_count_);
   fit.covariance.bottomLeftCorner(stage_count_, own) = -across.leftCols(stage_count_).transpose();
   fit.covariance.bottomRightCorner(stage_count_, stage_count_) =
@@ -563,11 +568,11 @@ void Tray::fill_angle_errors(TrayFit& out) const {
   }
   Eigen::VectorXd value(common_count());
   value << stage_value_, step_value_;
-  const Eigen::VectorXd error = rows * (value + common_.change);
-  const Eigen::VectorXd variance = (rows * common_covariance_).cwiseProduct(rows).rowwise().sum();
+  const Eigen::VectorXd error = product_with_vector(rows, value + common_.change);
+  const Eigen::MatrixXd row_by_covariance = product(rows, common_covariance_);
   for (Eigen::Index a = 0; a < count; ++a) {
     out.angle_error.push_back(error(a));
-    out.u_angle_error.push_back(std::sqrt(std::max(0.0, variance(a))));
+    out.u_angle_error.push_back(std::sqrt(std::max(0.0, row_by_covariance.row(a).dot(rows.row(a)))));
   }
 }
 
@@ -584,11 +589,11 @@ TrayFit Tray::result() {
   if (members_.size() > 1) out.chi2_given_others.resize(members_.size());
   side_by_side(members_.size(), [&](std::size_t k) {
     rows.middleRows<12>(12 * static_cast<Eigen::Index>(k)) =
-        units_of_line(model(k).unit()).asDiagonal() * rows_of(k, noise_of(k), reduced_[k]).common;
+        scaled_rows(units_of_line(model(k).unit()), rows_of(k, noise_of(k), reduced_[k]).common);
     out.items[k] = item_fit(k);
     if (members_.size() > 1) out.chi2_given_others[k] = given_others(k);
   });
-  out.covariance = rows * common_covariance_ * rows.transpose();
+  out.covariance = carried_covariance(rows, common_covariance_);
   for (Eigen::Index k = 0; k < count; ++k)
     out.covariance.block<12, 12>(12 * k, 12 * k) = out.items[static_cast<std::size_t>(k)].covariance_line;
   fill_stage(out);

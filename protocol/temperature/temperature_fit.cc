@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -12,6 +11,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "protocol/linear/cholesky.h"
+#include "protocol/linear/products.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {
@@ -57,16 +58,16 @@ Eigen::MatrixXd design(const Eigen::VectorXd& d, int order) {
 Solution solve(const Series& series, int order, double excess_variance) {
   Eigen::MatrixXd v = series.shared * series.shared.transpose();
   v.diagonal() += series.own_variance + Eigen::VectorXd::Constant(series.d.size(), excess_variance);
-  const Eigen::LLT<Eigen::MatrixXd> factor(v);
-  const Eigen::MatrixXd a = factor.matrixL().solve(design(series.d, order));
-  const Eigen::VectorXd y = factor.matrixL().solve(series.value);
+  const Cholesky factor(v);
+  const Eigen::MatrixXd a = factor.solve_lower(design(series.d, order));
+  const Eigen::VectorXd y = factor.solve_lower_vector(series.value);
   Solution solution;
-  solution.covariance = (a.transpose() * a).ldlt().solve(Eigen::MatrixXd::Identity(order + 1, order + 1));
-  solution.coefficient = solution.covariance * (a.transpose() * y);
-  const Eigen::MatrixXd weights = factor.matrixU().solve(a * solution.covariance);
-  solution.excess_covariance = excess_variance * weights.transpose() * weights;
-  solution.residual = series.value - design(series.d, order) * solution.coefficient;
-  solution.chi2 = (y - a * solution.coefficient).squaredNorm();
+  solution.covariance = PivotedCholesky(transposed_product(a, a)).inverse();
+  solution.coefficient = product_with_vector(solution.covariance, transposed_product_with_vector(a, y));
+  const Eigen::MatrixXd weights = factor.solve_upper(product(a, solution.covariance));
+  solution.excess_covariance = excess_variance * transposed_product(weights, weights);
+  solution.residual = series.value - product_with_vector(design(series.d, order), solution.coefficient);
+  solution.chi2 = (y - product_with_vector(a, solution.coefficient)).squaredNorm();
   return solution;
 }
 
@@ -170,8 +171,8 @@ TemperaturePolynomial polynomial_of(const Series& series, int order) {
   // From the scaled abscissa to kelvin.
   Eigen::VectorXd by(order + 1);
   for (int n = 0; n <= order; ++n) by[n] = std::pow(series.scale, -n);
-  polynomial.covariance = by.asDiagonal() * solution.covariance * by.asDiagonal();
-  polynomial.excess_covariance = by.asDiagonal() * solution.excess_covariance * by.asDiagonal();
+  polynomial.covariance = scaled_on_both_sides(solution.covariance, by);
+  polynomial.excess_covariance = scaled_on_both_sides(solution.excess_covariance, by);
   for (int n = 0; n <= order; ++n) polynomial.coefficient.push_back(solution.coefficient[n] * by[n]);
   polynomial.residual.assign(solution.residual.data(), solution.residual.data() + solution.residual.size());
   polynomial.residual_rms = std::sqrt(solution.residual.squaredNorm() / static_cast<double>(series.d.size()));

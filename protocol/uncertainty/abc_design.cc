@@ -1,9 +1,10 @@
 #include "protocol/uncertainty/abc_design.h"
 
-#include <Eigen/QR>
 #include <cmath>
 #include <stdexcept>
 #include <string>
+
+#include "protocol/linear/pivoted_qr.h"
 
 namespace abcal {
 
@@ -33,8 +34,8 @@ RotationFit fit_of(const std::vector<Angle>& alpha, std::size_t experiment) {
     fit.cos_alpha(i) = sc.cos;
     design.row(i) << sc.sin, sc.cos, 1.0;
   }
-  const Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> qr(design);
-  const Eigen::Vector3d pivots = qr.matrixR().topLeftCorner<3, 3>().diagonal().cwiseAbs();
+  const PivotedQr qr(design);
+  const Eigen::Vector3d pivots = qr.pivots();
   if (!(pivots.minCoeff() >= kSmallestReciprocalCondition * pivots.maxCoeff())) {
     throw std::invalid_argument(who + "its " + std::to_string(n) +
                                 " angles do not determine A, B and C: they cover too little of the circle");

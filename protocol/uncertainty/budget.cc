@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -17,6 +16,8 @@
 #include "protocol/analysis/check_poses.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/voltmeter.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 
 namespace abcal {
 
@@ -69,7 +70,7 @@ void add_gravity_to(const RunRecord& record, Budget& budget) {
 }
 
 OutputVector contributions(const OutputJacobian& jacobian, const Covariance12& covariance) {
-  return (jacobian * covariance * jacobian.transpose()).diagonal().cwiseMax(0.0).cwiseSqrt();
+  return carried_covariance(jacobian, covariance).diagonal().cwiseMax(0.0).cwiseSqrt();
 }
 
 /// What the voltmeter adds, of which no angle tells anything.
@@ -179,7 +180,7 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
                                        contributions(jacobian, readings)));
   add_check_poses_to(record, budget);
   add_gravity_to(record, budget);
-  budget.covariance = jacobian * *result.covariance * jacobian.transpose();
+  budget.covariance = carried_covariance(jacobian, *result.covariance);
   for (const BudgetLine& each : budget.lines) budget.combined += each.contribution.cwiseAbs2();
   budget.combined = budget.combined.cwiseSqrt();
   budget.not_covered = sources_without_a_line(false);
@@ -210,8 +211,7 @@ class BudgetMaker {
     add_check_poses_to(record_, budget_);
     add_gravity_to(record_, budget_);
     split_correction();
-    budget_.covariance =
-        budget_.type_b_covariance + jacobian_ * budget_.other_covariance * jacobian_.transpose();
+    budget_.covariance = budget_.type_b_covariance + carried_covariance(jacobian_, budget_.other_covariance);
     OutputVector variance = OutputVector::Zero();
     for (const BudgetLine& line : budget_.lines) variance += line.contribution.cwiseAbs2();
     budget_.combined = variance.cwiseSqrt();
@@ -264,14 +264,14 @@ class BudgetMaker {
   // on the other leaves a rest that is independent of them.
   void split_correction() {
     constexpr double kRoundOff = 1e-12;
-    const Eigen::SelfAdjointEigenSolver<Covariance12> eigen(published_);
-    const double least = kRoundOff * eigen.eigenvalues().cwiseAbs().maxCoeff();
-    const Eigen::Matrix<double, 12, 1> inverse =
-        eigen.eigenvalues().unaryExpr([&](double value) { return value > least ? 1.0 / value : 0.0; });
-    budget_.by_correction = corrected_with_published_ * eigen.eigenvectors() * inverse.asDiagonal() *
-                            eigen.eigenvectors().transpose();
-    budget_.added_covariance =
-        budget_.other_covariance + corrected_ - budget_.by_correction * corrected_with_published_.transpose();
+    const SymmetricEigen eigen = symmetric_eigen(published_);
+    const double least = kRoundOff * eigen.values.cwiseAbs().maxCoeff();
+    const Eigen::VectorXd inverse =
+        eigen.values.unaryExpr([&](double value) { return value > least ? 1.0 / value : 0.0; });
+    const Eigen::MatrixXd along = product(corrected_with_published_, eigen.vectors);
+    budget_.by_correction = product_transposed(scaled_columns(along, inverse), eigen.vectors);
+    budget_.added_covariance = budget_.other_covariance + corrected_ -
+                               product_transposed(budget_.by_correction, corrected_with_published_);
   }
 
   // The inputs of the published protocol are drawn trial by trial; all others are added as normal.
@@ -327,7 +327,7 @@ class BudgetMaker {
         }
       }
     }
-    line.sensitivity = (jacobian_ * unit * jacobian_.transpose()).diagonal().cwiseMax(0.0).cwiseSqrt();
+    line.sensitivity = contributions(jacobian_, unit);
     line.contribution = line.sensitivity * line.standard_uncertainty;
     budget_.other_covariance += unit * (line.standard_uncertainty * line.standard_uncertainty);
     budget_.lines.push_back(line);

@@ -2,13 +2,14 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <boost/math/quadrature/gauss.hpp>
 #include <cmath>
 #include <cstddef>
 #include <numbers>
 #include <stdexcept>
 
+#include "protocol/linear/lu.h"
 #include "protocol/uncertainty/normal_probability.h"
 
 namespace abcal {
@@ -44,7 +45,7 @@ double one_sided_cusum(double allowance, double interval, double shift, double s
     for (Eigen::Index j = 1; j < kStates; ++j) q(i, j) = risen(kStates + j - i) - risen(kStates + j - i - 1);
   }
   const Eigen::MatrixXd left = Eigen::MatrixXd::Identity(kStates, kStates) - q;
-  return plausible(left.partialPivLu().solve(Eigen::VectorXd::Ones(kStates))(0));
+  return plausible(solve_by_lu(left, Eigen::VectorXd::Ones(kStates))(0));
 }
 
 }  // namespace
@@ -79,7 +80,7 @@ double ewma_run_length(double weight, double limit, const ChartedProcess& proces
   Eigen::MatrixXd left = Eigen::MatrixXd::Identity(kNodes, kNodes);
   for (Eigen::Index i = 0; i < kNodes; ++i)
     for (Eigen::Index j = 0; j < kNodes; ++j) left(i, j) -= step(average(i), j);
-  const Eigen::VectorXd lengths = left.partialPivLu().solve(Eigen::VectorXd::Ones(kNodes));
+  const Eigen::VectorXd lengths = solve_by_lu(left, Eigen::VectorXd::Ones(kNodes));
   double from_centre = 1.0;
   for (Eigen::Index j = 0; j < kNodes; ++j) from_centre += step(0.0, j) * lengths(j);
   return plausible(from_centre);

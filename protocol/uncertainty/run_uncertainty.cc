@@ -1,11 +1,13 @@
 #include "protocol/uncertainty/run_uncertainty.h"
 
 #include <fmt/format.h>
-#include <Eigen/Eigenvalues>
+
 #include <cmath>
 #include <stdexcept>
 
 #include "protocol/analysis/analyse.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
 #include "protocol/uncertainty/published_tables.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/type_b.h"
@@ -17,8 +19,8 @@ namespace {
 /// The square root by eigenvalues: the covariance may be singular (no noise, no drift), so that round-off
 /// makes some of them negative.
 Covariance12 root_of(const Covariance12& covariance) {
-  const Eigen::SelfAdjointEigenSolver<Covariance12> eigen(covariance);
-  return eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal();
+  const SymmetricEigen eigen = symmetric_eigen(covariance);
+  return scaled_columns(eigen.vectors, eigen.values.cwiseMax(0.0).cwiseSqrt());
 }
 
 /// Errors of the whole budget: the published protocol's own, drawn through its equations, as the correction
@@ -39,8 +41,8 @@ TrialBlock whole_budget(const TypeBSampler& sampler, const Budget& budget, std::
       RandomStream stream(seed, StreamPurpose::kReadings, first + static_cast<std::uint64_t>(t));
       for (Eigen::Index k = 0; k < 12; ++k) normals(t, k) = stream.normal();
     }
-    const Eigen::MatrixXd changed =
-        errors.leftCols<12>() * corrected.transpose() + normals * root.transpose();
+    Eigen::MatrixXd changed = product_transposed(errors.leftCols<12>(), corrected);
+    changed += product_transposed(normals, root);
     for (Eigen::Index t = 0; t < changed.rows(); ++t) {
       Eigen::Matrix3d s = accelerometer.sensitivity_matrix;
       Eigen::Vector3d offset = accelerometer.offset;
