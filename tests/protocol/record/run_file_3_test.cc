@@ -6,10 +6,12 @@
 
 #include <cmath>
 #include <fstream>
+#include <limits>
 #include <random>
 #include <thread>
 
 #include "protocol/record/clock_watch.h"
+#include "protocol/record/dwell_chain.h"
 #include "protocol/record/dwell_rows.h"
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
@@ -216,6 +218,32 @@ TEST_F(RunFile3Test, GivesBackEveryReadingBitForBit) {
     }
   });
   EXPECT_EQ(dwells, 1U);
+}
+
+TEST_F(RunFile3Test, TheLinkOfADwellIsThatOfWhatIsStored) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  RunFile file = RunFile::create(path, plan_of_two());
+  std::vector<std::vector<StoredReading>> dwells{{}};
+  for (const std::size_t count : {1, 49, 50, 51, 123}) dwells.push_back(late_readings(count, 5.0));
+  std::vector<StoredReading>& odd = dwells.back();
+  odd[3].output = {-0.0, 2.0, -3.0};  // Whole numbers, which SQLite keeps in fewer bytes.
+  odd[4].output = {std::numeric_limits<double>::quiet_NaN(), kInfinity, -kInfinity};
+  odd[5].output = {1e300, -5e-324, 9007199254740993.0};
+  odd[6].temperature_degc = std::nullopt;
+  odd[7].temperature_degc = kInfinity;
+  dwells.push_back(odd);
+  dwells.back()[8].temperature_degc = 1e-300;  // No step fits all.
+  dwells.back()[9].temperature_degc = -0.0;
+  for (const std::vector<StoredReading>& readings : dwells)
+    file.append_dwell(0, readings.empty() ? DwellRecord() : dwell_of(readings), readings, {});
+  SqliteDatabase run = reader();
+  std::string link = head_link(run);
+  SqliteStatement rows = run.prepare("select id, chain from dwell order by id");
+  for (std::size_t k = 0; k < dwells.size(); ++k) {
+    ASSERT_TRUE(rows.step());
+    link = dwell_link(run, rows.integer("id"), link);
+    EXPECT_EQ(rows.text("chain"), link) << dwells[k].size() << " readings";
+  }
 }
 
 TEST(TemperatureScaleTest, FitsEveryValueOrSaysThatNoneDoes) {
