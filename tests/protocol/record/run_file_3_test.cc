@@ -3,10 +3,12 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sqlite3.h>
 
 #include <cmath>
 #include <fstream>
 #include <limits>
+#include <map>
 #include <random>
 #include <thread>
 
@@ -84,6 +86,53 @@ DwellRecord dwell_of(const std::vector<StoredReading>& readings, bool closing = 
   if (dwell.lost > 0) dwell.flags |= kFlagLostReadings;
   return dwell;
 }
+
+/// Counts how often SQLite asks the system to flush a file to the disk, while it lives.
+class CountedFlushes {
+ public:
+  CountedFlushes() {
+    of_system() = sqlite3_vfs_find(nullptr);
+    counted_ = *of_system();
+    counted_.zName = "counted";
+    counted_.xOpen = [](sqlite3_vfs*, const char* name, sqlite3_file* file, int flags, int* found) {
+      const int code = of_system()->xOpen(of_system(), name, file, flags, found);
+      if (file->pMethods != nullptr) {
+        static std::map<const sqlite3_io_methods*, sqlite3_io_methods> counted;
+        flush_of_system() = file->pMethods->xSync;
+        sqlite3_io_methods& methods = counted[file->pMethods];
+        methods = *file->pMethods;
+        methods.xSync = [](sqlite3_file* flushed, int how) {
+          ++count();
+          return flush_of_system()(flushed, how);
+        };
+        file->pMethods = &methods;
+      }
+      return code;
+    };
+    sqlite3_vfs_register(&counted_, 1);
+  }
+  CountedFlushes(const CountedFlushes&) = delete;
+  CountedFlushes& operator=(const CountedFlushes&) = delete;
+  ~CountedFlushes() {
+    sqlite3_vfs_register(of_system(), 1);
+    sqlite3_vfs_unregister(&counted_);
+  }
+  static int& count() {
+    static int value = 0;
+    return value;
+  }
+
+ private:
+  static sqlite3_vfs*& of_system() {
+    static sqlite3_vfs* value = nullptr;
+    return value;
+  }
+  static int (*&flush_of_system())(sqlite3_file*, int) {
+    static int (*value)(sqlite3_file*, int) = nullptr;
+    return value;
+  }
+  sqlite3_vfs counted_{};
+};
 
 class RunFile3Test : public testing::Test {
  protected:
@@ -243,6 +292,24 @@ TEST_F(RunFile3Test, TheLinkOfADwellIsThatOfWhatIsStored) {
     ASSERT_TRUE(rows.step());
     link = dwell_link(run, rows.integer("id"), link);
     EXPECT_EQ(rows.text("chain"), link) << dwells[k].size() << " readings";
+  }
+}
+
+TEST_F(RunFile3Test, AnAngleWaitsForTheDiskUnlessItCanBeMadeAgain) {
+  const CountedFlushes counted;
+  for (const bool repeatable : {false, true}) {
+    path = folder / (repeatable ? "repeatable.run" : "real.run");
+    RunFile file = RunFile::create(path, plan_of_two());
+    SessionStart start = start_after(0s);
+    start.repeatable = repeatable;
+    file.begin_session(start);
+    int before = CountedFlushes::count();
+    append(file, 0, 5.0);
+    EXPECT_EQ(CountedFlushes::count() > before, !repeatable);
+    EXPECT_EQ(reader().value("select count(*) from reading"), "20") << "another program sees it";
+    before = CountedFlushes::count();
+    file.append_event("2026-11-22T08:00:10.000Z", "note", "a person has seen it");
+    EXPECT_GT(CountedFlushes::count(), before) << "what was done by a person is not made again";
   }
 }
 
