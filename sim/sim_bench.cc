@@ -801,6 +801,7 @@ std::vector<WorldFault> SimBench::faults_at(Clock::Instant t) const {
 }
 
 const WorldFault* SimBench::find_fault(FaultKind kind, Clock::Instant t, StageAxis axis) const {
+  if (faults_.empty()) return nullptr;  // Asked several times for each reading.
   const bool of_an_axis = kind == FaultKind::kStalledAxis || kind == FaultKind::kStopsShort ||
                           kind == FaultKind::kLostReference || kind == FaultKind::kRefusedMove ||
                           kind == FaultKind::kMissedStep || kind == FaultKind::kMovedAxis ||

@@ -473,6 +473,7 @@ Bench make_bench(const BenchConfig& config, BenchStreams streams, std::unique_pt
   bench.simulated_time =
       bench.replayed || (config.stage.driver != kManual && config.chamber.driver != kManualChamber &&
                          std::none_of(ports.begin(), ports.end(), real_port));
+  bench.repeatable = bench.simulated_time && !bench.replayed && !simulated_clock;
   if (bench.replayed) {
     bench.clock = std::move(streams.replay_clock);
   } else if (bench.simulated_time) {

@@ -40,7 +40,8 @@ struct Bench {
   std::vector<BenchItem> items;              ///< Of several: all that are to be opened. Empty: there is one.
   std::unique_ptr<Reconnector> reconnector;  ///< Opens unplugged ports again.
   std::unique_ptr<EnvironmentSensor> environment;  ///< Null: temperature and so on are typed in.
-  bool simulated_time = false;                     ///< Everything is simulated: the clock jumps.
+  bool simulated_time = false;                     ///< Everything is simulated, or replayed.
+  bool repeatable = false;                         ///< ... simulated, and the clock jumps.
   bool replayed = false;                           ///< Its bytes come from a recording.
 };
 

@@ -174,7 +174,7 @@ double slowest_rate_hz(const Identities& identities) {
 SessionStart session_start(const Bench& bench) {
   const bool real_time = !bench.simulated_time && !bench.replayed;
   return {bench.clock->utc_now(), bench.clock->now(), real_time ? read_host_clock() : HostClock{},
-          program_version()};
+          program_version(), bench.repeatable};
 }
 
 std::array<AxisTravel, 2> Identities::travel() const {

@@ -377,7 +377,8 @@ wire::DecodedFrame MipAccelerometer::decode(const mip::Packet& packet) {
   std::optional<mip::GpsTimestamp> gps_timestamp;
   bool sound = true;
   const auto fields = mip::split_fields(packet.payload);
-  for (const mip::Field& field : fields.value_or(std::vector<mip::Field>())) {
+  if (!fields) return {.malformed = true};
+  for (const mip::Field& field : *fields) {
     switch (field.descriptor) {
       case mip::kScaledAccelerometer:
         if (const auto output = mip::decode_scaled_accelerometer(field.data)) {
@@ -413,7 +414,7 @@ wire::DecodedFrame MipAccelerometer::decode(const mip::Packet& packet) {
         break;
     }
   }
-  if (!fields || !sound) return {.malformed = true};
+  if (!sound) return {.malformed = true};
   if (!has_output) return {};
   if (readings_.last_arrival() - temperature_arrival_ <= kTemperatureHold)
     reading.temperature_degc = temperature_degc_;

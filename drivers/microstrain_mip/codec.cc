@@ -13,7 +13,8 @@ constexpr char kSync1 = 0x75;
 constexpr char kSync2 = 0x65;
 constexpr std::size_t kHeader = 4;  // Sync 2, set, length.
 constexpr std::size_t kChecksum = 2;
-constexpr std::uint8_t kWrite = 1;  // Function selector of commands that set or read something.
+constexpr std::size_t kUsualFields = 8;  // The vector of a packet of data need not grow.
+constexpr std::uint8_t kWrite = 1;       // Function selector of commands that set or read something.
 
 std::uint8_t byte_at(std::string_view bytes, std::size_t index) {
   return static_cast<std::uint8_t>(bytes[index]);
@@ -130,6 +131,7 @@ std::string ack_code_in_words(std::uint8_t code) {
 
 std::optional<std::vector<Field>> split_fields(std::string_view payload) {
   std::vector<Field> fields;
+  fields.reserve(kUsualFields);
   while (!payload.empty()) {
     const std::size_t length = byte_at(payload, 0);
     if (length < 2 || length > payload.size()) return std::nullopt;

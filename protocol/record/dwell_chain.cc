@@ -2,8 +2,7 @@
 
 #include <array>
 #include <bit>
-
-#include "protocol/record/sha256.h"
+#include <cmath>
 
 namespace abcal {
 namespace {
@@ -34,20 +33,36 @@ constexpr const char* kReadings =
 
 void add_eight_bytes(Sha256& hash, char kind, std::uint64_t bits) {
   std::array<char, 9> bytes{kind};
-  for (std::size_t k = 1; k < bytes.size(); ++k, bits >>= 8U) bytes.at(k) = static_cast<char>(bits & 0xFFU);
+  for (std::size_t k = 0; k < 8; ++k) bytes[k + 1] = static_cast<char>((bits >> (8U * k)) & 0xFFU);
   hash.add({bytes.data(), bytes.size()});
+}
+
+void add_null(Sha256& hash) {
+  hash.add("n");
+}
+
+void add_integer(Sha256& hash, std::int64_t value) {
+  add_eight_bytes(hash, 'i', static_cast<std::uint64_t>(value));
+}
+
+void add_real(Sha256& hash, double value) {
+  add_eight_bytes(hash, 'r', std::bit_cast<std::uint64_t>(value));
+}
+
+void begin_row(Sha256& hash) {
+  hash.add("\n");
 }
 
 void add_value(Sha256& hash, const SqliteStatement& row, int column) {
   switch (row.type(column)) {
     case SQLITE_NULL:
-      hash.add("n");
+      add_null(hash);
       break;
     case SQLITE_INTEGER:
-      add_eight_bytes(hash, 'i', static_cast<std::uint64_t>(row.integer(column)));
+      add_integer(hash, row.integer(column));
       break;
     case SQLITE_FLOAT:
-      add_eight_bytes(hash, 'r', std::bit_cast<std::uint64_t>(row.real(column)));
+      add_real(hash, row.real(column));
       break;
     default: {
       const std::string bytes = row.blob(column);
@@ -59,9 +74,16 @@ void add_value(Sha256& hash, const SqliteStatement& row, int column) {
 
 void add_rows(Sha256& hash, SqliteStatement& rows) {
   while (rows.step()) {
-    hash.add("\n");
-    for (int column = 0; column < rows.columns(); ++column) add_value(hash, rows, column);
+    begin_row(hash);
+    const int columns = rows.columns();
+    for (int column = 0; column < columns; ++column) add_value(hash, rows, column);
   }
+}
+
+void add_rows_of_dwell(Sha256& hash, SqliteDatabase& database, const char* query, std::int64_t dwell) {
+  SqliteStatement rows = database.prepare(query);
+  rows.set("dwell", dwell);
+  add_rows(hash, rows);
 }
 
 }  // namespace
@@ -78,22 +100,44 @@ std::string head_link(SqliteDatabase& database) {
 std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before) {
   Sha256 hash;
   hash.add(before);
-  for (const char* query : {kSessionOfDwell, kDwell, kReadings}) {
-    SqliteStatement rows = database.prepare(query);
-    rows.set("dwell", dwell);
-    add_rows(hash, rows);
-  }
+  for (const char* query : {kSessionOfDwell, kDwell, kReadings})
+    add_rows_of_dwell(hash, database, query, dwell);
   return hash.hexadecimal();
 }
 
-void link_dwell(SqliteDatabase& database, std::int64_t dwell) {
+DwellLink::DwellLink(SqliteDatabase& database, std::int64_t dwell) : database_(database), dwell_(dwell) {
   SqliteStatement last =
       database.prepare("select chain from dwell where id < :dwell order by id desc limit 1");
   last.set("dwell", dwell);
-  const std::string before = last.step() ? last.text("chain") : head_link(database);
-  database.prepare("update dwell set chain = :chain where id = :dwell")
-      .set("chain", dwell_link(database, dwell, before))
-      .set("dwell", dwell)
+  hash_.add(last.step() ? last.text("chain") : head_link(database));
+  for (const char* query : {kSessionOfDwell, kDwell}) add_rows_of_dwell(hash_, database, query, dwell);
+}
+
+void DwellLink::add(const ReadingRow& reading) {
+  begin_row(hash_);
+  add_integer(hash_, reading.k);
+  for (const double output : reading.output) {
+    if (std::isfinite(output)) {
+      add_real(hash_, output + 0.0);  // SQLite stores -0 as 0 in a column of reals.
+    } else {
+      add_null(hash_);
+    }
+  }
+  add_integer(hash_, reading.skipped);
+  add_integer(hash_, reading.late_ns);
+  if (const auto* steps = std::get_if<std::int64_t>(&reading.temperature_steps)) {
+    add_integer(hash_, *steps);
+  } else if (const auto* degc = std::get_if<double>(&reading.temperature_steps)) {
+    add_real(hash_, *degc);
+  } else {
+    add_null(hash_);
+  }
+}
+
+void DwellLink::store() {
+  database_.prepare("update dwell set chain = :chain where id = :dwell")
+      .set("chain", hash_.hexadecimal())
+      .set("dwell", dwell_)
       .run();
 }
 

@@ -1,9 +1,12 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <variant>
 
+#include "protocol/record/sha256.h"
 #include "protocol/record/sqlite.h"
 
 namespace abcal {
@@ -15,12 +18,32 @@ inline constexpr std::string_view kRunSchemaName = "abcal.run/3";
 /// (facts but state and timing, instruments, items, registers, plan).
 std::string head_link(SqliteDatabase& database);
 
-/// The link of a dwell: SHA-256, in hexadecimal, over the link before, the columns of its session that are
-/// known at its beginning, all its own but the link, and all of its readings. docs/run_file.md says which
-/// bytes.
+/// The link of a dwell that is stored: SHA-256, in hexadecimal, over the link before, the columns of its
+/// session that are known at its beginning, all its own but the link, and all of its readings.
+/// docs/run_file.md says which bytes.
 std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before);
 
-/// Computes the link of the dwell that was written last, and stores it.
-void link_dwell(SqliteDatabase& database, std::int64_t dwell);
+/// A reading as its row holds it, without the dwell.
+struct ReadingRow {
+  std::int64_t k = 0;
+  Eigen::Vector3d output = Eigen::Vector3d::Zero();  ///< What is not finite is stored as null.
+  std::int64_t skipped = 0;
+  std::int64_t late_ns = 0;
+  std::variant<std::monostate, std::int64_t, double> temperature_steps;  ///< monostate: null.
+};
+
+/// Computes dwell_link() of the dwell that is written last while its readings are written, and stores it.
+class DwellLink {
+ public:
+  /// @param dwell its row is written, without a link; none of its readings has been added
+  DwellLink(SqliteDatabase& database, std::int64_t dwell);
+  void add(const ReadingRow& reading);
+  void store();
+
+ private:
+  SqliteDatabase& database_;
+  std::int64_t dwell_;
+  Sha256 hash_;
+};
 
 }  // namespace abcal

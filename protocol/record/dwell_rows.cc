@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <string>
 #include <string_view>
+#include <variant>
 
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/run_schema.h"
@@ -54,8 +56,9 @@ constexpr std::array<std::string_view, 36> kDwellColumns{"id",
                                                          "first_temperature_degc",
                                                          "temperature_step_degc"};
 
-constexpr std::array<std::string_view, 8> kStoredReadingColumns{
-    "dwell", "k", "u", "v", "w", "skipped", "late_ns", "temperature_steps"};
+/// Readings of one statement. To begin and end a statement costs as much as to insert a row; beyond some tens
+/// nothing more is gained.
+constexpr std::size_t kRowsAtOnce = 50;
 
 std::int64_t nanoseconds(double seconds) {
   return static_cast<std::int64_t>(std::llround(seconds * kNanosecondsPerSecond));
@@ -80,37 +83,63 @@ ReadingConstants constants_of(std::span<const StoredReading> readings, std::int6
   return constants;
 }
 
-void bind_temperature(SqliteStatement& row, int position, const std::optional<double>& degc,
-                      const std::optional<TemperatureScale>& scale) {
-  if (!degc || !std::isfinite(*degc) || !scale) {
-    row.bind(position, std::optional<double>());
-  } else if (scale->whole) {
-    const double steps = (*degc - scale->first_degc) / scale->step_degc;
-    row.bind(position, static_cast<std::int64_t>(std::llround(steps)));
+decltype(ReadingRow::temperature_steps) temperature_steps(const std::optional<double>& degc,
+                                                          const std::optional<TemperatureScale>& scale) {
+  if (!degc || !std::isfinite(*degc) || !scale) return std::monostate();
+  if (!scale->whole) return *degc;
+  return static_cast<std::int64_t>(std::llround((*degc - scale->first_degc) / scale->step_degc));
+}
+
+ReadingRow row_of(std::span<const StoredReading> readings, std::size_t index,
+                  const ReadingConstants& constants, std::int64_t origin_ns) {
+  const StoredReading& reading = readings[index];
+  const auto k = static_cast<std::int64_t>(index);
+  const std::uint64_t expected = readings.front().sequence + index;
+  const std::int64_t even = *constants.first_ns + k * *constants.interval_ns;
+  return {k, reading.output, static_cast<std::int64_t>(reading.sequence - expected),
+          nanoseconds(reading.time_s) - origin_ns - even,
+          temperature_steps(reading.temperature_degc, constants.temperature)};
+}
+
+/// Parameters by position, since there may be a million readings: ?1 is the dwell, the rest follow row by row
+/// in the order of bind_reading().
+std::string insert_readings(std::size_t rows) {
+  std::string sql = "insert into reading(dwell, k, u, v, w, skipped, late_ns, temperature_steps) values";
+  for (std::size_t row = 0; row < rows; ++row) sql += row == 0 ? "(?1,?,?,?,?,?,?,?)" : ",(?1,?,?,?,?,?,?,?)";
+  return sql;
+}
+
+/// @return the position behind the row's last
+int bind_reading(SqliteStatement& statement, int position, const ReadingRow& row) {
+  statement.bind(position++, row.k);
+  for (const double output : row.output) statement.bind(position++, output);
+  statement.bind(position++, row.skipped).bind(position++, row.late_ns);
+  if (const auto* steps = std::get_if<std::int64_t>(&row.temperature_steps)) {
+    statement.bind(position++, *steps);
+  } else if (const auto* degc = std::get_if<double>(&row.temperature_steps)) {
+    statement.bind(position++, *degc);
   } else {
-    row.bind(position, *degc);
+    statement.bind(position++, std::optional<double>());
   }
+  return position;
 }
 
 void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<const StoredReading> readings,
                     const ReadingConstants& constants, std::int64_t origin_ns) {
-  // Bound by position, since there may be a million: parameter k stands for kStoredReadingColumns[k - 1].
-  SqliteStatement row = database.prepare(insert_into("reading", kStoredReadingColumns));
-  for (std::size_t index = 0; index < readings.size(); ++index) {
-    const StoredReading& reading = readings[index];
-    const auto k = static_cast<std::int64_t>(index);
-    const std::uint64_t expected = readings.front().sequence + index;
-    const std::int64_t even = *constants.first_ns + k * *constants.interval_ns;
-    row.bind(1, dwell)
-        .bind(2, k)
-        .bind(3, reading.output[0])
-        .bind(4, reading.output[1])
-        .bind(5, reading.output[2])
-        .bind(6, static_cast<std::int64_t>(reading.sequence - expected))
-        .bind(7, nanoseconds(reading.time_s) - origin_ns - even);
-    bind_temperature(row, 8, reading.temperature_degc, constants.temperature);
-    row.run();
+  DwellLink link(database, dwell);
+  for (std::size_t index = 0; index < readings.size();) {
+    const std::size_t rows = std::min(kRowsAtOnce, readings.size() - index);
+    SqliteStatement statement = database.prepare(insert_readings(rows));
+    statement.bind(1, dwell);
+    int position = 2;
+    for (std::size_t row = 0; row < rows; ++row, ++index) {
+      const ReadingRow reading = row_of(readings, index, constants, origin_ns);
+      position = bind_reading(statement, position, reading);
+      link.add(reading);
+    }
+    statement.run();
   }
+  link.store();
 }
 
 std::optional<double> degrees(const std::optional<Angle>& angle) {
@@ -190,9 +219,8 @@ std::optional<TemperatureScale> temperature_scale(std::span<const StoredReading>
     if (!scale) scale = TemperatureScale{value, 1.0, true};
     if (value == 0.0) continue;
     int exponent = 0;
-    auto mantissa = static_cast<std::int64_t>(std::ldexp(std::frexp(value, &exponent), kDoubleDigits));
-    exponent -= kDoubleDigits;
-    for (; mantissa % 2 == 0; mantissa /= 2) ++exponent;
+    const double mantissa = std::abs(std::ldexp(std::frexp(value, &exponent), kDoubleDigits));
+    exponent += std::countr_zero(static_cast<std::uint64_t>(mantissa)) - kDoubleDigits;
     lowest_bit = std::min(lowest_bit.value_or(exponent), exponent);
   }
   if (!scale || !lowest_bit) return scale;
@@ -249,7 +277,6 @@ void DwellWriter::write(std::int64_t position, const DwellRecord& dwell,
   row.run();
   const std::int64_t written = database_.last_row_id();
   write_readings(database_, written, readings, constants, times_.origin_ns);
-  link_dwell(database_, written);
 }
 
 void read_counting_dwells(SqliteDatabase& database, int item,

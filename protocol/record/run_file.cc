@@ -30,6 +30,8 @@ constexpr const char* kWireSchema =
     "create table wire(id integer primary key, role text, time_ns integer, arrival_ns integer, kind text, "
     "bytes blob)";
 constexpr std::string_view kWireStart = "wire.start_utc_ns";
+/// Commits reach the disk before they return: an angle that is in the file survives a power cut.
+constexpr const char* kWaitForDisk = "pragma synchronous=full";
 
 class WriterLock {
  public:
@@ -243,11 +245,50 @@ std::string_view to_string(RunState state) {
   return "unknown";
 }
 
+namespace {
+
+/// Lets commits return before they reach the disk, while it lives: a power cut may take back the last of
+/// them, and leaves the file sound. docs/decisions/0050.
+class WithoutWaitingForDisk {
+ public:
+  explicit WithoutWaitingForDisk(SqliteDatabase& database) : database_(database) {
+    database_.execute("pragma synchronous=normal");
+  }
+  WithoutWaitingForDisk(const WithoutWaitingForDisk&) = delete;
+  WithoutWaitingForDisk& operator=(const WithoutWaitingForDisk&) = delete;
+  ~WithoutWaitingForDisk() {
+    try {
+      database_.execute(kWaitForDisk);
+    } catch (const RunFileError&) {
+      // Only without memory: the next statement fails as well, and says so.
+    }
+  }
+
+ private:
+  SqliteDatabase& database_;
+};
+
+}  // namespace
+
 struct RunFile::Impl {
   Impl(std::filesystem::path file, SqliteDatabase opened)
       : path(std::move(file)), lock(path), database(std::move(opened)) {
-    // Commits reach the disk before they return: an angle that is in the file survives a power cut.
-    database.execute("pragma journal_mode=wal; pragma synchronous=full");
+    database.execute("pragma journal_mode=wal");
+    database.execute(kWaitForDisk);
+  }
+
+  /// Commits an angle: what `write` writes, the time spent, and what has come to the transcript.
+  void append_angle(const RunTiming& timing, const std::function<void(DwellWriter&)>& write) {
+    const SessionTimes& times = session_times();
+    std::optional<WithoutWaitingForDisk> without_waiting;
+    if (repeatable) without_waiting.emplace(database);
+    Transaction transaction(database);
+    DwellWriter writer(database, times);
+    write(writer);
+    set_timing(database, timing);
+    append_wire();
+    transaction.commit();
+    wire_is_stored();
   }
 
   /// The session under way; one without any clock where none was begun.
@@ -296,6 +337,7 @@ struct RunFile::Impl {
   std::function<std::vector<WireRow>()> take_wire;
   std::vector<WireRow> wire_waiting;
   std::filesystem::path path;
+  bool repeatable = false;                        ///< As SessionStart.
   std::optional<SessionTimes> session;            ///< Under way.
   std::optional<Clock::Instant> session_instant;  ///< Of its beginning.
   WriterLock lock;  // Outlives the database: closing any descriptor of the file drops SQLite's own locks.
@@ -331,7 +373,7 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
     {
       // Without a write-ahead log: what a failing disk left there would not go along with the name.
       SqliteDatabase database(draft, SqliteDatabase::Mode::kCreate);
-      database.execute("pragma synchronous=full");
+      database.execute(kWaitForDisk);
       Transaction transaction(database);
       create_run_schema(database);
       write_run_header(database, header);
@@ -372,6 +414,7 @@ void RunFile::begin_session(const SessionStart& start) {
                 describe_clock_step(*next.step));
   transaction.commit();
   impl_->session = next.times;
+  impl_->repeatable = start.repeatable;
   impl_->session_instant = start.monotonic;
 }
 
@@ -406,27 +449,18 @@ void RunFile::keep_transcript(Clock::UtcTime start, std::function<std::vector<Wi
 
 void RunFile::append_dwell(std::size_t plan_position, const DwellRecord& dwell,
                            std::span<const StoredReading> readings, const RunTiming& timing) {
-  const SessionTimes& times = impl_->session_times();
-  Transaction transaction(impl_->database);
-  DwellWriter(impl_->database, times).write(static_cast<std::int64_t>(plan_position), dwell, readings);
-  set_timing(impl_->database, timing);
-  impl_->append_wire();
-  transaction.commit();
-  impl_->wire_is_stored();
+  impl_->append_angle(timing, [&](DwellWriter& writer) {
+    writer.write(static_cast<std::int64_t>(plan_position), dwell, readings);
+  });
 }
 
 void RunFile::append_dwells(std::size_t plan_position, std::span<const ItemDwell> dwells,
                             const RunTiming& timing) {
-  const SessionTimes& times = impl_->session_times();
-  Transaction transaction(impl_->database);
-  DwellWriter writer(impl_->database, times);
-  for (const ItemDwell& each : dwells)
-    writer.write(static_cast<std::int64_t>(plan_position), each.dwell, each.readings, std::nullopt,
-                 each.item);
-  set_timing(impl_->database, timing);
-  impl_->append_wire();
-  transaction.commit();
-  impl_->wire_is_stored();
+  impl_->append_angle(timing, [&](DwellWriter& writer) {
+    for (const ItemDwell& each : dwells)
+      writer.write(static_cast<std::int64_t>(plan_position), each.dwell, each.readings, std::nullopt,
+                   each.item);
+  });
 }
 
 void RunFile::drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why) {

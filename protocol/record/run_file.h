@@ -84,6 +84,8 @@ struct SessionStart {
   std::optional<Clock::Instant> monotonic;  ///< The same moment by the clock of the run.
   HostClock host;
   std::string program_version;
+  /// Everything is simulated and the clock jumps: the same command makes the same angles again, bit for bit.
+  bool repeatable = false;
 };
 
 /// One spell of measuring: from the start of a run, or of its continuation, to its end.
@@ -264,7 +266,8 @@ class RunFile {
   /// once, with each angle, and with each change of state.
   void keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take);
 
-  /// Commits one angle with its readings and the time spent so far; on return it is on the disk.
+  /// Commits one angle with its readings and the time spent so far; on return it is on the disk. Angles of a
+  /// repeatable session survive the program at once, and the computer with the next other entry.
   void append_dwell(std::size_t plan_position, const DwellRecord& dwell,
                     std::span<const StoredReading> readings, const RunTiming& timing);
   /// The same for several items: all of them are on the disk, or none is.

@@ -18,13 +18,16 @@ void Sha256::FreeContext::operator()(evp_md_ctx_st* context) const {
   EVP_MD_CTX_free(context);
 }
 
-void Sha256::add(std::string_view bytes) {
+void Sha256::pass_on(std::string_view bytes) {
+  EVP_DigestUpdate(context_.get(), gathered_.data(), count_);
   EVP_DigestUpdate(context_.get(), bytes.data(), bytes.size());
+  count_ = 0;
 }
 
 std::string Sha256::hexadecimal() {
   std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
   unsigned length = 0;
+  pass_on({});
   EVP_DigestFinal_ex(context_.get(), digest.data(), &length);
   std::string text;
   for (unsigned k = 0; k < length; ++k) text += fmt::format("{:02x}", digest.at(k));

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -10,11 +12,19 @@ struct evp_md_ctx_st;
 
 namespace abcal {
 
-/// SHA-256 of bytes that come piece by piece.
+/// SHA-256 of bytes that come piece by piece. Small pieces are gathered: the library's call for each of them
+/// takes longer than to hash it.
 class Sha256 {
  public:
   Sha256();
-  void add(std::string_view bytes);
+  void add(std::string_view bytes) {
+    if (bytes.size() > gathered_.size() - count_) {
+      pass_on(bytes);
+      return;
+    }
+    bytes.copy(gathered_.data() + count_, bytes.size());
+    count_ += bytes.size();
+  }
   /// Once, at the end.
   std::string hexadecimal();
 
@@ -22,7 +32,11 @@ class Sha256 {
   struct FreeContext {
     void operator()(evp_md_ctx_st* context) const;
   };
+  void pass_on(std::string_view bytes);
+
   std::unique_ptr<evp_md_ctx_st, FreeContext> context_;
+  std::array<char, 4096> gathered_;
+  std::size_t count_ = 0;  ///< Of the bytes gathered.
 };
 
 /// SHA-256 of a file's bytes, in hexadecimal. @throws RunFileError if it cannot be read.

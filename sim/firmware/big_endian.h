@@ -1,6 +1,8 @@
 #pragma once
 
+#include <array>
 #include <bit>
+#include <cstddef>
 #include <cstdint>
 #include <string>
 
@@ -9,8 +11,10 @@ namespace abcal::sim {
 /// Appends a number, its highest byte first.
 template <typename Unsigned>
 void put_big_endian(std::string& out, Unsigned value) {
-  for (int shift = static_cast<int>(sizeof(Unsigned)) * 8 - 8; shift >= 0; shift -= 8)
-    out.push_back(static_cast<char>((value >> static_cast<unsigned>(shift)) & 0xFFU));
+  std::array<char, sizeof(Unsigned)> bytes;
+  for (std::size_t k = 0; k < bytes.size(); ++k)
+    bytes[k] = static_cast<char>((value >> (8U * (bytes.size() - 1 - k))) & 0xFFU);
+  out.append(bytes.data(), bytes.size());
 }
 
 /// Appends a float32 of IEEE 754.

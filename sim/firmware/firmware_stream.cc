@@ -13,10 +13,15 @@ FirmwareStream::FirmwareStream(std::shared_ptr<Firmware> firmware, Clock& clock,
       capacity_(capacity),
       last_arrival_(clock.now()) {}
 
-void FirmwareStream::collect(Clock::Instant now) {
+std::optional<Clock::Instant> FirmwareStream::collect(Clock::Instant now) {
+  auto due = firmware_->next_due();
   // Instant by instant, so that the arrival of the last byte is known.
-  for (auto due = firmware_->next_due(); due && *due <= now; due = firmware_->next_due()) {
-    buffer_ += firmware_->transmit(*due);
+  for (; due && *due <= now; due = firmware_->next_due()) {
+    if (buffer_.empty()) {
+      buffer_ = firmware_->transmit(*due);
+    } else {
+      buffer_ += firmware_->transmit(*due);
+    }
     last_arrival_ = std::max(last_arrival_, *due);
     // Trimmed by a quarter at a time: dropping each byte as it overflows would move the whole buffer every
     // time.
@@ -26,6 +31,7 @@ void FirmwareStream::collect(Clock::Instant now) {
       dropped_ += surplus;
     }
   }
+  return due;
 }
 
 void FirmwareStream::write(std::string_view bytes) {
@@ -41,10 +47,10 @@ wire::ReceivedBytes FirmwareStream::read_until(Clock::Instant deadline) {
     {
       const std::lock_guard lock(mutex_);
       const Clock::Instant now = clock_.now();
-      collect(now);
+      const auto due = collect(now);
       if (!buffer_.empty()) return {std::exchange(buffer_, {}), last_arrival_};
       if (now >= deadline) return {{}, now};
-      if (const auto due = firmware_->next_due()) next = std::min(deadline, *due);
+      if (due) next = std::min(deadline, *due);
     }
     clock_.sleep_until(next);
   }

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 
 #include "drivers/wire/byte_stream.h"
@@ -30,7 +31,8 @@ class FirmwareStream final : public wire::ByteStream {
   void power(bool on);
 
  private:
-  void collect(Clock::Instant now);
+  /// Takes what was put out up to `now`. @return Firmware::next_due() after that
+  std::optional<Clock::Instant> collect(Clock::Instant now);
 
   std::shared_ptr<Firmware> firmware_;
   Clock& clock_;

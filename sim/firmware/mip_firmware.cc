@@ -26,6 +26,7 @@ constexpr std::uint8_t kSync1 = 0x75;
 constexpr std::uint8_t kSync2 = 0x65;
 constexpr std::size_t kHeader = 4;
 constexpr std::size_t kChecksum = 2;
+constexpr std::size_t kUsualPacket = 64;  // Room for the packet of a stream with four fields.
 
 constexpr std::uint8_t kBaseSet = 0x01;
 constexpr std::uint8_t k3dmSet = 0x0C;
@@ -146,15 +147,19 @@ void put_field(std::string& payload, std::uint8_t descriptor, std::string_view d
   payload += data;
 }
 
+/// Appends a packet whose payload `put_payload` appends.
+template <class PutPayload>
+void put_packet(std::string& out, std::uint8_t set, const PutPayload& put_payload) {
+  const std::size_t begin = out.size();
+  out.append({static_cast<char>(kSync1), static_cast<char>(kSync2), static_cast<char>(set), '\0'});
+  put_payload();
+  out[begin + kHeader - 1] = static_cast<char>(out.size() - begin - kHeader);
+  put_big_endian(out, checksum(std::string_view(out).substr(begin)));
+}
+
 std::string packet(std::uint8_t set, std::string_view payload) {
   std::string bytes;
-  bytes.reserve(kHeader + payload.size() + kChecksum);
-  put(bytes, kSync1);
-  put(bytes, kSync2);
-  put(bytes, set);
-  put(bytes, static_cast<std::uint8_t>(payload.size()));
-  bytes += payload;
-  put_big_endian(bytes, checksum(bytes));
+  put_packet(bytes, set, [&] { bytes += payload; });
   return bytes;
 }
 
@@ -269,11 +274,11 @@ class MipFirmware::Device {
   std::string device_info() const;
   std::string descriptors() const;
   const SimOutput& output_at(std::uint64_t tick) const;
-  std::string data_payload(std::uint8_t set, const std::vector<std::uint8_t>& fields,
-                           std::uint64_t tick) const;
-  std::string sensor_field(std::uint8_t field, std::uint64_t tick) const;
-  std::string filter_field(std::uint8_t field, std::uint64_t tick) const;
-  std::string shared_field(std::uint8_t set, std::uint8_t field, std::uint64_t tick) const;
+  void put_fields(std::string& payload, std::uint8_t set, const std::vector<std::uint8_t>& fields,
+                  std::uint64_t tick) const;
+  void put_sensor_data(std::string& out, std::uint8_t field, std::uint64_t tick) const;
+  void put_filter_data(std::string& out, std::uint8_t field, std::uint64_t tick) const;
+  void put_shared_data(std::string& out, std::uint8_t set, std::uint8_t field, std::uint64_t tick) const;
   Stored factory() const;
 
   bool streaming() const {
@@ -292,6 +297,8 @@ class MipFirmware::Device {
   Stored saved_;
   bool idle_;
   std::uint64_t next_tick_ = 0;  ///< The next at which a packet of the stream is due.
+  Clock::Instant next_time_;     ///< Of that tick.
+  std::vector<std::uint8_t> due_fields_;
   mutable std::optional<std::pair<std::uint64_t, SimOutput>> last_output_;
   std::string input_;
   ReplyQueue replies_;
@@ -310,6 +317,7 @@ MipFirmware::Device::Device(std::shared_ptr<SimBench> bench, MipSettings setting
       unserved_(unserved),
       grid_(bench_->start(), std::max(1U, settings_.base_rate_hz)),
       idle_(!settings_.streaming_at_power_on),
+      next_time_(grid_.time(0)),
       line_speed_(settings_.baud),
       filter_since_(bench_->start()),
       powered_since_(bench_->start()),
@@ -788,7 +796,7 @@ void MipFirmware::Device::poll(Arguments arguments) {
     for (const Rate& rate : current_.streams[set].format) fields.push_back(rate.descriptor);
   const std::uint64_t next = grid_.first_after(now_);
   if (!bench_->fault_at(FaultKind::kNoOutput, now_))
-    after_ack_.emplace_back(set, data_payload(set, fields, next > 0 ? next - 1 : 0));
+    put_fields(after_ack_.emplace_back(set, "").second, set, fields, next > 0 ? next - 1 : 0);
   suppress_ack_ = suppress_ack == 1;
 }
 
@@ -845,6 +853,7 @@ void MipFirmware::Device::advance_tick() {
       next = std::min(next, (next_tick_ / rate.decimation + 1) * rate.decimation);
   }
   next_tick_ = next;
+  next_time_ = grid_.time(next);
 }
 
 const SimOutput& MipFirmware::Device::output_at(std::uint64_t tick) const {
@@ -862,154 +871,153 @@ Eigen::Vector3d MipFirmware::Device::bias_of(std::uint8_t command) const {
   return bias;
 }
 
-std::string MipFirmware::Device::data_payload(std::uint8_t set, const std::vector<std::uint8_t>& fields,
-                                              std::uint64_t tick) const {
-  std::string payload;
+void MipFirmware::Device::put_fields(std::string& payload, std::uint8_t set,
+                                     const std::vector<std::uint8_t>& fields, std::uint64_t tick) const {
   for (const std::uint8_t field : fields) {
-    const bool shared = field >= kEventSource;
-    put_field(payload, field,
-              shared               ? shared_field(set, field, tick)
-              : set == kFilterData ? filter_field(field, tick)
-                                   : sensor_field(field, tick));
+    const std::size_t begin = payload.size();
+    payload.append({'\0', static_cast<char>(field)});
+    if (field >= kEventSource) {
+      put_shared_data(payload, set, field, tick);
+    } else if (set == kFilterData) {
+      put_filter_data(payload, field, tick);
+    } else {
+      put_sensor_data(payload, field, tick);
+    }
+    payload[begin] = static_cast<char>(payload.size() - begin);
   }
-  return payload;
 }
 
 /// Those that any data set may have.
-std::string MipFirmware::Device::shared_field(std::uint8_t set, std::uint8_t field,
-                                              std::uint64_t tick) const {
+void MipFirmware::Device::put_shared_data(std::string& out, std::uint8_t set, std::uint8_t field,
+                                          std::uint64_t tick) const {
   const Clock::Instant t = grid_.time(tick);
-  std::string data;
   switch (field) {
     case kEventSource:
-      put(data, 0);  // None: it is the stream's.
-      return data;
+      put(out, 0);  // None: it is the stream's.
+      return;
     case kReferenceTime:
-      put_big_endian(data, static_cast<std::uint64_t>((t - powered_since_).count()));
-      return data;
+      put_big_endian(out, static_cast<std::uint64_t>((t - powered_since_).count()));
+      return;
     case kReferenceTimeDelta: {  // Since the packet before.
       std::uint64_t before = 0;
       for (const Rate& rate : current_.streams.at(set).format)
         if (tick > 0) before = std::max(before, (tick - 1) / rate.decimation * rate.decimation);
-      put_big_endian(data, static_cast<std::uint64_t>((t - grid_.time(before)).count()));
-      return data;
+      put_big_endian(out, static_cast<std::uint64_t>((t - grid_.time(before)).count()));
+      return;
     }
     default:  // GPS time: not valid
-      return std::string(12, '\0');
+      out.append(12, '\0');
   }
 }
 
-std::string MipFirmware::Device::sensor_field(std::uint8_t field, std::uint64_t tick) const {
+void MipFirmware::Device::put_sensor_data(std::string& out, std::uint8_t field, std::uint64_t tick) const {
   const SimOutput& output = output_at(tick);
-  const Eigen::Vector3d acceleration = output.value - accelerometer_bias();
-  std::string data;
+  const auto put_vector = [&](const Eigen::Vector3d& vector) {
+    for (int j = 0; j < 3; ++j) put_big_endian_float(out, vector[j]);
+  };
   switch (field) {
     case kAccelerometer:
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j]);
+      put_vector(output.value - accelerometer_bias());
       break;
     case kDeltaVelocity:
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j] / settings_.base_rate_hz);
+      put_vector((output.value - accelerometer_bias()) / settings_.base_rate_hz);
       break;
     case kInternalTime:  // ticks of the base rate
-      put_big_endian(data,
+      put_big_endian(out,
                      static_cast<std::uint32_t>(
                          tick - (powered_since_ > bench_->start() ? grid_.first_after(powered_since_) : 0)));
       break;
     case kTemperature:  // lowest, highest, mean
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, output.temperature_degc);
+      put_vector(Eigen::Vector3d::Constant(output.temperature_degc));
       break;
     case kPressure:
-      put_big_endian_float(data, kPressureMbar);
+      put_big_endian_float(out, kPressureMbar);
       break;
     case kOverRange: {  // bits 0 to 2: accelerometer x, y, z
       unsigned bits = 0;
       for (std::size_t j = 0; j < 3; ++j)
         if (output.clipped[j]) bits |= 1U << j;
-      put_big_endian(data, static_cast<std::uint16_t>(bits));
+      put_big_endian(out, static_cast<std::uint16_t>(bits));
       break;
     }
     case kGyro:
     case kDeltaTheta: {
       const Eigen::Vector3d rate = bench_->body_motion(grid_.time(tick)).rate_B_radps - gyro_bias();
       const double over_s = field == kGyro ? 1.0 : 1.0 / settings_.base_rate_hz;
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, rate[j] * over_s);
+      put_vector(rate * over_s);
       break;
     }
-    case kMagnetometer: {
-      const Eigen::Vector3d field_gauss = bench_->body_motion(grid_.time(tick)).field_B_gauss;
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, field_gauss[j]);
+    case kMagnetometer:
+      put_vector(bench_->body_motion(grid_.time(tick)).field_B_gauss);
       break;
-    }
     default:  // GPS time: not valid
-      data.assign(12, '\0');
+      out.append(12, '\0');
   }
-  return data;
 }
 
 /// Numbers, then whether they are valid.
-std::string MipFirmware::Device::filter_field(std::uint8_t field, std::uint64_t tick) const {
+void MipFirmware::Device::put_filter_data(std::string& out, std::uint8_t field, std::uint64_t tick) const {
   const Clock::Instant t = grid_.time(tick);
   const bool running = t - filter_since_ >= kFilterStart;
   const Eigen::Vector3d acceleration = output_at(tick).value - accelerometer_bias();
-  std::string data;
-  const auto put_valid = [&] { put_big_endian(data, static_cast<std::uint16_t>(running ? 1 : 0)); };
+  const auto put_valid = [&] { put_big_endian(out, static_cast<std::uint16_t>(running ? 1 : 0)); };
   switch (field) {
     case kFilterStatus: {
       const bool heading = has_magnetometer() && settings_.modern_commands && !settings_.legacy_commands;
       const FilterState runs = heading ? kFilterRunsWithHeading : kFilterRuns;
-      put_big_endian(data, static_cast<std::uint16_t>(running ? runs : kFilterInitialises));
-      put_big_endian(data, std::uint16_t{1});  // dynamics: portable
-      put_big_endian(data, std::uint16_t{0});
-      return data;
+      put_big_endian(out, static_cast<std::uint16_t>(running ? runs : kFilterInitialises));
+      put_big_endian(out, std::uint16_t{1});  // dynamics: portable
+      put_big_endian(out, std::uint16_t{0});
+      return;
     }
     case kFilterTime:  // seconds of the week, week
-      put_big_endian(data, std::bit_cast<std::uint64_t>(to_seconds(t - bench_->start())));
-      put_big_endian(data, std::uint16_t{0});
+      put_big_endian(out, std::bit_cast<std::uint64_t>(to_seconds(t - bench_->start())));
+      put_big_endian(out, std::uint16_t{0});
       break;
     case kFilterQuaternion: {  // w, x, y, z; of the body in north, east, down
       const Eigen::Quaterniond q = quaternion_of(bench_->body_motion(t).to_ned());
-      for (const double part : {q.w(), q.x(), q.y(), q.z()}) put_big_endian_float(data, part);
+      for (const double part : {q.w(), q.x(), q.y(), q.z()}) put_big_endian_float(out, part);
       break;
     }
     case kFilterEuler: {  // roll, pitch, yaw
       const Eigen::Vector3d angles = roll_pitch_yaw_of(bench_->body_motion(t).to_ned());
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, angles[j]);
+      for (int j = 0; j < 3; ++j) put_big_endian_float(out, angles[j]);
       break;
     }
     case kAngularRate: {
       const Eigen::Vector3d rate = bench_->body_motion(t).rate_B_radps - gyro_bias();
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, rate[j]);
+      for (int j = 0; j < 3; ++j) put_big_endian_float(out, rate[j]);
       break;
     }
     case kCompensatedAcceleration:
       // In m/s2, as the filter has it; from g.
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, acceleration[j] * kStandardGravity);
+      for (int j = 0; j < 3; ++j) put_big_endian_float(out, acceleration[j] * kStandardGravity);
       break;
     case kGravity: {  // downwards
       const Eigen::Vector3d gravity = -kStandardGravity * bench_->body_motion(t).R_LB.row(2).transpose();
-      for (int j = 0; j < 3; ++j) put_big_endian_float(data, gravity[j]);
+      for (int j = 0; j < 3; ++j) put_big_endian_float(out, gravity[j]);
       break;
     }
     default:  // biases that it has found, linear acceleration: the axes of the stage meet in the
               // accelerometer
-      data.append(12, '\0');
+      out.append(12, '\0');
   }
   put_valid();
-  return data;
 }
 
 std::string MipFirmware::Device::transmit(Clock::Instant now) {
   std::string out;
-  std::vector<std::uint8_t> fields;
-  while (streaming() && grid_.time(next_tick_) <= now) {
-    const Clock::Instant t = grid_.time(next_tick_);
+  out.reserve(kUsualPacket);
+  while (streaming() && next_time_ <= now) {
+    const Clock::Instant t = next_time_;
     out += replies_.take(t);
     if (!bench_->fault_at(FaultKind::kNoOutput, t)) {
       for (const auto& [set, stream] : current_.streams) {
-        fields.clear();
+        due_fields_.clear();
         for (const Rate& rate : stream.format)
-          if (stream.on && next_tick_ % rate.decimation == 0) fields.push_back(rate.descriptor);
-        if (!fields.empty()) out += packet(set, data_payload(set, fields, next_tick_));
+          if (stream.on && next_tick_ % rate.decimation == 0) due_fields_.push_back(rate.descriptor);
+        if (due_fields_.empty()) continue;
+        put_packet(out, set, [&, set = set] { put_fields(out, set, due_fields_, next_tick_); });
       }
     }
     advance_tick();
@@ -1022,7 +1030,7 @@ std::string MipFirmware::Device::transmit(Clock::Instant now) {
 
 std::optional<Clock::Instant> MipFirmware::Device::next_due() const {
   std::optional<Clock::Instant> due = replies_.next_due();
-  if (streaming()) due = due ? std::min(*due, grid_.time(next_tick_)) : grid_.time(next_tick_);
+  if (streaming()) due = due ? std::min(*due, next_time_) : next_time_;
   return due;
 }
 

@@ -9,7 +9,8 @@ namespace abcal::sim {
 /// The instants at which an instrument samples: tick n is n / rate seconds after the start.
 class SampleGrid {
  public:
-  SampleGrid(Clock::Instant start, unsigned rate_hz) : start_(start), rate_hz_(rate_hz) {}
+  SampleGrid(Clock::Instant start, unsigned rate_hz)
+      : start_(start), rate_hz_(rate_hz), period_(from_seconds(1.0 / rate_hz)) {}
 
   Clock::Instant time(std::uint64_t tick) const {
     // Whole seconds apart, so that the grid does not drift.
@@ -28,12 +29,13 @@ class SampleGrid {
     return tick;
   }
 
-  Clock::Duration period() const { return from_seconds(1.0 / rate_hz_); }
+  Clock::Duration period() const { return period_; }
 
  private:
   static constexpr std::uint64_t kNanosecondsPerSecond = 1'000'000'000;
   Clock::Instant start_;
   unsigned rate_hz_;
+  Clock::Duration period_;
 };
 
 }  // namespace abcal::sim

@@ -35,7 +35,14 @@ class EvidenceTest : public CertificateTest {
       SqliteDatabase run(path, SqliteDatabase::Mode::kReadWrite);
       run.execute("update dwell set chain = null");
       SqliteStatement rows = run.prepare("select id from dwell order by id");
-      while (rows.step()) link_dwell(run, rows.integer(0));
+      std::string link = head_link(run);
+      while (rows.step()) {
+        link = dwell_link(run, rows.integer(0), link);
+        run.prepare("update dwell set chain = :chain where id = :dwell")
+            .set("chain", link)
+            .set("dwell", rows.integer(0))
+            .run();
+      }
       run.execute("update seal set dwell_chain = (select chain from dwell order by id desc limit 1)");
     }
     SqliteDatabase kept(results(), SqliteDatabase::Mode::kReadWrite);

@@ -3,13 +3,17 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sqlite3.h>
 
 #include <cmath>
 #include <fstream>
+#include <limits>
+#include <map>
 #include <random>
 #include <thread>
 
 #include "protocol/record/clock_watch.h"
+#include "protocol/record/dwell_chain.h"
 #include "protocol/record/dwell_rows.h"
 #include "protocol/record/reading_statistics.h"
 #include "protocol/record/run_file.h"
@@ -82,6 +86,53 @@ DwellRecord dwell_of(const std::vector<StoredReading>& readings, bool closing = 
   if (dwell.lost > 0) dwell.flags |= kFlagLostReadings;
   return dwell;
 }
+
+/// Counts how often SQLite asks the system to flush a file to the disk, while it lives.
+class CountedFlushes {
+ public:
+  CountedFlushes() {
+    of_system() = sqlite3_vfs_find(nullptr);
+    counted_ = *of_system();
+    counted_.zName = "counted";
+    counted_.xOpen = [](sqlite3_vfs*, const char* name, sqlite3_file* file, int flags, int* found) {
+      const int code = of_system()->xOpen(of_system(), name, file, flags, found);
+      if (file->pMethods != nullptr) {
+        static std::map<const sqlite3_io_methods*, sqlite3_io_methods> counted;
+        flush_of_system() = file->pMethods->xSync;
+        sqlite3_io_methods& methods = counted[file->pMethods];
+        methods = *file->pMethods;
+        methods.xSync = [](sqlite3_file* flushed, int how) {
+          ++count();
+          return flush_of_system()(flushed, how);
+        };
+        file->pMethods = &methods;
+      }
+      return code;
+    };
+    sqlite3_vfs_register(&counted_, 1);
+  }
+  CountedFlushes(const CountedFlushes&) = delete;
+  CountedFlushes& operator=(const CountedFlushes&) = delete;
+  ~CountedFlushes() {
+    sqlite3_vfs_register(of_system(), 1);
+    sqlite3_vfs_unregister(&counted_);
+  }
+  static int& count() {
+    static int value = 0;
+    return value;
+  }
+
+ private:
+  static sqlite3_vfs*& of_system() {
+    static sqlite3_vfs* value = nullptr;
+    return value;
+  }
+  static int (*&flush_of_system())(sqlite3_file*, int) {
+    static int (*value)(sqlite3_file*, int) = nullptr;
+    return value;
+  }
+  sqlite3_vfs counted_{};
+};
 
 class RunFile3Test : public testing::Test {
  protected:
@@ -216,6 +267,50 @@ TEST_F(RunFile3Test, GivesBackEveryReadingBitForBit) {
     }
   });
   EXPECT_EQ(dwells, 1U);
+}
+
+TEST_F(RunFile3Test, TheLinkOfADwellIsThatOfWhatIsStored) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  RunFile file = RunFile::create(path, plan_of_two());
+  std::vector<std::vector<StoredReading>> dwells{{}};
+  for (const std::size_t count : {1, 49, 50, 51, 123}) dwells.push_back(late_readings(count, 5.0));
+  std::vector<StoredReading>& odd = dwells.back();
+  odd[3].output = {-0.0, 2.0, -3.0};  // Whole numbers, which SQLite keeps in fewer bytes.
+  odd[4].output = {std::numeric_limits<double>::quiet_NaN(), kInfinity, -kInfinity};
+  odd[5].output = {1e300, -5e-324, 9007199254740993.0};
+  odd[6].temperature_degc = std::nullopt;
+  odd[7].temperature_degc = kInfinity;
+  dwells.push_back(odd);
+  dwells.back()[8].temperature_degc = 1e-300;  // No step fits all.
+  dwells.back()[9].temperature_degc = -0.0;
+  for (const std::vector<StoredReading>& readings : dwells)
+    file.append_dwell(0, readings.empty() ? DwellRecord() : dwell_of(readings), readings, {});
+  SqliteDatabase run = reader();
+  std::string link = head_link(run);
+  SqliteStatement rows = run.prepare("select id, chain from dwell order by id");
+  for (std::size_t k = 0; k < dwells.size(); ++k) {
+    ASSERT_TRUE(rows.step());
+    link = dwell_link(run, rows.integer("id"), link);
+    EXPECT_EQ(rows.text("chain"), link) << dwells[k].size() << " readings";
+  }
+}
+
+TEST_F(RunFile3Test, AnAngleWaitsForTheDiskUnlessItCanBeMadeAgain) {
+  const CountedFlushes counted;
+  for (const bool repeatable : {false, true}) {
+    path = folder / (repeatable ? "repeatable.run" : "real.run");
+    RunFile file = RunFile::create(path, plan_of_two());
+    SessionStart start = start_after(0s);
+    start.repeatable = repeatable;
+    file.begin_session(start);
+    int before = CountedFlushes::count();
+    append(file, 0, 5.0);
+    EXPECT_EQ(CountedFlushes::count() > before, !repeatable);
+    EXPECT_EQ(reader().value("select count(*) from reading"), "20") << "another program sees it";
+    before = CountedFlushes::count();
+    file.append_event("2026-11-22T08:00:10.000Z", "note", "a person has seen it");
+    EXPECT_GT(CountedFlushes::count(), before) << "what was done by a person is not made again";
+  }
 }
 
 TEST(TemperatureScaleTest, FitsEveryValueOrSaysThatNoneDoes) {

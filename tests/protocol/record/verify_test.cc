@@ -31,6 +31,17 @@ TEST(Sha256, IsThatOfThePublishedExample) {
   EXPECT_EQ(sha256_of_file(folder / "a"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
 }
 
+TEST(Sha256, DoesNotDependOnThePieces) {
+  const std::string bytes(20000, 'x');
+  for (const std::size_t piece : {std::size_t{1}, std::size_t{9}, std::size_t{4095}, std::size_t{4096},
+                                  std::size_t{4097}, std::size_t{9000}}) {
+    Sha256 hash;
+    for (std::size_t at = 0; at < bytes.size(); at += piece)
+      hash.add(std::string_view(bytes).substr(at, piece));
+    EXPECT_EQ(hash.hexadecimal(), sha256_of(bytes)) << piece;
+  }
+}
+
 TEST(NextLink, DependsOnWhereOneFieldEndsAndOnTheLinkBefore) {
   EXPECT_NE(next_link("", {"ab", "c"}), next_link("", {"a", "bc"}));
   EXPECT_NE(next_link("", {"a"}), next_link("x", {"a"}));
