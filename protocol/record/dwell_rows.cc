@@ -59,6 +59,7 @@ constexpr std::array<std::string_view, 36> kDwellColumns{"id",
 /// Readings of one statement. To begin and end a statement costs as much as to insert a row; beyond some tens
 /// nothing more is gained.
 constexpr std::size_t kRowsAtOnce = 50;
+constexpr int kParametersOfRow = 7;  // Without the dwell, which all rows share.
 
 std::int64_t nanoseconds(double seconds) {
   return static_cast<std::int64_t>(std::llround(seconds * kNanosecondsPerSecond));
@@ -109,19 +110,20 @@ std::string insert_readings(std::size_t rows) {
   return sql;
 }
 
-/// @return the position behind the row's last
-int bind_reading(SqliteStatement& statement, int position, const ReadingRow& row) {
-  statement.bind(position++, row.k);
-  for (const double output : row.output) statement.bind(position++, output);
-  statement.bind(position++, row.skipped).bind(position++, row.late_ns);
+void bind_reading(SqliteStatement& statement, int first, const ReadingRow& row) {
+  statement.bind(first, row.k)
+      .bind(first + 1, row.output[0])
+      .bind(first + 2, row.output[1])
+      .bind(first + 3, row.output[2])
+      .bind(first + 4, row.skipped)
+      .bind(first + 5, row.late_ns);
   if (const auto* steps = std::get_if<std::int64_t>(&row.temperature_steps)) {
-    statement.bind(position++, *steps);
+    statement.bind(first + 6, *steps);
   } else if (const auto* degc = std::get_if<double>(&row.temperature_steps)) {
-    statement.bind(position++, *degc);
+    statement.bind(first + 6, *degc);
   } else {
-    statement.bind(position++, std::optional<double>());
+    statement.bind(first + 6, std::optional<double>());
   }
-  return position;
 }
 
 void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<const StoredReading> readings,
@@ -132,9 +134,9 @@ void write_readings(SqliteDatabase& database, std::int64_t dwell, std::span<cons
     SqliteStatement statement = database.prepare(insert_readings(rows));
     statement.bind(1, dwell);
     int position = 2;
-    for (std::size_t row = 0; row < rows; ++row, ++index) {
+    for (std::size_t row = 0; row < rows; ++row, ++index, position += kParametersOfRow) {
       const ReadingRow reading = row_of(readings, index, constants, origin_ns);
-      position = bind_reading(statement, position, reading);
+      bind_reading(statement, position, reading);
       link.add(reading);
     }
     statement.run();
