@@ -135,7 +135,7 @@ class LinearModel {
     Eigen::MatrixXd normal = products_of_columns(x_);
     normal.diagonal() += prior_weight_;
     const Eigen::VectorXd right =
-        transposed_product_with_vector(x_, y_) + prior_weight_.cwiseProduct(prior_distance_);
+        transposed_product_by_rows_with_vector(x_, y_) + prior_weight_.cwiseProduct(prior_distance_);
     const NormalMatrix solved(std::move(normal));
     if (!solved.solvable()) {
       throw UnusableData("the readings do not determine the model that changes are looked for with");

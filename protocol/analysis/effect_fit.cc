@@ -27,8 +27,8 @@ LineAtNoise line_at(const EffectModel& model, const AtNoise& at, const ShareGrou
     // The mean of the process over the run belongs to the offset.
     mean_weights = at.whitener->covariance_with_mean();
     at.whitener->whiten(mean_weights);
-    out.change.tail<3>() += transposed_product_with_vector(mean_weights, at.whitened_residual);
-    rows.bottomRows<3>() -= transposed_product(mean_weights, at.whitened_jacobian);
+    out.change.tail<3>() += transposed_product_by_rows_with_vector(mean_weights, at.whitened_residual);
+    rows.bottomRows<3>() -= transposed_product_by_rows(mean_weights, at.whitened_jacobian);
     beyond.bottomRightCorner<3, 3>() = -products_of_columns(mean_weights);
     beyond.bottomRightCorner<3, 3>().diagonal() += at.whitener->mean_variance();
     at.whitener->whiten_transposed(mean_weights);
@@ -89,7 +89,7 @@ Eigen::VectorXd told_of_steps_with_process(const AtNoise& best, const std::vecto
     links.block<3, 1>(3 * n, n) = angles[static_cast<std::size_t>(n)].by_step;
   best.whitener->whiten(links);
   const ReadingRows design = times_upper(best.whitened_jacobian, root);
-  const Eigen::MatrixXd taken = transposed_product(design, links);
+  const Eigen::MatrixXd taken = transposed_product_by_rows(design, links);
   return (links.colwise().squaredNorm() - taken.colwise().squaredNorm()).transpose();
 }
 

@@ -88,14 +88,14 @@ EffectTest test_left_out(const EffectFit& fit, const ReadingRows& design, const 
       unknown.output >= 0 ? fmt::format("{} of {}", unknown.effect, "uvw"[unknown.output]) : unknown.effect;
   test.key = unknown.key;
   test.stated_zero = true;
-  const Eigen::MatrixXd columns = fit.left_out_design.middleCols(first, count);
+  const auto columns = fit.left_out_design.middleCols(first, count);
   const Eigen::VectorXd own = columns.colwise().squaredNorm().transpose();
   const Eigen::VectorXd scale =
       own.unaryExpr([](double square) { return square > 0.0 ? 1.0 / std::sqrt(square) : 0.0; });
-  const Eigen::MatrixXd taken = transposed_product(design, columns);  // by the unknowns of the fit
-  const Eigen::MatrixXd left =
-      scaled_on_both_sides(transposed_product(columns, columns) - transposed_product(taken, taken), scale);
-  const Eigen::VectorXd score = scale.cwiseProduct(transposed_product_with_vector(columns, residual));
+  const Eigen::MatrixXd taken = transposed_product_by_rows(design, columns);  // by the unknowns of the fit
+  const Eigen::MatrixXd left = scaled_on_both_sides(
+      transposed_product_by_rows(columns, columns) - transposed_product(taken, taken), scale);
+  const Eigen::VectorXd score = scale.cwiseProduct(transposed_product_by_rows_with_vector(columns, residual));
   const SymmetricEigen eigen = symmetric_eigen(left);
   for (Eigen::Index i = 0; i < count; ++i) {
     const double share = eigen.values(i);

@@ -229,7 +229,7 @@ SpecificationTest compare_norm_with_joint(std::span<const EffectReading> reading
   out.difference = of_norm - of_joint;
 
   const NormGain gain_difference =
-      scaled_rows(units, norm.gain) / size - product_transposed(intrinsic_jacobian(model.line()), fit.gain);
+      scaled_rows(units, norm.gain) / size - product(intrinsic_jacobian(model.line()), fit.gain.transpose());
   const Covariance9 of_difference = model.covariance_of(gain_difference);
   const Covariance9 covariance_norm = scaled_on_both_sides(norm.covariance, units);
   out.standard_uncertainty = of_difference.diagonal().cwiseMax(0.0).cwiseSqrt();

@@ -33,7 +33,7 @@ constexpr int kNoisePasses = 3;
 struct Reduced {
   NormalMatrix own;
   Eigen::MatrixXd root;       ///< R: R R' is the covariance of the own unknowns, given the common ones.
-  ReadingRows link;           ///< D = R' N: own unknowns x common ones.
+  Eigen::MatrixXd link;       ///< D = R' N: own unknowns x common ones.
   Eigen::VectorXd own_right;  ///< R' b
   Eigen::MatrixXd common;     ///< What the item says of the common unknowns.
   Eigen::VectorXd right;
@@ -208,10 +208,10 @@ void Tray::add_steps_of(std::size_t k, const std::vector<NoiseAtAngle>& angles, 
   out.whitener->whiten(weighted);
   out.whitener->whiten_transposed(weighted);
   for (Eigen::Index n = 0; n < count; ++n) {
-    const Eigen::Vector3d& by_step = angles[static_cast<std::size_t>(n)].by_step;
+    const Eigen::VectorXd row = transposed_product_by_rows_with_vector(
+        weighted.middleRows<3>(3 * n), angles[static_cast<std::size_t>(n)].by_step);
     for (Eigen::Index m = 0; m < count; ++m)
-      block(angle[static_cast<std::size_t>(n)], angle[static_cast<std::size_t>(m)]) +=
-          by_step.dot(weighted.block<3, 1>(3 * n, m));
+      block(angle[static_cast<std::size_t>(n)], angle[static_cast<std::size_t>(m)]) += row(m);
   }
 }
 
@@ -357,8 +357,8 @@ Tray::Rows Tray::rows_of(std::size_t k, const AssumedNoise& noise, const Reduced
     out.beyond.bottomRightCorner<3, 3>() = -products_of_columns(weights);
     out.beyond.bottomRightCorner<3, 3>().diagonal() += reduced.whitener->mean_variance();
     reduced.whitener->whiten_transposed(weights);
-    out.start.tail<3>() = transposed_product_with_vector(weights, residual(k, angles));
-    of_line.bottomRows<3>() -= transposed_product(weights, item.jacobian());
+    out.start.tail<3>() = transposed_product_by_rows_with_vector(weights, residual(k, angles));
+    of_line.bottomRows<3>() -= transposed_product_by_rows(weights, item.jacobian());
     for (std::size_t n = 0; n < angles.size() && step_count_ > 0; ++n)
       out.common.bottomRows<3>().col(stage_count_ + members_[k].angle[n]) -=
           weights.middleRows<3>(3 * static_cast<Eigen::Index>(n)).transpose() * angles[n].by_step;

@@ -22,6 +22,14 @@ Eigen::VectorXd transposed_product_with_vector(const MatrixView& a, const Vector
   return a.transpose() * x;
 }
 
+Eigen::MatrixXd transposed_product_by_rows(const RowMajorView& x, const RowMajorView& y) {
+  return product_transposed(x.transpose(), y.transpose());
+}
+
+Eigen::VectorXd transposed_product_by_rows_with_vector(const RowMajorView& x, const VectorView& v) {
+  return product_with_vector(x.transpose(), v);
+}
+
 Eigen::MatrixXd carried_covariance(const MatrixView& jacobian, const MatrixView& covariance) {
   return product_transposed(product(jacobian, covariance), jacobian);
 }

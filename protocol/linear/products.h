@@ -13,6 +13,8 @@ namespace abcal {
 /// Another expression is evaluated first.
 using MatrixView = Eigen::Ref<const Eigen::MatrixXd>;
 using VectorView = Eigen::Ref<const Eigen::VectorXd>;
+/// The same of a matrix that is stored row by row.
+using RowMajorView = Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 
 /// A B; the columns of A are as many as the rows of B.
 Eigen::MatrixXd product(const MatrixView& a, const MatrixView& b);
@@ -24,6 +26,10 @@ Eigen::MatrixXd product_transposed(const MatrixView& a, const MatrixView& b);
 Eigen::VectorXd product_with_vector(const MatrixView& a, const VectorView& x);
 /// A' x.
 Eigen::VectorXd transposed_product_with_vector(const MatrixView& a, const VectorView& x);
+
+/// X' Y and X' v of matrices that are stored row by row, which MatrixView would copy.
+Eigen::MatrixXd transposed_product_by_rows(const RowMajorView& x, const RowMajorView& y);
+Eigen::VectorXd transposed_product_by_rows_with_vector(const RowMajorView& x, const VectorView& v);
 
 /// J V J': the covariance of J x where V is that of x.
 Eigen::MatrixXd carried_covariance(const MatrixView& jacobian, const MatrixView& covariance);
