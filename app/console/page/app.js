@@ -12,7 +12,7 @@ import {offerTimes, timeElement} from '/time.js';
 import {offerLanguage, t, translate} from '/language.js';
 import {keepFocus} from '/focus.js';
 import {readyForPaper} from '/print.js';
-import {showChart, showCompare, showRun, showRuns} from '/runs.js';
+import {showChart, showCompare, showRun, showRuns, statesMayHaveChanged} from '/runs.js';
 
 translate();
 const live = new LiveView();
@@ -59,8 +59,7 @@ const link = new Link((message) => {
   if (message.type === 'halt') showHalt(message);
   const before = live.activity?.activity;
   live.receive(message);
-  // What a list of runs says of their states is not so any more.
-  if (before !== undefined && (message.type === 'snapshot' || live.activity.activity !== before) && location.hash === '#runs') showRuns(resume);
+  if (before !== undefined && (message.type === 'snapshot' || live.activity.activity !== before)) statesMayHaveChanged(resume);
   for (const view of dayViews) view.receive(message);
   if (OFTEN.has(message.type)) showSoon(); else show();
 }, () => {

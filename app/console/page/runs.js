@@ -123,8 +123,16 @@ function drawPages(found, resume) {
 
 // One run.
 
+// What a list of runs, or the page of one that was not complete, says of its state may not be so any more.
+let showAgain = null;
+export function statesMayHaveChanged(resume) {
+  if (location.hash === '#runs') showRuns(resume);
+  else if (location.hash.startsWith('#runs/')) showAgain?.();
+}
+
 // item: of several, which; nothing: the first that was not left out.
-export async function showRun(name, item) {
+export async function showRun(name, item, {again = false} = {}) {
+  showAgain = null;
   byId('run-list').hidden = true;
   clearCharts();
   const detail = byId('run-detail');
@@ -136,6 +144,7 @@ export async function showRun(name, item) {
   }
   if (!data) return;
   const {run, results} = data;
+  if (run.state !== 'complete') showAgain = () => showRun(name, item, {again: true});
   // The first is the estimator that was chosen for the run; the fits of the published protocol show the stage.
   const reported = results[0], abc = results.find((r) => r.estimator === 'abc'), joint = results.find((r) => r.estimator === 'joint');
   detail.replaceChildren(
@@ -155,7 +164,7 @@ export async function showRun(name, item) {
   detail.append(certificateCard(run, run.items.length ? data.item : 0, () => showRun(name, item)));
   detail.append(card(t('Events'), scrollable('scroll', t('Events of the run'), table(t('Events of the run'), [t('Time'), t('Kind'), t('Event')],
     data.events.map((e) => [day(e.utc), said(e.kind), said(e.text)])))));
-  byId('main').focus();
+  if (!again) byId('main').focus();
 }
 
 const card = (title, content) => element('section', {class: 'card block'}, element('h3', {}, title), content);

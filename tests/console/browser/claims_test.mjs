@@ -74,6 +74,7 @@ step('without contact the time left is the last that was known', async (page) =>
   await says('#left', '–');
   await page.evaluate(() => { globalThis.away = false; globalThis.line.onclose(); });
   await contact();
+  await says('#left', / s \(held\)$/);
   served.server.kill('SIGSTOP');
   await says('#left', / s \(held\), last known$/);
   served.server.kill('SIGCONT');
@@ -108,6 +109,20 @@ step('the list of runs does not go on to say that a run is in progress', async (
   await says('#run-table', /running, or its program died/);
   await page.locator('#do-stop:enabled').click();
   await says('#run-table', /SIMULATED interrupted/);
+});
+
+step('nor does the page of that run', async (page) => {
+  await served.goTo('live');
+  await page.locator('#take-control:enabled').click();
+  await served.goTo('runs');
+  await page.locator('button.resume:enabled').click();
+  await confirmDialog();
+  await says('#banner-word', /^(Homing|Moving|Settling|Reading)$/);
+  await served.goTo('runs');
+  await page.locator('#run-table th a').click();
+  await says('#verdict', /The run is running, or its program died/);
+  await page.locator('#do-stop:enabled').click();
+  await says('#verdict', /The run is interrupted/);
 });
 
 step('the angles of a run are not those of a turn by hand', async (page) => {
