@@ -9,7 +9,7 @@
 namespace abcal {
 
 /// Flags that say that the mean itself may be wrong. Lost and repeated readings leave a sound mean: they are
-/// only counted.
+/// only counted, unless a quarter of all angles had to be repeated.
 inline constexpr std::uint32_t kSuspectFlags = kFlagNotQuiet | kFlagClipped | kFlagStuck | kFlagNotFinite |
                                                kFlagOutsideWindow | kFlagTemperature | kFlagNorm;
 
@@ -19,11 +19,13 @@ inline constexpr std::uint32_t kLeftOutFlags = kFlagClipped | kFlagNotFinite;
 /// Fills the flags and the number of flagged angles.
 void count_flags(const RunRecord& record, Diagnostics& diagnostics);
 
-/// "2 of 216 angles are flagged: stuck output"; empty where no angle has one of these flags.
+/// "2 of 216 angles are flagged: stuck output", and whether more than a quarter had to be measured again;
+/// empty where neither is so.
 /// @param which  a part of kSuspectFlags
 std::string words_about_flags(const RunRecord& record, std::uint32_t which);
 
-/// Makes a result doubtful where an angle that it uses has one of these flags.
+/// Makes a result doubtful where an angle that it uses has one of these flags, or where more than a quarter
+/// had to be measured again.
 void object_to_flags(const RunRecord& record, std::uint32_t which, CalibrationResult& result);
 
 }  // namespace abcal

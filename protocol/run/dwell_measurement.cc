@@ -103,7 +103,7 @@ std::map<int, ItemDwell> DwellMeasurement::measure_once(std::size_t position, co
     window.statistics = dwell_statistics(window.readings, channel.context.accelerometer_info);
     window.statistics.lost = std::max(window.statistics.lost, static_cast<std::int64_t>(window.lost));
     channel.plausibility.require_possible(angle, window.statistics, window.readings.size());
-    channel.settling.learn(window.readings, window.statistics);
+    channel.settling.learn(window.statistics);
   });
   encoders.x = motion_.encoder_angle(StageAxis::kX);
   encoders.z = motion_.encoder_angle(StageAxis::kZ);

@@ -10,6 +10,7 @@
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/dwell.h"
 #include "protocol/run/plausibility.h"
+#include "protocol/statistics/distributions.h"
 
 namespace abcal {
 namespace {
@@ -31,6 +32,12 @@ constexpr double kNoLongerFalling = 0.8;
 /// Standard uncertainties: a dwell whose first quarter lies farther from the rest has begun too early (noise
 /// alone: in one of a hundred dwells, which costs it a quarter more time).
 constexpr double kCreepLimit = 3.0;
+/// How often noise alone may do so where it costs the whole dwell (settle_s is a number), and the least
+/// number of readings in a quarter that tell the noise.
+constexpr double kCreepFalseAlarm = 1e-7;
+constexpr std::size_t kLeastQuarter = 10;
+/// Of the mean's norm: what is of no account, though an output without noise would show it.
+constexpr double kNoCreep = 1e-7;
 /// The same of the sum over dwells, looked at after every one.
 constexpr double kLessonLimit = 4.0;
 /// Least number of differences in the sum.
@@ -80,10 +87,11 @@ Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerI
   const DwellStatistics later = dwell_statistics(readings.subspan(readings.size() / 2), info);
   if (first.count == 0 || later.count < 2) return creep;
   const Eigen::Vector3d difference = first.mean - dwell_statistics(readings.subspan(quarter), info).mean;
+  const double of_no_account = kNoCreep * later.mean.norm();
   // Variance of a mean of n of N readings: u^2(later half) (N/2) / n; n is N/4 and 3N/4.
   const double scale = std::sqrt(8.0 / 3.0);
   for (int j = 0; j < 3; ++j) {
-    if (difference[j] != 0.0) creep[j] = difference[j] / (scale * later.u_mean[j]);
+    if (std::abs(difference[j]) > of_no_account) creep[j] = difference[j] / (scale * later.u_mean[j]);
   }
   return creep;
 }
@@ -216,10 +224,17 @@ Settling::Rest Settling::find_rest_by_outputs(Clock::Instant stopped) {
 
 bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
   const ProtocolConfig& protocol = context_.settings.protocol;
-  if (!protocol.settle_auto) return true;
+  const auto look = [&] { creep_ = creep_of(readings, context_.accelerometer_info); };
+  const auto creeps_beyond = [&](double limit) { return creep_.cwiseAbs().maxCoeff() > limit; };
+  look();
+  if (!protocol.settle_auto) {
+    const auto of_noise = static_cast<double>(readings.size() / 2) - 1.0;
+    return readings.size() / 4 < kLeastQuarter ||
+           !creeps_beyond(student_t_above(kCreepFalseAlarm / 2.0, of_noise));
+  }
   const Clock::Instant last = context_.clock.now() + from_seconds(protocol.quiet_timeout_s);
   const std::size_t quarter = std::max<std::size_t>(1, readings.size() / 4);
-  while (creep_of(readings, context_.accelerometer_info).cwiseAbs().maxCoeff() > kCreepLimit) {
+  for (; creeps_beyond(kCreepLimit); look()) {
     if (context_.clock.now() >= last) return false;
     readings.erase(readings.begin(), readings.begin() + static_cast<std::ptrdiff_t>(quarter));
     const std::vector<Reading> later = readings_.read(quarter);
@@ -228,18 +243,23 @@ bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
   return true;
 }
 
-void Settling::learn(std::span<const Reading> readings, const DwellStatistics& statistics) {
-  if (!context_.settings.protocol.settle_auto) return;
-  if (!lesson_.add(creep_of(readings, context_.accelerometer_info), statistics.mean, statistics.spread))
-    return;
+void Settling::learn(const DwellStatistics& statistics) {
+  const bool by_outputs = context_.settings.protocol.settle_auto;
+  if (!lesson_.add(creep_, statistics.mean, statistics.spread) || told_) return;
+  told_ = !by_outputs;
+  const std::string found =
+      "the outputs of many angles together still creep towards their rest in the first quarter of the "
+      "dwell; ";
   context_.journal.notify(
       "settling",
-      context_.of_item() +
-          fmt::format(
-              "the outputs of many angles together still creep towards their rest in the first quarter "
-              "of the dwell; from now on a dwell begins after {:g} times the time from which on "
-              "they showed no motion (settle_s = \"auto\")",
-              lesson_.patience()));
+      context_.of_item() + found +
+          (by_outputs
+               ? fmt::format("from now on a dwell begins after {:g} times the time from which on "
+                             "they showed no motion (settle_s = \"auto\")",
+                             lesson_.patience())
+               : fmt::format("settle_s = {:g} is too short for this item on this stage. State a longer "
+                             "one, or \"auto\", and measure again",
+                             context_.settings.protocol.settle_s)));
 }
 
 }  // namespace abcal

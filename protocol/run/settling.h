@@ -30,10 +30,11 @@ class SpreadHistory {
 
 /// How far the mean of the first quarter of a dwell's readings lies from that of the others, over the
 /// standard uncertainty of this difference, output by output. Its noise is that of the later half,
-/// autocorrelation included. Of an item that is still coming to rest it has one sign.
+/// autocorrelation included. Of an item that is still coming to rest it has one sign. Nothing where a change
+/// is below 1e-7 of the mean's norm.
 Eigen::Vector3d creep_of(std::span<const Reading> readings, const AccelerometerInfo& info);
 
-/// Learns from the dwells of a run how long the item needs (settle_s = "auto"). A creep that is too small to
+/// Learns from the dwells of a run how long the item needs. A creep that is too small to
 /// be seen in one dwell goes with the direction of the last change of an output: so it adds up from angle to
 /// angle, and noise does not.
 class SettlingLesson {
@@ -89,12 +90,14 @@ class Settling {
   Rest find_rest(Clock::Instant stopped);
 
   /// With "auto": drops the first quarter of a dwell's readings and reads as many more while they still
-  /// creep.
-  /// @return false if they did so for quiet_timeout_s; true at once where settle_s is a number
+  /// creep (creep_of). Where settle_s is a number it begins when it begins: it is only looked at.
+  /// @return false if they did so for quiet_timeout_s; with a number if they creep by more than noise does in
+  /// 1e7 dwells (never said of fewer than 40 readings)
   bool read_until_at_rest(std::vector<Reading>& readings);
 
-  /// With "auto": learns from a dwell, and tells the observer where the next ones will wait longer.
-  void learn(std::span<const Reading> readings, const DwellStatistics& statistics);
+  /// Learns from the dwell that read_until_at_rest looked at, and tells the observer where the outputs creep:
+  /// with "auto" the next dwells wait longer, otherwise a person is to state a longer settle_s.
+  void learn(const DwellStatistics& statistics);
 
   SpreadHistory& spreads() { return spreads_; }
   const SpreadHistory& spreads() const { return spreads_; }
@@ -108,7 +111,9 @@ class Settling {
   RunContext& context_;
   ReadingSource& readings_;
   SpreadHistory spreads_;
+  Eigen::Vector3d creep_ = Eigen::Vector3d::Zero();  ///< Of the latest dwell.
   SettlingLesson lesson_;
+  bool told_ = false;                       ///< That settle_s is too short.
   std::vector<StabilityWindow> stability_;  ///< Of the looks so far.
 };
 

@@ -196,6 +196,7 @@ export default {
   'not stable for {} s within {} s (stability_s, stability_timeout_s)': 'nicht {} s lang stabil innerhalb von {} s (stability_s, stability_timeout_s)',
   'outputs and temperature are stable after {} s': 'Ausgänge und Temperatur sind nach {} s stabil',
   'the outputs of many angles together still creep towards their rest in the first quarter of the dwell; from now on a dwell begins after {} times the time from which on they showed no motion (settle_s = "auto")': 'die Ausgänge vieler Winkel zusammen kriechen im ersten Viertel des Ablesens noch zur Ruhe; von jetzt an beginnt das Ablesen nach dem {}-fachen der Zeit, ab der sie keine Bewegung zeigten (settle_s = "auto")',
+  'the outputs of many angles together still creep towards their rest in the first quarter of the dwell; settle_s = {} is too short for this item on this stage. State a longer one, or "auto", and measure again': 'die Ausgänge vieler Winkel zusammen kriechen im ersten Viertel des Ablesens noch zur Ruhe; settle_s = {} ist zu kurz für diesen Prüfling auf diesem Drehtisch. Einen größeren Wert oder "auto" angeben und noch einmal messen',
   '{}: {}; it is measured again': '{}: {}; er wird noch einmal gemessen',
   '{}: {}; waiting for the temperature to come back': '{}: {}; es wird auf die Temperatur gewartet',
   'the temperature came back after {} s': 'die Temperatur war nach {} s wieder da',

@@ -21,6 +21,7 @@ namespace {
 
 using test::made_record;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 AccelerometerModel ideal() {
   return {};
@@ -567,6 +568,16 @@ TEST(AnalyseTest, FlaggedAndNonFiniteDwellsAreNamed) {
   EXPECT_EQ(result.diagnostics.angles_used, 215);
   EXPECT_EQ(result.diagnostics.angles_flagged, 2);
   EXPECT_TRUE(result.sensitivity_values().allFinite());
+}
+
+TEST(AnalyseTest, ManyAnglesThatHadToBeRepeatedMakeTheResultDoubtful) {
+  RunRecord record = made_record(ideal(), {});
+  for (std::size_t k = 0; k < 54; ++k) record.dwells[4 * k].flags = kFlagRepeated;  // A quarter.
+  EXPECT_THAT(analyse_abc(record).why, Not(HasSubstr("measured again")));
+  record.dwells[1].flags = kFlagRepeated;
+  const CalibrationResult result = analyse_abc(record);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(result.why, HasSubstr("55 of 216 angles had to be measured again"));
 }
 
 TEST(AnalyseTest, TooLittleIsRefusedWithTheReasonAndNoNumbers) {

@@ -450,6 +450,15 @@ TEST(JointFitTest, NoiseFreeReadingsAreFitted) {
   }
 }
 
+TEST(JointFitTest, ManyAnglesThatHadToBeRepeatedMakeTheResultDoubtful) {
+  RunRecord record = noisy_record(some_accelerometer(), 8, 1e-5);
+  EXPECT_EQ(analyse_joint(record).verdict, Verdict::kUsable);
+  for (std::size_t k = 0; k < 55; ++k) record.dwells[3 * k].flags = kFlagRepeated;
+  const CalibrationResult result = analyse_joint(record);
+  EXPECT_EQ(result.verdict, Verdict::kDoubtful);
+  EXPECT_THAT(result.why, HasSubstr("55 of 216 angles had to be measured again"));
+}
+
 TEST(JointFitTest, StageOutsideItsToleranceMakesTheResultDoubtful) {
   AcsErrors acs;
   acs.alignment.xz = 10.0 * std::sin(0.008 * kRadian);

@@ -103,6 +103,54 @@ TEST_F(SettlingTest, ADwellThatCreepsWithoutEndIsTold) {
   EXPECT_FALSE(settling().read_until_at_rest(dwell));
 }
 
+TEST_F(SettlingTest, AfterAFixedTimeADwellThatCreepsIsToldAndReadAsItIs) {
+  // Swings that are slower than the window before the dwell: at a turning point it shows no slope.
+  accelerometer.output = [](std::uint64_t k) -> Eigen::Vector3d {
+    return noisy(k) + 2e-4 * std::cos(0.03 * static_cast<double>(k)) * Eigen::Vector3d::UnitY();
+  };
+  std::vector<Reading> dwell = readings().read(100);
+  EXPECT_FALSE(settling().read_until_at_rest(dwell));
+  EXPECT_EQ(dwell.front().sequence, 0U);
+  EXPECT_EQ(dwell.size(), 100U);
+
+  accelerometer.output = noisy;
+  for (int k = 0; k < 1000; ++k) {
+    std::vector<Reading> quiet = readings().read(100);
+    ASSERT_TRUE(settling().read_until_at_rest(quiet)) << k;
+  }
+}
+
+TEST_F(SettlingTest, AFixedTimeThatIsTooShortIsToldOnce) {
+  Settling part = settling();
+  std::mt19937_64 engine(3);
+  std::normal_distribution<double> normal(0.0, 1e-4);
+  for (int angle = 1; angle <= 200; ++angle) {
+    // The direction of gravity changes with the angle, and each output creeps after its change: too little
+    // for one dwell.
+    const double alpha = 0.3 * angle;
+    const Eigen::Vector3d mean(std::sin(alpha), std::cos(alpha), 0.0);
+    const Eigen::Vector3d change(std::cos(alpha), -std::sin(alpha), 0.0);
+    std::vector<Reading> dwell(100);
+    for (std::size_t k = 0; k < dwell.size(); ++k)
+      dwell[k].output = mean - (k < 25 ? 3e-5 : 0.0) * change.cwiseSign() +
+                        Eigen::Vector3d(normal(engine), normal(engine), normal(engine));
+    ASSERT_TRUE(part.read_until_at_rest(dwell)) << angle;
+    part.learn(dwell_statistics(dwell, {}));
+  }
+  ASSERT_EQ(observer.notices.size(), 1U);
+  EXPECT_EQ(observer.notices[0].first, "settling");
+  EXPECT_THAT(observer.notices[0].second, HasSubstr("settle_s = 0.5 is too short"));
+}
+
+TEST(CreepTest, ChangesOfNoAccountAreNoneThoughTheOutputHasNoNoise) {
+  std::vector<Reading> readings(100);
+  for (std::size_t k = 0; k < readings.size(); ++k)
+    readings[k].output = {0.0, 1.0 + (k < 25 ? 1e-9 : 0.0), 1e-6 * (k < 25)};
+  const Eigen::Vector3d creep = creep_of(readings, {});
+  EXPECT_EQ(creep[1], 0.0);
+  EXPECT_GT(creep[2], 100.0);
+}
+
 TEST(CreepTest, OfNoiseIsAStandardNormalOfItsSize) {
   constexpr int kDwells = 2000;
   double squares = 0.0;
