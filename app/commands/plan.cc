@@ -134,6 +134,8 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config) {
   print_result("The result of the run will be that of the {} estimator.\n", config.protocol.estimator);
   if (const std::string words = default_effects_words(config.tolerances); !words.empty())
     print_result("Note: {}.\n", words);
+  if (const std::string words = uncovered_effects_words(config.tolerances); !words.empty())
+    print_result("Note: {}.\n", words);
   print_sources(config);
   if (plan.travel_assumed) {
     print_result("If the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");

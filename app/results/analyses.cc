@@ -61,6 +61,8 @@ void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record
   apply_checks(of_the_record, record, result);
   if (std::string words = default_effects_words(record.tolerances); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
+  if (std::string words = uncovered_effects_words(record.tolerances); !words.empty())
+    result.diagnostics.notes.push_back(std::move(words));
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("the run was interrupted and resumed {}; each time the axes were homed again, and the "

@@ -16,4 +16,10 @@ std::string default_effects_words(const EffectSizes& sizes) {
       fmt::join(effects, "; "));
 }
 
+std::string uncovered_effects_words(const EffectSizes& sizes) {
+  if (sizes.sources.contains("cyclic_drift") || sizes.cyclic_drift > 0.0) return {};
+  return "not stated, so not covered: an offset that comes and goes 2 to 6 times in the run, as with air "
+         "conditioning; state its size, or 0, as [item_uncertainty] cyclic_drift (docs/effects.md)";
+}
+
 }  // namespace abcal

@@ -9,4 +9,8 @@ namespace abcal {
 /// A sentence that names the effects whose size is a default; empty if there are none.
 std::string default_effects_words(const EffectSizes& sizes);
 
+/// A sentence about an effect that is there on usual benches and was not stated, so that nothing stands for
+/// it; empty if it was.
+std::string uncovered_effects_words(const EffectSizes& sizes);
+
 }  // namespace abcal

@@ -208,6 +208,15 @@ void add_drift_scenarios(std::vector<Scenario>& list) {
       {"drift-sine", "sinusoidal drift of 1e-5, 1.3 cycles a run", kWithin, sine_drift(1e-5, 1.3)});
   list.push_back({"drift-sine-fast", "sinusoidal drift of 1e-5, 6 cycles a run: beyond the polynomials",
                   kBeyond, sine_drift(1e-5, 6.0)});
+  list.push_back({"drift-sine-3", "sinusoidal drift of 1e-5, 3 cycles a run, not stated", kBeyond,
+                  sine_drift(1e-5, 3.0)});
+  list.push_back({"drift-sine-stated",
+                  "sinusoidal drift of 3e-5, 2 to 6 cycles a run, cyclic_drift stated as its rms", kWithin,
+                  [](ScenarioBench& b, ScenarioDraw& draw) {
+                    constexpr double kSize = 3e-5;
+                    b.stated.cyclic_drift = kSize / std::numbers::sqrt2;
+                    sine_drift(kSize, 2.0 + 4.0 * draw.uniform())(b, draw);
+                  }});
   list.push_back({"drift-exponential", "exponential drift of 5e-5 that ends in the first third", kWithin,
                   exponential_drift(5e-5)});
   list.push_back({"sensitivity-drift", "the sensitivity drifts by 3e-5", kWithin,

@@ -226,7 +226,7 @@ class PoseProblem {
     }
     without_drift_ = v;
     for (const ItemEffect& effect : item_effects()) {
-      if (effect.key != "drift" && effect.key != "sensitivity_drift") continue;
+      if (!is_drift(effect)) continue;
       const double prior = effect.prior(sizes_);
       for (int j = 0; j < 3 && prior > 0.0; ++j) {
         for (int k = 0; k < effect.count; ++k) {

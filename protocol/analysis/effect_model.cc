@@ -84,7 +84,7 @@ const std::optional<MeasuredValue>* EffectModel::measured(std::string_view effec
 void EffectModel::choose_unknowns() {
   const EffectSizes& sizes = options_.sizes;
   for (const ItemEffect& effect : item_effects()) {
-    const bool of_drift = effect.key == "drift" || effect.key == "sensitivity_drift";
+    const bool of_drift = is_drift(effect);
     const bool of_curvature = effect.key == "k2" || effect.key == "k3";
     if (!(effect.prior(sizes) > 0.0) || (of_drift && !options_.drift) ||
         (of_curvature && !options_.nonlinearity))

@@ -413,7 +413,8 @@ struct RecordPoses {
 }  // namespace
 
 EffectSizes linear_item(EffectSizes sizes) {
-  sizes.drift = sizes.sensitivity_drift = sizes.nonlinearity = sizes.hysteresis = sizes.k2 = sizes.k3 = 0.0;
+  sizes.drift = sizes.cyclic_drift = sizes.sensitivity_drift = sizes.nonlinearity = sizes.hysteresis =
+      sizes.k2 = sizes.k3 = 0.0;
   return sizes;
 }
 

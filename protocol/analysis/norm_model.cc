@@ -76,7 +76,7 @@ class NormProblem {
  public:
   NormProblem(std::span<const NormPose> poses, const NormModel& model) : poses_(poses), model_(model) {
     for (const ItemEffect& effect : item_effects()) {
-      const bool of_drift = effect.key == "drift" || effect.key == "sensitivity_drift";
+      const bool of_drift = is_drift(effect);
       const bool of_curvature = effect.key == "k2" || effect.key == "k3";
       const double prior = effect.prior(model.sizes);
       if (!(prior > 0.0) || (of_drift && !model.drift) || (of_curvature && !model.nonlinearity)) continue;

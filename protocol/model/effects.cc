@@ -1,6 +1,7 @@
 #include "protocol/model/effects.h"
 
 #include <cmath>
+#include <numbers>
 
 namespace abcal {
 namespace {
@@ -115,6 +116,18 @@ std::string drift_name(int i) {
   return "of order " + std::to_string(i + 1);
 }
 
+/// sin(2 pi c t), cos(2 pi c t), c = 2 .. 6 cycles over the run. Slower ones are within the polynomials, as
+/// far as they matter; faster ones look like noise from angle to angle or like smooth step errors.
+constexpr int kLeastCycles = 2;
+constexpr int kMostCycles = 6;
+ItemShare cyclic_drift_share(const ItemPoint& at, int /*output*/, int i) {
+  const double phase = 2.0 * std::numbers::pi * (kLeastCycles + i / 2) * at.t;
+  return {i % 2 == 0 ? std::sin(phase) : std::cos(phase), 0.0};
+}
+std::string cyclic_drift_name(int i) {
+  return std::string(i % 2 == 0 ? "sin, " : "cos, ") + std::to_string(kLeastCycles + i / 2) + " cycles a run";
+}
+
 ItemShare sensitivity_drift_share(const ItemPoint& at, int output, int /*i*/) {
   return {at.t * at.y(output), at.t};
 }
@@ -177,6 +190,9 @@ LineShare absolute_line(const Eigen::Matrix3d& rows, int output, int /*i*/) {
 constexpr std::array kItemEffects{
     ItemEffect{"drift", "drift", 3, [](const EffectSizes& s) { return s.drift; }, drift_share, no_line,
                drift_name},
+    ItemEffect{"cyclic drift", "cyclic_drift", 2 * (kMostCycles - kLeastCycles + 1),
+               [](const EffectSizes& s) { return s.cyclic_drift; }, cyclic_drift_share, no_line,
+               cyclic_drift_name},
     ItemEffect{"sensitivity drift", "sensitivity_drift", 1,
                [](const EffectSizes& s) { return s.sensitivity_drift; }, sensitivity_drift_share, no_line,
                [](int) { return one_name(""); }},
@@ -196,6 +212,10 @@ constexpr std::array kItemEffects{
 };
 
 }  // namespace
+
+bool is_drift(const ItemEffect& effect) {
+  return effect.key == "drift" || effect.key == "cyclic_drift" || effect.key == "sensitivity_drift";
+}
 
 std::span<const StageEffect> stage_effects() {
   return kStageEffects;

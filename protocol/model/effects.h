@@ -70,6 +70,9 @@ struct ItemEffect {
   std::string (*unknown_name)(int i) = nullptr;
 };
 
+/// Whether an effect of the item depends on the time in the run.
+bool is_drift(const ItemEffect& effect);
+
 std::span<const StageEffect> stage_effects();
 std::span<const ItemEffect> item_effects();
 

@@ -54,6 +54,8 @@ constexpr std::array kKeys{
     value<&EffectSizes::wobble_urad>(kStage, "wobble_urad", "urad", 10'000.0,
                                      "wobble of the axes, each coefficient to 3/rev"),
     once_a_tolerance(value<&EffectSizes::drift>(kItem, "drift", "1", 1.0, "drift of the offset, each order")),
+    value<&EffectSizes::cyclic_drift>(kItem, "cyclic_drift", "1", 1.0,
+                                      "offset that comes and goes, each coefficient, 2 to 6 cycles a run"),
     value<&EffectSizes::sensitivity_drift>(kItem, "sensitivity_drift", "1", 1.0, "drift of the sensitivity"),
     value<&EffectSizes::nonlinearity>(kItem, "nonlinearity", "1", 0.1,
                                       "non-linearity of orders 4 and 5, |a| and cross terms"),
@@ -74,7 +76,8 @@ std::string full_name(const EffectSizeKey& key) {
 
 EffectSizes without_further_effects(EffectSizes sizes) {
   sizes.step_smooth = Angle::degrees(0.0);
-  sizes.wobble_urad = sizes.sensitivity_drift = sizes.nonlinearity = sizes.hysteresis = 0.0;
+  sizes.wobble_urad = sizes.sensitivity_drift = sizes.nonlinearity = sizes.hysteresis = sizes.cyclic_drift =
+      0.0;
   return sizes;
 }
 

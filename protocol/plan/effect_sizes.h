@@ -42,6 +42,9 @@ struct EffectSizes {
   /// item's outputs are numbers.
   double voltmeter_gain = 0.0;    ///< Relative; one for all three outputs.
   double voltmeter_offset = 0.0;  ///< Relative to S_j, for each output.
+  /// Of each coefficient of an offset that comes and goes, 2 to 6 cycles over the run, relative to S_j; 0:
+  /// not stated, and then not covered.
+  double cyclic_drift = 0.0;
 
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
   /// is absent was not stated: its size is the default, and results say so.
