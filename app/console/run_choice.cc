@@ -1,6 +1,7 @@
 #include "app/console/run_choice.h"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <charconv>
@@ -9,6 +10,7 @@
 
 #include "app/console/request.h"
 #include "app/console/visible_text.h"
+#include "protocol/plan/run_config.h"
 
 namespace abcal::console {
 namespace {
@@ -70,6 +72,10 @@ RunChoice parse_run_choice(const Json& object) {
   choice.steps = number_of(object, "steps", kLeastSteps, kMostSteps);
   choice.dwell_readings = number_of(object, "dwell_readings", 1, kMostReadings);
   choice.estimator = text_of(object, "estimator", kLongestForm);
+  if (!choice.estimator.empty() &&
+      std::ranges::find(kEstimatorNames, choice.estimator) == kEstimatorNames.end())
+    throw RequestError(fmt::format("\"estimator\" is \"{}\"; required: one of {}", choice.estimator,
+                                   fmt::join(kEstimatorNames, ", ")));
   if (const auto found = object.find("without_missing_items"); found != object.end()) {
     if (!found->is_boolean()) throw RequestError("\"without_missing_items\" is neither true nor false");
     choice.without_missing_items = found->get<bool>();

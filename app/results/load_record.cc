@@ -15,6 +15,8 @@ LoadedRecord load_record(const std::filesystem::path& path, int item) {
   if (std::filesystem::is_directory(path, error)) {
     throw std::runtime_error(path.string() + ": is a folder; required: a run file or a CSV");
   }
+  if (!std::filesystem::is_regular_file(path, error))
+    throw std::runtime_error(path.string() + ": not a file; required: a run file or a CSV");
   if (RunFile::looks_like_run_file(path)) {
     StoredRun run = RunFile::load(path, std::max(item, 1));
     if (item == 0 && run.items.size() > 1)

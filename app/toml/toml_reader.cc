@@ -693,6 +693,10 @@ std::string read_text_file(const std::string& path, const std::string& kind, std
     problems.push_back({"the file", "a folder", "a " + kind});
     return {};
   }
+  if (!std::filesystem::is_regular_file(path, error)) {  // To open a pipe waits for somebody who writes.
+    problems.push_back({"the file", "not a file", "a " + kind});
+    return {};
+  }
   std::ifstream file(path, std::ios::binary);
   if (!file) {
     problems.push_back({"the file", "it cannot be opened", "a file that this user may read"});

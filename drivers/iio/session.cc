@@ -13,6 +13,8 @@ namespace {
 
 constexpr std::chrono::seconds kAnswerTime{2};
 constexpr int kTries = 2;
+/// Bytes in which an answer to "VERSION" is looked for.
+constexpr std::size_t kMostNoise = 65536;
 constexpr std::string_view kVersionCommand = "VERSION\r\n";
 
 }  // namespace
@@ -58,7 +60,7 @@ std::string Session::greet() {
   for (int tries = 0; tries < kTries; ++tries) {
     stream_.write(kVersionCommand);
     const Clock::Instant deadline = clock_.now() + kAnswerTime;
-    while (clock_.now() < deadline && receive(deadline)) {
+    while (clock_.now() < deadline && received_.size() < kMostNoise && receive(deadline)) {
       if (const auto version = find_version(received_)) {
         version_ = version->text;
         received_.erase(0, version->end);
@@ -87,6 +89,10 @@ void Session::catch_up() {
       received_.erase(0, at + line.size());
       out_of_step_ = false;
       return;
+    }
+    if (received_.size() > kMostNoise) {  // All but what the line's beginning may be in.
+      skipped_bytes_ += received_.size() - line.size();
+      received_.erase(0, received_.size() - line.size());
     }
     if (clock_.now() >= deadline || !receive(deadline)) break;
   }

@@ -68,7 +68,7 @@ auto Meter::query(std::string_view command, Parse parse) {
   while (const auto reply = take_reply(deadline)) {
     if (auto answer = parse(text_of(*reply))) return *std::move(answer);
     skip(*reply);
-    heard += *reply;
+    if (heard.size() < kLongestReply) heard += *reply;  // What is shown of it is less.
     if (clock_.now() >= deadline) break;
   }
   heard += received_;
@@ -94,7 +94,7 @@ Identity Meter::identify() {
                                   stream_->name());
         return *std::move(identity);
       }
-      heard += *reply;
+      if (heard.size() < kLongestReply) heard += *reply;
       if (clock_.now() >= deadline) break;
     }
   }

@@ -98,6 +98,22 @@ bool begins_as_sqlite(const std::filesystem::path& path) {
   return std::string_view(head.data(), static_cast<std::size_t>(file.gcount())) == kSqliteMagic;
 }
 
+namespace {
+
+/// A view in the place of a table can be endless, and a trigger does what nobody asked for.
+void require_plain_tables(const std::filesystem::path& path, SqliteDatabase& database) {
+  const auto foreign = database.value(
+      "select case when type = 'table' then 'virtual table' else type end || ' \"' || name || '\"' from "
+      "sqlite_master where (type in ('view', 'trigger') and name <> 'timed_reading') or "
+      "(type = 'table' and sql like 'create virtual%') limit 1");
+  if (foreign) {
+    throw RunFileError(path.string() + ": has the " + *foreign +
+                       ", which no run file has: another program has changed it, and it is not read");
+  }
+}
+
+}  // namespace
+
 SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, SqliteDatabase::Mode mode) {
   std::error_code error;
   if (!std::filesystem::exists(path, error)) throw RunFileError(path.string() + ": no such file");
@@ -120,6 +136,7 @@ SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, Sqlite
         "{}: was written by a newer abcal (run file version {}, this program reads up to {}); update abcal",
         path.string(), version, kRunFileVersion));
   }
+  require_plain_tables(path, database);
   return database;
 }
 

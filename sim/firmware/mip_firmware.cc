@@ -586,6 +586,11 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::keep(const Kept&
       const std::size_t size = kept.size == 0 ? arguments.left() : kept.size;
       const std::string value = arguments.bytes(size);
       arguments.done();
+      if (kept.set == k3dmSet && (kept.command == kAccelBias || kept.command == kGyroBias)) {
+        Arguments numbers(value);
+        for (int j = 0; j < 3; ++j)
+          if (!std::isfinite(std::bit_cast<float>(numbers.u32()))) throw Refusal{kBadParameter};
+      }
       current_.kept[name] = value;
       if (of_an_event)
         unserved_.note(fmt::format("{:02X},{:02X}", kept.set, kept.command),

@@ -156,6 +156,16 @@ TEST_F(ProgramTest, UsageAndBenchFileErrorsExitWith2AndLeaveNothingBehind) {
   EXPECT_FALSE(std::filesystem::exists(folder / "a.run"));
 }
 
+TEST_F(ProgramTest, WhatIsNoFileIsNeverReadWithoutEnd) {
+  ASSERT_EQ(mkfifo((folder / "pipe").c_str(), 0600), 0);
+  for (const char* command : {"plan", "analyse", "verify", "uncertainty"})
+    for (const std::string path : {std::string("pipe"), std::string("/dev/zero")}) {
+      const ProgramResult refused = abcal({command, path});
+      EXPECT_NE(refused.exit_code, 0) << command << ' ' << path;
+      EXPECT_THAT(refused.err, HasSubstr("not a file")) << command << ' ' << path;
+    }
+}
+
 TEST_F(ProgramTest, APortThatDoesNotExistExitsWith3AndSaysWhatThereIs) {
   BenchText bench;
   bench.stage_port = "/dev/does-not-exist";

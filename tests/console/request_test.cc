@@ -64,6 +64,7 @@ TEST(RequestTest, RefusesWhatIsNotUnderstood) {
                            R"({"do":"stop","now":true})",
                            R"({"do":"start","confirmed":1})",
                            R"({"do":"start","confirmed":"true"})",
+                           R"({"do":"start","confirmed":true,"estimator":"x"})",
                            R"({"do":"stop","id":-1})",
                            R"({"do":"stop","id":1.5})",
                            R"({"do":"stop","id":1e300})",

@@ -371,6 +371,8 @@ TEST_F(MipFirmwareTest, ItsAccelerometerBiasIsSubtracted) {
   const auto read = ask(0x0C, "0337 02");
   EXPECT_EQ(read.at(1).descriptor, 0x9AU);
   EXPECT_EQ(to_hex(read[1].data), "00000000000000003E800000");
+  EXPECT_EQ(code(0x0C, "0F37 01 7FC00000 00000000 00000000"), 3U) << "not a number";
+  EXPECT_EQ(to_hex(ask(0x0C, "0337 02").at(1).data), "00000000000000003E800000");
   EXPECT_EQ(code(0x0C, "0337 05"), 0U);
   EXPECT_EQ(z(), 1.0F);
 }

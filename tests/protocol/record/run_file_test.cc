@@ -245,6 +245,25 @@ TEST(RunFileTest, SaysClearlyWhatIsWrongWithAFileThatIsNoRun) {
   EXPECT_THAT(what([&] { RunFile::load(folder / "other.run"); }), HasSubstr("another program"));
 }
 
+TEST(RunFileTest, RefusesWhatOnlyAnotherProgramPutsIntoAFile) {
+  const test::TemporaryFolder folder;
+  const auto refusal = [&](const char* name, const char* sql) {
+    const auto path = folder / name;
+    { RunFile::create(path, header()); }
+    EXPECT_NO_THROW(RunFile::load(path));
+    { SqliteDatabase(path, SqliteDatabase::Mode::kReadWrite).execute(sql); }
+    return what([&] { RunFile::load(path); });
+  };
+  // An answer from it would never end.
+  EXPECT_THAT(
+      refusal("view.run",
+              "drop table event; create view event as with recursive r(id) as (select 1 union all "
+              "select id + 1 from r) select id, 'x' utc, 'x' who, 'x' kind, 'x' text, 'x' chain from r"),
+      HasSubstr("has the view \"event\", which no run file has"));
+  EXPECT_THAT(refusal("trigger.run", "create trigger more after insert on event begin select 1; end"),
+              HasSubstr("has the trigger \"more\""));
+}
+
 TEST(RunFileTest, RefusesANewerFileAndSaysToUpdate) {
   const test::TemporaryFolder folder;
   { RunFile::create(folder / "a.run", header()); }
