@@ -3,7 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <vector>
+#include <string_view>
 
 namespace abcal {
 
@@ -20,6 +20,22 @@ std::string uncovered_effects_words(const EffectSizes& sizes) {
   if (sizes.sources.contains("cyclic_drift") || sizes.cyclic_drift > 0.0) return {};
   return "not stated, so not covered: an offset that comes and goes 2 to 6 times in the run, as with air "
          "conditioning; state its size, or 0, as [item_uncertainty] cyclic_drift (docs/effects.md)";
+}
+
+std::vector<std::string> effects_without_source(const EffectSizes& sizes) {
+  // What read_effect_sizes() and the reader of bench files put in place of a source; behind the second, how
+  // the number was stated: "stated (rectangular, half-width 0.014)".
+  const auto is_none = [](std::string_view source) {
+    return source == "stated" || source.starts_with("stated (") || source == "tolerances" ||
+           source.find_first_not_of(" \t\r\n") == std::string_view::npos;
+  };
+  std::vector<std::string> words;
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    const auto source = sizes.sources.find(key.key);
+    if (key.get(sizes) > 0.0 && source != sizes.sources.end() && is_none(source->second))
+      words.emplace_back(key.words);
+  }
+  return words;
 }
 
 }  // namespace abcal

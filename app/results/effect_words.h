@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "protocol/plan/effect_sizes.h"
 
@@ -12,5 +13,9 @@ std::string default_effects_words(const EffectSizes& sizes);
 /// A sentence about an effect that is there on usual benches and was not stated, so that nothing stands for
 /// it; empty if it was.
 std::string uncovered_effects_words(const EffectSizes& sizes);
+
+/// Words of the effects whose size was stated as a number alone, without saying where it comes from. Sizes of
+/// zero leave their effect out and need no source.
+std::vector<std::string> effects_without_source(const EffectSizes& sizes);
 
 }  // namespace abcal
