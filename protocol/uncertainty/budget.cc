@@ -18,6 +18,7 @@
 #include "protocol/analysis/voltmeter.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
+#include "protocol/plan/backlash.h"
 
 namespace abcal {
 
@@ -41,11 +42,12 @@ Eigen::Index position(Eigen::Index j, Eigen::Index component) {
 }
 
 /// What no budget of this program has a line for.
-std::vector<std::string> sources_without_a_line(bool resolution_given) {
+std::vector<std::string> sources_without_a_line(const RunRecord& record, bool resolution_given) {
   std::vector<std::string> out{"nutation of the stage's axes beyond its stated wobble",
                                "stress-induced distortion of the stage",
                                "temperature and remounting of the accelerometer"};
   if (!resolution_given) out.emplace_back("resolution of the accelerometer's output (not given)");
+  if (backlash_is_left(record)) out.emplace_back(kBacklashNotCovered);
   return out;
 }
 
@@ -183,7 +185,7 @@ Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
   budget.covariance = carried_covariance(jacobian, *result.covariance);
   for (const BudgetLine& each : budget.lines) budget.combined += each.contribution.cwiseAbs2();
   budget.combined = budget.combined.cwiseSqrt();
-  budget.not_covered = sources_without_a_line(false);
+  budget.not_covered = sources_without_a_line(record, false);
   return budget;
 }
 
@@ -215,7 +217,7 @@ class BudgetMaker {
     OutputVector variance = OutputVector::Zero();
     for (const BudgetLine& line : budget_.lines) variance += line.contribution.cwiseAbs2();
     budget_.combined = variance.cwiseSqrt();
-    budget_.not_covered = sources_without_a_line(resolution.has_value());
+    budget_.not_covered = sources_without_a_line(record_, resolution.has_value());
     return budget_;
   }
 
