@@ -89,7 +89,7 @@ layer(drivers TOP MAY drivers/ FOREIGN fmt/)
 # --- protocol ------------------------------------------------------------------------------------------------------------
 set(angle drivers/instrument/angle.h)
 # Analysis and uncertainty cannot even name an instrument.
-set(numbers ${angle} protocol/linear/ protocol/statistics/ protocol/plan/effect_sizes.h protocol/plan/limits.h protocol/plan/tolerances.h protocol/record/run_record.h protocol/model/)
+set(numbers ${angle} protocol/linear/ protocol/statistics/ protocol/plan/backlash.h protocol/plan/effect_sizes.h protocol/plan/limits.h protocol/plan/tolerances.h protocol/record/run_record.h protocol/model/)
 layer(protocol/plan MAY ${angle} FOREIGN Eigen/ fmt/)
 layer(protocol/linear FOREIGN Eigen/)
 layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h FOREIGN Eigen/)

@@ -137,7 +137,7 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         ""}},
       {"protocol.approach_deg",
        {"Every angle is approached from below by at least this much, so that backlash has no effect. 0: from "
-        "either side.",
+        "either side; backlash must then be within `zero_deg`.",
         ""}},
       {"protocol.position_window_deg", {"Largest distance of the encoder from the commanded angle.", ""}},
       {"protocol.window_polls",

@@ -51,6 +51,7 @@ CorrectionConstants constants_of_file(const ExportCommand& command) {
   constants.performed = loaded.run->header.created_utc;
   if (!loaded.run->header.items.empty()) {
     const RunItem& item = loaded.run->header.items[static_cast<std::size_t>(chosen - 1)];
+    constants.full_scale = item.full_scale;
     constants.item = fmt::format("{} {}, serial number {}", item.maker, item.model, item.serial_number);
   }
   return constants;
@@ -59,6 +60,7 @@ CorrectionConstants constants_of_file(const ExportCommand& command) {
 /// What a format writes, and the verdict on it.
 struct Exported {
   std::string text, verdict;
+  std::string left_out;  ///< With the reason; empty: nothing.
 };
 
 Exported constants_of_series(const ExportCommand& command, const ExportFormat& format) {
@@ -81,13 +83,13 @@ Exported constants_of_series(const ExportCommand& command, const ExportFormat& f
   constants.performed = series.performed;
   constants.source = fmt::format("{} and {} more runs", command.files.front(), command.files.size() - 1);
   constants.verdict = series.result.usable() ? "usable" : "doubtful";
-  return {format.write_over_temperature(constants), constants.verdict};
+  return {format.write_over_temperature(constants), constants.verdict, {}};
 }
 
 Exported exported(const ExportCommand& command, const ExportFormat& format) {
   if (command.files.size() > 1) return constants_of_series(command, format);
   const CorrectionConstants constants = constants_of_file(command);
-  return {format.write(constants), constants.verdict};
+  return {format.write(constants), constants.verdict, format.left_out ? format.left_out(constants) : ""};
 }
 
 void export_constants(const ExportCommand& command) {
@@ -101,6 +103,7 @@ void export_constants(const ExportCommand& command) {
   if (done.verdict != "usable")
     print_warning(fmt::format("the result is {}: look at it with `abcal analyse {}` first", done.verdict,
                               command.files.front()));
+  if (!done.left_out.empty()) print_warning(done.left_out);
   if (command.output.empty()) {
     print_result("{}", done.text);
   } else {

@@ -14,6 +14,7 @@
 #include "app/system/exit_code.h"
 #include "app/system/output.h"
 #include "app/system/progress.h"
+#include "protocol/plan/backlash.h"
 #include "protocol/plan/rotation_plan.h"
 
 namespace abcal {
@@ -136,6 +137,8 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config) {
     print_result("Note: {}.\n", words);
   if (const std::string words = uncovered_effects_words(config.tolerances); !words.empty())
     print_result("Note: {}.\n", words);
+  if (backlash_is_left(config.protocol, plan.angles))
+    print_result("Note: {}.\n", backlash_words(config.tolerances.zero));
   print_sources(config);
   if (plan.travel_assumed) {
     print_result("If the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");

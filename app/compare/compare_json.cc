@@ -85,12 +85,16 @@ Json pair_of(const PairComparison& pair, const ResultsComparison& comparison) {
 Json chart_of(const std::optional<ControlChart>& chart) {
   if (!chart) return nullptr;
   Json points = Json::array();
-  for (const ChartPoint& point : chart->points) {
-    points.push_back(
-        {{"value", point.value}, {"lower", point.lower}, {"upper", point.upper}, {"inside", point.inside()}});
+  for (std::size_t k = 0; k < chart->points.size(); ++k) {
+    const ChartPoint& point = chart->points[k];
+    points.push_back({{"value", point.value},
+                      {"lower", point.lower},
+                      {"upper", point.upper},
+                      {"inside", chart->inside(k)}});
   }
   return {{"centre", chart->centre},
           {"standard_deviation", chart->standard_deviation},
+          {"spread", chart->has_spread()},
           {"in_control", chart->in_control()},
           {"points", std::move(points)}};
 }

@@ -34,6 +34,42 @@ void require_one_item(const std::vector<ComparedResult>& results, std::vector<st
   }
 }
 
+/// Whether all dwells of two records have the same means: a record and its copy in another form.
+bool same_readings(const RunRecord& first, const RunRecord& second) {
+  return !first.dwells.empty() &&
+         std::ranges::equal(first.dwells, second.dwells, [](const DwellRecord& a, const DwellRecord& b) {
+           return a.experiment == b.experiment && a.n == b.n && a.closing == b.closing && a.mean == b.mean &&
+                  a.u_mean == b.u_mean;
+         });
+}
+
+/// Whether two results are of one measurement. Items of one run of which each stands once are not.
+bool of_one_measurement(const ComparedResult& first, const ComparedResult& second) {
+  if (first.tray && first.tray == second.tray) return first.tray_item == second.tray_item;
+  if (first.sha256 == second.sha256 && !first.sha256.empty()) return true;
+  if (!first.chain.empty() && !second.chain.empty()) return first.chain == second.chain;
+  return first.record && second.record && first.record->response_unit == second.record->response_unit &&
+         same_readings(*first.record, *second.record);
+}
+
+/// A measurement that counts twice agrees with itself and makes the mean look better than it is.
+void require_different_measurements(const std::vector<ComparedResult>& results) {
+  std::vector<std::string> problems;
+  for (std::size_t i = 1; i < results.size(); ++i) {
+    const auto copied =
+        std::find_if(results.begin(), results.begin() + static_cast<std::ptrdiff_t>(i),
+                     [&](const ComparedResult& r) { return of_one_measurement(r, results[i]); });
+    if (copied == results.begin() + static_cast<std::ptrdiff_t>(i)) continue;
+    const bool items = copied->tray && results[i].tray && copied->tray_item != results[i].tray_item;
+    problems.push_back(copied->file == results[i].file
+                           ? fmt::format("{} is named twice", results[i].file)
+                           : fmt::format("{} and {} hold the same {}", copied->file, results[i].file,
+                                         items ? "run, in two files" : "measurement"));
+  }
+  if (problems.empty()) return;
+  throw CompareError(fmt::format("{}; required: each measurement once", fmt::join(problems, "; ")));
+}
+
 /// Factors from the units of a record to those that it is compared in: sensitivities, then offsets.
 Eigen::Matrix<double, 12, 1> factors_of(const ComparedResult& result) {
   const double response = meaning_of_response_unit(result.record->response_unit).factor / result.unit.factor;
@@ -256,6 +292,7 @@ bool ResultsComparison::agree() const {
 ResultsComparison compare_results(std::vector<ComparedResult> results, const CompareOptions& options) {
   if (results.size() < 2)
     throw CompareError(fmt::format("{} result(s) to compare; at least 2 are required", results.size()));
+  require_different_measurements(results);
   ResultsComparison comparison;
   comparison.results = std::move(results);
   // Who names items of one run compares different ones.

@@ -56,7 +56,8 @@ struct ResultsComparison {
 };
 
 /// @param results  at least two
-/// @throws CompareError different items, units of different kinds, nothing to group by, a shared stage that
+/// @throws CompareError one measurement twice, different items, units of different kinds, nothing to group
+/// by, a shared stage that
 ///         cannot be subtracted; std::runtime_error where the numbers do not allow the comparison
 ResultsComparison compare_results(std::vector<ComparedResult> results, const CompareOptions& options);
 

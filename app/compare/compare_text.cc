@@ -164,9 +164,10 @@ void anova_table(const ResultsComparison& comparison, std::FILE* stream, std::st
 }
 
 std::string points_outside(const ControlChart& chart, const std::vector<std::string>& names) {
+  if (!chart.has_spread()) return "no spread: the limits have no width";
   std::string outside;
   for (std::size_t k = 0; k < chart.points.size(); ++k) {
-    if (!chart.points[k].inside()) outside += (outside.empty() ? "" : ", ") + names[k];
+    if (!chart.inside(k)) outside += (outside.empty() ? "" : ", ") + names[k];
   }
   return outside.empty() ? "in control" : "OUTSIDE: " + outside;
 }

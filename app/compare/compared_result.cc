@@ -12,6 +12,8 @@
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
 #include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/record/dwell_chain.h"
+#include "protocol/record/sha256.h"
 
 namespace abcal {
 namespace {
@@ -126,6 +128,11 @@ void convert_response(const ComparedResult& first, ComparedResult& result) {
 
 namespace {
 
+void identify(const std::filesystem::path& path, ComparedResult& result) {
+  result.sha256 = sha256_of_file(path);
+  if (RunFile::looks_like_run_file(path)) result.chain = last_dwell_link(path);
+}
+
 void take_result(const CalibrationResult& calibration, ComparedResult& result) {
   if (calibration.verdict == Verdict::kNotUsable)
     throw std::runtime_error(fmt::format("{}: no usable result: {}", result.file, calibration.why));
@@ -152,6 +159,7 @@ ComparedResult compared_item(const std::string& file, std::shared_ptr<const Tray
                              const std::string& estimator) {
   ComparedResult result;
   result.file = fmt::format("{}#{}", file, k + 1);
+  identify(file, result);
   const StoredRun& run = tray->items.at(k);
   describe_run(run, result);
   const TrayItemResult& item = tray->tray.items.at(k);
@@ -170,11 +178,16 @@ ComparedResult compared_item(const std::string& file, std::shared_ptr<const Tray
 }  // namespace
 
 ComparedResult load_compared(const std::filesystem::path& path, const std::string& estimator) {
-  if (looks_like_xml(path)) return read_certificate(path);
+  if (looks_like_xml(path)) {
+    ComparedResult certified = read_certificate(path);
+    identify(path, certified);
+    return certified;
+  }
   ComparedResult result;
   result.file = path.string();
   result.kind = "CSV";
   LoadedRecord loaded = load_record(path);
+  identify(path, result);
   if (loaded.run) describe_run(*loaded.run, result);
   take_result(analyse(loaded.record,
                       estimator.empty() ? declared_estimator(loaded.record) : find_estimator(estimator)),

@@ -49,6 +49,11 @@ struct ComparedResult {
   std::size_t tray_item = 0;
   std::vector<std::string> notes;
 
+  std::string sha256;  ///< Of the bytes of the file.
+  /// Last link of the chain of a run's dwells: a copy of the run has it too, however its bytes lie. Empty: no
+  /// run, or one of version 2.
+  std::string chain;
+
   /// Whether its numbers are those of the common fit of its run's items.
   bool of_common_fit() const;
 };

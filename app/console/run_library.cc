@@ -117,8 +117,8 @@ Json limits_of(const Json& runs) {
     if (run["value"].is_number()) series.push_back(run["value"]);
   if (series.size() < 2) return nullptr;
   const ControlChart chart = individuals_chart(series);
-  const auto outside = std::count_if(chart.points.begin(), chart.points.end(),
-                                     [](const ChartPoint& point) { return !point.inside(); });
+  int outside = 0;
+  for (std::size_t k = 0; k < chart.points.size(); ++k) outside += chart.inside(k) ? 0 : 1;
   return {{"centre", chart.centre},
           {"standard_deviation", chart.standard_deviation},
           {"lower", chart.points.front().lower},

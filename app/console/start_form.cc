@@ -24,6 +24,7 @@
 #include "app/session/disk_space.h"
 #include "app/session/register_records.h"
 #include "app/system/read_file.h"
+#include "protocol/plan/backlash.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
 
@@ -163,6 +164,8 @@ class Form {
           "the stage.");
     if (const std::string words = default_effects_words(config.tolerances); !words.empty())
       warn(fmt::format("Sizes of effects: {}.", words));
+    if (backlash_is_left(config.protocol, plan))
+      warn(fmt::format("Backlash: {}.", backlash_words(config.tolerances.zero)));
     add_disk(config, plan.size(), duration.total_s());
     predict(config);
   }

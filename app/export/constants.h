@@ -34,6 +34,7 @@ struct CorrectionConstants {
   double g_loc_mps2 = 9.80665;
   ExportFrame frame = ExportFrame::kItem;
   std::optional<ReadingNoise> noise;
+  std::optional<double> full_scale;  ///< Largest magnitude of a reading; response unit.
 
   // For the heading of a file.
   std::string item;       ///< Maker, model, serial number.

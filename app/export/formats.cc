@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "app/export/fixed_point.h"
 #include "app/export/mat_format.h"
 
 namespace abcal {
@@ -84,41 +85,56 @@ std::string as_csv(const CorrectionConstants& c) {
   return text;
 }
 
-/// Bits behind the binary point of the fixed-point constants.
-constexpr int kFixedBits = 16;
+std::string fixed_point_text(const CorrectionConstants& c) {
+  const FixedPoint fixed = fixed_point(c);
+  if (!fixed.why_not.empty()) return "\n// Not as integers: " + fixed.why_not + ".\n";
+  std::string matrix;
+  for (Eigen::Index j = 0; j < 3; ++j)
+    matrix += fmt::format("    {{{}, {}, {}}},\n", fixed.M(j, 0), fixed.M(j, 1), fixed.M(j, 2));
+  std::string text = fmt::format(
+      "\n// The same as 32-bit integers: the matrix times 2^abcal_M_shift, the offset times "
+      "2^abcal_b_shift.\n"
+      "// With the reading as R = r 2^abcal_b_shift, rounded to an int32_t,\n"
+      "//   a[j] 2^(abcal_M_shift + abcal_b_shift) = sum over k of\n"
+      "//     (int64_t)abcal_M_fixed[j][k] * ((int64_t)R[k] - abcal_b_fixed[k])\n"
+      "// Products and sum need 64 bits, and do not overflow for readings r within +-{:.6g} {}.\n",
+      fixed.largest_reading, c.response_unit);
+  text += fmt::format(
+      "// Error of a[j] at 1 g against the floating-point rule: at most {:.2g} m/s2, {:.2g} of g_loc; "
+      "standard\n"
+      "// uncertainty of the corrected reading: {:.2g} m/s2 or more.\n",
+      fixed.error_mps2, fixed.error_mps2 / c.g_loc_mps2, fixed.u_mps2);
+  text += fmt::format(
+      "#include <stdint.h>\n"
+      "enum {{ abcal_M_shift = {}, abcal_b_shift = {} }};\n"
+      "static const int32_t abcal_M_fixed[3][3] = {{\n{}}};\nstatic const int32_t abcal_b_fixed[3] = {{{}, "
+      "{}, "
+      "{}}};\n",
+      fixed.M_shift, fixed.b_shift, matrix, fixed.b[0], fixed.b[1], fixed.b[2]);
+  return text;
+}
+
+/// What of the constants is left out, for a message.
+std::string left_out_of_c(const CorrectionConstants& c) {
+  const FixedPoint fixed = fixed_point(c);
+  return fixed.why_not.empty() ? "" : "the header has no integers: " + fixed.why_not;
+}
 
 std::string as_c(const CorrectionConstants& c) {
-  const auto fixed = [](double value) -> std::string {
-    const double scaled = std::round(value * (1 << kFixedBits));
-    if (std::abs(scaled) > 2147483647.0) return {};
-    return std::to_string(static_cast<long long>(scaled));
-  };
   std::string text = heading(c, "//");
   text += fmt::format(
       "// a = M (r - b), accelerations in m/s2, readings in {}.\n#ifndef ABCAL_CONSTANTS_H\n#define "
       "ABCAL_CONSTANTS_H\n\n",
       c.response_unit);
-  std::string matrix, bias, matrix_fixed, bias_fixed;
-  bool fits = true;
+  std::string matrix, bias;
   for (Eigen::Index j = 0; j < 3; ++j) {
     matrix += fmt::format("    {{{:.9g}, {:.9g}, {:.9g}}},\n", c.M(j, 0), c.M(j, 1), c.M(j, 2));
-    matrix_fixed +=
-        fmt::format("    {{{}, {}, {}}},\n", fixed(c.M(j, 0)), fixed(c.M(j, 1)), fixed(c.M(j, 2)));
     bias += fmt::format("{}{:.9g}", j == 0 ? "" : ", ", c.b[j]);
-    bias_fixed += fmt::format("{}{}", j == 0 ? "" : ", ", fixed(c.b[j]));
-    for (Eigen::Index k = 0; k < 3; ++k) fits = fits && !fixed(c.M(j, k)).empty();
-    fits = fits && !fixed(c.b[j]).empty();
   }
   text +=
       fmt::format("static const double abcal_M[3][3] = {{\n{}}};\nstatic const double abcal_b[3] = {{{}}};\n",
                   matrix, bias);
-  if (fits) {
-    text += fmt::format(
-        "\n// The same times 2^{} as integers; each is rounded, which changes it by at most {:.2g}.\n"
-        "static const int abcal_M_fixed[3][3] = {{\n{}}};\nstatic const int abcal_b_fixed[3] = {{{}}};\n",
-        kFixedBits, 0.5 / (1 << kFixedBits), matrix_fixed, bias_fixed);
-  }
-  return text + "\n#endif\n";
+  return text + fixed_point_text(c) + "\n#endif\n";
 }
 
 /// What a format that only scales leaves uncorrected, as a comment.
@@ -236,7 +252,7 @@ const std::vector<ExportFormat>& export_formats() {
        [](const CorrectionConstants& c) { return as_mat(as_json(c)); }, /*is_text=*/false,
        [](const TemperatureConstants& c) { return as_mat(temperature_constants_json(c)); }},
       {"c", "the same as a C header, also in fixed point; over temperature as floating point", as_c,
-       /*is_text=*/true, temperature_constants_c},
+       /*is_text=*/true, temperature_constants_c, left_out_of_c},
       {"px4", "parameter file of PX4 (QGroundControl): scales and offsets", as_px4},
       {"ardupilot", "parameter file of ArduPilot: scales and offsets", as_ardupilot},
       {"ros", "YAML of the ROS package imu_calib", as_ros},

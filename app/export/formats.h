@@ -19,6 +19,8 @@ struct ExportFormat {
   bool is_text = true;  ///< Else it belongs into a file, not onto a terminal.
   /// Of a series over temperature; empty: the format holds constants of one temperature.
   std::function<std::string(const TemperatureConstants& constants)> write_over_temperature{};
+  /// What the format would hold and this file does not, with the reason; returns an empty text for nothing.
+  std::function<std::string(const CorrectionConstants& constants)> left_out{};
 };
 
 /// One entry for each: json, csv, mat, c, px4, ardupilot, ros, kalibr, imucal.

@@ -13,6 +13,7 @@
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/analysis/plausibility.h"
 #include "protocol/analysis/unusable_data.h"
+#include "protocol/plan/backlash.h"
 #include "sim/sim_bench.h"
 
 namespace abcal {
@@ -63,6 +64,8 @@ void add_checks(const RunRecord& record, const std::vector<Check>& of_the_record
     result.diagnostics.notes.push_back(std::move(words));
   if (std::string words = uncovered_effects_words(record.tolerances); !words.empty())
     result.diagnostics.notes.push_back(std::move(words));
+  if (backlash_is_left(record) && find_estimator(result.estimator).needs_angles)
+    result.diagnostics.notes.push_back(backlash_words(record.tolerances.zero));
   if (record.continuations > 0) {
     result.diagnostics.notes.push_back(
         fmt::format("the run was interrupted and resumed {}; each time the axes were homed again, and the "

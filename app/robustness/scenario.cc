@@ -132,6 +132,21 @@ Change plain(const std::function<void(ScenarioBench&)>& what) {
   return [=](ScenarioBench& b, ScenarioDraw&) { what(b); };
 }
 
+/// The load bends the platform: a turn by (direction of up) x sag in its own coordinates, whose elements are
+/// `urad` with random signs.
+Change sag(double urad) {
+  return [=](ScenarioBench& b, ScenarioDraw& draw) { b.truth.sag_urad = draw.signs(urad); };
+}
+
+/// The floor tilts by `urad` over the run, about a random horizontal direction.
+Change floor_tilt(double urad) {
+  return [=](ScenarioBench& b, ScenarioDraw& draw) {
+    const double direction = 2.0 * std::numbers::pi * draw.uniform();
+    b.truth.floor_tilt_x_urad = urad * std::cos(direction);
+    b.truth.floor_tilt_y_urad = urad * std::sin(direction);
+  };
+}
+
 /// Every effect of the table drawn from `share` of its stated size; k2 and k3, whose statement is wide on
 /// purpose, from 1e-3.
 Change everything(double share) {
@@ -186,12 +201,15 @@ void add_stage_scenarios(std::vector<Scenario>& list) {
                   plain([](ScenarioBench& b) {
                     b.truth.sag_urad = {20.0, 10.0, 20.0};
                   })});
-  list.push_back({"floor-tilt", "the floor tilts by 20 urad during the run", kBeyond,
-                  [](ScenarioBench& b, ScenarioDraw& draw) {
-                    const double direction = 2.0 * std::numbers::pi * draw.uniform();
-                    b.truth.floor_tilt_x_urad = 20.0 * std::cos(direction);
-                    b.truth.floor_tilt_y_urad = 20.0 * std::sin(direction);
-                  }});
+  list.push_back({"sag-50", "an off-centre load bends the platform by 50 urad about each of its directions",
+                  kBeyond, sag(50.0)});
+  list.push_back({"floor-tilt", "the floor tilts by 20 urad during the run", kBeyond, floor_tilt(20.0)});
+  list.push_back({"floor-tilt-50", "the floor tilts by 50 urad during the run", kBeyond, floor_tilt(50.0)});
+  list.push_back({"floor-tilt-quiet", "the floor tilts by 50 urad during a run with a third of the noise",
+                  kBeyond, both(floor_tilt(50.0), plain([](ScenarioBench& b) {
+                                  b.noise /= 3.0;
+                                  b.stated_noise /= 3.0;
+                                }))});
   list.push_back({"mount-creep", "the mount creeps by 20 urad, mostly in the first third of the run", kBeyond,
                   [](ScenarioBench& b, ScenarioDraw& draw) {
                     b.truth.mount_creep_urad = draw.signs(20.0 / std::sqrt(3.0));

@@ -4,6 +4,8 @@
 #include <bit>
 #include <cmath>
 
+#include "protocol/record/run_schema.h"
+
 namespace abcal {
 namespace {
 
@@ -95,6 +97,12 @@ std::string head_link(SqliteDatabase& database) {
     add_rows(hash, rows);
   }
   return hash.hexadecimal();
+}
+
+std::string last_dwell_link(const std::filesystem::path& run) {
+  SqliteDatabase database = open_run_file_unchecked(run, SqliteDatabase::Mode::kReadOnly);
+  if (run_file_version(database) < 3) return {};
+  return database.value("select chain from dwell order by id desc limit 1").value_or("");
 }
 
 std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before) {

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <filesystem>
 #include <string>
 #include <string_view>
 #include <variant>
@@ -22,6 +23,11 @@ std::string head_link(SqliteDatabase& database);
 /// session that are known at its beginning, all its own but the link, and all of its readings.
 /// docs/run_file.md says which bytes.
 std::string dwell_link(SqliteDatabase& database, std::int64_t dwell, std::string_view before);
+
+/// The last link of a run file's dwells, which names its readings and all that stands before them; empty in a
+/// file of version 2, and before the first angle.
+/// @throws RunFileError if the file is no run file
+std::string last_dwell_link(const std::filesystem::path& run);
 
 /// A reading as its row holds it, without the dwell.
 struct ReadingRow {

@@ -277,6 +277,21 @@ void read_sessions(SqliteDatabase& database, std::vector<StoredSession>& session
 
 }  // namespace
 
+std::optional<Angle> stated_approach(std::string_view bench_toml) {
+  // The program writes this text: one key a line, every default written out.
+  constexpr std::string_view kKey = "\napproach_deg = ";
+  const std::size_t section = bench_toml.find("[protocol]\n");
+  if (section == std::string_view::npos) return std::nullopt;
+  std::string_view keys = bench_toml.substr(section);
+  keys = keys.substr(0, keys.find("\n["));
+  const std::size_t at = keys.find(kKey);
+  if (at == std::string_view::npos) return std::nullopt;
+  double deg = 0.0;
+  const char* end = keys.data() + keys.size();
+  if (std::from_chars(keys.data() + at + kKey.size(), end, deg).ec != std::errc{}) return std::nullopt;
+  return Angle::degrees(deg);
+}
+
 std::string item_role(int item) {
   return std::string(kItemRole) + std::to_string(item);
 }

@@ -3,6 +3,8 @@
 #include <array>
 #include <utility>
 
+#include "protocol/plan/backlash.h"
+
 namespace abcal {
 namespace {
 
@@ -37,6 +39,14 @@ std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record) {
     if (i < record.dwells.size()) all.push_back(&record.dwells[i]);
   }
   return all;
+}
+
+bool backlash_is_left(const RunRecord& record) {
+  if (!record.approach || *record.approach > Angle{}) return false;
+  std::vector<std::array<Angle, 2>> poses;
+  for (const DwellRecord* dwell : dwells_in_time(record))
+    poses.push_back({dwell->commanded_x, dwell->commanded_z});
+  return turns_both_ways(poses);
 }
 
 std::string describe_flags(std::uint32_t flags) {

@@ -108,13 +108,20 @@ struct RunRecord {
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
   /// Whose result is the result of the run: chosen before the first angle ("joint"). Empty: not recorded.
   std::string estimator;
-  Angle step = Angle::degrees(5.0);     ///< Desired rotation step D.
-  int steps = 72;                       ///< N.
+  Angle step = Angle::degrees(5.0);  ///< Desired rotation step D.
+  int steps = 72;                    ///< N.
+  /// From how far below every angle was reached, as the run's bench file states it; 0: from either side.
+  /// Absent: not stated (CSV).
+  std::optional<Angle> approach;
   int continuations = 0;                ///< How often the run was interrupted and went on.
   int reconnections = 0;                ///< How often a port vanished, came back, and the run went on.
   std::vector<DwellRecord> dwells;      ///< In the order of measurement, closing angles included.
   std::vector<CheckDwell> check_poses;  ///< In the order of measurement; empty where none were planned.
 };
+
+/// Whether the backlash of the axes is part of the readings: the run states that angles were not approached
+/// from below, and an axis turned both ways.
+bool backlash_is_left(const RunRecord& record);
 
 /// The dwells of a record with those at its check poses, in the order of measurement; they live in it.
 std::vector<const DwellRecord*> dwells_in_time(const RunRecord& record);

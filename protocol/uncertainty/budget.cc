@@ -18,6 +18,7 @@
 #include "protocol/analysis/voltmeter.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
+#include "protocol/plan/backlash.h"
 
 namespace abcal {
 
@@ -49,6 +50,7 @@ std::vector<std::string> sources_without_a_line(const RunRecord& record, bool re
     out.emplace_back(
         "an offset that comes and goes within the run, as with air conditioning (cyclic_drift not given)");
   if (!resolution_given) out.emplace_back("resolution of the accelerometer's output (not given)");
+  if (backlash_is_left(record)) out.emplace_back(kBacklashNotCovered);
   return out;
 }
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <stdexcept>
 
 #include "protocol/uncertainty/analysis_of_variance.h"
@@ -35,8 +36,20 @@ ChartPoint point_between(double value, double centre, double half_width) {
 
 }  // namespace
 
+bool ControlChart::has_spread() const {
+  // A mean of n equal values is off by up to n half units of its last digit.
+  const double rounding = static_cast<double>(points.size() + 1) * std::numeric_limits<double>::epsilon();
+  return standard_deviation > rounding * std::abs(centre);
+}
+
+bool ControlChart::inside(std::size_t point) const {
+  return !has_spread() || points.at(point).inside();
+}
+
 bool ControlChart::in_control() const {
-  return std::all_of(points.begin(), points.end(), [](const ChartPoint& p) { return p.inside(); });
+  for (std::size_t k = 0; k < points.size(); ++k)
+    if (!inside(k)) return false;
+  return true;
 }
 
 ControlChart individuals_chart(std::span<const double> values) {

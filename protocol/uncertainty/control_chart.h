@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <span>
 #include <vector>
 
@@ -19,6 +20,10 @@ struct ControlChart {
   double centre = 0.0;
   double standard_deviation = 0.0;  ///< Of one plotted point if the process is stable.
   std::vector<ChartPoint> points;   ///< In the order given; for the EWMA the averages.
+  /// False: values differ by nothing but rounding. The limits then have no width and judge nothing.
+  bool has_spread() const;
+  /// Whether a point is inside of its limits; where there is no spread, every point is.
+  bool inside(std::size_t point) const;
   bool in_control() const;
 };
 

@@ -3,11 +3,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cctype>
 #include <cmath>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <random>
 #include <sstream>
 
+#include "protocol/record/sqlite.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/training_register.h"
@@ -171,6 +174,62 @@ TEST_F(CompareCommand, RunsOnOneStageSayThatNothingWasSubtracted) {
   EXPECT_NE(json["results"][0]["stage"], "");
   const Json shared = json_of_any({"a.run", "b.run", "--shared"});
   EXPECT_THAT(shared["notes"].dump(), Not(HasSubstr("NOT subtracted")));
+}
+
+TEST_F(CompareCommand, OneMeasurementDoesNotCountTwice) {
+  write_bench({});
+  ASSERT_EQ(abcal({"run", "bench.toml", "-o", "a.run"}).exit_code, 0);
+  std::filesystem::copy_file(folder / "a.run", folder / "copy.run");
+  std::filesystem::copy_file(folder / "a.run", folder / "packed.run");
+  SqliteDatabase(folder / "packed.run", SqliteDatabase::Mode::kReadWrite)
+      .execute("pragma page_size = 8192; vacuum");
+  ASSERT_NE(std::filesystem::file_size(folder / "packed.run"), std::filesystem::file_size(folder / "a.run"));
+  ASSERT_EQ(abcal({"report", "a.run", "--csv", "a.csv"}).exit_code, 0);
+  write("b.csv", readings(kMatrix, 1));
+  for (const char* again : {"copy.run", "packed.run", "a.csv"}) {
+    const ProgramResult refused = compare({"a.run", again});
+    EXPECT_EQ(refused.exit_code, 2) << again << refused.out;
+    EXPECT_THAT(refused.err, HasSubstr(std::string("a.run and ") + again + " hold the same measurement"));
+  }
+  const ProgramResult refused = compare({"b.csv", "a.run", "copy.run", "b.csv", "--any-item"});
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.err,
+              AllOf(HasSubstr("a.run and copy.run hold the same measurement; b.csv is named twice"),
+                    HasSubstr("required: each measurement once")));
+}
+
+/// The same readings with another offset of output u.
+std::string with_offset_of_u(const std::string& csv, double offset) {
+  std::istringstream lines(csv);
+  std::ostringstream changed;
+  changed.precision(17);
+  for (std::string line; std::getline(lines, line);) {
+    std::size_t from = 0;
+    for (int comma = 0; comma < 3 && std::isdigit(line.front()) != 0; ++comma)
+      from = line.find(',', from) + 1;
+    if (from == 0) {
+      changed << line << "\n";
+      continue;
+    }
+    const std::size_t to = line.find(',', from);
+    changed << line.substr(0, from) << std::stod(line.substr(from, to - from)) + offset << line.substr(to)
+            << "\n";
+  }
+  return changed.str();
+}
+
+TEST_F(CompareCommand, ValuesThatDoNotScatterHaveNoLimits) {
+  const std::vector<std::string> files{"0.csv", "1.csv", "2.csv"};
+  for (std::size_t k = 0; k < files.size(); ++k)
+    write(files[k], with_offset_of_u(readings(kMatrix, 1), 0.001 * static_cast<double>(k)));
+  const ProgramResult text = compare(files);
+  EXPECT_LE(text.exit_code, 1) << text.err;
+  EXPECT_THAT(text.out, HasSubstr("no spread: the limits have no width"));
+  EXPECT_THAT(text.out, Not(HasSubstr("OUTSIDE: 1, 2, 3")));
+  const Json chart = json_of_any(files)["several"]["properties"]["O_w"]["individuals_chart"];
+  EXPECT_FALSE(chart["spread"]);
+  EXPECT_TRUE(chart["in_control"]);
+  EXPECT_TRUE(chart["points"][0]["inside"]);
 }
 
 TEST_F(CompareCommand, DifferentItemsAreRefusedUnlessAskedFor) {

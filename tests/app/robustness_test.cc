@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <utility>
 
 #include "app/results/analyses.h"
 #include "app/robustness/robustness_text.h"
@@ -107,6 +108,23 @@ TEST(RobustnessTest, TheJointBudgetIsThatOfTheStatedUncertaintyInAHundredRandomR
       }
     }
   }
+}
+
+TEST(RobustnessTest, SagAndTiltOfTheFloorHaveTheSizesOfTheirNames) {
+  const auto& all = robustness_scenarios();
+  const auto truth_of = [&](const char* name) {
+    const auto found = std::ranges::find(all, name, &Scenario::name);
+    if (found == all.end()) throw std::logic_error(name);
+    EXPECT_EQ(found->kind, ScenarioKind::kBeyond) << name;
+    return draw_bench(*found, 1, 0).truth;
+  };
+  EXPECT_EQ(truth_of("sag-50").sag_urad.cwiseAbs(), Eigen::Vector3d::Constant(50.0));
+  for (const auto& [name, tilt] : {std::pair("floor-tilt", 20.0), std::pair("floor-tilt-50", 50.0),
+                                   std::pair("floor-tilt-quiet", 50.0)}) {
+    const sim::BenchTruth truth = truth_of(name);
+    EXPECT_NEAR(std::hypot(truth.floor_tilt_x_urad, truth.floor_tilt_y_urad), tilt, 1e-13) << name;
+  }
+  EXPECT_NEAR(truth_of("floor-tilt-quiet").noise, truth_of("floor-tilt-50").noise / 3.0, 1e-20);
 }
 
 TEST(RobustnessTest, AnUnknownScenarioIsNamedWithThoseThatAreKnown) {

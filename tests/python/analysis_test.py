@@ -4,6 +4,7 @@ import ast
 import inspect
 import json
 import pathlib
+import shutil
 import subprocess
 import tempfile
 import threading
@@ -149,6 +150,11 @@ class Comparisons(unittest.TestCase):
             self.assertFalse(abcal.compare([first, other], estimator="abc").agree)
             with self.assertRaisesRegex(ValueError, "two at least"):
                 abcal.compare([first])
+            copied = pathlib.Path(shutil.copy(first, folder / "copy.csv"))
+            with self.assertRaisesRegex(ValueError, r"1\.csv and .*copy\.csv hold the same measurement"):
+                abcal.compare([first, second, copied])
+            with self.assertRaisesRegex(ValueError, r"1\.csv is named twice"):
+                abcal.compare([first, first])
 
 
 class Stubs(unittest.TestCase):

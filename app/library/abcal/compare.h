@@ -35,8 +35,8 @@ class Comparison {
 
 /// Run files, CSVs of averaged readings and certificates (DCC XML), two at least: the first against the
 /// others.
-/// @throws std::invalid_argument results that cannot be compared; std::runtime_error for a file that cannot
-/// be read
+/// @throws std::invalid_argument results that cannot be compared, one measurement twice; std::runtime_error
+/// for a file that cannot be read
 Comparison compare(const std::vector<std::filesystem::path>& files, const CompareChoices& choices = {});
 
 }  // namespace abcal::v1

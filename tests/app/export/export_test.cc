@@ -16,6 +16,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "app/export/formats.h"
@@ -201,12 +202,106 @@ TEST_F(ExportTest, FlightControllersScaleAndShiftAndSayWhatTheyLeave) {
   check(parameters(export_format("ardupilot").write(c), ',', 0, 1), "INS_ACCOFFS_?", "INS_ACCSCAL_?");
 }
 
-TEST_F(ExportTest, FixedPointAgreesToItsRounding) {
-  const CorrectionConstants c = constants();
-  const std::string text = export_format("c").write(c);
-  const std::size_t at = text.find("abcal_M_fixed[3][3] = {\n    {");
-  ASSERT_NE(at, std::string::npos);
-  EXPECT_NEAR(std::stod(text.substr(text.find("    {", at) + 5)) / 65536.0, c.M(0, 0), 0.5 / 65536.0);
+/// Both rules of the header, as it documents them: lines of three readings in, six accelerations out.
+constexpr const char* kCorrectByBothRules = R"c(
+#include "constants.h"
+#include <math.h>
+#include <stdio.h>
+int main(void) {
+  double r[3];
+  while (scanf("%lf %lf %lf", &r[0], &r[1], &r[2]) == 3) {
+    int32_t R[3];
+    for (int k = 0; k < 3; ++k) R[k] = (int32_t)llround(ldexp(r[k], abcal_b_shift));
+    for (int j = 0; j < 3; ++j) {
+      double a = 0.0;
+      for (int k = 0; k < 3; ++k) a += abcal_M[j][k] * (r[k] - abcal_b[k]);
+      printf("%.17g ", a);
+    }
+    for (int j = 0; j < 3; ++j) {
+      int64_t a = 0;
+      for (int k = 0; k < 3; ++k) a += (int64_t)abcal_M_fixed[j][k] * ((int64_t)R[k] - abcal_b_fixed[k]);
+      printf("%.17g\n", ldexp((double)a, -(abcal_M_shift + abcal_b_shift)));
+    }
+  }
+  return 0;
+}
+)c";
+
+/// Largest difference of the two rules over the readings of a run, m/s2.
+double difference_of_rules(const std::string& header, const RunRecord& run) {
+  const test::TemporaryFolder folder;
+  test::write_file(folder / "constants.h", header);
+  test::write_file(folder / "correct.c", kCorrectByBothRules);
+  std::string readings;
+  for (const DwellRecord& dwell : run.dwells)
+    readings += fmt::format("{:.17g} {:.17g} {:.17g}\n", dwell.mean[0], dwell.mean[1], dwell.mean[2]);
+  test::write_file(folder / "readings", readings);
+  test::Program compiler(
+      "/usr/bin/cc",
+      {"-std=c99", "-Wall", "-Wextra", "-Werror", "-ftrapv", "correct.c", "-o", "correct", "-lm"},
+      folder.path());
+  EXPECT_EQ(compiler.wait(), 0) << compiler.err();
+  test::Program program("/bin/sh", {"-c", "./correct < readings"}, folder.path());
+  EXPECT_EQ(program.wait(), 0);
+  std::istringstream numbers(program.out());
+  double worst = 0.0;
+  std::size_t lines = 0;
+  for (std::array<double, 6> a{}; numbers >> a[0] >> a[1] >> a[2] >> a[3] >> a[4] >> a[5]; ++lines)
+    for (std::size_t j = 0; j < 3; ++j) worst = std::max(worst, std::abs(a[j] - a[j + 3]));
+  EXPECT_EQ(lines, run.dwells.size());
+  return worst;
+}
+
+TEST_F(ExportTest, IntegersCorrectAsFloatingPointDoesInAnyUnit) {
+  if (!std::filesystem::exists("/usr/bin/cc")) GTEST_SKIP() << "no C compiler";
+  const std::vector<std::pair<std::string, double>> units{
+      {"LSB", 16384.0}, {"LSB", 8388608.0}, {"g", kG / 9.80665}, {"m/s2", kG}, {"V", 0.002}, {"mV", 2000.0}};
+  for (const auto& [unit, scale] : units) {
+    RunRecord run = run_of(item(scale), unit);
+    const CorrectionConstants c = constants_of(analyse(run, "joint"), ExportFrame::kItem);
+    const std::string header = export_format("c").write(c);
+    ASSERT_THAT(header, HasSubstr("abcal_M_fixed")) << unit;
+    EXPECT_EQ(export_format("c").left_out(c), "");
+    double least_u = 1.0;
+    for (Eigen::Index j = 0; j < 3; ++j) least_u = std::min(least_u, kG * c.u_M(j, j) / c.M(j, j));
+    EXPECT_LT(difference_of_rules(header, run), 0.1 * least_u) << unit << " " << scale << "\n" << header;
+  }
+}
+
+TEST_F(ExportTest, IntegersHoldReadingsUpToTheFullScale) {
+  if (!std::filesystem::exists("/usr/bin/cc")) GTEST_SKIP() << "no C compiler";
+  const RunRecord in_counts = run_of(item(64.0), "LSB");  // 500 g and more
+  CorrectionConstants c = constants_of(analyse(in_counts, "joint"), ExportFrame::kItem);
+  c.full_scale = 32768.0;
+  RunRecord extremes;
+  for (const double u : {-32768.0, 32767.0})
+    for (const double v : {-32768.0, 32767.0}) {
+      DwellRecord dwell;
+      dwell.mean = Eigen::Vector3d(u, v, -u);
+      extremes.dwells.push_back(dwell);
+    }
+  // The matrix is rounded to half of 2^-29 of its largest element.
+  EXPECT_LT(difference_of_rules(export_format("c").write(c), extremes), 512.0 * kG * 3.0 * 2e-9 + 1e-3);
+}
+
+TEST_F(ExportTest, IntegersThatWouldAddToTheUncertaintyAreLeftOut) {
+  CorrectionConstants c = constants();
+  const std::string with = export_format("c").write(c);
+  EXPECT_THAT(with, HasSubstr("enum { abcal_M_shift = "));
+  EXPECT_THAT(with, HasSubstr("Error of a[j] at 1 g against the floating-point rule: at most "));
+  c.u_M *= 1e-5;
+  c.u_b *= 1e-5;
+  const std::string without = export_format("c").write(c);
+  EXPECT_THAT(without, testing::Not(HasSubstr("abcal_M_fixed")));
+  EXPECT_THAT(without, HasSubstr("// Not as integers: rounding to 32-bit integers makes an error of "));
+  EXPECT_THAT(without, HasSubstr("static const double abcal_M[3][3]"));
+  EXPECT_THAT(export_format("c").left_out(c), HasSubstr("the header has no integers: rounding"));
+  c = constants();
+  c.M *= 1e-9;  // 1e9 counts for 1 m/s2.
+  c.b *= 1e9;
+  c.u_M *= 1e-9;
+  c.u_b *= 1e9;
+  EXPECT_THAT(export_format("c").write(c), HasSubstr("do not fit into 32-bit integers"));
 }
 
 TEST_F(ExportTest, JsonHasEverythingWithItsUncertainty) {

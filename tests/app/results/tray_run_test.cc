@@ -35,7 +35,7 @@ using testing::Not;
 
 constexpr int kItems = 3;
 
-std::string tray_bench() {
+std::string tray_bench(int seed = 11) {
   std::string text = R"([bench]
 name = "bench 1"
 g_loc_mps2 = 9.80101
@@ -49,7 +49,7 @@ driver = "pi_gcs"
 port = "simulated"
 [environment]
 temperature_degc = 23.0
-)" + quick_calibration("seed = 11\n");
+)" + quick_calibration(fmt::format("seed = {}\n", seed));
   for (int k = 1; k <= kItems; ++k)
     text += fmt::format(
         "[[item]]\nmaker = \"Maker\"\nmodel = \"M-3\"\nserial_number = \"SN-{}\"\n[item.accelerometer]\n"
@@ -387,11 +387,24 @@ TEST_F(TrayRunTest, ItemsOfARunAreComparedWithWhatTheyShare) {
   EXPECT_GT(abc["pairs"][0]["properties"]["O_u"]["standard_uncertainty"].get<double>(),
             two["pairs"][0]["properties"]["O_u"]["standard_uncertainty"].get<double>());
 
-  std::filesystem::copy_file(folder / "a.run", folder / "b.run");
-  EXPECT_EQ(compare({"a.run#2", "b.run#2"})["pairs"][0]["agrees"], true);
+  test::write_file(folder / "again.toml", tray_bench(12));
+  ASSERT_EQ(abcal({"run", "again.toml", "-o", "b.run"}).exit_code, 0);
+  EXPECT_EQ(compare({"a.run#2", "b.run#2"})["pairs"].size(), 1U);
   const test::ProgramResult different = abcal({"compare", "a.run#1", "b.run#2"});
   EXPECT_EQ(different.exit_code, 2);
   EXPECT_THAT(different.err, HasSubstr("different items"));
+  std::filesystem::copy_file(folder / "a.run", folder / "copy.run");
+  for (const auto& [names, reason] :
+       {std::pair{std::vector<std::string>{"a.run#2", "a.run#3", "a.run#2"}, "a.run#2 is named twice"},
+        {{"a.run#2", "copy.run#2"}, "a.run#2 and copy.run#2 hold the same measurement"},
+        {{"a.run#1", "copy.run#2", "--any-item"},
+         "a.run#1 and copy.run#2 hold the same run, in two files"}}) {
+    std::vector<std::string> arguments = names;
+    arguments.insert(arguments.begin(), "compare");
+    const test::ProgramResult refused = abcal(arguments);
+    EXPECT_EQ(refused.exit_code, 2) << refused.out;
+    EXPECT_THAT(refused.err, HasSubstr(reason));
+  }
   for (const std::string no_such : {"a.run#4", "a.run#0", "a.run#two"})
     EXPECT_EQ(abcal({"compare", "a.run#1", no_such}).exit_code, 2) << no_such;
   EXPECT_THAT(abcal({"compare", "a.run", "b.run"}).err,

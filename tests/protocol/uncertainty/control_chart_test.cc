@@ -58,6 +58,23 @@ TEST(ControlChartTest, MeansAreJudgedByTheScatterWithinGroups) {
   EXPECT_FALSE(chart.in_control());
 }
 
+TEST(ControlChartTest, LimitsWithoutWidthJudgeNothing) {
+  // The mean of three times this number is not the number.
+  const std::vector<double> equal(3, 0.99825464);
+  const ControlChart single = individuals_chart(equal);
+  const ControlChart average = ewma_chart(equal, single.centre, single.standard_deviation, 0.2);
+  const std::vector<std::vector<double>> groups{equal, {0.99825464, 0.99825464}};
+  for (const ControlChart& chart : {single, average, mean_chart(groups)}) {
+    EXPECT_FALSE(chart.has_spread());
+    EXPECT_TRUE(chart.in_control());
+    EXPECT_TRUE(chart.inside(0));
+  }
+  EXPECT_TRUE(individuals_chart(kFlowRates).has_spread());
+  // A change of two units in the last digit is rounding, one of a thousand is not.
+  const std::array<double, 3> changed{1.0, 1.0 + 1000 * 2.3e-16, 1.0};
+  EXPECT_TRUE(individuals_chart(changed).has_spread());
+}
+
 TEST(ControlChartTest, RefusesWhatCannotBeCharted) {
   const std::array<double, 1> one{1.0};
   const std::array<double, 2> infinite{1.0, HUGE_VAL};

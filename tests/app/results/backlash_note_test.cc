@@ -1,0 +1,61 @@
+// Backlash that no approach from below takes out: plan, result and report say so, by the program.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+
+#include "tests/app/program_fixtures.h"
+
+namespace abcal {
+namespace {
+
+using test::ProgramResult;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+class BacklashNoteTest : public ProgramTest {
+ protected:
+  void write_bench_with(const std::string& protocol) {
+    BenchText bench;
+    bench.protocol += protocol;
+    test::write_file(folder / "bench.toml", bench.text() + "[stage_uncertainty]\nzero_deg = 0.02\n");
+  }
+  void run_and_report() {
+    const ProgramResult made = abcal({"run", "bench.toml", "-o", "a.run"});
+    ASSERT_EQ(made.exit_code, 0) << made.err;
+    told_by_run = made.out;
+    const ProgramResult report = abcal({"report", "a.run", "--html", "a.html", "--csv", "a.csv"});
+    ASSERT_EQ(report.exit_code, 0) << report.err;
+    page = test::read_file(folder / "a.html");
+  }
+
+  const std::string words = "required: backlash within zero_deg (0.02 degree)";
+  const std::string not_covered = "backlash of the axes beyond zero_deg (approach_deg = 0)";
+  std::string told_by_run, page;
+};
+
+TEST_F(BacklashNoteTest, EveryPlaceSaysThatBacklashIsNotTakenOut) {
+  write_bench_with("approach_deg = 0.0\n");
+  EXPECT_THAT(abcal({"plan", "bench.toml"}).out, HasSubstr(words));
+  ASSERT_NO_FATAL_FAILURE(run_and_report());
+  EXPECT_THAT(told_by_run, HasSubstr(words));
+  EXPECT_THAT(abcal({"analyse", "a.run"}).out, HasSubstr(words));
+  EXPECT_THAT(page, AllOf(HasSubstr(words), HasSubstr(not_covered)));
+  EXPECT_THAT(abcal({"uncertainty", "a.run", "--trials", "1000"}).out, HasSubstr(not_covered));
+  EXPECT_THAT(abcal({"analyse", "a.run", "--estimator", "norm"}).out, Not(HasSubstr(words)))
+      << "uses no angles";
+  EXPECT_THAT(abcal({"analyse", "a.csv"}).out, Not(HasSubstr(words))) << "a CSV does not state it";
+}
+
+TEST_F(BacklashNoteTest, ARunThatApproachesFromBelowSaysNothing) {
+  write_bench_with("");
+  EXPECT_THAT(abcal({"plan", "bench.toml"}).out, Not(HasSubstr(words)));
+  ASSERT_NO_FATAL_FAILURE(run_and_report());
+  EXPECT_THAT(told_by_run, Not(HasSubstr(words)));
+  EXPECT_THAT(page, AllOf(Not(HasSubstr(words)), Not(HasSubstr(not_covered))));
+}
+
+}  // namespace
+}  // namespace abcal
