@@ -159,7 +159,7 @@ TEST_F(ProgramTest, UsageAndBenchFileErrorsExitWith2AndLeaveNothingBehind) {
 TEST_F(ProgramTest, WhatIsNoFileIsNeverReadWithoutEnd) {
   ASSERT_EQ(mkfifo((folder / "pipe").c_str(), 0600), 0);
   for (const char* command : {"plan", "analyse", "verify", "uncertainty"})
-    for (const std::string path : {std::string("pipe"), std::string("/dev/zero")}) {
+    for (const char* path : {"pipe", "/dev/zero"}) {
       const ProgramResult refused = abcal({command, path});
       EXPECT_NE(refused.exit_code, 0) << command << ' ' << path;
       EXPECT_THAT(refused.err, HasSubstr("not a file")) << command << ' ' << path;
