@@ -184,9 +184,12 @@ void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Dat
     problems.push_back({where, "by " + g_loc.source, "a survey: a formula has no calibration"});
     return;
   }
+  const auto holds = [&](const Equipment& one) { return one.quantity == "gravity" && holds_on(one, day); };
+  // Where none holds, which is said already, it is still to be one of them.
+  const bool one_holds = std::any_of(laboratory.equipment.begin(), laboratory.equipment.end(), holds);
   std::vector<std::string> known, stated;
   for (const Equipment& one : laboratory.equipment) {
-    if (one.quantity != "gravity" || !holds_on(one, day)) continue;
+    if (one.quantity != "gravity" || (one_holds && !holds(one))) continue;
     known.push_back(one.certificate);
     if (!names_number(g_loc.source, one.certificate) && !names_number(g_loc.source, one.serial_number))
       continue;
@@ -199,7 +202,7 @@ void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Dat
     }
     if (stated.size() == before) return;  // It states no value: the source names it.
   }
-  if (known.empty()) return;  // That no equipment holds is said already.
+  if (known.empty()) return;  // That there is none is said already.
   if (!stated.empty()) {
     problems.push_back({where,
                         fmt::format("g_loc = {} m/s2, U = {:g} m/s2, k = {:g}", g_loc.value_mps2,

@@ -106,7 +106,7 @@ chmod u+w forged.run.results
 must sqlite3 forged.run.results 'delete from certificate'
 expect 1 'certificate T-.*-0001' "$abcal" verify forged.run
 must sqlite3 forged.run.results 'delete from analysis'
-expect 1 'no analysis is stored of abc, joint, norm' "$abcal" verify forged.run
+expect 1 'no analysis is stored of joint, abc, norm' "$abcal" verify forged.run
 expect 0 'certificate T-.*-0002' "$abcal" issue 1.run --laboratory lab.toml
 cp training.db tampered.db
 must sqlite3 tampered.db "update certificate set run_sha256 = (select run_sha256 from certificate where number like '%-0001')"

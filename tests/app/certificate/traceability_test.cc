@@ -166,7 +166,7 @@ TEST_F(TraceabilityTest, AVoltmeterThatReportsNoSerialNumberNeedsOneThatTheBench
       "[[equipment]]\nname = \"Voltmeter\"\nquantity = \"voltage\"\nserial_number = \"MY-1\"\n"
       "certificate = \"C-2\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
   CertificateRequest asked = issuable(example_laboratory() + voltmeter);
-  asked.run.record.response_unit = "V";
+  asked.run.bench->accelerometer.driver = "scpi_voltmeter";
   without_reported_number(asked, "accelerometer", "", "0");
   EXPECT_THAT(refusal(asked), HasSubstr("run, voltmeter: found no serial number"));
   without_reported_number(asked, "accelerometer", "MY-2", "0");
@@ -195,6 +195,9 @@ TEST_F(TraceabilityTest, LocalGravityIsThatOfTheEquipmentForGravity) {
   // A survey that held when the run was made.
   EXPECT_THAT(refusal(issuable(replaced(example_laboratory(), "due = 2035-12-31", "due = 2026-02-28"))),
               AllOf(HasSubstr("run, gravity"), Not(HasSubstr("run, local gravity"))));
+  CertificateRequest both = issuable(replaced(example_laboratory(), "due = 2035-12-31", "due = 2026-02-28"));
+  both.run.record.g_loc.source = "felt about right";
+  EXPECT_THAT(refusal(both), AllOf(HasSubstr("run, gravity"), HasSubstr("run, local gravity: found source")));
 }
 
 TEST_F(TraceabilityTest, LocalGravityHasTheValueOfItsCalibration) {
