@@ -159,20 +159,50 @@ Distance distance_between(const nlohmann::json& stored, const nlohmann::json& no
   return distance;
 }
 
-/// @param item  Whose results they are.
-IntegrityCheck check_results(const std::filesystem::path& run, const std::vector<CalibrationResult>& results,
-                             int item) {
+/// Whether a complete run must have analyses: it is analysed when it ends. Of a levelling, whose angles
+/// belong to no experiment, there are none.
+bool must_have_analyses(const std::filesystem::path& run, const StoredRun& stored) {
+  std::error_code error;
+  return std::filesystem::exists(ResultsFile::path_beside(run), error) &&
+         std::any_of(stored.header.plan.begin(), stored.header.plan.end(),
+                     [](const PlannedAngle& angle) { return angle.experiment != 0; });
+}
+
+/// Of a complete run, what is said of analyses that are missing; empty: there is one of the declared
+/// estimator.
+/// @param found  the estimators of which there are analyses
+std::string missing_analyses(const StoredRun& stored, const std::vector<CalibrationResult>& results,
+                             const std::set<std::string>& found) {
+  const auto progress = std::ranges::find(stored.items, stored.item, &ItemProgress::k);
+  const bool is_dropped = progress != stored.items.end() && progress->dropped_at;
+  // Of an item that was dropped, only what the common fit says of it is kept.
+  if (is_dropped ? !found.empty() : found.contains(declared_estimator(stored.record).name)) return {};
+  std::string missing;
+  for (const CalibrationResult& result : results)
+    if (!found.contains(result.estimator)) missing += (missing.empty() ? "" : ", ") + result.estimator;
+  return fmt::format(
+      "no analysis is stored of {}; required: that of {}, stored when the run ended. It was removed, or "
+      "could not "
+      "be stored: `abcal analyse RUN` stores it again",
+      missing, declared_estimator(stored.record).name);
+}
+
+/// The stored analyses of the item of `stored`, computed again.
+IntegrityCheck check_results(const std::filesystem::path& run, const StoredRun& stored_run,
+                             const std::vector<CalibrationResult>& results) {
   // The same program gives the same numbers but for rounding. Another one may have better methods: its
   // analyses are a history: they are reported, not judged. Reports and certificates never use them.
   constexpr double kRounding = 1e-6;
   std::size_t same = 0, other = 0;
+  std::set<std::string> found;
   double largest_of_other = 0.0;
   for (const StoredAnalysis& stored : stored_analyses(run)) {
     const auto now = std::find_if(results.begin(), results.end(), [&](const CalibrationResult& result) {
       return result.estimator == stored.estimator;
     });
     const nlohmann::json json = nlohmann::json::parse(stored.result_json, nullptr, false);
-    if (now == results.end() || json.is_discarded() || json.value("item", 1) != item) continue;
+    if (now == results.end() || json.is_discarded() || json.value("item", 1) != stored_run.item) continue;
+    found.insert(stored.estimator);
     const Distance distance = distance_between(json, nlohmann::json(result_json(*now)));
     if (stored.program_version != program_version()) {
       ++other;
@@ -186,6 +216,10 @@ IntegrityCheck check_results(const std::filesystem::path& run, const std::vector
           fmt::format("the analysis {} of {} does not follow from the dwells: it differs by {:.2g} standard "
                       "uncertainties",
                       stored.estimator, stored.utc, distance.of_values)};
+  }
+  if (must_have_analyses(run, stored_run)) {
+    if (std::string missing = missing_analyses(stored_run, results, found); !missing.empty())
+      return {"results", false, std::move(missing)};
   }
   std::string words = fmt::format("{} analyses recomputed", same);
   if (other > 0)
@@ -206,7 +240,7 @@ std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const St
                                       const BenchConfig* bench,
                                       const std::vector<CalibrationResult>& results) {
   std::vector<IntegrityCheck> checks{check_plan(stored, bench)};
-  if (stored.state == RunState::kComplete) checks.push_back(check_results(run, results, stored.item));
+  if (stored.state == RunState::kComplete) checks.push_back(check_results(run, stored, results));
   return checks;
 }
 

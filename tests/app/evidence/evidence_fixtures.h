@@ -28,7 +28,7 @@ class EvidenceTest : public CertificateTest {
   }
 
   /// Changes a run and makes everything that depends on it again: means are the business of `sql`; chain of
-  /// dwells, seal, the hash in the results. The stored analyses are removed.
+  /// dwells, seal, the hash in the results, the analyses.
   void forge(const std::string& sql) const {
     change(sql);
     {
@@ -45,9 +45,12 @@ class EvidenceTest : public CertificateTest {
       }
       run.execute("update seal set dwell_chain = (select chain from dwell order by id desc limit 1)");
     }
-    SqliteDatabase kept(results(), SqliteDatabase::Mode::kReadWrite);
-    kept.execute("delete from analysis");
-    kept.prepare("update run set sha256 = :hash").set("hash", std::string_view(sha256_of_file(path))).run();
+    {
+      SqliteDatabase kept(results(), SqliteDatabase::Mode::kReadWrite);
+      kept.execute("delete from analysis");
+      kept.prepare("update run set sha256 = :hash").set("hash", std::string_view(sha256_of_file(path))).run();
+    }
+    EXPECT_EQ(test::run_program({"analyse", path.filename().string()}, folder.path()).exit_code, 0);
   }
 
   std::filesystem::path path;

@@ -97,6 +97,27 @@ TEST_F(TamperingTest, AForgedAnalysisDoesNotFollowFromTheDwells) {
   EXPECT_THAT(bad(), HasSubstr("results: the analysis abc"));
 }
 
+TEST_F(TamperingTest, AnalysesThatWereRemovedAreMissed) {
+  SqliteDatabase(results(), SqliteDatabase::Mode::kReadWrite).execute("delete from analysis");
+  const auto verified = abcal({"verify", path.filename().string()});
+  EXPECT_EQ(verified.exit_code, 1);
+  EXPECT_THAT(verified.out,
+              HasSubstr("results: no analysis is stored of joint, abc, norm; required: that of joint"));
+  // They can be made again from the readings.
+  EXPECT_EQ(abcal({"analyse", path.filename().string()}).exit_code, 0);
+  EXPECT_EQ(bad(), "");
+  // The last ones alone: the chain is whole.
+  SqliteDatabase(results(), SqliteDatabase::Mode::kReadWrite).execute("delete from analysis");
+  EXPECT_EQ(abcal({"analyse", path.filename().string(), "--estimator", "abc"}).exit_code, 0);
+  EXPECT_THAT(bad(), HasSubstr("no analysis is stored of joint, norm"));
+}
+
+TEST_F(TamperingTest, WhatNoChainCoversIsSaid) {
+  const auto verified = abcal({"verify", path.filename().string()});
+  EXPECT_THAT(verified.out, HasSubstr("Not covered, in RUN.results: run.note"));
+  EXPECT_THAT(abcal({"verify", path.filename().string(), "--json"}).out, HasSubstr("\"not_covered\""));
+}
+
 TEST_F(TamperingTest, ThreeHundredRandomChangesOfAByteAreFound) {
   std::ifstream in(path, std::ios::binary);
   std::string bytes{std::istreambuf_iterator<char>(in), {}};
