@@ -55,7 +55,10 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         ""}},
       {"stage.baud", {"Baud rate of a serial port. Absent: the driver's usual one.", "Bd"}},
       {"stage.address", {"Address of the controller in a daisy chain.", ""}},
-      {"stage.serial_number", {"If given, a controller with another serial number is refused.", ""}},
+      {"stage.serial_number",
+       {"If given, a controller with another serial number is refused. A stage that reports none is recorded "
+        "with it, as stated by this file.",
+        ""}},
       {"stage.level_file",
        {"File written by `abcal level`: axis zeros and tilt with their uncertainties. Empty: they are known "
         "only within `[stage_uncertainty]`.",
@@ -88,7 +91,10 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
       {"accelerometer.full_scale",
        {"Largest output. Readings at this value are flagged as clipped. Absent: as the instrument reports.",
         "R"}},
-      {"accelerometer.serial_number", {"If given, an instrument with another serial number is refused.", ""}},
+      {"accelerometer.serial_number",
+       {"If given, an instrument with another serial number is refused. One with an output in volts, or a "
+        "voltmeter, that reports none is recorded with it, as stated by this file.",
+        ""}},
       {"accelerometer.scale",
        {"Voltmeters and lines of text: output = (value - `bias`) / `scale`, for u, v, w. Zero is not "
         "permitted.",

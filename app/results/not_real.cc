@@ -43,6 +43,21 @@ std::vector<std::string> single_serial_numbers(std::string_view reported) {
   return single;
 }
 
+bool is_serial_number_reported(std::string_view reported) {
+  constexpr std::string_view kSeparators = "+,";
+  for (std::size_t begin = 0;;) {
+    const std::size_t end = std::min(reported.find_first_of(kSeparators, begin), reported.size());
+    const std::vector<std::string> part = single_serial_numbers(reported.substr(begin, end - begin));
+    if (part.empty() || std::find(part.begin(), part.end(), "0") != part.end()) return false;
+    if (end == reported.size()) return true;
+    begin = end + 1;
+  }
+}
+
+std::string stated_serial_number_label(const std::string& role) {
+  return role + ".stated_serial_number";
+}
+
 std::vector<std::string> instruments_not_real(const RunHeader& header, const BenchConfig& bench) {
   std::vector<std::string> list = simulated_instruments(bench);
   if (list.empty() && has_simulation(bench)) return {"stage", "accelerometer"};

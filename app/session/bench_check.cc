@@ -12,6 +12,7 @@
 #include <random>
 
 #include "app/bench/chamber_consistency.h"
+#include "app/results/not_real.h"
 #include "app/session/run_bench.h"
 #include "app/session/session_observer.h"
 #include "drivers/instrument/instrument_error.h"
@@ -172,10 +173,14 @@ class Checker {
   void check_stage() {
     identities_.stage = bench_.stage->identify();
     const StageInfo& info = identities_.stage;
-    require_serial_number("stage", info.model, info.serial_number, config_.stage.serial_number);
+    const std::string& stated = config_.stage.serial_number;
+    require_or_state_serial_number("stage", info.model, info.serial_number, stated);
+    const std::string not_reported =
+        stated.empty() ? "not reported"
+                       : fmt::format("{} as the bench file states it (not reported)", stated);
     add(Grade::kGood, "stage",
         fmt::format("{} {}, serial number {}, firmware {}", info.maker, info.model,
-                    info.serial_number.empty() ? "not reported" : info.serial_number,
+                    is_serial_number_reported(info.serial_number) ? info.serial_number : not_reported,
                     info.firmware.empty() ? "not reported" : info.firmware));
     for (const StageAxis axis : kStageAxes) {
       const StageAxisInfo& a = info.axes[index(axis)];
@@ -197,7 +202,7 @@ class Checker {
   void check_accelerometer(Accelerometer& accelerometer, const AccelerometerConfig& stated) {
     identities_.accelerometer = accelerometer.identify();
     const AccelerometerInfo& info = identities_.accelerometer;
-    require_serial_number("accelerometer", info.model, info.serial_number, stated.serial_number);
+    require_serial_number_of_accelerometer("accelerometer", stated, info);
     std::string words =
         fmt::format("{} {}, serial number {}, firmware {}, output in {}", info.maker, info.model,
                     info.serial_number.empty() ? "not reported" : info.serial_number,

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "app/bench/level_file.h"
+#include "app/results/not_real.h"
 #include "app/session/host_clock.h"
 #include "app/system/version.h"
 #include "drivers/instrument/instrument_error.h"
@@ -76,6 +77,19 @@ std::map<std::string, std::string> item_labels(const ItemConfig& item) {
   return labels;
 }
 
+/// Whether an instrument measures voltages: its own calibration is part of the traceability.
+bool reads_volts(const AccelerometerConfig& config, const AccelerometerInfo& info) {
+  return info.output_unit.ends_with("V") || config.driver.starts_with("scpi_");
+}
+
+/// Records the serial number that the bench file states for an instrument that reports none, as stated.
+void note_stated_serial_number(const std::string& stated, InstrumentIdentity& instrument, RunHeader& header) {
+  if (stated.empty() || is_serial_number_reported(instrument.serial_number)) return;
+  header.labels[stated_serial_number_label(instrument.role)] = stated;
+  instrument.details +=
+      fmt::format("; serial number {} stated by the bench file, not reported by the instrument", stated);
+}
+
 /// Items, their instruments and what belongs to each of several.
 void add_items(const BenchConfig& config, const Identities& identities, RunHeader& header) {
   header.items.clear();
@@ -92,6 +106,8 @@ void add_items(const BenchConfig& config, const Identities& identities, RunHeade
     if (identified.missing.empty()) {
       header.instruments.push_back(identity(info));
       header.instruments.back().role = fmt::format("item-{}", identified.k);
+      if (reads_volts(stated.accelerometer, info))
+        note_stated_serial_number(stated.accelerometer.serial_number, header.instruments.back(), header);
     }
     ItemFacts facts{item_labels(stated.item), info.output_unit, stated.tolerances, stated.limits,
                     stated.expected};
@@ -117,7 +133,7 @@ std::pair<AccelerometerInfo, std::map<std::string, std::string>> identify_accele
 /// What the bench file requires of an accelerometer.
 void require_as_stated(const std::string& role, const AccelerometerConfig& config,
                        const AccelerometerInfo& info) {
-  require_serial_number(role, info.model, info.serial_number, config.serial_number);
+  require_serial_number_of_accelerometer(role, config, info);
   const std::string& unit = config.response_unit;
   if (unit.empty() || config.driver == "simulated" || unit == info.output_unit) return;
   throw InstrumentError(role + " " + info.model, Fault::kWrongIdentity,
@@ -192,17 +208,33 @@ void require_serial_number(const std::string& role, const std::string& model, co
                   found.empty() ? "not reported" : found, required));
 }
 
+void require_or_state_serial_number(const std::string& role, const std::string& model,
+                                    const std::string& found, const std::string& stated) {
+  if (is_serial_number_reported(found)) {
+    require_serial_number(role, model, found, stated);
+    return;
+  }
+  // Of two controllers one may report its own: that one is not stated otherwise.
+  const std::vector<std::string> all = single_serial_numbers(stated);
+  for (const std::string& reported : single_serial_numbers(found))
+    if (reported != "0" && std::find(all.begin(), all.end(), reported) == all.end())
+      require_serial_number(role, model, found, stated);
+}
+
+void require_serial_number_of_accelerometer(const std::string& role, const AccelerometerConfig& config,
+                                            const AccelerometerInfo& info) {
+  const auto require = reads_volts(config, info) ? require_or_state_serial_number : require_serial_number;
+  require(role, info.model, info.serial_number, config.serial_number);
+}
+
 Identities identify(Bench& bench, const BenchConfig& config, bool ask_corrections) {
   Identities identities{bench.stage->identify(), {}, {}, {}};
   if (bench.items.empty()) {
     std::tie(identities.accelerometer, identities.corrections) =
         identify_accelerometer(*bench.accelerometer, ask_corrections);
   }
-  require_serial_number("stage", identities.stage.model, identities.stage.serial_number,
-                        config.stage.serial_number);
-  if (bench.items.empty())
-    require_serial_number("accelerometer", identities.accelerometer.model,
-                          identities.accelerometer.serial_number, config.accelerometer.serial_number);
+  require_or_state_serial_number("stage", identities.stage.model, identities.stage.serial_number,
+                                 config.stage.serial_number);
   identify_items(bench, config, ask_corrections, identities);
   if (bench.chamber) {
     identities.chamber = bench.chamber->identify();
@@ -242,6 +274,9 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
   for (const auto& [key, value] : item_labels(config.item)) label(key, value);
   label(std::string(kEstimatorLabel), config.protocol.estimator);
   header.instruments = {identity(identities.stage), identity(identities.accelerometer)};
+  note_stated_serial_number(config.stage.serial_number, header.instruments[0], header);
+  if (config.tray.empty() && reads_volts(config.accelerometer, identities.accelerometer))
+    note_stated_serial_number(config.accelerometer.serial_number, header.instruments[1], header);
   if (identities.chamber) header.instruments.push_back(identity(*identities.chamber));
   header.items = {item_of(config.item, config.accelerometer, identities.accelerometer)};
   header.items.front().registers = identities.corrections;

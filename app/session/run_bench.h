@@ -55,6 +55,18 @@ void require_all_items(const Identities& identities);
 void require_serial_number(const std::string& role, const std::string& model, const std::string& found,
                            const std::string& required);
 
+/// The same, where the bench file may state the serial number of an instrument that reports none: it is
+/// recorded as stated. One that is reported must be the stated one.
+/// @throws InstrumentError kWrongIdentity
+void require_or_state_serial_number(const std::string& role, const std::string& model,
+                                    const std::string& found, const std::string& stated);
+
+/// What the bench file requires of the serial number of an accelerometer, or of the voltmeter that reads it:
+/// one that reports none may be stated, as of a stage. Of another accelerometer it must be reported.
+/// @throws InstrumentError kWrongIdentity
+void require_serial_number_of_accelerometer(const std::string& role, const AccelerometerConfig& config,
+                                            const AccelerometerInfo& info);
+
 /// How long a plan takes on these instruments, in the time of the bench.
 PlanDuration estimate_duration(const std::vector<PlannedAngle>& plan, const BenchConfig& config,
                                const Identities& identities);

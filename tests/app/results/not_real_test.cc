@@ -31,6 +31,13 @@ RunHeader with(const std::string& role, const std::string& serial_number) {
   return header;
 }
 
+TEST(NotRealTest, ASerialNumberIsReportedIfEachInstrumentGaveOne) {
+  for (const char* reported : {"", " ", " + 13", "12 + ", "12, 0, 14", "0", "12,,14"})
+    EXPECT_FALSE(is_serial_number_reported(reported)) << reported;
+  for (const char* reported : {"12", "12/13", "12 + 13", "12, 13, 14", "0x2a51", "100"})
+    EXPECT_TRUE(is_serial_number_reported(reported)) << reported;
+}
+
 TEST(NotRealTest, ABenchFileWithASimulationIsThatOfAnEmulator) {
   const BenchConfig real = read_bench(test::source_folder() / "docs/examples/real.toml");
   EXPECT_THAT(instruments_not_real({}, real), IsEmpty());
