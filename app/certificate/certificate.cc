@@ -263,14 +263,11 @@ class Inspection {
                            format_date(*one.due),
                            fmt::format("a date not before that of the {}, {}", which, format_date(*day))});
     }
-    for (const InstrumentIdentity& instrument : data.run->header.instruments) {
-      if (!instrument.role.starts_with("stage") || instrument.serial_number.empty()) continue;
-      const std::string missing =
-          serial_number_without_equipment(laboratory_.equipment, "angle", instrument.serial_number);
-      if (!missing.empty())
-        of_run_.push_back({which + ", stage", fmt::format("serial number {}", missing),
-                           "an [[equipment]] with quantity = \"angle\" and this serial_number"});
-    }
+    const std::string missing =
+        serial_number_without_equipment(laboratory_.equipment, "angle", serial_numbers_of(data, "stage"));
+    if (!missing.empty())
+      of_run_.push_back({which + ", stage", fmt::format("serial number {}", missing),
+                         "an [[equipment]] with quantity = \"angle\" and this serial_number"});
     const bool volts = data.record.response_unit.ends_with("V");
     if (volts && std::none_of(laboratory_.equipment.begin(), laboratory_.equipment.end(),
                               [](const Equipment& one) { return one.quantity == "voltage"; })) {

@@ -5,6 +5,7 @@
 
 #include <set>
 
+#include "app/certificate/traceability.h"
 #include "app/units/dsi_unit.h"
 #include "app/xml/xml_tree.h"
 
@@ -44,6 +45,16 @@ Statement traceability(const Certificate& certificate) {
   text.text += " " + (site.empty() ? words("local gravity by {}.", source)
                                    : words("local gravity by {}, at {}.", source, site))
                          .text;
+  if (is_serial_number_stated(certificate.run.data, "stage"))
+    text.text +=
+        " " +
+        words("The serial number of the stage is stated by the bench file: the stage reports none.").text;
+  if (is_serial_number_stated(certificate.run.data, "accelerometer"))
+    text.text +=
+        " " + words("The serial number of the voltmeter is stated by the bench file: it reports none.").text;
+  text.text +=
+      " " +
+      words("That this thermometer measured the room is stated by the laboratory, not by the run.").text;
   Statement statement = plain("abc_traceability", title, text);
   statement.traceable = true;
   return statement;

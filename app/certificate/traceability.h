@@ -12,7 +12,8 @@ namespace abcal {
 /// What speaks against calling the results of a run traceable: every reason. Instruments that are not real, a
 /// run that was replayed, a quantity (angle, gravity, temperature, and voltage for an output in volts or
 /// measured by a voltmeter) without a calibration that holds on the day of the run, which for stage and
-/// voltmeter is that of exactly this instrument, local gravity by formula, an effect whose size is a default.
+/// voltmeter is that of exactly this instrument, local gravity by formula or from another source than the
+/// equipment for gravity, an effect whose size is a default or has no source.
 /// @param which  "run", "as-found run": how the reasons name it
 std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
                                           const std::string& which);
@@ -22,6 +23,13 @@ std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, cons
 /// together.
 std::string serial_number_without_equipment(const std::vector<Equipment>& equipment,
                                             const std::string& quantity, const std::string& serial_numbers);
+
+/// The serial numbers of an instrument of a run by its role ("stage", "accelerometer"): as it reported them,
+/// or as the bench file stated them for one that reports none. Empty: neither.
+std::string serial_numbers_of(const ReportData& data, const std::string& role);
+
+/// Whether they are those that the bench file stated.
+bool is_serial_number_stated(const ReportData& data, const std::string& role);
 
 /// The equipment that a run froze from the register when it began; nothing for runs without a register.
 /// @throws std::runtime_error if what is stored cannot be read

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "protocol/plan/effect_sizes.h"
 
@@ -8,5 +9,9 @@ namespace abcal {
 
 /// A sentence that names the effects whose size is a default; empty if there are none.
 std::string default_effects_words(const EffectSizes& sizes);
+
+/// Words of the effects whose size was stated as a number alone, without saying where it comes from. Sizes of
+/// zero leave their effect out and need no source.
+std::vector<std::string> effects_without_source(const EffectSizes& sizes);
 
 }  // namespace abcal

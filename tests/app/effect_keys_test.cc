@@ -189,6 +189,26 @@ TEST(EffectKeysTest, TheExamplesOfThePageAreReadAsTheirTextSays) {
   EXPECT_THAT(default_effects_words(sizes), HasSubstr("non-linearity of orders 4 and 5"));
 }
 
+TEST(EffectKeysTest, ANumberAloneHasNoSource) {
+  EffectSizes sizes;
+  EXPECT_TRUE(effects_without_source(sizes).empty()) << "a default is unstated, not without source";
+  sizes.sources = {{"wobble_urad", "certificate 12"}, {"step_deg", "stated"},
+                   {"alignment_deg", "tolerances"},   {"k2", " "},
+                   {"k3", "stated in data sheet 5"},  {"voltmeter_gain", "stated"}};  // Zero: no effect.
+  EXPECT_THAT(effects_without_source(sizes),
+              testing::ElementsAre("alignment of the axes", "step errors without memory",
+                                   "non-linearity of order 2"));
+  // As a bench file states them.
+  const BenchConfig config = bench_with(
+      "[stage_uncertainty]\nwobble_urad = 12\nzero_deg = { half_width = 0.02, distribution = \"rectangular\" "
+      "}\n"
+      "step_deg = { value = 0.001, source = \"certificate 12\" }\nalignment_deg = 0\n"
+      "[item_uncertainty]\ndrift = { expanded_uncertainty = 2e-5, k = 2 }\n");
+  EXPECT_THAT(effects_without_source(config.tolerances),
+              testing::ElementsAre("zeros of the axes", "wobble of the axes, each coefficient to 3/rev",
+                                   "drift of the offset, each order"));
+}
+
 TEST(EffectKeysTest, DefaultsAreNamed) {
   const BenchConfig config = bench_with("[stage_uncertainty]\nwobble_urad = 12\n");
   const std::string words = default_effects_words(config.tolerances);

@@ -86,10 +86,12 @@ sed -e 's/serial_number = "118001234"/serial_number = "1"/' -e 's/quantity = "gr
   >untraced.toml
 finding 3 "sizes of effects that nobody stated"
 expect 1 'effects: found not stated, so default sizes are used' "$abcal" issue 1.run --laboratory lab.toml
+expect 1 'effects: found stated without a source' "$abcal" issue 1.run --laboratory lab.toml
 
 finding 4 "traceability that was not earned"
 expect 1 'instruments: found simulated' "$abcal" issue 1.run --laboratory untraced.toml
 expect 1 'gravity: found no calibrated equipment' "$abcal" issue 1.run --laboratory untraced.toml
+expect 1 'local gravity: found source "Geist' "$abcal" issue 1.run --laboratory lab.toml
 expect 1 'with quantity = "angle" and this serial_number' "$abcal" issue 1.run --laboratory untraced.toml
 export ABCAL_REGISTER=$work/training.db
 
@@ -103,6 +105,8 @@ cp own.run.results forged.run.results
 chmod u+w forged.run.results
 must sqlite3 forged.run.results 'delete from certificate'
 expect 1 'certificate T-.*-0001' "$abcal" verify forged.run
+must sqlite3 forged.run.results 'delete from analysis'
+expect 1 'no analysis is stored of joint, abc, norm' "$abcal" verify forged.run
 expect 0 'certificate T-.*-0002' "$abcal" issue 1.run --laboratory lab.toml
 cp training.db tampered.db
 must sqlite3 tampered.db "update certificate set run_sha256 = (select run_sha256 from certificate where number like '%-0001')"

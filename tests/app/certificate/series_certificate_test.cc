@@ -28,7 +28,7 @@ std::string certificate_series_bench() {
                               "[item]\nmaker = \"Maker\"\nmodel = \"M-3\"\nserial_number = \"SN-42\"\n");
   text = replaced(text, "g_loc_mps2 = 9.81\n",
                   "name = \"bench 1\"\ng_loc_mps2 = 9.81\ng_loc_expanded_uncertainty_mps2 = 0.00003\n"
-                  "g_loc_k = 2.0\ng_loc_source = \"survey of 2025\"\n");
+                  "g_loc_k = 2.0\ng_loc_source = \"survey of 2025, EX-GRAV-7\"\n");
   return text +
          "[operator]\nname = \"Operator N. N.\"\n[environment]\ntemperature_degc = 23.0\n"
          "humidity_percent = 45.0\n";

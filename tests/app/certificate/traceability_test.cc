@@ -29,10 +29,19 @@ class TraceabilityTest : public CertificateTest {
     return asked;
   }
   /// As a run keeps it from the register.
-  static std::string registered_equipment(const std::string& serial_number, const std::string& quantity) {
+  static std::string registered_equipment(const std::string& serial_number, const std::string& quantity,
+                                          const std::string& values = "") {
     return R"({"equipment":"S","name":"of the register","maker":"","model":"","serial_number":")" +
            serial_number + R"(","quantity":")" + quantity +
-           R"(","certificate":"C-9","issuer":"I","performed":"2026-01-01","due":"2027-01-01","sha256":"","values":[]})";
+           R"(","certificate":"C-9","issuer":"I","performed":"2026-01-01","due":"2027-01-01","sha256":"","values":[)" +
+           values + "]}";
+  }
+  /// A stage that reports no serial number, with what the bench file states of it.
+  static void without_reported_number(CertificateRequest& asked, const std::string& role,
+                                      const std::string& stated, const std::string& reported = "") {
+    for (InstrumentIdentity& instrument : asked.run.run->header.instruments)
+      if (instrument.role == role) instrument.serial_number = reported;
+    if (!stated.empty()) asked.run.run->header.labels[role + ".stated_serial_number"] = stated;
   }
   static std::string traceable(const Certificate& certificate) {
     return CertificateXml(xml_text(dcc_document(certificate)))
@@ -106,6 +115,129 @@ TEST_F(TraceabilityTest, TheCalibrationIsThatOfTheInstrumentThatMeasured) {
   EXPECT_THAT(refusal(asked), HasSubstr("run, voltmeter: found not stated: gain of the voltmeter"));
 }
 
+TEST_F(TraceabilityTest, AStageThatReportsNoSerialNumberNeedsOneThatTheBenchFileStates) {
+  CertificateRequest asked = issuable();
+  without_reported_number(asked, "stage", "");
+  EXPECT_THAT(refusal(asked),
+              HasSubstr("run, stage: found no serial number, neither reported by the instrument "
+                        "nor stated; required: [stage] serial_number in the bench file"));
+  without_reported_number(asked, "stage", "7");
+  EXPECT_THAT(refusal(asked), AllOf(HasSubstr("equipment for angle with serial number 7 and"),
+                                    HasSubstr("stage: found serial number 7")));
+  without_reported_number(asked, "stage", "118001234");
+  EXPECT_EQ(refusal(asked), "");
+  const Certificate certificate = make_certificate(asked);
+  EXPECT_EQ(traceable(certificate), "true");
+  EXPECT_THAT(xml_text(dcc_document(certificate)), HasSubstr("stated by the bench file"));
+  EXPECT_THAT(xml_text(dcc_document(make_certificate(issuable()))),
+              Not(HasSubstr("stated by the bench file")));
+  // One of two controllers reports none.
+  asked = issuable();
+  without_reported_number(asked, "stage", "", " + 118001234");
+  EXPECT_THAT(refusal(asked), HasSubstr("run, stage: found no serial number"));
+}
+
+/// A bench whose stage tells no serial number, with further keys of [stage].
+std::string bench_with_silent_stage(const std::string& keys) {
+  return replaced(certificate_bench(), "driver = \"pi_gcs\"\nport = \"simulated\"\n",
+                  "driver = \"newport_xps\"\nport = \"simulated\"\n" + keys +
+                      "[stage.x]\naxis = \"Group1.Pos\"\n[stage.z]\naxis = \"Group2.Pos\"\n");
+}
+
+TEST_F(TraceabilityTest, ARunKeepsTheStatedSerialNumberAsStated) {
+  measure(bench_with_silent_stage("serial_number = \"77\"\n"), "stated.run", folder);
+  const ReportData data = gather_report(folder / "stated.run", any_time());
+  EXPECT_EQ(serial_numbers_of(data, "stage"), "77");
+  EXPECT_TRUE(is_serial_number_stated(data, "stage"));
+  for (const InstrumentIdentity& instrument : data.run->header.instruments) {
+    if (instrument.role != "stage") continue;
+    EXPECT_EQ(instrument.serial_number, "");
+    EXPECT_THAT(instrument.details, HasSubstr("serial number 77 stated by the bench file"));
+  }
+  measure(bench_with_silent_stage(""), "silent.run", folder);
+  EXPECT_EQ(serial_numbers_of(gather_report(folder / "silent.run", any_time()), "stage"), "");
+  // One that is reported is not stated otherwise.
+  const ReportData reported = gather_report(shared_run(), any_time());
+  EXPECT_FALSE(is_serial_number_stated(reported, "stage"));
+}
+
+TEST_F(TraceabilityTest, AVoltmeterThatReportsNoSerialNumberNeedsOneThatTheBenchFileStates) {
+  const std::string voltmeter =
+      "[[equipment]]\nname = \"Voltmeter\"\nquantity = \"voltage\"\nserial_number = \"MY-1\"\n"
+      "certificate = \"C-2\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
+  CertificateRequest asked = issuable(example_laboratory() + voltmeter);
+  asked.run.bench->accelerometer.driver = "scpi_voltmeter";
+  without_reported_number(asked, "accelerometer", "", "0");
+  EXPECT_THAT(refusal(asked), HasSubstr("run, voltmeter: found no serial number"));
+  without_reported_number(asked, "accelerometer", "MY-2", "0");
+  EXPECT_THAT(refusal(asked), HasSubstr("equipment for voltage with serial number MY-2"));
+  without_reported_number(asked, "accelerometer", "MY-1", "0");
+  EXPECT_EQ(refusal(asked), "");
+}
+
+TEST_F(TraceabilityTest, LocalGravityIsThatOfTheEquipmentForGravity) {
+  const auto with_source = [](const std::string& source) {
+    CertificateRequest asked = issuable();
+    asked.run.record.g_loc.source = source;
+    return refusal(asked);
+  };
+  EXPECT_THAT(
+      with_source("felt about right"),
+      HasSubstr("run, local gravity: found source \"felt about right\"; required: [bench] g_loc_mps2 from "
+                "a record of the register, or a g_loc_source that names the certificate of the equipment "
+                "for gravity: EX-GRAV-7"));
+  // Another number that only contains the right one.
+  for (const char* source :
+       {"certificate EX-GRAV-71", "EX-GRAV-7/2", "EX-GRAV-7-B", "2EX-GRAV-7", "GRAV-7", "7"})
+    EXPECT_THAT(with_source(source), HasSubstr("run, local gravity")) << source;
+  for (const char* source : {"certificate EX-GRAV-7.", "EX-GRAV-7", "(EX-GRAV-7, 2025)", "survey, report 7"})
+    EXPECT_EQ(with_source(source), "") << source;
+  // A survey that held when the run was made.
+  EXPECT_THAT(refusal(issuable(replaced(example_laboratory(), "due = 2035-12-31", "due = 2026-02-28"))),
+              AllOf(HasSubstr("run, gravity"), Not(HasSubstr("run, local gravity"))));
+  CertificateRequest both = issuable(replaced(example_laboratory(), "due = 2035-12-31", "due = 2026-02-28"));
+  both.run.record.g_loc.source = "felt about right";
+  EXPECT_THAT(refusal(both), AllOf(HasSubstr("run, gravity"), HasSubstr("run, local gravity: found source")));
+}
+
+TEST_F(TraceabilityTest, LocalGravityHasTheValueOfItsCalibration) {
+  const auto with_value = [](const std::string& value, const std::string& expanded) {
+    CertificateRequest asked = issuable();
+    asked.run.record.g_loc.source = "certificate C-9";
+    asked.run.run->header.labels[kCalibrationsLabel] =
+        "[" + registered_equipment("118001234", "angle") + "," +
+        registered_equipment("g", "gravity",
+                             R"({"name":"site","unit":"m/s2","value":)" + value +
+                                 R"(,"expanded_uncertainty":)" + expanded + R"(,"coverage_factor":2})") +
+        "," + registered_equipment("t", "temperature") + "]";
+    return refusal(asked);
+  };
+  EXPECT_EQ(with_value("9.80101", "0.00003"), "");
+  EXPECT_THAT(
+      with_value("9.80107", "0.00003"),
+      HasSubstr(
+          "run, local gravity: found g_loc = 9.80101 m/s2, U = 3e-05 m/s2, k = 2; required: as its source "
+          "states it: g_loc = 9.80107 m/s2, U = 3e-05 m/s2, k = 2"));
+  // The run states less than its source.
+  EXPECT_THAT(with_value("9.80101", "0.00004"), HasSubstr("run, local gravity: found g_loc = 9.80101"));
+  EXPECT_EQ(with_value("9.80101", "0.00002"), "");
+}
+
+TEST_F(TraceabilityTest, EachSizeAboveZeroHasASource) {
+  CertificateRequest asked = issuable();
+  auto& sources = asked.run.record.tolerances.sources;
+  sources["wobble_urad"] = "stated";
+  sources["zero_deg"] = "stated (rectangular, half-width 0.014)";
+  sources["drift"] = "tolerances";
+  EXPECT_THAT(
+      refusal(asked),
+      HasSubstr("run, effects: found stated without a source: zeros of the axes; wobble of the axes, each "
+                "coefficient to 3/rev; drift of the offset, each order; required: a source for each"));
+  // Zero leaves an effect out.
+  asked.run.record.tolerances.wobble_urad = 0.0;
+  EXPECT_THAT(refusal(asked), AllOf(HasSubstr("zeros of the axes"), Not(HasSubstr("wobble"))));
+}
+
 TEST_F(TraceabilityTest, SerialNumbersMatchExactly) {
   const auto missing = [](const std::vector<std::string>& listed, const std::string& serial_numbers) {
     std::vector<Equipment> equipment(listed.size());
@@ -145,6 +277,7 @@ TEST_F(TraceabilityTest, WithARegisterTheOperatorWasLoggedIn) {
   asked.run.run->header.labels[kCalibrationsLabel] = "[" + registered_equipment("118001234", "angle") + "," +
                                                      registered_equipment("g", "gravity") + "," +
                                                      registered_equipment("t", "temperature") + "]";
+  asked.run.record.g_loc.source = "calibration C-9 of S by I, performed 2026-01-01, due 2027-01-01";
   auto& events = asked.run.run->events;
   std::erase_if(events, [](const RunEvent& event) { return event.kind == "operator stated"; });
   events.push_back({asked.run.ended_utc(), "operator logged in", "Operator N. N., register 00ff"});

@@ -210,6 +210,7 @@ TEST_F(WordsTest, AGermanCertificateHasNoEnglishSentence) {
   draft.draft = true;
   draft.run.run->environment.clear();
   draft.run.record.g_loc.source = "formula GRS80";
+  draft.run.record.tolerances.sources["drift"] = "stated";
   draft.run.run->header.labels["replay.of"] = "other.run";
   draft.run.run->header.labels["item.maker"] = "";
   for (DwellRecord& dwell : draft.run.record.dwells)
@@ -220,6 +221,16 @@ TEST_F(WordsTest, AGermanCertificateHasNoEnglishSentence) {
   EXPECT_THAT(
       xml, testing::AllOf(testing::HasSubstr("simuliert: Drehtisch"),
                           testing::HasSubstr("kalibriert am 1998-12-31"), testing::HasSubstr("zweifelhaft")));
+  // One on a stage that reports no serial number, with another gravity.
+  for (const char* stated : {"", "118001234"}) {
+    CertificateRequest other = request(german);
+    other.draft = true;
+    as_if_real(other.run);
+    for (InstrumentIdentity& instrument : other.run.run->header.instruments) instrument.serial_number.clear();
+    if (*stated != '\0') other.run.run->header.labels["stage.stated_serial_number"] = stated;
+    if (*stated == '\0') other.run.record.g_loc.source = "1.5";
+    EXPECT_THAT(english_in(checked_xml(make_certificate(std::move(other)), nullptr)), IsEmpty()) << stated;
+  }
   // The check can fail.
   EXPECT_FALSE(english_in(checked_xml(make_certificate(request()), nullptr)).empty());
 }

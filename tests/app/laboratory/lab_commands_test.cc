@@ -188,7 +188,7 @@ class RecordCommands : public CertificateTest {
   void write(const std::string& effects) {
     std::string text = replaced(certificate_bench(),
                                 "g_loc_mps2 = 9.80101\ng_loc_expanded_uncertainty_mps2 = 0.00003\ng_loc_k = "
-                                "2.0\ng_loc_source = \"survey of 2025\"\n",
+                                "2.0\ng_loc_source = \"survey of 2025, EX-GRAV-7\"\n",
                                 "g_loc_mps2 = { from = \"EX-G-7\" }\n");
     test::write_file(folder / "bench.toml", text + "[stage_uncertainty]\n" + effects);
   }

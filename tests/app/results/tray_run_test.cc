@@ -41,7 +41,7 @@ name = "bench 1"
 g_loc_mps2 = 9.80101
 g_loc_expanded_uncertainty_mps2 = 0.00003
 g_loc_k = 2.0
-g_loc_source = "survey of 2025"
+g_loc_source = "survey of 2025, EX-GRAV-7"
 [operator]
 name = "Operator N. N."
 [stage]
