@@ -29,9 +29,14 @@ TEST(EffectsTest, EverySizeBelongsToAKeyAndEveryUnknownHasAName) {
     for (int i = 0; i < effect.count; ++i) names.insert(effect.unknown_name(i));
     EXPECT_EQ(static_cast<int>(names.size()), effect.count) << effect.name;
   }
+  EffectSizes stated;
+  stated.cyclic_drift = 1e-5;  // Nobody's default.
   for (const ItemEffect& effect : item_effects()) {
     EXPECT_TRUE(keys.contains(std::string(effect.key))) << effect.name;
-    EXPECT_GT(effect.prior({}), 0.0) << effect.name;
+    EXPECT_GT(effect.prior(stated), 0.0) << effect.name;
+    std::set<std::string> names;
+    for (int i = 0; i < effect.count; ++i) names.insert(effect.unknown_name(i));
+    EXPECT_EQ(static_cast<int>(names.size()), effect.count) << effect.name;
   }
 }
 
