@@ -46,7 +46,8 @@ TEST(EffectSizesTest, EveryEntryIsReadBack) {
 TEST(EffectSizesTest, ADefaultIsNotTakenForAStatement) {
   const EffectSizes sizes = read_back(effect_size_entries({}));
   EXPECT_TRUE(sizes.sources.empty());
-  // Orthogonality, gain and offset of a voltmeter, and cyclic drift are zero: they are no effects of this run.
+  // Orthogonality, gain and offset of a voltmeter, and cyclic drift are zero: they are no effects of this
+  // run.
   EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 4);
   EXPECT_EQ(sizes.wobble_urad, 50.0);
 }
