@@ -113,7 +113,7 @@ layer(app/toml MAY app/system/ ${angle} protocol/plan/ FOREIGN toml++/ Eigen/ fm
 layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ hwy/ spdlog/)
 layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
   FOREIGN toml++/ Eigen/ nlohmann/ fmt/ boost/)
-layer(app/results MAY app/bench/ app/system/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
+layer(app/results MAY app/bench/ app/system/ app/toml/ drivers/instrument/ protocol/ sim/ FOREIGN toml++/ Eigen/ nlohmann/ fmt/)
 layer(app/export MAY app/system/ protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
 layer(app/planner MAY app/bench/ app/results/ app/toml/ drivers/instrument/ drivers/text/ protocol/ sim/ FOREIGN toml++/ Eigen/ fmt/)
 layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)

@@ -11,6 +11,7 @@
 
 #include "app/bench/bench_keys.h"
 #include "app/bench/chamber_consistency.h"
+#include "app/bench/key_ranges.h"
 #include "drivers/registry.h"
 #include "drivers/text/text.h"
 #include "protocol/gravity/local_gravity.h"
@@ -123,15 +124,55 @@ void check_gravity(TomlReader& reader, const toml::table& root, BenchConfig& c) 
   }
 }
 
-void check_stage_axes(TomlReader& reader, const StageConfig& stage) {
-  const auto check_travel = [&](const std::string& section, const auto& min, const auto& max) {
-    if (min && max && !(*min < *max)) {
-      reader.add_problem(section + ".travel_min_deg", fmt::format("{} to {}", *min, *max),
-                         "travel_min_deg < travel_max_deg");
-    }
-  };
-  check_travel("stage.x", stage.x.travel_min_deg, stage.x.travel_max_deg);
-  check_travel("stage.z", stage.z.travel_min_deg, stage.z.travel_max_deg);
+bool is_range(double min, double max) {
+  return !std::isfinite(min) || !std::isfinite(max) || min < max;  // What is not finite is reported already.
+}
+
+std::string travel_words(double min, double max) {
+  return fmt::format("{:g} to {:g}", min, max);
+}
+
+/// The travel that [stage.x] states, of which one end may be the simulation's.
+/// @param where of the section; `simulated` of that of the simulation, empty: the stage is none
+void check_stated_travel(TomlReader& reader, const std::string& where, const StageAxisConfig& axis,
+                         const std::string& simulated, const sim::AxisTruth& truth) {
+  const auto &min = axis.travel_min_deg, &max = axis.travel_max_deg;
+  const double lowest = truth.travel_min.deg(), highest = truth.travel_max.deg();
+  if (min && max && !is_range(*min, *max)) {
+    reader.add_problem(where + ".travel_min_deg", travel_words(*min, *max),
+                       "travel_min_deg < travel_max_deg");
+    return;
+  }
+  if (simulated.empty()) return;
+  const std::string other = fmt::format("the travel of [{}] is {}", simulated, travel_words(lowest, highest));
+  if (min && !is_range(*min, highest))
+    reader.add_problem(where + ".travel_min_deg", fmt::format("{:g}", *min),
+                       fmt::format("below {:g}, as {}", highest, other));
+  if (max && !is_range(lowest, *max))
+    reader.add_problem(where + ".travel_max_deg", fmt::format("{:g}", *max),
+                       fmt::format("above {:g}, as {}", lowest, other));
+}
+
+void check_travel(TomlReader& reader, const toml::table& root, const BenchConfig& c,
+                  const std::string& name) {
+  const StageAxisConfig& axis = name == "x" ? c.stage.x : c.stage.z;
+  const sim::AxisTruth& truth = name == "x" ? c.simulation.x : c.simulation.z;
+  const std::string simulation = "simulation." + name;
+  const bool is_good = is_range(truth.travel_min.deg(), truth.travel_max.deg());
+  if (!is_good) {
+    const bool has_min = root.at_path(simulation + ".travel_min_deg").node() != nullptr;
+    reader.add_problem(simulation + (has_min ? ".travel_min_deg" : ".travel_max_deg"),
+                       travel_words(truth.travel_min.deg(), truth.travel_max.deg()),
+                       "travel_min_deg < travel_max_deg");
+  }
+  const std::string& port = c.stage.split() ? axis.port : c.stage.port;
+  const bool simulated = port == "simulated" || c.stage.driver == "simulated";
+  check_stated_travel(reader, "stage." + name, axis, is_good && simulated ? simulation : "", truth);
+}
+
+void check_stage_axes(TomlReader& reader, const toml::table& root, const BenchConfig& c) {
+  const StageConfig& stage = c.stage;
+  for (const char* name : {"x", "z"}) check_travel(reader, root, c, name);
   for (const auto& [section, axis] :
        {std::pair{"stage.x.sign", &stage.x}, std::pair{"stage.z.sign", &stage.z}}) {
     if (axis->sign == 0) reader.add_problem(section, "0", "1 or -1");
@@ -175,7 +216,9 @@ void check_accelerometer(TomlReader& reader, const std::string& where, Accelerom
     reader.add_problem(where + ".names", "\"" + accelerometer.names + "\"",
                        "the names of u, v and w, with blanks between");
   for (int j = 0; j < 3; ++j) {
-    if (accelerometer.scale[j] == 0.0) reader.add_problem(where + ".scale", "0", "no zeros");
+    if (std::abs(accelerometer.scale[j]) < kLeastResponse)
+      reader.add_problem(where + ".scale", fmt::format("{:g}", accelerometer.scale[j]),
+                         fmt::format("no zeros: at least {:g} in size", kLeastResponse));
   }
 }
 
@@ -366,7 +409,7 @@ std::optional<Problem> simulated_unit_problem(const BenchConfig& c) {
 
 void check_together(TomlReader& reader, const toml::table& root, BenchConfig& c) {
   check_gravity(reader, root, c);
-  check_stage_axes(reader, c.stage);
+  check_stage_axes(reader, root, c);
   check_plan_and_item(reader, c);
   check_stated_once(reader, root);
   check_stage_ports(reader, c.stage);

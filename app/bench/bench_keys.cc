@@ -4,6 +4,7 @@
 #include <optional>
 
 #include "app/bench/effect_keys.h"
+#include "app/bench/key_ranges.h"
 #include "drivers/registry.h"
 
 namespace abcal {
@@ -23,10 +24,10 @@ void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisCon
   keys.section(section);
   keys.text("axis", axis.axis);
   keys.integer("sign", axis.sign, -1, 1);
-  keys.angle("zero_deg", axis.zero, kAny);
-  keys.number("travel_min_deg", axis.travel_min_deg, kAny);
-  keys.number("travel_max_deg", axis.travel_max_deg, kAny);
-  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
+  keys.angle("zero_deg", axis.zero, kTurns);
+  keys.number("travel_min_deg", axis.travel_min_deg, kTurns);
+  keys.number("travel_max_deg", axis.travel_max_deg, kTurns);
+  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kSpeed);
   std::vector<std::string> drivers{""};
   for (const StageDriver& driver : stage_drivers()) drivers.push_back(driver.name);
   keys.text("driver", axis.driver, drivers);
@@ -37,51 +38,51 @@ void visit_stage_axis(KeyVisitor& keys, const std::string& section, StageAxisCon
 
 void visit_axis_truth(KeyVisitor& keys, const std::string& section, sim::AxisTruth& axis) {
   keys.section(section);
-  keys.angle("mean_step_error_deg", axis.mean_step_error, kAny);
-  keys.angle("initial_turn_error_deg", axis.initial_turn_error, kAny);
-  keys.angle("step_error_deg", axis.step_error_sd, kNotNegative);
-  keys.angle("backlash_deg", axis.backlash, kNotNegative);
-  keys.angle("travel_min_deg", axis.travel_min, kAny);
-  keys.angle("travel_max_deg", axis.travel_max, kAny);
-  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kPositive);
-  keys.number("acceleration_deg_per_s2", axis.acceleration_deg_per_s2, kPositive);
-  keys.angle("encoder_resolution_deg", axis.encoder_resolution, kNotNegative);
+  keys.angle("mean_step_error_deg", axis.mean_step_error, kAngle);
+  keys.angle("initial_turn_error_deg", axis.initial_turn_error, kAngle);
+  keys.angle("step_error_deg", axis.step_error_sd, kAngleSize);
+  keys.angle("backlash_deg", axis.backlash, kAngleSize);
+  keys.angle("travel_min_deg", axis.travel_min, kTurns);
+  keys.angle("travel_max_deg", axis.travel_max, kTurns);
+  keys.number("speed_deg_per_s", axis.speed_deg_per_s, kSpeed);
+  keys.number("acceleration_deg_per_s2", axis.acceleration_deg_per_s2, kAcceleration);
+  keys.angle("encoder_resolution_deg", axis.encoder_resolution, kAngleSize);
   visit_axis_effects(keys, axis);
   keys.list("harmonics", axis.harmonics, sim::ErrorHarmonic{},
             [](KeyVisitor& entry, sim::ErrorHarmonic& harmonic) {
               entry.integer("order", harmonic.order, 1, 1000);
-              entry.angle("sin_deg", harmonic.sin_coefficient, kAny);
-              entry.angle("cos_deg", harmonic.cos_coefficient, kAny);
+              entry.angle("sin_deg", harmonic.sin_coefficient, kAngle);
+              entry.angle("cos_deg", harmonic.cos_coefficient, kAngle);
             });
   visit_axis_wobble(keys, axis);
 }
 
 void visit_output_truth(KeyVisitor& keys, sim::OutputTruth& s) {
-  keys.matrix("sensitivity_matrix", s.sensitivity_matrix);
-  keys.vector("offset", s.offset);
-  keys.vector("k2", s.k2);
-  keys.vector("k3", s.k3);
-  keys.vector("drift_per_hour", s.drift_per_hour);
-  keys.vector("offset_per_degc", s.offset_per_degc);
-  keys.number("noise", s.noise, kNotNegative);
-  keys.number("quantisation", s.quantisation, kNotNegative);
+  keys.matrix("sensitivity_matrix", s.sensitivity_matrix, kResponse);
+  keys.vector("offset", s.offset, kResponse);
+  keys.vector("k2", s.k2, kSecondOrder);
+  keys.vector("k3", s.k3, kThirdOrder);
+  keys.vector("drift_per_hour", s.drift_per_hour, kResponse);
+  keys.vector("offset_per_degc", s.offset_per_degc, kResponse);
+  keys.number("noise", s.noise, kResponseSize);
+  keys.number("quantisation", s.quantisation, kResponseSize);
   std::optional<double> full_scale;
   if (std::isfinite(s.full_scale)) full_scale = s.full_scale;
-  keys.number("full_scale", full_scale, kPositive);
+  keys.number("full_scale", full_scale, kPositiveResponse);
   s.full_scale = full_scale.value_or(kInfinity);
-  keys.number("ring_down_amplitude", s.ring_down_amplitude, kNotNegative);
-  keys.number("ring_down_frequency_hz", s.ring_down_frequency_hz, kNotNegative);
-  keys.number("ring_down_decay_s", s.ring_down_decay_s, kPositive);
+  keys.number("ring_down_amplitude", s.ring_down_amplitude, kResponseSize);
+  keys.number("ring_down_frequency_hz", s.ring_down_frequency_hz, kFrequency);
+  keys.number("ring_down_decay_s", s.ring_down_decay_s, kTime);
   keys.number("temperature_degc", s.temperature_degc, {-100.0, 200.0});
-  keys.number("temperature_per_hour", s.temperature_per_hour, kAny);
+  keys.number("temperature_per_hour", s.temperature_per_hour, kTemperatureRate);
   visit_output_effects(keys, s);
-  keys.vector("offset_per_degc2", s.offset_per_degc2);
-  keys.vector("offset_per_degc3", s.offset_per_degc3);
-  keys.vector("sensitivity_per_degc", s.sensitivity_per_degc);
-  keys.vector("sensitivity_per_degc2", s.sensitivity_per_degc2);
-  keys.vector("sensitivity_per_degc3", s.sensitivity_per_degc3);
-  keys.vector("offset_thermal_hysteresis", s.offset_thermal_hysteresis);
-  keys.vector("sensitivity_thermal_hysteresis", s.sensitivity_thermal_hysteresis);
+  keys.vector("offset_per_degc2", s.offset_per_degc2, kResponse);
+  keys.vector("offset_per_degc3", s.offset_per_degc3, kResponse);
+  keys.vector("sensitivity_per_degc", s.sensitivity_per_degc, kRelativeChange);
+  keys.vector("sensitivity_per_degc2", s.sensitivity_per_degc2, kRelativeChange);
+  keys.vector("sensitivity_per_degc3", s.sensitivity_per_degc3, kRelativeChange);
+  keys.vector("offset_thermal_hysteresis", s.offset_thermal_hysteresis, kResponse);
+  keys.vector("sensitivity_thermal_hysteresis", s.sensitivity_thermal_hysteresis, kRelativeChange);
 }
 
 void visit_bench(KeyVisitor& keys, BenchConfig& c) {
@@ -91,8 +92,8 @@ void visit_bench(KeyVisitor& keys, BenchConfig& c) {
                            c.g_loc.source};
   keys.calibrated("g_loc_mps2", gravity, {9.5, 10.0}, "m/s2");
   c.g_loc = {gravity.value, gravity.expanded_uncertainty, gravity.coverage_factor, gravity.source};
-  keys.number("g_loc_expanded_uncertainty_mps2", c.g_loc.expanded_uncertainty_mps2, kNotNegative);
-  keys.number("g_loc_k", c.g_loc.coverage_factor, kPositive);
+  keys.number("g_loc_expanded_uncertainty_mps2", c.g_loc.expanded_uncertainty_mps2, {0.0, 1.0});
+  keys.number("g_loc_k", c.g_loc.coverage_factor, {0.0, 100.0, true});
   keys.text("g_loc_source", c.g_loc.source);
   keys.number("latitude_deg", c.latitude_deg, {-90.0, 90.0});
   keys.number("height_m", c.height_m, {-500.0, 9000.0});
@@ -107,7 +108,7 @@ void visit_item(KeyVisitor& keys, ItemConfig& item, ExpectedItem& expected) {
   keys.text("filter", item.filter);
   keys.text("firmware", item.firmware);
   keys.text("supply", item.supply);
-  keys.number("nominal_sensitivity", expected.nominal_sensitivity, kPositive);
+  keys.number("nominal_sensitivity", expected.nominal_sensitivity, kPositiveResponse);
   keys.number("sensitivity_tolerance", expected.sensitivity_tolerance, {0.0, 1.0, true});
   keys.text("mounting", expected.mounting);
 }
@@ -131,12 +132,12 @@ void visit_accelerometer(KeyVisitor& keys, AccelerometerConfig& a) {
   keys.integer("baud", a.baud, 300, 4'000'000);
   keys.number("rate_hz", a.rate_hz, {0.0, 10'000.0, true});
   keys.text("response_unit", a.response_unit);
-  keys.number("full_scale", a.full_scale, kPositive);
+  keys.number("full_scale", a.full_scale, kPositiveResponse);
   keys.text("serial_number", a.serial_number);
-  keys.vector("scale", a.scale);
-  keys.vector("bias", a.bias);
+  keys.vector("scale", a.scale, kResponse);
+  keys.vector("bias", a.bias, kResponse);
   keys.integers("channels", a.channels, 0, 99'999);
-  keys.number("range_v", a.range_v, kPositive);
+  keys.number("range_v", a.range_v, {1e-9, 1e6});
   keys.number("integration_plc", a.integration_plc, {0.0, 1000.0, true});
   keys.integers("columns", a.columns, 1, 1000);
   keys.text("separator", a.separator);
@@ -226,20 +227,20 @@ void visit_protocol(KeyVisitor& keys, ProtocolConfig& p) {
 
 void visit_limits(KeyVisitor& keys, LimitsConfig& l) {
   keys.number("max_lost_fraction", l.max_lost_fraction, {0.0, 1.0});
-  keys.number("temperature_min_degc", l.temperature_min_degc, kAny);
-  keys.number("temperature_max_degc", l.temperature_max_degc, kAny);
+  keys.number("temperature_min_degc", l.temperature_min_degc, kTemperatureLimit);
+  keys.number("temperature_max_degc", l.temperature_max_degc, kTemperatureLimit);
   keys.integer("max_replugs", l.max_replugs, 0, 1000);
-  keys.number("temperature_change_degc", l.temperature_change_degc, kPositive);
+  keys.number("temperature_change_degc", l.temperature_change_degc, kLimit);
   keys.number("temperature_wait_s", l.temperature_wait_s, {0.0, 604'800.0});
-  keys.number("spread_factor", l.spread_factor, {1.0, kInfinity, true});
+  keys.number("spread_factor", l.spread_factor, {1.0, kNoLimit, true});
   keys.integer("repeats", l.repeats, 0, 1000);
-  keys.number("norm_fraction", l.norm_fraction, kPositive);
-  keys.number("stability", l.stability, kPositive);
-  keys.number("stability_degc", l.stability_degc, kPositive);
+  keys.number("norm_fraction", l.norm_fraction, kLimit);
+  keys.number("stability", l.stability, kLimit);
+  keys.number("stability_degc", l.stability_degc, kLimit);
   keys.angle("mounting_deg", l.mounting, {0.0, 180.0, true});
   keys.angle("slip_deg", l.slip, {0.0, 180.0, true});
   keys.angle("angle_deg", l.angle, {0.0, 180.0, true});
-  keys.number("drift", l.drift, kPositive);
+  keys.number("drift", l.drift, kLimit);
 }
 
 void visit_simulation(KeyVisitor& keys, sim::BenchTruth& s) {
@@ -253,11 +254,11 @@ void visit_simulation(KeyVisitor& keys, sim::BenchTruth& s) {
   keys.number("zx_per_degc", s.zx_per_degc, {-1e-3, 1e-3});
   visit_world_effects(keys, s);
   keys.section("simulation.chamber");
-  keys.number("air_lag_s", s.chamber.air_lag_s, kPositive);
-  keys.number("item_lag_s", s.chamber.item_lag_s, kPositive);
-  keys.number("self_heating_degc", s.chamber.self_heating_degc, kNotNegative);
+  keys.number("air_lag_s", s.chamber.air_lag_s, kTime);
+  keys.number("item_lag_s", s.chamber.item_lag_s, kTime);
+  keys.number("self_heating_degc", s.chamber.self_heating_degc, kHeating);
   keys.number("dew_point_degc", s.chamber.dew_point_degc, {-100.0, 60.0});
-  keys.number("hysteresis_width_degc", s.chamber.hysteresis_width_degc, kPositive);
+  keys.number("hysteresis_width_degc", s.chamber.hysteresis_width_degc, kTemperatureWidth);
   visit_axis_truth(keys, "simulation.x", s.x);
   visit_axis_truth(keys, "simulation.z", s.z);
 }
@@ -345,18 +346,18 @@ void visit_fault(KeyVisitor& keys, FaultConfig& fault) {
   keys.text("instrument", fault.instrument,
             keys.shows_every_form() ? fault_instruments() : std::vector<std::string>{});
   keys.text("axis", fault.axis, {"x", "z"});
-  keys.number("at_s", fault.at_s, kNotNegative);
-  keys.number("for_s", fault.for_s, kNotNegative);
+  keys.number("at_s", fault.at_s, kTimeOrZero);
+  keys.number("for_s", fault.for_s, kTimeOrZero);
   keys.integer("at_write", fault.at_write, 1, 1'000'000'000);
   keys.integer("for_writes", fault.for_writes, 1, 1'000'000'000);
-  keys.number("value", fault.value, kAny);
+  keys.number("value", fault.value, kResponse);
   keys.text("output", fault.output, {"", "u", "v", "w"});
   keys.text("text", fault.text);
-  keys.number("delay_s", fault.delay_s, kNotNegative);
+  keys.number("delay_s", fault.delay_s, kTimeOrZero);
 }
 
 void visit_change(KeyVisitor& keys, ChangeConfig& change) {
-  keys.number("at_s", change.at_s, kNotNegative);
+  keys.number("at_s", change.at_s, kTimeOrZero);
   visit_output_truth(keys, change.truth);
 }
 

@@ -6,13 +6,14 @@
 #include <optional>
 #include <vector>
 
+#include "app/bench/key_ranges.h"
+
 namespace abcal {
 namespace {
 
 constexpr double kMostUrad = 10'000.0;  // 0.6 degrees: a stage that is worse is broken
 constexpr Range kTilt{-kMostUrad, kMostUrad};
 constexpr Range kRelative{-0.5, 0.5};
-constexpr Range kTime{0.0, 1e9, true};  // seconds
 
 /// [tolerances] of abcal.bench/1: the same quantities under their old section.
 void read_old_tolerances(KeyVisitor& keys, BenchConfig& config) {
@@ -85,31 +86,31 @@ void visit_axis_wobble(KeyVisitor& keys, sim::AxisTruth& axis) {
 }
 
 void visit_output_effects(KeyVisitor& keys, sim::OutputTruth& s) {
-  keys.vector("k4", s.k4);
-  keys.vector("k5", s.k5);
-  keys.vector_in("asymmetry", s.asymmetry, kRelative);
-  keys.vector_in("cross_ab", s.cross_ab, kRelative);
-  keys.vector_in("cross_ac", s.cross_ac, kRelative);
-  keys.vector_in("cross_bc", s.cross_bc, kRelative);
-  keys.vector_in("cross_bb", s.cross_bb, kRelative);
-  keys.vector_in("cross_cc", s.cross_cc, kRelative);
-  keys.vector("hysteresis", s.hysteresis);
-  keys.vector("drift_1", s.drift_1);
-  keys.vector("drift_2", s.drift_2);
-  keys.vector("drift_3", s.drift_3);
-  keys.vector("exponential_drift", s.exponential_drift);
+  keys.vector("k4", s.k4, kFourthOrder);
+  keys.vector("k5", s.k5, kFifthOrder);
+  keys.vector("asymmetry", s.asymmetry, kRelative);
+  keys.vector("cross_ab", s.cross_ab, kRelative);
+  keys.vector("cross_ac", s.cross_ac, kRelative);
+  keys.vector("cross_bc", s.cross_bc, kRelative);
+  keys.vector("cross_bb", s.cross_bb, kRelative);
+  keys.vector("cross_cc", s.cross_cc, kRelative);
+  keys.vector("hysteresis", s.hysteresis, kResponse);
+  keys.vector("drift_1", s.drift_1, kResponse);
+  keys.vector("drift_2", s.drift_2, kResponse);
+  keys.vector("drift_3", s.drift_3, kResponse);
+  keys.vector("exponential_drift", s.exponential_drift, kResponse);
   keys.number("exponential_drift_s", s.exponential_drift_s, kTime);
-  keys.vector("sinusoidal_drift", s.sinusoidal_drift);
+  keys.vector("sinusoidal_drift", s.sinusoidal_drift, kResponse);
   keys.number("sinusoidal_drift_period_s", s.sinusoidal_drift_period_s, kTime);
   keys.angle("sinusoidal_drift_phase_deg", s.sinusoidal_drift_phase, {-360.0, 360.0});
-  keys.vector_in("sensitivity_drift", s.sensitivity_drift, kRelative);
-  keys.vector_in("gain_step", s.gain_step, kRelative);
-  keys.number("gain_step_at_s", s.gain_step_at_s, {0.0, 1e9});
-  keys.number("random_walk", s.random_walk, kNotNegative);
-  keys.number("flicker_noise", s.flicker_noise, kNotNegative);
-  keys.number("correlated_noise", s.correlated_noise, kNotNegative);
+  keys.vector("sensitivity_drift", s.sensitivity_drift, kRelative);
+  keys.vector("gain_step", s.gain_step, kRelative);
+  keys.number("gain_step_at_s", s.gain_step_at_s, kTimeOrZero);
+  keys.number("random_walk", s.random_walk, kResponseSize);
+  keys.number("flicker_noise", s.flicker_noise, kResponseSize);
+  keys.number("correlated_noise", s.correlated_noise, kResponseSize);
   keys.number("correlated_noise_s", s.correlated_noise_s, kTime);
-  keys.vector_in("mount_creep_urad", s.mount_creep_urad, kTilt);
+  keys.vector("mount_creep_urad", s.mount_creep_urad, kTilt);
   keys.number("mount_creep_s", s.mount_creep_s, kTime);
 }
 
@@ -117,7 +118,7 @@ void visit_world_effects(KeyVisitor& keys, sim::BenchTruth& s) {
   keys.number("span_s", s.span_s, {1.0, 1e9});
   keys.number("floor_tilt_x_urad", s.floor_tilt_x_urad, kTilt);
   keys.number("floor_tilt_y_urad", s.floor_tilt_y_urad, kTilt);
-  keys.vector_in("sag_urad", s.sag_urad, kTilt);
+  keys.vector("sag_urad", s.sag_urad, kTilt);
 }
 
 }  // namespace abcal

@@ -96,8 +96,8 @@ const std::map<std::string, KeyMeaning>& key_meanings() {
         "voltmeter, that reports none is recorded with it, as stated by this file.",
         ""}},
       {"accelerometer.scale",
-       {"Voltmeters and lines of text: output = (value - `bias`) / `scale`, for u, v, w. Zero is not "
-        "permitted.",
+       {"Voltmeters and lines of text: output = (value - `bias`) / `scale`, for u, v, w. At least "
+        "1e-12 in size.",
         "V/R or 1/R"}},
       {"accelerometer.bias", {"See `scale`.", "V or 1"}},
       {"accelerometer.channels", {"Voltmeters: the channels to which u, v, w are wired.", ""}},

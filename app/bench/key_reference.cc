@@ -59,8 +59,8 @@ std::string triple_text(const Eigen::Vector3d& v) {
 
 std::string range_text(const Range& range) {
   if (range.min == -kInfinity && range.max == kInfinity) return {};
-  if (range.max == kInfinity) return fmt::format("{} {}", range.min_excluded ? ">" : ">=", range.min);
-  return fmt::format("{}{} to {}", range.min_excluded ? "above " : "", range.min, range.max);
+  if (range.max == kInfinity) return fmt::format("{} {:g}", range.min_excluded ? ">" : ">=", range.min);
+  return fmt::format("{}{:g} to {:g}", range.min_excluded ? "above " : "", range.min, range.max);
 }
 
 std::string choices_text(const std::string& key, const std::vector<std::string>& choices) {
@@ -111,10 +111,7 @@ class KeyCollector final : public KeyVisitor {
   void boolean(const std::string& key, bool& value) override {
     add(key, "boolean", "`true`, `false`", value ? "true" : "false");
   }
-  void vector(const std::string& key, Eigen::Vector3d& value) override {
-    add(key, "3 numbers", {}, triple_text(value));
-  }
-  void vector_in(const std::string& key, Eigen::Vector3d& value, Range range) override {
+  void vector(const std::string& key, Eigen::Vector3d& value, Range range) override {
     add(key, "3 numbers", range_text(range), triple_text(value));
   }
   void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
@@ -133,8 +130,8 @@ class KeyCollector final : public KeyVisitor {
   void numbers(const std::string& key, std::vector<double>& value, Range range) override {
     add(key, "numbers", range_text(range), fmt::format("[{}]", fmt::join(value, ", ")));
   }
-  void matrix(const std::string& key, Eigen::Matrix3d& value) override {
-    add(key, "3 x 3 numbers", {},
+  void matrix(const std::string& key, Eigen::Matrix3d& value, Range range) override {
+    add(key, "3 x 3 numbers", range_text(range),
         fmt::format("[{}, {}, {}]", triple_text(value.row(0)), triple_text(value.row(1)),
                     triple_text(value.row(2))));
   }

@@ -195,6 +195,7 @@ class Opener {
                                             limits);
     }
     if (config_.stage.driver == kManual) {
+      end_orderly_at_signals();  // The person is told that the stage did not halt.
       if (streams_.replay)
         throw std::invalid_argument("a stage turned by hand has no bytes: typed angles are not recorded");
       return std::make_unique<MountedStage>(
@@ -205,6 +206,8 @@ class Opener {
     std::vector<std::unique_ptr<RotationStage>> parts;
     for (const InstrumentPort& port : stage_ports(config_.stage)) {
       const StageDriver& driver = find_driver(stage_drivers(), port.driver);
+      // Before it can move: no signal ends the program without the halt of what is real.
+      if (driver.connections == 0 || port.port != kSimulated) end_orderly_at_signals();
       std::vector<std::unique_ptr<wire::ByteStream>> streams;
       if (driver.connections > 0) {
         for (const InstrumentPort& connection : connections_of(port, driver.connections))
@@ -271,6 +274,7 @@ class Opener {
   }
 
   std::unique_ptr<ThermalChamber> chamber() {
+    end_orderly_at_signals();  // It is left as its policy says, where it is real.
     if (config_.chamber.driver == kManualChamber) return chamber_at_terminal(config_.chamber);
     const ChamberDriver& driver = find_driver(chamber_drivers(), config_.chamber.driver);
     std::vector<std::unique_ptr<wire::ByteStream>> streams;

@@ -15,6 +15,7 @@
 #include "app/results/analyses.h"
 #include "app/results/estimators.h"
 #include "app/results/load_record.h"
+#include "app/results/other_file.h"
 #include "app/results/recompute.h"
 #include "app/results/result_json.h"
 #include "app/results/result_text.h"
@@ -141,6 +142,7 @@ CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
     std::error_code error;
     if (!options->estimator.empty() && !find_estimator(options->estimator).needs_angles &&
         std::filesystem::is_regular_file(path, error) && has_no_angles(path)) {
+      refuse_other_file(path, kRunOrCsv);
       loaded.record = import_poses(path).record;
     } else {
       loaded = load_record(path);

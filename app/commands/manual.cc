@@ -153,7 +153,8 @@ constexpr const char* kExitStatus =
     ".TP\n1\nthe measurement or the analysis failed, or results do not agree\n"
     ".TP\n2\nusage, or a file that was given is wrong\n"
     ".TP\n3\nan instrument failed\n"
-    ".TP\n130\ninterrupted\n";
+    ".TP\n130\ninterrupted (a command that only computes is ended by the signal itself: 128 and its "
+    "number)\n";
 
 constexpr const char* kSafety =
     ".SH SAFETY\nA software halt is not an emergency stop. A computer can hang: keep the stage's own switch "

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
 
 #include "app/bench/bench_config.h"
 #include "app/bench/bench_records.h"
@@ -48,6 +50,15 @@ ShownPlan make_shown_plan(const BenchConfig& config) {
   return plan;
 }
 
+/// What a person has to know of the plan, each in one sentence without its full stop.
+std::vector<std::string> plan_notes(const ShownPlan& plan, const BenchConfig& config) {
+  std::vector<std::string> notes{default_effects_words(config.tolerances),
+                                 uncovered_effects_words(config.tolerances)};
+  if (backlash_is_left(config.protocol, plan.angles)) notes.push_back(backlash_words(config.tolerances.zero));
+  std::erase(notes, std::string());
+  return notes;
+}
+
 nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& config) {
   const auto range = [](const AxisTravel& travel) {
     return nlohmann::ordered_json{travel.min.deg(), travel.max.deg()};
@@ -61,6 +72,7 @@ nlohmann::ordered_json plan_json(const ShownPlan& plan, const BenchConfig& confi
       {"travel_assumed", plan.travel_assumed},
       {"estimator", config.protocol.estimator},
       {"default_effects", unstated_effects(config.tolerances)},
+      {"notes", plan_notes(plan, config)},
       {"g_loc", {{"value_mps2", config.g_loc.value_mps2}, {"source", config.g_loc.source}}},
       {"effect_sources", nlohmann::ordered_json::object()},
       {"cable_twist_deg", {{"x", range(plan.twist[0])}, {"z", range(plan.twist[1])}}}};
@@ -133,12 +145,7 @@ void print_plan(const ShownPlan& plan, const BenchConfig& config) {
       "zero, where the stage is parked. If they are too short, set travel_min_deg and travel_max_deg.\n",
       plan.twist[0].min.deg(), plan.twist[0].max.deg(), plan.twist[1].min.deg(), plan.twist[1].max.deg());
   print_result("The result of the run will be that of the {} estimator.\n", config.protocol.estimator);
-  if (const std::string words = default_effects_words(config.tolerances); !words.empty())
-    print_result("Note: {}.\n", words);
-  if (const std::string words = uncovered_effects_words(config.tolerances); !words.empty())
-    print_result("Note: {}.\n", words);
-  if (backlash_is_left(config.protocol, plan.angles))
-    print_result("Note: {}.\n", backlash_words(config.tolerances.zero));
+  for (const std::string& note : plan_notes(plan, config)) print_result("Note: {}.\n", note);
   print_sources(config);
   if (plan.travel_assumed) {
     print_result("If the bench file gives no travel, -360 to 360 deg is assumed; `run` asks the stage.\n");

@@ -26,6 +26,7 @@ struct RecordCommand {
 void record(const RecordCommand& command) {
   RealClock clock;
   auto instrument = wire::open_stream(command.port, {.path = {}, .baud = command.baud}, clock);
+  const std::stop_token stop = interrupt_token();
   WireLogWriter log(command.output, command.port, format_utc(clock.utc_now()));
   const auto relay = std::make_shared<Relay>(std::move(instrument), log, clock.now());
   sim::Endpoint endpoint{relay, sim::PtyLink{command.serve}};
@@ -34,7 +35,7 @@ void record(const RecordCommand& command) {
   print_result("{} is served on {}; every byte goes to {}\n", command.port, emulator.addresses().front(),
                command.output);
   print_result("Serving until interrupted (Ctrl-C).\n");
-  emulator.run(interrupt_token());
+  emulator.run(stop);
   print_log("{} rows in {}\n", log.rows(), command.output);
 }
 

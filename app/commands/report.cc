@@ -22,11 +22,9 @@
 #include "app/results/report_data.h"
 #include "app/results/tray_results.h"
 #include "app/system/exit_code.h"
-#include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "app/system/output_file.h"
 #include "app/system/temporary_folder.h"
-#include "protocol/run/experiment_run.h"
 
 namespace abcal {
 namespace {
@@ -112,7 +110,6 @@ void write_all(const std::vector<Output>& outputs, bool json) {
     const std::string text = fmt::format("{} written: {}\n", output.requested.option.substr(2),
                                          std::filesystem::absolute(output.requested.path).string());
     json ? print_log("{}", text) : print_result("{}", text);
-    if (interrupt_token().stop_requested()) throw RunInterrupted("interrupted");
   }
 }
 

@@ -151,8 +151,9 @@ CLI::App* add_bench(CLI::App& parent, int& exit_code) {
     choose_folder(service.bench);
     if (service.socket.empty()) service.socket = console::default_bench_socket(service.bench);
     if (options->stay) service.linger = std::chrono::milliseconds(0);
+    const std::stop_token stop = interrupt_token();
     console::BenchService bench(service);
-    exit_code = bench.serve(interrupt_token()) ? kExitInterrupted : kExitDone;
+    exit_code = bench.serve(stop) ? kExitInterrupted : kExitDone;
   });
   return command;
 }
@@ -189,6 +190,7 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
     if (!options->server.laboratory_file.empty()) (void)read_laboratory_file(options->server.laboratory_file);
     const bool made = choose_access(*options);
     choose_tls(*options);
+    const std::stop_token stop = interrupt_token();
     console::Server server(options->server, options->bench);
     const auto& tls = options->server.tls;
     print_result("Console: {}://{}:{}/{}\n", tls ? "https" : "http", name_to_call(options->server.address),
@@ -200,7 +202,7 @@ CLI::App* add_serve(CLI::App& parent, int& exit_code) {
         "{}A stop by the console is not an emergency stop: keep the stage's own switch within reach.\n"
         "Serving until interrupted (Ctrl-C).\n",
         who_may(options->server));
-    exit_code = server.serve(interrupt_token(), leaves_bench) ? kExitInterrupted : kExitDone;
+    exit_code = server.serve(stop, leaves_bench) ? kExitInterrupted : kExitDone;
   });
   return command;
 }

@@ -11,6 +11,7 @@
 #include "app/compare/read_certificate.h"
 #include "app/results/analyses.h"
 #include "app/results/load_record.h"
+#include "app/results/other_file.h"
 #include "protocol/analysis/intrinsic_properties.h"
 #include "protocol/record/dwell_chain.h"
 #include "protocol/record/sha256.h"

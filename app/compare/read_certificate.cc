@@ -5,7 +5,6 @@
 
 #include <charconv>
 #include <cmath>
-#include <fstream>
 #include <stdexcept>
 
 #include "app/system/read_file.h"
@@ -372,18 +371,6 @@ void fill_gravity(const XmlQuery& certificate, xmlNode* measurement, ComparedRes
 }
 
 }  // namespace
-
-bool looks_like_xml(const std::filesystem::path& path) {
-  std::error_code error;
-  if (!std::filesystem::is_regular_file(path, error)) return false;
-  std::ifstream file(path, std::ios::binary);
-  std::string start(64, '\0');
-  file.read(start.data(), static_cast<std::streamsize>(start.size()));
-  start.resize(static_cast<std::size_t>(file.gcount()));
-  if (start.starts_with("\xef\xbb\xbf")) start.erase(0, 3);
-  const std::size_t first = start.find_first_not_of(" \t\r\n");
-  return first != std::string::npos && start[first] == '<';
-}
 
 ComparedResult read_certificate(const std::filesystem::path& path) {
   const XmlDocument document = parse_xml(read_file(path, kLargestXml), path.string());

@@ -6,9 +6,6 @@
 
 namespace abcal {
 
-/// Whether a file looks like XML, to distinguish a certificate from a CSV.
-bool looks_like_xml(const std::filesystem::path& path);
-
 /// Reads matrix, offsets and intrinsic properties with their uncertainties from a digital calibration
 /// certificate (DCC 3): lists of numbers are known by their labels (s_ux ... s_wz, s_u, phi_uv, O_u). What is
 /// not given is computed from what is, or stays NaN. Nothing is loaded from the network and no entity is

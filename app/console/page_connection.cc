@@ -8,6 +8,7 @@
 
 #include "app/console/forwarded.h"
 #include "app/console/server_impl.h"
+#include "app/console/target.h"
 
 namespace abcal::console {
 namespace {
@@ -240,7 +241,8 @@ void Server::Impl::HttpConnection::have_read(beast::error_code error) {
       error == asio::error::operation_aborted || error == asio::ssl::error::stream_truncated)
     return;
   if (error) return refuse_unreadable(error);
-  const HttpRequest& request = parser_->get();
+  HttpRequest& request = parser_->get();
+  request.target(in_origin_form(view(request.target()), only(request, "Host")));
   know_client(request);
   const std::string login = server_.login_of(request);
   if (login.empty()) return admit(nullptr);

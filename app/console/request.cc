@@ -6,6 +6,8 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <set>
+#include <string>
+#include <vector>
 
 #include "app/console/visible_text.h"
 
@@ -72,6 +74,20 @@ class Keys {
   const Json& object_;
   std::set<std::string, std::less<>> seen_;
 };
+
+/// Reads JSON in which no object has one key twice: which of the two counts would be a guess.
+Json parse_unambiguous(std::string_view text) {
+  std::vector<std::set<std::string>> open;  // The keys of the objects that have begun.
+  const auto look = [&open](int /*depth*/, Json::parse_event_t event, const Json& parsed) {
+    if (event == Json::parse_event_t::object_start) open.emplace_back();
+    if (event == Json::parse_event_t::object_end) open.pop_back();
+    if (event != Json::parse_event_t::key) return true;
+    const auto key = parsed.get<std::string>();
+    if (!open.back().insert(key).second) throw RequestError(fmt::format("\"{}\" is given twice", key));
+    return true;
+  };
+  return Json::parse(text, look, /*allow_exceptions=*/false);
+}
 
 StageAxis axis_of(const std::string& name) {
   if (name == "x") return StageAxis::kX;
@@ -173,7 +189,7 @@ Command command_of(const std::string& what, Keys& keys) {
 Request parse_request(std::string_view text) {
   if (text.size() > kLongestRequest)
     throw RequestError(fmt::format("{} bytes; a request has at most {}", text.size(), kLongestRequest));
-  const Json object = Json::parse(text, nullptr, /*allow_exceptions=*/false);
+  const Json object = parse_unambiguous(text);
   if (!object.is_object()) throw RequestError("this is no JSON object");
   Keys keys(object);
   Request request;

@@ -1,9 +1,22 @@
 #include "app/console/target.h"
 
+#include <algorithm>
+#include <boost/algorithm/string/predicate.hpp>
 #include <boost/url/parse.hpp>
 #include <boost/url/url_view.hpp>
 
 namespace abcal::console {
+
+std::string in_origin_form(std::string_view target, std::string_view host) {
+  for (const std::string_view scheme : {"http://", "https://"}) {
+    if (!boost::algorithm::istarts_with(target, scheme)) continue;
+    const std::string_view rest = target.substr(scheme.size());
+    const std::size_t end = std::min(rest.find_first_of("/?"), rest.size());
+    if (host.empty() || !boost::algorithm::iequals(rest.substr(0, end), host)) break;
+    return (rest.substr(end).starts_with('/') ? "" : "/") + std::string(rest.substr(end));
+  }
+  return std::string(target);
+}
 
 std::optional<Target> parse_target(std::string_view text) {
   const auto url = boost::urls::parse_origin_form({text.data(), text.size()});

@@ -14,6 +14,10 @@ struct Target {
   std::vector<std::string> words;  ///< Its parts, decoded: "runs", "a b.run", "result". Any bytes, "/" too.
 };
 
+/// A target in absolute form ("http://bench7:8080/runs", RFC 9112, section 3.2.2) in origin form ("/runs"),
+/// if its authority is what the header Host says, letter for letter but for case. Any other as it is.
+std::string in_origin_form(std::string_view target, std::string_view host);
+
 /// Reads a target in origin form (RFC 9112, section 3.2.1).
 /// @return nothing if it is none
 std::optional<Target> parse_target(std::string_view text);

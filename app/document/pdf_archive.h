@@ -4,7 +4,7 @@
 #include <optional>
 #include <string>
 
-#include "app/document/weasyprint.h"
+#include "app/document/attachment.h"
 
 namespace abcal {
 

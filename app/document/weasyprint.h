@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 
+#include "app/document/attachment.h"
 #include "app/system/child_process.h"
 #include "app/system/temporary_folder.h"
 
@@ -12,18 +13,6 @@ namespace abcal {
 
 /// WeasyPrint, for require_installed() before anything is written.
 extern const Tool kWeasyPrint;
-
-/// What an attached file is to the page (AFRelationship of ISO 19005-3).
-enum class AttachmentKind {
-  kData,        ///< What the page was made of.
-  kSupplement,  ///< Something beside it.
-};
-
-/// A file inside a PDF.
-struct Attachment {
-  std::filesystem::path file;
-  AttachmentKind kind = AttachmentKind::kSupplement;
-};
 
 /// Makes a PDF of a page: tagged (as PDF/UA-1 asks for, by WeasyPrint), and with the structure of PDF/A-3
 /// (output intent, metadata, attachments with their relation; by the helper program abcal-pdf). Whether it

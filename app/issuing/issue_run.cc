@@ -12,6 +12,7 @@
 #include "app/certificate/signing_certificate.h"
 #include "app/compare/check_chart.h"
 #include "app/session/time_stamp_authority.h"
+#include "app/system/interrupt.h"
 #include "app/system/read_file.h"
 #include "protocol/record/run_operator.h"
 #include "protocol/record/sha256.h"
@@ -147,6 +148,7 @@ Certificate numbered_certificate(const IssueAsked& asked, Registered* registered
   request.issue = facts_of(asked, format_utc(now));
   if (registered != nullptr) use_register(*registered, request);
   Certificate certificate = make_certificate(std::move(request));
+  end_orderly_at_signals();  // What has its number is kept, registered and written.
   if (registered != nullptr) take_number(*registered, certificate, now);
   return certificate;
 }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "app/results/other_file.h"
 #include "protocol/record/import_csv.h"
 
 namespace abcal {
@@ -27,6 +28,7 @@ LoadedRecord load_record(const std::filesystem::path& path, int item) {
     RunRecord record = run.record;
     return {std::move(record), std::move(run)};
   }
+  refuse_other_file(path, kRunOrCsv);
   return {import_csv(path), std::nullopt};
 }
 

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "app/results/analyses.h"
+#include "app/results/other_file.h"
 #include "app/results/result_json.h"
 #include "app/results/tray_results.h"
 #include "app/system/version.h"
@@ -245,6 +246,7 @@ std::vector<IntegrityCheck> recompute(const std::filesystem::path& run, const St
 }
 
 std::vector<IntegrityCheck> verify_and_recompute(const std::filesystem::path& run) {
+  refuse_other_file(run, kRunOnly);
   std::vector<IntegrityCheck> checks = verify_run(run);
   const StoredRun stored = RunFile::load(run);
   std::optional<BenchConfig> bench;

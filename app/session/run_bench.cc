@@ -293,6 +293,7 @@ RunHeader make_header(const BenchConfig& config, const Identities& identities, s
     header.measured_alignment = level.alignment;
   }
   header.step = config.protocol.step;
+  header.approach = config.protocol.approach;
   header.steps = config.protocol.steps;
   header.plan = std::move(plan);
   return header;

@@ -21,6 +21,7 @@
 #include <utility>
 
 #include "app/system/interrupt.h"
+#include "app/system/last_signal.h"
 #include "protocol/run/experiment_run.h"
 
 extern char** environ;
@@ -142,6 +143,7 @@ class Child {
       throw std::runtime_error(fmt::format("{} cannot be started: {}", tool.program, std::strerror(errno)));
     if (pid_ == 0) become(program.c_str(), argv.data(), streams, parent);
     ::setpgid(pid_, pid_);  // Whichever is first.
+    ended_too_.emplace([group = pid_] { ::kill(-group, SIGKILL); });
   }
   Child(const Child&) = delete;
   Child& operator=(const Child&) = delete;
@@ -163,7 +165,7 @@ class Child {
       ::poll(wanted.data(), wanted.size(), kLookMs);
       if (wanted[1].revents != 0 && !read_some(words, result.words)) wanted[1].fd = -1;
       if (wanted[2].revents != 0 && !write_some(input)) wanted[2].fd = -1;
-      if (interrupt_token().stop_requested())
+      if (last_interrupt_signal() != 0)
         throw RunInterrupted(fmt::format("interrupted while {} was at work", tool_.program));
       if (cancelled && cancelled())
         throw RunInterrupted(fmt::format("cancelled while {} was at work", tool_.program));
@@ -183,6 +185,7 @@ class Child {
   /// Ends it and what it started. @return its status
   int stop() {
     if (pid_ <= 0) return 0;
+    ended_too_.reset();  // Its number may soon be that of another.
     ::kill(-pid_, SIGKILL);
     int status = 0;
     while (::waitpid(pid_, &status, 0) < 0 && errno == EINTR) {
@@ -214,6 +217,7 @@ class Child {
 
   Tool tool_;
   pid_t pid_ = -1;
+  std::optional<BeforeSignalEnds> ended_too_;  ///< With what it started.
 };
 
 }  // namespace

@@ -2,9 +2,13 @@
 
 #include "app/system/last_signal.h"
 
+#include <unistd.h>
+
 #include <atomic>
 #include <csignal>
+#include <mutex>
 #include <thread>
+#include <utility>
 
 namespace abcal {
 namespace {
@@ -28,6 +32,48 @@ sigset_t watched_signals() {
   return signals;
 }
 
+/// What a signal does, decided under one lock: who has undertaken to end orderly is not killed any more.
+struct SignalPolicy {
+  std::mutex mutex;
+  bool ends_orderly = false;
+  std::list<std::function<void()>> before_end;
+};
+
+SignalPolicy& policy() {
+  static SignalPolicy& instance = *new SignalPolicy;  // For ever: the watching thread never ends.
+  return instance;
+}
+
+bool is_ignored(int number) {
+  struct sigaction inherited {};
+  return ::sigaction(number, nullptr, &inherited) == 0 && inherited.sa_handler == SIG_IGN;
+}
+
+/// By the default action, so that the shell sees a program that a signal has ended.
+[[noreturn]] void end_by(int number) {
+  sigset_t one;
+  sigemptyset(&one);
+  sigaddset(&one, number);
+  pthread_sigmask(SIG_UNBLOCK, &one, nullptr);
+  std::raise(number);
+  constexpr int kEndedBySignal = 128;  // as a shell has it
+  ::_exit(kEndedBySignal + number);    // The first process of a container has no default actions.
+}
+
+void act_on(int number) {
+  {
+    SignalPolicy& state = policy();
+    const std::lock_guard lock(state.mutex);  // Until the end: what the other threads would do waits for it.
+    if (!state.ends_orderly) {
+      if (is_ignored(number)) return;
+      for (const std::function<void()>& action : state.before_end) action();
+      end_by(number);
+    }
+  }
+  last_signal() = number;
+  source().request_stop();
+}
+
 }  // namespace
 
 void watch_for_signals() {
@@ -40,10 +86,7 @@ void watch_for_signals() {
   source();
   std::thread([signals] {
     int number = 0;
-    while (sigwait(&signals, &number) == 0) {
-      last_signal() = number;
-      source().request_stop();
-    }
+    while (sigwait(&signals, &number) == 0) act_on(number);
   }).detach();
 }
 
@@ -51,8 +94,27 @@ int last_interrupt_signal() {
   return last_signal();
 }
 
+void end_orderly_at_signals() {
+  SignalPolicy& state = policy();
+  const std::lock_guard lock(state.mutex);
+  state.ends_orderly = true;
+}
+
 std::stop_token interrupt_token() {
+  end_orderly_at_signals();
   return source().get_token();
+}
+
+BeforeSignalEnds::BeforeSignalEnds(std::function<void()> action) {
+  SignalPolicy& state = policy();
+  const std::lock_guard lock(state.mutex);
+  place_ = state.before_end.insert(state.before_end.end(), std::move(action));
+}
+
+BeforeSignalEnds::~BeforeSignalEnds() {
+  SignalPolicy& state = policy();
+  const std::lock_guard lock(state.mutex);
+  state.before_end.erase(place_);
 }
 
 }  // namespace abcal

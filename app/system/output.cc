@@ -17,7 +17,7 @@
 #include <utility>
 
 #include "app/system/exit_code.h"
-#include "app/system/interrupt.h"
+#include "app/system/last_signal.h"
 #include "app/system/terminal.h"
 
 namespace abcal {
@@ -115,7 +115,7 @@ void note_lost_result(int error) noexcept {
 void write_result(std::string_view bytes) noexcept {
   int error = 0;
   write_bytes(
-      STDOUT_FILENO, bytes, kBetweenLooks, [] { return !interrupt_token().stop_requested(); }, error);
+      STDOUT_FILENO, bytes, kBetweenLooks, [] { return last_interrupt_signal() == 0; }, error);
   if (error != 0) note_lost_result(error);
 }
 

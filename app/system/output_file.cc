@@ -29,10 +29,16 @@ OutputFile::OutputFile(std::filesystem::path path) : path_(std::move(path)) {
   ::fchmod(fd, 0666 & ~mask);
   ::close(fd);
   temporary_ = pattern;
+  removed_too_ = std::make_unique<BeforeSignalEnds>([file = temporary_] {
+    std::error_code ignored;
+    std::filesystem::remove(file, ignored);
+  });
 }
 
 OutputFile::OutputFile(OutputFile&& other) noexcept
-    : path_(std::move(other.path_)), temporary_(std::exchange(other.temporary_, {})) {}
+    : path_(std::move(other.path_)),
+      temporary_(std::exchange(other.temporary_, {})),
+      removed_too_(std::move(other.removed_too_)) {}
 
 OutputFile::~OutputFile() {
   std::error_code ignored;
@@ -46,6 +52,7 @@ void OutputFile::commit() {
   if (failed)
     throw std::runtime_error(fmt::format("{}: cannot be written: {}", path_.string(), failed.message()));
   temporary_.clear();
+  removed_too_.reset();
 }
 
 void OutputFile::write(const std::string& content) {

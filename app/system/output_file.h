@@ -1,8 +1,11 @@
 #pragma once
 
 #include <filesystem>
+#include <memory>
 #include <string>
 #include <vector>
+
+#include "app/system/interrupt.h"
 
 namespace abcal {
 
@@ -31,6 +34,7 @@ class OutputFile {
 
  private:
   std::filesystem::path path_, temporary_;
+  std::unique_ptr<BeforeSignalEnds> removed_too_;  ///< The temporary file.
 };
 
 /// Waits until a file or folder is on the disk. A file that was renamed is there after a power failure only

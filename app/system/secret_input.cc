@@ -4,8 +4,10 @@
 #include <unistd.h>
 
 #include <iostream>
+#include <optional>
 #include <stdexcept>
 
+#include "app/system/interrupt.h"
 #include "app/system/output.h"
 #include "app/system/private_file.h"
 
@@ -19,6 +21,7 @@ class NoEcho {
     if (!changed_) return;
     termios silent = before_;
     silent.c_lflag &= ~static_cast<tcflag_t>(ECHO);
+    shown_again_.emplace([shown = before_] { ::tcsetattr(STDIN_FILENO, TCSAFLUSH, &shown); });
     changed_ = ::tcsetattr(STDIN_FILENO, TCSAFLUSH, &silent) == 0;
   }
   NoEcho(const NoEcho&) = delete;
@@ -30,6 +33,7 @@ class NoEcho {
  private:
   termios before_{};
   bool changed_ = false;
+  std::optional<BeforeSignalEnds> shown_again_;
 };
 
 std::string secret_of_file(const std::string& path) {

@@ -4,8 +4,11 @@
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
+#include <optional>
 #include <stdexcept>
 #include <string>
+
+#include "app/system/interrupt.h"
 
 namespace abcal {
 
@@ -18,17 +21,21 @@ class TemporaryFolder {
     if (::mkdtemp(pattern.data()) == nullptr)
       throw std::runtime_error("no temporary folder " + pattern + ": " + std::strerror(errno));
     path_ = pattern;
+    removed_too_.emplace([folder = path_] { remove(folder); });
   }
   TemporaryFolder(const TemporaryFolder&) = delete;
   TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-  ~TemporaryFolder() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
+  ~TemporaryFolder() { remove(path_); }
   std::filesystem::path operator/(const std::string& name) const { return path_ / name; }
 
  private:
+  static void remove(const std::filesystem::path& folder) {
+    std::error_code ignored;
+    std::filesystem::remove_all(folder, ignored);
+  }
+
   std::filesystem::path path_;
+  std::optional<BeforeSignalEnds> removed_too_;
 };
 
 }  // namespace abcal

@@ -27,8 +27,8 @@ struct Range {
   bool contains(double value) const { return (min_excluded ? value > min : value >= min) && value <= max; }
   std::string words() const {
     if (min == -kInfinity && max == kInfinity) return "a finite number";
-    if (max == kInfinity) return fmt::format("a number {} {}", min_excluded ? ">" : ">=", min);
-    return fmt::format("a number from {}{} to {}", min_excluded ? "above " : "", min, max);
+    if (max == kInfinity) return fmt::format("a number {} {:g}", min_excluded ? ">" : ">=", min);
+    return fmt::format("a number from {}{:g} to {:g}", min_excluded ? "above " : "", min, max);
   }
 };
 
@@ -74,9 +74,8 @@ class KeyVisitor {
   virtual void integer(const std::string& key, std::optional<int>& value, int min, int max) = 0;
   virtual void seed(const std::string& key, std::uint64_t& value) = 0;
   virtual void boolean(const std::string& key, bool& value) = 0;
-  virtual void vector(const std::string& key, Eigen::Vector3d& value) = 0;
-  /// Three numbers, each in the range. Visitors may ignore the range.
-  virtual void vector_in(const std::string& key, Eigen::Vector3d& value, Range) { vector(key, value); }
+  /// Three numbers, each in the range.
+  virtual void vector(const std::string& key, Eigen::Vector3d& value, Range range) = 0;
   /// A standard uncertainty from 0 to `most`: a number, or a table with its source (docs/effects.md). `unit`
   /// is for messages. For a visitor that does not tell them apart it is a number.
   virtual void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
@@ -92,7 +91,8 @@ class KeyVisitor {
   /// Whether keys that are only read, as files of an older schema have them, are to be left out.
   virtual bool writes() const { return false; }
   virtual void integers(const std::string& key, std::array<int, 3>& value, int min, int max) = 0;
-  virtual void matrix(const std::string& key, Eigen::Matrix3d& value) = 0;
+  /// Three rows of three numbers, each in the range.
+  virtual void matrix(const std::string& key, Eigen::Matrix3d& value, Range range) = 0;
   /// Any number of numbers, each in the range.
   virtual void numbers(const std::string& key, std::vector<double>& value, Range range) = 0;
   /// A table below the current section or entry: visits its keys.

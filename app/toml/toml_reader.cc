@@ -242,22 +242,8 @@ void TomlReader::boolean(const std::string& key, bool& value) {
   }
 }
 
-void TomlReader::vector(const std::string& key, Eigen::Vector3d& value) {
-  if (const toml::node* node = find(key)) read_triple(*node, name(key), value);
-}
-
-void TomlReader::vector_in(const std::string& key, Eigen::Vector3d& value, Range range) {
-  const toml::node* node = find(key);
-  if (node == nullptr) return;
-  Eigen::Vector3d found = value;
-  read_triple(*node, name(key), found);
-  const auto inside = [&](double each) { return range.contains(each); };
-  if (std::all_of(found.begin(), found.end(), inside)) {
-    value = found;
-  } else {
-    problem(*node, name(key), fmt::format("[{}, {}, {}]", found[0], found[1], found[2]),
-            "three numbers, [u, v, w], each " + range.words());
-  }
+void TomlReader::vector(const std::string& key, Eigen::Vector3d& value, Range range) {
+  if (const toml::node* node = find(key)) read_triple(*node, name(key), value, range);
 }
 
 void TomlReader::uncertainty(const std::string& key, StatedUncertainty& stated, double most,
@@ -419,7 +405,7 @@ std::optional<double> TomlReader::number_in_table(const toml::table& table, cons
   return std::nullopt;
 }
 
-void TomlReader::matrix(const std::string& key, Eigen::Matrix3d& value) {
+void TomlReader::matrix(const std::string& key, Eigen::Matrix3d& value, Range range) {
   const toml::node* node = find(key);
   if (node == nullptr) return;
   const toml::array* rows = node->as_array();
@@ -430,7 +416,7 @@ void TomlReader::matrix(const std::string& key, Eigen::Matrix3d& value) {
   }
   for (int j = 0; j < 3; ++j) {
     Eigen::Vector3d row = value.row(j);
-    read_triple(*rows->get(static_cast<std::size_t>(j)), name(key), row);
+    read_triple(*rows->get(static_cast<std::size_t>(j)), name(key), row, range);
     value.row(j) = row;
   }
 }
@@ -625,22 +611,24 @@ void TomlReader::read_text(const std::string& key, std::string& value,
   }
 }
 
-void TomlReader::read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value) {
+void TomlReader::read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value,
+                             const Range& range) {
   const toml::array* list = node.as_array();
-  if (list != nullptr && list->size() == 3) {
-    Eigen::Vector3d found;
-    bool good = true;
-    for (int j = 0; j < 3; ++j) {
-      const auto number = number_of(*list->get(static_cast<std::size_t>(j)));
-      good = good && number && std::isfinite(*number);
-      if (good) found[j] = *number;
-    }
-    if (good) {
-      value = found;
-      return;
-    }
+  Eigen::Vector3d found;
+  bool finite = list != nullptr && list->size() == 3;
+  for (int j = 0; finite && j < 3; ++j) {
+    const auto number = number_of(*list->get(static_cast<std::size_t>(j)));
+    finite = number && std::isfinite(*number);
+    if (finite) found[j] = *number;
   }
-  problem(node, where, words_of(node), "three finite numbers, [u, v, w]");
+  if (!finite) {
+    problem(node, where, words_of(node), "three finite numbers, [u, v, w]");
+  } else if (!std::all_of(found.begin(), found.end(), [&](double each) { return range.contains(each); })) {
+    problem(node, where, fmt::format("[{:g}, {:g}, {:g}]", found[0], found[1], found[2]),
+            "three numbers, [u, v, w], each " + range.words());
+  } else {
+    value = found;
+  }
 }
 
 void TomlReader::report_unknown(const toml::table& table, const std::string& path) {

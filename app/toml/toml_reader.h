@@ -40,13 +40,12 @@ class TomlReader final : public KeyVisitor {
   void integer(const std::string& key, std::optional<int>& value, int min, int max) override;
   void seed(const std::string& key, std::uint64_t& value) override;
   void boolean(const std::string& key, bool& value) override;
-  void vector(const std::string& key, Eigen::Vector3d& value) override;
-  void vector_in(const std::string& key, Eigen::Vector3d& value, Range range) override;
+  void vector(const std::string& key, Eigen::Vector3d& value, Range range) override;
   void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
                    const std::string& unit) override;
   void calibrated(const std::string& key, CalibratedNumber& number_of_key, Range range,
                   const std::string& unit) override;
-  void matrix(const std::string& key, Eigen::Matrix3d& value) override;
+  void matrix(const std::string& key, Eigen::Matrix3d& value, Range range) override;
   void numbers(const std::string& key, std::vector<double>& value, Range range) override;
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override;
   void tables(const std::string& key, std::size_t size,
@@ -91,7 +90,8 @@ class TomlReader final : public KeyVisitor {
                                         const std::string& unit);
   std::optional<double> number_in_table(const toml::table& table, const std::string& where,
                                         const std::string& key, const Range& range, const std::string& words);
-  void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value);
+  void read_triple(const toml::node& node, const std::string& where, Eigen::Vector3d& value,
+                   const Range& range);
   void report_unknown(const toml::table& table, const std::string& path);
 
   const toml::table& root_;

@@ -74,11 +74,11 @@ void TomlWriter::boolean(const std::string& key, bool& value) {
   line(key, value ? "true" : "false");
 }
 
-void TomlWriter::vector(const std::string& key, Eigen::Vector3d& value) {
+void TomlWriter::vector(const std::string& key, Eigen::Vector3d& value, Range) {
   line(key, triple(value));
 }
 
-void TomlWriter::matrix(const std::string& key, Eigen::Matrix3d& value) {
+void TomlWriter::matrix(const std::string& key, Eigen::Matrix3d& value, Range) {
   line(key, fmt::format("[{}, {}, {}]", triple(value.row(0)), triple(value.row(1)), triple(value.row(2))));
 }
 

@@ -23,11 +23,11 @@ class TomlWriter final : public KeyVisitor {
   void integer(const std::string& key, std::optional<int>& value, int min, int max) override;
   void seed(const std::string& key, std::uint64_t& value) override;
   void boolean(const std::string& key, bool& value) override;
-  void vector(const std::string& key, Eigen::Vector3d& value) override;
+  void vector(const std::string& key, Eigen::Vector3d& value, Range range) override;
   void uncertainty(const std::string& key, StatedUncertainty& stated, double most,
                    const std::string& unit) override;
   bool writes() const override { return true; }
-  void matrix(const std::string& key, Eigen::Matrix3d& value) override;
+  void matrix(const std::string& key, Eigen::Matrix3d& value, Range range) override;
   void numbers(const std::string& key, std::vector<double>& value, Range range) override;
   void integers(const std::string& key, std::array<int, 3>& value, int min, int max) override;
   void tables(const std::string& key, std::size_t size,

@@ -104,6 +104,7 @@ void Session::catch_up() {
 /// The next reply; nothing if there is none by the deadline, or a damaged one: then it is out of step.
 template <class Check>
 std::optional<std::string> Session::await(Check check, Clock::Instant deadline) {
+  bool last_look = false;  // A stream that never pauses must not hold us.
   for (;;) {
     skip_version_lines();
     const bool perhaps_version = !version_.empty() && version_.starts_with(received_);
@@ -118,8 +119,8 @@ std::optional<std::string> Session::await(Check check, Clock::Instant deadline) 
       out_of_step_ = true;
       return std::nullopt;
     }
-    if (clock_.now() >= deadline && !receive(clock_.now())) return std::nullopt;
-    if (clock_.now() < deadline && !receive(deadline)) return std::nullopt;
+    if (std::exchange(last_look, clock_.now() >= deadline)) return std::nullopt;
+    if (!receive(std::max(deadline, clock_.now()))) return std::nullopt;
   }
 }
 

@@ -13,6 +13,7 @@ constexpr double kSameAscii = 0.06;
 /// The description has no end that can be seen: so long after its last bytes nothing more comes.
 constexpr Clock::Duration kQuiet = std::chrono::milliseconds(400);
 constexpr std::size_t kMostDescription = 65536;
+constexpr Clock::Duration kLongestDescription = std::chrono::seconds(20);  // 19 kB at 9600 Bd.
 
 class Ascii2 final : public Dialect {
  public:
@@ -67,7 +68,8 @@ std::string Ascii2::describe() {
   stream.write(plain_command(settings_.address, '?'));
   std::string text;
   Clock::Instant until = clock_.now() + exchange_.manner().patience;
-  while (text.size() < kMostDescription) {
+  const Clock::Instant last = until + kLongestDescription;  // It may never cease to come.
+  while (text.size() < kMostDescription && clock_.now() < last) {
     const wire::ReceivedBytes received = stream.read_until(until);
     if (received.bytes.empty()) break;
     text += received.bytes;

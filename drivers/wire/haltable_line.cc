@@ -25,6 +25,7 @@ void HaltableLine::send(std::string_view bytes) {
   const std::lock_guard lock(send_mutex_);
   if (halts_under_way_ > 0 && !halt_deadline_)
     throw failure(Fault::kNotReady, "the stage is being halted; nothing else is sent until this is done");
+  looked_after_.reset();
   stream_->write(bytes);
 }
 
@@ -47,11 +48,12 @@ std::optional<std::string> HaltableLine::take_frame(Clock::Instant deadline) {
       received_.erase(0, verdict.length);
       return frame;
     }
+    if (looked_after_ == deadline) return std::nullopt;
     const bool last_look = clock_.now() >= deadline;  // A stream that never pauses must not hold us.
+    if (last_look) looked_after_ = deadline;
     const ReceivedBytes more = stream_->read_until(deadline);
     received_ += more.bytes;
-    if (more.bytes.empty() || (last_look && check_frame_(received_).check == FrameCheck::kNeedMore))
-      return std::nullopt;
+    if (more.bytes.empty()) return std::nullopt;
   }
 }
 

@@ -71,6 +71,8 @@ class HaltableLine {
   void discard_input();
 
   /// The next frame; nothing if there is no whole one by the deadline (what came is kept, see received()).
+  /// Once a deadline has passed, the stream is looked at once more for it, so a loop over frames ends even if
+  /// they come without end.
   std::optional<std::string> take_frame(Clock::Instant deadline);
 
   /// What came and was not taken.
@@ -91,6 +93,8 @@ class HaltableLine {
 
   TimedLock exchange_lock_;
   std::string received_;
+  /// A deadline that had passed when the stream was looked at, nothing having been sent since.
+  std::optional<Clock::Instant> looked_after_;
   /// Set while the lock is held by halt(): its deadline.
   std::optional<Clock::Instant> halt_deadline_;
 

@@ -29,6 +29,7 @@ std::optional<std::string> LineExchange::exchange(std::string_view request, Cloc
 /// Returns once the controller has answered the identity query. What it sent before that, if it is one whole
 /// reply, is the late answer to the query that had none.
 std::optional<std::string> LineExchange::resynchronise(std::string_view unanswered) {
+  constexpr std::size_t kMostKept = 32;  // Two are not alone; the others are for the message.
   line_.send(manner_.identity_request);
   const Clock::Instant deadline = line_.deadline_after(manner_.patience);
   std::vector<std::string> before;
@@ -40,7 +41,7 @@ std::optional<std::string> LineExchange::resynchronise(std::string_view unanswer
       if (alone && before.size() == 1) return before.front();
       return std::nullopt;
     }
-    before.push_back(*frame);
+    if (before.size() < kMostKept) before.push_back(*frame);
   }
   std::string heard;
   for (const std::string& frame : before) heard += frame;

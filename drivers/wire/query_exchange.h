@@ -77,6 +77,7 @@ class QueryExchange {
 
   std::optional<std::string> take(Clock::Instant deadline) {
     constexpr std::size_t kMost = 65536;
+    bool last_look = false;  // A stream that never pauses must not hold us.
     while (true) {
       while (!buffer_.empty()) {
         const FrameVerdict verdict = manner_.check(buffer_);
@@ -89,8 +90,10 @@ class QueryExchange {
         buffer_.erase(0, verdict.length);
         return frame;
       }
+      if (last_look || heard_.size() > kMost) return std::nullopt;
+      last_look = clock_.now() >= deadline;
       const ReceivedBytes received = stream_->read_until(deadline);
-      if (received.bytes.empty() || heard_.size() > kMost) return std::nullopt;
+      if (received.bytes.empty()) return std::nullopt;
       buffer_ += received.bytes;
       heard_ += received.bytes;
     }
@@ -103,9 +106,11 @@ class QueryExchange {
     heard_.clear();
     stream_->write(manner_.sync_request);
     while (const auto frame = take(deadline)) {
-      if (!manner_.is_sync(*frame)) continue;
-      in_step_ = true;
-      return;
+      if (manner_.is_sync(*frame)) {
+        in_step_ = true;
+        return;
+      }
+      if (clock_.now() >= deadline) break;
     }
     throw silence(unanswered);
   }

@@ -96,7 +96,7 @@ class ReadingStream {
   /// As Accelerometer::next().
   std::optional<Reading> next(Clock::Instant deadline) {
     take_waiting();  // What came together with the last answer.
-    while (readings_.empty() && receive(deadline)) continue;
+    while (readings_.empty() && receive_until(deadline)) continue;
     if (readings_.empty()) take_behind_partial();
     return readings_.pop();
   }
@@ -105,7 +105,7 @@ class ReadingStream {
   void discard_pending(Clock::Instant now) {
     readings_.begin_discard();
     take_waiting();
-    while (receive(now)) continue;
+    while (receive_until(now)) continue;
     readings_.end_discard(parser_.has_partial(), std::exchange(dropped_at_discard_, dropped_) != dropped_);
   }
 
@@ -161,6 +161,9 @@ class ReadingStream {
     framed_since_ = 0;
     dropped_at_discard_ = dropped_;
   }
+
+  /// As receive(). False also once bytes came after the deadline: they may never cease to come.
+  bool receive_until(Clock::Instant deadline) { return receive(deadline) && last_arrival_ <= deadline; }
 
   void lose_track() {
     if constexpr (requires { parser_.lose_track(); }) parser_.lose_track();

@@ -1,5 +1,7 @@
 #include "protocol/plan/rotation_plan.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -16,10 +18,7 @@ constexpr std::size_t kX = 0;
 constexpr std::size_t kZ = 1;
 
 std::string number(double value) {
-  std::string text = std::to_string(value);
-  text.erase(text.find_last_not_of('0') + 1);
-  if (text.ends_with('.')) text.pop_back();
-  return text;
+  return fmt::format("{:.8g}", value);
 }
 
 std::string describe(const AxisTravel& travel) {

@@ -592,7 +592,7 @@ StoredRun load_from(SqliteDatabase& database, const std::filesystem::path& path,
     record.estimator = chosen->second;
   record.step = header.step;
   record.steps = header.steps;
-  record.approach = stated_approach(header.bench_toml);
+  record.approach = header.approach;
   read_counting_dwells(database, item, [&](std::size_t position, DwellRecord dwell) {
     run.measured.push_back(position);
     run.dwells.push_back(dwell);

@@ -117,6 +117,8 @@ struct RunHeader {
   MeasuredAlignment measured_alignment;
   Angle step = Angle::degrees(5.0);
   int steps = 72;
+  /// From how far below every angle is reached; 0: from either side. Absent: files of before version 1.0.
+  std::optional<Angle> approach;
   std::vector<PlannedAngle> plan;
 };
 

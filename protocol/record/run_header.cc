@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <map>
 #include <utility>
 
@@ -50,6 +49,7 @@ std::map<std::string, std::string> facts_of(const RunHeader& header) {
       {"protocol.step_deg", shortest(header.step.deg())},
       {"protocol.steps", std::to_string(header.steps)},
   };
+  if (header.approach) meta["protocol.approach_deg"] = shortest(header.approach->deg());
   for (const auto& [name, member] : kAlignments) {
     const std::optional<MeasuredValue>& measured = header.measured_alignment.*member;
     if (!measured) continue;
@@ -203,6 +203,7 @@ void read_facts(const Facts& facts, const std::string& prefix, RunHeader& header
   read_limits_entries(item_real, item_text, header.limits, header.expected);
   header.step = Angle::degrees(facts.real("protocol.step_deg"));
   header.steps = static_cast<int>(facts.real("protocol.steps"));
+  if (const auto deg = optional_real("protocol.approach_deg")) header.approach = Angle::degrees(*deg);
   const std::string own = prefix + std::string(kItemLabelPrefix);
   for (const auto& [key, value] : facts.all()) {
     if (key.starts_with(own)) {
@@ -276,21 +277,6 @@ void read_sessions(SqliteDatabase& database, std::vector<StoredSession>& session
 }
 
 }  // namespace
-
-std::optional<Angle> stated_approach(std::string_view bench_toml) {
-  // The program writes this text: one key a line, every default written out.
-  constexpr std::string_view kKey = "\napproach_deg = ";
-  const std::size_t section = bench_toml.find("[protocol]\n");
-  if (section == std::string_view::npos) return std::nullopt;
-  std::string_view keys = bench_toml.substr(section);
-  keys = keys.substr(0, keys.find("\n["));
-  const std::size_t at = keys.find(kKey);
-  if (at == std::string_view::npos) return std::nullopt;
-  double deg = 0.0;
-  const char* end = keys.data() + keys.size();
-  if (std::from_chars(keys.data() + at + kKey.size(), end, deg).ec != std::errc{}) return std::nullopt;
-  return Angle::degrees(deg);
-}
 
 std::string item_role(int item) {
   return std::string(kItemRole) + std::to_string(item);

@@ -20,9 +20,6 @@ void write_run_header(SqliteDatabase& database, const RunHeader& header);
 /// @throws RunFileError for an item that the run does not have
 void read_run_header(SqliteDatabase& database, const std::string& source, StoredRun& run);
 
-/// `[protocol] approach_deg` of the bench file of a run; nothing where it does not state one.
-std::optional<Angle> stated_approach(std::string_view bench_toml);
-
 /// How an instrument of one item of several is called: "item-3". The only one is the "accelerometer".
 std::string item_role(int item);
 

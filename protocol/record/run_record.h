@@ -110,8 +110,8 @@ struct RunRecord {
   std::string estimator;
   Angle step = Angle::degrees(5.0);  ///< Desired rotation step D.
   int steps = 72;                    ///< N.
-  /// From how far below every angle was reached, as the run's bench file states it; 0: from either side.
-  /// Absent: not stated (CSV).
+  /// From how far below every angle was reached; 0: from either side. Absent: not stated (CSV, files of
+  /// before version 1.0).
   std::optional<Angle> approach;
   int continuations = 0;                ///< How often the run was interrupted and went on.
   int reconnections = 0;                ///< How often a port vanished, came back, and the run went on.

@@ -87,42 +87,69 @@ void WatlowF4Firmware::receive(std::string_view bytes, Clock::Instant now) {
 }
 
 void WatlowF4Firmware::take_frames(Clock::Instant now) {
-  const std::size_t head = settings_.tcp ? 7 : 1;
-  while (received_.size() > head) {
-    const std::size_t length = request_length(received_, head);
+  if (settings_.tcp)
+    take_tcp_frames(now);
+  else
+    take_rtu_frames(now);
+}
+
+/// The head of a frame says how long it is, whatever is in it; what is of another protocol is passed over.
+void WatlowF4Firmware::take_tcp_frames(Clock::Instant now) {
+  constexpr std::size_t kBeforeUnit = 6, kShortest = 2, kLongest = 254;
+  while (received_.size() >= kBeforeUnit) {
+    const std::size_t length = word_at(received_, 4);
+    if (length < kShortest || length > kLongest) {
+      received_.clear();  // Where the next frame begins is not known.
+      return;
+    }
+    if (received_.size() < kBeforeUnit + length) return;
+    const std::string frame = received_.substr(0, kBeforeUnit + length);
+    received_.erase(0, kBeforeUnit + length);
+    if (word_at(frame, 2) != 0 || static_cast<int>(byte_at(frame, kBeforeUnit)) != settings_.address)
+      continue;
+    const std::string answer = frame.substr(kBeforeUnit, 1) + answer_to(frame.substr(kBeforeUnit + 1), now);
+    replies_.push(frame.substr(0, 4) + word(static_cast<unsigned>(answer.size())) + answer,
+                  now + settings_.reply_delay);
+  }
+}
+
+void WatlowF4Firmware::take_rtu_frames(Clock::Instant now) {
+  while (received_.size() > 1) {
+    const std::size_t length = request_length(received_, 1);
     if (length == 0) return;
     if (length == std::string::npos) {
-      // A whole frame of a function that does not exist gets an exception; of what is no frame nothing is
-      // said.
-      if (settings_.tcp && byte_at(received_, 2) == 0 && byte_at(received_, 3) == 0) {
-        replies_.push(received_.substr(0, 4) + word(3) + received_.substr(6, 1) +
-                          static_cast<char>(byte_at(received_, 7) | 0x80U) + static_cast<char>(kBadFunction),
-                      now + settings_.reply_delay);
-      }
-      unserved().note(fmt::format("function {}", byte_at(received_, head)), "no answer");
+      // Of what is perhaps no frame nothing is said.
+      unserved().note(fmt::format("function {}", byte_at(received_, 1)), "no answer");
       received_.clear();
       return;
     }
-    const std::size_t total = head + length + (settings_.tcp ? 0 : 2);
+    const std::size_t total = 1 + length + 2;
     if (received_.size() < total) return;
     const std::string frame = received_.substr(0, total);
-    if (!settings_.tcp && checksum(frame.substr(0, total - 2)) !=
-                              (byte_at(frame, total - 2) | byte_at(frame, total - 1) << 8U)) {
+    if (checksum(frame.substr(0, total - 2)) !=
+        (byte_at(frame, total - 2) | byte_at(frame, total - 1) << 8U)) {
       received_.erase(0, 1);
       continue;
     }
     received_.erase(0, total);
-    if (static_cast<int>(byte_at(frame, head - 1)) != settings_.address) continue;
-    const std::string answer = frame.substr(head - 1, 1) + carry_out(frame.substr(head, length), now);
-    if (settings_.tcp) {
-      replies_.push(frame.substr(0, 4) + word(static_cast<unsigned>(answer.size())) + answer,
-                    now + settings_.reply_delay);
-    } else {
-      const unsigned crc = checksum(answer);
-      const std::string sum{static_cast<char>(crc & 0xFFU), static_cast<char>(crc >> 8U)};
-      replies_.push(answer + sum, now + settings_.reply_delay);
-    }
+    if (static_cast<int>(byte_at(frame, 0)) != settings_.address) continue;
+    const std::string answer = frame.substr(0, 1) + carry_out(frame.substr(1, length), now);
+    const unsigned crc = checksum(answer);
+    const std::string sum{static_cast<char>(crc & 0xFFU), static_cast<char>(crc >> 8U)};
+    replies_.push(answer + sum, now + settings_.reply_delay);
   }
+}
+
+/// A request whose length the frame tells: it need not be that of its function (exception 3: "the implied
+/// length is incorrect").
+std::string WatlowF4Firmware::answer_to(const std::string& pdu, Clock::Instant now) {
+  const std::size_t length = request_length(pdu, 0);
+  if (length == pdu.size()) return carry_out(pdu, now);
+  const unsigned function = byte_at(pdu, 0);
+  const int code = length == std::string::npos ? kBadFunction : kBadValue;
+  unserved().note(fmt::format("function {} in {} bytes", function, pdu.size()),
+                  fmt::format("exception {}", code));
+  return {static_cast<char>(function | 0x80U), static_cast<char>(code)};
 }
 
 std::string WatlowF4Firmware::carry_out(const std::string& pdu, Clock::Instant now) {

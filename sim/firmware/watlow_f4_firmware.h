@@ -29,7 +29,7 @@ struct WatlowF4Settings {
 
 /// A chamber with a Watlow F4 or F4T controller on Modbus (docs/protocols/watlow_f4.md; [unverified against a
 /// device]), heating and cooling the air of a SimBench. A frame with a wrong checksum, of another unit or
-/// half a frame that is 50 ms old gets no answer.
+/// protocol, or half a frame that is 50 ms old gets no answer.
 class WatlowF4Firmware final : public Firmware {
  public:
   explicit WatlowF4Firmware(std::shared_ptr<SimBench> bench, WatlowF4Settings settings = {});
@@ -52,6 +52,9 @@ class WatlowF4Firmware final : public Firmware {
   using Registers = std::optional<std::uint16_t>;
 
   void take_frames(Clock::Instant now);
+  void take_tcp_frames(Clock::Instant now);
+  void take_rtu_frames(Clock::Instant now);
+  std::string answer_to(const std::string& pdu, Clock::Instant now);
   std::string carry_out(const std::string& pdu, Clock::Instant now);
   std::string read(unsigned first, unsigned count, Clock::Instant now);
   /// @return 0, or the code of an exception

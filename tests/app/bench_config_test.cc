@@ -123,6 +123,30 @@ TEST(BenchConfigTest, RefusesSettingsThatContradictEachOther) {
       HasSubstr("local gravity"));
 }
 
+TEST(BenchConfigTest, ATravelThatContradictsItselfOrTheSimulationIsToldWithItsLine) {
+  const std::string base = kSmallest;  // 9 lines
+  EXPECT_THAT(problems_of(base + "[stage.x]\ntravel_min_deg = 10\ntravel_max_deg = -10\n"),
+              HasSubstr("line 11, [stage.x] travel_min_deg: found 10 to -10; required: travel_min_deg < "));
+  EXPECT_THAT(
+      problems_of(base + "[simulation.z]\ntravel_max_deg = -400\n"),
+      HasSubstr("line 11, [simulation.z] travel_max_deg: found -360 to -400; required: travel_min_deg < "));
+  EXPECT_THAT(problems_of(base + "[stage.x]\ntravel_min_deg = 400\n"),
+              HasSubstr("line 11, [stage.x] travel_min_deg: found 400; required: below 360, as the travel of "
+                        "[simulation.x] is -360 to 360"));
+  EXPECT_THAT(problems_of(base + "[stage.z]\ntravel_max_deg = -360\n"),
+              HasSubstr("line 11, [stage.z] travel_max_deg: found -360; required: above -360"));
+  const std::string wrong = problems_of(base + "[stage.x]\ntravel_min_deg = 10\ntravel_max_deg = 1e308\n");
+  EXPECT_THAT(wrong, HasSubstr("1 problem\n"));
+  EXPECT_THAT(wrong, HasSubstr("line 12, [stage.x] travel_max_deg: found 1e+308; required: a number from "));
+}
+
+TEST(BenchConfigTest, AScaleByWhichNothingCanBeDividedIsRefused) {
+  std::string toml = kSmallest;
+  toml += "scale = [1.0, 1e-300, 1.0]\n";
+  EXPECT_THAT(problems_of(toml),
+              HasSubstr("line 10, [accelerometer] scale: found 1e-300; required: no zeros"));
+}
+
 TEST(BenchConfigTest, WhomToTellIsAnAddressOrEveryReasonWhyNot) {
   const std::string base = kSmallest;
   const std::string text = problems_of(

@@ -85,6 +85,18 @@ TEST(RequestTest, RefusesWhatIsNotUnderstood) {
   EXPECT_NE(refusal(std::string(kLongestRequest, '[')), "accepted");  // Depth is bounded by length.
 }
 
+TEST(RequestTest, RefusesAKeyThatIsGivenTwice) {
+  EXPECT_EQ(refusal(R"({"do":"jog","axis":"x","by_deg":1,"by_deg":90,"confirmed":true})"),
+            "\"by_deg\" is given twice");
+  EXPECT_EQ(refusal(R"({"do":"stop","do":"stop"})"), "\"do\" is given twice");
+  EXPECT_EQ(refusal(R"({"do":"stop","\u0064o":"hold"})"), "\"do\" is given twice") << "however it is written";
+  EXPECT_EQ(refusal(R"({"do":"start","confirmed":true,"item":{"serial_number":"1","serial_number":"2"}})"),
+            "\"serial_number\" is given twice");
+  EXPECT_EQ(refusal(R"({"do":"start","confirmed":true,"item":{"serial_number":"do","model":"do"}})"),
+            "accepted")
+      << "values may be alike";
+}
+
 TEST(RequestTest, SaysWhatIsMissing) {
   EXPECT_THAT(refusal(R"({"do":"jog","axis":"x","confirmed":true})"),
               testing::HasSubstr("\"by_deg\" is missing"));

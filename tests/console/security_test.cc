@@ -287,6 +287,28 @@ TEST_F(SecurityTest, RefusesWhatIsNoRequest) {
   expect_that_nothing_moved();
 }
 
+TEST_F(SecurityTest, ATargetInAbsoluteFormIsServedIfItsHostIsOursAndThatOfTheHeader) {
+  open();
+  const std::string ours = "127.0.0.1:" + std::to_string(port);
+  const auto status = [&](const std::string& target, const std::string& host) {
+    test::RawConnection connection(port);
+    connection.send("GET " + target + " HTTP/1.1\r\nHost: " + host + "\r\n\r\n");
+    return connection.answer().status;
+  };
+  const unsigned page = status("/", ours);
+  EXPECT_EQ(page, 200U);
+  for (const std::string& target : {"http://" + ours + "/", "http://" + ours, "HTTP://" + ours + "/?a=b"})
+    EXPECT_EQ(status(target, ours), page) << target;
+  EXPECT_EQ(status("http://" + ours + "/nothing", ours), 404U);
+  EXPECT_EQ(status("http://elsewhere.example/", "elsewhere.example"), 421U) << "a host that is not ours";
+  EXPECT_EQ(status("http://" + ours + "/", "elsewhere.example"), 421U);
+  for (const std::string& target :
+       {std::string("http://elsewhere.example/"), "http://a@" + ours + "/", "http://" + ours + ".example/",
+        std::string("http:///"), "ftp://" + ours + "/", "http:/" + ours + "/"})
+    EXPECT_EQ(status(target, ours), 400U) << target;
+  expect_that_nothing_moved();
+}
+
 TEST_F(SecurityTest, RefusesMessagesThatAreNoRequests) {
   open();
   auto page = steering_page();

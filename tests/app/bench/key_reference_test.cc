@@ -3,9 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <set>
 
+#include "app/bench/bench_config.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 
@@ -58,6 +61,72 @@ TEST(KeyReferenceTest, AKeyHasItsTypeUnitRangeAndDefault) {
   EXPECT_TRUE(key_of(keys, "fault", "kind").repeated);
   EXPECT_THAT(key_of(keys, "fault", "kind").range, HasSubstr("`silence`"));
   EXPECT_FALSE(key_of(keys, "change", "noise").meaning.empty());
+}
+
+bool has_numbers(const BenchKey& key) {
+  const std::set<std::string> types{"number", "3 numbers", "3 x 3 numbers", "numbers", "uncertainty"};
+  return types.contains(key.type);
+}
+
+/// A number as a key of this type has it.
+std::string value_of(const BenchKey& key, const std::string& number) {
+  const std::string three = fmt::format("[{0}, {0}, {0}]", number);
+  if (key.type == "3 numbers" || key.type == "numbers") return three;
+  if (key.type == "3 x 3 numbers") return fmt::format("[{0}, {0}, {0}]", three);
+  return number;
+}
+
+/// A bench file of this key alone, in its last line.
+std::string only(const BenchKey& key, const std::string& number) {
+  std::string text = key.section.starts_with("item.") ? "[[item]]\n" : "";
+  if (!key.section.empty())
+    text += (key.repeated ? "[[" + key.section + "]]" : "[" + key.section + "]") + "\n";
+  return text + key.key + " = " + value_of(key, number) + "\n";
+}
+
+std::string problems_of(const std::string& toml) {
+  try {
+    parse_bench(toml, "bench.toml");
+  } catch (const BenchError& error) {
+    return error.what();
+  }
+  return "accepted: " + toml;
+}
+
+/// "0 to 100" of a key that may be "auto" as well.
+std::string range_of(const BenchKey& key) {
+  return key.range.substr(0, key.range.find(", `"));
+}
+
+/// The line of the problem that this key, in the last line of a file, is told of; empty: none.
+std::string problem_of(const BenchKey& key, const std::string& toml) {
+  const std::string text = problems_of(toml);
+  const std::string where = fmt::format("line {}, [{}] {}: found ",
+                                        std::count(toml.begin(), toml.end(), '\n'), key.section, key.key);
+  const std::size_t at = text.find(where);
+  return at == std::string::npos ? "" : text.substr(at, text.find('\n', at) - at);
+}
+
+TEST(KeyReferenceTest, EveryNumberHasARangeThatRefusesNonsenseByLineAndName) {
+  std::size_t numbers = 0;
+  for (const BenchKey& key : bench_keys()) {
+    if (!has_numbers(key)) continue;
+    ++numbers;
+    EXPECT_THAT(range_of(key), HasSubstr(" to ")) << key.section << "." << key.key;
+    for (const char* nonsense : {"1e308", "-1e308"}) {
+      const std::string toml = only(key, nonsense);
+      EXPECT_THAT(problem_of(key, toml), HasSubstr("number from " + range_of(key))) << toml;
+    }
+  }
+  EXPECT_GT(numbers, 150U);
+}
+
+TEST(KeyReferenceTest, TheUpperEndOfARangeIsInIt) {
+  for (const BenchKey& key : bench_keys()) {
+    if (!has_numbers(key)) continue;
+    const std::string toml = only(key, range_of(key).substr(range_of(key).find(" to ") + 4));
+    EXPECT_THAT(problem_of(key, toml), testing::Not(HasSubstr("number from " + range_of(key)))) << toml;
+  }
 }
 
 }  // namespace

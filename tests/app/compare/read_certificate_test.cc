@@ -6,6 +6,7 @@
 #include <Eigen/LU>
 #include <cmath>
 
+#include "app/results/other_file.h"
 #include "app/xml/xml_tree.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"

@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "tests/app/program_fixtures.h"
 
@@ -12,6 +14,7 @@ namespace {
 
 using test::ProgramResult;
 using testing::AllOf;
+using testing::Contains;
 using testing::HasSubstr;
 using testing::Not;
 
@@ -21,6 +24,11 @@ class BacklashNoteTest : public ProgramTest {
     BenchText bench;
     bench.protocol += protocol;
     test::write_file(folder / "bench.toml", bench.text() + "[stage_uncertainty]\nzero_deg = 0.02\n");
+  }
+  std::vector<std::string> notes_of_plan() {
+    const ProgramResult plan = abcal({"plan", "bench.toml", "--json"});
+    EXPECT_EQ(plan.exit_code, 0) << plan.err;
+    return nlohmann::json::parse(plan.out).at("notes");
   }
   void run_and_report() {
     const ProgramResult made = abcal({"run", "bench.toml", "-o", "a.run"});
@@ -39,6 +47,7 @@ class BacklashNoteTest : public ProgramTest {
 TEST_F(BacklashNoteTest, EveryPlaceSaysThatBacklashIsNotTakenOut) {
   write_bench_with("approach_deg = 0.0\n");
   EXPECT_THAT(abcal({"plan", "bench.toml"}).out, HasSubstr(words));
+  EXPECT_THAT(notes_of_plan(), Contains(HasSubstr(words)));
   ASSERT_NO_FATAL_FAILURE(run_and_report());
   EXPECT_THAT(told_by_run, HasSubstr(words));
   EXPECT_THAT(abcal({"analyse", "a.run"}).out, HasSubstr(words));
@@ -52,9 +61,21 @@ TEST_F(BacklashNoteTest, EveryPlaceSaysThatBacklashIsNotTakenOut) {
 TEST_F(BacklashNoteTest, ARunThatApproachesFromBelowSaysNothing) {
   write_bench_with("");
   EXPECT_THAT(abcal({"plan", "bench.toml"}).out, Not(HasSubstr(words)));
+  EXPECT_THAT(notes_of_plan(), Not(Contains(HasSubstr(words))));
   ASSERT_NO_FATAL_FAILURE(run_and_report());
   EXPECT_THAT(told_by_run, Not(HasSubstr(words)));
   EXPECT_THAT(page, AllOf(Not(HasSubstr(words)), Not(HasSubstr(not_covered))));
+}
+
+TEST_F(BacklashNoteTest, ThePlanAsJsonHasTheNotesOfItsText) {
+  const std::string bench = BenchText{}.text();
+  test::write_file(folder / "bench.toml", bench);
+  const std::string text = abcal({"plan", "bench.toml"}).out;
+  const std::vector<std::string> notes = notes_of_plan();
+  EXPECT_THAT(notes, Contains(HasSubstr("not covered: an offset that comes and goes")));
+  for (const std::string& note : notes) EXPECT_THAT(text, HasSubstr("Note: " + note + ".\n"));
+  test::write_file(folder / "bench.toml", bench + "[item_uncertainty]\ncyclic_drift = 0.0\n");
+  EXPECT_THAT(notes_of_plan(), Not(Contains(HasSubstr("comes and goes"))));
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/iio_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/drivers/endless_stream.h"
 
 namespace abcal::iio {
 namespace {
@@ -174,6 +175,68 @@ TEST_F(IioTest, TwoClientsHaveBuffersOfTheirOwn) {
   second->receive("OPEN iio:device0 1 00000008\r\nREADBUF iio:device0 4\r\n", clock.now());
   EXPECT_EQ(second->transmit(clock.now() + 1s).substr(0, 13), "0\n4\n00000008\n");
   EXPECT_TRUE(driver.next(clock.now() + 1s));
+}
+
+// ---- Bytes without end
+
+TEST(IioEndlessBytesTest, OfALineWithoutEndNoMoreIsReadThanIsKept) {
+  test::FakeClock clock;
+  auto owned = std::make_unique<test::EndlessStream>(clock, std::string(4096, 'x'));
+  const test::EndlessStream& stream = *owned;
+  IioAccelerometer driver(std::move(owned), clock, AccelerometerSettings{});
+  try {
+    driver.identify();
+    ADD_FAILURE() << "nothing was thrown";
+  } catch (const InstrumentError& error) {
+    EXPECT_EQ(error.fault(), Fault::kWrongIdentity);
+    EXPECT_THAT(error.what(), HasSubstr("bytes arrived that are no iiod's, beginning \"xxxx"));
+    EXPECT_LT(std::string_view(error.what()).size(), 1000U);
+  }
+  EXPECT_LE(stream.given(), 65536U + 4096U);
+}
+
+/// A port whose instrument turns into one that babbles.
+class TurningStream final : public wire::ByteStream {
+ public:
+  TurningStream(std::shared_ptr<sim::Firmware> firmware, Clock& clock)
+      : clock_(clock), good_(std::move(firmware), clock) {}
+  bool babbles = false;
+  std::size_t given = 0;
+
+  void write(std::string_view bytes) override {
+    if (!babbles) good_.write(bytes);
+  }
+  wire::ReceivedBytes read_until(Clock::Instant deadline) override {
+    if (!babbles) return good_.read_until(deadline);
+    clock_.sleep_until(clock_.now() + 1ms);
+    given += 4096;
+    return {std::string(4096, 'x'), clock_.now()};
+  }
+  void discard_input() override { good_.discard_input(); }
+  std::string name() const override { return "turning"; }
+
+ private:
+  Clock& clock_;
+  sim::FirmwareStream good_;
+};
+
+TEST_F(IioTest, AServerThatBabblesIsGivenUpAndItsBytesAreNotKept) {
+  auto owned = std::make_unique<TurningStream>(firmware, clock);
+  TurningStream& stream = *owned;
+  AccelerometerSettings settings;
+  settings.rate_hz = 100.0;
+  IioAccelerometer driver(std::move(owned), clock, settings);
+  driver.start();
+  ASSERT_TRUE(driver.next(clock.now() + 1s));
+  stream.babbles = true;
+  const Clock::Instant end = clock.now() + 60s;
+  const auto read_on = [&] {
+    while (clock.now() < end) driver.next(clock.now() + 1s);
+  };
+  EXPECT_THAT(complaint(read_on, Fault::kNoReply), HasSubstr("\"VERSION\" was not answered"));
+  EXPECT_LT(clock.now(), end);
+  ASSERT_GT(stream.given, 1'000'000U);
+  EXPECT_GE(driver.health().skipped_bytes + 2 * 65536U, stream.given) << "the others are kept";
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <cerrno>
 #include <cmath>
@@ -13,6 +14,7 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/drivers/endless_stream.h"
 #include "tests/support/scripted_line.h"
 
 namespace abcal {
@@ -513,6 +515,24 @@ TEST(ScpiScanningVoltmeterTest, IsNotHeldByAStreamThatNeverPauses) {
     EXPECT_THROW(accelerometer.start(), InstrumentError) << bytes;
     EXPECT_LT(clock.now().time_since_epoch(), 120s) << bytes;
   }
+}
+
+TEST(ScpiScanningVoltmeterTest, KeepsOfALineWithoutEndNoMoreThanItShows) {
+  const auto most_kilobytes = [] {
+    rusage usage{};
+    getrusage(RUSAGE_SELF, &usage);
+    return usage.ru_maxrss;
+  };
+  test::FakeClock clock;
+  auto owned = std::make_unique<test::EndlessStream>(clock, std::string(100'000, 'x'));
+  const test::EndlessStream& stream = *owned;
+  ScpiScanningVoltmeter accelerometer(std::move(owned), clock, settings_at(kRateHz));
+  const auto before = most_kilobytes();
+  const std::string error = error_of([&] { accelerometer.identify(); }, Fault::kWrongIdentity);
+  EXPECT_THAT(error, AllOf(HasSubstr("what arrived was \"xxxx"), HasSubstr("another instrument")));
+  EXPECT_LT(error.size(), 1000U);
+  ASSERT_GT(stream.given(), 900'000'000U);
+  EXPECT_LT(most_kilobytes() - before, 500'000) << "a sanitizer keeps some of what is freed";
 }
 
 // ---- Three voltmeters of one channel

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "drivers/instrument/instrument_error.h"
+#include "tests/drivers/endless_stream.h"
 #include "tests/support/scripted_line.h"
 
 namespace abcal::zaber_ascii {
@@ -487,6 +488,17 @@ TEST_F(ZaberAsciiStageTest, GarbageWithoutEndDoesNotHoldTheDriver) {
   const Clock::Instant before = clock_.now();
   EXPECT_EQ(error_of([&] { stage_->encoder_angle(StageAxis::kX); }).fault(), Fault::kBadFrame);
   EXPECT_LE(clock_.now() - before, 2 * kReplyDeadline + 10ms);
+}
+
+TEST_F(ZaberAsciiStageTest, MessagesOfOthersWithoutEndDoNotHoldTheDriver) {
+  for (const char* bytes : {"!01 1 IDLE --\r\n", "@02 1 01 OK IDLE -- 0\r\n", "#01 0 tea is ready\r\n"}) {
+    ZaberAsciiStage stage(std::make_unique<test::EndlessStream>(clock_, bytes), clock_, StageSettings{});
+    const Clock::Instant before = clock_.now();
+    const InstrumentError error = error_of([&] { stage.identify(); });
+    EXPECT_EQ(error.fault(), Fault::kNoReply) << error.what();
+    EXPECT_LE(clock_.now() - before, 2 * kReplyDeadline + 10ms) << bytes;
+    EXPECT_FALSE(stage.halt()) << bytes;
+  }
 }
 
 TEST_F(ZaberAsciiStageTest, AnUnpluggedPortIsALostLink) {
