@@ -102,7 +102,7 @@ void visit_output_effects(KeyVisitor& keys, sim::OutputTruth& s) {
   keys.number("exponential_drift_s", s.exponential_drift_s, kTime);
   keys.vector("sinusoidal_drift", s.sinusoidal_drift, kResponse);
   keys.number("sinusoidal_drift_period_s", s.sinusoidal_drift_period_s, kTime);
-  keys.angle("sinusoidal_drift_phase_deg", s.sinusoidal_drift_phase, {-360.0, 360.0});
+  keys.angle("sinusoidal_drift_phase_deg", s.sinusoidal_drift_phase, kAngle);
   keys.vector("sensitivity_drift", s.sensitivity_drift, kRelative);
   keys.vector("gain_step", s.gain_step, kRelative);
   keys.number("gain_step_at_s", s.gain_step_at_s, kTimeOrZero);
