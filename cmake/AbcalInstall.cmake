@@ -98,9 +98,8 @@ install(EXPORT abcal-library-targets NAMESPACE abcal:: DESTINATION ${package_fol
 install(EXPORT abcal-targets NAMESPACE abcal:: DESTINATION ${package_folder} COMPONENT dev)
 configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/packaging/abcal-config.cmake.in
   ${PROJECT_BINARY_DIR}/packaging/abcal-config.cmake INSTALL_DESTINATION ${package_folder})
-# Before version 1 the interface of the library may change with every minor version.
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/packaging/abcal-config-version.cmake
-  COMPATIBILITY SameMinorVersion)
+  COMPATIBILITY SameMajorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-config.cmake
   ${PROJECT_BINARY_DIR}/packaging/abcal-config-version.cmake DESTINATION ${package_folder} COMPONENT dev)
 

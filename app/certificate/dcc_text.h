@@ -23,7 +23,7 @@ XmlElement add_name(XmlElement& parent, std::string_view element, std::string_vi
 /// Adds an element whose text must not be empty and is one line; nothing if there is no text.
 void add_line(XmlElement& parent, std::string_view element, std::string_view text);
 
-/// Adds software with its release as the business rules require it ("v0.2.0") and its version in full.
+/// Adds software with its release as the business rules require it ("v1.0.0") and its version in full.
 void add_software(XmlElement& list, const Words& words, std::string_view name, const std::string& version);
 
 /// Adds an identification: issuer, value and name.

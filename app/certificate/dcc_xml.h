@@ -13,7 +13,7 @@ inline constexpr const char* kDccVersion = "3.3.0";
 /// @throws NumberNotFinite  if a number of the result is not finite
 XmlDocument dcc_document(const Certificate& certificate);
 
-/// A release as the business rules require it ("v0.2.0") from the version of the program.
+/// A release as the business rules require it ("v1.0.0") from the version of the program.
 std::string release_of(const std::string& program_version);
 
 }  // namespace abcal
