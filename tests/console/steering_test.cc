@@ -146,7 +146,7 @@ TEST_F(SteeringTest, StopsAtOnceAndResumes) {
   // Who asked for it is stored after the reason.
   const std::optional<InterruptedRun> found = find_interrupted_run(runs());
   ASSERT_TRUE(found);
-  EXPECT_EQ(found->words, ended["words"]);
+  EXPECT_EQ(found->words, ended["words"].get<std::string>());
   ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
   const Json began =
       page->wait_for([](const Json& m) { return m["type"] == "snapshot"; }, "the run's beginning");
