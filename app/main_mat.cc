@@ -1,5 +1,5 @@
 // abcal-mat: the constants of an accelerometer as a MATLAB file (version 5). Started by abcal
-// (app/export/mat_format.h), which so need not load libmatio and the HDF5 that it brings along.
+// (app/results/export/mat_format.h), which so need not load libmatio and the HDF5 that it brings along.
 #include <fmt/format.h>
 #include <matio.h>
 
@@ -15,8 +15,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/commands/run_program.h"
-#include "app/system/read_file.h"
+#include "app/ground/system/read_file.h"
+#include "app/ground/system/run_program.h"
 
 namespace {
 

@@ -1,14 +1,14 @@
-// abcal-sign: adds the signature to a certificate. Started by abcal (app/certificate/sign.h), which so need
-// not load the library for XML signatures.
+// abcal-sign: adds the signature to a certificate. Started by abcal (app/laboratory/certificate/sign.h),
+// which so need not load the library for XML signatures.
 #include <CLI/CLI.hpp>
 #include <memory>
 #include <stdexcept>
 #include <string>
 
-#include "app/certificate/xml_signature.h"
-#include "app/commands/run_program.h"
-#include "app/system/output_file.h"
-#include "app/system/read_file.h"
+#include "app/ground/system/output_file.h"
+#include "app/ground/system/read_file.h"
+#include "app/ground/system/run_program.h"
+#include "app/laboratory/certificate/xml_signature.h"
 
 namespace {
 

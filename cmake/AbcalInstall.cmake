@@ -1,4 +1,4 @@
-# What `cmake --install` and the Debian packages hold: the program with its manual, completions, examples, rules for
+# Contents of `cmake --install` and of the Debian packages: the program with its manual, completions, examples, rules for
 # ports and a service; and, as a component of its own, the estimators as a library.
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
@@ -16,8 +16,8 @@ endif()
 
 # --- the program ---------------------------------------------------------------------------------------------------
 install(TARGETS abcal RUNTIME COMPONENT abcal)
-# Where abcal looks for them (app/system/helper_program.cc).
-install(TARGETS abcal-guard abcal-hdf5 abcal-mat abcal-notify abcal-pdf abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
+# Where abcal looks for them (app/ground/system/helper_program.cc).
+install(TARGETS abcal-guard abcal-hdf5 abcal-mat abcal-transfer abcal-pdf abcal-sign RUNTIME DESTINATION libexec/abcal COMPONENT abcal)
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/schemas DESTINATION ${CMAKE_INSTALL_DATADIR}/abcal COMPONENT abcal)
 if(TARGET abcal-mpi)
   install(TARGETS abcal-mpi RUNTIME COMPONENT abcal)
@@ -58,14 +58,14 @@ install(FILES ${PROJECT_BINARY_DIR}/packaging/abcal-bench.service ${PROJECT_BINA
   DESTINATION lib/systemd/system COMPONENT abcal)
 
 # --- the estimators as a library -------------------------------------------------------------------------------------
-set(library_targets abcal_instrument abcal_plan abcal_linear abcal_statistics abcal_model abcal_record abcal_analysis abcal_estimators)
+set(library_targets abcal_instrument abcal_plan abcal_linear abcal_statistics abcal_model abcal_record abcal_estimators)
 foreach(target IN LISTS library_targets)
   string(REPLACE abcal_ "" name ${target})
   set_target_properties(${target} PROPERTIES EXPORT_NAME ${name})
 endforeach()
 install(TARGETS ${library_targets} EXPORT abcal-targets ARCHIVE COMPONENT dev
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
-foreach(folder drivers/instrument tests/contract protocol/plan protocol/statistics protocol/model protocol/record protocol/analysis)
+foreach(folder drivers/instrument tests/contract protocol/plan protocol/statistics protocol/model protocol/record protocol/estimators)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/${folder}
     COMPONENT dev FILES_MATCHING PATTERN "*.h")
 endforeach()
@@ -74,7 +74,7 @@ endforeach()
 install(TARGETS abcal_library EXPORT abcal-library-targets
   LIBRARY COMPONENT library NAMELINK_COMPONENT dev INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}
     ${CMAKE_INSTALL_INCLUDEDIR}/abcal)
-install(DIRECTORY ${PROJECT_SOURCE_DIR}/app/library/abcal/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal COMPONENT dev
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/app/faces/library/abcal/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal COMPONENT dev
   FILES_MATCHING PATTERN "*.h")
 install(FILES ${PROJECT_SOURCE_DIR}/drivers/registry.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/drivers COMPONENT dev)
 install(FILES ${PROJECT_SOURCE_DIR}/drivers/wire/byte_stream.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/abcal/drivers/wire
@@ -82,8 +82,8 @@ install(FILES ${PROJECT_SOURCE_DIR}/drivers/wire/byte_stream.h DESTINATION ${CMA
 if(TARGET abcal_python)
   set(ABCAL_PYTHON_FOLDER lib/python3/dist-packages CACHE STRING "Where the module for Python is installed")
   install(TARGETS abcal_python LIBRARY DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
-  install(FILES ${PROJECT_SOURCE_DIR}/app/python/abcal/__init__.py ${PROJECT_SOURCE_DIR}/app/python/abcal/__init__.pyi
-    ${PROJECT_SOURCE_DIR}/app/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
+  install(FILES ${PROJECT_SOURCE_DIR}/app/faces/python/abcal/__init__.py ${PROJECT_SOURCE_DIR}/app/faces/python/abcal/__init__.pyi
+    ${PROJECT_SOURCE_DIR}/app/faces/python/abcal/py.typed DESTINATION ${ABCAL_PYTHON_FOLDER}/abcal COMPONENT python)
 endif()
 
 # Matrices go from one side to the other, so that both must allocate them alike: Eigen changes that with -mavx or GCC's address

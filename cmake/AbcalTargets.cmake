@@ -28,6 +28,10 @@ if(ABCAL_SANITIZE)
   endif()
 endif()
 
+# Functions in sections of their own: a program holds those that it can reach, although a batch of sources is one object.
+add_compile_options(-ffunction-sections -fdata-sections)
+add_link_options(-Wl,--gc-sections)
+
 # What is compiled once serves the programs and the shared library. No function of ours is to be replaced from outside, so
 # that calls between them can be inlined as they are in a program.
 add_compile_options("$<$<NOT:$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>>:-fPIC;-fno-semantic-interposition>")
@@ -54,13 +58,22 @@ function(abcal_read_each_apart)
   set_target_properties(${ARGV} PROPERTIES UNITY_BUILD OFF)
 endfunction()
 
-# Folder path = include path from the repository root. A result must not depend on the machine that printed
+# Folder path = include path from the repository root, through the door of the target's layer. A result must not depend on the machine that printed
 # it: no -march=native, no contraction of a*b+c into fused operations, no -ffast-math.
 # Folders that set ABCAL_QUICK_BUILD get little optimisation in release builds. Under sanitizers only those that set
 # ABCAL_NUMBERS get any: the optimiser spends most of the time on the checks (tests of the emulators, clang 16: 89 s at -O1,
 # 19 s at -O0).
 function(abcal_target_options target)
-  target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}>)
+  get_target_property(sources ${target} SOURCES)
+  set(first ${CMAKE_CURRENT_SOURCE_DIR}/generated)
+  foreach(source IN LISTS sources)
+    if(NOT source MATCHES "^${PROJECT_BINARY_DIR}")
+      set(first ${source})
+      break()
+    endif()
+  endforeach()
+  abcal_door_of(${first} door)
+  target_include_directories(${target} PRIVATE ${door})
   target_compile_options(${target} PRIVATE ${ABCAL_WARNINGS} -ffp-contract=off)
   if(ABCAL_QUICK_BUILD)
     # -Og: a third less compiling than -O1 for tests. GCC sees variables as uninitialised that -O1 (preset dev) knows are not.
@@ -71,7 +84,18 @@ function(abcal_target_options target)
     target_compile_options(${target} PRIVATE -O0)
   endif()
   if(ABCAL_UNITY)
-    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 12)
+    # Batches of at most twelve sources of one folder.
+    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_MODE GROUP)
+    foreach(source IN LISTS sources)
+      cmake_path(GET source PARENT_PATH folder)
+      string(MAKE_C_IDENTIFIER "in_${folder}" folder)
+      if(NOT DEFINED count_${folder})
+        set(count_${folder} 0)
+      endif()
+      math(EXPR batch "${count_${folder}} / 12")
+      math(EXPR count_${folder} "${count_${folder}} + 1")
+      set_source_files_properties(${source} PROPERTIES UNITY_GROUP ${folder}_${batch})
+    endforeach()
     # A source that another one includes looks like a header, whose anonymous namespace would be a mistake.
     if(CMAKE_CXX_COMPILER_ID STREQUAL GNU)
       target_compile_options(${target} PRIVATE -Wno-subobject-linkage)
@@ -88,7 +112,6 @@ function(abcal_add_library name)
     target_link_libraries(abcal_${name} PUBLIC ${ARG_PUBLIC} PRIVATE ${ARG_PRIVATE})
   else()
     add_library(abcal_${name} INTERFACE)
-    target_include_directories(abcal_${name} INTERFACE ${PROJECT_SOURCE_DIR})
     target_link_libraries(abcal_${name} INTERFACE ${ARG_PUBLIC})
   endif()
   add_library(abcal::${name} ALIAS abcal_${name})

@@ -8,5 +8,5 @@ set(CMAKE_CXX_COMPILER ${CMAKE_LIBRARY_ARCHITECTURE}-g++)
 # Runs the program where a build needs what it prints (manual pages), and tests.
 set(CMAKE_CROSSCOMPILING_EMULATOR /usr/bin/qemu-aarch64-static)
 set(ENV{PKG_CONFIG_LIBDIR} /usr/lib/${CMAKE_LIBRARY_ARCHITECTURE}/pkgconfig:/usr/share/pkgconfig)
-# What the packages are called, and whose libraries dpkg-shlibdeps looks for.
+# Architecture in the names of the packages, and of the libraries that dpkg-shlibdeps looks for.
 set(CPACK_DEBIAN_PACKAGE_ARCHITECTURE arm64)

@@ -4,10 +4,9 @@
 
 namespace abcal {
 
-/// Adds a driver from outside of these folders. Before any list is used, by one thread. With `connections` =
-/// 0
-/// (`ports` = 0) abcal opens no port for it.
-/// @throws std::invalid_argument for a name that there is already
+/// Adds a driver from outside of these folders. Call before any list is used, from one thread. With
+/// `connections` = 0 (`ports` = 0) abcal opens no port for it.
+/// @throws std::invalid_argument for a name that exists already
 void add_driver(StageDriver driver);
 void add_driver(AccelerometerDriver driver);
 

@@ -1,13 +1,17 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
 
 #include "drivers/instrument/accelerometer.h"
+#include "drivers/instrument/driver_catalogue.h"
+#include "drivers/instrument/environment_sensor.h"
 #include "drivers/instrument/instrument_settings.h"
 #include "drivers/instrument/rotation_stage.h"
 #include "drivers/instrument/thermal_chamber.h"
@@ -21,21 +25,21 @@ struct SerialDefaults {
   bool rts_cts = false;
 };
 
-/// How an instrument on an unknown port is recognised before its driver asks it: by what it sends of its own
-/// accord, or by its answer to a question that changes nothing.
+/// Recognition of an instrument on an unknown port before its driver asks it: by its unrequested output, or
+/// by its answer to a question that changes nothing.
 struct Recognition {
-  /// Sent once to a port; empty: what it sends by itself must do. Ends with CR LF, also a binary one:
-  /// whatever instrument is there, no half of a line is left in it.
+  /// Sent once to a port; empty: unrequested output must suffice. Ends with CR LF, also a binary one, so that
+  /// no instrument is left with half a line.
   std::string question{};
-  /// Whether these bytes, all that came so far at this driver's serial settings, are such an instrument's.
-  /// None: identify() is tried, with its own patience, once nothing else has been recognised.
+  /// Whether these bytes, all received so far at this driver's serial settings, come from such an instrument.
+  /// Empty: identify() is tried, with its own time limits, once nothing else has been recognised.
   std::function<bool(std::string_view received)> knows{};
 };
 
 /// A driver of stages. An instrument on an unknown port is recognised by identify(): that of another one
 /// throws kWrongIdentity, kNoReply or kBadFrame.
 struct StageDriver {
-  std::string name;         ///< As in a bench file, e.g. "pi_gcs".
+  std::string name;         ///< Name in bench files, e.g. "pi_gcs".
   std::string description;  ///< For lists and error messages.
   SerialDefaults serial;
   /// From as many streams as there are connections. identify() uses the first one only.
@@ -46,8 +50,8 @@ struct StageDriver {
   /// To the same port: a controller on the network may need one for each motion that it carries out. The axes
   /// are halted by the first one.
   std::size_t connections = 1;
-  /// The axes on the line, where this driver's instrument has been recognised, as `axis` names them in a
-  /// bench file: of all controllers of a daisy chain. Asks only. None: its controllers make no chains.
+  /// The axes of all controllers of a daisy chain, in the form of `axis` in a bench file, once this driver's
+  /// instrument has been recognised. Sends queries only. Empty: its controllers form no chains.
   std::function<std::vector<std::string>(std::unique_ptr<wire::ByteStream>, Clock&)> axes_on_line{};
 };
 
@@ -62,9 +66,11 @@ struct AccelerometerDriver {
       make;
   std::size_t ports = 1;
   std::string output_unit{};  ///< "g", "m/s2"; empty: that of the bench file.
-  /// It takes whatever looks like its instrument, as nothing says what it is: tried after all others.
+  /// Accepts any device that looks like its instrument, because the instrument does not identify itself:
+  /// tried after all others.
   bool generic = false;
-  /// Lines of [accelerometer], beside driver and port, with which its simulated instrument is used in tests.
+  /// Lines of [accelerometer], in addition to driver and port, with which its simulated instrument is used in
+  /// tests.
   std::string example = "rate_hz = 100.0\n";
   Recognition recognition{};
 };
@@ -80,19 +86,54 @@ struct ChamberDriver {
   Recognition recognition{};
 };
 
-/// What the drivers' own registrations fill in.
+/// A driver of thermometers, hygrometers or barometers. A probe does not look for them.
+struct EnvironmentDriver {
+  std::string name;
+  SerialDefaults serial;
+  std::function<std::unique_ptr<EnvironmentSensor>(std::unique_ptr<wire::ByteStream>, Clock&,
+                                                   const EnvironmentSettings&)>
+      make;
+};
+
+/// A stage that a person turns.
+struct ManualStageDriver {
+  std::string name;
+  std::function<std::unique_ptr<RotationStage>(const StageSettings&,
+                                               std::function<void(std::string_view)> tell)>
+      make;
+};
+
+/// A thermal chamber that a person sets.
+struct ManualChamberDriver {
+  std::string name;
+  std::function<std::unique_ptr<ThermalChamber>(std::function<void(std::string_view)> tell,
+                                                std::function<std::optional<std::string>()> answer,
+                                                const ChamberSettings&)>
+      make;
+};
+
+/// The list that the drivers' own registrations fill.
 struct DriverList {
   std::vector<StageDriver> stages;
   std::vector<AccelerometerDriver> accelerometers;
   std::vector<ChamberDriver> chambers;
+  std::vector<EnvironmentDriver> environments;
+  std::vector<ManualStageDriver> manual_stages;
+  std::vector<ManualChamberDriver> manual_chambers;
+  /// By the driver's name; absent: none of them. They stand apart from the drivers because programs that use
+  /// libabcal pass StageDriver and AccelerometerDriver to it: the layout of these must not change.
+  std::map<std::string, DriverTraits> traits;
 };
 
-/// The drivers of all folders that have a driver.cc, in the order of the folders' names, generic ones
-/// last. Such a folder
-/// registers itself with `void register_<folder>(DriverList&)`; its CMakeLists.txt calls abcal_add_driver().
+/// The drivers of all folders that have a driver.cc, in the order of the folders' names, generic ones last.
+/// Each of these folders registers itself with `void register_<folder>(DriverList&)`; its CMakeLists.txt
+/// calls abcal_add_driver().
 const std::vector<StageDriver>& stage_drivers();
 const std::vector<AccelerometerDriver>& accelerometer_drivers();
 const std::vector<ChamberDriver>& chamber_drivers();
+const std::vector<EnvironmentDriver>& environment_drivers();
+const std::vector<ManualStageDriver>& manual_stage_drivers();
+const std::vector<ManualChamberDriver>& manual_chamber_drivers();
 
 // For registrations: a driver that is made of one stream, the clock and its settings.
 

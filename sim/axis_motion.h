@@ -39,7 +39,7 @@ class AxisMotion {
 
   Clock::Instant start() const { return start_; }
   Clock::Instant end() const { return end_; }                  ///< Instant::max() once stalled.
-  Clock::Instant planned_end() const { return planned_end_; }  ///< As if it never stalled.
+  Clock::Instant planned_end() const { return planned_end_; }  ///< End of the motion if it never stalled.
   Angle target() const { return target_; }
   double peak_speed_deg_per_s() const { return peak_speed_; }
   /// +1 or -1: the sense in which the motion ends; 0: it did not move.

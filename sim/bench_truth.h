@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "drivers/instrument/angle.h"
+#include "drivers/instrument/rotation_stage.h"
 
 namespace abcal::sim {
 
@@ -15,6 +16,8 @@ struct ErrorHarmonic {
   int order = 1;
   Angle sin_coefficient;
   Angle cos_coefficient;
+
+  bool operator==(const ErrorHarmonic&) const = default;
 };
 
 /// One harmonic of an axis's wobble: for the commanded angle a the platform is turned by
@@ -25,6 +28,8 @@ struct WobbleHarmonic {
   int order = 1;
   double cos_1_urad = 0.0, sin_1_urad = 0.0;
   double cos_2_urad = 0.0, sin_2_urad = 0.0;
+
+  bool operator==(const WobbleHarmonic&) const = default;
 };
 
 /// What one stage axis really does: actual angle = commanded angle + error(commanded angle). The error is a
@@ -43,6 +48,8 @@ struct AxisTruth {
   double speed_deg_per_s = 20.0;
   double acceleration_deg_per_s2 = 80.0;
   Angle encoder_resolution = Angle::degrees(1e-4);
+
+  bool operator==(const AxisTruth&) const = default;
 };
 
 /// What the accelerometer and the room do: the part of the truth that may change while the world goes on
@@ -57,7 +64,7 @@ struct OutputTruth {
   Eigen::Vector3d drift_per_hour = Eigen::Vector3d::Zero();   ///< R/h, zero at the start of the world's time.
   Eigen::Vector3d offset_per_degc = Eigen::Vector3d::Zero();  ///< R/degC, from the first temperature_degc on.
 
-  // Beyond the published model (docs/effects.md). "Span" is BenchTruth::span_s, t its time from -1/2 to 1/2.
+  // Beyond the published model (docs/effects.md). "Span" is StageTruth::span_s, t its time from -1/2 to 1/2.
   Eigen::Vector3d k4 = Eigen::Vector3d::Zero();  ///< 1/R^3: + k4 (l - O)^4.
   Eigen::Vector3d k5 = Eigen::Vector3d::Zero();  ///< 1/R^4: + k5 (l - O)^5.
   /// 1: + asymmetry |l - O|: the scale for + and for - differ by twice this.
@@ -108,6 +115,8 @@ struct OutputTruth {
   /// Half the loop: added where the item came from below, subtracted where it came from above.
   Eigen::Vector3d offset_thermal_hysteresis = Eigen::Vector3d::Zero(),  ///< R
       sensitivity_thermal_hysteresis = Eigen::Vector3d::Zero();         ///< 1
+
+  bool operator==(const OutputTruth&) const = default;
 };
 
 /// The simulated chamber and the item in it.
@@ -117,19 +126,19 @@ struct ChamberTruth {
   double self_heating_degc = 0.0;       ///< So much warmer than the air the item is in the end.
   double dew_point_degc = -60.0;        ///< Of the air inside: dry gas.
   double hysteresis_width_degc = 10.0;  ///< The loop of the thermal hysteresis closes within this.
+
+  bool operator==(const ChamberTruth&) const = default;
 };
 
-/// The truth of a simulated bench. A run never sees it.
-struct BenchTruth : OutputTruth {
-  std::uint64_t seed = 1;
-  std::uint64_t item = 0;  ///< Of several on one stage: each has noise of its own.
+/// The stage and its surroundings, which all items of a bench share. DrawnStage draws its random errors.
+struct StageTruth {
+  std::uint64_t seed = 1;  ///< Of the errors of the stage; item_seed() derives those of the items from it.
   ChamberTruth chamber;
   bool noise_seeded_by_angle = false;  ///< Noise restarts at each pose, so that a resumed run repeats it.
 
-  // Stage.
   double zx = 0.0, zy = 0.0;  ///< Horizontal components of the Z axis at rest.
   double xz = 0.0;            ///< Vertical component of the X axis.
-  double zx_per_degc = 0.0;   ///< What the item's temperature adds to zx, from temperature_degc on.
+  double zx_per_degc = 0.0;   ///< Change of zx with the temperature on the platter, from temperature_degc on.
   AxisTruth x, z;
   double span_s = 3600.0;  ///< Time of the effects that are said to act "over the span", from the start on.
   /// Tilt of the base about x and y of the LGCS over the span, linear in time, zero at its middle.
@@ -137,6 +146,24 @@ struct BenchTruth : OutputTruth {
   /// Bending under the load of the platform: it turns by (direction of up) x sag, all in platter coordinates;
   /// the direction of sag is from where the axes cross to the load's centre of mass.
   Eigen::Vector3d sag_urad = Eigen::Vector3d::Zero();
+
+  const AxisTruth& axis(StageAxis which) const { return which == StageAxis::kX ? x : z; }
+  bool operator==(const StageTruth&) const = default;
 };
+
+/// One item on the stage. It has no errors of the stage: those are the stage's alone.
+struct ItemTruth : OutputTruth {
+  std::uint64_t seed = 1;  ///< Of its noise.
+};
+
+/// The seed of the noise of one of several items (counted from 1) on a stage.
+constexpr std::uint64_t item_seed(std::uint64_t stage_seed, int item) {
+  // Odd and far from any number that people choose: seeds of items do not meet those of other benches.
+  constexpr std::uint64_t kBetweenItems = 0x9E3779B97F4A7C15;
+  return stage_seed + static_cast<std::uint64_t>(item) * kBetweenItems;
+}
+
+/// The truth of a simulated bench with one item. A run never sees it.
+struct BenchTruth : OutputTruth, StageTruth {};
 
 }  // namespace abcal::sim

@@ -12,7 +12,7 @@ namespace abcal::sim {
 struct BodyMotion {
   Eigen::Matrix3d R_LB;  ///< Body to LGCS.
   Eigen::Vector3d rate_B_radps;
-  Eigen::Vector3d field_B_gauss;  ///< Of the earth.
+  Eigen::Vector3d field_B_gauss;  ///< Field of the earth.
 
   /// Body to north, east, down; x of the LGCS points north.
   Eigen::Matrix3d to_ned() const { return Eigen::Vector3d(1.0, -1.0, -1.0).asDiagonal() * R_LB; }

@@ -5,7 +5,7 @@
 
 namespace abcal::sim {
 
-/// What a random number of the world is for: streams that never meet.
+/// Purpose of a random number of the world. The streams of different purposes are independent.
 enum class NoiseStream : std::uint64_t {
   kStepError = 1,
   kReading = 2,

@@ -30,10 +30,10 @@
 namespace abcal::sim {
 namespace {
 
-// What a client may leave unread before the oldest is lost, in addition to the system's own buffer.
+// Output that a client may leave unread before the oldest is lost, in addition to the system's own buffer.
 constexpr std::size_t kOutputCapacity = 65536;
 constexpr std::size_t kReadSize = 4096;
-// What a device holds that its serial line has not carried yet.
+// Output that a device holds until its serial line has carried it.
 constexpr std::size_t kDeviceBuffer = 4096;
 constexpr int kWaitingClients = 16;
 constexpr int kMostSessions = 100;
@@ -73,7 +73,7 @@ void make_raw(int fd, const std::string& who) {
   if (::tcsetattr(fd, TCSANOW, &settings) != 0) fail(who, "cannot make the terminal raw");
 }
 
-/// The speed that a host has set; nothing: one that has no name.
+/// The speed that a host has set; absent: a speed without a name.
 std::optional<unsigned> terminal_speed(int fd) {
   struct Speed {
     speed_t code;
@@ -113,7 +113,7 @@ struct Emulator::Port {
   std::shared_ptr<Firmware> firmware;
   std::string address;
   std::string output;  ///< Not yet taken.
-  /// Nobody is there: what is put out is lost at once, as on a line with nothing at its end.
+  /// False while no client is connected: output is then lost at once, as on a line with nothing at its end.
   bool client = true;
   std::variant<PtyLink, TcpPort> where;
   bool plugged_in = true;
@@ -147,7 +147,7 @@ struct Emulator::Loop {
   double clock_rate;
   std::list<Port> ports;
   FileDescriptor wake;
-  std::vector<std::string> addresses{};  ///< Those of the endpoints, which do not change.
+  std::vector<std::string> addresses{};  ///< Addresses of the endpoints; they do not change.
   std::atomic<std::uint64_t> dropped{0};
 
   ~Loop();
@@ -169,7 +169,7 @@ struct Emulator::Loop {
 
 void Emulator::Loop::remove_link(const Port& port) {
   if (port.link.empty()) return;
-  std::error_code error;  // nobody to tell: the link is gone, or another's
+  std::error_code error;  // the error is ignored: the link is gone, or another's
   if (std::filesystem::read_symlink(port.link, error) == port.terminal && !error)
     std::filesystem::remove(port.link, error);
 }
@@ -217,8 +217,7 @@ void Emulator::Loop::open_pty(Port& port, const PtyLink& where) {
   port.slave = FileDescriptor(::open(name.data(), O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC));
   if (!port.slave.open()) fail(who, "cannot open the pseudo-terminal's other end");
   make_raw(port.slave.get(), who);
-  // Who opens and closes the terminal is told by inotify. Where it is not to be had, a client is taken to be
-  // there.
+  // inotify reports who opens and closes the terminal. Without inotify a client is assumed to be connected.
   port.watch = FileDescriptor(::inotify_init1(IN_NONBLOCK | IN_CLOEXEC));
   if (port.watch.open() && ::inotify_add_watch(port.watch.get(), name.data(), IN_OPEN | IN_CLOSE) < 0)
     port.watch.close();
@@ -259,7 +258,7 @@ void Emulator::Loop::open_tcp(Port& port, const TcpPort& where) {
   port.client = false;
 }
 
-/// Counts who has the terminal open.
+/// Counts the programs that have the terminal open.
 void Emulator::Loop::follow_clients(Port& port) {
   alignas(inotify_event) std::array<char, kReadSize> buffer{};
   for (;;) {
@@ -282,7 +281,7 @@ void Emulator::Loop::hang_up(Port& port) {
   port.to_host.clear();
   port.client = false;
   if (port.slave.open()) {
-    // The next client shall find neither what this one left unread nor its lock.
+    // The next client must find neither the unread bytes of this one nor its lock.
     ::tcflush(port.slave.get(), TCIFLUSH);
     ::ioctl(port.slave.get(), TIOCNXCL);
   }
@@ -312,7 +311,8 @@ void Emulator::Loop::accept_client(Port& port) {
   taken->client = true;
 }
 
-/// Until there is no more: what a client that has gone still sent, and that it has gone.
+/// Reads everything that is available: the last bytes of a client that has gone, and the end of its
+/// connection.
 void Emulator::Loop::read_from(Port& port) {
   std::array<char, kReadSize> buffer{};
   for (;;) {
@@ -328,9 +328,9 @@ void Emulator::Loop::read_from(Port& port) {
   }
 }
 
-/// What a client has sent.
+/// Takes bytes that a client has sent.
 void Emulator::Loop::take(Port& port, std::string_view bytes) {
-  pump(port);  // what was put out before these bytes came
+  pump(port);  // output from before these bytes came
   if (const auto speed = port.line_speed()) {
     const unsigned sent = terminal_speed(port.slave.get()).value_or(*speed);
     // Framing errors: the device's UART drops such bytes, so that a host that tries several speeds does not
@@ -341,7 +341,7 @@ void Emulator::Loop::take(Port& port, std::string_view bytes) {
   }
 }
 
-/// What has come through the line to the device.
+/// Hands to the device the bytes that have come through the line.
 void Emulator::Loop::deliver(Port& port) {
   const std::string bytes = port.to_device.arrived(clock.now());
   if (bytes.empty()) return;
@@ -349,7 +349,7 @@ void Emulator::Loop::deliver(Port& port) {
   port.firmware->receive(bytes, clock.now());
 }
 
-/// Takes what the firmware has put out by now; the oldest is lost if there is too much.
+/// Takes the output of the firmware up to now; if there is too much, the oldest is lost.
 void Emulator::Loop::pump(Port& port) {
   const Clock::Instant now = clock.now();
   // Asked before: an answer to a change of the speed goes at the old one.
@@ -434,7 +434,7 @@ void Emulator::run(std::stop_token stop) {
     for (const Port& port : loop_->ports) {
       const bool waiting = port.client && !port.output.empty();
       const auto events = static_cast<short>(waiting ? POLLIN | POLLOUT : POLLIN);
-      polled.push_back({.fd = port.io(), .events = events, .revents = 0});  // a negative one is passed over
+      polled.push_back({.fd = port.io(), .events = events, .revents = 0});  // poll() ignores a negative one
       polled.push_back({.fd = port.watch.get(), .events = POLLIN, .revents = 0});
       polled.push_back({.fd = port.listener.get(), .events = POLLIN, .revents = 0});
       for (const auto& due :

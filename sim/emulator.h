@@ -15,10 +15,10 @@ namespace abcal::sim {
 
 /// How the serial line of a pseudo-terminal behaves.
 enum class LineModel {
-  kIdeal,  ///< Bytes are there at once, whatever speed the host has set.
-  /// Bytes take their time at Firmware::line_speed(). To a host whose terminal has another speed they are
-  /// noise, and so are the host's to the device. What the device puts out faster than its line carries is
-  /// lost. RTS, CTS and the other lines are not to be had on a pseudo-terminal.
+  kIdeal,  ///< Bytes arrive at once at any speed that the host has set.
+  /// Bytes are carried at Firmware::line_speed(). A host whose terminal has another speed receives noise, and
+  /// so does the device from that host. Output that exceeds the capacity of the line is lost. RTS, CTS and
+  /// the other lines do not exist on a pseudo-terminal.
   kReal,
 };
 
@@ -41,9 +41,9 @@ struct Endpoint {
 };
 
 /// Serves simulated instruments to other programs in real time. All in the one thread that calls run(), so
-/// that firmwares may share a world. Never blocks on a client: if nobody reads, the oldest output is lost, as
-/// on a UART. An instrument outlives its clients: they may come and go. The port of one that is not plugged
-/// in (Firmware::plugged_in) vanishes and comes back as a USB port does. Linux.
+/// that firmwares may share a world. Never blocks on a client: if a client does not read, the oldest output
+/// is lost, as on a UART. An instrument outlives its clients: they may come and go. The port of one that is
+/// not plugged in (Firmware::plugged_in) vanishes and comes back as a USB port does. Linux.
 class Emulator {
  public:
   /// Opens the ports; they answer once run() is called.
@@ -59,7 +59,7 @@ class Emulator {
   /// Serves until a stop is requested.
   void run(std::stop_token stop);
 
-  /// What to connect to, in the order of the endpoints: the link's path, or "tcp:HOST:PORT".
+  /// Addresses to connect to, in the order of the endpoints: the link's path, or "tcp:HOST:PORT".
   std::vector<std::string> addresses() const;
 
   /// Bytes of output that no client took in time, or that were more than their line carries; only grows.

@@ -45,10 +45,10 @@ const std::vector<FaultDescription>& fault_descriptions() {
   return descriptions;
 }
 
-FaultKind fault_kind(std::string_view name) {
+const FaultDescription& fault_description(std::string_view name) {
   std::vector<std::string_view> known;
   for (const FaultDescription& description : fault_descriptions()) {
-    if (description.name == name) return description.kind;
+    if (description.name == name) return description;
     known.push_back(description.name);
   }
   throw std::invalid_argument(
@@ -91,7 +91,7 @@ void FaultyStream::on_power(std::function<void(bool)> power) {
 void FaultyStream::follow_power() {
   const Clock::Instant last_look = std::exchange(last_look_, clock_.now());
   const bool on = active(FaultKind::kPowerCycle) == nullptr;
-  // The power may have gone and come back while nobody looked.
+  // The power may have gone and come back between two calls.
   const bool was_off = powered_ && std::any_of(faults_.begin(), faults_.end(), [&](const WireFault& fault) {
                          return fault.kind == FaultKind::kPowerCycle && fault.at && *fault.at >= last_look &&
                                 fault.until && *fault.until > *fault.at && *fault.until <= last_look_;
@@ -168,7 +168,7 @@ void FaultyStream::write(std::string_view bytes) {
 
 std::string FaultyStream::distort(std::string bytes) {
   if (const WireFault* replaced = active(FaultKind::kReplacedReply)) {
-    // Once for each write; what the instrument says besides is swallowed.
+    // The text comes once for each write; other output of the instrument is swallowed.
     if (replaced_for_write_ == writes_) return {};
     replaced_for_write_ = writes_;
     return replaced->text;
@@ -227,7 +227,7 @@ wire::ReceivedBytes FaultyStream::read_until(Clock::Instant deadline) {
     }
     const bool waiting_for_held = !held_.empty() && held_.front().due <= clock_.now();
     if (received.bytes.empty() && clock_.now() >= deadline && !waiting_for_held) return {{}, clock_.now()};
-    // Silence with a deadline that has passed: the inner stream may hold more, all of it to be swallowed.
+    // Silence after the deadline: the inner stream may hold more, all of it to be swallowed.
   }
 }
 

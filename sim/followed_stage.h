@@ -9,7 +9,7 @@
 namespace abcal::sim {
 
 /// A real stage whose read-back turns a simulated world, so that a simulated accelerometer "on" a real stage
-/// reads what its pose requires. The world's axes are where the encoder was read last; its stage errors are
+/// reads what its pose requires. The world's axes stand at the last encoder readings; its stage errors are
 /// the truth's. The stage must speak protocol angles.
 class FollowedStage final : public RotationStage {
  public:

@@ -11,8 +11,8 @@
 
 namespace abcal::sim {
 
-/// One direction of a serial line, 8N1: a byte takes ten bits, and one that is read at another speed than it
-/// was sent with is noise. What arrives is handed over as a UART with a FIFO does it: some bytes at a time.
+/// One direction of a serial line, 8N1: a byte takes ten bits, and a byte read at another speed than it was
+/// sent with becomes noise. Bytes are handed over in groups, as by a UART with a FIFO.
 class SerialLine {
  public:
   /// Bytes at a time.
@@ -21,17 +21,17 @@ class SerialLine {
   /// Whether bytes sent at one speed can be read at the other.
   static bool fits(unsigned sent, unsigned read);
 
-  /// `bytes` are sent from `at` on, behind what is under way, at `speed` Bd. `read_at`: the speed of the
-  /// other end; nothing: the same.
+  /// `bytes` are sent from `at` on, behind bytes already under way, at `speed` Bd. `read_at`: the speed of
+  /// the other end; absent: the same.
   void send(std::string_view bytes, unsigned speed, std::optional<unsigned> read_at, Clock::Instant at);
 
-  /// Bytes that it carries from `at` to `now` behind what is under way.
+  /// Bytes that it carries from `at` to `now` behind those already under way.
   std::size_t room(unsigned speed, Clock::Instant at, Clock::Instant now) const;
 
-  /// What has come through since the last call.
+  /// Bytes that have come through since the last call.
   std::string arrived(Clock::Instant now);
 
-  /// When the next bytes are handed over; nothing: none are under way.
+  /// When the next bytes are handed over; absent: none are under way.
   std::optional<Clock::Instant> next_due() const;
 
   std::size_t under_way() const { return under_way_; }
@@ -40,7 +40,7 @@ class SerialLine {
  private:
   struct Piece {
     Clock::Instant start;
-    double bytes_per_s;  ///< As they are read.
+    double bytes_per_s;  ///< Speed of the receiver.
     std::string bytes;
     std::size_t taken = 0;
 

@@ -12,7 +12,7 @@
 namespace abcal::sim {
 namespace {
 
-// What waits unread, as a driver's bounded queue holds it; older readings are lost.
+// Unread readings that are kept, as in a driver's bounded queue; older readings are lost.
 constexpr std::uint64_t kQueue = 65536;
 
 }  // namespace
@@ -51,8 +51,8 @@ AccelerometerInfo SimAccelerometer::identify() {
                          .full_scale = std::nullopt,
                          .resolution = std::nullopt,
                          .rate_hz = rate_hz_};
-  if (std::isfinite(bench_->truth().full_scale)) info.full_scale = bench_->truth().full_scale;
-  if (bench_->truth().quantisation > 0.0) info.resolution = bench_->truth().quantisation;
+  if (std::isfinite(bench_->item().full_scale)) info.full_scale = bench_->item().full_scale;
+  if (bench_->item().quantisation > 0.0) info.resolution = bench_->item().quantisation;
   return info;
 }
 

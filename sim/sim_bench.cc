@@ -11,86 +11,20 @@
 #include <string>
 
 #include "sim/counter_noise.h"
+#include "sim/refusal.h"
 
 namespace abcal::sim {
 namespace {
 
 constexpr std::size_t kKeptEpochs = 4096;
-/// An odd number far from any that people choose: seeds of items do not meet those of other benches.
-constexpr std::uint64_t kSeedBetweenItems = 0x9E3779B97F4A7C15;
-constexpr std::int64_t kMicroDegreesPerTurn = 360'000'000;
-constexpr std::uint64_t kPoseZero = 0;
-constexpr std::uint64_t kPoseMinus90 = 270'000'000;
 // exp(-40) is below the resolution of a double: the ring-down is over.
 constexpr double kRingDownTimeConstants = 40.0;
 constexpr double kMicro = 1e-6;
-constexpr int kDrawnErrorOrders = 6;   // docs/effects.md, smooth step errors
-constexpr int kDrawnWobbleOrders = 3;  // docs/effects.md, wobble
-constexpr double kSmallestSpanS = 1e-3;
 constexpr double kFieldNorthGauss = 0.25;
 constexpr double kFieldDownGauss = 0.45;
 
-/// The pose as an integer, so that a target reached by different sums is the same pose.
-std::uint64_t canonical(Angle angle) {
-  const double reduced = std::remainder(angle.deg(), 360.0);  // exact
-  const std::int64_t micro = std::llround(reduced * 1e6) % kMicroDegreesPerTurn;
-  return static_cast<std::uint64_t>(micro < 0 ? micro + kMicroDegreesPerTurn : micro);
-}
-
-/// Reduced in degrees before it becomes radians, so that whole turns cost no digits.
-double reduced_rad(double deg) {
-  return Angle::degrees(std::remainder(deg, 360.0)).rad();
-}
-
-/// Turns by a vector: about its direction by its norm.
-Eigen::Matrix3d turned_by(const Eigen::Vector3d& rotation_vector) {
-  const double angle = rotation_vector.norm();
-  if (angle == 0.0) return Eigen::Matrix3d::Identity();
-  return Eigen::AngleAxisd(angle, rotation_vector / angle).toRotationMatrix();
-}
-
 Angle angle_between(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
   return Angle::radians(std::atan2(a.cross(b).norm(), a.dot(b)));
-}
-
-[[noreturn]] void refuse(const std::string& what, const std::string& found, const std::string& required) {
-  throw std::invalid_argument(fmt::format("simulated bench: {} is {}, required: {}", what, found, required));
-}
-
-void require(bool holds, const std::string& what, double found, const std::string& required) {
-  if (!holds) refuse(what, fmt::format("{}", found), required);
-}
-
-void check_axis(const AxisTruth& axis, const std::string& name) {
-  const auto finite = [&](Angle angle, const char* what) {
-    require(std::isfinite(angle.deg()), name + "." + what, angle.deg(), "finite");
-  };
-  finite(axis.mean_step_error, "mean_step_error");
-  finite(axis.initial_turn_error, "initial_turn_error");
-  finite(axis.backlash, "backlash");
-  finite(axis.travel_min, "travel_min");
-  finite(axis.travel_max, "travel_max");
-  for (const ErrorHarmonic& harmonic : axis.harmonics) {
-    finite(harmonic.sin_coefficient, "harmonics.sin_coefficient");
-    finite(harmonic.cos_coefficient, "harmonics.cos_coefficient");
-  }
-  for (const WobbleHarmonic& w : axis.wobble) {
-    for (const double each : {w.cos_1_urad, w.sin_1_urad, w.cos_2_urad, w.sin_2_urad})
-      require(std::isfinite(each), name + ".wobble", each, "finite");
-  }
-  const auto positive = [](double value) { return value > 0.0 && std::isfinite(value); };
-  require(axis.wobble_sd_urad >= 0.0 && std::isfinite(axis.wobble_sd_urad), name + ".wobble_sd_urad",
-          axis.wobble_sd_urad, ">= 0");
-  require(axis.smooth_error_sd.deg() >= 0.0 && std::isfinite(axis.smooth_error_sd.deg()),
-          name + ".smooth_error_sd", axis.smooth_error_sd.deg(), ">= 0");
-  require(axis.step_error_sd.deg() >= 0.0 && std::isfinite(axis.step_error_sd.deg()), name + ".step_error_sd",
-          axis.step_error_sd.deg(), ">= 0");
-  require(axis.encoder_resolution.deg() >= 0.0 && std::isfinite(axis.encoder_resolution.deg()),
-          name + ".encoder_resolution", axis.encoder_resolution.deg(), ">= 0");
-  require(positive(axis.speed_deg_per_s), name + ".speed_deg_per_s", axis.speed_deg_per_s, "> 0");
-  require(positive(axis.acceleration_deg_per_s2), name + ".acceleration_deg_per_s2",
-          axis.acceleration_deg_per_s2, "> 0");
-  require(axis.travel_min < axis.travel_max, name + ".travel_min", axis.travel_min.deg(), "below travel_max");
 }
 
 void check_slow_effects(const OutputTruth& truth) {
@@ -165,66 +99,38 @@ void check(const OutputTruth& truth) {
 }
 
 /// The truth, once it is found to be possible: nothing is made of it before.
-BenchTruth checked(BenchTruth truth) {
-  check(static_cast<const OutputTruth&>(truth));
-  require(truth.span_s >= kSmallestSpanS && std::isfinite(truth.span_s), "span_s", truth.span_s, ">= 0.001");
-  require(std::isfinite(truth.zx_per_degc), "zx_per_degc", truth.zx_per_degc, "finite");
-  require(std::isfinite(truth.floor_tilt_x_urad), "floor_tilt_x_urad", truth.floor_tilt_x_urad, "finite");
-  require(std::isfinite(truth.floor_tilt_y_urad), "floor_tilt_y_urad", truth.floor_tilt_y_urad, "finite");
-  if (!truth.sag_urad.allFinite()) refuse("sag_urad", "not finite", "finite");
-  require(truth.zx * truth.zx + truth.zy * truth.zy < 1.0, "zx^2 + zy^2",
-          truth.zx * truth.zx + truth.zy * truth.zy, "below 1");
-  require(std::abs(truth.xz) < 1.0, "xz", truth.xz, "between -1 and 1");
-  check_axis(truth.x, "x");
-  check_axis(truth.z, "z");
+ItemTruth checked(ItemTruth truth) {
+  check(truth);
   return truth;
 }
 
 }  // namespace
 
-SimBench::SimBench(BenchTruth truth, Clock::Instant start)
-    : truth_(checked(std::move(truth))),
-      noise_seed_(truth_.seed + truth_.item * kSeedBetweenItems),
+SimBench::SimBench(const BenchTruth& truth, Clock::Instant start)
+    : SimBench(ItemTruth{truth, truth.seed}, truth, start) {}
+
+SimBench::SimBench(const ItemTruth& item, const StageTruth& stage, Clock::Instant start)
+    : SimBench(item,
+               {std::make_shared<const DrawnStage>(stage), item.temperature_degc, item.temperature_per_hour},
+               start) {}
+
+SimBench::SimBench(ItemTruth item, Platter platter, Clock::Instant start)
+    : item_(checked(std::move(item))),
+      platter_(std::move(platter)),
+      stage_(*platter_.stage),
       start_(start),
-      thermal_(truth_.chamber, truth_.temperature_degc, start_),
-      random_walk_(noise_seed_, NoiseStream::kRandomWalk, truth_.span_s, std::nullopt),
-      correlated_(noise_seed_, NoiseStream::kCorrelated, truth_.span_s,
-                  truth_.correlated_noise_s / truth_.span_s),
-      flicker_(noise_seed_, truth_.span_s) {
-  axis_x_ = {std::sqrt(1.0 - truth_.xz * truth_.xz), 0.0, truth_.xz};
-  axis_z_ = {truth_.zx, truth_.zy, std::sqrt(1.0 - truth_.zx * truth_.zx - truth_.zy * truth_.zy)};
-  const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
-  const Eigen::Vector3d E = up.cross(axis_z_);
-  R_LP_rest_ = E.norm() > 0.0
-                   ? Eigen::AngleAxisd(angle_between(up, axis_z_).rad(), E.normalized()).toRotationMatrix()
-                   : Eigen::Matrix3d::Identity();
+      thermal_(stage().chamber, item_.temperature_degc, start_),
+      platter_thermal_(stage().chamber, platter_.temperature_degc, start_),
+      random_walk_(item_.seed, NoiseStream::kRandomWalk, stage().span_s, std::nullopt),
+      correlated_(item_.seed, NoiseStream::kCorrelated, stage().span_s,
+                  item_.correlated_noise_s / stage().span_s),
+      flicker_(item_.seed, stage().span_s) {
   for (const StageAxis axis : kStageAxes) {
-    const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
+    const AxisTruth& a = stage().axis(axis);
     limits_[index(axis)] = {a.speed_deg_per_s, a.acceleration_deg_per_s2, a.acceleration_deg_per_s2};
   }
-  draw_stage();
   Epoch rest{.start = start, .settled = start, .motion = {AxisMotion({}, start), AxisMotion({}, start)}};
   epochs_.push_back(std::move(rest));
-}
-
-void SimBench::draw_stage() {
-  for (const StageAxis axis : kStageAxes) {
-    const std::size_t k = index(axis);
-    const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
-    harmonics_[k] = a.harmonics;
-    for (int order = 1; order <= kDrawnErrorOrders && a.smooth_error_sd.deg() > 0.0; ++order) {
-      const auto normal = normal_numbers(noise_seed_, NoiseStream::kSmoothError,
-                                         {k, static_cast<std::uint64_t>(order), 0, 0});
-      harmonics_[k].push_back({order, a.smooth_error_sd * normal[0], a.smooth_error_sd * normal[1]});
-    }
-    wobble_[k] = a.wobble;
-    for (int order = 1; order <= kDrawnWobbleOrders && a.wobble_sd_urad > 0.0; ++order) {
-      const auto normal =
-          normal_numbers(truth_.seed, NoiseStream::kWobble, {k, static_cast<std::uint64_t>(order), 0, 0});
-      wobble_[k].push_back({order, a.wobble_sd_urad * normal[0], a.wobble_sd_urad * normal[1],
-                            a.wobble_sd_urad * normal[2], a.wobble_sd_urad * normal[3]});
-    }
-  }
 }
 
 const SimBench::Epoch& SimBench::epoch_at(Clock::Instant t) const {
@@ -234,9 +140,11 @@ const SimBench::Epoch& SimBench::epoch_at(Clock::Instant t) const {
   return epochs_.front();
 }
 
-void SimBench::add_follower(std::shared_ptr<SimBench> follower) {
+std::shared_ptr<SimBench> SimBench::add_item(ItemTruth item) {
+  const std::shared_ptr<SimBench> world(new SimBench(std::move(item), platter_, start_));
   const std::lock_guard lock(mutex_);
-  followers_.push_back(std::move(follower));
+  followers_.push_back(world);
+  return world;
 }
 
 std::vector<std::shared_ptr<SimBench>> SimBench::followers() const {
@@ -298,14 +206,14 @@ void SimBench::command(StageAxis axis, AxisMotion motion, Clock::Instant t) {
   next.settled = t;
   for (std::size_t k = 0; k < 2; ++k) {
     next.settled = std::max(next.settled, next.motion[k].planned_end());
-    next.pose[k] = canonical(next.motion[k].target());
+    next.pose[k] = canonical_pose(next.motion[k].target());
     next.error_from_deg[k] = error_deg(before, k, t);
   }
   for (const StageAxis each : kStageAxes) {
     const std::size_t k = index(each);
-    const AxisTruth& a = each == StageAxis::kX ? truth_.x : truth_.z;
-    next.error_to_deg[k] = stage_error(each, next.motion[k].target(), next.motion[1 - k].target()).deg() +
-                           (next.backlash[k] ? a.backlash.deg() : 0.0);  // lags behind a falling angle
+    next.error_to_deg[k] =
+        stage_error(each, next.motion[k].target(), next.motion[1 - k].target()).deg() +
+        (next.backlash[k] ? stage().axis(each).backlash.deg() : 0.0);  // lags behind a falling angle
   }
   epochs_.push_back(std::move(next));
   if (epochs_.size() > kKeptEpochs) epochs_.pop_front();
@@ -359,7 +267,7 @@ Angle SimBench::encoder_angle(StageAxis axis, Clock::Instant t) const {
     const std::lock_guard lock(mutex_);
     exact += Angle::degrees(shift_deg(FaultKind::kMovedAxis, index(axis), t));
   }
-  const double resolution = (axis == StageAxis::kX ? truth_.x : truth_.z).encoder_resolution.deg();
+  const double resolution = stage().axis(axis).encoder_resolution.deg();
   if (resolution == 0.0) return exact;
   return Angle::degrees(std::round(exact.deg() / resolution) * resolution);
 }
@@ -380,76 +288,33 @@ Angle SimBench::actual_angle(StageAxis axis, Clock::Instant t) const {
 }
 
 Angle SimBench::stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const {
-  const AxisTruth& a = axis == StageAxis::kX ? truth_.x : truth_.z;
-  const std::uint64_t pose = canonical(commanded);
-  if (pose == kPoseZero) return {};
-  if (pose == kPoseMinus90) return a.initial_turn_error;
-  double error = a.mean_step_error.deg();
-  for (const ErrorHarmonic& harmonic : harmonics_[index(axis)]) {
-    const double phase = reduced_rad(harmonic.order * std::remainder(commanded.deg(), 360.0));
-    error += harmonic.sin_coefficient.deg() * std::sin(phase) +
-             harmonic.cos_coefficient.deg() * (std::cos(phase) - 1.0);
-  }
-  if (a.step_error_sd.deg() > 0.0)
-    error += a.step_error_sd.deg() * normal_numbers(truth_.seed, NoiseStream::kStepError,
-                                                    {pose, canonical(other_commanded), index(axis), 0})[0];
-  return Angle::degrees(error);
+  return stage_.error(axis, commanded, other_commanded);
 }
 
 Eigen::Vector3d SimBench::axis_z(Clock::Instant t) const {
-  if (truth_.zx_per_degc == 0.0) return axis_z_;
-  const double from_start = item_temperature(truth_, t) - truth_.temperature_degc;
-  return (axis_z_ + from_start * truth_.zx_per_degc * Eigen::Vector3d::UnitX()).normalized();
-}
-
-Eigen::Matrix3d SimBench::wobble(std::size_t axis, double turn_rad) const {
-  const Eigen::Vector3d& e = axis == 0 ? axis_x_ : axis_z_;
-  // Neither axis comes near the vector that its first direction is made of: zx, zy, xz are small.
-  const Eigen::Vector3d first =
-      (axis == 0 ? Eigen::Vector3d::UnitZ() : Eigen::Vector3d::UnitY()).cross(e).normalized();
-  const Eigen::Vector3d second = e.cross(first);
-  Eigen::Vector3d by = Eigen::Vector3d::Zero();
-  for (const WobbleHarmonic& w : wobble_[axis]) {
-    const double c = std::cos(w.order * turn_rad);
-    const double s = std::sin(w.order * turn_rad);
-    by += (w.cos_1_urad * c + w.sin_1_urad * s) * first + (w.cos_2_urad * c + w.sin_2_urad * s) * second;
-  }
-  return turned_by(kMicro * by);
-}
-
-Eigen::Matrix3d SimBench::orientation(const std::array<double, 2>& actual_rad,
-                                      const std::array<double, 2>& commanded_rad,
-                                      const Eigen::Vector3d& axis_z) const {
-  // L: LGCS. P: platter, which carries the accelerometer. X carries Z, Z carries the platter.
-  Eigen::Matrix3d R_LP;
-  if (wobble_[0].empty() && wobble_[1].empty()) {
-    R_LP = (Eigen::AngleAxisd(actual_rad[0], axis_x_) * Eigen::AngleAxisd(actual_rad[1], axis_z))
-               .toRotationMatrix() *
-           R_LP_rest_;
-  } else {
-    R_LP = wobble(0, commanded_rad[0]) * Eigen::AngleAxisd(actual_rad[0], axis_x_).toRotationMatrix() *
-           wobble(1, commanded_rad[1]) * Eigen::AngleAxisd(actual_rad[1], axis_z).toRotationMatrix() *
-           R_LP_rest_;
-  }
-  if (truth_.sag_urad.isZero(0.0)) return R_LP;
-  const Eigen::Vector3d up_P = R_LP.transpose() * Eigen::Vector3d::UnitZ();
-  return R_LP * turned_by(kMicro * up_P.cross(truth_.sag_urad));
+  if (stage().zx_per_degc == 0.0) return stage_.axis_z();
+  const double now_degc =
+      platter_thermal_.in_use()
+          ? platter_thermal_.item(t)
+          : platter_.temperature_degc + platter_.temperature_per_hour * (to_seconds(t - start_) / 3600.0);
+  const double from_start = now_degc - platter_.temperature_degc;
+  return (stage_.axis_z() + from_start * stage().zx_per_degc * Eigen::Vector3d::UnitX()).normalized();
 }
 
 double SimBench::span_time(Clock::Instant t) const {
-  return to_seconds(t - start_) / truth_.span_s - 0.5;
+  return to_seconds(t - start_) / stage().span_s - 0.5;
 }
 
 /// The base of the stage, which may tilt slowly, to the LGCS.
 Eigen::Matrix3d SimBench::floor_tilt(Clock::Instant t) const {
-  const Eigen::Vector3d tilt(truth_.floor_tilt_x_urad, truth_.floor_tilt_y_urad, 0.0);
+  const Eigen::Vector3d tilt(stage().floor_tilt_x_urad, stage().floor_tilt_y_urad, 0.0);
   return turned_by(kMicro * span_time(t) * tilt);
 }
 
 /// Up, seen from the base of the stage.
 Eigen::Vector3d SimBench::up_in_base(Clock::Instant t) const {
   const Eigen::Vector3d up = Eigen::Vector3d::UnitZ();  // specific force at rest: up, not down
-  if (truth_.floor_tilt_x_urad == 0.0 && truth_.floor_tilt_y_urad == 0.0) return up;
+  if (stage().floor_tilt_x_urad == 0.0 && stage().floor_tilt_y_urad == 0.0) return up;
   return floor_tilt(t).transpose() * up;
 }
 
@@ -469,7 +334,7 @@ BodyMotion SimBench::body_motion(Clock::Instant t) const {
   const std::lock_guard lock(mutex_);
   const Epoch& epoch = epoch_at(t);
   const Turn turn = turn_at(epoch, t);
-  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation(turn.actual, turn.commanded, axis_z(t));
+  const Eigen::Matrix3d R_LP = floor_tilt(t) * stage_.orientation(turn.actual, turn.commanded, axis_z(t));
   // The rotation closest to the directions of the outputs (polar decomposition), right-handed in any case.
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(mounted_matrix(truth_at(t), t).rowwise().normalized(),
                                               Eigen::ComputeFullU | Eigen::ComputeFullV);
@@ -486,7 +351,8 @@ BodyMotion SimBench::body_motion(Clock::Instant t) const {
     rate_radps[k] = Angle::degrees(rate_degps).rad();
   }
   const Eigen::Vector3d rate_L =
-      rate_radps[0] * axis_x_ + rate_radps[1] * (Eigen::AngleAxisd(turn.actual[0], axis_x_) * axis_z(t));
+      rate_radps[0] * stage_.axis_x() +
+      rate_radps[1] * (Eigen::AngleAxisd(turn.actual[0], stage_.axis_x()) * axis_z(t));
   const Eigen::Matrix3d R_LB = R_LP * R_BP.transpose();
   const Eigen::Vector3d field_L(kFieldNorthGauss, 0.0, -kFieldDownGauss);
   return {R_LB, R_LB.transpose() * rate_L, R_LB.transpose() * field_L};
@@ -496,14 +362,14 @@ Eigen::Vector3d SimBench::force(const Epoch& epoch, Clock::Instant t) const {
   std::array<double, 2> shift{};
   for (std::size_t k = 0; k < 2; ++k)
     shift[k] = shift_deg(FaultKind::kMissedStep, k, t) + shift_deg(FaultKind::kMovedAxis, k, t);
-  const bool level = truth_.floor_tilt_x_urad == 0.0 && truth_.floor_tilt_y_urad == 0.0;
-  const bool rigid = truth_.zx_per_degc == 0.0;
+  const bool level = stage().floor_tilt_x_urad == 0.0 && stage().floor_tilt_y_urad == 0.0;
+  const bool rigid = stage().zx_per_degc == 0.0;
   const bool at_rest = level && rigid && shift[0] == 0.0 && shift[1] == 0.0 && t >= epoch.settled &&
                        !epoch.motion[0].moving(t) && !epoch.motion[1].moving(t);
   if (at_rest && epoch.force_at_rest) return *epoch.force_at_rest;
   const Turn turn = turn_at(epoch, t);
   const Eigen::Vector3d f_L = up_in_base(t);
-  const Eigen::Vector3d f_P = orientation(turn.actual, turn.commanded, axis_z(t)).transpose() * f_L;
+  const Eigen::Vector3d f_P = stage_.orientation(turn.actual, turn.commanded, axis_z(t)).transpose() * f_L;
   if (at_rest) epoch.force_at_rest = f_P;
   return f_P;
 }
@@ -516,7 +382,7 @@ Eigen::Vector3d SimBench::specific_force(Clock::Instant t) const {
 const OutputTruth& SimBench::truth_at(Clock::Instant t) const {
   for (auto change = changes_.rbegin(); change != changes_.rend(); ++change)
     if (change->at <= t) return change->truth;
-  return truth_;
+  return item_;
 }
 
 void SimBench::change(const OutputTruth& truth, Clock::Instant at) {
@@ -546,6 +412,7 @@ void SimBench::command_chamber(const ChamberCommand& command, Clock::Instant t) 
   for (const auto& follower : followers()) follower->command_chamber(command, t);
   const std::lock_guard lock(mutex_);
   thermal_.command(command, t);
+  platter_thermal_.command(command, t);
 }
 
 bool SimBench::chamber_in_use() const {
@@ -578,7 +445,7 @@ Eigen::Array3d SimBench::thermal_gain(const OutputTruth& truth, Clock::Instant t
   Eigen::Array3d gain = Eigen::Array3d::Zero();
   const bool curved = !truth.sensitivity_per_degc2.isZero(0.0) || !truth.sensitivity_per_degc3.isZero(0.0);
   if (curved || !truth.sensitivity_per_degc.isZero(0.0)) {
-    const double d = item_temperature(truth, t) - truth_.temperature_degc;
+    const double d = item_temperature(truth, t) - item_.temperature_degc;
     gain += d * (truth.sensitivity_per_degc.array() +
                  d * (truth.sensitivity_per_degc2.array() + d * truth.sensitivity_per_degc3.array()));
   }
@@ -589,7 +456,7 @@ Eigen::Array3d SimBench::thermal_gain(const OutputTruth& truth, Clock::Instant t
 
 /// What it does to the offset.
 Eigen::Array3d SimBench::thermal_offset(const OutputTruth& truth, Clock::Instant t) const {
-  const double d = item_temperature(truth, t) - truth_.temperature_degc;
+  const double d = item_temperature(truth, t) - item_.temperature_degc;
   Eigen::Array3d offset = d * (truth.offset_per_degc.array() +
                                d * (truth.offset_per_degc2.array() + d * truth.offset_per_degc3.array()));
   if (thermal_.in_use() && !truth.offset_thermal_hysteresis.isZero(0.0))
@@ -599,7 +466,7 @@ Eigen::Array3d SimBench::thermal_offset(const OutputTruth& truth, Clock::Instant
 
 SimOutput SimBench::output(Clock::Instant t, std::uint64_t sample_index,
                            Clock::Duration sample_period) const {
-  if (truth_.noise_seeded_by_angle && sample_period <= Clock::Duration::zero())
+  if (stage().noise_seeded_by_angle && sample_period <= Clock::Duration::zero())
     refuse("the sample period", "not positive", "positive, as the noise restarts at each pose");
   const std::lock_guard lock(mutex_);
   SimOutput output = output_without_faults(epoch_at(t), t, sample_index, sample_period);
@@ -708,15 +575,15 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
 
   if (truth.noise > 0.0) {
     std::array<double, 4> normal{};
-    if (truth_.noise_seeded_by_angle) {
+    if (stage().noise_seeded_by_angle) {
       const bool settled = t >= epoch.settled;
       const Clock::Instant since = settled ? epoch.settled : epoch.start;
       const auto samples_since =
           static_cast<std::uint64_t>(std::max<std::int64_t>(0, (t - since) / sample_period));
-      normal = normal_numbers(noise_seed_, NoiseStream::kReadingAtPose,
+      normal = normal_numbers(item_.seed, NoiseStream::kReadingAtPose,
                               {samples_since, epoch.pose[0], epoch.pose[1], settled ? 1U : 0U});
     } else {
-      normal = normal_numbers(noise_seed_, NoiseStream::kReading, {sample_index, 0, 0, 0});
+      normal = normal_numbers(item_.seed, NoiseStream::kReading, {sample_index, 0, 0, 0});
     }
     r += truth.noise * Eigen::Array3d(normal[0], normal[1], normal[2]);
   }
@@ -733,7 +600,7 @@ SimOutput SimBench::output_without_faults(const Epoch& epoch, Clock::Instant t, 
 }
 
 Eigen::Matrix3d SimBench::true_sensitivity_matrix() const {
-  return truth_.sensitivity_matrix * R_LP_rest_.transpose();  // every row turned by the tilt
+  return item_.sensitivity_matrix * stage_.platter_at_rest().transpose();  // every row turned by the tilt
 }
 
 TrueIntrinsicProperties SimBench::true_intrinsic_properties() const {
@@ -743,7 +610,7 @@ TrueIntrinsicProperties SimBench::true_intrinsic_properties() const {
   const Eigen::Vector3d w = s.row(2);
   return {.sensitivity = s.rowwise().norm(),
           .angle = {angle_between(u, v), angle_between(v, w), angle_between(w, u)},
-          .offset = truth_.offset};
+          .offset = item_.offset};
 }
 
 TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
@@ -751,7 +618,7 @@ TrueLineResponse SimBench::true_line_response(Clock::Instant t) const {
   const OutputTruth& truth = truth_at(t);
   // Up in the platter's frame is what the accelerometer feels; at the pose (0, 0) that frame, as it really
   // is, defines x, y, z.
-  const Eigen::Matrix3d R_LP = floor_tilt(t) * orientation({0.0, 0.0}, {0.0, 0.0}, axis_z(t));
+  const Eigen::Matrix3d R_LP = floor_tilt(t) * stage_.orientation({0.0, 0.0}, {0.0, 0.0}, axis_z(t));
   const Eigen::Array3d gains = gain(truth, t);
   const Eigen::Matrix3d s = gains.matrix().asDiagonal() * mounted_matrix(truth, t) * R_LP.transpose();
 

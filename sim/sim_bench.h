@@ -14,7 +14,8 @@
 #include "sim/axis_motion.h"
 #include "sim/bench_truth.h"
 #include "sim/body_motion.h"
-#include "sim/faults.h"
+#include "sim/drawn_stage.h"
+#include "sim/fault_kinds.h"
 #include "sim/slow_noise.h"
 #include "sim/thermal_world.h"
 
@@ -51,17 +52,23 @@ struct SimOutput {
 /// index, never on the order of calls; the only history a pose has is backlash and hysteresis. Moves must be
 /// commanded in order of time.
 ///
-/// Physics: docs/theory/model.md, docs/effects.md. The platter's orientation is Rot(X, thetaX) Rot(Z,
-/// thetaZ), each followed by the wobble of its axis, applied to its orientation at rest, tilted with Z. Eigen
+/// Physics: docs/theory/model.md, docs/effects.md. DrawnStage has the stage's geometry and errors. Eigen
 /// turns the vectors; no formula of the analysis is used here. The accelerometer sits where the axes cross:
 /// no centripetal acceleration. Safe to use from several threads.
 class SimBench {
  public:
   /// `start` is the zero of the world's time (drift, temperature).
   /// @throws std::invalid_argument if the truth has a number that cannot be.
-  explicit SimBench(BenchTruth truth, Clock::Instant start = Clock::Instant{});
+  explicit SimBench(const BenchTruth& truth, Clock::Instant start = Clock::Instant{});
+  SimBench(const ItemTruth& item, const StageTruth& stage, Clock::Instant start);
 
-  const BenchTruth& truth() const { return truth_; }  ///< As at the start.
+  /// The world of another item on the same stage. From now on it is told all that the stage and the chamber
+  /// of this one are told; of faults and changes it is told by itself.
+  /// @throws std::invalid_argument if the truth has a number that cannot be.
+  std::shared_ptr<SimBench> add_item(ItemTruth item);
+
+  const StageTruth& stage() const { return stage_.truth(); }
+  const ItemTruth& item() const { return item_; }  ///< As at the start.
   Clock::Instant start() const { return start_; }
 
   // The stage.
@@ -89,13 +96,8 @@ class SimBench {
   Angle encoder_angle(StageAxis axis, Clock::Instant t) const;
   /// Where the axis really is: commanded angle + error (+ backlash).
   Angle actual_angle(StageAxis axis, Clock::Instant t) const;
-  /// The error of an axis at rest, without backlash (bench_truth.h, AxisTruth); keyed by the seed and the
-  /// angles of both axes to a millionth of a degree, modulo 360 degrees.
+  /// The error of an axis at rest, without backlash (DrawnStage::error).
   Angle stage_error(StageAxis axis, Angle commanded, Angle other_commanded) const;
-
-  /// From now on a world with another item on the same stage (the same truth of the stage) is told all that
-  /// the stage and the chamber of this one are told. It is told of faults and changes by itself.
-  void add_follower(std::shared_ptr<SimBench> follower);
 
   // The accelerometer.
 
@@ -153,6 +155,14 @@ class SimBench {
   std::optional<WorldFault> fault_at(FaultKind kind, Clock::Instant t, StageAxis axis = StageAxis::kX) const;
 
  private:
+  /// The stage that all items share, and its temperature: that of the first item.
+  struct Platter {
+    std::shared_ptr<const DrawnStage> stage;
+    double temperature_degc = 23.0;     ///< At the start.
+    double temperature_per_hour = 0.0;  ///< Without a chamber.
+  };
+  SimBench(ItemTruth item, Platter platter, Clock::Instant start);
+
   struct Epoch {  ///< From one command to the next.
     Clock::Instant start;
     Clock::Instant settled;  ///< When both axes have arrived, as planned.
@@ -176,12 +186,7 @@ class SimBench {
     std::array<double, 2> commanded{};
   };
   Turn turn_at(const Epoch& epoch, Clock::Instant t) const;
-  void draw_stage();
-  Eigen::Matrix3d wobble(std::size_t axis, double turn_rad) const;
   Eigen::Vector3d axis_z(Clock::Instant t) const;
-  Eigen::Matrix3d orientation(const std::array<double, 2>& actual_rad,
-                              const std::array<double, 2>& commanded_rad,
-                              const Eigen::Vector3d& axis_z) const;
   Eigen::Matrix3d floor_tilt(Clock::Instant t) const;
   Eigen::Vector3d up_in_base(Clock::Instant t) const;
   double span_time(Clock::Instant t) const;
@@ -198,16 +203,12 @@ class SimBench {
 
   std::vector<std::shared_ptr<SimBench>> followers() const;
 
-  BenchTruth truth_;
-  std::uint64_t noise_seed_;
+  ItemTruth item_;
+  Platter platter_;
+  const DrawnStage& stage_;  ///< platter_.stage
   std::vector<std::shared_ptr<SimBench>> followers_;
   Clock::Instant start_;
-  Eigen::Vector3d axis_x_;  ///< Unit vectors in the LGCS, platter at rest.
-  Eigen::Vector3d axis_z_;
-  Eigen::Matrix3d R_LP_rest_;                            ///< Platter at rest to LGCS: the tilt with Z.
-  std::array<std::vector<ErrorHarmonic>, 2> harmonics_;  ///< Given and drawn.
-  std::array<std::vector<WobbleHarmonic>, 2> wobble_;    ///< Given and drawn.
-  ThermalWorld thermal_;
+  ThermalWorld thermal_, platter_thermal_;
   mutable MarkovNoise random_walk_, correlated_;
   FlickerNoise flicker_;
   std::array<MotionLimits, 2> limits_;

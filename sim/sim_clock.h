@@ -14,7 +14,7 @@ class SimClock final : public Clock {
  public:
   static constexpr UtcTime kDefaultStart = std::chrono::sys_days{std::chrono::January / 1 / 2000};
 
-  /// `utc_start` is what utc_now() says at the instant zero, at which the clock starts.
+  /// `utc_start` is utc_now() at the instant zero, at which the clock starts.
   explicit SimClock(UtcTime utc_start = kDefaultStart) : utc_start_(utc_start) {}
 
   Instant now() const override { return Instant(Duration(since_start_ns_.load())); }

@@ -39,7 +39,7 @@ StageInfo SimStage::identify() {
                  .axes = {}};
   for (const StageAxis axis : kStageAxes) {
     update(axis, now);
-    const AxisTruth& truth = axis == StageAxis::kX ? bench_->truth().x : bench_->truth().z;
+    const AxisTruth& truth = bench_->stage().axis(axis);
     info.axes[index(axis)] = {.stage_name = fmt::format("simulated {}", to_string(axis)),
                               .travel_min = truth.travel_min,
                               .travel_max = truth.travel_max,
@@ -64,7 +64,7 @@ void SimStage::move_to(StageAxis axis, Angle target) {
   const std::string who = fmt::format("simulated stage axis {}", to_string(axis));
   if (!axes_[index(axis)].referenced)
     throw InstrumentError(who, Fault::kNotReady, "not referenced: home it before a move");
-  const AxisTruth& truth = axis == StageAxis::kX ? bench_->truth().x : bench_->truth().z;
+  const AxisTruth& truth = bench_->stage().axis(axis);
   // Written so that NaN is out of travel too.
   if (!(target >= truth.travel_min && target <= truth.travel_max))
     throw InstrumentError(who, Fault::kOutOfTravel,

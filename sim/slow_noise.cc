@@ -46,7 +46,7 @@ Eigen::Vector3d MarkovNoise::at(double time_s) {
   Eigen::Vector3d from = ends_[block];
   Eigen::Vector3d to = ends_[block + 1];
   double where = blocks - static_cast<double>(block);  // 0 to 1 between `from` and `to`
-  double width = 1.0;                                  // of what is left, in blocks
+  double width = 1.0;                                  // Remaining interval, in blocks
   std::uint64_t place = 1;
   for (int k = 0; k < kHalvings && where != 0.0; ++k) {
     // The middle of a Gauss-Markov process given both ends.

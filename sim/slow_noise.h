@@ -9,11 +9,11 @@
 
 namespace abcal::sim {
 
-/// Noise that remembers: a Gauss-Markov process of unit size for each output, as a function of time. Without
-/// a correlation time it is a random walk, zero at time 0, of standard deviation 1 after one block; with one
-/// it is stationary (Ornstein-Uhlenbeck) of standard deviation 1. Any time may be asked for, in any order:
-/// ends of blocks are a chain, what lies between comes from halving the block (Levy's construction), with
-/// random numbers keyed by the place. Finer than a 2^-20th of a block it is a straight line.
+/// Noise with memory: a Gauss-Markov process of unit size for each output, as a function of time. Without a
+/// correlation time it is a random walk, zero at time 0, of standard deviation 1 after one block; with one it
+/// is stationary (Ornstein-Uhlenbeck) of standard deviation 1. Any time may be asked for, in any order: ends
+/// of blocks are a chain, values in between come from halving the block (Levy's construction), with random
+/// numbers keyed by the place. Finer than a 2^-20th of a block it is a straight line.
 class MarkovNoise {
  public:
   /// @param correlation_blocks  correlation time over the block; absent: random walk

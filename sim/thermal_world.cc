@@ -7,7 +7,7 @@
 namespace abcal::sim {
 namespace {
 
-/// An air that nothing drives loses its temperature so much more slowly.
+/// Factor by which air that nothing drives loses its temperature more slowly.
 constexpr double kIdleLagFactor = 20.0;
 /// Two lags that are equal have no solution of this form.
 constexpr double kSmallestDifference = 1e-6;
@@ -76,7 +76,7 @@ void ThermalWorld::command(const ChamberCommand& command, Clock::Instant t) {
   Segment next{t, command, state_in(before, seconds), play_in(before, seconds), 0.0};
   const bool drives = command.running && !command.paused;
   if (drives && command.rate_k_per_min && *command.rate_k_per_min > 0.0) {
-    // A pause or a repeated command does not begin the ramp anew from another rate.
+    // A pause or a repeated command does not restart the ramp at another rate.
     next.ramp_s = std::abs(command.target_degc - next.state.air) / *command.rate_k_per_min * 60.0;
   }
   segments_.push_back(next);

@@ -8,12 +8,12 @@
 
 namespace abcal::sim {
 
-/// What a chamber was told.
+/// A command to the chamber.
 struct ChamberCommand {
   double target_degc = 23.0;
-  std::optional<double> rate_k_per_min{};  ///< Of the set point, from where the air is; absent: at once.
-  bool running = false;                    ///< Else the air goes to the temperature of the room.
-  bool paused = false;                     ///< Likewise: nothing heats or cools.
+  std::optional<double> rate_k_per_min{};  ///< Ramp from the present air temperature; absent: at once.
+  bool running = false;                    ///< False: the air goes to the temperature of the room.
+  bool paused = false;                     ///< Neither heats nor cools: the same as not running.
 };
 
 /// Temperatures of the chamber's air and of the item in it: air follows the set point, the item follows the
@@ -47,10 +47,10 @@ class ThermalWorld {
     ChamberCommand command;
     State state;          ///< At the start.
     double play = 0.0;    ///< Middle of the play of the hysteresis, at the start.
-    double ramp_s = 0.0;  ///< So long the set point moves, from state.air on.
+    double ramp_s = 0.0;  ///< Duration of the ramp of the set point, from state.air on.
   };
   const Segment& segment_at(Clock::Instant t) const;
-  /// Of both lags for a set point p + q t, from `from` on.
+  /// State of both lags for a set point p + q t, from `from` on.
   State after(const State& from, double p, double q, double seconds, double lag_s) const;
   State state_in(const Segment& segment, double seconds) const;
   double goal(const Segment& segment) const;

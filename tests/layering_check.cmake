@@ -1,4 +1,4 @@
-# Layers point one way: each folder may include only what stands here (docs/architecture.md).
+# Layers point one way: each folder may include only what cmake/layers.cmake lists (docs/architecture.md).
 # Every folder of app, drivers, protocol and sim that has sources is listed; one that is not fails.
 # Run by ctest:  cmake -DSOURCE_DIR=... -P layering_check.cmake
 # For the test of the test:  ABCAL_EXTRA_FILE=FOLDER=PATH is a file to check as well, as one of FOLDER;
@@ -50,8 +50,7 @@ function(check_file file may foreign)
   set(violations "${violations}" PARENT_SCOPE)
 endfunction()
 
-# layer(FOLDER MAY folders and headers of the project... FOREIGN third-party headers...): every folder may include itself
-# and drivers/text/. TOP: only the files directly in the folder.
+# One line of the list: checks the files of a folder.
 function(layer folder)
   cmake_parse_arguments(ARG "TOP" "" "MAY;FOREIGN" ${ARGN})
   set(may "${folder}/" drivers/text/ ${ARG_MAY})
@@ -72,71 +71,27 @@ function(layer folder)
   set(checked "${checked}" PARENT_SCOPE)
 endfunction()
 
-# --- drivers -------------------------------------------------------------------------------------------------------------
-layer(drivers/text)
-layer(drivers/instrument FOREIGN Eigen/)
-layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h fmt/ Eigen/)
-layer(drivers/manual_stage MAY drivers/instrument/ drivers/wire/ FOREIGN boost/ fmt/ Eigen/)
-layer(drivers/manual_chamber MAY drivers/instrument/ FOREIGN fmt/)
-# Every folder with a driver.cc is a driver; all have the same rule.
-file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")
+include("${CMAKE_CURRENT_LIST_DIR}/../cmake/layers.cmake")
+
+# --- Only a driver's folder names it ---------------------------------------------------------------------------------------
+# Exceptions: the lists of simulated instruments and of their serial numbers, and a bench file in the self-test.
+set(may_name_drivers app/operate/bench/make_firmware.cc sim/emulated_serial_numbers.cc app/faces/self_test/self_test.cc)
+set(driver_names "")
 foreach(registration IN LISTS registrations)
-  get_filename_component(driver ${registration} DIRECTORY)
-  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ fmt/ Eigen/ libxml/)
+  file(STRINGS "${SOURCE_DIR}/${registration}" lines REGEX "\\.name = \"")
+  list(TRANSFORM lines REPLACE ".*\\.name = \"([a-z0-9_]+)\".*" "\\1")
+  list(APPEND driver_names ${lines})
 endforeach()
-layer(drivers TOP MAY drivers/ FOREIGN fmt/)
-
-# --- protocol ------------------------------------------------------------------------------------------------------------
-set(angle drivers/instrument/angle.h)
-# Analysis and uncertainty cannot even name an instrument.
-set(numbers ${angle} protocol/linear/ protocol/statistics/ protocol/plan/backlash.h protocol/plan/effect_sizes.h protocol/plan/limits.h protocol/plan/tolerances.h protocol/record/run_record.h protocol/model/)
-layer(protocol/plan MAY ${angle} FOREIGN Eigen/ fmt/)
-layer(protocol/linear FOREIGN Eigen/)
-layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h FOREIGN Eigen/)
-layer(protocol/statistics FOREIGN boost/math/)
-layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
-layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
-layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ protocol/statistics/ FOREIGN Eigen/ fmt/)
-layer(protocol/analysis MAY ${numbers} FOREIGN Eigen/ fmt/ Random123/ hwy/)
-layer(protocol/uncertainty MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/ boost/math/ boost/sort/ Random123/ hwy/)
-layer(protocol/temperature MAY ${numbers} protocol/analysis/ FOREIGN Eigen/ fmt/)
-
-# --- sim -----------------------------------------------------------------------------------------------------------------
-# Written apart from what it checks: neither protocol nor a driver's codec.
-layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ Random123/)
-
-# --- app -----------------------------------------------------------------------------------------------------------------
-# commands, console -> session -> bench, results; report, compare, certificate -> results.
-layer(app/xml FOREIGN libxml/ fmt/)
-layer(app/units MAY app/xml/ protocol/plan/ FOREIGN fmt/)
-layer(app/toml MAY app/system/ ${angle} protocol/plan/ FOREIGN toml++/ Eigen/ fmt/)
-layer(app/system MAY drivers/instrument/ protocol/run/ FOREIGN fmt/ hwy/ spdlog/)
-layer(app/bench MAY app/toml/ app/system/ drivers/ protocol/plan/ protocol/record/ protocol/run/ protocol/gravity/ sim/
-  FOREIGN toml++/ Eigen/ nlohmann/ fmt/ boost/)
-layer(app/results MAY app/bench/ app/system/ app/toml/ drivers/instrument/ protocol/ sim/ FOREIGN toml++/ Eigen/ nlohmann/ fmt/)
-layer(app/export MAY app/system/ protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
-layer(app/planner MAY app/bench/ app/results/ app/toml/ drivers/instrument/ drivers/text/ protocol/ sim/ FOREIGN toml++/ Eigen/ fmt/)
-layer(app/robustness MAY app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ nlohmann/ fmt/)
-layer(app/document MAY app/system/ app/xml/ FOREIGN lcms2.h libxml/ nlohmann/ qpdf/ fmt/)
-layer(app/compare MAY app/results/ app/units/ app/xml/ app/system/ protocol/ FOREIGN Eigen/ libxml/ nlohmann/ fmt/)
-layer(app/laboratory MAY app/system/ drivers/instrument/clock.h protocol/record/ FOREIGN soci/ sodium.h nlohmann/ fmt/)
-layer(app/certificate MAY app/laboratory/ app/results/ drivers/instrument/clock.h app/document/ app/system/ app/units/ app/xml/ app/toml/ protocol/ FOREIGN
-  Eigen/ unsupported/Eigen/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
-layer(app/report MAY app/results/ app/document/ app/system/ protocol/ FOREIGN Eigen/ H5Cpp.h nlohmann/ fmt/)
-layer(app/session MAY app/bench/ app/compare/ app/laboratory/ app/results/ app/system/ app/toml/ drivers/instrument/ drivers/wire/ protocol/ sim/
-  FOREIGN Eigen/ boost/ nlohmann/ fmt/)
-layer(app/apply MAY app/bench/ app/export/ app/results/ app/session/ app/system/ drivers/instrument/ protocol/ FOREIGN Eigen/ nlohmann/ fmt/)
-layer(app/issuing MAY app/certificate/ app/compare/ app/laboratory/ app/results/ app/session/ app/system/ drivers/instrument/clock.h protocol/ FOREIGN fmt/)
-layer(app/self_test MAY app/bench/ app/certificate/ app/document/ app/laboratory/ app/results/ app/session/ app/system/ app/xml/ drivers/instrument/clock.h protocol/
-  FOREIGN libxml/ openssl/ sqlite3.h fmt/)
-layer(app/emulate MAY app/bench/ app/system/ drivers/instrument/ drivers/wire/ sim/ FOREIGN boost/ nlohmann/ fmt/)
-set(below_people app/apply/ app/bench/ app/certificate/ app/compare/ app/document/ app/emulate/ app/export/ app/issuing/ app/laboratory/ app/planner/ app/report/ app/results/ app/robustness/
-  app/self_test/ app/session/ app/system/ app/toml/ app/units/ app/xml/ drivers/ protocol/ sim/)
-layer(app/library MAY ${below_people} abcal/ FOREIGN Eigen/ nlohmann/ fmt/)
-layer(app/python MAY abcal/ FOREIGN pybind11/)
-layer(app/console MAY ${below_people} FOREIGN Eigen/ boost/ nlohmann/ openssl/ unicode/ fmt/)
-layer(app/commands MAY ${below_people} app/console/ FOREIGN CLI/ Eigen/ boost/ mpi.h nlohmann/ fmt/)
-layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ curl/ matio.h nlohmann/ fmt/ hwy/)
+list(JOIN driver_names "|" driver_names)
+file(GLOB_RECURSE files RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/app/*.h" "${SOURCE_DIR}/app/*.cc" "${SOURCE_DIR}/protocol/*.h"
+  "${SOURCE_DIR}/protocol/*.cc" "${SOURCE_DIR}/sim/*.h" "${SOURCE_DIR}/sim/*.cc")
+foreach(file IN LISTS files)
+  file(STRINGS "${SOURCE_DIR}/${file}" named REGEX "\"(${driver_names})\"")
+  list(FIND may_name_drivers "${file}" at)
+  if(named AND at EQUAL -1)
+    string(APPEND violations "  ${file} names a driver: ${named}\n")
+  endif()
+endforeach()
 
 # --- Nothing is left out ---------------------------------------------------------------------------------------------------
 set(unlisted "")
@@ -169,9 +124,9 @@ if(checked LESS 20)
 endif()
 if(unlisted)
   list(JOIN unlisted ", " names)
-  message(FATAL_ERROR "no rule for ${names}: add a line to tests/layering_check.cmake with what it may include")
+  message(FATAL_ERROR "no rule for ${names}: add a line to cmake/layers.cmake with what it may include")
 endif()
 if(violations)
-  message(FATAL_ERROR "includes that point the wrong way:\n${violations}")
+  message(FATAL_ERROR "includes that point the wrong way, or names of drivers:\n${violations}")
 endif()
 message(STATUS "${checked} files include only what their layer may")

@@ -22,7 +22,7 @@ constexpr double kBlockSeconds = 0.02;
 constexpr int kBlocksInKernel = 128;
 constexpr int kMostLostInARow = 3;
 constexpr std::size_t kExaminedPeriods = 9;
-constexpr double kPeriodTolerance = 0.2;  // Of the median: triggers of the system's timers jitter.
+constexpr double kPeriodTolerance = 0.2;  // Fraction of the median period: timer triggers jitter.
 
 std::optional<double> number_in(std::string_view text) {
   double value = 0.0;
@@ -79,7 +79,8 @@ std::size_t IioAccelerometer::choose_device() const {
                         fmt::join(found, ", ")));
 }
 
-/// Of a channel; of the device if `channel` is empty. @throws InstrumentError kRefused.
+/// Value of an attribute of a channel, or of the device if `channel` is empty. @throws InstrumentError
+/// kRefused.
 std::string IioAccelerometer::attribute(std::string_view channel, std::string_view name) {
   const std::string command = channel.empty()
                                   ? fmt::format("READ {} {}", device().id, name)
@@ -167,12 +168,12 @@ bool has_point(const RegisterTexts& registers, const std::string& name) {
 }
 
 constexpr double kMicro = 1e-6;                   // Fractions have at least six digits.
-constexpr double kAdisScaleStep = 1.0 / 32768.0;  // Of a whole number of an ADIS part.
+constexpr double kAdisScaleStep = 1.0 / 32768.0;  // One unit of the whole-number calibscale of an ADIS part.
 constexpr double kAdisLargest = 32767.0;
 
 }  // namespace
 
-/// 0: what a whole number means is not known.
+/// Change of the scale per unit of calibscale; 0 if the meaning of a whole number is not known.
 double IioAccelerometer::calibscale_step(const RegisterTexts& registers, std::string_view axis) const {
   if (has_point(registers, name_of(axis, "calibscale"))) return kMicro;
   return device().name.starts_with("adis") ? kAdisScaleStep : 0.0;
@@ -251,7 +252,7 @@ void IioAccelerometer::write(const RegisterTexts& registers) {
     for (const std::string_view name : {"calibscale", "calibbias"}) {
       const auto found = registers.find(name_of(axis, name));
       if (found == registers.end()) continue;
-      const std::string value = found->second + '\0';  // As libiio writes values.
+      const std::string value = found->second + '\0';  // libiio also ends values with a NUL.
       const std::string command =
           fmt::format("WRITE {} INPUT {} {} {}", device().id, axis, name, value.size());
       if (const std::int64_t error = session_.number(command, value); error < 0)
@@ -310,7 +311,7 @@ void IioAccelerometer::close_buffer() {
 
 void IioAccelerometer::open_buffer() {
   if (perhaps_open_) close_buffer();
-  // Refused by what has buffers of its own in another way.
+  // Servers that buffer in another way refuse this.
   session_.number(fmt::format("SET {} BUFFERS_COUNT {}", device().id, kBlocksInKernel));
   const std::string command = fmt::format("OPEN {} {} {}", device().id, block_scans_, layout_.mask);
   perhaps_open_ = true;
@@ -329,7 +330,8 @@ void IioAccelerometer::start() {
   if (device().has("current_timestamp_clock"))
     session_.number(fmt::format("WRITE {} current_timestamp_clock 10", device().id), "monotonic\0"sv);
   block_scans_ = static_cast<std::size_t>(std::max(1.0, std::round(settings_.rate_hz * kBlockSeconds)));
-  // Its own patience is 1 s, too short for slow rates; longer than ours, it would not tell us of it.
+  // The server's default time limit of 1 s is too short for slow rates. It must not exceed ours, either, or
+  // we would not learn of a missing block.
   session_.number(
       fmt::format("TIMEOUT {:.0f}", 1500.0 + 1000.0 * static_cast<double>(block_scans_) / settings_.rate_hz));
   open_buffer();

@@ -36,8 +36,8 @@ class IioAccelerometer final : public Accelerometer, public CorrectionRegisters 
   AccelerometerInfo identify() override;
   std::map<std::string, std::string> correction_registers() override;
 
-  // calibbias, and calibscale where it has one: output = scale (calibscale raw + calibbias). What drivers of
-  // the kernel mean by the texts is in docs/apply.md.
+  // calibbias, and calibscale where it has one: output = scale (calibscale raw + calibbias). docs/apply.md
+  // explains the meaning of the texts for each kernel driver.
   CorrectionRegisters* corrections() override { return this; }
   CorrectionAbility ability() override;
   OutputCorrection decode(const RegisterTexts& registers) override;
@@ -50,7 +50,7 @@ class IioAccelerometer final : public Accelerometer, public CorrectionRegisters 
   void start() override;
   /// A block that does not come is lost after 2 s, which may be later than the deadline by as much.
   std::optional<Reading> next(Clock::Instant deadline) override;
-  /// Closes the buffer and opens it anew: the kernel keeps the oldest samples.
+  /// Closes the buffer and opens it again, because the kernel keeps the oldest samples.
   void discard_pending() override;
   StreamHealth health() const override;
   void stop() noexcept override;

@@ -27,13 +27,13 @@ struct SampleFormat {
 
   bool operator==(const SampleFormat&) const = default;
 };
-/// Nothing: it is none, or one with several values (X2).
+/// Absent: the text is no format, or one with several values (X2).
 std::optional<SampleFormat> parse_format(std::string_view text);
 
 struct Channel {
   std::string id;  ///< "accel_x"
   bool output = false;
-  std::optional<unsigned> index{};  ///< Place in a scan; nothing: it is in none.
+  std::optional<unsigned> index{};  ///< Place in a scan; absent: it is in no scan.
   std::optional<SampleFormat> format{};
   std::vector<std::string> attributes{};
 
@@ -42,7 +42,7 @@ struct Channel {
 
 struct Device {
   std::string id;    ///< "iio:device0", "trigger0"
-  std::string name;  ///< Of the part: "adis16485"; may be empty.
+  std::string name;  ///< Name of the part: "adis16485"; may be empty.
   std::vector<Channel> channels{};
   std::vector<std::string> attributes{};
   std::vector<std::string> debug_attributes{};
@@ -56,7 +56,7 @@ struct Context {
   std::map<std::string, std::string> attributes{};
   std::vector<Device> devices{};
 };
-/// Nothing: it is not such a description.
+/// Absent: the text is no such description.
 std::optional<Context> parse_context(std::string_view xml);
 
 // Replies.
@@ -64,7 +64,7 @@ std::optional<Context> parse_context(std::string_view xml);
 enum class ReplyKind {
   kNumber,  ///< A line with a number; negative: an error of the system.
   kText,    ///< Its length, the text, a line's end; negative: an error.
-  kName,    ///< As kText, but nothing follows the length 0.
+  kName,    ///< Like kText, but nothing follows the length 0.
 };
 wire::FrameVerdict check_reply(ReplyKind kind, std::string_view bytes);
 /// The number of the first line. @pre The reply is complete.
@@ -72,8 +72,8 @@ std::int64_t number_of(std::string_view reply);
 /// Without zeros and blanks at its ends. @pre The reply of kind kText or kName is complete.
 std::string text_of(std::string_view reply);
 
-/// "0.24.v0.24  ": what the server says to VERSION, without the line's end, if the bytes hold such a line;
-/// `end`: behind it.
+/// The server's answer to VERSION, "0.24.v0.24  ", without its line's end, if the bytes hold such a line;
+/// `end`: the position behind it.
 struct VersionLine {
   std::string text;
   std::size_t end = 0;
@@ -83,8 +83,8 @@ std::optional<VersionLine> find_version(std::string_view bytes);
 /// The answer to READBUF: one or more chunks, before the first one the mask.
 wire::FrameVerdict check_samples(std::string_view bytes, std::size_t wanted, std::string_view mask);
 struct Samples {
-  std::string bytes;       ///< Of whole chunks.
-  std::int64_t error = 0;  ///< Negative: why there are no more.
+  std::string bytes;       ///< Contents of whole chunks.
+  std::int64_t error = 0;  ///< Negative: the error that ended the samples.
 };
 /// @pre check_samples() says that it is complete.
 Samples samples_of(std::string_view reply, std::string_view mask);
@@ -95,19 +95,20 @@ struct Place {
   SampleFormat format;
   std::size_t offset = 0;
 };
-/// Where the axes and the time stand in a scan.
+/// Positions of the axes and the time in a scan.
 struct ScanLayout {
   std::array<Place, 3> axes;
   std::optional<Place> timestamp{};
   std::size_t size = 0;
-  std::string mask;  ///< As OPEN takes it.
+  std::string mask;  ///< Channel mask in the form that OPEN takes.
 };
-/// Of accel_x, accel_y, accel_z and, if it has one, timestamp; nothing: they are not in its scans.
+/// Layout of accel_x, accel_y, accel_z and, if the device has one, timestamp. Absent if these channels are
+/// not in its scans.
 std::optional<ScanLayout> lay_out(const Device& device);
 
 struct Raw {
   std::int64_t value = 0;
-  bool at_end = false;  ///< Of the range.
+  bool at_end = false;  ///< The value is at an end of the range.
 };
 /// @pre The place lies within the scan.
 Raw value_at(std::string_view scan, const Place& place);

@@ -23,6 +23,7 @@ void register_iio(DriverList& drivers) {
        .make = make_accelerometer_of<iio::IioAccelerometer>,
        .output_unit = "m/s2",
        .recognition = {"*IDN?\r\n", is_error_of_the_system}});
+  drivers.traits["iio"] = {.names_device = true};
 }
 
 }  // namespace abcal

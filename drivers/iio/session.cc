@@ -42,7 +42,7 @@ bool Session::receive(Clock::Instant deadline) {
   return true;
 }
 
-/// Of a question that was asked twice.
+/// Drops late answers to a VERSION question that was asked twice.
 void Session::skip_version_lines() {
   const std::string line = version_ + "\n";
   while (!version_.empty() && received_.starts_with(line)) {
@@ -78,7 +78,7 @@ std::string Session::greet() {
                                           heard, wire::bytes_as_text(received_.substr(0, 24))));
 }
 
-/// Discards what is late.
+/// Discards late replies.
 void Session::catch_up() {
   stream_.write(kVersionCommand);
   const Clock::Instant deadline = clock_.now() + kAnswerTime;
@@ -90,7 +90,7 @@ void Session::catch_up() {
       out_of_step_ = false;
       return;
     }
-    if (received_.size() > kMostNoise) {  // All but what the line's beginning may be in.
+    if (received_.size() > kMostNoise) {  // Keeps only the bytes that may hold the line's beginning.
       skipped_bytes_ += received_.size() - line.size();
       received_.erase(0, received_.size() - line.size());
     }

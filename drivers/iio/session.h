@@ -15,9 +15,9 @@ namespace abcal::iio {
 
 /// Questions to an iiod, one at a time, and blocks of samples.
 ///
-/// A reply does not say what it answers, but they come in the order of the questions. So after one that is
-/// missing or damaged nothing else is asked before the server has answered VERSION with what is known of it:
-/// what comes before that is late and is discarded. One thread.
+/// A reply does not name its question, but replies come in the order of the questions. So after one that is
+/// missing or damaged nothing else is asked before the server has answered VERSION with its known version.
+/// Whatever arrives before that answer is late and is discarded. One thread.
 class Session {
  public:
   /// Both must outlive this. Sends nothing.
@@ -28,14 +28,15 @@ class Session {
   /// kRefused in words: `error` is a negative number of the system.
   [[noreturn]] void refuse(std::string_view command, std::int64_t error, std::string_view advice = {}) const;
 
-  /// Forgets what was asked, and asks who answers. @return its version
+  /// Forgets earlier questions, and asks for the server's version. @return its version
   /// @throws InstrumentError kNoReply, kWrongIdentity.
   std::string greet();
 
-  /// `data` follows the command's line. Asked again if no reply comes, but for what must not be done twice.
+  /// `data` follows the command's line. Repeated if no reply comes, except commands that must not be carried
+  /// out twice.
   /// @throws InstrumentError kNoReply, kBadFrame.
   std::int64_t number(std::string_view command, std::string_view data = {}, bool may_repeat = true);
-  /// Nothing: it was refused; `error` then says with which number.
+  /// Absent: it was refused; `error` then has the number.
   std::optional<std::string> text(std::string_view command, std::int64_t* error = nullptr,
                                   ReplyKind kind = ReplyKind::kText);
 

@@ -30,14 +30,15 @@ struct AccelerometerInfo {
 struct Reading {
   Eigen::Vector3d output = Eigen::Vector3d::Zero();  ///< u, v, w in AccelerometerInfo::output_unit.
   /// Counts the readings that the instrument made, so a gap is a loss. From the instrument's own counter or
-  /// time stamp where it has one; else the driver counts what it received plus what it knows it lost.
+  /// time stamp where it has one; else the driver counts the received readings and the losses that it knows
+  /// of.
   std::uint64_t sequence = 0;
   Clock::Instant arrival;  ///< When its last byte came in; late at times, never early.
   std::optional<double> temperature_degc;
   bool over_range = false;  ///< The instrument says that it clipped.
 };
 
-/// What the stream has suffered since start(). Only ever grows.
+/// Losses and errors of the stream since start(). The counts never decrease.
 struct StreamHealth {
   std::uint64_t readings = 0;       ///< Delivered or waiting.
   std::uint64_t lost_readings = 0;  ///< Known to have been made and not received (gaps, full queue).
@@ -50,16 +51,17 @@ class Accelerometer {
  public:
   virtual ~Accelerometer() = default;
 
-  /// Asks the instrument what it is (stopping its stream first if need be). Changes no stored setting.
+  /// Queries the identity of the instrument (stopping its stream first if necessary). Changes no stored
+  /// setting.
   /// @throws InstrumentError kWrongIdentity if it is not an instrument this driver knows.
   virtual AccelerometerInfo identify() = 0;
 
-  /// The corrections that the instrument itself applies to its output, as they are now, by name and in its
-  /// own words: what is calibrated is the item with them. Empty if nothing was asked, because it has none.
-  /// To be asked after identify() and before start().
+  /// Corrections that the instrument itself currently applies to its output, by name and in its own words:
+  /// the item is calibrated with them. Empty if the instrument has none, or was not asked. Call it after
+  /// identify() and before start().
   virtual std::map<std::string, std::string> correction_registers() { return {}; }
 
-  /// Those of its corrections that can be written; null: none. Valid until the instrument is opened again.
+  /// The corrections that can be written; null: none. Valid until the instrument is opened again.
   virtual CorrectionRegisters* corrections() { return nullptr; }
 
   /// Configures the output and starts it.
@@ -70,7 +72,7 @@ class Accelerometer {
   /// @throws InstrumentError kLinkLost, kNotReady before start().
   virtual std::optional<Reading> next(Clock::Instant deadline) = 0;
 
-  /// Throws away what arrived before now. Not counted as lost.
+  /// Discards readings that arrived before now. They do not count as lost.
   virtual void discard_pending() = 0;
 
   virtual StreamHealth health() const = 0;

@@ -13,8 +13,8 @@ namespace abcal {
 /// a run file keeps them.
 using RegisterTexts = std::map<std::string, std::string>;
 
-/// What an instrument makes of its raw readings before it puts them out: output = matrix (raw - offset), all
-/// in its output unit and along its own axes.
+/// The correction that an instrument applies to its raw readings before it outputs them: output = matrix (raw
+/// - offset), all in its output unit and along its own axes.
 struct OutputCorrection {
   Eigen::Matrix3d matrix = Eigen::Matrix3d::Identity();
   Eigen::Vector3d offset = Eigen::Vector3d::Zero();
@@ -22,20 +22,20 @@ struct OutputCorrection {
 
 /// Which part of an OutputCorrection registers can hold.
 enum class CorrectionShape {
-  kOffset,    ///< The offset; the matrix stays as it is.
+  kOffset,    ///< The offset; the matrix does not change.
   kDiagonal,  ///< Offset, and a factor for each axis.
-  kFull,      ///< All of it.
+  kFull,      ///< Offset and full matrix.
 };
 
-/// What can be written into an instrument, and how it keeps it.
+/// Which corrections can be written into an instrument, and how it stores them.
 struct CorrectionAbility {
   CorrectionShape shape = CorrectionShape::kOffset;
   std::string rule;          ///< The maker's own formula, with units: "output = C (a - B), ...".
   double offset_step = 0.0;  ///< Smallest change of the offset that the registers hold; output unit.
-  double matrix_step = 0.0;  ///< The same of an element of the matrix; 0 where the shape has none.
-  /// What is written stays when it is switched off: nothing can be tried first.
+  double matrix_step = 0.0;  ///< Smallest change of an element of the matrix; 0 where the shape has none.
+  /// Written values survive switching off, so nothing can be tried first.
   bool keeps_at_once = false;
-  bool can_save = true;  ///< Can keep what was written when it is switched off.
+  bool can_save = true;  ///< Can store the written values so that they survive switching off.
 };
 
 /// The registers of an accelerometer that correct its output and can be written. They are read with
@@ -48,11 +48,12 @@ class CorrectionRegisters {
   /// @throws InstrumentError kRefused: this one has no register that could be written.
   virtual CorrectionAbility ability() = 0;
 
-  /// What registers with this content do.
-  /// @throws std::invalid_argument if one is missing, no number, or does what is not an OutputCorrection
+  /// Decodes the correction that registers with this content apply.
+  /// @throws std::invalid_argument if one is missing, is no number, or has an effect that is not an
+  /// OutputCorrection
   virtual OutputCorrection decode(const RegisterTexts& registers) = 0;
 
-  /// The content that does what comes nearest to `wanted`; what it cannot hold is as in `now`.
+  /// Encodes the register content nearest to `wanted`; parts that the registers cannot hold stay as in `now`.
   /// @throws std::invalid_argument if it is outside what the registers can hold
   virtual RegisterTexts encode(const OutputCorrection& wanted, const RegisterTexts& now) = 0;
 
@@ -63,14 +64,14 @@ class CorrectionRegisters {
   /// @throws InstrumentError
   virtual void write(const RegisterTexts& registers) = 0;
 
-  /// Keeps what was written, and nothing else that this program has set. The instrument is then as it was
-  /// stored, with these registers. @param registers  as written
+  /// Stores the written registers, and nothing else that this program has set. The instrument is then in its
+  /// stored state, with these registers. @param registers  as written
   /// @throws InstrumentError
   virtual void save(const RegisterTexts& registers) = 0;
 };
 
 /// The numbers in the text of one register, between commas or blanks; words of letters (a unit) behind them
-/// are passed over.
+/// are skipped.
 /// @throws std::invalid_argument if there is no such register, or it has not `count` numbers
 std::vector<double> register_numbers(const RegisterTexts& registers, const std::string& name,
                                      std::size_t count);

@@ -6,19 +6,19 @@
 
 namespace abcal {
 
-/// What a sensor says of the air around the bench. What it does not measure is absent.
+/// State of the air around the bench, as a sensor reports it. Quantities that it does not measure are absent.
 struct EnvironmentReading {
   std::optional<double> temperature_degc;
   std::optional<double> humidity_percent;  ///< Relative.
   std::optional<double> pressure_hpa;
 };
 
-/// A thermometer, hygrometer or barometer beside the bench. One owner at a time.
+/// A thermometer, hygrometer or barometer near the bench. One owner at a time.
 class EnvironmentSensor {
  public:
   virtual ~EnvironmentSensor() = default;
 
-  /// What it says now, at most some seconds old; waits for it until `deadline`.
+  /// The present reading, at most some seconds old; waits for it until `deadline`.
   /// @throws InstrumentError kNoReply, kBadFrame or kWrongIdentity if there is none by then, kImplausible if
   /// it cannot be true, kLinkLost.
   virtual EnvironmentReading read(Clock::Instant deadline) = 0;

@@ -8,13 +8,13 @@
 
 namespace abcal {
 
-/// What is known of one axis after a halt. There is no "probably": what did not acknowledge may be moving.
+/// State of one axis after a halt. There is no "probably": an axis that did not acknowledge may be moving.
 enum class AxisHalt {
   kHalted,       ///< Its controller has said that it stands still.
   kUnreachable,  ///< Its controller did not say so: it may be moving.
 };
 
-/// What became of each axis of a stage when it was told to halt.
+/// Result of a halt for each axis of a stage.
 struct HaltReport {
   std::array<AxisHalt, 2> axes{AxisHalt::kUnreachable, AxisHalt::kUnreachable};  ///< By index(StageAxis).
 
@@ -39,23 +39,23 @@ struct HaltRecipe {
   /// all that came since the question).
   struct Question {
     std::string bytes;
-    std::string reply;     ///< A line that answers this question; other lines are passed over.
-    std::string standing;  ///< What it says where all that it tells of stands still; empty: does not matter.
+    std::string reply;     ///< A line that answers this question; other lines are skipped.
+    std::string standing;  ///< Pattern of replies that report standstill; empty: does not matter.
     /// Several devices may answer: all that come within this time after the first must say so.
     std::chrono::milliseconds listen{0};
   };
 
   std::string driver;                          ///< For messages: "pi_gcs".
-  std::array<bool, 2> axes{};                  ///< Which axes are on this port, by index(StageAxis).
+  std::array<bool, 2> axes{};                  ///< Axes on this port, by index(StageAxis).
   std::string end_partial;                     ///< Ends a half-written command so that it is not carried out.
-  std::string stop;                            ///< Stops all axes; no reply to it is waited for.
+  std::string stop;                            ///< Stops all axes; its reply is not awaited.
   std::vector<Question> questions;             ///< In this order, after each stop.
   std::chrono::milliseconds reply_time{1000};  ///< For a reply; a stop is repeated after it.
-  std::string reply_end{};                     ///< What ends a reply; empty: CR, LF or both.
-  /// Replies have no end that can be seen: patterns are searched for in the digits of what came, two
-  /// lower-case ones for each byte.
+  std::string reply_end{};                     ///< Terminator of a reply; empty: CR, LF or both.
+  /// Replies have no end that can be seen: patterns are searched for in the received bytes written as
+  /// hexadecimal digits, two lower-case ones for each byte.
   bool binary = false;
-  /// Of a chamber: what it does afterwards, in words ("is driven to 23 degC"). Empty: of a stage.
+  /// For a chamber: its action afterwards, in words ("is driven to 23 degC"). Empty for a stage.
   std::string chamber{};
 };
 

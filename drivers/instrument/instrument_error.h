@@ -7,8 +7,8 @@
 
 namespace abcal {
 
-/// What went wrong with an instrument. Two families that are never merged: it answered no (kRefused), and
-/// we do not know (all the others).
+/// Kind of a failure of an instrument. Two families are never merged: it refused (kRefused), and its state is
+/// unknown (all the others).
 enum class Fault {
   kRefused,        ///< The instrument replied with its own error code.
   kNoReply,        ///< The deadline passed with no complete reply.
@@ -25,10 +25,8 @@ enum class Fault {
 /// The fault in a few words ("no reply"), for messages and records.
 std::string_view to_string(Fault fault);
 
-/// The one exception of all instruments: who, what, found, required. what() reads
-/// "<instrument>: <fault>: <detail>", e.g. "stage C-884 (SN 0412): refused: error 7 (position out of limits)
-/// to
-/// \"MOV 1 400\"".
+/// The one exception of all instruments: who, what, found, required. what() reads "<instrument>: <fault>:
+/// <detail>", e.g. "stage C-884 (SN 0412): refused: error 7 (position out of limits) to \"MOV 1 400\"".
 class InstrumentError : public std::runtime_error {
  public:
   InstrumentError(std::string_view instrument, Fault fault, std::string_view detail);

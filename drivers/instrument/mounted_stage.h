@@ -37,7 +37,7 @@ class MountedStage final : public RotationStage {
  private:
   std::unique_ptr<RotationStage> stage_;
   std::array<AxisMounting, 2> mounting_;
-  std::optional<StageInfo> info_;  ///< As identified last, in protocol angles.
+  std::optional<StageInfo> info_;  ///< Result of the last identify(), in protocol angles.
 };
 
 }  // namespace abcal

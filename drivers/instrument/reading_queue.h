@@ -10,8 +10,8 @@
 
 namespace abcal {
 
-/// What the driver of a streaming accelerometer keeps between the wire and next(): the readings in their
-/// order, numbered, and how many were lost. One thread.
+/// Readings of a streaming accelerometer between the wire and next(), numbered and in their order, and the
+/// number of lost ones. One thread.
 class ReadingQueue {
  public:
   /// `capacity` readings are kept for a caller that does not fetch them; later ones are lost and counted.
@@ -20,8 +20,8 @@ class ReadingQueue {
   /// A stream begins.
   void restart() { *this = ReadingQueue(capacity_); }
 
-  /// Takes the next reading and numbers it. `steps`: how many the instrument has made since the one before,
-  /// this one included (1: none was lost); of no account for the first.
+  /// Takes the next reading and numbers it. `steps`: readings that the instrument has made since the one
+  /// before, including this one (1: none was lost); ignored for the first reading.
   void push(Reading reading, std::uint64_t steps) {
     if (last_sequence_ && !forgive_next_gap_) lost_ += steps - 1;
     forgive_next_gap_ = false;
@@ -46,14 +46,15 @@ class ReadingQueue {
   bool empty() const { return waiting_.empty(); }
   bool has_any_come() const { return last_sequence_.has_value(); }
 
-  /// From here to end_discard() readings are numbered and thrown away: their numbers still say what was lost
-  /// before and after them.
+  /// Readings from here to end_discard() are numbered and discarded, so that losses before and after them can
+  /// still be counted.
   void begin_discard() {
     discarding_ = true;
     lost_before_discard_ = lost_;
   }
-  /// `partial_frame`: the beginning of a frame has come, so the reading it completes was made before now.
-  /// `input_ran_over`: the input queue was full since the last discard; that gap is of what is thrown away.
+  /// `partial_frame`: the beginning of a frame has arrived, so its reading was made before now.
+  /// `input_ran_over`: the input queue was full since the last discard; the resulting gap lies in the
+  /// discarded readings.
   void end_discard(bool partial_frame, bool input_ran_over) {
     discarding_ = false;
     waiting_.clear();

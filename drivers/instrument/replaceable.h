@@ -12,13 +12,14 @@
 
 namespace abcal {
 
-/// Holds an instrument's driver that can be made again after its port vanished: what a driver knew of an
-/// instrument that was unplugged is worth nothing. While there is none, calls throw kLinkLost.
+/// Holds an instrument's driver that can be made again after its port vanished: the state that a driver knew
+/// of an unplugged instrument is no longer valid. While there is no driver, calls throw kLinkLost.
 /// @tparam Instrument RotationStage or Accelerometer.
 template <class Instrument>
 class Replaceable {
  public:
-  /// Opens what is gone of its ports and makes a driver. @throws InstrumentError kCannotOpen, kLinkLost.
+  /// Opens those of its ports that are gone and makes a driver. @throws InstrumentError kCannotOpen,
+  /// kLinkLost.
   using Make = std::function<std::unique_ptr<Instrument>()>;
 
   /// Makes the first one at once.
@@ -79,10 +80,10 @@ class Replaceable {
   std::atomic<bool> lost_ = false;
 };
 
-/// A stage whose driver can be replaced. halt() from any thread, also meanwhile.
+/// A stage whose driver can be replaced. halt() may be called from any thread, also during the replacement.
 ///
-/// The ports outlive the driver: while there is none, `halt_ports` halts by the drivers' recipes what is on
-/// the ports that are left.
+/// The ports outlive the driver: while there is none, `halt_ports` halts the instruments on the remaining
+/// ports by the drivers' recipes.
 class ReplaceableStage final : public RotationStage {
  public:
   using HaltPorts = std::function<HaltReport()>;
@@ -117,7 +118,7 @@ class ReplaceableStage final : public RotationStage {
         if (!halt_ports_) return {};
         if (const auto report = stage_.without_driver(halt_ports_)) return *report;
       }
-    } catch (...) {  // Of a mutex, or memory: not acknowledged.
+    } catch (...) {  // A mutex failed, or memory is short: not acknowledged.
       return {};
     }
   }

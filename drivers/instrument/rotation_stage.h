@@ -23,10 +23,11 @@ constexpr std::string_view to_string(StageAxis axis) {
   return axis == StageAxis::kX ? "X" : "Z";
 }
 
-/// As the controller said now. There is no "unknown": a controller that does not say makes the call throw.
+/// Motion of an axis as the controller reports it now. There is no "unknown": if a controller does not report
+/// it, the call throws.
 enum class MotionState { kMoving, kStopped };
 
-/// What the controller says of one axis, in its own coordinates.
+/// Properties of one axis as the controller reports them, in its own coordinates.
 struct StageAxisInfo {
   std::string stage_name;        ///< The positioner's name, e.g. "M-060.PD"; empty if it does not say.
   Angle travel_min;              ///< Lowest target that is accepted.
@@ -44,7 +45,7 @@ struct StageInfo {
   std::array<StageAxisInfo, 2> axes;  ///< By index(StageAxis).
 };
 
-/// What happened to a stage without its owner's asking, e.g. that a watchdog halted it.
+/// An event of a stage that its owner did not request, e.g. that a watchdog halted it.
 struct StageEvent {
   Clock::Instant at;
   std::string kind;  ///< "watchdog halt"
@@ -53,13 +54,13 @@ struct StageEvent {
 
 /// A two-axis rotation stage. One owner at a time, except halt().
 ///
-/// Every call either does what it says or throws InstrumentError within the driver's own reply deadline; a
-/// silent controller never reads as "stopped". Queries may be retried once by a driver; a move never is.
+/// Every call either succeeds or throws InstrumentError within the driver's own reply deadline; a silent
+/// controller never reads as "stopped". Queries may be retried once by a driver; a move never is.
 class RotationStage {
  public:
   virtual ~RotationStage() = default;
 
-  /// Asks the controller what it is. Moves nothing, changes nothing.
+  /// Queries the identity of the controller. Moves nothing, changes nothing.
   /// @throws InstrumentError kWrongIdentity if it is not an instrument this driver knows.
   virtual StageInfo identify() = 0;
 
@@ -82,7 +83,7 @@ class RotationStage {
   /// @return false: the controller did not acknowledge; say so to the person.
   virtual bool halt() noexcept = 0;
 
-  /// As halt(), and says what became of each axis: two controllers need not share their fate.
+  /// Like halt(), but reports the state of each axis: of two controllers, one may answer and the other not.
   virtual HaltReport halt_axes() noexcept { return HaltReport::of_both(halt()); }
 
   /// How another process halts the axes on each port of the stage; none for a stage without ports. Called by
@@ -92,7 +93,7 @@ class RotationStage {
   /// How long a reply of its controller may take; nothing that watches over the stage may give up before.
   virtual Clock::Duration reply_deadline() const { return {}; }
 
-  /// What has happened since the last call, oldest first. The owner puts it into its record.
+  /// Events since the last call, oldest first. The owner puts them into its record.
   virtual std::vector<StageEvent> take_events() { return {}; }
 };
 

@@ -40,7 +40,7 @@ HaltReport SplitStage::halt_axes() noexcept {
   std::thread beside;
   try {
     beside = std::thread([this, &x] { x = x_->halt_axes(); });
-  } catch (const std::system_error&) {  // No thread to be had: one after the other.
+  } catch (const std::system_error&) {  // No thread is available: one after the other.
     x = x_->halt_axes();
   }
   const HaltReport z = z_->halt_axes();

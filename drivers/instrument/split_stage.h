@@ -7,7 +7,7 @@
 namespace abcal {
 
 /// A rotation stage whose axes sit on two controllers: X on one, Z on the other. Each part is asked for its
-/// own axis only; what it says of the other is not looked at. One owner at a time, except halt().
+/// own axis only; its statements about the other axis are ignored. One owner at a time, except halt().
 class SplitStage final : public RotationStage {
  public:
   /// @throws std::invalid_argument if a part is missing.
@@ -24,7 +24,7 @@ class SplitStage final : public RotationStage {
   /// @return false if either did not acknowledge.
   bool halt() noexcept override { return halt_axes().all_halted(); }
 
-  /// As halt(); where one controller is gone, the other halts its own axis all the same.
+  /// Like halt(). If one controller is gone, the other still halts its own axis.
   HaltReport halt_axes() noexcept override;
   std::vector<HaltRecipe> halt_recipes() override;
   Clock::Duration reply_deadline() const override;

@@ -9,7 +9,7 @@
 
 namespace abcal {
 
-/// What a chamber is left with when a series ends.
+/// State in which a chamber is left when a series ends.
 enum class ChamberPolicy {
   kHold,     ///< It goes on at its last set point.
   kAmbient,  ///< It is driven to 23 degC, and goes on.
@@ -19,7 +19,8 @@ enum class ChamberPolicy {
 /// Where kAmbient and kOff drive a chamber, degC.
 inline constexpr double kAmbientDegc = 23.0;
 
-/// What a bench file says of a thermal chamber, as far as a driver needs it. A driver reads what concerns it.
+/// Settings of a thermal chamber in a bench file, as far as a driver needs them. Each driver reads only those
+/// that concern it.
 struct ChamberSettings {
   std::string model;         ///< "F4", "F4T", "simserv", "ascii2"; empty: the driver asks.
   int address = 1;           ///< Modbus unit, or ASCII-2 address.
@@ -29,6 +30,8 @@ struct ChamberSettings {
   int pause_output = 0;      ///< The one that pauses compressor or fan while it is on; 0: none.
   int door_input = 0;        ///< The digital input that is on while the door is open; 0: none.
   std::string serial_number{};
+
+  bool operator==(const ChamberSettings&) const = default;
 };
 
 struct ChamberInfo {
@@ -43,29 +46,29 @@ struct ChamberInfo {
   bool has_humidity = false;
 };
 
-/// What a chamber says of itself now.
+/// Present state of a chamber, as it reports it.
 struct ChamberReading {
   double air_degc = 0.0;
   std::optional<double> humidity_percent;  ///< Relative.
-  double set_degc = 0.0;                   ///< During a ramp: the set point that moves, where it tells it.
+  double set_degc = 0.0;  ///< During a ramp: the moving set point, if the chamber reports it.
   bool running = false;
   bool door_open = false;
   std::vector<std::string> alarms;  ///< In words; empty: none.
 };
 
-/// A thermal chamber. Every call either does what it says or throws InstrumentError within the driver's own
-/// reply deadline. All temperatures in degC: a driver verifies the unit of the chamber. One owner at a time.
+/// A thermal chamber. Every call either succeeds or throws InstrumentError within the driver's own reply
+/// deadline. All temperatures in degC: a driver verifies the unit of the chamber. One owner at a time.
 class ThermalChamber {
  public:
   virtual ~ThermalChamber() = default;
 
-  /// Asks what it is and reads the limits of its hardware. Changes nothing.
+  /// Queries the identity and reads the limits of its hardware. Changes nothing.
   /// @throws InstrumentError kWrongIdentity if it is not a chamber that this driver knows, or if its unit is
   /// not degC.
   virtual ChamberInfo identify() = 0;
 
   /// Sets the temperature, verifies the unit before and reads the set point back. Does not start the chamber.
-  /// @param rate_k_per_min  the chamber's own ramp; absent, or where it has none: as fast as it can
+  /// @param rate_k_per_min  the chamber's own ramp; absent, or if the chamber has none: as fast as it can
   /// @throws InstrumentError kOutOfTravel outside the limits of its hardware; kRefused; kNotReady before
   /// identify()
   virtual void set_temperature(double degc, std::optional<double> rate_k_per_min) = 0;
@@ -79,10 +82,11 @@ class ThermalChamber {
   /// @return false: it cannot, and nothing was done
   virtual bool pause(bool paused) = 0;
 
-  /// How to leave it as `policy` says without this driver, from now until the driver's end: compressor or fan
-  /// go on, and by kAmbient and kOff it is driven to 23 degC as fast as it can. Nobody is there to switch it
-  /// off once it is warm. Bytes hold the temperature in the unit that identify() has verified.
-  /// @return nothing: there is nothing to be done, or it cannot be done
+  /// Recipe that leaves the chamber according to `policy` without this driver, valid from now until the
+  /// driver's end: compressor or fan go on, and by kAmbient and kOff it is driven to 23 degC as fast as it
+  /// can. It is not switched off once it is warm. Bytes hold the temperature in the unit that identify() has
+  /// verified.
+  /// @return nothing: no action is needed, or none is possible
   /// @throws InstrumentError kNotReady before identify()
   virtual std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) {
     (void)policy;

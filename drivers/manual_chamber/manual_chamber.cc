@@ -14,7 +14,7 @@ namespace abcal::manual_chamber {
 namespace {
 
 constexpr std::string_view kWho = "manual chamber";
-/// What chambers can do; the limits of this one are not known to the program.
+/// Limits of chambers in general; those of this one are not known to the program.
 constexpr double kLeastDegc = -100.0, kMostDegc = 250.0;
 /// An answer farther from the set point than this is a slip of the fingers.
 constexpr double kPlausibleK = 5.0;

@@ -9,13 +9,14 @@
 
 namespace abcal::manual_chamber {
 
-/// A chamber that a person sets: the program says which temperature, the person sets it, and types what the
-/// chamber shows, or presses Enter. It is not watched: nobody tells the program of an alarm or a door.
+/// A chamber that a person sets: the program shows the temperature, the person sets it, and types the value
+/// that the chamber shows, or presses Enter. The chamber is not monitored: alarms and an open door remain
+/// unknown to the program.
 class ManualChamber final : public ThermalChamber {
  public:
   struct Person {
     std::function<void(std::string_view)> tell;
-    /// A line that was typed; nothing: there is nobody any more.
+    /// A line that was typed; absent: no person answers any more.
     std::function<std::optional<std::string>()> answer;
   };
 
@@ -23,11 +24,12 @@ class ManualChamber final : public ThermalChamber {
   ManualChamber(Person person, const ChamberSettings& settings);
 
   ChamberInfo identify() override;
-  /// Returns once the person has confirmed. @throws InstrumentError kLinkLost if nobody answers any more.
+  /// Returns once the person has confirmed. @throws InstrumentError kLinkLost if no person answers any more.
   void set_temperature(double degc, std::optional<double> rate_k_per_min) override;
   void run() override { running_ = true; }
   void stop() override;
-  /// What was confirmed or typed last. @throws InstrumentError kNotReady before the first set point.
+  /// The value that was confirmed or typed last. @throws InstrumentError kNotReady before the first set
+  /// point.
   ChamberReading read() override;
   bool pause(bool) override { return false; }
 

@@ -99,7 +99,7 @@ class TerminalInput final : public std::streambuf {
   std::array<char, 512> buffer_{};
 };
 
-/// Hands on what was written at each flush.
+/// Passes the written text on at each flush.
 class ShownOutput final : public std::stringbuf {
  public:
   explicit ShownOutput(std::function<void(std::string_view)> show) : show_(std::move(show)) {}
@@ -188,7 +188,7 @@ ManualStage::ManualStage(std::istream& in, std::ostream& out, const StageSetting
 }
 
 StageInfo ManualStage::identify() {
-  halted_ = false;  // What follows is a new beginning.
+  halted_ = false;  // identify() begins a new use of the stage.
   StageInfo info;
   info.maker = "none";
   info.model = kWho;

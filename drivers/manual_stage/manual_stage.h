@@ -30,7 +30,7 @@ class ManualStage final : public RotationStage {
  public:
   /// Asks on `out`, reads lines from `in`; both must outlive it. Writes nothing yet.
   /// @param wake Makes a read of `in` that is under way end with end of file, from any thread; may be empty.
-  /// @throws std::invalid_argument for settings that cannot be meant: no axis, a speed or an address.
+  /// @throws std::invalid_argument for invalid settings: no axis, a speed or an address.
   ManualStage(std::istream& in, std::ostream& out, const StageSettings& settings,
               std::function<void()> wake = {});
 
@@ -40,13 +40,13 @@ class ManualStage final : public RotationStage {
   /// Asks the person to set the axis to the zero of its scale; returns once confirmed.
   void home(StageAxis axis) override;
 
-  /// Returns once the person has confirmed, however long that takes.
+  /// Returns once the person has confirmed; there is no time limit.
   /// @throws InstrumentError kLinkLost if the input ends, kNotReady if the axis is not confirmed to be at its
   ///   zero, or if halt() is called meanwhile.
   void move_to(StageAxis axis, Angle target) override;
 
   /// Stopped, as the person confirmed.
-  /// @throws InstrumentError kNotReady after a move that was not confirmed: nobody knows then.
+  /// @throws InstrumentError kNotReady after a move that was not confirmed: its position is then unknown.
   MotionState motion_state(StageAxis axis) override;
 
   /// The angle typed, or the one confirmed. @throws InstrumentError kNotReady before home().
@@ -65,7 +65,7 @@ class ManualStage final : public RotationStage {
   std::ostream& out_;
   StageSettings settings_;
   std::function<void()> wake_;
-  std::array<std::optional<Angle>, 2> known_angle_;  ///< Nothing: not known.
+  std::array<std::optional<Angle>, 2> known_angle_;  ///< Absent: not known.
   std::array<bool, 2> referenced_{};
   std::atomic<bool> halted_ = false;
 };
@@ -73,8 +73,8 @@ class ManualStage final : public RotationStage {
 /// A manual stage at the terminal of this process: asks with `show`, which writes to standard error (standard
 /// output belongs to results) and must not throw; reads standard input; a halt (Ctrl-C) ends an open question
 /// at once.
-/// @throws InstrumentError kCannotOpen, at once, if standard input or standard error is no terminal: nobody
-///   would be there to turn the stage.
+/// @throws InstrumentError kCannotOpen, at once, if standard input or standard error is no terminal: then no
+///   person can turn the stage.
 std::unique_ptr<RotationStage> at_terminal(const StageSettings& settings,
                                            std::function<void(std::string_view)> show);
 

@@ -19,15 +19,15 @@ using Exchange = wire::PacketExchange<mavlink::FrameParser>;
 /// A heartbeat comes once a second.
 constexpr std::chrono::milliseconds kAnswerTime{1500};
 constexpr std::uint64_t kHeartbeatLostMicroseconds = 5'000'000;
-/// Of a HIGHRES_IMU, version 2; other messages may share the link.
+/// Bytes of a HIGHRES_IMU, version 2; other messages may share the link.
 constexpr double kMessageBytes = 75.0;
 constexpr double kScaledResolution = 9.80665e-3;  // m/s2
 
 /// Names of the parameters that correct the first accelerometer, and of those that turn its axes.
 struct ParameterNames {
   std::array<std::string, 3> offset, scale;
-  std::vector<std::string> rotations;  ///< 0: none; -1 of an accelerometer: that of the board.
-  std::string identity;                ///< Of the sensor that they are for; empty: the first.
+  std::vector<std::string> rotations;  ///< 0: none; -1 for an accelerometer: the rotation of the board.
+  std::string identity;  ///< Parameter that identifies the sensor they belong to; empty: the first sensor.
 };
 
 const ParameterNames* names_of(std::uint8_t autopilot) {
@@ -43,17 +43,17 @@ const ParameterNames* names_of(std::uint8_t autopilot) {
   return autopilot == mavlink::kArduPilot ? &ardupilot : nullptr;
 }
 
-/// What ArduPilot takes for a scale that can be (AP_InertialSensor, accel_cal); PX4 has no such limits.
+/// Limits within which ArduPilot accepts a scale (AP_InertialSensor, accel_cal); PX4 has no such limits.
 constexpr double kLeastScale = 0.8;
 constexpr double kMostScale = 1.2;
-constexpr double kFloatStep = 1.2e-7;        // Of a scale near 1.
+constexpr double kFloatStep = 1.2e-7;        // Resolution of a float near a scale of 1.
 constexpr double kLargestOffsetMps2 = 20.0;  // Beyond it the accelerometer is broken.
 
 std::string float_text(double value) {
   return fmt::format("{:.9g}", value);
 }
 
-/// What the controller says to a command, whichever of its components answers.
+/// The controller's acknowledgement of a command, from any of its components.
 std::optional<wire::PacketAnswer> acknowledgement_of(const Frame& frame, std::uint16_t command) {
   constexpr unsigned kInProgress = 5;
   const auto said = mavlink::decode_acknowledgement(frame);
@@ -167,7 +167,7 @@ std::map<std::string, std::string> MavlinkAccelerometer::correction_registers() 
   try {
     read(names->offset[0]);
   } catch (const InstrumentError& error) {
-    // It does not answer for a parameter that it has not, nor if it tells none at all.
+    // It does not answer if it lacks the parameter, or reports no parameters at all.
     if (error.fault() == Fault::kNoReply) return {};
     throw;
   }
@@ -298,7 +298,7 @@ void MavlinkAccelerometer::start() {
 void MavlinkAccelerometer::make_quiet() {
   exchange_.restart(mavlink::FrameParser());
   if (!std::exchange(asked_for_, false)) return;
-  // Its own rate again; nobody waits for the answer.
+  // Restores its own rate; the answer is not awaited.
   stream_->write(mavlink::command_long(system_, component_, mavlink::kSetMessageInterval,
                                        {static_cast<float>(message_), 0.0F}));
 }
@@ -327,7 +327,7 @@ wire::DecodedFrame MavlinkAccelerometer::decode_acceleration(const mavlink::Acce
     // A time of 32 bits in milliseconds begins again after 50 days.
     const bool wrapped = acceleration.time_span_us != 0 && now + acceleration.time_span_us / 2 < *last;
     if (wrapped) now += acceleration.time_span_us;
-    if (now == *last) return {.malformed = true};  // The same reading twice is no second one.
+    if (now == *last) return {.malformed = true};  // A repeated message is no second reading.
     if (now < *last)
       end_and_fail(Fault::kNotReady, fmt::format("its time went back from {} to {} us: it was restarted",
                                                  *last, acceleration.time_us));
@@ -338,7 +338,8 @@ wire::DecodedFrame MavlinkAccelerometer::decode_acceleration(const mavlink::Acce
     }
   }
   gap_ = false;
-  // By its own time: what waited on the line has no other.
+  // The message's own time is used, because messages that waited on the line have no meaningful time of
+  // arrival.
   if (!heartbeat_time_us_ || *heartbeat_time_us_ > acceleration.time_us)
     heartbeat_time_us_ = acceleration.time_us;
   if (const std::uint64_t since = acceleration.time_us - *heartbeat_time_us_;

@@ -32,7 +32,7 @@ class MavlinkAccelerometer final : public wire::PacketAccelerometer<mavlink::Fra
   void start() override;
 
   /// The parameters of the first accelerometer (CAL_ACC0_* of PX4, INS_ACCOFFS_* and INS_ACCSCAL_* of
-  /// ArduPilot) and of the board's rotation; empty: it does not tell them, or is another autopilot.
+  /// ArduPilot) and of the board's rotation; empty: it does not report them, or is another autopilot.
   std::map<std::string, std::string> correction_registers() override;
 
   // These parameters, but for the rotation.
@@ -43,7 +43,7 @@ class MavlinkAccelerometer final : public wire::PacketAccelerometer<mavlink::Fra
   /// @throws InstrumentError kRefused: armed
   void require_writable() override;
   void write(const RegisterTexts& registers) override;
-  /// Does nothing: parameters are kept as they are written.
+  /// Does nothing: the instrument stores parameters at once.
   void save(const RegisterTexts&) override {}
 
  private:
@@ -63,12 +63,12 @@ class MavlinkAccelerometer final : public wire::PacketAccelerometer<mavlink::Fra
 
   // Since start().
   std::uint32_t message_ = mavlink::kHighresImu;
-  bool asked_for_ = false;  ///< The controller was told to send it.
+  bool asked_for_ = false;  ///< The controller has been commanded to send it.
   double interval_us_ = 0.0;
   std::optional<std::uint8_t> last_sequence_;
   bool gap_ = false;  ///< Messages are missing since the last reading.
   std::optional<std::uint64_t> last_time_us_;
-  std::optional<std::uint64_t> heartbeat_time_us_;  ///< Of the last reading before it.
+  std::optional<std::uint64_t> heartbeat_time_us_;  ///< Time of the last reading before the heartbeat.
 };
 
 }  // namespace abcal

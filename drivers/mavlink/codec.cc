@@ -58,16 +58,16 @@ void append(std::string& bytes, T value) {
   bytes.append(raw.data(), raw.size());
 }
 
-/// What a beginning says of its frame, as far as it is there.
+/// Fields of a frame known from its first bytes, as far as they have arrived.
 struct Header {
-  std::size_t size = 0;  ///< Of the whole frame; 0: more bytes are needed to know.
+  std::size_t size = 0;  ///< Size of the whole frame; 0: more bytes are needed to know.
   std::size_t header = 0;
   std::size_t payload = 0;
   std::uint32_t id = 0;
   bool understood = true;  ///< No flag that forbids reading it.
 };
 
-/// Nothing: no frame begins here.
+/// Absent: no frame begins here.
 std::optional<Header> read_header(std::string_view bytes) {
   const std::uint8_t magic = byte_at(bytes, 0);
   if (magic != kMagic1 && magic != kMagic2) return std::nullopt;
@@ -360,7 +360,7 @@ std::string parameter_name(std::string_view name) {
 
 std::string param_request_read(std::uint8_t system, std::uint8_t component, std::string_view name) {
   std::string payload;
-  append(payload, std::int16_t{-1});  // By name.
+  append(payload, std::int16_t{-1});  // The parameter is requested by name.
   append(payload, system);
   append(payload, component);
   return make_frame(2, 0, kParamRequestRead, payload + parameter_name(name));

@@ -31,14 +31,14 @@ enum Command : std::uint16_t {
   kRequestMessage = 512,
 };
 
-/// What an id is known by: its checksum's seed, and the length of its payload without and with extensions.
+/// Properties of a message id: seed of its checksum, and length of its payload without and with extensions.
 struct MessageKind {
   std::uint32_t id;
   std::uint8_t crc_extra;
   std::uint8_t base_length;
   std::uint8_t full_length;
 };
-/// Nothing: not known, so that its checksum cannot be examined.
+/// Absent: the id is not known, so that its checksum cannot be checked.
 std::optional<MessageKind> find_kind(std::uint32_t id);
 
 /// CRC-16/MCRF4XX of the bytes and, behind them, `crc_extra`.
@@ -51,15 +51,15 @@ struct Frame {
   std::uint8_t component = 0;
   std::uint32_t id = 0;
   bool known = false;    ///< Its checksum was right; else only its length is known.
-  std::string payload;   ///< Of a known one: filled up with zeros to its full length.
+  std::string payload;   ///< Payload of a known message, padded with zeros to its full length.
   std::size_t size = 0;  ///< Bytes on the wire.
 };
 
 /// Finds frames in a stream of bytes that may begin anywhere, be split anywhere, and be damaged.
 ///
 /// From each byte on: if a frame of a known kind with a right checksum begins here it is given and the search
-/// goes on behind it, else at the next byte. A frame of an unknown kind is passed over as a whole only where
-/// one is due, directly behind another. What is found does not depend on how the bytes were split.
+/// goes on behind it, else at the next byte. A frame of an unknown kind is skipped as a whole only where one
+/// is due, directly behind another. The result does not depend on how the bytes were split.
 class FrameParser {
  public:
   void feed(std::string_view bytes);
@@ -76,7 +76,7 @@ class FrameParser {
   void skip_one();
 
   std::string buffer_;
-  std::size_t begin_ = 0;  ///< What lies before is used up.
+  std::size_t begin_ = 0;  ///< Bytes before this position are consumed.
   bool in_step_ = false;   ///< A frame has ended where the next one begins.
   std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
@@ -105,7 +105,7 @@ struct Acceleration {
 std::optional<Acceleration> decode_acceleration(const Frame& frame);
 
 struct Version {
-  std::string serial_number;  ///< Empty: it does not tell.
+  std::string serial_number;  ///< Empty: it is not reported.
   std::string firmware;
 };
 std::optional<Version> decode_version(const Frame& frame);
@@ -125,7 +125,7 @@ struct Parameter {
 };
 std::optional<Parameter> decode_parameter(const Frame& frame, std::uint8_t autopilot);
 
-/// Who sends: a ground station beside others.
+/// Sender of our messages: a ground station, next to others.
 inline constexpr std::uint8_t kOurSystem = 254;
 inline constexpr std::uint8_t kOurComponent = 190;
 
@@ -134,9 +134,9 @@ std::string make_frame(int version, std::uint8_t sequence, std::uint32_t id, std
 std::string command_long(std::uint8_t system, std::uint8_t component, std::uint16_t command,
                          const std::array<float, 2>& parameters);
 std::string param_request_read(std::uint8_t system, std::uint8_t component, std::string_view name);
-/// Of a parameter that is a float.
+/// Sets a parameter of type float.
 std::string param_set(std::uint8_t system, std::uint8_t component, std::string_view name, float value);
-/// Of a ground station.
+/// Heartbeat of a ground station.
 std::string our_heartbeat();
 
 }  // namespace abcal::mavlink

@@ -170,7 +170,7 @@ void MipAccelerometer::start() {
   }
   if (abilities_.stream_control) select_streams();
 
-  // Every answer is in: what is left over is no part of the stream that begins now.
+  // All answers have arrived, so remaining bytes are no part of the stream that begins now.
   readings_.listen(mip::PacketParser());
   last_reference_time_ns_.reset();
   last_gps_timestamp_.reset();
@@ -293,7 +293,7 @@ AccelerometerInfo MipAccelerometer::interrogate() {
       .serial_number = info->serial_number,
       .firmware = fmt::format("{}", info->firmware),
       .output_unit = "g",
-      // What the bench file says goes first: the options text is free text.
+      // The bench file takes precedence, because the options are free text.
       .full_scale = settings_.full_scale ? settings_.full_scale : full_scale_in(info->options),
       .resolution = std::nullopt,
       .rate_hz = rate_hz(),

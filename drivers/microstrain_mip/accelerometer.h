@@ -18,9 +18,9 @@ namespace abcal {
 /// A MicroStrain inertial sensor that speaks MIP (3DM-GX3 to -GX5, CX5, CV5, CV7, GV7...), used for its
 /// accelerometers: scaled output in g, sign as in mip::decode_scaled_accelerometer.
 ///
-/// Every exchange begins with "set idle", so that an answer can be told from what was streaming; an answer is
-/// known by its descriptor set and by the echo of its command, so data packets and late answers in between do
-/// no harm. Changes the running configuration of the device, never the stored one.
+/// Every exchange begins with "set idle", so that an answer can be distinguished from the stream; an answer
+/// is recognised by its descriptor set and by the echo of its command, so data packets and late answers in
+/// between do no harm. Changes the running configuration of the device, never the stored one.
 class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParser>,
                                public CorrectionRegisters {
  public:
@@ -47,7 +47,7 @@ class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParse
   void save(const RegisterTexts& registers) override;
 
  private:
-  /// What the device offers and how it is to be configured.
+  /// Abilities of the device that decide how it is configured.
   struct Abilities {
     bool modern = false;  ///< 0C,0E and 0C,0F; else 0C,06 and 0C,08.
     bool stream_control = false;
@@ -56,7 +56,7 @@ class MipAccelerometer final : public wire::PacketAccelerometer<mip::PacketParse
     bool temperature = false;
     bool over_range = false;
     bool accelerometer_bias = false;
-    std::vector<std::uint8_t> other_data_sets;  ///< Of the filter, GNSS...: they share the line.
+    std::vector<std::uint8_t> other_data_sets;  ///< Other data sets that share the line (filter, GNSS...).
     std::uint16_t base_rate_hz = 0;
     std::uint16_t decimation = 1;
   };

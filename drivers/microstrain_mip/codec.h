@@ -94,13 +94,13 @@ inline std::size_t wire_size(const Packet& packet) {
 /// Finds packets in a stream of bytes that may begin anywhere, be split anywhere, and be damaged.
 ///
 /// From each byte on: if a packet with a right checksum begins here it is given and the search goes on behind
-/// it, else at the next byte. So a false sync (75 65 in the midst of data) costs no packet behind it, and
-/// what is found does not depend on how the bytes were split.
+/// it, else at the next byte. So a false sync (75 65 in the midst of data) costs no packet behind it, and the
+/// result does not depend on how the bytes were split.
 class PacketParser {
  public:
   void feed(std::string_view bytes);
 
-  /// The next packet of what was fed; nothing if it needs more bytes.
+  /// The next packet in the bytes fed so far; absent if it needs more bytes.
   std::optional<Packet> next();
 
   /// The next packet that is whole *behind* a beginning that waits for more bytes, for when the stream has
@@ -122,7 +122,7 @@ class PacketParser {
   Packet take(std::size_t position);
 
   std::string buffer_;
-  std::size_t begin_ = 0;  ///< What lies before is used up.
+  std::size_t begin_ = 0;  ///< Bytes before this position are consumed.
   std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
@@ -160,7 +160,7 @@ constexpr bool accelerometer_over_range(std::uint16_t status) {
 /// D5: time since the device started, nanoseconds.
 std::optional<std::uint64_t> decode_reference_time(std::string_view data);
 
-/// 01,81: what the device says of itself. Strings without the spaces that pad them.
+/// 01,81: the device's own description. Strings without the spaces that pad them.
 struct DeviceInfo {
   std::uint16_t firmware = 0;
   std::string model_name;

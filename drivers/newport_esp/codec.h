@@ -11,7 +11,7 @@
 
 /// The wire format of Newport's ESP301 family: bytes to commands and back, no port, no clock. Source:
 /// docs/protocols/newport_esp.md (EPICS traces, InstrumentKit, Odemis). Replies carry neither a name nor a
-/// checksum: what a line means depends on what was asked.
+/// checksum: the meaning of a line depends on the query.
 namespace abcal::newport_esp {
 
 /// General error codes that the driver acts on.
@@ -49,7 +49,7 @@ std::optional<double> parse_number(std::string_view text);
 std::optional<bool> parse_flag(std::string_view text);
 /// SN?: 0 to 11.
 std::optional<int> parse_unit(std::string_view text);
-/// What a unit is called: "deg", "mm", ...
+/// Name of a unit: "deg", "mm", ...
 std::string_view unit_name(int unit);
 
 /// The reply to TB?: "0, 450322, NO ERROR DETECTED".
@@ -60,7 +60,8 @@ struct ErrorReport {
 };
 std::optional<ErrorReport> parse_error_report(std::string_view text);
 
-/// What an error code means, in words: "axis 1: following error"; "unknown error" if we do not know either.
+/// Meaning of an error code in words: "axis 1: following error"; "unknown error" for a code that is not in
+/// our list.
 std::string error_text(int code);
 /// The axis of an axis error; 0: a general one.
 constexpr int error_axis(int code) {

@@ -54,7 +54,7 @@ int axis_in(std::string_view command) {
   return has_axis ? command.front() - '0' : 0;
 }
 
-/// Empty and unsolicited lines are passed over.
+/// Empty for empty and unsolicited lines, which are skipped.
 std::string normal_line(std::string_view line) {
   const auto text = line_text(line);
   if (!text) return std::string(line);
@@ -108,7 +108,7 @@ class NewportEspController final : public wire::LineController {
     return replies_.ask(command_line(query), query, of_text(parse), kReplyDeadline);
   }
 
-  /// Asks for what the controller must know.
+  /// Asks a question that the controller must know.
   template <class Parse>
   auto require(const std::string& query, Parse parse) {
     return replies_.require(command_line(query), query, of_text(parse),
@@ -121,9 +121,9 @@ class NewportEspController final : public wire::LineController {
     const auto text = line_text(reply);
     const auto report = text ? parse_error_report(*text) : std::nullopt;
     if (!report) return std::nullopt;
-    // The time stamp counts from when the controller was switched on [unverified against a device]; one that
-    // goes back says that it was switched on again, or ran over. Either way nobody knows the reference any
-    // more.
+    // The time stamp counts from when the controller was switched on [unverified against a device]; if it
+    // goes back, the controller was switched on again, or the counter ran over. Either way the reference is
+    // no longer known.
     const bool restarted = report->time_stamp < last_time_stamp_;
     last_time_stamp_ = report->time_stamp;
     if (restarted) {
@@ -167,7 +167,7 @@ class NewportEspController final : public wire::LineController {
                                                 error_text(first)));
   }
 
-  /// Sends a set command of an axis, once, and returns what the controller says to it. An error of the other
+  /// Sends a set command of an axis, once, and returns the controller's error code. An error of the other
   /// axis, whose motion has just ended, is not the answer to it.
   int execute(StageAxis axis, std::string_view words) {
     const std::string command = name_of(axis) + std::string(words);
@@ -178,7 +178,7 @@ class NewportEspController final : public wire::LineController {
       return code;
     }
     if (is_of_another_axis(code, number)) return errors_of(command, number);
-    errors_of(command, number);  // What else it left behind.
+    errors_of(command, number);  // Also reads other errors that the command left.
     return code;
   }
 
@@ -189,7 +189,7 @@ class NewportEspController final : public wire::LineController {
 
   // ---- The controller
 
-  /// What was known of a controller that is no longer the same, or not in the same state.
+  /// Forgets the state of a controller that has been replaced or restarted.
   void forget() {
     known_ = false;
     referenced_ = {};
@@ -283,7 +283,8 @@ class NewportEspController final : public wire::LineController {
     try {
       ensure_known();
     } catch (const InstrumentError& error) {
-      // Switched off and on: now noticed, and forgotten; what it says is said of the new state.
+      // The controller was switched off and on. Its old state is now forgotten, and the repeated call
+      // describes the new one.
       if (error.fault() != Fault::kNotReady || line().halting()) throw;
       ensure_known();
     }
@@ -431,7 +432,7 @@ class NewportEspController final : public wire::LineController {
   std::array<bool, 2> homing_{};
   std::array<bool, 2> motor_on_{};
   std::array<bool, 2> speed_set_{};
-  std::array<int, 2> motion_error_{};  ///< That came up between other questions; 0: none.
+  std::array<int, 2> motion_error_{};  ///< Errors of motions that came up between other questions; 0: none.
 };
 
 }  // namespace

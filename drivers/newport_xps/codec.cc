@@ -102,7 +102,7 @@ std::optional<double> parse_number(std::string_view text) {
   double value = 0.0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (text.empty() || error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  // No position, speed or acceleration is as large: such a number is a damaged reply.
+  // No position, speed or acceleration is this large: a larger number is a damaged reply.
   constexpr double kLargestNumber = 1e12;
   if (!(std::abs(value) <= kLargestNumber)) return std::nullopt;
   return value;

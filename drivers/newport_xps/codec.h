@@ -12,7 +12,7 @@
 /// the public XPS Programmer's Manual; [unverified against a device].
 namespace abcal::newport_xps {
 
-/// What ends every reply.
+/// Terminator of every reply.
 inline constexpr std::string_view kReplyEnd = ",EndOfAPI";
 inline constexpr std::size_t kLongestReply = 4096;
 
@@ -29,7 +29,7 @@ std::optional<Reply> parse_reply(std::string_view frame);
 
 /// A decimal number that fills the text.
 std::optional<double> parse_number(std::string_view text);
-/// As many numbers as are expected, no more and no fewer.
+/// Exactly the expected number of values; absent for more or fewer.
 std::optional<std::vector<double>> parse_numbers(std::string_view values, std::size_t count);
 std::optional<int> parse_state(std::string_view text);
 
@@ -40,7 +40,7 @@ struct Identity {
 /// The reply to FirmwareVersionGet: "XPS-C8 Firmware V2.6.0".
 std::optional<Identity> parse_identity(std::string_view text);
 
-/// What the state of a group means for a motion.
+/// Meaning of the state of a group for a motion.
 enum class GroupState {
   kNotInitialised,  ///< 0 to 9, 50, 63: never, or after an error or a kill.
   kReady,           ///< 10 to 19

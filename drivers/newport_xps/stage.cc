@@ -77,7 +77,7 @@ std::string stop_request(const StageSettings& settings) {
   return stop;
 }
 
-/// A frame as it is compared with the identity.
+/// A frame in the form that is compared with the identity.
 std::string normal_frame(std::string_view frame) {
   return std::string(frame);
 }
@@ -97,7 +97,7 @@ class MotionConnection {
  public:
   explicit MotionConnection(std::unique_ptr<wire::ByteStream> stream) : stream_(std::move(stream)) {}
 
-  /// Sends what blocks the connection.
+  /// Sends a request that blocks the connection.
   void command(std::string_view request) {
     require_stream().write(request);
     ++awaited_;
@@ -115,7 +115,7 @@ class MotionConnection {
     if (awaited_ > 0) {
       command(kIdentityRequest);
       const Clock::Instant deadline = clock.now() + kReplyDeadline;
-      // What answers the identity request comes last.
+      // The answer to the identity request comes last.
       while (!is_identity_ && clock.now() < deadline && take(deadline)) continue;
       if (!is_identity_) return false;
     }
@@ -179,7 +179,7 @@ class NewportXpsController final : public wire::LineController {
     return failure(fault, fmt::format("error {} ({}) to \"{}\"", code, error_text(code), request));
   }
 
-  /// Asks for what the controller must know; `parse` makes a value of the values of its reply.
+  /// Asks a question that the controller must know; `parse` returns the value of the values in its reply.
   template <class Parse>
   auto require(const std::string& request, Parse parse) {
     using Value = typename decltype(parse(std::string_view()))::value_type;
@@ -279,7 +279,7 @@ class NewportXpsController final : public wire::LineController {
     speed_set_[index(axis)] = true;
   }
 
-  /// Sends what blocks its connection.
+  /// Sends a request that blocks the axis' connection.
   MotionConnection& command_motion(StageAxis axis, const std::string& request) {
     MotionConnection& motion = motions_[index(axis)];
     if (!motion.settle(clock_))
@@ -292,7 +292,7 @@ class NewportXpsController final : public wire::LineController {
     return motion;
   }
 
-  /// Commands what takes its time but is no motion, and waits until it is done.
+  /// Sends a command that takes time but is no motion, and waits until it is done.
   void prepare(StageAxis axis, const std::string& request) {
     MotionConnection& motion = command_motion(axis, request);
     const Clock::Instant deadline = clock_.now() + kLongCommand;
@@ -420,7 +420,7 @@ class NewportXpsController final : public wire::LineController {
                       .questions = {},
                       .reply_time = std::chrono::duration_cast<std::chrono::milliseconds>(kReplyDeadline),
                       .reply_end = std::string(kReplyEnd)};
-    // What comes before this reply belongs to the past.
+    // Bytes before this reply answer earlier requests.
     recipe.questions.push_back(
         {.bytes = std::string(kIdentityRequest), .reply = "0,(XPS|HXP).*", .standing = {}});
     for (const StageAxis axis : kStageAxes) {
@@ -444,7 +444,7 @@ class NewportXpsController final : public wire::LineController {
   bool known_ = false;
   std::array<bool, 2> speed_set_{};
   std::array<bool, 2> active_{};  ///< A motion that we commanded may be under way.
-  std::array<bool, 2> halted_{};  ///< By us: that it was aborted is then no surprise.
+  std::array<bool, 2> halted_{};  ///< By us, so that an aborted motion is expected.
 };
 
 }  // namespace

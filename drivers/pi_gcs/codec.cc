@@ -15,7 +15,7 @@ namespace {
 
 using pieces::trimmed;
 
-// No angle, speed or count of a stage is as large: such a number is a damaged reply.
+// No angle, speed or count of a stage is this large: a larger number is a damaged reply.
 constexpr double kLargestNumber = 1e12;
 
 char lower(char c) {

@@ -48,7 +48,7 @@ std::optional<std::vector<std::string>> reply_lines(std::string_view reply, std:
 
 struct AxisValue {
   std::string axis;   ///< Left of '='; "1", or "1 14" for a parameter of an axis.
-  std::string value;  ///< Right of it.
+  std::string value;  ///< Right of '='.
 };
 
 /// Lines "axis=value"; nothing if one of them is anything else.
@@ -57,14 +57,14 @@ std::optional<std::vector<AxisValue>> parse_axis_values(const std::vector<std::s
 /// The value of `axis` in a reply of "axis=value" lines; nothing if it is not there.
 std::optional<std::string> axis_value(const std::vector<std::string>& lines, std::string_view axis);
 
-/// As axis_value, as a finite number; as 0 or 1; nothing if it is anything else.
+/// Like axis_value(), as a finite number or as a flag (0 or 1); absent if the text is neither.
 std::optional<double> axis_number(const std::vector<std::string>& lines, std::string_view axis);
 std::optional<bool> axis_flag(const std::vector<std::string>& lines, std::string_view axis);
 
 /// The reply to "SPA? <axis> <parameter>": "<axis> <parameter>=v" or "<parameter>=v", parameter decimal or
 /// 0x...
 std::optional<std::string> parameter_text(const std::vector<std::string>& lines, unsigned parameter);
-/// As a number.
+/// Like parameter_text(), as a number.
 std::optional<double> parameter_number(const std::vector<std::string>& lines, unsigned parameter);
 
 /// A finite number that fills the text (but for spaces around it).
@@ -107,7 +107,7 @@ std::optional<Identity> parse_identity(const std::vector<std::string>& lines);
 /// Whether PUN? names degrees.
 bool is_degrees(std::string_view unit);
 
-/// What an error code means, in words; "unknown error" if we do not know either.
+/// Meaning of an error code in words; "unknown error" for a code that is not in our list.
 std::string_view error_text(int code);
 
 /// Bytes as text for a message.

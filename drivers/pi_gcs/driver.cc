@@ -15,6 +15,7 @@ void register_pi_gcs(DriverList& drivers) {
                          return received.find("Physik Instrumente") != std::string_view::npos;
                        }},
        .axes_on_line = pi_gcs::axes_on_line});
+  drivers.traits["pi_gcs"] = {.last_chain_address = 16, .needs_chain_addresses = true};
 }
 
 }  // namespace abcal

@@ -51,7 +51,8 @@ AxisPlace place_of(const std::string& axis_name, const std::string& address) {
   return {address, axis_name};
 }
 
-/// Of a controller in a chain. Others are the computer's own, or reach all of them at once.
+/// Highest address of a controller in a chain. Others belong to the computer, or reach all controllers at
+/// once.
 constexpr int kLastAddress = 16;
 
 bool is_address(const std::string& text) {
@@ -120,7 +121,8 @@ std::optional<Lines> parse_axis_names(const Lines& lines) {
   return plausible ? std::optional(lines) : std::nullopt;
 }
 
-/// What `parse` makes of the reply to a question at an address, asked once; nothing if none comes in time.
+/// Value that `parse` reads from the reply to a question at an address, asked once; absent if none comes in
+/// time.
 template <class Parse>
 auto asked_once(wire::ByteStream& stream, Clock& clock, const std::string& address, std::string_view text,
                 Parse parse) {
@@ -173,7 +175,7 @@ class PiGcsController final : public wire::LineController {
     Identity identity;
     bool known = false;
     Lines axes;      ///< SAI?
-    Lines commands;  ///< HLP?; empty: it does not say what it knows.
+    Lines commands;  ///< HLP?; empty: it does not list its commands.
     MotionQuery motion_query = MotionQuery::kMask;
 
     bool may_know(std::string_view command) const {
@@ -229,14 +231,14 @@ class PiGcsController final : public wire::LineController {
     return m.replies->ask(request, shown, of_lines(m, parse), kReplyDeadline);
   }
 
-  /// Asks for what the controller must know.
+  /// Asks a question that the controller must know.
   template <class Parse>
   auto require(Member& m, std::string_view text, Parse parse) {
     return m.replies->require(command_line(text, m.address), text, of_lines(m, parse),
                               [this](int code, std::string_view query) { return refusal(code, query); });
   }
 
-  /// Asks for what it need not know: nothing if it does not.
+  /// Asks a question that the controller need not know; absent if it does not.
   template <class Parse>
   auto ask_optional(Member& m, std::string_view text, Parse parse,
                     Clock::Duration patience = kOptionalReplyDeadline) {
@@ -252,21 +254,21 @@ class PiGcsController final : public wire::LineController {
 
   // ---- The error code
 
-  /// Reads and thereby clears the error code. That a halt has stopped the axes is not the answer to anything
-  /// that is asked here.
+  /// Reads and thereby clears the error code. The code for "stopped by a halt" is ignored, because it answers
+  /// no question that is asked here.
   static int read_error(Member& m, std::string_view after) {
     const int code = m.replies->ask_error(after);
     m.replies->error_may_wait(false);
     return code == kErrorStoppedByCommand ? 0 : code;
   }
 
-  /// Sends a set command, once, and returns what the controller says to it.
+  /// Sends a set command once, and returns the controller's error code.
   int execute(Member& m, std::string_view command) {
     const std::uint64_t halts = line().halts();
     int code = m.replies->execute(command_line(command, m.address), command);
     m.replies->error_may_wait(false);
-    // Only a stop causes error 10. Of one that came before the command, its line being slow, it says nothing
-    // of the command: that would have set a code of its own in place of it.
+    // Only a stop causes error 10. If the stop came before the command on a slow line, the code says nothing
+    // about the command, which would have replaced it by its own code.
     if (code == kErrorStoppedByCommand && line().halts() == halts && !line().halting())
       code = read_error(m, command);
     return code;
@@ -311,7 +313,8 @@ class PiGcsController final : public wire::LineController {
     return all;
   }
 
-  /// What it knows, by its own list; a controller without one is asked as it goes.
+  /// Reads the list of commands that the controller knows; without such a list each command is tried when
+  /// needed.
   void read_commands(Member& m) {
     if (!m.commands.empty()) return;
     m.commands = ask_optional(m, "HLP?", parse_help, kHelpDeadline).value_or(Lines{});
@@ -344,7 +347,7 @@ class PiGcsController final : public wire::LineController {
     m.known = true;
   }
 
-  /// By PUN?, else by the axis' parameter, else as the bench file says.
+  /// Checks the unit by PUN?, else by the axis' parameter, else by the bench file.
   void require_degrees(Member& m, const std::string& name) {
     auto unit = ask_optional(m, fmt::format("PUN? {}", name),
                              [&name](const Lines& lines) { return axis_value(lines, name); });
@@ -557,7 +560,7 @@ class PiGcsController final : public wire::LineController {
 
   bool is_here(StageAxis axis) const { return !places_[index(axis)].name.empty(); }
 
-  /// Those of the stage that are on this controller.
+  /// Axes of the stage that are on this controller.
   std::vector<StageAxis> axes_of(const Member& m) const {
     std::vector<StageAxis> axes;
     for (const StageAxis axis : kStageAxes)
@@ -614,7 +617,7 @@ class PiGcsController final : public wire::LineController {
   std::vector<std::unique_ptr<Member>> members_;
   std::array<AxisPlace, 2> places_;
   std::array<std::size_t, 2> member_of_{};
-  std::array<std::size_t, 2> position_{};  ///< Of our axes among those of their controller.
+  std::array<std::size_t, 2> position_{};  ///< Positions of our axes among those of their controller.
   std::array<bool, 2> servo_on_{};
   std::array<bool, 2> speed_set_{};
 };

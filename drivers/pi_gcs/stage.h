@@ -13,7 +13,7 @@
 namespace abcal::pi_gcs {
 
 /// How long a reply may take. Controllers answer within tens of milliseconds also while moving; PIPython
-/// waits 7 s because some of its queries start a self-test, which none of ours does.
+/// waits 7 s because some of its queries start a self-test; ours do not.
 inline constexpr Clock::Duration kReplyDeadline = std::chrono::seconds(2);
 
 /// For queries that a controller need not know: one that does not know a query stays silent (and sets error
@@ -29,7 +29,7 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(5);
 /// Two axes of a PI controller that speaks GCS 2.0 (C-884, C-863, E-861, ...), over serial or TCP.
 ///
 /// In a daisy chain the axes may be on two controllers of the line: StageSettings::axis_names are then
-/// "<address> <name>" each. What a controller does not list in HLP? is not asked of it.
+/// "<address> <name>" each. Commands that a controller does not list in HLP? are not sent to it.
 ///
 /// Angles are the controller's own, in degrees: the controller's unit is checked before anything else. The
 /// controller is identified at the first call, whichever it is. StageSettings::axis_names may leave one name
@@ -37,18 +37,18 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(5);
 ///
 /// One owner thread; halt() from any.
 ///
-/// identify() throws kWrongIdentity for what is no PI controller, for an axis that it does not have (lists
-/// those it has), and for a unit other than degrees. home() goes by the reference switch (FRF), or where
-/// there is none by the negative limit switch (FNL). move_to() throws kNotReady if the axis has lost its
-/// reference or its servo (errors 5 and 31), kOutOfTravel (error 7), kRefused for any other error code, with
-/// its text. motion_state() is what the controller says now (#5, or #4, or ONT? where these are not known):
-/// stopped is not yet "on target". halt() sends #24 (in a chain also STP to each controller), then asks until
-/// the controller says that it was stopped (error 10) or that nothing moves; halt_axes() tells of each axis,
-/// so that a controller that is silent does not hide what the other one says.
+/// identify() throws kWrongIdentity for a device that is no PI controller, for an axis that it does not have
+/// (lists those it has), and for a unit other than degrees. home() goes by the reference switch (FRF), or
+/// where there is none by the negative limit switch (FNL). move_to() throws kNotReady if the axis has lost
+/// its reference or its servo (errors 5 and 31), kOutOfTravel (error 7), kRefused for any other error code,
+/// with its text. motion_state() is the controller's present answer (#5, or #4, or ONT? where these are not
+/// known): stopped is not yet "on target". halt() sends #24 (in a chain also STP to each controller), then
+/// asks until the controller says that it was stopped (error 10) or that nothing moves; halt_axes() reports
+/// each axis, so that a silent controller does not hide the answer of the other one.
 class PiGcsStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.
-  /// @throws std::invalid_argument for settings that cannot be meant: no axis, one axis twice, a speed that
+  /// @throws std::invalid_argument for invalid settings: no axis, one axis twice, a speed that
   /// is
   ///   not a positive number, an address that is not a number from 1 to 16.
   PiGcsStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);

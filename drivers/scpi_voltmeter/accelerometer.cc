@@ -24,7 +24,7 @@ constexpr unsigned kMostLostInARow = 3;
 // one where a scan may still come.
 constexpr double kFastLineHz = 60.0;
 constexpr double kSlowLineHz = 50.0;
-// An automatic zero measures twice. Set for the Keysight scanners; what the others do is theirs.
+// An automatic zero measures twice. It is set for the Keysight scanners; the others keep their own setting.
 constexpr double kWithZero = 2.0;
 constexpr std::chrono::seconds kScanMargin{3};
 // Scans that judge a rate that the first one missed.
@@ -73,13 +73,13 @@ void check_settings(const AccelerometerSettings& settings, bool uses_channels) {
     throw std::invalid_argument(fmt::format("SCPI voltmeter: {}", fmt::join(problems, "; ")));
 }
 
-/// To three digits, so that what a message permits is permitted.
+/// Rounded down to three digits, so that a rate printed as permitted is permitted.
 double rounded_down(double positive) {
   const double unit = std::pow(10.0, std::floor(std::log10(positive)) - 2.0);
   return std::floor(positive / unit) * unit;
 }
 
-/// The same word once, different ones joined.
+/// The word itself if all are equal, otherwise all of them joined.
 std::string joined(const std::vector<std::string>& words) {
   const bool same = std::all_of(words.begin(), words.end(), [&](const auto& w) { return w == words[0]; });
   return same ? words[0] : fmt::format("{}", fmt::join(words, ", "));
@@ -267,9 +267,9 @@ void VoltmeterAccelerometer::start() {
   started_ = true;
 }
 
-/// One scan, to see what it takes in truth: switching, settling and the line are not in any computation. The
-/// first one may be slow for reasons of its own, so that the rate is refused only if the mean of further ones
-/// misses it as well.
+/// Takes one scan to measure its true duration, because switching, settling and the line are not in any
+/// computation. The first one may be slow for other reasons, so the rate is refused only if the mean of
+/// further scans misses it as well.
 void VoltmeterAccelerometer::check_rate_by_trial() {
   if (trial_scan_s() * settings_.rate_hz <= 1.0) return;
   double sum_s = 0.0;
@@ -348,7 +348,7 @@ std::optional<Reading> VoltmeterAccelerometer::next(Clock::Instant deadline) {
       if (clock_.now() < due_) clock_.sleep_until(std::min(due_, deadline));
       if (clock_.now() < due_) return std::nullopt;
       const Clock::Instant now = clock_.now();
-      due_ = (now - due_ < period ? due_ : now) + period;  // What was missed is not made up for.
+      due_ = (now - due_ < period ? due_ : now) + period;  // Missed scans are not made up for.
       begin_scans();
       under_way_ = true;
     }

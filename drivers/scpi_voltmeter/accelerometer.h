@@ -30,15 +30,17 @@ class VoltmeterAccelerometer : public Accelerometer {
  public:
   ~VoltmeterAccelerometer() override;
 
-  /// Asks every voltmeter what it is. A scan under way is abandoned, and start() must be called again.
-  /// @throws InstrumentError kWrongIdentity for what is none of the models known, which it names; kNoReply.
+  /// Queries the identity of every voltmeter. A scan under way is abandoned, and start() must be called
+  /// again.
+  /// @throws InstrumentError kWrongIdentity if one is none of the known models, which the message lists;
+  /// kNoReply.
   AccelerometerInfo identify() override;
 
   /// Identifies, resets (*RST) and sets the voltmeters, and takes one scan, which is not delivered
   /// (eleven if the first one was slower than the rate).
   /// @throws InstrumentError kRefused: in the voltmeter's words; or rate_hz is more than the integration time
-  ///   permits (computed before anything is set), or than these scans took in the mean; kImplausible: it says
-  ///   that it scans other channels than it was told; kBadFrame: its reply has other channels.
+  ///   permits (computed before anything is set), or than these scans took in the mean; kImplausible: it
+  ///   reports that it scans other channels than commanded; kBadFrame: its reply has other channels.
   void start() override;
 
   /// @throws InstrumentError kNoReply and kBadFrame if three scans in a row are lost; kRefused if the
@@ -81,7 +83,7 @@ class VoltmeterAccelerometer : public Accelerometer {
   bool started_ = false;
   Clock::Instant due_;                                      ///< When the next scan is to begin.
   bool under_way_ = false;                                  ///< A scan.
-  std::vector<std::optional<scpi::ScanOutcome>> outcomes_;  ///< Of the scan under way, by voltmeter.
+  std::vector<std::optional<scpi::ScanOutcome>> outcomes_;  ///< Outcomes of the scan under way, by voltmeter.
   bool discard_scan_ = false;                               ///< The scan under way is to be discarded.
   std::uint64_t sequence_ = 0;
   std::uint64_t readings_ = 0;
@@ -90,14 +92,14 @@ class VoltmeterAccelerometer : public Accelerometer {
 };
 
 /// One voltmeter that scans the three outputs: Keysight (Agilent, HP) 34970A, 34972A, DAQ970A; Keithley 2700,
-/// 2001. The model is what *IDN? says. Replies name their channels, so u, v, w are never mixed up whatever
-/// the order of the scan.
+/// 2001. The model is read by *IDN?. Replies name their channels, so u, v, w are never mixed up, in any order
+/// of the scan.
 ///
-/// The channels are measured one after the other: u and w are two thirds of a scan apart. At rest that is of
-/// no account.
+/// The channels are measured one after the other: u and w are two thirds of a scan apart. At rest this does
+/// not matter.
 class ScpiScanningVoltmeter final : public VoltmeterAccelerometer {
  public:
-  /// @throws std::invalid_argument for settings that cannot be meant.
+  /// @throws std::invalid_argument for invalid settings.
   ScpiScanningVoltmeter(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                         const AccelerometerSettings& settings);
 };
@@ -110,7 +112,7 @@ class ScpiScanningVoltmeter final : public VoltmeterAccelerometer {
 /// 10 ms on serial lines of 9600 baud. Reading::arrival is that of the last reply.
 class ScpiSingleVoltmeters final : public VoltmeterAccelerometer {
  public:
-  /// @throws std::invalid_argument for settings that cannot be meant.
+  /// @throws std::invalid_argument for invalid settings.
   ScpiSingleVoltmeters(std::array<std::unique_ptr<wire::ByteStream>, 3> streams, Clock& clock,
                        const AccelerometerSettings& settings);
 };

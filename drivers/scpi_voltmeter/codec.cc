@@ -11,7 +11,7 @@ namespace abcal::scpi {
 namespace {
 
 constexpr double kOverload = 9.9e37;
-constexpr double kNoVoltage = 1e30;  // Of this magnitude there are only SCPI's signs.
+constexpr double kNoVoltage = 1e30;  // Only SCPI's special values have this magnitude.
 constexpr std::size_t kMostChannels = 1000;
 
 bool is_digit(char c) {
@@ -42,8 +42,8 @@ std::vector<std::string_view> split(std::string_view text, char separator) {
   }
 }
 
-/// Takes a sign off the front, which std::from_chars takes only if it is a minus: nothing if what follows
-/// begins with another sign.
+/// Takes a sign off the front, because std::from_chars accepts only a minus. Absent if the rest begins with
+/// another sign.
 std::optional<bool> take_sign(std::string_view& text) {
   const bool negative = text.starts_with('-');
   if (negative || text.starts_with('+')) text.remove_prefix(1);
@@ -61,7 +61,7 @@ std::optional<int> parse_channel(std::string_view text) {
 
 std::optional<ChannelReading> parse_volts(std::string_view text) {
   const auto negative = take_sign(text);
-  // Else std::from_chars would take "inf" and "nan".
+  // Otherwise std::from_chars would accept "inf" and "nan".
   if (!negative || text.empty() || (!is_digit(text.front()) && text.front() != '.')) return std::nullopt;
   double value = 0.0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
@@ -133,7 +133,7 @@ std::optional<std::vector<ChannelReading>> parse_readings(std::string_view text,
     auto reading = parse_volts(trim(words[i]));
     if (!reading) return std::nullopt;
     if (with_channels) {
-      constexpr std::string_view kInternal = "INTCHAN";  // As a Keithley 2001 names its own.
+      constexpr std::string_view kInternal = "INTCHAN";  // Internal channel of a Keithley 2001.
       std::string_view channel = trim(words[i + 1]);
       if (channel.ends_with(kInternal)) channel.remove_suffix(kInternal.size());
       reading->channel = parse_channel(channel);

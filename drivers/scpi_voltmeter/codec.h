@@ -58,7 +58,7 @@ struct ChannelReading {
 /// left over.
 std::optional<std::vector<ChannelReading>> parse_readings(std::string_view text, bool with_channels);
 
-/// What is inside a definite-length block: "#214(@101,102,103)" is "(@101,102,103)". Nothing unless the block
+/// Content of a definite-length block: "#214(@101,102,103)" gives "(@101,102,103)". Absent unless the block
 /// fills the text.
 std::optional<std::string_view> parse_block(std::string_view text);
 

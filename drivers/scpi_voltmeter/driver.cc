@@ -55,6 +55,8 @@ void register_scpi_voltmeter(DriverList& drivers) {
                                     .ports = 3,
                                     .example = kExample,
                                     .recognition = {std::string(kIdentityQuery), is_single}});
+  drivers.traits["scpi_voltmeter"] = {.reads_volts = true};
+  drivers.traits["scpi_single"] = {.reads_volts = true};
 }
 
 }  // namespace abcal

@@ -39,7 +39,8 @@ void Meter::send(std::string_view command) {
   stream_->write(std::string(command) + "\n");
 }
 
-/// The next reply, with its end; nothing if there is no whole one by the deadline (what came of it is kept).
+/// The next reply, with its terminator; absent if none is complete by the deadline (its first bytes are
+/// kept).
 std::optional<std::string> Meter::take_reply(Clock::Instant deadline) {
   for (;;) {
     const wire::FrameVerdict verdict = check_reply(received_);
@@ -58,8 +59,8 @@ std::optional<std::string> Meter::take_reply(Clock::Instant deadline) {
   }
 }
 
-/// Sends a query and returns what `parse` makes of its answer. What it makes nothing of is no answer: a late
-/// one to another query, or noise.
+/// Sends a query and returns the value that `parse` reads from its answer. Replies that it cannot parse are
+/// skipped: they are noise, or late answers to another query.
 template <class Parse>
 auto Meter::query(std::string_view command, Parse parse) {
   send(command);
@@ -68,7 +69,7 @@ auto Meter::query(std::string_view command, Parse parse) {
   while (const auto reply = take_reply(deadline)) {
     if (auto answer = parse(text_of(*reply))) return *std::move(answer);
     skip(*reply);
-    if (heard.size() < kLongestReply) heard += *reply;  // What is shown of it is less.
+    if (heard.size() < kLongestReply) heard += *reply;  // The message shows fewer bytes than this.
     if (clock_.now() >= deadline) break;
   }
   heard += received_;
@@ -165,7 +166,7 @@ std::optional<ScanOutcome> Meter::await_scan(Clock::Instant deadline) {
 }
 
 /// The readings of a reply in the order of the plan: some voltmeters scan in the order of the channel
-/// numbers, whatever the order of the list [unverified against a device].
+/// numbers, not of the list [unverified against a device].
 std::optional<std::vector<ChannelReading>> Meter::decode_scan(std::string_view text,
                                                               std::string& complaint) const {
   const auto complain = [&](std::string_view what) {
@@ -230,7 +231,7 @@ std::optional<ScanOutcome> Meter::interpret(const std::string& reply) {
     case Stage::kIdle:
       break;
     case Stage::kScanning: {
-      if (text == identity_text_) break;  // Of a question that was asked twice.
+      if (text == identity_text_) break;  // Late answer to an identity query that was sent twice.
       std::string complaint;
       if (auto readings = decode_scan(text, complaint)) {
         stage_ = Stage::kIdle;

@@ -15,7 +15,7 @@
 
 namespace abcal::scpi {
 
-/// Which channels a READ? measures, and how long it may take.
+/// The channels that a READ? measures, and the longest time it may take.
 struct ScanPlan {
   std::vector<int> channels;  ///< Empty: a voltmeter of one channel, whose replies name none.
   Clock::Duration patience{};
@@ -24,7 +24,7 @@ struct ScanPlan {
 /// How a scan ended.
 struct ScanOutcome {
   std::vector<ChannelReading> readings;  ///< In the order of ScanPlan::channels; empty: the scan is lost.
-  Clock::Instant arrival;                ///< Of the reply's last byte.
+  Clock::Instant arrival;                ///< Arrival of the reply's last byte.
   Fault fault = Fault::kNoReply;         ///< Why it is lost, and in words:
   std::string complaint;
 };
@@ -33,14 +33,14 @@ struct ScanOutcome {
 ///
 /// A reply names neither its query nor its scan. So there is never more than one query under way, and after
 /// one that had no answer, or a damaged one, nothing is measured before the voltmeter has answered *IDN? with
-/// the identity that is known: it answers in order, so what comes before that is late and is discarded.
-/// One thread.
+/// its known identity: it answers in order, so replies before that one are late and are discarded. One
+/// thread.
 class Meter {
  public:
   Meter(std::unique_ptr<wire::ByteStream> stream, Clock& clock);
 
-  /// Queries the identity, twice if necessary. What arrived before is discarded.
-  /// @throws InstrumentError kNoReply, kWrongIdentity (what came is no identity; says what).
+  /// Queries the identity, twice if necessary. Bytes that arrived before are discarded.
+  /// @throws InstrumentError kNoReply, kWrongIdentity (the reply is no identity; the message quotes it).
   Identity identify();
 
   /// Sends a command, and does not ask whether it was accepted.
@@ -63,7 +63,7 @@ class Meter {
   ///   answer *IDN? either.
   std::optional<ScanOutcome> await_scan(Clock::Instant deadline);
 
-  /// Sends commands on the way out; what is under way is abandoned.
+  /// Sends commands before the port is closed; a scan under way is abandoned.
   void leave(const std::vector<std::string>& commands) noexcept;
 
   /// For messages: "voltmeter 34970A (SN MY44012345) on tcp:10.0.0.7:5025".
@@ -94,11 +94,11 @@ class Meter {
   std::string instrument_;
   std::string received_;
   Clock::Instant last_arrival_;
-  std::string identity_text_;  ///< As it came.
+  std::string identity_text_;  ///< The reply to *IDN? as received.
   ScanPlan plan_;
 
   Stage stage_ = Stage::kIdle;
-  Clock::Instant give_up_at_;  ///< On what stage_ waits for.
+  Clock::Instant give_up_at_;  ///< Deadline of the state stage_.
   int identity_asked_ = 0;
   Fault fault_ = Fault::kNoReply;  ///< Why the scan under way is lost, and in words:
   std::string complaint_;

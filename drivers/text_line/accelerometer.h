@@ -19,22 +19,22 @@ namespace abcal {
 /// Any board that prints an accelerometer's three outputs as lines of text. Nothing is ever sent to it.
 ///
 /// An output is (number - bias) / scale, in AccelerometerSettings::unit. "nan" and "inf" on a line are
-/// delivered as such: the reading was made, and is no number.
+/// delivered unchanged: the reading was made, but its value is no number.
 ///
 /// Lines have no counter: readings whose line came damaged are counted as lost, those that vanish without
-/// leaving a byte behind cannot be, and a late line is not taken for a loss (wire::ReadingStream). Nor is
-/// there a checksum: a damaged digit that is still a digit passes.
+/// leaving a byte behind cannot be counted, and a late line does not count as a loss (wire::ReadingStream).
+/// Nor is there a checksum: a damaged digit that is still a digit passes.
 class TextLineAccelerometer final : public Accelerometer {
  public:
-  /// @throws std::invalid_argument for settings that cannot be, or if stream is null.
+  /// @throws std::invalid_argument for invalid settings, or if stream is null.
   TextLineAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                         const AccelerometerSettings& settings);
 
-  /// Listens until two lines in a row have numbers in the columns, and as many columns. The board says
-  /// nothing of itself: maker, model and firmware are "unknown", the serial number is empty. A started stream
+  /// Listens until two lines in a row have numbers in the columns, and as many columns. The board does not
+  /// identify itself: maker, model and firmware are "unknown", the serial number is empty. A started stream
   /// must be started again.
-  /// @throws InstrumentError kNoReply, kWrongIdentity (no such lines), each saying what came; kImplausible if
-  /// the separator looks like the decimal mark of the numbers.
+  /// @throws InstrumentError kNoReply, kWrongIdentity (no such lines), each quoting what was received;
+  /// kImplausible if the separator looks like the decimal mark of the numbers.
   AccelerometerInfo identify() override;
 
   /// Identifies, and waits until it is seen to print about rate_hz lines a second. From here on each line

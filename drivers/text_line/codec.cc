@@ -32,8 +32,8 @@ bool all_digits(std::string_view word) {
   return !word.empty() && std::ranges::all_of(word, is_digit);
 }
 
-/// Whole numbers, every second of which are digits, one of them with a zero before others: "01" is no number
-/// that a board prints, but what stands behind a decimal mark.
+/// True for an even number of whole numbers of which every second one is all digits, and one has a leading
+/// zero before other digits. No board prints a number such as "01", but it may stand behind a decimal comma.
 bool looks_like_decimal_commas(const std::vector<std::string_view>& words) {
   constexpr std::size_t kAxes = 3;
   if (words.size() % 2 != 0 || words.size() < 2 * kAxes) return false;
@@ -52,7 +52,7 @@ bool is_of_a_name(char c) {
   return is_digit(c) || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_';
 }
 
-/// Behind a name: its number, up to what cannot belong to it; nothing if there is none.
+/// The number behind a name, up to the first character that cannot belong to it; absent if there is none.
 std::optional<double> number_behind(std::string_view rest, const LineFormat& format) {
   if (rest.starts_with('"') || rest.starts_with('\'')) rest.remove_prefix(1);
   rest = trimmed(rest);
@@ -257,7 +257,8 @@ std::optional<NumberLine> LineReader::decode_names(std::string_view line) {
   return numbers;
 }
 
-/// A line that has no numbers where they should be. `bytes`: of it, that have not been counted elsewhere.
+/// Counts a line that has no numbers where they should be. `bytes`: those of its bytes that have not been
+/// counted elsewhere.
 void LineReader::count_other_line(std::size_t bytes) {
   if (!has_numbers_come_) {
     ++header_lines_;

@@ -12,13 +12,13 @@ namespace abcal::text_line {
 
 /// Where the numbers stand on a line.
 struct LineFormat {
-  std::vector<int> columns{1, 2, 3};  ///< Those that are read, in this order; the first column is 1.
+  std::vector<int> columns{1, 2, 3};  ///< Columns that are read, in this order; the first column is 1.
   std::string separator{","};         ///< One character; " ": any run of blanks and tabs.
   std::string comment{"#"};           ///< A line that begins so is skipped; empty: none.
   /// Names in front of the numbers, in place of columns: "ax" finds 0.1 in `"ax": 0.1`, `ax=0.1`, `>ax:0.1g`.
   /// All on one line, or each on a line of its own. Empty: columns.
   std::vector<std::string> names{};
-  std::string unit{};       ///< That may follow a number at once, "g" of "0.1g"; empty: none.
+  std::string unit{};       ///< Unit that may directly follow a number, "g" in "0.1g"; empty: none.
   char decimal_mark = '.';  ///< Or ','.
 };
 
@@ -31,25 +31,24 @@ struct NumberLine {
   bool decimal_commas = false;
 };
 
-/// A decimal number: "1", "+1.5", "-.5e-3", "nan", "inf". Whatever the locale, the decimal mark is a point.
-/// Nothing if it is not just that, or beyond what a double holds.
+/// A decimal number: "1", "+1.5", "-.5e-3", "nan", "inf". In any locale the decimal mark is a point. Absent
+/// if the text is anything else, or beyond the range of a double.
 std::optional<double> parse_number(std::string_view word);
 
-/// What a line says of one name (LineFormat::names).
+/// Number behind one name on a line (LineFormat::names).
 struct NamedNumber {
-  int found = 0;                ///< How often the name stands there, with ":" or "=" behind it.
-  std::optional<double> value;  ///< Nothing: no number stands behind it.
+  int found = 0;                ///< Number of occurrences of the name, followed by ":" or "=".
+  std::optional<double> value;  ///< Absent: no number stands behind it.
 };
 NamedNumber named_number(std::string_view line, std::string_view name, const LineFormat& format);
 
 /// Finds lines of numbers in a stream of bytes that may begin anywhere and be split anywhere.
 ///
-/// A line ends with CR, LF or both. What comes before the first end is dropped: it may be the rest of a line.
+/// A line ends with CR, LF or both. Bytes before the first end are dropped: they may be the rest of a line.
 /// Empty lines and comments are skipped. Quotes around a word (CSV) do not belong to it, and separators
 /// between them do not separate. Other lines that have no numbers where they should are headers before the
 /// first line of numbers, and bad lines from then on; so is a line longer than kLongestLine, and one with
-/// another number of columns once that is required. What is found does not depend on how the bytes were
-/// split.
+/// another number of columns once that is required. The result does not depend on how the bytes were split.
 ///
 /// With names: lines without any of them say something else and are skipped; a name that stands twice on a
 /// line, has no number, or comes again before the others have come makes it a bad line.
@@ -64,13 +63,13 @@ class LineReader {
 
   void feed(std::string_view bytes);
 
-  /// The next line of numbers of what was fed; nothing if it needs more bytes.
+  /// The next line of numbers in the bytes fed so far; absent if it needs more bytes.
   std::optional<NumberLine> next();
 
   /// From now on a line must have this many columns: two lines whose end between them was lost are none.
   void require_words(std::size_t words) { required_words_ = words; }
 
-  /// Bytes are missing here: what comes before the next end of a line is dropped.
+  /// Called where bytes are missing: bytes before the next end of a line are dropped.
   void lose_track();
 
   /// True if bytes are held back that may begin a line.
@@ -78,7 +77,7 @@ class LineReader {
 
   std::uint64_t header_lines() const { return header_lines_; }
   std::uint64_t bad_frames() const { return bad_lines_; }
-  /// Bytes of bad lines, and of what was dropped because its beginning is missing.
+  /// Bytes of bad lines, and of lines dropped because their beginning is missing.
   std::uint64_t skipped_bytes() const { return skipped_bytes_; }
 
  private:
@@ -92,7 +91,7 @@ class LineReader {
   LineFormat format_;
   std::optional<std::size_t> required_words_;
   std::string buffer_;
-  std::size_t begin_ = 0;  ///< What lies before is used up.
+  std::size_t begin_ = 0;  ///< Bytes before this position are consumed.
   bool dropping_ = true;   ///< Up to the next end of a line.
   bool has_numbers_come_ = false;
   bool all_on_one_line_ = false;               ///< Seen so: from then on required.

@@ -1,10 +1,13 @@
 #include <algorithm>
 #include <charconv>
+#include <memory>
 #include <system_error>
+#include <utility>
 
 #include "drivers/registry.h"
 #include "drivers/text/text.h"
 #include "drivers/text_line/accelerometer.h"
+#include "drivers/text_line/environment.h"
 
 namespace abcal {
 namespace {
@@ -38,6 +41,13 @@ void register_text_line(DriverList& drivers) {
        .make = make_accelerometer_of<TextLineAccelerometer>,
        .generic = true,
        .recognition = {"", prints_numbers}});
+  drivers.environments.push_back(
+      {.name = "text_line",
+       .serial = {9600, false},
+       .make = [](auto stream, Clock& clock,
+                  const EnvironmentSettings& settings) -> std::unique_ptr<EnvironmentSensor> {
+         return std::make_unique<TextLineEnvironment>(std::move(stream), clock, settings);
+       }});
 }
 
 }  // namespace abcal

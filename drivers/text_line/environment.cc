@@ -14,7 +14,7 @@ namespace {
 
 using std::chrono::seconds;
 
-// The air beside a bench does not change within this time.
+// The air near a bench does not change within this time.
 constexpr seconds kFresh{10};
 
 text_line::LineFormat line_format(const EnvironmentSettings& settings) {
@@ -67,7 +67,7 @@ EnvironmentReading TextLineEnvironment::read(Clock::Instant deadline) {
   return checked(*newest);
 }
 
-/// `lines`: without numbers. `bytes`: what came last.
+/// `lines`: number of lines without numbers. `bytes`: the last received bytes.
 void TextLineEnvironment::fail_without_line(std::uint64_t lines, const std::string& bytes) const {
   constexpr std::size_t kShownBytes = 32;
   const std::string shown = wire::bytes_as_text(std::string_view(bytes).substr(0, kShownBytes));

@@ -19,7 +19,7 @@ namespace abcal {
 /// it.
 class TextLineEnvironment final : public EnvironmentSensor {
  public:
-  /// @throws std::invalid_argument for settings that cannot be, or if stream is null.
+  /// @throws std::invalid_argument for invalid settings, or if stream is null.
   TextLineEnvironment(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                       const EnvironmentSettings& settings);
 
@@ -31,7 +31,7 @@ class TextLineEnvironment final : public EnvironmentSensor {
   EnvironmentReading read(Clock::Instant deadline) override;
 
  private:
-  /// One number of the line and what it may be.
+  /// One number of the line and its permitted range.
   struct Quantity {
     const char* name;
     const char* unit;
@@ -48,7 +48,7 @@ class TextLineEnvironment final : public EnvironmentSensor {
   std::string instrument_;            ///< For messages.
   std::vector<Quantity> quantities_;  ///< In the order of the columns that are read.
   text_line::LineReader reader_;
-  std::size_t dropped_ = 0;  ///< By the stream.
+  std::size_t dropped_ = 0;  ///< Bytes dropped by the stream.
   bool has_any_come_ = false;
 };
 

@@ -14,7 +14,7 @@
 namespace abcal::thorlabs_apt {
 
 inline constexpr std::uint8_t kHost = 0x01;
-inline constexpr std::uint8_t kRack = 0x11;  ///< Of a controller with bays, which are 0x21 and on.
+inline constexpr std::uint8_t kRack = 0x11;  ///< Address of a controller with bays; the bays are 0x21 and on.
 inline constexpr std::uint8_t kUnit = 0x50;  ///< A controller without bays.
 
 enum Id : std::uint16_t {
@@ -42,7 +42,7 @@ enum Id : std::uint16_t {
 
 struct Message {
   std::uint16_t id = 0;
-  std::array<std::uint8_t, 2> parameters{};  ///< Of a message without data.
+  std::array<std::uint8_t, 2> parameters{};  ///< Parameters of a message without data.
   std::uint8_t source = 0;
   std::string data;  ///< Empty: a message of six bytes.
 };
@@ -65,7 +65,7 @@ struct HardwareInfo {
 };
 std::optional<HardwareInfo> parse_info(const Message& message);
 
-/// What a status says of a channel.
+/// Status of a channel.
 struct Status {
   std::int32_t position = 0;  ///< Encoder counts, or microsteps.
   std::uint32_t bits = 0;
@@ -88,18 +88,18 @@ std::string move_absolute(std::uint8_t destination, std::uint8_t channel, std::i
 /// The stage that a channel says it drives: "DDR100".
 std::optional<std::string> parse_stage_name(const Message& message);
 
-/// What a controller says of a command that it does not carry out.
+/// A controller's refusal of a command.
 struct Refusal {
   int code = 0;
   std::string text;
 };
 std::optional<Refusal> parse_refusal(const Message& message);
 
-/// Counts of one degree of a rotary stage; nothing: not known.
+/// Counts of one degree of a rotary stage; absent: not known.
 std::optional<double> counts_per_degree(std::string_view stage);
 std::string known_stages();
 
-/// Of a controller, by its model.
+/// Properties of a controller, by its model.
 struct Controller {
   bool servo = false;                 ///< Brushless or brushed: its own kind of status.
   double velocity_per_count_s = 0.0;  ///< The velocity parameter of one count per second.

@@ -5,7 +5,7 @@
 namespace abcal {
 namespace {
 
-/// Whether a controller has told its hardware among them.
+/// Whether the messages include a controller's hardware information.
 bool has_an_identity(std::string_view received) {
   while (!received.empty()) {
     const wire::FrameVerdict verdict = thorlabs_apt::check_message(received);
@@ -17,7 +17,8 @@ bool has_an_identity(std::string_view received) {
   return false;
 }
 
-/// Asks both kinds of controller for their identity. The message to nobody behind it ends with CR LF.
+/// Asks both kinds of controller for their identity. The message at the end, addressed to no module, ends
+/// with CR LF.
 std::string question() {
   using namespace thorlabs_apt;
   std::string to_nobody = short_message(kNothing, 0, 0, '\r');

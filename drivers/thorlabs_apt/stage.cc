@@ -28,7 +28,7 @@ constexpr Clock::Duration kStartPatience = std::chrono::milliseconds(1500);
 constexpr Clock::Duration kPollInterval = std::chrono::milliseconds(10);
 constexpr std::string_view kIdentityName = "HW_REQ_INFO";
 constexpr double kTravelDegrees = 360.0;
-/// A motion that has ended so far from its target was ended by something else.
+/// A motion that has ended this far from its target was ended by something else.
 constexpr double kFarFromTargetDegrees = 0.5;
 constexpr std::uint8_t kProfiled = 2;
 /// The longest message that can be half written is shorter.
@@ -85,8 +85,8 @@ Place channel_of_unit(std::uint8_t number) {
 }
 
 /// The message six times, one byte further each time. A controller that is in the middle of a message hears
-/// it once, wherever that ends: none of its shifted readings is addressed to a controller. As the whole is a
-/// multiple of a message, the next ones are read as these were.
+/// it once, wherever that message ends: none of its shifted copies is addressed to a controller. The total
+/// length is a multiple of a message's, so the alignment of later messages does not change.
 std::string in_any_step(std::string_view message) {
   std::string all;
   for (int n = 0; n < 6; ++n) all.append(message).push_back('\0');
@@ -109,7 +109,7 @@ std::string stop_all(const StageSettings& settings) {
   return stop;
 }
 
-/// What nobody asked for (a move has ended), and what is no message, is passed over.
+/// Unrequested messages (a move has ended) and frames that are no message are skipped.
 std::string normal_frame(std::string_view frame) {
   const auto message = parse_message(frame);
   constexpr std::array<std::uint16_t, 3> kUnasked{0x0444, 0x0464, 0x0466};
@@ -206,15 +206,15 @@ class ThorlabsAptController final : public wire::LineController {
     return last_status_;
   }
 
-  // ---- What is there
+  // ---- Identity and axes
 
   struct Axis {
     AxisName name;
     std::string stage;
     double counts_per_degree = 0.0;
     bool speed_set = false;
-    bool halted = false;                   ///< By us: that it is far from its target is then no surprise.
-    std::optional<std::int32_t> target{};  ///< Of the motion that is under way, if it is a move.
+    bool halted = false;                   ///< By us, so that a large distance from its target is expected.
+    std::optional<std::int32_t> target{};  ///< Target of the motion under way, if it is a move.
   };
 
   /// Sends the identity request to both kinds of controller, and sees which of them answers.
@@ -233,7 +233,7 @@ class ThorlabsAptController final : public wire::LineController {
       }
       if (unit) return talk_to(kUnit);
     }
-    talk_to(destination_);  // Asked again, and its silence told, by identify().
+    talk_to(destination_);  // identify() asks again, and reports its silence.
   }
 
   void ensure_known() {
@@ -262,7 +262,8 @@ class ThorlabsAptController final : public wire::LineController {
     known_ = true;
   }
 
-  /// Which stage the channel drives: by the bench file, by the controller itself, or as it is one.
+  /// Finds which stage the channel drives: from the bench file, from the controller, or because the unit has
+  /// only one.
   void find_stage(StageAxis axis) {
     Axis& a = axes_[index(axis)];
     if (destination_ == kUnit && a.name.number != 1)
@@ -350,7 +351,7 @@ class ThorlabsAptController final : public wire::LineController {
     return info;
   }
 
-  /// Settings are not acknowledged: what was written is read back.
+  /// The written values are read back, because settings are not acknowledged.
   void apply_speed(StageAxis axis) {
     Axis& a = axes_[index(axis)];
     const auto& speed = settings_.speed_deg_per_s[index(axis)];
@@ -464,8 +465,8 @@ class ThorlabsAptController final : public wire::LineController {
   std::vector<HaltRecipe> halt_recipes() const override {
     HaltRecipe recipe{.driver = "thorlabs_apt",
                       .axes = {axes_[0].name.number > 0, axes_[1].name.number > 0},
-                      // What is half written is ended; a position that it lacks is then near zero, and the
-                      // stop follows at once.
+                      // Ends a half-written command. If its position is incomplete, it is then near zero, and
+                      // the stop follows at once.
                       .end_partial = std::string(kLongestHalf, '\0'),
                       .stop = stop_all(settings_),
                       .questions = {},
@@ -494,8 +495,8 @@ class ThorlabsAptController final : public wire::LineController {
   Clock& clock_;
   std::array<Axis, 2> axes_;
   std::optional<wire::LineExchange> replies_;
-  std::uint8_t destination_ = kRack;  ///< Who is asked for the identity.
-  std::uint8_t status_of_ = 0;        ///< Whose status was asked for along with a command.
+  std::uint8_t destination_ = kRack;  ///< Address that the identity is requested from.
+  std::uint8_t status_of_ = 0;        ///< Address whose status was requested along with a command.
   Status last_status_;
   std::optional<Refusal> refusal_;
   HardwareInfo info_;

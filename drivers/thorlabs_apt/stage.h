@@ -17,20 +17,20 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(8);
 /// Rotary stages of Thorlabs on one APT (Kinesis) controller: two bays of a benchtop controller (BBD, BSC),
 /// or the only channel of a unit (K10CR1, KDC101), which is one half of a split stage.
 ///
-/// StageSettings::axis_names are the number of a bay, or of a unit's channel, with the stage behind it where
-/// the controller does not tell it: "1", "2 HDR50". One name may be empty: that axis is then not on this
-/// port. The stages turn without end: targets up to one turn either way of the controller's zero are
-/// accepted.
+/// StageSettings::axis_names are the number of a bay, or of a unit's channel, followed by the stage where the
+/// controller does not report it: "1", "2 HDR50". One name may be empty: that axis is then not on this port.
+/// The stages turn without end: targets up to one turn either way of the controller's zero are accepted.
 ///
 /// The protocol acknowledges neither settings nor commands: settings are read back, and a motion counts as
-/// accepted once the status shows it. identify() throws kWrongIdentity for what is no APT controller, and
-/// where the counts per degree are not known. motion_state() throws kRefused for the fault bits of the status
-/// and for a motion that has ended far from its target. halt() sends a profiled stop to both axes.
+/// accepted once the status shows it. identify() throws kWrongIdentity for a device that is no APT
+/// controller, and where the counts per degree are not known. motion_state() throws kRefused for the fault
+/// bits of the status and for a motion that has ended far from its target. halt() sends a profiled stop to
+/// both axes.
 ///
 /// One owner thread; halt() from any.
 class ThorlabsAptStage final : public wire::LineStage {
  public:
-  /// Sends nothing yet. @throws std::invalid_argument for settings that cannot be meant.
+  /// Sends nothing yet. @throws std::invalid_argument for invalid settings.
   ThorlabsAptStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
 };
 

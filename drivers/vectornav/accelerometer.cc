@@ -22,7 +22,7 @@ using vectornav::TextMessage;
 // A device answers within milliseconds; its output buffer, full at 9600 baud, takes 1 s to empty [unverified
 // against a device].
 constexpr seconds kAnswerTime{2};
-// Of a restart [unverified against a device].
+// Longest duration of a restart [unverified against a device].
 constexpr seconds kRestartTime{2};
 
 constexpr double kRateTolerance = 0.01;
@@ -37,7 +37,7 @@ constexpr std::size_t kAccelerationTextBytes = 40;
 
 const std::string kCompensation = "acceleration compensation (25)";
 const std::string kRotation = "reference frame rotation (26)";
-constexpr double kCompensationStep = 1e-6;      // The digits that it tells.
+constexpr double kCompensationStep = 1e-6;      // Resolution of its decimal text.
 constexpr double kLargestCompensation = 99.99;  // Two digits before the point.
 
 constexpr unsigned kInvalidCommand = 0x04;
@@ -68,7 +68,7 @@ std::optional<unsigned> error_code(std::string_view text) {
   return code;
 }
 
-/// What stands behind `VNxxx,n` of an answer to this command ("VNRRG,01", "VNWRG,75,1,..."); nothing if it
+/// The values behind `VNxxx,n` in an answer to this command ("VNRRG,01", "VNWRG,75,1,..."); absent if it
 /// answers another one. Register numbers are compared as numbers: "01" and "1" are the same.
 std::optional<std::string> values_if_answer(std::string_view text, std::string_view command) {
   if (command.find(',') == std::string_view::npos)  // "VNWNV": only echoed.
@@ -97,7 +97,7 @@ unsigned imu_rate_of(std::string_view model) {
 
 using Exchange = wire::PacketExchange<vectornav::MessageParser>;
 
-/// An answer is known by its command and register.
+/// An answer is recognised by its command and register.
 Exchange::Command command_of(std::string_view text) {
   return {// With a CRC: the device then answers with one, and an XOR overlooks one damaged message in 256.
           vectornav::make_message(text, vectornav::Checksum::kCrc16), fmt::format("\"{}\"", text),
@@ -133,7 +133,7 @@ void VectorNavAccelerometer::start() {
   exchange("VNWRG,06,0");  // No text output: its messages would share the line.
   if (!try_binary_output()) set_text_output();
 
-  // Every answer is in: what is left over is no part of the stream that begins now.
+  // All answers have arrived, so remaining bytes are no part of the stream that begins now.
   readings_.listen(
       vectornav::MessageParser(output_ == Output::kBinary ? vectornav::binary_header(kOutputFields) : ""));
   last_time_ns_.reset();
@@ -264,7 +264,7 @@ void VectorNavAccelerometer::write(const RegisterTexts& registers) {
 }
 
 void VectorNavAccelerometer::save(const RegisterTexts& registers) {
-  exchange("VNRST");  // Or what start() has set would be stored too.
+  exchange("VNRST");  // Otherwise the settings of start() would be stored, too.
   clock_.sleep_until(clock_.now() + kRestartTime);
   make_quiet();
   write(registers);

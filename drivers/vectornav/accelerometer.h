@@ -21,9 +21,9 @@ namespace abcal {
 /// A VectorNav inertial sensor (VN-100, VN-200, VN-300 and their like), used for its accelerometers:
 /// compensated output in m/s2, sign as in vectornav::Measurement.
 ///
-/// The asynchronous output is paused while it is configured, and an answer is known by its command and
+/// The asynchronous output is paused while it is configured, and an answer is recognised by its command and
 /// register, so data and late answers in between do no harm. Output is binary with the device's time, so that
-/// a gap says how many readings are missing; where register 75 is refused it is the text message IMU, or else
+/// a gap shows how many readings are missing; if register 75 is refused, it is the text message IMU, or else
 /// ACC. Changes the running configuration of the device, never the stored one.
 class VectorNavAccelerometer final : public wire::PacketAccelerometer<vectornav::MessageParser>,
                                      public CorrectionRegisters {
@@ -47,7 +47,7 @@ class VectorNavAccelerometer final : public wire::PacketAccelerometer<vectornav:
   OutputCorrection decode(const RegisterTexts& registers) override;
   RegisterTexts encode(const OutputCorrection& wanted, const RegisterTexts& now) override;
   void write(const RegisterTexts& registers) override;
-  /// Restarts the device, which is then as it was stored, writes the register and stores all.
+  /// Restarts the device, which restores its stored settings, writes the register and stores all.
   void save(const RegisterTexts& registers) override;
 
  private:

@@ -83,8 +83,8 @@ std::optional<std::size_t> bytes_of_fields(std::size_t group, unsigned mask) {
   return bytes;
 }
 
-/// What a line of measurements holds: how many numbers, and at which of them acceleration and temperature
-/// stand.
+/// Layout of a line of measurements: how many numbers it holds, and at which of them acceleration and
+/// temperature stand.
 struct LineLayout {
   std::string_view name;
   std::size_t numbers;

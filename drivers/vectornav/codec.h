@@ -28,7 +28,7 @@ std::uint16_t crc16(std::string_view bytes);
 /// A whole text message: '$' + text + '*' + checksum + CR LF.
 std::string make_message(std::string_view text, Checksum checksum);
 
-/// A text message whose checksum was right; `text` is what stands between '$' and '*'.
+/// A text message whose checksum was right; `text` is the part between '$' and '*'.
 struct TextMessage {
   std::string_view text;
   Checksum checksum = Checksum::kXor8;
@@ -55,7 +55,8 @@ using Message = std::variant<TextMessage, BinaryMessage>;
 
 /// The header of a binary message with these field masks: FA, groups, masks.
 std::string binary_header(const std::array<std::uint16_t, kGroups>& fields);
-/// Bytes of such a message with header and CRC; nothing if a mask has a field whose length is not known.
+/// Bytes of a message with these fields, header and CRC; absent if a mask has a field whose length is not
+/// known.
 std::optional<std::size_t> binary_size(const std::array<std::uint16_t, kGroups>& fields);
 
 /// Bytes of a message on the wire.
@@ -64,7 +65,7 @@ std::size_t wire_size(const Message& message);
 /// Finds messages in a stream of bytes that may begin anywhere, be split anywhere, and be damaged.
 ///
 /// From each byte on: if a whole message with a right checksum begins here it is given and the search goes on
-/// behind it, else at the next byte. What is found does not depend on how the bytes were split.
+/// behind it, else at the next byte. The result does not depend on how the bytes were split.
 class MessageParser {
  public:
   /// `only_header`: binary messages with another header than this (see binary_header()) are no messages. With
@@ -73,7 +74,7 @@ class MessageParser {
 
   void feed(std::string_view bytes);
 
-  /// The next message of what was fed; nothing if it needs more bytes.
+  /// The next message in the bytes fed so far; absent if it needs more bytes.
   std::optional<Message> next();
 
   /// The next message that is whole *behind* a beginning that waits for more bytes, for when the line has
@@ -92,7 +93,7 @@ class MessageParser {
   enum class Found { kNothingHere, kBadChecksum, kNeedsMore, kMessage };
   struct Look {
     Found found = Found::kNothingHere;
-    std::size_t size = 0;  ///< Of the message with its frame.
+    std::size_t size = 0;  ///< Bytes of the message with its frame.
   };
   Look look_at(std::size_t position) const;
   Look look_at_text(std::string_view here) const;
@@ -101,7 +102,7 @@ class MessageParser {
 
   std::string only_header_;
   std::string buffer_;
-  std::size_t begin_ = 0;  ///< What lies before is used up.
+  std::size_t begin_ = 0;  ///< Bytes before this position are consumed.
   std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
@@ -112,7 +113,7 @@ std::vector<std::string_view> split_words(std::string_view text);
 /// The data of one field of a binary message, or nothing if it has none such.
 std::optional<std::string_view> field(const BinaryMessage& message, Group group, std::uint8_t bit);
 
-/// What a message says of acceleration.
+/// Acceleration, temperature and time of a message.
 struct Measurement {
   /// Specific force along the sensor's x, y, z, m/s2. The reaction, not the pull: an axis that points up
   /// reads +9.8 at rest, so a device that lies with its z axis down reads about -9.8 on z.
@@ -121,8 +122,8 @@ struct Measurement {
   std::optional<std::uint64_t> time_startup_ns;  ///< Since the device was started.
 };
 
-/// Of VNACC, VNIMU, VNYMR, VNMAR or VNQMR, with or without a count (,T...) and a status (,S...) behind;
-/// nothing if it is another message or has not exactly the numbers it must have.
+/// Decodes VNACC, VNIMU, VNYMR, VNMAR or VNQMR, with or without a count (,T...) and a status (,S...) behind.
+/// Absent if it is another message, or has not exactly the required number of values.
 std::optional<Measurement> decode_text_measurement(std::string_view text);
 /// Nothing if the message holds no acceleration (common field 8 or IMU field 9).
 std::optional<Measurement> decode_binary_measurement(const BinaryMessage& message);

@@ -36,7 +36,7 @@ constexpr int kAlarms = 4;
 constexpr std::array<std::uint16_t, 7> kEvents{16594, 16596, 16598, 16600, 16822, 16824, 16826};
 constexpr int kF4Outputs = 8;
 
-/// Set points that are the same to what the controller keeps.
+/// Set points that the controller stores as equal.
 constexpr double kSame = 0.05;
 /// Outside: the words of a number came in another order.
 constexpr double kPlausibleDegc = 1000.0;
@@ -86,7 +86,7 @@ Reply WatlowChamber::exchange(std::string_view pdu, std::string_view shown) {
     if (framing_ == Framing::kTcp && reply->transaction != transaction_) return std::nullopt;
     if (reply->exception != 0) return reply;
     if (reply->registers.size() != expected) return std::nullopt;
-    // The answer to a write repeats where it wrote, and of one register what.
+    // The answer to a write repeats the address, and for one register also its value.
     if (function != 3 && reply->data != pdu.substr(1, 4)) return std::nullopt;
     return reply;
   });
@@ -272,7 +272,7 @@ bool WatlowChamber::pause(bool paused) {
   return true;
 }
 
-/// A write whose whole answer is known: where it wrote, and of one register what.
+/// A write whose complete answer is known: the address, and for one register also its value.
 HaltRecipe::Question WatlowChamber::write_step(std::string_view pdu) const {
   const auto framed = [&](std::string_view bytes) {
     return frame(framing_, settings_.address, kRestTransaction, bytes);

@@ -16,12 +16,12 @@ namespace abcal::watlow_f4 {
 
 /// A chamber with a Watlow F4 or F4T controller, over Modbus RTU or TCP (docs/drivers/watlow_f4.md).
 ///
-/// The unit of the controller must be degC: an F4T comes with degF. It is read before every set point. What
-/// is written is read back. An F4 has no ramp of its own for a set point, and each set point wears its
-/// memory: none is written that is there already.
+/// The unit of the controller must be degC: an F4T comes with degF. It is read before every set point.
+/// Written values are read back. An F4 has no ramp of its own for a set point, and each set point wears its
+/// memory, so a value that is already there is not written.
 class WatlowChamber final : public ThermalChamber {
  public:
-  /// @throws std::invalid_argument for settings that cannot be, or if stream is null.
+  /// @throws std::invalid_argument for invalid settings, or if stream is null.
   WatlowChamber(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const ChamberSettings& settings);
 
   ChamberInfo identify() override;

@@ -28,7 +28,7 @@ bool is_known(unsigned function) {
   return reads(function) || function == 6 || function == 8 || function == 16;
 }
 
-/// Bytes of function code and data; 0: not known yet; nothing: no reply of a function that is used.
+/// Bytes of function code and data; 0: not known yet; absent: no reply to a function that the driver uses.
 std::optional<std::size_t> pdu_length(std::string_view pdu) {
   if (pdu.empty()) return 0;
   const unsigned function = u8(pdu, 0);

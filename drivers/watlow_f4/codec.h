@@ -14,36 +14,36 @@ namespace abcal::watlow_f4 {
 
 enum class Framing { kRtu, kTcp };
 
-/// Of RTU frames, sent low byte first.
+/// Checksum of RTU frames, sent low byte first.
 std::uint16_t crc16(std::string_view bytes);
 
-/// What is asked or written: function code and data, without framing. @{
+/// Requests: function code and data, without framing. @{
 std::string read_registers(std::uint16_t first, std::uint16_t count);
 std::string write_register(std::uint16_t address, std::uint16_t value);
 std::string write_registers(std::uint16_t first, const std::vector<std::uint16_t>& values);
 std::string loop_back(std::uint16_t token);
 /// @}
 
-/// `transaction` is of no account for RTU.
+/// Builds a frame; `transaction` is ignored for RTU.
 std::string frame(Framing framing, int unit, std::uint16_t transaction, std::string_view pdu);
 
 /// The first frame of a reply. kInvalid: no frame begins with the first byte.
 wire::FrameVerdict check_reply(Framing framing, std::string_view bytes);
 
-/// A reply. An exception is none of registers, but a code.
+/// A reply: either registers, or the code of an exception.
 struct Reply {
   int unit = 0;
   std::uint16_t transaction = 0;         ///< 0 for RTU.
   int function = 0;                      ///< Without the bit of an exception.
   int exception = 0;                     ///< 0: none.
-  std::vector<std::uint16_t> registers;  ///< Of a read.
-  std::string data;                      ///< Of any other function: what follows the function code.
+  std::vector<std::uint16_t> registers;  ///< Registers of a read.
+  std::string data;                      ///< For any other function: the bytes after the function code.
 };
 
 /// A whole frame. Nothing if it is none.
 std::optional<Reply> parse_reply(Framing framing, std::string_view frame);
 
-/// What an exception means, in words.
+/// Meaning of an exception code in words.
 std::string_view exception_text(int code);
 
 /// Two registers, the low word first. @{
@@ -51,7 +51,8 @@ float float_of(std::uint16_t low, std::uint16_t high);
 std::vector<std::uint16_t> registers_of(float value);
 /// @}
 
-/// A signed number with so many decimals; nothing for the numbers that say "no value" (-32000 and below).
+/// A signed number with this number of decimals; absent for values that stand for "no value" (-32000 and
+/// below).
 std::optional<double> decimal_of(std::uint16_t raw, int decimals);
 /// @return nothing if it does not fit
 std::optional<std::uint16_t> raw_of(double value, int decimals);

@@ -10,7 +10,7 @@ namespace abcal::weiss_simserv {
 namespace {
 
 constexpr double kSameAscii = 0.06;
-/// The description has no end that can be seen: so long after its last bytes nothing more comes.
+/// The description has no visible end: nothing follows once the line has been silent for this time.
 constexpr Clock::Duration kQuiet = std::chrono::milliseconds(400);
 constexpr std::size_t kMostDescription = 65536;
 constexpr Clock::Duration kLongestDescription = std::chrono::seconds(20);  // 19 kB at 9600 Bd.
@@ -48,7 +48,7 @@ class Ascii2 final : public Dialect {
     });
   }
   std::string describe();
-  /// Sends all set points and channels as they are, but for those that are given.
+  /// Sends all set points and channels unchanged, except the given ones.
   void set(const Ascii2State& now, double degc, const std::string& channels) {
     tell(set_command(settings_.address, layout_, now, degc, channels));
   }
@@ -157,8 +157,8 @@ ChamberReading Ascii2::read() {
   return reading;
 }
 
-/// One command sets everything, so what it sets besides the temperature is what is there now; but it must
-/// run, and not pause. The set point of kHold is not known yet: where it pauses, it goes on pausing.
+/// One command sets everything, so it repeats the present values of all other settings; but the chamber must
+/// run and not pause. The set point for kHold is not known yet: a chamber that pauses goes on pausing.
 std::optional<HaltRecipe> Ascii2::rest_recipe(ChamberPolicy policy) {
   if (policy == ChamberPolicy::kHold) return std::nullopt;
   const Ascii2State now = state();

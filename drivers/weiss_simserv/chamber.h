@@ -16,7 +16,7 @@ namespace abcal::weiss_simserv {
 /// (docs/drivers/weiss_simserv.md). The external mode must be enabled at its panel.
 class WeissChamber final : public ThermalChamber {
  public:
-  /// @throws std::invalid_argument for settings that cannot be, or if stream is null.
+  /// @throws std::invalid_argument for invalid settings, or if stream is null.
   WeissChamber(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const ChamberSettings& settings);
 
   ChamberInfo identify() override;

@@ -9,8 +9,8 @@
 
 #include "drivers/wire/frame.h"
 
-/// What Weiss and Voetsch chambers speak: S!MPAC simserv and ASCII-2. Bytes to requests and back, no port, no
-/// clock. Source: docs/protocols/weiss_simserv.md.
+/// Languages of Weiss and Voetsch chambers: S!MPAC simserv and ASCII-2. Bytes to requests and back, no port,
+/// no clock. Source: docs/protocols/weiss_simserv.md.
 namespace abcal::weiss_simserv {
 
 /// Between the parts of a simserv line: one byte, Latin-1.
@@ -19,7 +19,7 @@ inline constexpr std::size_t kLongestLine = 4096;
 
 /// One line, up to its CR; an LF before it is no part of it.
 wire::FrameVerdict check_line(std::string_view bytes);
-/// The same without its end.
+/// The line without its terminator.
 std::string_view line_text(std::string_view frame);
 
 /// "11001<B6>1<B6>1<B6>-40" and CR: a command number, the chamber (always 1) and the arguments.
@@ -35,14 +35,14 @@ std::string_view refusal_text(int code);
 /// A number as people and devices write it: "-040.0", "0-40.0", "22.9".
 std::optional<double> parse_number(std::string_view text);
 
-/// What an ASCII-2 chamber says of the layout of its lines ("$01?").
+/// Layout of the lines of an ASCII-2 chamber, as it reports it ("$01?").
 struct Ascii2Layout {
   std::vector<std::string> set_order;    ///< "CV01", "CV02", "SV01", "MV01": the numbers of $01E.
-  std::vector<std::string> state_order;  ///< Of $01I: nominal and actual value have the same name.
+  std::vector<std::string> state_order;  ///< Order in $01I: nominal and actual value have the same name.
   std::size_t channels = 0;              ///< Digital ones.
-  std::optional<double> least_set_degc, most_set_degc;  ///< Of CV01.
+  std::optional<double> least_set_degc, most_set_degc;  ///< Limits of CV01.
   std::optional<std::size_t> start_channel;
-  std::optional<std::size_t> humidity;  ///< Of CVnn, n: the one that is called so.
+  std::optional<std::size_t> humidity;  ///< Number n of the channel CVnn that is called humidity.
 };
 std::optional<Ascii2Layout> parse_layout(std::string_view text);
 

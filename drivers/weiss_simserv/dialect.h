@@ -23,7 +23,7 @@ class Dialect {
   virtual std::optional<HaltRecipe> rest_recipe(ChamberPolicy policy) = 0;
 };
 
-/// Of a recipe for either language, all but its questions.
+/// The common part of a recipe for either language, without its questions.
 inline HaltRecipe rest_recipe_of_lines(Clock::Duration patience, ChamberPolicy policy) {
   return {.driver = "weiss_simserv",
           .axes = {},

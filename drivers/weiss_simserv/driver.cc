@@ -28,6 +28,7 @@ void register_weiss_simserv(DriverList& drivers) {
        .recognition = {
            weiss_simserv::simserv_request(99997, {"1"}) + weiss_simserv::plain_command(1, 'I') + "\n",
            is_a_chamber}});
+  drivers.traits["weiss_simserv"] = {.tells_humidity = true};
 }
 
 }  // namespace abcal

@@ -63,8 +63,8 @@ class AsioLink {
     });
   }
 
-  /// What has come by the deadline; empty: nothing. Bytes that the system holds when it passes have come: on
-  /// a busy machine it is the thread fetching them that is late, not the instrument.
+  /// Bytes that have arrived by the deadline; empty: none. Bytes that the system holds at that time count as
+  /// arrived: on a busy machine the thread that fetches them is late, not the instrument.
   /// @throws InstrumentError kLinkLost if the port or its thread has ended, or the thread stands still
   ReceivedBytes read_until(Clock::Instant deadline) {
     ReceivedBytes received = queue_.pop_until(deadline);
@@ -174,7 +174,7 @@ class AsioLink {
   std::optional<boost::asio::executor_work_guard<boost::asio::io_context::executor_type>> work_;
   std::array<char, 65536> chunk_{};
   std::mutex write_mutex_;
-  std::atomic<bool> ended_ = false;  ///< Nobody runs io_ any more.
+  std::atomic<bool> ended_ = false;  ///< No thread runs io_ any more.
   std::thread thread_;
 };
 

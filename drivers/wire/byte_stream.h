@@ -7,7 +7,7 @@
 
 namespace abcal::wire {
 
-/// Bytes as they came in, with the time at which the last of them did.
+/// Received bytes, with the time of arrival of the last one.
 struct ReceivedBytes {
   std::string bytes;
   Clock::Instant arrival;
@@ -24,14 +24,14 @@ class ByteStream {
   /// Writes all of `bytes`, or throws (kNoReply if the port takes none within its write deadline).
   virtual void write(std::string_view bytes) = 0;
 
-  /// Waits until at least one byte is there and returns what is there, oldest first; empty at the deadline.
-  /// A deadline that has passed returns what is already there.
+  /// Waits until at least one byte has arrived and returns all bytes that have, oldest first; empty at the
+  /// deadline. With a deadline in the past it returns the bytes that have already arrived.
   virtual ReceivedBytes read_until(Clock::Instant deadline) = 0;
 
-  /// Throws away all input that has arrived.
+  /// Discards all input that has arrived.
   virtual void discard_input() = 0;
 
-  /// Bytes thrown away because the bounded input queue was full; only ever grows.
+  /// Bytes dropped because the bounded input queue was full; never decreases.
   virtual std::size_t dropped_bytes() const { return 0; }
 
   /// For messages: "/dev/ttyUSB0", "tcp:192.168.0.7:50000", "simulated".

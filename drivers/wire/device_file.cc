@@ -11,6 +11,7 @@
 #include <filesystem>
 
 #include "drivers/instrument/instrument_error.h"
+#include "drivers/wire/port_held.h"
 #include "drivers/wire/port_list.h"
 
 namespace abcal::wire {
@@ -55,12 +56,13 @@ void cannot_open(const std::string& path, const std::string& why) {
 }
 
 void held_by_another(const std::string& path) {
-  const std::string holder = find_holder(path);
-  if (!holder.empty())
-    cannot_open(path, fmt::format("held by another program: {}; close that first", holder));
-  cannot_open(path,
-              "held by another program (which cannot be identified), or by this one: is the port named twice "
-              "in the bench file?");
+  const std::vector<PortHolder> holders = find_holders(path);
+  throw PortHeld(path,
+                 holders.empty()
+                     ? "held by another program (which cannot be identified), or by this one: is the port "
+                       "named twice in the bench file?"
+                     : fmt::format("held by another program: {}; close that first", in_words(holders)),
+                 holders);
 }
 
 Descriptor open_device(const std::string& path, int flags, const DeviceKind& kind) {

@@ -24,17 +24,18 @@ class Descriptor {
 
 [[noreturn]] void cannot_open(const std::string& path, const std::string& why);
 
-/// @throws InstrumentError kCannotOpen that says who holds it, as far as can be seen.
+/// @throws PortHeld that says who holds it, as far as can be seen.
 [[noreturn]] void held_by_another(const std::string& path);
 
-/// What a file must be to be opened.
+/// The kind of device that a file must be, with texts for messages.
 struct DeviceKind {
   std::string name;                            ///< "a serial port"
   std::function<std::string()> what_there_is;  ///< "connected are ...", for a message.
 };
 
 /// Opens a character device to read and write, without settings and without a lock.
-/// @throws InstrumentError kCannotOpen: does not exist (and what there is), is something else, not permitted
+/// @throws InstrumentError kCannotOpen: does not exist (lists the existing ones), is something else, not
+/// permitted
 ///   (and which group is), held.
 Descriptor open_device(const std::string& path, int flags, const DeviceKind& kind);
 

@@ -4,7 +4,7 @@
 
 namespace abcal::wire {
 
-/// What a pure frame function says of the bytes it was shown: certainly not a frame, not yet one, or one.
+/// Verdict of a pure frame function on the bytes so far: no frame, not yet a frame, or a frame.
 enum class FrameCheck { kInvalid, kNeedMore, kComplete };
 
 struct FrameVerdict {

@@ -21,8 +21,8 @@ constexpr std::chrono::milliseconds kBetweenStops{20};
 constexpr std::size_t kLongestHaltLine = 65536;
 constexpr std::size_t kLongestBinary = 1024;
 
-/// The replies in what comes: lines, what ends with the recipe's own end, or, of a binary protocol, the
-/// digits of all that has come.
+/// Splits the received bytes into replies: lines, pieces with the recipe's own terminator, or, for a binary
+/// protocol, the hexadecimal digits of everything received.
 class ReplyInput {
  public:
   ReplyInput(const HaltRecipe& recipe, ByteStream& port, Clock& clock)

@@ -8,14 +8,14 @@
 
 namespace abcal::wire {
 
-/// Halts the axes on a port without their driver: ends what it may have written by half, sends the stop, asks
-/// whether the axes stand still, and begins again until they do. Likewise a chamber, whose commands are among
-/// the questions. Nobody else reads from `port` meanwhile. Never throws.
+/// Halts the axes on a port without their driver: ends a half-written command, sends the stop, asks whether
+/// the axes stand still, and repeats this until they do. A chamber is stopped likewise; its commands are
+/// among the questions. Nobody else may read from `port` meanwhile. Never throws.
 /// @return false: not acknowledged by `deadline`; the axes may be moving, the chamber may be heating.
 bool carry_out(const HaltRecipe& recipe, ByteStream& port, Clock& clock, Clock::Instant deadline) noexcept;
 
 /// An open descriptor (a serial port or a socket) as a stream, e.g. one that was inherited from a process
-/// that died. Has no thread; does not close the descriptor, and leaves its flags as they are. Real time only.
+/// that died. Has no thread; does not close the descriptor, and does not change its flags. Real time only.
 class DescriptorStream final : public ByteStream {
  public:
   /// `clock` must run in real time.

@@ -92,7 +92,7 @@ bool HaltableLine::halt(const std::function<void()>& forget_motion,
     const AtEnd in_halt([this] { halt_deadline_.reset(); });
     forget_motion();
     return stop_and_ask(deadline, has_stopped);
-  } catch (...) {  // Of a mutex, or memory: not acknowledged.
+  } catch (...) {  // A mutex failed, or memory is short: not acknowledged.
     return false;
   }
 }

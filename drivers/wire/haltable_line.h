@@ -25,16 +25,16 @@ class HaltableLine {
  public:
   /// How to halt.
   struct Halting {
-    std::string stop;          ///< Stops all axes. Sent as it is; no reply to it is waited for.
+    std::string stop;          ///< Stops all axes. Sent unchanged; no reply is awaited.
     Clock::Duration deadline;  ///< For all of halt(); a write that is stuck adds its own.
     /// Left to an exchange under way to end; longer than a driver waits for a reply.
     Clock::Duration exchange_patience;
     Clock::Duration retry_interval;
   };
-  /// What the bytes that have come begin with. Invalid: all of them are given as one frame.
+  /// Checks the frame at the beginning of the received bytes. Invalid: all of them are given as one frame.
   using CheckFrame = FrameVerdict (*)(std::string_view);
 
-  /// Sends nothing yet. In messages it is "<what> on <port>" until it is renamed.
+  /// Sends nothing yet. Messages call it "<what> on <port>" until it is renamed.
   HaltableLine(std::string_view what, std::unique_ptr<ByteStream> stream, Clock& clock,
                CheckFrame check_frame, Halting halting)
       : instrument_(std::string(what) + " on " + stream->name()),
@@ -47,19 +47,19 @@ class HaltableLine {
   void unlock() { exchange_lock_.unlock(); }
 
   /// Stops the stage without waiting for an exchange under way; then takes the line over and asks
-  /// `has_stopped` until it says so, stopping again each time: a move that was sent just before the first
-  /// stop may have been taken up after it. `forget_motion` is called once before, the line locked for both;
-  /// what they send goes through, while send() of others throws.
-  /// @return false: the stage did not say in time that it stands still.
+  /// `has_stopped` until it returns true, stopping again each time: a move sent just before the first stop
+  /// may have been accepted after it. `forget_motion` is called once before; the line is locked for both.
+  /// Their own commands are sent, while send() of others throws.
+  /// @return false: the stage did not report standstill in time.
   bool halt(const std::function<void()>& forget_motion, const std::function<bool()>& has_stopped) noexcept;
 
   /// Whether a halt is under way.
   bool halting() const;
 
-  /// How many halts there have been, one under way included: a difference says that one began meanwhile.
+  /// Number of halts so far, including one under way: a difference shows that one began in between.
   std::uint64_t halts() const;
 
-  // All that follows: only with the line locked.
+  // All following functions require that the line is locked.
 
   void rename(std::string who) { instrument_ = std::move(who); }
   InstrumentError failure(Fault fault, std::string_view detail) const { return {instrument_, fault, detail}; }
@@ -67,18 +67,18 @@ class HaltableLine {
   /// @throws InstrumentError kNotReady while another thread halts the stage.
   void send(std::string_view bytes);
 
-  /// Throws away all that has come.
+  /// Discards all received bytes.
   void discard_input();
 
-  /// The next frame; nothing if there is no whole one by the deadline (what came is kept, see received()).
-  /// Once a deadline has passed, the stream is looked at once more for it, so a loop over frames ends even if
-  /// they come without end.
+  /// The next frame; absent if none is complete by the deadline (its bytes are kept, see received()). After a
+  /// deadline has passed, the stream is read at most once more for it, so a loop over frames ends even if
+  /// they never cease.
   std::optional<std::string> take_frame(Clock::Instant deadline);
 
-  /// What came and was not taken.
+  /// Received bytes that have not been taken.
   const std::string& received() const { return received_; }
 
-  /// So long from now, yet not beyond the deadline of a halt.
+  /// The time `patience` from now, but not beyond the deadline of a halt.
   Clock::Instant deadline_after(Clock::Duration patience) const;
 
  private:
@@ -93,7 +93,7 @@ class HaltableLine {
 
   TimedLock exchange_lock_;
   std::string received_;
-  /// A deadline that had passed when the stream was looked at, nothing having been sent since.
+  /// A deadline that had passed at the last read of the stream, with nothing sent since.
   std::optional<Clock::Instant> looked_after_;
   /// Set while the lock is held by halt(): its deadline.
   std::optional<Clock::Instant> halt_deadline_;

@@ -6,7 +6,7 @@
 
 namespace abcal::wire {
 
-/// The next frame that is not passed over, as it came; nothing if there is no whole one by the deadline.
+/// The next frame that is not skipped, unchanged; absent if none is complete by the deadline.
 std::optional<std::string> LineExchange::take(Clock::Instant deadline) {
   for (;;) {
     std::optional<std::string> frame = line_.take_frame(deadline);
@@ -20,14 +20,14 @@ std::optional<std::string> LineExchange::exchange(std::string_view request, Cloc
   const Clock::Instant deadline = line_.deadline_after(patience);
   for (;;) {
     std::optional<std::string> frame = take(deadline);
-    // Of an earlier resynchronise() that gave up too soon.
+    // Late answer to an earlier resynchronise() that gave up too soon.
     if (frame && !identity_.empty() && manner_.normal(*frame) == identity_) continue;
     return frame;
   }
 }
 
-/// Returns once the controller has answered the identity query. What it sent before that, if it is one whole
-/// reply, is the late answer to the query that had none.
+/// Returns once the controller has answered the identity query. One whole reply before that answer is the
+/// late answer to the query that had none.
 std::optional<std::string> LineExchange::resynchronise(std::string_view unanswered) {
   constexpr std::size_t kMostKept = 32;  // Two are not alone; the others are for the message.
   line_.send(manner_.identity_request);
@@ -37,7 +37,7 @@ std::optional<std::string> LineExchange::resynchronise(std::string_view unanswer
     const std::string normal = manner_.normal(*frame);
     if (normal.ends_with(identity_)) {
       in_step_ = true;
-      const bool alone = normal.size() == identity_.size();  // Else half a reply came before it.
+      const bool alone = normal.size() == identity_.size();  // Otherwise half a reply came before it.
       if (alone && before.size() == 1) return before.front();
       return std::nullopt;
     }
@@ -131,7 +131,7 @@ int LineExchange::ask_error(std::string_view after) {
 
 int LineExchange::execute(std::string_view command, std::string_view shown) {
   ensure_in_step(shown);
-  // Else an old error would be taken for the answer to this command.
+  // Otherwise an old error would be taken for the answer to this command.
   if (error_may_wait_) errors_.read("an earlier command");
   error_may_wait_ = true;
   return error_in(exchange(std::string(command) + manner_.error_request, manner_.patience), shown);

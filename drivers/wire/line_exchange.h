@@ -20,34 +20,34 @@
 
 namespace abcal::wire {
 
-/// What became of a query that the controller need not answer. No value and no error: it stayed silent.
+/// Answer to a query that the controller need not know. Neither value nor error: it stayed silent.
 template <class T>
 struct LineAnswer {
   std::optional<T> value;
   int error = 0;
 };
 
-/// Questions to a controller whose replies say neither what they answer nor, always, whether a command was
-/// accepted: replies come in the order of the queries, and the controller keeps its errors until it is asked.
+/// Questions to a controller whose replies name neither their query nor, always, the acceptance of a command:
+/// replies come in the order of the queries, and the controller keeps its errors until it is asked.
 ///
-/// How a late reply is kept from being taken for the answer to the next query: once a reply is missing or
-/// garbled, nothing else is asked before the identity query has been answered, whose answer is known to the
-/// letter and looks like no other. Whatever came before that answer belongs to the past.
+/// A late reply must not be taken for the answer to the next query. Therefore, once a reply is missing or
+/// garbled, nothing else is asked before the identity query has been answered, whose answer is known exactly
+/// and is unlike any other. Replies before that answer belong to earlier queries.
 ///
-/// How a late error is kept from being taken for the answer to the next command: what the controller may
-/// still hold of the past is read before a command is sent, and an error that no command of the owner can
-/// have caused (the driver says which) is not counted.
+/// A late error must not be taken for the answer to the next command. Therefore an error that the controller
+/// may still hold is read before a command is sent, and errors that no command of the owner can have caused
+/// (the driver defines them) are not counted.
 ///
-/// All calls: only with the line locked.
+/// All calls require that the line is locked.
 class LineExchange {
  public:
   struct Manner {
-    std::string identity_request;    ///< As sent.
+    std::string identity_request;    ///< Including its terminator.
     std::string_view identity_name;  ///< For messages: "*IDN?".
-    std::string error_request;       ///< As sent.
+    std::string error_request;       ///< Including its terminator.
     std::string_view error_name;
     Clock::Duration patience;  ///< For a reply.
-    /// A frame as it is compared with the identity; what it makes empty is passed over.
+    /// Normalises a frame for comparison with the identity; frames that become empty are skipped.
     std::string (*normal)(std::string_view frame);
     std::string (*show)(std::string_view bytes);  ///< Foreign bytes in a message.
   };
@@ -62,23 +62,23 @@ class LineExchange {
   LineExchange(HaltableLine& line, Manner manner, Errors errors)
       : line_(line), manner_(std::move(manner)), errors_(std::move(errors)) {}
 
-  /// The answer to the identity query, as it came. Empty: not known.
+  /// The unchanged answer to the identity query. Empty: not known.
   const std::string& identity() const { return identity_; }
 
-  /// Asks for the identity, twice if need be, until `accept` says that a reply is one; tells what was heard
-  /// if there was none. @throws InstrumentError kNoReply with `if_silent`, kWrongIdentity with `if_foreign`.
+  /// Asks for the identity, twice if necessary, until `accept` recognises a reply; otherwise the error quotes
+  /// what was received. @throws InstrumentError kNoReply with `if_silent`, kWrongIdentity with `if_foreign`.
   void identify(const std::function<bool(const std::string& frame)>& accept, std::string_view if_silent,
                 std::string_view if_foreign, std::size_t most_bytes);
 
-  /// As identify(), until the same answer has come twice in a row: where replies have no checksum a damaged
-  /// identity would never be heard again. @throws InstrumentError also kBadFrame.
+  /// Like identify(), until the same answer has come twice in a row: where replies have no checksum, a
+  /// damaged identity would never match again. @throws InstrumentError also kBadFrame.
   void identify_twice(const std::function<bool(const std::string& frame)>& accept, std::string_view if_silent,
                       std::string_view if_foreign, std::size_t most_bytes);
 
-  /// Throws away what has come, sends, and waits for one reply; nothing at the deadline.
+  /// Discards received bytes, sends the request, and waits for one reply; absent at the deadline.
   std::optional<std::string> exchange(std::string_view request, Clock::Duration patience);
 
-  /// Asks at most twice. `parse` makes a value of a reply, or nothing of what is no answer.
+  /// Asks at most twice. `parse` returns the value of a reply, or nothing if the reply is no answer.
   /// @throws InstrumentError kNoReply: the controller is silent altogether; kBadFrame: both were garbled.
   template <class Parse>
   auto ask(const std::string& request, std::string_view shown, Parse parse, Clock::Duration patience) {
@@ -105,7 +105,8 @@ class LineExchange {
     }
   }
 
-  /// Asks for what the controller must know. `refusal` makes the error of a code and the query.
+  /// Asks a question that the controller must know. `refusal` makes the exception from an error code and the
+  /// query.
   template <class Parse, class Refusal>
   auto require(const std::string& request, std::string_view shown, Parse parse, Refusal refusal) {
     auto answer = ask(request, shown, parse, manner_.patience);
@@ -117,17 +118,17 @@ class LineExchange {
                     to_seconds(manner_.patience), manner_.identity_name));
   }
 
-  /// Sends a set command and the error query in one piece, once, and returns the code. What the controller
-  /// held before is read first.
+  /// Sends a set command and the error query in one piece, once, and returns the code. An error that the
+  /// controller already holds is read first.
   int execute(std::string_view command, std::string_view shown);
 
   /// Asks the error query once. Never twice: the code would be gone.
   int ask_error(std::string_view after);
 
-  /// Whether no reply is owed: one that is may be silent for good.
+  /// Whether no reply is outstanding: an outstanding one may never come.
   bool in_step() const { return in_step_; }
 
-  /// Something was sent whose reply nobody waits for: the next query begins with the identity.
+  /// A request was sent whose reply is not awaited: the next query begins with the identity.
   void expect_stray_reply() { in_step_ = identity_.empty(); }
 
   /// The controller may hold an error that belongs to the past (after a halt, say), or holds none.
@@ -150,8 +151,8 @@ class LineExchange {
   bool error_may_wait_ = true;
 };
 
-/// What a driver of a stage on a line has to write: the calls of RotationStage, each made with the line
-/// locked, and what a halt asks.
+/// The calls that a driver of a stage on a line must implement: those of RotationStage, each made with the
+/// line locked, and the questions of a halt.
 class LineController {
  public:
   LineController(std::string_view what, std::unique_ptr<ByteStream> stream, Clock& clock,
@@ -167,13 +168,15 @@ class LineController {
   virtual MotionState motion_state(StageAxis axis) = 0;
   virtual Angle encoder_angle(StageAxis axis) = 0;
 
-  /// A halt begins: what was known of the motion is known no more.
+  /// Called when a halt begins: the known state of the motion is no longer valid.
   virtual void forget_motion() = 0;
-  /// Which axes stand still, as their controllers say; one that is not on the line does. An axis that has
-  /// stopped in this halt before (`so_far`) has not been told to move since, and need not be asked again.
+  /// Which axes stand still, according to their controllers; an axis that is not on the line counts as
+  /// standing. An axis that has already stopped in this halt (`so_far`) has not been commanded since, and
+  /// need not be asked again.
   virtual HaltReport stopped_axes(const HaltReport& so_far) = 0;
   virtual Clock::Duration reply_deadline() const = 0;
-  /// How another process halts it, with what is known so far: a recipe for each controller on the line.
+  /// Recipes with which another process halts the axes, from the present knowledge: one for each controller
+  /// on the line.
   virtual std::vector<HaltRecipe> halt_recipes() const = 0;
 
   HaltableLine& line() { return line_; }
@@ -182,7 +185,8 @@ class LineController {
  protected:
   InstrumentError failure(Fault fault, std::string_view detail) const { return line_.failure(fault, detail); }
 
-  /// What one of several controllers on the line says: that it is silent must not hide what the other says.
+  /// Answer of one of several controllers on the line. A controller that is silent counts as "no", so that it
+  /// does not hide the answer of the other.
   /// @throws InstrumentError kLinkLost: the line is gone for all of them
   template <class Call>
   static bool says_so(const Call& has_stopped) {
@@ -247,7 +251,7 @@ class LineStage : public RotationStage {
   std::unique_ptr<LineController> controller_;
 };
 
-/// What every stage driver checks of its settings. `maker`: "Newport". `axis_words`: "the number".
+/// Checks of the settings that every stage driver needs. `maker`: "Newport". `axis_words`: "the number".
 /// @throws std::invalid_argument no stream, no axis, one axis twice, a speed that is not a positive number.
 void check_stage_settings(std::string_view maker, std::string_view axis_words, const ByteStream* stream,
                           const StageSettings& settings);

@@ -9,7 +9,7 @@
 namespace abcal::wire {
 
 /// Opens the `port` of a bench file: "/path", "usb:VID:PID[:SERIAL]", "tcp:HOST:PORT" or
-/// "usbtmc:/dev/usbtmc0". ("simulated" is no port: the program decides that before it comes here.)
+/// "usbtmc:/dev/usbtmc0". ("simulated" is no port: the program handles it before this call.)
 /// @param defaults Baud rate and flow control for serial ports; its path is not used.
 /// @throws InstrumentError kCannotOpen; std::invalid_argument if `port` has none of these forms.
 std::unique_ptr<ByteStream> open_stream(std::string_view port, const SerialSettings& defaults, Clock& clock);

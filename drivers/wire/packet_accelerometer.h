@@ -20,14 +20,15 @@
 
 namespace abcal::wire {
 
-/// An accelerometer that streams packets and answers commands in between: what every such driver does the
-/// same way. A driver says how it is asked (interrogate), made quiet, started, and what its packets hold.
+/// An accelerometer that streams packets and answers commands in between: the common part of these drivers. A
+/// driver implements how the instrument is queried (interrogate), made quiet and started, and how its packets
+/// are decoded.
 template <class Parser>
 class PacketAccelerometer : public Accelerometer {
  public:
-  /// Makes the instrument quiet (so a started one must be started again) and asks what it is.
-  /// @throws InstrumentError kNoReply, kWrongIdentity, kBadFrame (all that came was damaged), each saying
-  /// what came.
+  /// Stops the stream (so a started instrument must be started again) and queries the identity.
+  /// @throws InstrumentError kNoReply, kWrongIdentity, kBadFrame (everything received was damaged), each
+  /// quoting what was received.
   AccelerometerInfo identify() final { return interrogate(); }
 
   std::optional<Reading> next(Clock::Instant deadline) final {
@@ -71,11 +72,11 @@ class PacketAccelerometer : public Accelerometer {
                                             driver, settings_.rate_hz));
   }
 
-  /// Makes it quiet and asks what it is.
+  /// Stops the stream and queries the identity.
   virtual AccelerometerInfo interrogate() = 0;
-  /// Ends the stream, so that answers can be told from data.
+  /// Ends the stream, so that answers can be distinguished from data.
   virtual void make_quiet() = 0;
-  /// What a packet of the stream holds; called while it runs.
+  /// Decodes a packet of the stream; called while it runs.
   virtual DecodedFrame decode(const Packet& packet) = 0;
 
   [[noreturn]] void fail(Fault fault, std::string_view detail) const { exchange_.fail(fault, detail); }
@@ -84,12 +85,12 @@ class PacketAccelerometer : public Accelerometer {
     fail(fault, detail);
   }
 
-  /// Once the instrument has said what it is: messages name it.
+  /// Called once the instrument has identified itself: messages then name it.
   void name_it(std::string_view model, std::string_view serial_number) {
     exchange_.rename(fmt::format("accelerometer {} (SN {}) on {}", model, serial_number, stream_->name()));
   }
 
-  /// @throws InstrumentError kRefused if the link cannot carry so many bytes. `rate_hz` readings a second
+  /// @throws InstrumentError kRefused if the link cannot carry this many bytes. `rate_hz` readings a second
   /// need `bytes_per_s`; `most_hz` is the rate that it carries.
   void check_link(double rate_hz, double bytes_per_s, std::optional<double> link_bytes_per_s,
                   double most_hz) const {

@@ -18,33 +18,33 @@
 
 namespace abcal::wire {
 
-/// What an instrument says to a command: data, or the code of an error.
+/// Answer of an instrument to a command: data, or an error code.
 struct PacketAnswer {
   std::string data;
   std::optional<unsigned> error;
 };
 
-/// Commands to an instrument that may stream meanwhile, and its answers among the packets of the stream. One
-/// thread.
+/// Commands to an instrument that may stream at the same time, and its answers among the packets of the
+/// stream. One thread.
 ///
-/// An answer is recognised by what the command says of it (an echo, a descriptor, a register). An error
-/// counts only if the command that it is said to is the only one outstanding: an error of a command that was
-/// given up may come late, and most instruments do not say which command they refuse. Where one is
-/// outstanding, the barrier is asked, a question that nothing else asks: an instrument answers in order, so
-/// behind the barrier's answer nothing is outstanding.
+/// An answer is recognised by a mark that the command defines (an echo, a descriptor, a register). An error
+/// counts only if its command is the only one outstanding: an error of a command that was given up may come
+/// late, and most instruments do not say which command they refuse. If one is outstanding, the barrier is
+/// sent, a question that is used for nothing else: an instrument answers in order, so behind the barrier's
+/// answer nothing is outstanding.
 template <class Parser>
 class PacketExchange {
  public:
   using Packet = typename ReadingStream<Parser>::Frame;
 
   struct Command {
-    std::string bytes;  ///< As sent.
+    std::string bytes;  ///< Complete bytes to send.
     std::string shown;  ///< For messages: "\"product code\" (1C)".
     /// The answer, if this packet is one to this command, or an error that may be.
     std::function<std::optional<PacketAnswer>(const Packet&)> match;
   };
 
-  /// How a family of instruments talks, and what its packets are called.
+  /// Manner of communication of a family of instruments, with words for messages.
   struct Manner {
     std::string_view packet;                ///< "MIP packet"
     std::string_view damaged;               ///< "with a wrong checksum"
@@ -68,7 +68,7 @@ class PacketExchange {
     throw InstrumentError(instrument_, fault, detail);
   }
 
-  /// Ends the stream and throws away what has come; `parser` is for what comes.
+  /// Ends the stream and discards received bytes; `parser` parses those that follow.
   void restart(Parser parser) {
     packets_.listen(std::move(parser));
     stream_.discard_input();
@@ -76,7 +76,7 @@ class PacketExchange {
   }
 
   /// Sends a command, again if no answer comes, and returns its answer or refusal.
-  /// @throws InstrumentError kNoReply, kBadFrame, kWrongIdentity, each saying what came instead.
+  /// @throws InstrumentError kNoReply, kBadFrame, kWrongIdentity, each quoting what was received instead.
   PacketAnswer ask(const Command& command) {
     // An instrument that streams may need more than a second try: the line is full, an answer may get
     // damaged.
@@ -102,12 +102,12 @@ class PacketExchange {
   }
 
  private:
-  /// After this long without a byte, an answer behind a false beginning is looked for.
+  /// After this time without a byte, an answer is searched for behind a false beginning.
   static constexpr std::chrono::milliseconds kSilence{50};
-  /// So much longer an answer is waited for once an error has come that may be of an earlier command.
+  /// Additional wait for an answer once an error has come that may belong to an earlier command.
   static constexpr std::chrono::milliseconds kAfterStrayError{500};
 
-  /// What came in while an answer was awaited; for the message if none came.
+  /// Bytes received while an answer was awaited; for the message if none came.
   struct Evidence {
     std::size_t bytes = 0;
     std::string first_bytes;
@@ -165,7 +165,8 @@ class PacketExchange {
       evidence.bytes += received.bytes.size();
       evidence.first_bytes +=
           received.bytes.substr(0, kShownBytes - std::min(kShownBytes, evidence.first_bytes.size()));
-      if (clock_.now() >= deadline) {  // Data may never cease to come: look at these, then no further.
+      if (clock_.now() >= deadline) {  // Data may never cease to come: these bytes are parsed, and no more
+                                       // are read.
         while (!answer && look_at(packets_.parser().next())) continue;
         break;
       }

@@ -129,11 +129,11 @@ std::string owner_group(const std::string& path) {
   return found->gr_name;
 }
 
-std::string find_holder(const std::string& path) {
+std::vector<PortHolder> find_holders(const std::string& path) {
   struct stat wanted {};
   if (::stat(path.c_str(), &wanted) != 0) return {};
   const std::string self = std::to_string(::getpid());
-  std::vector<std::string> holders;
+  std::vector<PortHolder> holders;
   std::error_code error;
   for (fs::directory_iterator process("/proc", error), end; !error && process != end;
        process.increment(error)) {
@@ -145,7 +145,7 @@ std::string find_holder(const std::string& path) {
     for (fs::directory_iterator fd(process->path() / "fd", unreadable), last; !unreadable && fd != last;
          fd.increment(unreadable)) {
       struct stat status {};
-      // The same device, under whatever name it was opened.
+      // It is the same device if these numbers agree, by any name.
       holds = ::stat(fd->path().c_str(), &status) == 0 &&
               (status.st_mode & S_IFMT) == (wanted.st_mode & S_IFMT) && status.st_dev == wanted.st_dev &&
               (S_ISCHR(wanted.st_mode) ? status.st_rdev == wanted.st_rdev : status.st_ino == wanted.st_ino);
@@ -155,10 +155,22 @@ std::string find_holder(const std::string& path) {
     std::ifstream comm(process->path() / "comm");
     std::string program;
     std::getline(comm, program);
-    holders.push_back(program.empty() ? fmt::format("pid {}", pid)
-                                      : fmt::format("pid {} ({})", pid, program));
+    holders.push_back({pid, program});
   }
-  return fmt::format("{}", fmt::join(holders, ", "));
+  return holders;
+}
+
+std::string in_words(const std::vector<PortHolder>& holders) {
+  std::string words;
+  for (const PortHolder& holder : holders) {
+    words += fmt::format("{}pid {}", words.empty() ? "" : ", ", holder.pid);
+    if (!holder.program.empty()) words += fmt::format(" ({})", holder.program);
+  }
+  return words;
+}
+
+std::string find_holder(const std::string& path) {
+  return in_words(find_holders(path));
 }
 
 std::vector<PortInfo> list_ports() {

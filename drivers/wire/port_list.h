@@ -8,11 +8,11 @@
 
 namespace abcal::wire {
 
-/// One serial port of this machine, and what a person needs to know to use it.
+/// One serial port of this machine, with the facts that a person needs to use it.
 struct PortInfo {
   std::string path;         ///< "/dev/ttyUSB0"
   std::string by_id;        ///< "/dev/serial/by-id/...", stable across replugging; empty if none.
-  std::string description;  ///< As the system describes it.
+  std::string description;  ///< Description by the system.
   std::optional<std::uint16_t> usb_vendor;  ///< Absent: not a USB port.
   std::optional<std::uint16_t> usb_product;
   std::string usb_maker;
@@ -26,10 +26,18 @@ struct PortInfo {
 /// The serial ports that the machine knows (pseudo-terminals are not among them).
 std::vector<PortInfo> list_ports();
 
-/// The programs that have the file behind `path` open, this one left out: "pid 123 (screen)", several joined
-/// by
-/// ", "; empty if there is none or we may not see it.
+/// A program that has a file open.
+struct PortHolder {
+  std::string pid;
+  std::string program;  ///< Empty: unknown.
+};
+
+/// The programs that have the file behind `path` open, as far as they can be seen, this one left out.
+std::vector<PortHolder> find_holders(const std::string& path);
+
+/// find_holders() in words: "pid 123 (screen)", several joined by ", "; empty: none.
 std::string find_holder(const std::string& path);
+std::string in_words(const std::vector<PortHolder>& holders);
 
 /// The name of the group that owns the file at `path`; empty if there is no such file.
 std::string owner_group(const std::string& path);
@@ -46,19 +54,19 @@ struct PortName {
   std::uint16_t tcp_port = 0;
 };
 
-/// Takes "/path", "usb:VID:PID[:SERIAL]" (VID and PID hexadecimal), "tcp:HOST:PORT" ("tcp:[::1]:50000" for
-/// IPv6) or "usbtmc:/path" apart; a path that begins with /dev/usbtmc is of that last kind. Opens and looks
-/// for nothing.
+/// Parses "/path", "usb:VID:PID[:SERIAL]" (VID and PID hexadecimal), "tcp:HOST:PORT" ("tcp:[::1]:50000" for
+/// IPv6) or "usbtmc:/path"; a path that begins with /dev/usbtmc counts as the last form. Neither opens a port
+/// nor searches for one.
 /// @throws std::invalid_argument saying what was found and what is required.
 PortName parse_port(std::string_view port);
 
-/// The path of a "usb:..." port; any other name is returned as it is.
-/// @throws InstrumentError kCannotOpen if no port matches (listing what there is) or several do (listing
+/// The path of a "usb:..." port; any other name is returned unchanged.
+/// @throws InstrumentError kCannotOpen if no port matches (listing those that exist) or several do (listing
 /// them);
 ///   std::invalid_argument as parse_port.
 std::string resolve_port(std::string_view port);
 
-/// The same among given ports.
+/// Like resolve_port(port), among the given ports.
 std::string resolve_port(std::string_view port, const std::vector<PortInfo>& ports);
 
 }  // namespace abcal::wire

@@ -17,18 +17,18 @@
 
 namespace abcal::wire {
 
-/// Questions to an instrument that only answers, one frame for each, where replies do not say what they
-/// answer. Commands go through it too, if carrying one out twice is the same as once.
+/// Questions to an instrument that only answers, one frame for each, where replies do not name their
+/// question. Commands use it too, if repeating one has no further effect.
 ///
 /// Once a reply is missing or garbled, nothing else is asked before a question whose answer is known has been
-/// answered (Manner::sync_request): whatever came before that answer belongs to the past.
+/// answered (Manner::sync_request): replies before that answer belong to earlier questions.
 class QueryExchange {
  public:
   struct Manner {
     std::string who;           ///< For messages.
     Clock::Duration patience;  ///< For a reply.
     std::function<FrameVerdict(std::string_view)> check;
-    std::string sync_request{};  ///< Empty: the exchange needs none, as replies say what they answer.
+    std::string sync_request{};  ///< Empty: the exchange needs none, because replies name their question.
     std::function<bool(const std::string& frame)> is_sync{};
   };
 
@@ -38,7 +38,7 @@ class QueryExchange {
   ByteStream& stream() { return *stream_; }
   Manner& manner() { return manner_; }
 
-  /// Asks at most twice. `parse` makes a value of a frame, or nothing of what is no answer.
+  /// Asks at most twice. `parse` returns the value of a frame, or nothing if the frame is no answer.
   /// @throws InstrumentError kNoReply, kBadFrame
   template <class Parse>
   auto ask(std::string_view request, std::string_view shown, Parse parse) {
@@ -57,7 +57,7 @@ class QueryExchange {
                                       garbled.size(), shown, bytes_in_hex(garbled.substr(0, 32))));
   }
 
-  /// Throws away what has come, sends, and waits for one frame.
+  /// Discards received bytes, sends the request, and waits for one frame.
   std::optional<std::string> exchange(std::string_view request) {
     stream_->discard_input();
     buffer_.clear();

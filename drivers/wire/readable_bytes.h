@@ -12,10 +12,10 @@ std::string bytes_in_hex(std::string_view bytes);
 /// have them: "5551aeff".
 std::string hexadecimal_digits(std::string_view bytes);
 
-/// Text as a message shows it: what is not printable as "\x0A".
+/// Text for messages: bytes that are not printable appear as "\x0A".
 std::string bytes_as_text(std::string_view bytes);
 
-/// At most 80 bytes of lines of text: printable ones as they are, others as \n, \r or \x1b.
+/// At most 80 bytes of lines of text: printable ones unchanged, others as \n, \r or \x1b.
 std::string printable(std::string_view bytes);
 
 }  // namespace abcal::wire

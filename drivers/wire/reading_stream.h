@@ -16,21 +16,21 @@
 
 namespace abcal::wire {
 
-/// What a frame of a stream holds.
+/// Content of a frame of a stream.
 struct DecodedFrame {
-  std::optional<Reading> reading{};  ///< Without arrival and number. Nothing: a frame of something else.
-  /// Readings made since the one before, this one included, by the instrument's own counter or clock.
-  /// Nothing: it has none, and the bytes that came to no use say what was lost.
+  std::optional<Reading> reading{};  ///< Without arrival and number. Absent: another kind of frame.
+  /// Readings made since the one before, this one included, by the instrument's own counter or clock. Absent:
+  /// it has neither, and losses are inferred from the unusable bytes.
   std::optional<std::uint64_t> steps{};
   bool malformed = false;  ///< Framed and complete, but it cannot be true: counted as a bad frame.
 };
 
-/// From the bytes of an accelerometer that streams to next(). One thread.
+/// Turns the bytes of a streaming accelerometer into readings for next(). One thread.
 ///
-/// Where the instrument neither counts nor times its readings, one is known to be lost if bytes came in its
-/// place: every stretch of bytes that came to no use, as long as a reading is, was one, and a bad frame was
-/// at least one. What is lost without leaving a byte behind is not known, and nothing is concluded from times
-/// of arrival: a late one would pass for a loss.
+/// Where the instrument neither counts nor times its readings, a loss is recognised only by the bytes that
+/// came in its place: every stretch of unusable bytes as long as a reading counts as one, and a bad frame as
+/// at least one. A reading that is lost without leaving a byte cannot be counted. Times of arrival are not
+/// used, because a late reading would count as a loss.
 ///
 /// `Parser` finds frames in bytes that are split anyhow: feed(bytes); next(), the next frame or nothing;
 /// has_partial(); bad_frames() and skipped_bytes(), which only grow. Optional: lose_track(), bytes are
@@ -40,14 +40,14 @@ template <class Parser>
 class ReadingStream {
  public:
   using Frame = typename decltype(std::declval<Parser&>().next())::value_type;
-  /// What a frame holds. May throw.
+  /// Decodes a frame. May throw.
   using Decode = std::function<DecodedFrame(const Frame&)>;
 
   /// `stream` must outlive this.
   ReadingStream(ByteStream& stream, Parser parser, Decode decode)
       : stream_(stream), parser_(std::move(parser)), decode_(std::move(decode)) {}
 
-  /// Listens with a new parser to what comes from now on: whether it is what it should be, at which rate.
+  /// Listens with a new parser to the following bytes, to check their format and rate.
   void listen(Parser parser) {
     end();
     parser_ = std::move(parser);
@@ -57,7 +57,7 @@ class ReadingStream {
     restart_figures();
   }
 
-  /// What it listens to is the stream: numbers and counts begin here. Keeps the place in the bytes.
+  /// Begins the stream with the bytes that follow: numbers and counts restart. Keeps the place in the bytes.
   void start() {
     restart_figures();
     running_ = true;
@@ -71,7 +71,7 @@ class ReadingStream {
   }
   bool running() const { return running_; }
 
-  /// Reads once and gives what came to the parser, without decoding it.
+  /// Reads once and passes the bytes to the parser, without decoding.
   ReceivedBytes fetch(Clock::Instant deadline) {
     constexpr std::size_t kShownBytes = 32;
     ReceivedBytes received = stream_.read_until(deadline);
@@ -86,22 +86,22 @@ class ReadingStream {
     return received;
   }
 
-  /// Reads once and decodes what came. False: nothing has come by the deadline.
+  /// Reads once and decodes. False: nothing has come by the deadline.
   bool receive(Clock::Instant deadline) {
     const ReceivedBytes received = fetch(deadline);
     take_waiting();
     return !received.bytes.empty();
   }
 
-  /// As Accelerometer::next().
+  /// See Accelerometer::next().
   std::optional<Reading> next(Clock::Instant deadline) {
-    take_waiting();  // What came together with the last answer.
+    take_waiting();  // Frames that came together with the last answer.
     while (readings_.empty() && receive_until(deadline)) continue;
     if (readings_.empty()) take_behind_partial();
     return readings_.pop();
   }
 
-  /// As Accelerometer::discard_pending().
+  /// See Accelerometer::discard_pending().
   void discard_pending(Clock::Instant now) {
     readings_.begin_discard();
     take_waiting();
@@ -125,7 +125,7 @@ class ReadingStream {
     return later / to_seconds(last - *first);
   }
 
-  /// Of the stream that runs, or of the last one.
+  /// Counts of the running stream, or of the last one.
   StreamHealth health() const {
     if (!running_) return at_end_;
     const Figures now = figures();
@@ -137,7 +137,7 @@ class ReadingStream {
 
   Clock::Instant last_arrival() const { return last_arrival_; }
 
-  // For messages: what has come since listen().
+  // For messages: bytes received since listen().
   std::uint64_t received_bytes() const { return received_bytes_; }
   const std::string& first_bytes() const { return first_bytes_; }
   const Parser& parser() const { return parser_; }
@@ -146,7 +146,7 @@ class ReadingStream {
  private:
   struct Figures {
     std::uint64_t bad_frames = 0;
-    std::uint64_t skipped_bytes = 0;  ///< By the parser, or dropped by a full input queue.
+    std::uint64_t skipped_bytes = 0;  ///< Skipped by the parser, or dropped by a full input queue.
     std::uint64_t unused_bytes = 0;   ///< These, and those of malformed frames.
   };
   Figures figures() const {
@@ -162,7 +162,8 @@ class ReadingStream {
     dropped_at_discard_ = dropped_;
   }
 
-  /// As receive(). False also once bytes came after the deadline: they may never cease to come.
+  /// Like receive(). Also false if the last bytes came after the deadline, since they may never cease to
+  /// come.
   bool receive_until(Clock::Instant deadline) { return receive(deadline) && last_arrival_ <= deadline; }
 
   void lose_track() {

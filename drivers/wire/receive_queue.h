@@ -19,8 +19,8 @@ class ReceiveQueue {
  public:
   ReceiveQueue(std::string name, std::size_t capacity) : name_(std::move(name)), capacity_(capacity) {}
 
-  /// Adds what fits; the rest is counted as dropped. What is kept is then contiguous, with one gap at its
-  /// end.
+  /// Adds the bytes that fit; the rest is counted as dropped. The kept bytes are then contiguous, with one
+  /// gap at their end.
   void push(std::string_view bytes, Clock::Instant arrival) {
     {
       const std::lock_guard lock(mutex_);
@@ -32,7 +32,7 @@ class ReceiveQueue {
     changed_.notify_all();
   }
 
-  /// The port is gone: what waits can still be popped, then every call throws kLinkLost with `reason`.
+  /// The port is gone: waiting bytes can still be popped, then every call throws kLinkLost with `reason`.
   void close(std::string reason) {
     {
       const std::lock_guard lock(mutex_);
@@ -81,7 +81,7 @@ class ReceiveQueue {
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::string waiting_;
-  Clock::Instant arrival_;  ///< Of the last byte of waiting_.
+  Clock::Instant arrival_;  ///< Arrival of the last byte of waiting_.
   std::size_t dropped_ = 0;
   bool closed_ = false;
   std::string reason_;

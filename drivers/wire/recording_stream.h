@@ -9,17 +9,17 @@
 
 namespace abcal::wire {
 
-/// Passes everything through to another stream and tells a sink of every call, so that a ReplayStream can
+/// Passes everything through to another stream and reports every call to a sink, so that a ReplayStream can
 /// give a driver the same outcomes again.
 ///
-/// Reads that returned nothing are reported too: which bytes were there when the driver looked decides what
-/// it does next, and does not follow from times of arrival alone.
+/// Reads that returned nothing are reported too: the driver's next step depends on the bytes available at its
+/// read, which do not follow from times of arrival alone.
 class RecordingStream final : public ByteStream {
  public:
   /// Called in the thread that made the call, also in several at once; must not throw.
   using Sink = std::function<void(WireEvent&&)>;
 
-  /// The sink is told at once that `inner` is open.
+  /// The sink is notified at once that `inner` is open.
   RecordingStream(std::unique_ptr<ByteStream> inner, const Clock& clock, Sink sink);
 
   void write(std::string_view bytes) override;
@@ -35,7 +35,7 @@ class RecordingStream final : public ByteStream {
   std::unique_ptr<ByteStream> inner_;
   const Clock& clock_;
   Sink sink_;
-  mutable std::atomic<std::size_t> dropped_ = 0;  ///< As told last.
+  mutable std::atomic<std::size_t> dropped_ = 0;  ///< Count that was recorded last.
 };
 
 }  // namespace abcal::wire

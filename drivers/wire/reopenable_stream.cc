@@ -30,7 +30,7 @@ auto ReopenableStream::guarded(const Call& call) {
   } catch (const InstrumentError& error) {
     if (error.fault() == Fault::kLinkLost) {
       const std::lock_guard lock(mutex_);
-      if (port_ == used) {  // Else another thread has noticed it before.
+      if (port_ == used) {  // Otherwise another thread has noticed it before.
         dropped_before_ += port_->dropped_bytes();
         port_.reset();
         lost_because_ = error.detail();

@@ -20,7 +20,7 @@ class ReopenableStream final : public ByteStream, public PortDescriptor {
   /// Opens at once.
   explicit ReopenableStream(Open open);
 
-  /// Opens the port again if it is gone; what it had received is lost. Any thread may write meanwhile.
+  /// Opens the port again if it is gone; bytes that it had received are lost. Any thread may write meanwhile.
   /// @throws InstrumentError kCannotOpen: not back yet, or held by another program.
   void reopen();
 
@@ -41,7 +41,7 @@ class ReopenableStream final : public ByteStream, public PortDescriptor {
   mutable std::mutex mutex_;
   std::shared_ptr<ByteStream> port_;  ///< Null: gone.
   std::string lost_because_;
-  std::size_t dropped_before_ = 0;  ///< By the ports that are gone.
+  std::size_t dropped_before_ = 0;  ///< Bytes dropped by ports that are gone.
 };
 
 }  // namespace abcal::wire

@@ -22,8 +22,8 @@ double seconds_at(Clock::Instant time) {
 
 }  // namespace
 
-ReplayStream::ReplayStream(std::vector<WireEvent> events, Clock& clock)
-    : events_(std::move(events)), clock_(clock) {
+ReplayStream::ReplayStream(std::vector<WireEvent> events, Clock& clock, std::function<void()> on_end)
+    : events_(std::move(events)), clock_(clock), on_end_(std::move(on_end)) {
   if (!events_.empty() && events_.front().kind == Kind::kOpened) {
     name_ = events_.front().bytes;
     ++cursor_;
@@ -45,10 +45,11 @@ void ReplayStream::fail_as_recorded() {
 }
 
 void ReplayStream::end() const {
+  if (on_end_) on_end_();
   throw InstrumentError(name_, Fault::kLinkLost,
-                        events_.empty()
-                            ? fmt::format("{}: it contains nothing of this stream", kEndsHere)
-                            : fmt::format("{}, at t = {:.6f} s", kEndsHere, seconds_at(events_.back().time)));
+                        events_.empty() ? "the recording ends here: it contains nothing of this stream"
+                                        : fmt::format("the recording ends here, at t = {:.6f} s",
+                                                      seconds_at(events_.back().time)));
 }
 
 void ReplayStream::leave(std::string_view found, const WireEvent& recorded) const {
@@ -73,7 +74,7 @@ void ReplayStream::write(std::string_view bytes) {
   if (event->bytes != bytes) leave(bytes, *event);
   clock_.sleep_until(event->time);
   ++cursor_;
-  // Not next(): a failed write stands directly behind what was to be written.
+  // next() is not used here: a failed write stands directly behind the bytes of the write.
   if (cursor_ < events_.size() && events_[cursor_].kind == Kind::kFailed &&
       parse_failure(events_[cursor_].bytes).call == WireCall::kWrite) {
     fail_as_recorded();
@@ -89,7 +90,7 @@ ReceivedBytes ReplayStream::read_until(Clock::Instant deadline) {
     case Kind::kFailed:
       fail_as_recorded();
     case Kind::kReceived:
-    case Kind::kDiscarded:  // Now read, then thrown away: it was there.
+    case Kind::kDiscarded:  // The recorded call discarded these bytes; now they are read and then discarded.
       ++cursor_;
       clock_.sleep_until(event->time);
       if (event->bytes.empty()) clock_.sleep_until(deadline);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <mutex>
 #include <string>
 #include <vector>
@@ -10,26 +11,24 @@
 
 namespace abcal::wire {
 
-/// A stream that behaves as a recorded one did: call by call the same bytes, silences and failures, at the
-/// same times. The clock jumps to the time of each event; it is never moved back.
+/// A stream that repeats a recorded one: call by call the same bytes, silences and failures, at the same
+/// times. The clock jumps to the time of each event; it is never moved back.
 ///
-/// What is written must be what was recorded. A read gives what the read at this place of the recording
-/// gave, whatever its deadline is now; where the recording has a write next it gives nothing at its deadline,
-/// as an instrument that was asked nothing. A driver that has been changed may so be tried on an old
-/// recording, as long as it says the same things in the same order.
+/// Writes must equal the recorded ones. A read returns the result of the read at this place of the recording,
+/// whatever its present deadline; if the recording continues with a write, it returns nothing at its
+/// deadline, like an instrument that was not asked. A changed driver can thus be tried on an old recording,
+/// as long as it sends the same bytes in the same order.
 ///
 /// Any thread, one call at a time.
 class ReplayStream final : public ByteStream {
  public:
-  /// In the detail of the kLinkLost that is thrown behind the last event.
-  static constexpr std::string_view kEndsHere = "the recording ends here";
-
   /// @param events Of one stream, in their order.
   /// @param clock Must jump in sleep_until(), and outlive the stream.
-  ReplayStream(std::vector<WireEvent> events, Clock& clock);
+  /// @param on_end Called where the recording has nothing more to give, before kLinkLost is thrown.
+  ReplayStream(std::vector<WireEvent> events, Clock& clock, std::function<void()> on_end = {});
 
-  /// @throws InstrumentError kLinkLost "the replay leaves the recording" if `bytes` are not what was written
-  /// then: nobody knows what the instrument would have said.
+  /// @throws InstrumentError kLinkLost "the replay leaves the recording" if `bytes` differ from the recorded
+  /// ones: the instrument's answer to them is not known.
   void write(std::string_view bytes) override;
   ReceivedBytes read_until(Clock::Instant deadline) override;
   void discard_input() override;
@@ -44,6 +43,7 @@ class ReplayStream final : public ByteStream {
 
   const std::vector<WireEvent> events_;
   Clock& clock_;
+  std::function<void()> on_end_;
   std::string name_ = "recording";
   mutable std::mutex mutex_;
   mutable std::size_t cursor_ = 0;

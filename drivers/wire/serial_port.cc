@@ -101,12 +101,12 @@ struct SerialPort::Impl {
         serial_port::flow_control(settings.rts_cts ? serial_port::flow_control::hardware
                                                    : serial_port::flow_control::none),
         path, settings.rts_cts ? "RTS/CTS flow control" : "no flow control");
-    ::tcflush(fd, TCIFLUSH);  // What waited in the kernel was meant for the previous program.
+    ::tcflush(fd, TCIFLUSH);  // Bytes waiting in the kernel were meant for the previous program.
     link.start();
   }
 
-  /// The last bytes (a stop command, say) are given time to leave; what a blocked line still holds then is
-  /// dropped, because the kernel would keep close() waiting for 30 s.
+  /// The last bytes (a stop command, say) are given time to leave; bytes that a blocked line still holds then
+  /// are dropped, because the kernel would keep close() waiting for 30 s.
   ~Impl() {
     const int fd = link.port().native_handle();
     const auto deadline = std::chrono::steady_clock::now() + kDrainDeadline;

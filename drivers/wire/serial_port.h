@@ -22,16 +22,17 @@ struct SerialSettings {
 /// A serial port or pseudo-terminal, raw and locked for this program alone.
 ///
 /// One background thread owns the port. It reads all the time into a bounded queue, with the time of arrival,
-/// so that a reader busy with something else loses nothing; what does not fit is counted in dropped_bytes().
-/// Any thread may write. Once the port has vanished, what had arrived can still be read, then every call
-/// throws kLinkLost.
+/// so that a reader busy with something else loses nothing; bytes that do not fit are counted in
+/// dropped_bytes(). Any thread may write. Once the port has vanished, bytes that had arrived can still be
+/// read; then every call throws kLinkLost.
 class SerialPort final : public ByteStream, public PortDescriptor {
  public:
   /// Opens, locks (flock; on real ports TIOCEXCL too, which on a pseudo-terminal would outlive a program that
-  /// crashed), sets raw mode and throws away what waited in the kernel.
+  /// crashed), sets raw mode and discards bytes waiting in the kernel.
   /// @param clock Stamps the arrivals, from the background thread; its Instants must be those of
   /// steady_clock.
-  /// @throws InstrumentError kCannotOpen with one sentence: does not exist (and what there is), not permitted
+  /// @throws InstrumentError kCannotOpen with one sentence: does not exist (lists the existing ones), not
+  /// permitted
   ///   (and which group is), held by another program (and which), not a serial port, setting not taken.
   SerialPort(const SerialSettings& settings, Clock& clock, std::size_t queue_bytes = kDefaultQueueBytes);
   ~SerialPort() override;

@@ -88,7 +88,7 @@ bool is_passing(long error) {
 
 UsbtmcStream::UsbtmcStream(const std::string& path, Clock& clock)
     : UsbtmcStream(std::make_unique<DeviceFile>(path), path, clock) {
-  discard_input();  // What waits was meant for the previous program.
+  discard_input();  // Waiting bytes were meant for the previous program.
 }
 
 UsbtmcStream::UsbtmcStream(std::unique_ptr<UsbtmcDevice> device, std::string name, Clock& clock)

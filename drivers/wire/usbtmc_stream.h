@@ -10,8 +10,8 @@
 
 namespace abcal::wire {
 
-/// What the kernel's USBTMC driver does with a device file; a seam for tests. All return the negative of
-/// errno if they fail.
+/// Operations of the kernel's USBTMC driver on a device file; a seam for tests. On failure all of them return
+/// the negative of errno.
 class UsbtmcDevice {
  public:
   virtual ~UsbtmcDevice() = default;
@@ -28,15 +28,16 @@ class UsbtmcDevice {
 /// usbtmc: /dev/usbtmc0. Each write is one message, so a command and its LF must be written at once.
 ///
 /// Waits by asking for the status byte every 2 ms, and reads only when a reply is there: so a deadline is
-/// kept but for the time of one exchange on the bus, and a scan that lasts long is not disturbed. (poll() is
-/// no help: it tells of service requests, not of replies.)
+/// kept to within one exchange on the bus, and a long scan is not disturbed. (poll() does not help: it
+/// reports service requests, not replies.)
 ///
-/// Written from the kernel's interface (linux/usb/tmc.h) and tested against a substitute; it has not met a
-/// real instrument yet.
+/// Written from the kernel's interface (linux/usb/tmc.h) and tested against a substitute; it has not been
+/// used with a real instrument yet.
 class UsbtmcStream final : public ByteStream {
  public:
   /// Opens and locks (flock).
-  /// @throws InstrumentError kCannotOpen with one sentence: does not exist (and what there is), not permitted
+  /// @throws InstrumentError kCannotOpen with one sentence: does not exist (lists the existing ones), not
+  /// permitted
   ///   (and which group is), held by another program (and which), no USBTMC instrument, no status byte.
   UsbtmcStream(const std::string& path, Clock& clock);
   /// With an open device.

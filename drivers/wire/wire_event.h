@@ -8,21 +8,21 @@
 
 namespace abcal::wire {
 
-/// One call on a byte stream and what came of it: all that a driver can learn from its wire. The values of
-/// `Kind` are what a run file stores.
+/// One call on a byte stream and its result: all that a driver can learn from its wire. The values of `Kind`
+/// are stored in run files.
 struct WireEvent {
   enum class Kind : char {
     kOpened = 'o',     ///< The stream is there; bytes: its name.
     kWritten = '>',    ///< write() was called with these bytes.
-    kReceived = '<',   ///< read_until() gave these bytes; none: it came back empty-handed.
-    kDiscarded = 'x',  ///< discard_input() threw these bytes away; not noted if there were none.
+    kReceived = '<',   ///< read_until() returned these bytes; empty: none came in time.
+    kDiscarded = 'x',  ///< discard_input() discarded these bytes; not noted if there were none.
     kDropped = 'd',    ///< dropped_bytes() has a new value; bytes: its decimal digits.
     kFailed = '!',     ///< The call threw; bytes: failure_text().
   };
 
   Kind kind = Kind::kOpened;
   Clock::Instant time;     ///< When a write was begun; when any other call came back.
-  Clock::Instant arrival;  ///< Of the last of the bytes received, as the stream gave it.
+  Clock::Instant arrival;  ///< Arrival of the last byte received, as the stream reported it.
   std::string bytes;
 
   bool operator==(const WireEvent&) const = default;

@@ -25,7 +25,8 @@ constexpr seconds kFirstFrameTime{6};
 // than enough at 9600 baud.
 constexpr milliseconds kBetweenCommands{10};
 
-// Its clock is not said to be accurate; its rates, and what a line too slow for one carries, differ by more.
+// The accuracy of its clock is not specified; its rates, and the rate that a slow line carries, differ by
+// more than this.
 constexpr double kMeasuredRateTolerance = 0.1;
 constexpr double kBitsPerByte = 10.0;  // On a UART, with start and stop bit.
 
@@ -134,8 +135,8 @@ AccelerometerInfo WitMotionAccelerometer::interrogate() {
   if (range) full_scale = std::min(full_scale, witmotion::range_g(range->front()).value_or(full_scale));
   return AccelerometerInfo{
       .maker = "WitMotion",
-      .model = std::string(kUnknown),  // It does not say.
-      .serial_number = "",             // Nor this.
+      .model = std::string(kUnknown),  // The device does not report it.
+      .serial_number = "",             // The device does not report it, either.
       .firmware = version_ ? fmt::format("{}", *version_) : std::string(kUnknown),
       .output_unit = "g",
       .full_scale = std::min(full_scale, witmotion::kFormatFullScaleG),
@@ -144,8 +145,8 @@ AccelerometerInfo WitMotionAccelerometer::interrogate() {
   };
 }
 
-/// Asks for four registers; nothing if it does not answer, as cheap models do not. An answer does not say
-/// what it answers. So once a question has gone unanswered only that question is repeated: an answer to any
+/// Asks for four registers; absent if it does not answer, as is usual for cheap models. An answer does not
+/// name its question. So once a question has had no answer, only that question is repeated: an answer to any
 /// other might be a late one to it.
 std::optional<WitMotionAccelerometer::Registers> WitMotionAccelerometer::ask(witmotion::Register first) {
   constexpr int kTries = 2;

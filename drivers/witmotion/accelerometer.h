@@ -21,22 +21,23 @@ namespace abcal {
 /// A WitMotion sensor (WT61, WT901, HWT901 and their like), used for its accelerometers: output in g, sign as
 /// in witmotion::Acceleration.
 ///
-/// It streams from power on. Cheap models answer no question, so it is identified by its frames, and what was
-/// set is confirmed by what it then puts out. Changes the running configuration of the device, never the
-/// stored one.
+/// It streams from power on. Cheap models answer no question, so it is identified by its frames, and its
+/// settings are confirmed by its subsequent output. Changes the running configuration of the device, never
+/// the stored one.
 ///
 /// Its frames have no counter: readings that were damaged on the line are counted as lost, those that vanish
-/// without leaving a byte behind cannot be (wire::ReadingStream).
+/// without leaving a byte cannot be counted (wire::ReadingStream).
 class WitMotionAccelerometer final : public Accelerometer, public CorrectionRegisters {
  public:
   /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.
   WitMotionAccelerometer(std::unique_ptr<wire::ByteStream> stream, Clock& clock,
                          const AccelerometerSettings& settings);
 
-  /// Listens for its frames and asks for version, range and baud rate; what it does not answer is "unknown",
-  /// and so are model (always) and serial number (empty). A started stream must be started again.
-  /// @throws InstrumentError kNoReply, kWrongIdentity, kBadFrame (all that came was damaged), each saying
-  /// what came.
+  /// Listens for its frames and asks for version, range and baud rate. Values that it does not report are
+  /// "unknown"; so are the model (always) and the serial number (empty). A started stream must be started
+  /// again.
+  /// @throws InstrumentError kNoReply, kWrongIdentity, kBadFrame (everything received was damaged), each
+  /// quoting what was received.
   AccelerometerInfo identify() override;
 
   /// The offsets (05 to 07), where it answers.
@@ -88,7 +89,7 @@ class WitMotionAccelerometer final : public Accelerometer, public CorrectionRegi
   bool answers_doubtful_ = false;   ///< A question went unanswered: a late answer would pass for another's.
   std::uint64_t frames_ = 0;        ///< Since the stream began.
   std::uint64_t other_frames_ = 0;  ///< Since the stream began: neither acceleration nor answer.
-  bool only_acceleration_ = false;  ///< Started, and the output mask is as it was set.
+  bool only_acceleration_ = false;  ///< Started, with the output mask that was set.
 };
 
 }  // namespace abcal

@@ -10,7 +10,7 @@ namespace {
 
 constexpr char kStart = '\x55';
 
-/// Register 03. Code 0A, 125 readings per second, is of one model only; slower ones are of no use here.
+/// Register 03. Code 0A, 125 readings per second, exists on one model only; slower ones are not useful here.
 struct Rate {
   double rate_hz;
   std::uint16_t code;

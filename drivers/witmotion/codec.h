@@ -49,16 +49,16 @@ struct Frame {
 /// Finds frames in a stream of bytes that may begin anywhere, be split anywhere, and be damaged.
 ///
 /// From each byte on: if a frame with a right sum begins here it is given and the search goes on behind it,
-/// else at the next byte. What is found does not depend on how the bytes were split. The sum of 8 bits shows
-/// every single wrong byte of a frame; of frames that are wrong throughout it lets one in 256 pass.
+/// else at the next byte. The result does not depend on how the bytes were split. The 8-bit sum detects every
+/// single wrong byte of a frame; it passes one in 256 of frames that are wrong throughout.
 class FrameParser {
  public:
   void feed(std::string_view bytes);
 
-  /// The next frame of what was fed; nothing if it needs more bytes.
+  /// The next frame in the bytes fed so far; absent if it needs more bytes.
   std::optional<Frame> next();
 
-  /// Bytes are missing here: what is held back belongs to no frame.
+  /// Called where bytes are missing: held-back bytes belong to no frame.
   void lose_track();
 
   /// True if bytes are held back that may begin a frame.
@@ -71,12 +71,12 @@ class FrameParser {
 
  private:
   std::string buffer_;
-  std::size_t begin_ = 0;  ///< What lies before is used up.
+  std::size_t begin_ = 0;  ///< Bytes before this position are consumed.
   std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
 
-/// What an acceleration frame (51) says.
+/// Content of an acceleration frame (51).
 struct Acceleration {
   /// Specific force along the sensor's x, y, z, g. The reaction, not the pull: an axis that points up reads
   /// +1 at rest.
@@ -84,7 +84,7 @@ struct Acceleration {
   double temperature_degc = 0.0;
   bool clipped = false;  ///< A word is at the end of its range.
 };
-inline constexpr double kFormatFullScaleG = 16.0;  ///< What the largest word means.
+inline constexpr double kFormatFullScaleG = 16.0;  ///< Value of the largest word, g.
 inline constexpr double kStepG = kFormatFullScaleG / 32768.0;
 inline constexpr double kOffsetStepG = 1e-4;
 
@@ -97,9 +97,9 @@ std::optional<std::uint16_t> rate_code(double rate_hz);
 /// The output rate that comes nearest.
 double nearest_rate_hz(double rate_hz);
 
-/// Of the content of register 04; nothing if the code is not known.
+/// Baud rate from the content of register 04; absent if the code is not known.
 std::optional<double> baud_rate(std::uint16_t code);
-/// Of the content of register 21, g; nothing if the code is not known [unverified against a device].
+/// Range in g from the content of register 21; absent if the code is not known [unverified against a device].
 std::optional<double> range_g(std::uint16_t code);
 
 }  // namespace abcal::witmotion

@@ -31,7 +31,7 @@ constexpr std::string_view kPadding(" \0", 2);
 
 using Exchange = wire::PacketExchange<xbus::MessageParser>;
 
-/// An answer is known by its message id; an error names no command.
+/// An answer is recognised by its message id; an error names no command.
 Exchange::Command command_of(std::uint8_t id, std::string_view data, std::string_view name) {
   return {xbus::make_message(id, data), fmt::format("\"{}\" ({:02X})", name, id),
           [id](const xbus::Message& message) -> std::optional<wire::PacketAnswer> {
@@ -64,7 +64,7 @@ void XsensMtiAccelerometer::start() {
   interrogate();
   configure_output();
 
-  // Every answer is in: what is left over is no part of the stream that begins now.
+  // All answers have arrived, so remaining bytes are no part of the stream that begins now.
   readings_.listen(xbus::MessageParser());
   last_packet_counter_.reset();
   last_sample_time_.reset();
@@ -237,7 +237,7 @@ wire::DecodedFrame XsensMtiAccelerometer::decode_data(const xbus::Message& messa
         break;
     }
   }
-  // The same packet twice is no second reading.
+  // A repeated packet is no second reading.
   const bool repeated = packet_counter && packet_counter == last_packet_counter_;
   if (!items || !sound || repeated || (counts_packets_ && !packet_counter)) return {.malformed = true};
   if (sample_time) check_sample_time(*sample_time);

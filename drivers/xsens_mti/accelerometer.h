@@ -18,10 +18,10 @@ namespace abcal {
 /// An Xsens (Movella) MTi sensor that speaks Xbus with MTData2, used for its accelerometers: output in m/s2,
 /// sign as in xbus::decode_acceleration.
 ///
-/// Every exchange begins with "go to config", so that an answer can be told from what was streaming; an
-/// answer is known by its message id, so data and late answers in between do no harm. The packet counter says
-/// how many readings are missing. An MTi keeps an output configuration once set, also without power: start()
-/// changes it for good (the documentation of this driver says how to put it back).
+/// Every exchange begins with "go to config", so that an answer can be distinguished from the stream; an
+/// answer is recognised by its message id, so data and late answers in between do no harm. The packet counter
+/// shows how many readings are missing. An MTi keeps an output configuration once set, also without power:
+/// start() changes it permanently (the documentation of this driver says how to restore it).
 class XsensMtiAccelerometer final : public wire::PacketAccelerometer<xbus::MessageParser> {
  public:
   /// @throws std::invalid_argument if settings.rate_hz is not a positive number or stream is null.
@@ -54,7 +54,7 @@ class XsensMtiAccelerometer final : public wire::PacketAccelerometer<xbus::Messa
   void check_sample_time(std::uint32_t sample_time);
 
   // Since start().
-  double rate_hz_ = 0.0;         ///< As the device said; 0 before.
+  double rate_hz_ = 0.0;         ///< Rate that the device reported; 0 before.
   bool counts_packets_ = false;  ///< It puts a packet counter into each.
   std::optional<std::uint16_t> last_packet_counter_;
   std::optional<std::uint32_t> last_sample_time_;

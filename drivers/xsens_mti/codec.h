@@ -31,7 +31,7 @@ enum MessageId : std::uint8_t {
   kSetOutputConfiguration = 0xC0,
 };
 
-/// Data ids without their lowest four bits, which tell number format and frame.
+/// Data ids without their lowest four bits, which give the number format and the frame.
 enum DataId : std::uint16_t {
   kTemperature = 0x0810,
   kPacketCounter = 0x1020,
@@ -73,12 +73,12 @@ std::optional<std::vector<Item>> split_items(std::string_view data);
 ///
 /// From each byte on: if a message with a right checksum begins here it is given and the search goes on
 /// behind it, else at the next byte. MTData2 must also be filled by its items: the sum of 8 bits would let a
-/// damaged length pass once in 256. What is found does not depend on how the bytes were split.
+/// damaged length pass once in 256. The result does not depend on how the bytes were split.
 class MessageParser {
  public:
   void feed(std::string_view bytes);
 
-  /// The next message of what was fed; nothing if it needs more bytes.
+  /// The next message in the bytes fed so far; absent if it needs more bytes.
   std::optional<Message> next();
 
   /// The next message that is whole *behind* a beginning that waits for more bytes, for when the line has
@@ -98,19 +98,19 @@ class MessageParser {
   struct Look {
     Found found = Found::kNothingHere;
     Message message = {};
-    std::size_t size = 0;  ///< Of the message with its frame.
+    std::size_t size = 0;  ///< Bytes of the message with its frame.
   };
   Look look_at(std::size_t position) const;
 
   std::string buffer_;
-  std::size_t begin_ = 0;  ///< What lies before is used up.
+  std::size_t begin_ = 0;  ///< Bytes before this position are consumed.
   std::uint64_t bad_frames_ = 0;
   std::uint64_t skipped_bytes_ = 0;
 };
 
 // Items into values. Nothing if the data has not exactly the length that its id says.
 
-/// Real numbers in the format that the lowest two bits of the id tell: 0 float32; 1 FP12.20: int32 / 2^20; 2
+/// Real numbers in the format given by the lowest two bits of the id: 0 float32; 1 FP12.20: int32 / 2^20; 2
 /// FP16.32: 4 bytes of fraction, then 2 of integer, value = integer + fraction / 2^32; 3 float64.
 std::optional<std::vector<double>> decode_reals(std::uint16_t id, std::string_view data, std::size_t count);
 
@@ -125,8 +125,8 @@ std::optional<std::uint16_t> decode_u16(std::string_view data);
 std::optional<std::uint32_t> decode_u32(std::string_view data);
 
 /// E020: an accelerometer has clipped. Bits 8, 9, 10 are those of accelerometer x, y, z; 11 to 16 of
-/// gyroscope and magnetometer; 19 says that something clipped, and counts here only if no other bit tells
-/// what [unverified against a device].
+/// gyroscope and magnetometer; 19 means that any of them clipped, and counts here only if no other bit is set
+/// [unverified against a device].
 constexpr bool accelerometer_clipped(std::uint32_t status_word) {
   constexpr std::uint32_t kAccelerometer = 0x0000'0700U;
   constexpr std::uint32_t kOthers = 0x0001'F800U;

@@ -13,7 +13,7 @@
 /// docs/protocols/zaber_ascii.md (the vectors and parser cases of the zproto library).
 namespace abcal::zaber_ascii {
 
-/// Sum of all bytes, negated, modulo 256: `content` is what stands between the first character and ':'.
+/// Sum of all bytes, negated, modulo 256: `content` is the text between the first character and ':'.
 std::uint8_t checksum(std::string_view content);
 
 /// "/<content>:<checksum>" and LF.
@@ -37,7 +37,7 @@ struct Message {
   bool accepted = false;      ///< OK, not RJ. Replies only.
   bool busy = false;          ///< BUSY, not IDLE. Replies and alerts.
   std::string warning;        ///< Two letters, or "--". Replies and alerts.
-  std::string data;           ///< What follows. A reply has at least one word.
+  std::string data;           ///< The rest of the message. A reply has at least one word.
   bool continues = false;     ///< The text goes on in the next message.
   bool has_checksum = false;  ///< It has one, and it holds.
 };
@@ -61,10 +61,10 @@ constexpr bool is_fault(std::string_view flag) {
   return flag.size() == 2 && flag[0] == 'F';
 }
 
-/// What a warning flag means, in words: "WR" is "no reference position".
+/// Meaning of a warning flag in words: "WR" is "no reference position".
 std::string_view warning_text(std::string_view flag);
 
-/// What the reason of a rejection means, in words.
+/// Meaning of the reason of a rejection in words.
 std::string_view rejection_text(std::string_view reason);
 
 /// Bytes as text for a message.

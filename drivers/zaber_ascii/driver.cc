@@ -26,6 +26,7 @@ void register_zaber_ascii(DriverList& drivers) {
        .make = make_stage_of<zaber_ascii::ZaberAsciiStage>,
        .recognition = {"/get system.axiscount\r\n", is_a_reply},
        .axes_on_line = zaber_ascii::axes_on_line});
+  drivers.traits["zaber_ascii"] = {.last_chain_address = 99};
 }
 
 }  // namespace abcal

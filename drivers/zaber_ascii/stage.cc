@@ -25,7 +25,7 @@
 namespace abcal::zaber_ascii {
 namespace {
 
-/// Several devices answer a broadcast: this long after the last of them nobody else is expected.
+/// Several devices answer a broadcast: no further answer is expected this long after the last one.
 constexpr Clock::Duration kQuiet = std::chrono::milliseconds(200);
 
 /// Time that halt() leaves an exchange under way to end: a query, asked twice, and some.
@@ -43,7 +43,8 @@ struct Place {
   int axis = 0;
 };
 
-/// An axis as the bench file names it: "device axis", or a number whose meaning depends on who is there.
+/// An axis in the form of a bench file: "device axis", or a number whose meaning depends on the devices on
+/// the line.
 struct AxisName {
   std::optional<int> device;
   int number = 0;
@@ -106,8 +107,8 @@ std::optional<std::string> any_text(std::string_view data) {
   return std::string(data);
 }
 
-// A reply is known by its device, its axis and its message id, which runs through 0 to 99: a late one bears
-// an id that nobody waits for any more, and is skipped.
+// A reply is recognised by its device, its axis and its message id, which runs through 0 to 99: a late reply
+// has an id that is no longer awaited, and is skipped.
 class ZaberAsciiController final : public wire::LineController {
  public:
   ZaberAsciiController(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings)
@@ -131,10 +132,10 @@ class ZaberAsciiController final : public wire::LineController {
 
   // ---- Messages
 
-  /// What came while a reply was waited for, other than that reply.
+  /// Bytes other than the awaited reply that came while waiting for it.
   struct Heard {
     std::string bytes;
-    bool messages = false;  ///< Some of it was a message.
+    bool messages = false;  ///< Some of the bytes formed a message.
 
     void add(std::string_view more) {
       if (bytes.size() < 2 * kLongestLine) bytes += more;
@@ -182,7 +183,7 @@ class ZaberAsciiController final : public wire::LineController {
                                      what_was_heard(heard)));
   }
 
-  /// What the device must know.
+  /// Asks a question that the device must know.
   template <class Parse>
   auto require(Place place, std::string_view query, Parse parse) {
     const Message reply = exchange(place, query, true);
@@ -195,7 +196,7 @@ class ZaberAsciiController final : public wire::LineController {
     return *std::move(value);
   }
 
-  /// What it need not know: nothing if it rejects the query.
+  /// Asks a question that the device need not know; absent if it rejects the query.
   template <class Parse>
   auto ask_optional(Place place, std::string_view query, Parse parse) {
     using T = typename std::invoke_result_t<Parse, std::string_view>::value_type;
@@ -281,13 +282,13 @@ class ZaberAsciiController final : public wire::LineController {
     return fmt::format("{}", fmt::join(names, ", "));
   }
 
-  /// Microsteps of a turn; nothing: it does not rotate.
+  /// Microsteps of a turn; absent: it does not rotate.
   std::optional<double> steps_per_turn(Place place) {
     const auto steps = ask_optional(place, "get limit.cycle.dist", first_number);
     return steps && *steps > 0.0 ? steps : std::nullopt;
   }
 
-  /// Of all devices on the line, those that rotate, as a bench file names them.
+  /// All rotating axes on the line, in the form of a bench file.
   std::vector<std::string> rotating_axes() {
     std::vector<std::string> names;
     for (const Place& place : places_of(who_is_there(0)))
@@ -483,7 +484,7 @@ class ZaberAsciiController final : public wire::LineController {
     }
     for (const std::string_view flag : {"WR", "WH"})
       if (has(flags, flag)) throw flagged(Fault::kNotReady, flag, place, "home it");
-    // What shows after the move then belongs to the move.
+    // Flags that appear after the move then belong to the move.
     if (!flags.empty()) execute(place, "warnings clear");
     apply_speed(axis, place);
     halted_[index(axis)] = false;
@@ -602,7 +603,7 @@ class ZaberAsciiController final : public wire::LineController {
   std::array<double, 2> steps_per_turn_{};
   std::array<bool, 2> enabled_{};
   std::array<bool, 2> speed_set_{};
-  std::array<bool, 2> halted_{};  ///< By us: that its motion was interrupted is then no surprise.
+  std::array<bool, 2> halted_{};  ///< By us, so that an interrupted motion is expected.
 };
 
 }  // namespace

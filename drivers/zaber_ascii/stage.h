@@ -27,22 +27,22 @@ inline constexpr Clock::Duration kHaltDeadline = std::chrono::seconds(8);
 /// for it throw kNotReady.
 ///
 /// Angles are get pos x 360 / get limit.cycle.dist. Every command carries a message id and a checksum, so a
-/// late or damaged reply is never taken for another one. Warning flags are told in words: a fault (F*) makes
-/// any call throw.
+/// late or damaged reply is never taken for another one. Warning flags are reported in words: a fault (F*)
+/// makes any call throw.
 ///
-/// identify() throws kWrongIdentity for what does not speak Zaber ASCII, a device or axis that is not there
-/// (lists those that are), an axis that does not rotate. home() clears the warnings, enables the driver if it
-/// is off, and homes. move_to() throws kNotReady (no reference: WR, WH), kOutOfTravel, kRefused with the flag
-/// or the reason of the rejection in words. motion_state() throws kRefused for a fault flag (F*), and for a
-/// motion that something else ended: interrupted (NI), manual control (NC), unexpected limit (WL), displaced
-/// (WM). halt() sends "stop" to all devices, then asks until the axes of this stage are idle; halt_axes()
-/// tells of each, so that a device that is silent does not hide what the other one says.
+/// identify() throws kWrongIdentity for a device that does not speak Zaber ASCII, a device or axis that is
+/// absent (lists those present), an axis that does not rotate. home() clears the warnings, enables the driver
+/// if it is off, and homes. move_to() throws kNotReady (no reference: WR, WH), kOutOfTravel, kRefused with
+/// the flag or the reason of the rejection in words. motion_state() throws kRefused for a fault flag (F*),
+/// and for a motion that something else ended: interrupted (NI), manual control (NC), unexpected limit (WL),
+/// displaced (WM). halt() sends "stop" to all devices, then asks until the axes of this stage are idle;
+/// halt_axes() reports each axis, so that a silent device does not hide the answer of the other one.
 ///
 /// One owner thread; halt() from any.
 class ZaberAsciiStage final : public wire::LineStage {
  public:
   /// Sends nothing yet.
-  /// @throws std::invalid_argument for settings that cannot be meant.
+  /// @throws std::invalid_argument for invalid settings.
   ZaberAsciiStage(std::unique_ptr<wire::ByteStream> stream, Clock& clock, const StageSettings& settings);
 };
 

@@ -10,7 +10,7 @@ namespace abcal {
 /// Formulas of normal gravity (docs/theory/gravity.md).
 enum class GravityFormula {
   kGrs80,   ///< Somigliana on the ellipsoid of the Geodetic Reference System 1980.
-  kWgs84,   ///< The same on WGS 84.
+  kWgs84,   ///< Somigliana on the ellipsoid of WGS 84.
   kWelmec,  ///< WELMEC guide 2 (weighing instruments), height term linear.
   kNpl,     ///< NPL and BGS, the same series with its own constants.
 };
@@ -24,7 +24,7 @@ struct FormulaGravity {
   double standard_uncertainty_mps2 = 0.0;  ///< Rectangular +-5e-5 of the value: half width / sqrt(3).
   double half_width_mps2 = 0.0;            ///< 5e-5 of the value.
   std::string source;                      ///< Provenance: formula, latitude, height.
-  std::string warning;                     ///< What a person must know before using it.
+  std::string warning;  ///< Limits of validity that a person must know before using the value.
 };
 
 /// Normal gravity at a geodetic latitude and a height above the ellipsoid (in practice above sea level), m.

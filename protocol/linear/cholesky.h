@@ -10,7 +10,7 @@ namespace abcal {
 /// N = L L' of a symmetric, positive definite N.
 class Cholesky {
  public:
-  /// Of nothing.
+  /// An empty decomposition.
   Cholesky() = default;
   /// @param n  N, of which only the lower triangle is read
   explicit Cholesky(const MatrixView& n);
@@ -31,7 +31,7 @@ class Cholesky {
   double log_determinant() const;
 
  private:
-  Eigen::MatrixXd lower_;  ///< L; what stands above its diagonal is not read.
+  Eigen::MatrixXd lower_;  ///< L; elements above its diagonal are not read.
   bool positive_definite_ = false;
 };
 

@@ -16,7 +16,7 @@ class PivotedQr {
 
   /// How many pivots are above round-off (the smaller size of D times the epsilon of double) of the largest.
   Eigen::Index rank() const;
-  /// The same with another threshold.
+  /// The rank with another threshold.
   Eigen::Index rank_above(double threshold) const;
   /// The last pivot over the first, absolute; NaN of a design of zeros.
   double reciprocal_condition() const;
@@ -24,7 +24,7 @@ class PivotedQr {
   Eigen::VectorXd pivots() const;
   /// x that makes |D x - right| smallest.
   Eigen::VectorXd solve_vector(const VectorView& right) const;
-  /// The same of each column.
+  /// Solution for each column.
   Eigen::MatrixXd solve(const MatrixView& right) const;
   /// Q, rows x columns.
   Eigen::MatrixXd orthonormal() const;

@@ -13,7 +13,7 @@ namespace abcal {
 /// Another expression is evaluated first.
 using MatrixView = Eigen::Ref<const Eigen::MatrixXd>;
 using VectorView = Eigen::Ref<const Eigen::VectorXd>;
-/// The same of a matrix that is stored row by row.
+/// A view of a matrix that is stored row by row.
 using RowMajorView = Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 
 /// A B; the columns of A are as many as the rows of B.

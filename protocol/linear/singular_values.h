@@ -13,7 +13,7 @@ struct SingularValues {
 };
 SingularValues singular_value_decomposition(const MatrixView& m);
 
-/// Of a square M, descending.
+/// Singular values of a square M, descending.
 Eigen::VectorXd singular_values(const MatrixView& m);
 
 }  // namespace abcal

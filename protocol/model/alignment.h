@@ -26,7 +26,7 @@ struct Alignment {
 
 /// The sensitivity matrix in the LGCS of an accelerometer that stands on the platter: each row of
 /// `platter_sensitivity` (rows u, v, w; R/g_loc) turned by RRF(s_j, E, Theta_E), E = z x Z / |z x Z|, Theta_E
-/// the angle from z to Z. What the measurement determines, and what is called truth, is this tilted matrix
+/// the angle from z to Z. This tilted matrix is determined by the measurement, and is called the truth
 /// (docs/theory/model.md). zx = zy = 0 gives the matrix back unchanged.
 Eigen::Matrix3d tilted(const Eigen::Matrix3d& platter_sensitivity, const Alignment& alignment);
 
@@ -40,7 +40,7 @@ struct AcsErrors {
   /// f_i(n) at [i - 1][n - 1]. A list that is too short (or empty) means zero beyond its end.
   std::array<std::vector<Angle>, 3> step_errors;
 
-  /// What is added to alpha(n) in experiment 1..3: F + f_i(n). n = 1..N.
+  /// Error of alpha(n) in experiment 1..3: F + f_i(n). n = 1..N.
   Angle rotation_error(int experiment, int n) const;
 };
 

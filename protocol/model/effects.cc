@@ -9,8 +9,9 @@ namespace {
 constexpr int kWobbleHarmonics = 3;
 constexpr int kSmoothHarmonics = kHarmonics;
 
-std::string one_name(const char* name) {
-  return name;
+/// The name of the unknown of an effect that has only one.
+std::string no_name(int /*i*/) {
+  return {};
 }
 
 /// An unknown that is one input at every pose at which `acts`.
@@ -77,20 +78,16 @@ std::string wobble_name(int i) {
 }
 
 constexpr std::array kStageEffects{
-    StageEffect{"Zx", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZx, always>,
-                [](int) { return one_name(""); }},
-    StageEffect{"Zy", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZy, always>,
-                [](int) { return one_name(""); }},
-    StageEffect{"Xz", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputXz, always>,
-                [](int) { return one_name(""); }},
+    StageEffect{"Zx", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZx, always>, no_name},
+    StageEffect{"Zy", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputZy, always>, no_name},
+    StageEffect{"Xz", "alignment_deg", 1, "1", alignment_prior, whole_input<kInputXz, always>, no_name},
     StageEffect{"d2", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleZ, in_experiment_2>,
-                [](int) { return one_name(""); }},
+                no_name},
     StageEffect{"d3", "initial_turn_deg", 1, "radian", turn_prior, whole_input<kInputAngleX, in_experiment_3>,
-                [](int) { return one_name(""); }},
-    StageEffect{"F_X", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleX, x_moves>,
-                [](int) { return one_name(""); }},
+                no_name},
+    StageEffect{"F_X", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleX, x_moves>, no_name},
     StageEffect{"F_Z", "zero_deg", 1, "radian", zero_prior, whole_input<kInputAngleZ, in_experiment_3>,
-                [](int) { return one_name(""); }},
+                no_name},
     StageEffect{"smooth step errors of X", "step_smooth_deg", 2 * kSmoothHarmonics, "radian", smooth_prior,
                 smooth_share<true>, smooth_name},
     StageEffect{"smooth step errors of Z", "step_smooth_deg", 2 * kSmoothHarmonics, "radian", smooth_prior,
@@ -101,8 +98,9 @@ constexpr std::array kStageEffects{
                 wobble_share<false>, wobble_name},
 };
 
-double nonlinearity_prior(const EffectSizes& sizes) {
-  return sizes.nonlinearity;
+template <double EffectSizes::*member>
+double size(const EffectSizes& sizes) {
+  return sizes.*member;
 }
 
 /// Half the Legendre polynomials of 2 t, orders 1, 2, 3.
@@ -149,8 +147,9 @@ ItemShare cross_share(const ItemPoint& at, int output, int i) {
   const double a = at.y(output);
   const double b = at.y((output + 1) % 3);
   const double d = at.y((output + 2) % 3);
-  const std::array<ItemShare, 5> shares{ItemShare{a * b, b}, ItemShare{a * d, d}, ItemShare{b * d, 0.0},
-                                        ItemShare{b * b, 0.0}, ItemShare{d * d, 0.0}};
+  const std::array<ItemShare, 5> shares{ItemShare{a * b, b, a, 0.0}, ItemShare{a * d, d, 0.0, a},
+                                        ItemShare{b * d, 0.0, d, b}, ItemShare{b * b, 0.0, 2.0 * b, 0.0},
+                                        ItemShare{d * d, 0.0, 0.0, 2.0 * d}};
   return shares[static_cast<std::size_t>(i)];
 }
 std::string cross_name(int i) {
@@ -187,34 +186,33 @@ LineShare absolute_line(const Eigen::Matrix3d& rows, int output, int /*i*/) {
   return {0.0, 0.5 * rows.row(output).norm()};
 }
 
+using enum ItemEffectKind;
 constexpr std::array kItemEffects{
-    ItemEffect{"drift", "drift", 3, [](const EffectSizes& s) { return s.drift; }, drift_share, no_line,
-               drift_name},
-    ItemEffect{"cyclic drift", "cyclic_drift", 2 * (kMostCycles - kLeastCycles + 1),
-               [](const EffectSizes& s) { return s.cyclic_drift; }, cyclic_drift_share, no_line,
-               cyclic_drift_name},
-    ItemEffect{"sensitivity drift", "sensitivity_drift", 1,
-               [](const EffectSizes& s) { return s.sensitivity_drift; }, sensitivity_drift_share, no_line,
-               [](int) { return one_name(""); }},
-    ItemEffect{"k2", "k2", 1, [](const EffectSizes& s) { return s.k2; }, power_share<2>, power_line<2>,
-               [](int) { return one_name(""); }},
-    ItemEffect{"k3", "k3", 1, [](const EffectSizes& s) { return s.k3; }, power_share<3>, power_line<3>,
-               [](int) { return one_name(""); }},
-    ItemEffect{"k4", "nonlinearity", 1, nonlinearity_prior, power_share<4>, power_line<4>,
-               [](int) { return one_name(""); }},
-    ItemEffect{"k5", "nonlinearity", 1, nonlinearity_prior, power_share<5>, power_line<5>,
-               [](int) { return one_name(""); }},
-    ItemEffect{"|a|", "nonlinearity", 1, nonlinearity_prior, absolute_share, absolute_line,
-               [](int) { return one_name(""); }},
-    ItemEffect{"cross terms", "nonlinearity", 5, nonlinearity_prior, cross_share, cross_line, cross_name},
-    ItemEffect{"hysteresis", "hysteresis", 1, [](const EffectSizes& s) { return s.hysteresis; },
-               hysteresis_share, no_line, [](int) { return one_name(""); }},
+    ItemEffect{"drift", "drift", kDrift, 3, size<&EffectSizes::drift>, drift_share, no_line, drift_name},
+    ItemEffect{"cyclic drift", "cyclic_drift", kDrift, 2 * (kMostCycles - kLeastCycles + 1),
+               size<&EffectSizes::cyclic_drift>, cyclic_drift_share, no_line, cyclic_drift_name},
+    ItemEffect{"sensitivity drift", "sensitivity_drift", kDrift, 1, size<&EffectSizes::sensitivity_drift>,
+               sensitivity_drift_share, no_line, no_name},
+    ItemEffect{"k2", "k2", kCurvature, 1, size<&EffectSizes::k2>, power_share<2>, power_line<2>, no_name},
+    ItemEffect{"k3", "k3", kCurvature, 1, size<&EffectSizes::k3>, power_share<3>, power_line<3>, no_name},
+    ItemEffect{"k4", "nonlinearity", kOther, 1, size<&EffectSizes::nonlinearity>, power_share<4>,
+               power_line<4>, no_name},
+    ItemEffect{"k5", "nonlinearity", kOther, 1, size<&EffectSizes::nonlinearity>, power_share<5>,
+               power_line<5>, no_name},
+    ItemEffect{"|a|", "nonlinearity", kOther, 1, size<&EffectSizes::nonlinearity>, absolute_share,
+               absolute_line, no_name},
+    ItemEffect{"cross terms", "nonlinearity", kOther, 5, size<&EffectSizes::nonlinearity>, cross_share,
+               cross_line, cross_name},
+    ItemEffect{"hysteresis", "hysteresis", kOther, 1, size<&EffectSizes::hysteresis>, hysteresis_share,
+               no_line, no_name},
 };
 
 }  // namespace
 
-bool is_drift(const ItemEffect& effect) {
-  return effect.key == "drift" || effect.key == "cyclic_drift" || effect.key == "sensitivity_drift";
+bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, bool nonlinearity) {
+  if (effect.kind == kDrift && !drift) return false;
+  if (effect.kind == kCurvature && !nonlinearity) return false;
+  return effect.prior(sizes) > 0.0;
 }
 
 std::span<const StageEffect> stage_effects() {

@@ -12,9 +12,10 @@
 
 namespace abcal {
 
-// The one table of effects (docs/theory): what a real stage and a real item do beyond a perfect stage and a
-// linear item. The joint and the norm fit estimate them, the type B of ABC, Monte Carlo and the budget take
-// them from here. To add an effect is to add one entry (and its size to effect_sizes.h).
+// The one table of effects (docs/theory): the deviations of a real stage and a real item from a perfect stage
+// and a linear item. The joint and the norm fit estimate them, the type B of ABC, Monte Carlo and the budget
+// take them from here. A new effect is one new entry, and its size in
+// protocol/plan/effect_sizes.
 
 /// An unknown of the stage moves one input, and perhaps a second one: coefficients at one pose.
 struct StageShare {
@@ -27,12 +28,12 @@ struct StageShare {
 /// An effect of the stage: `count` unknowns, shared by all outputs.
 struct StageEffect {
   std::string_view name;  ///< "wobble of X"
-  std::string_view key;   ///< Of its size, in [stage_uncertainty].
+  std::string_view key;   ///< Key of its size in [stage_uncertainty].
   int count = 0;
   std::string_view unit;  ///< "1", "radian"
   /// Standard deviation of each unknown.
   double (*prior)(const EffectSizes&) = nullptr;
-  /// What unknown i does at a pose.
+  /// Effect of unknown i at a pose.
   StageShare (*share)(const StagePose&, int i) = nullptr;
   std::string (*unknown_name)(int i) = nullptr;
 };
@@ -45,23 +46,34 @@ struct ItemPoint {
   Eigen::Vector3d came_from = Eigen::Vector3d::Zero();
 };
 
-/// What an unknown adds to a reading, relative to S_j, and how that changes with the output's own y.
+/// Contribution of an unknown to a reading, relative to S_j, and its derivatives by the output's own y and by
+/// those of the next two in the order u, v, w, u.
 struct ItemShare {
   double value = 0.0;
   double by_y = 0.0;
+  double by_next = 0.0;
+  double by_last = 0.0;
 };
 
-/// What an unknown adds to the line response (the measurand): a relative change of the row, and an offset
-/// relative to S_j.
+/// Contribution of an unknown to the line response (the measurand): a relative change of the row, and an
+/// offset relative to S_j.
 struct LineShare {
   double scale = 0.0;
   double offset = 0.0;
 };
 
+/// The option of a fit on which an effect of the item depends.
+enum class ItemEffectKind {
+  kDrift,      ///< It depends on the time in the run.
+  kCurvature,  ///< The non-linearity that is a result itself: k2 and k3.
+  kOther,      ///< None: it is in every fit.
+};
+
 /// An effect of the item: `count` unknowns for each output.
 struct ItemEffect {
   std::string_view name;  ///< "drift"
-  std::string_view key;   ///< Of its size, in [item_uncertainty].
+  std::string_view key;   ///< Key of its size in [item_uncertainty].
+  ItemEffectKind kind = ItemEffectKind::kOther;
   int count = 0;
   double (*prior)(const EffectSizes&) = nullptr;
   ItemShare (*share)(const ItemPoint&, int output, int i) = nullptr;
@@ -70,8 +82,8 @@ struct ItemEffect {
   std::string (*unknown_name)(int i) = nullptr;
 };
 
-/// Whether an effect of the item depends on the time in the run.
-bool is_drift(const ItemEffect& effect);
+/// Whether a fit with or without drift and non-linearity estimates an effect: a size of zero leaves it out.
+bool is_fitted(const ItemEffect& effect, const EffectSizes& sizes, bool drift, bool nonlinearity);
 
 std::span<const StageEffect> stage_effects();
 std::span<const ItemEffect> item_effects();
@@ -80,10 +92,10 @@ std::span<const ItemEffect> item_effects();
 struct EffectColumn {
   const StageEffect* stage = nullptr;  ///< This, or `item`.
   const ItemEffect* item = nullptr;
-  int index = 0;    ///< Among the effect's unknowns.
-  int output = -1;  ///< Of an item's effect: 0, 1, 2.
+  int index = 0;    ///< Index among the effect's unknowns.
+  int output = -1;  ///< For an effect of the item: 0, 1, 2.
 
-  /// What it adds to the three readings at one pose, for each unit of it.
+  /// Contribution to the three readings at one pose, per unit of the unknown.
   /// @param by_input  derivatives of the readings by the inputs of the stage
   /// @param unit  S_j in the unit of the readings
   Eigen::Vector3d at(const StagePose& pose, const ItemPoint& point,

@@ -8,7 +8,8 @@ namespace abcal {
 
 namespace {
 
-// RRF(v, e, -a) as a function of a, split into what is constant, goes with cos a and goes with sin a.
+// RRF(v, e, -a) as a function of a, split into a constant part and the parts that vary with cos a and with
+// sin a.
 GravityCircle circle_about(const Eigen::Vector3d& e, const Eigen::Vector3d& v) {
   const Eigen::Vector3d along = e * e.dot(v);
   return {along, v - along, v.cross(e)};

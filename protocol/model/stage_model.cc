@@ -12,6 +12,12 @@ Eigen::Vector3d tilted(const Eigen::Vector3d& v, const Eigen::Vector3d& w) {
   return v + first + 0.5 * w.cross(first);
 }
 
+/// Its derivative by a change `by` of w.
+Eigen::Vector3d by_tilt(const Eigen::Vector3d& v, const Eigen::Vector3d& w, const Eigen::Vector3d& by) {
+  const Eigen::Vector3d first = by.cross(v);
+  return first + 0.5 * (by.cross(w.cross(v)) + w.cross(first));
+}
+
 /// v turned about `axis` by the angle with sine s and cosine c.
 Eigen::Vector3d about_axis(const Eigen::Vector3d& v, const Eigen::Vector3d& axis, double s, double c) {
   return v * c + axis.cross(v) * s + axis * (axis.dot(v) * (1.0 - c));
@@ -63,12 +69,12 @@ struct WayBack {
         along(std::sqrt(1.0 - xz * xz)),
         x_axis(along, 0.0, xz),
         z_axis(zx, zy, up),
+        tilt_x(0.0, inputs(kInputTiltXy), inputs(kInputTiltXz)),
         tilt_z(inputs(kInputTiltZx), inputs(kInputTiltZy), 0.0),
         tilt_x0(0.0, inputs(kInputTiltXyAtZero), inputs(kInputTiltXzAtZero)),
         tilt_z0(inputs(kInputTiltZxAtZero), inputs(kInputTiltZyAtZero), 0.0),
         x(turn_beyond(pose.x, inputs(kInputAngleX))),
         z(turn_beyond(pose.z, inputs(kInputAngleZ))) {
-    const Eigen::Vector3d tilt_x(0.0, inputs(kInputTiltXy), inputs(kInputTiltXz));
     above_x = tilted(Eigen::Vector3d::UnitZ(), -tilt_x);
     on_x = about_axis(above_x, x_axis, -x.sin, x.cos);
     above_z = tilted(on_x, -tilt_z);
@@ -79,12 +85,21 @@ struct WayBack {
   Eigen::Vector3d at_zero(const Eigen::Vector3d& v) const { return tilted(tilted(v, tilt_z0), tilt_x0); }
   Eigen::Vector3d back_z(const Eigen::Vector3d& v) const { return about_axis(v, z_axis, -z.sin, z.cos); }
   Eigen::Vector3d from_x(const Eigen::Vector3d& v) const { return at_zero(back_z(tilted(v, -tilt_z))); }
-  Eigen::Vector3d from_tilt_x(const Eigen::Vector3d& axis) const {
-    return from_x(about_axis(above_x.cross(axis), x_axis, -x.sin, x.cos));
+  Eigen::Vector3d by_tilt_x(const Eigen::Vector3d& by) const {
+    return from_x(about_axis(by_tilt(Eigen::Vector3d::UnitZ(), -tilt_x, -by), x_axis, -x.sin, x.cos));
+  }
+  Eigen::Vector3d by_tilt_z(const Eigen::Vector3d& by) const {
+    return at_zero(back_z(by_tilt(on_x, -tilt_z, -by)));
+  }
+  Eigen::Vector3d by_tilt_x0(const Eigen::Vector3d& by) const {
+    return by_tilt(tilted(on_z, tilt_z0), tilt_x0, by);
+  }
+  Eigen::Vector3d by_tilt_z0(const Eigen::Vector3d& by) const {
+    return tilted(by_tilt(on_z, tilt_z0, by), tilt_x0);
   }
 
   double zx, zy, xz, up, along;
-  Eigen::Vector3d x_axis, z_axis, tilt_z, tilt_x0, tilt_z0;
+  Eigen::Vector3d x_axis, z_axis, tilt_x, tilt_z, tilt_x0, tilt_z0;
   TurnAngle x, z;
   Eigen::Vector3d above_x, on_x, above_z, on_z, g;
 };
@@ -110,14 +125,14 @@ GravityAt gravity_at(const StagePose& pose, const StageInputs& inputs) {
   out.by_input.col(kInputXz) = way.from_x(by_axis(way.above_x, way.x_axis, by_xz, -x.sin, x.cos));
   out.by_input.col(kInputAngleX) = way.from_x(way.on_x.cross(way.x_axis));
   out.by_input.col(kInputAngleZ) = way.at_zero(way.on_z.cross(way.z_axis));
-  out.by_input.col(kInputTiltXy) = way.from_tilt_x(Vector3d::UnitY());
-  out.by_input.col(kInputTiltXz) = way.from_tilt_x(Vector3d::UnitZ());
-  out.by_input.col(kInputTiltZx) = way.at_zero(way.back_z(way.on_x.cross(Vector3d::UnitX())));
-  out.by_input.col(kInputTiltZy) = way.at_zero(way.back_z(way.on_x.cross(Vector3d::UnitY())));
-  out.by_input.col(kInputTiltXyAtZero) = Vector3d::UnitY().cross(out.g);
-  out.by_input.col(kInputTiltXzAtZero) = Vector3d::UnitZ().cross(out.g);
-  out.by_input.col(kInputTiltZxAtZero) = Vector3d::UnitX().cross(out.g);
-  out.by_input.col(kInputTiltZyAtZero) = Vector3d::UnitY().cross(out.g);
+  out.by_input.col(kInputTiltXy) = way.by_tilt_x(Vector3d::UnitY());
+  out.by_input.col(kInputTiltXz) = way.by_tilt_x(Vector3d::UnitZ());
+  out.by_input.col(kInputTiltZx) = way.by_tilt_z(Vector3d::UnitX());
+  out.by_input.col(kInputTiltZy) = way.by_tilt_z(Vector3d::UnitY());
+  out.by_input.col(kInputTiltXyAtZero) = way.by_tilt_x0(Vector3d::UnitY());
+  out.by_input.col(kInputTiltXzAtZero) = way.by_tilt_x0(Vector3d::UnitZ());
+  out.by_input.col(kInputTiltZxAtZero) = way.by_tilt_z0(Vector3d::UnitX());
+  out.by_input.col(kInputTiltZyAtZero) = way.by_tilt_z0(Vector3d::UnitY());
   return out;
 }
 

@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// What can be wrong with a stage at one angle. Every effect of the stage is a linear combination of these
+/// Errors of a stage at one angle. Every effect of the stage is a linear combination of these
 /// (protocol/model/effects.h). Angles in radian, axes in the LGCS; all zero: a perfect stage.
 enum StageInput : int {
   kInputZx,  ///< Horizontal components of the Z axis at rest.
@@ -17,7 +17,7 @@ enum StageInput : int {
   kInputTiltXz,
   kInputTiltZx,  ///< Turn of the platform about the stage's x, applied after the turn about Z.
   kInputTiltZy,
-  kInputTiltXyAtZero,  ///< The same four at the pose (0, 0), where s is defined.
+  kInputTiltXyAtZero,  ///< The four tilts at the pose (0, 0), where s is defined.
   kInputTiltXzAtZero,
   kInputTiltZxAtZero,
   kInputTiltZyAtZero,
@@ -37,7 +37,7 @@ struct AngleHarmonics {
 /// One commanded pose of the three experiments.
 struct StagePose {
   int experiment = 1;   ///< 1 and 2: X moves; 3: Z moves.
-  AngleHarmonics x, z;  ///< Of the commanded angles of the axes; one that stands has 0 or -90 degrees.
+  AngleHarmonics x, z;  ///< Commanded angles of the axes; an axis that stands has 0 or -90 degrees.
 
   static StagePose of(int experiment, double sin_alpha, double cos_alpha);
   bool about_x() const { return experiment != 3; }

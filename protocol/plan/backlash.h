@@ -12,7 +12,7 @@
 
 namespace abcal {
 
-/// In the list of what an uncertainty budget has no line for, where backlash_is_left().
+/// Entry in the list of sources that an uncertainty budget does not cover, where backlash_is_left().
 inline constexpr std::string_view kBacklashNotCovered =
     "backlash of the axes beyond zero_deg (approach_deg = 0)";
 
@@ -24,7 +24,7 @@ bool turns_both_ways(std::span<const std::array<Angle, 2>> poses);
 /// axis turns both ways.
 bool backlash_is_left(const ProtocolConfig& protocol, const std::vector<PlannedAngle>& plan);
 
-/// What that means, in one sentence without its full stop.
+/// Consequence of the remaining backlash, in one sentence without its full stop.
 /// @param zero  stated uncertainty of the zeros of the axes (zero_deg)
 std::string backlash_words(Angle zero);
 

@@ -31,39 +31,63 @@ constexpr void set_value(EffectSizes& sizes, double value) {
 
 template <Angle EffectSizes::*member>
 constexpr EffectSizeKey angle(std::string_view section, std::string_view key, double most,
-                              std::string_view words, bool was_tolerance) {
-  return {section, key, "degree", most, words, was_tolerance, degrees_of<member>, set_degrees<member>};
+                              std::string_view words) {
+  return {.section = section,
+          .key = key,
+          .unit = "degree",
+          .most = most,
+          .words = words,
+          .get = degrees_of<member>,
+          .set = set_degrees<member>};
 }
 template <double EffectSizes::*member>
 constexpr EffectSizeKey value(std::string_view section, std::string_view key, std::string_view unit,
                               double most, std::string_view words) {
-  return {section, key, unit, most, words, false, value_of<member>, set_value<member>};
+  return {.section = section,
+          .key = key,
+          .unit = unit,
+          .most = most,
+          .words = words,
+          .get = value_of<member>,
+          .set = set_value<member>};
 }
 constexpr EffectSizeKey once_a_tolerance(EffectSizeKey key) {
   key.was_tolerance = true;
   return key;
 }
+constexpr EffectSizeKey further(EffectSizeKey key) {
+  key.is_further = true;
+  return key;
+}
+constexpr EffectSizeKey usual_but_zero(std::string_view uncovered, EffectSizeKey key) {
+  key.uncovered = uncovered;
+  return key;
+}
 
 constexpr std::array kKeys{
-    angle<&EffectSizes::alignment>(kStage, "alignment_deg", 10.0, "alignment of the axes", true),
-    angle<&EffectSizes::initial_turn>(kStage, "initial_turn_deg", 10.0, "initial turns of -90 degrees", true),
-    angle<&EffectSizes::zero>(kStage, "zero_deg", 10.0, "zeros of the axes", true),
-    angle<&EffectSizes::step>(kStage, "step_deg", 10.0, "step errors without memory", true),
-    angle<&EffectSizes::step_smooth>(kStage, "step_smooth_deg", 10.0,
-                                     "smooth step errors, each coefficient to 6/rev", false),
-    value<&EffectSizes::wobble_urad>(kStage, "wobble_urad", "urad", 10'000.0,
-                                     "wobble of the axes, each coefficient to 3/rev"),
+    once_a_tolerance(angle<&EffectSizes::alignment>(kStage, "alignment_deg", 10.0, "alignment of the axes")),
+    once_a_tolerance(
+        angle<&EffectSizes::initial_turn>(kStage, "initial_turn_deg", 10.0, "initial turns of -90 degrees")),
+    once_a_tolerance(angle<&EffectSizes::zero>(kStage, "zero_deg", 10.0, "zeros of the axes")),
+    once_a_tolerance(angle<&EffectSizes::step>(kStage, "step_deg", 10.0, "step errors without memory")),
+    further(angle<&EffectSizes::step_smooth>(kStage, "step_smooth_deg", 10.0,
+                                             "smooth step errors, each coefficient to 6/rev")),
+    further(value<&EffectSizes::wobble_urad>(kStage, "wobble_urad", "urad", 10'000.0,
+                                             "wobble of the axes, each coefficient to 3/rev")),
     once_a_tolerance(value<&EffectSizes::drift>(kItem, "drift", "1", 1.0, "drift of the offset, each order")),
-    value<&EffectSizes::cyclic_drift>(kItem, "cyclic_drift", "1", 1.0,
-                                      "offset that comes and goes, each coefficient, 2 to 6 cycles a run"),
-    value<&EffectSizes::sensitivity_drift>(kItem, "sensitivity_drift", "1", 1.0, "drift of the sensitivity"),
-    value<&EffectSizes::nonlinearity>(kItem, "nonlinearity", "1", 0.1,
-                                      "non-linearity of orders 4 and 5, |a| and cross terms"),
-    value<&EffectSizes::hysteresis>(kItem, "hysteresis", "1", 0.1, "hysteresis"),
+    usual_but_zero("an offset that comes and goes 2 to 6 times in the run, as with air conditioning",
+                   further(value<&EffectSizes::cyclic_drift>(
+                       kItem, "cyclic_drift", "1", 1.0,
+                       "offset that comes and goes, each coefficient, 2 to 6 cycles a run"))),
+    further(value<&EffectSizes::sensitivity_drift>(kItem, "sensitivity_drift", "1", 1.0,
+                                                   "drift of the sensitivity")),
+    further(value<&EffectSizes::nonlinearity>(kItem, "nonlinearity", "1", 0.1,
+                                              "non-linearity of orders 4 and 5, |a| and cross terms")),
+    further(value<&EffectSizes::hysteresis>(kItem, "hysteresis", "1", 0.1, "hysteresis")),
     value<&EffectSizes::k2>(kItem, "k2", "1", 0.1, "non-linearity of order 2"),
     value<&EffectSizes::k3>(kItem, "k3", "1", 0.1, "non-linearity of order 3"),
     angle<&EffectSizes::orthogonality>(kItem, "orthogonality_deg", 45.0,
-                                       "angles between the item's axes about 90 degrees", false),
+                                       "angles between the item's axes about 90 degrees"),
     value<&EffectSizes::voltmeter_gain>(kItem, "voltmeter_gain", "1", 0.1, "gain of the voltmeter"),
     value<&EffectSizes::voltmeter_offset>(kItem, "voltmeter_offset", "1", 0.1, "offset of the voltmeter"),
 };
@@ -75,9 +99,8 @@ std::string full_name(const EffectSizeKey& key) {
 }  // namespace
 
 EffectSizes without_further_effects(EffectSizes sizes) {
-  sizes.step_smooth = Angle::degrees(0.0);
-  sizes.wobble_urad = sizes.sensitivity_drift = sizes.nonlinearity = sizes.hysteresis = sizes.cyclic_drift =
-      0.0;
+  for (const EffectSizeKey& key : kKeys)
+    if (key.is_further) key.set(sizes, 0.0);
   return sizes;
 }
 

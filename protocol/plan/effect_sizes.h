@@ -20,49 +20,57 @@ namespace abcal {
 /// Defaults of the first four: the paper's stage, 0.008 degrees each (Geist & Gaitan 2021, section 1).
 struct EffectSizes {
   // The stage.
-  Angle alignment = Angle::degrees(0.008);     ///< Of Zx, Zy, Xz: N(0, sin alignment).
-  Angle step = Angle::degrees(0.008);          ///< Of each rotation-step error f_i(n), without memory.
-  Angle initial_turn = Angle::degrees(0.008);  ///< Of the initial -90 degree turns: d2, d3.
-  Angle zero = Angle::degrees(0.008);          ///< Of the mean step errors F_X, F_Z (axis zeros).
+  Angle alignment = Angle::degrees(0.008);     ///< Zx, Zy, Xz: N(0, sin alignment).
+  Angle step = Angle::degrees(0.008);          ///< Each rotation-step error f_i(n), without memory.
+  Angle initial_turn = Angle::degrees(0.008);  ///< The initial -90 degree turns: d2, d3.
+  Angle zero = Angle::degrees(0.008);          ///< The mean step errors F_X, F_Z (axis zeros).
   // The item.
-  double drift = 1e-4;  ///< Of each order of the offset's drift over the run, relative to S_j.
+  double drift = 1e-4;  ///< Each order of the offset's drift over the run, relative to S_j.
   // The stage.
-  Angle step_smooth = Angle::degrees(0.004);  ///< Of each coefficient of the smooth step errors, to 6/rev.
-  double wobble_urad = 50.0;                  ///< Of each coefficient of the wobble, to 3/rev (urad).
+  Angle step_smooth = Angle::degrees(0.004);  ///< Each coefficient of the smooth step errors, to 6/rev.
+  double wobble_urad = 50.0;                  ///< Each coefficient of the wobble, to 3/rev (urad).
   // The item.
-  double sensitivity_drift = 1e-4;  ///< Of the sensitivity's change over the run, relative.
-  double nonlinearity = 1e-4;       ///< Of k4, k5, |a| and cross terms, relative to S_j.
+  double sensitivity_drift = 1e-4;  ///< Change of the sensitivity over the run, relative.
+  double nonlinearity = 1e-4;       ///< k4, k5, |a| and cross terms, relative to S_j.
   double hysteresis = 1e-5;         ///< Relative to S_j.
-  double k2 = 1e-2;                 ///< Of k2 S_j.
-  double k3 = 1e-2;                 ///< Of k3 S_j^2.
-  /// Of the angles between the item's axes about 90 degrees; 0: not stated. Only the norm estimator reads it,
-  /// where fewer than nine poses were measured.
+  double k2 = 1e-2;                 ///< Size of k2 S_j.
+  double k3 = 1e-2;                 ///< Size of k3 S_j^2.
+  /// Deviations of the angles between the item's axes from 90 degrees; 0: not stated. Used only by the norm
+  /// estimator, if fewer than nine poses were measured.
   Angle orthogonality = Angle::degrees(0.0);
-  /// Of the instrument that reads the item's voltages (protocol/analysis/voltmeter.h); 0: not stated, or the
-  /// item's outputs are numbers.
+  /// The instrument that reads the item's voltages (protocol/estimators/shared/voltmeter.h); 0: not stated,
+  /// or the item's outputs are numbers.
   double voltmeter_gain = 0.0;    ///< Relative; one for all three outputs.
   double voltmeter_offset = 0.0;  ///< Relative to S_j, for each output.
-  /// Of each coefficient of an offset that comes and goes, 2 to 6 cycles over the run, relative to S_j; 0:
-  /// not stated, and then not covered.
+  /// Each coefficient of a cyclic drift of the offset, 2 to 6 cycles over the run, relative to S_j; 0: not
+  /// stated, and then not covered.
   double cyclic_drift = 0.0;
 
   /// Where each value comes from ("certificate 1234", "data sheet"), by its key (`wobble_urad`). A key that
   /// is absent was not stated: its size is the default, and results say so.
   std::map<std::string, std::string, std::less<>> sources = {};
+
+  bool operator==(const EffectSizes&) const = default;
 };
 
-/// `sizes` with every effect that the published protocol and section 5 of the theory do not know left out
-/// (zero): smooth steps, wobble, sensitivity drift, higher non-linearity, hysteresis. For studies.
+/// `sizes` with every effect that EffectSizeKey::is_further marks left out (zero). For studies.
 EffectSizes without_further_effects(EffectSizes sizes);
 
-/// One size as data: what a bench file, a CSV file and a run file call it.
+/// Names and properties of one size in a bench file, a CSV file and a run file. The table of them is the only
+/// list of sizes; the default of a size is that of its member of EffectSizes.
 struct EffectSizeKey {
-  std::string_view section;    ///< "stage_uncertainty", "item_uncertainty"
-  std::string_view key;        ///< "wobble_urad"
-  std::string_view unit;       ///< "degree", "urad", "1"
-  double most = 0.0;           ///< Largest value that is accepted; the least is 0.
-  std::string_view words;      ///< "wobble of the axes, each coefficient to 3/rev"
+  std::string_view section;  ///< "stage_uncertainty", "item_uncertainty"
+  std::string_view key;      ///< "wobble_urad"
+  std::string_view unit;     ///< "degree", "urad", "1"
+  double most = 0.0;         ///< Largest value that is accepted; the least is 0.
+  /// The effect in words, for results and for the reference of keys: "wobble of the axes, each coefficient to
+  /// 3/rev".
+  std::string_view words;
   bool was_tolerance = false;  ///< `[tolerances]` of bench/1 and `tolerances.KEY` of old files mean this.
+  bool is_further = false;  ///< Neither the published protocol nor section 5 of the theory knows the effect.
+  /// The effect in words where its default is zero although benches usually have it: results state that it is
+  /// not covered unless its size is stated. Empty: a size of zero is not mentioned.
+  std::string_view uncovered{};
   double (*get)(const EffectSizes&) = nullptr;
   void (*set)(EffectSizes&, double) = nullptr;
 };
@@ -70,19 +78,19 @@ struct EffectSizeKey {
 /// Every size, in the order in which files list them.
 std::span<const EffectSizeKey> effect_size_keys();
 
-/// Reads what `number` and `text` know under "SECTION.KEY" and "SECTION.KEY.source", and of a file of an
-/// older version "tolerances.KEY"; what neither has keeps its default and has no source. A value without a
-/// source has the source "stated", one whose source is "default" has none.
+/// Reads the sizes from the entries "SECTION.KEY" and "SECTION.KEY.source", and "tolerances.KEY" in a file of
+/// an older version. A size without an entry keeps its default and has no source. A value without a source
+/// has the source "stated"; one whose source is "default" has none.
 /// @param number  the value under a name, 0 to the largest value that is accepted (second argument)
 void read_effect_sizes(const std::function<std::optional<double>(const std::string&, double)>& number,
                        const std::function<std::optional<std::string>(const std::string&)>& text,
                        EffectSizes& sizes);
 
-/// What read_effect_sizes() reads: "SECTION.KEY" with its value (17 digits), and "SECTION.KEY.source". A
+/// Entries for read_effect_sizes(): "SECTION.KEY" with its value (17 digits), and "SECTION.KEY.source". A
 /// default is written too, with the source "default": a file keeps the sizes that were in force.
 std::map<std::string, std::string> effect_size_entries(const EffectSizes& sizes);
 
-/// Words of the effects whose size is a default that nobody stated, in the order of the table.
+/// Words of the effects whose size is a default because none was stated, in the order of the table.
 std::vector<std::string> unstated_effects(const EffectSizes& sizes);
 
 }  // namespace abcal

@@ -10,7 +10,7 @@
 
 namespace abcal {
 
-/// From where on the program calls a number wrong (`[limits]` of a bench file). What is absent follows from
+/// Limits beyond which the program reports a number (`[limits]` of a bench file). Absent limits follow from
 /// the tolerances and the readings' noise.
 struct LimitsConfig {
   // While it measures.
@@ -22,27 +22,34 @@ struct LimitsConfig {
   double temperature_wait_s = 3600.0;  ///< Longest wait for the temperature to be back; 0: only flagged.
   double spread_factor = 3.0;          ///< Spread above this multiple of the median spread is vibration.
   int repeats = 3;             ///< How often a shaken angle, or one that the axis leaves, is measured again.
-  double norm_fraction = 0.2;  ///< Of the norm of one angle's readings, offsets included, from local gravity.
-  std::optional<double> stability;       ///< Before the first angle: of the outputs, over their norm.
-  std::optional<double> stability_degc;  ///< Before the first angle: of the temperature.
+  double norm_fraction = 0.2;  ///< Relative distance of the norm of the readings, with offsets, from gravity.
+  std::optional<double> stability;       ///< Before the first angle: change of the outputs, over their norm.
+  std::optional<double> stability_degc;  ///< Before the first angle: change of the temperature.
   // In the analysis.
   Angle mounting = Angle::degrees(45.0);  ///< Between an output's direction and the one it should have.
   std::optional<Angle> slip;              ///< A lasting turn of the accelerometer, or of an axis.
-  std::optional<Angle> angle;             ///< Of one angle.
-  std::optional<double> drift;            ///< Of an output, over the run or at once; over the sensitivity.
+  std::optional<Angle> angle;             ///< Error of one angle.
+  std::optional<double> drift;            ///< Change of an output, over the run or at once; relative to the
+                                          ///< sensitivity.
+
+  bool operator==(const LimitsConfig&) const = default;
 };
 
-/// What the accelerometer should be (`[item]` of a bench file); a result that differs is called doubtful.
+/// Expected properties of the accelerometer (`[item]` of a bench file); a result that differs is called
+/// doubtful.
 struct ExpectedItem {
   /// R for 9.80665 m/s2. Absent: as the response unit says (g, m/s2), else not known.
   std::optional<double> nominal_sensitivity;
   double sensitivity_tolerance = 0.005;  ///< Largest relative difference from it.
   std::string mounting = "x y z";        ///< Along which axes u, v, w point at the default orientation.
+
+  bool operator==(const ExpectedItem&) const = default;
 };
 
 /// Rate at which a check of a sound bench fails, where its limit follows from tolerances and noise.
 inline constexpr double kFalseAlarm = 1e-6;
-/// In standard uncertainties: a normal variable is farther from its mean, on either side, once in 1e6.
+/// In standard uncertainties: a normal variable is farther from its mean, on either side, once in 1e6 (the
+/// quantile of the standard normal distribution for 1 - kFalseAlarm / 2).
 inline constexpr double kFalseAlarmDeviate = 4.891638;
 
 /// m/s2, exact by definition (CGPM 1901): the unit g, in which instruments report.
@@ -54,7 +61,7 @@ Angle slip_limit(const LimitsConfig& limits, const Tolerances& tolerances);
 Angle angle_limit(const LimitsConfig& limits, const Tolerances& tolerances);
 /// Relative to the sensitivity.
 double drift_limit(const LimitsConfig& limits, const Tolerances& tolerances);
-/// Of a sensitivity at once, relative: as far as it may drift over the run.
+/// Sudden relative change of a sensitivity: the same as its largest drift over the run.
 double gain_limit(const Tolerances& tolerances);
 /// The change of temperature that makes an accelerometer drift as far as it may, at the temperature
 /// coefficient of usual ones: 1e-4 of the sensitivity (0.1 mg at 1 g) for each kelvin.
@@ -65,7 +72,7 @@ double temperature_change_limit_degc(const LimitsConfig& limits, const Tolerance
 double stability_limit(const LimitsConfig& limits, const Tolerances& tolerances);
 double stability_limit_degc(const LimitsConfig& limits, const Tolerances& tolerances);
 
-/// R for one g_loc, if the bench file or the unit says; nothing: not known.
+/// R for one g_loc, if the bench file or the unit determines it; absent: not known.
 std::optional<double> nominal_response(const ExpectedItem& item, std::string_view response_unit,
                                        double g_loc_mps2);
 

@@ -112,7 +112,7 @@ UnitMeaning meaning_of_response_unit(std::string_view name) {
 
 std::optional<double> unit_ratio(std::string_view from, std::string_view to) {
   const auto a = find_unit(from), b = find_unit(to);
-  // Of the same unit the prefixes alone, so that powers of ten stay exact.
+  // For equal units only the prefixes are divided, so that powers of ten stay exact.
   if (a && b && a->unit == b->unit) return a->prefix_factor() / b->prefix_factor();
   const UnitMeaning first = meaning_of_response_unit(from), second = meaning_of_response_unit(to);
   if (!first.same_kind(second)) return std::nullopt;

@@ -8,8 +8,8 @@
 
 namespace abcal {
 
-/// What a unit means: a factor to a product of powers of base units. Accelerometers answer in "g", "m/s2",
-/// "mV" or counts, certificates in the unit strings of D-SI; results are compared where the products agree.
+/// Meaning of a unit: a factor and a product of powers of base units. Accelerometers answer in "g", "m/s2",
+/// "mV" or counts; certificates contain the unit strings of D-SI. Results are compared if the products agree.
 struct UnitMeaning {
   double factor = 1.0;
   std::map<std::string, int> powers;  ///< "metre": 1, "second": -2; no entry with power 0.
@@ -36,8 +36,8 @@ struct NamedUnit {
     std::string_view base;
     int exponent = 0;
   };
-  std::array<Power, 2> powers{};  ///< Of base units.
-  bool takes_prefix = false;      ///< As part of a name: "mV", "ug".
+  std::array<Power, 2> powers{};  ///< Powers of base units.
+  bool takes_prefix = false;      ///< May carry a prefix: "mV", "ug".
 
   UnitMeaning meaning() const;
 };
@@ -50,7 +50,7 @@ struct PrefixedUnit {
   double prefix_factor() const { return prefix == nullptr ? 1.0 : prefix->factor; }
 };
 
-/// "V", "mV", "ug", "m/s^2" in the table of units; nothing: not there.
+/// "V", "mV", "ug", "m/s^2" in the table of units; absent: not in it.
 std::optional<PrefixedUnit> find_unit(std::string_view name);
 
 /// The row with this word of D-SI ("volt"), without backslash; null: not there.
@@ -64,10 +64,10 @@ const UnitPrefix* find_d_si_prefix(std::string_view word);
 /// digit and digits are "LSB".
 UnitMeaning meaning_of_response_unit(std::string_view name);
 
-/// The number of units `to` that one unit `from` is: 1000 from "V" to "mV"; nothing: of different kinds.
+/// The number of units `to` in one unit `from`: 1000 from "V" to "mV"; absent: of different kinds.
 std::optional<double> unit_ratio(std::string_view from, std::string_view to);
 
-/// The value of one unit of acceleration in m/s2: 9.80665 for "g", 1 for "m/s2"; nothing: no acceleration.
+/// The value of one unit of acceleration in m/s2: 9.80665 for "g", 1 for "m/s2"; absent: no acceleration.
 std::optional<double> acceleration_unit_mps2(std::string_view name);
 
 /// A short name of a response unit with this meaning: "V", "m/s2", "1", or the product written out.

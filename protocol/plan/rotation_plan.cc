@@ -33,8 +33,8 @@ std::optional<Angle> representation(Angle angle, Angle lowest, Angle highest) {
   return moved;
 }
 
-/// Where an axis may stand to be at an angle: as it is and a turn to either side, as far as the travel
-/// allows.
+/// Positions in which an axis may stand at an angle: the angle itself and a turn to either side, within the
+/// travel.
 std::vector<Angle> representations(Angle angle, const AxisTravel& travel, Angle approach) {
   const Angle lowest = travel.min + approach;
   std::vector<Angle> possible;

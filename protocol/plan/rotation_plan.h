@@ -18,7 +18,7 @@ struct AxisTravel {
 
 /// One of the two poses at which every output sees 1/sqrt 3 of gravity, of either sign: g along (1, 1, 1) and
 /// against it. Measured at the start, between the experiments and at the end (`[protocol] check_poses`), they
-/// show a change of the gain or the offset of any output, whatever the experiment under way sees of it.
+/// show a change of the gain or the offset of any output, even if the present experiment does not.
 struct CheckPose {
   Angle x, z;
 };
@@ -40,7 +40,7 @@ struct PlannedAngle {
 /// Whether angles of experiments 1 to 3 are among them. A levelling has none; its angles are no check poses.
 bool has_experiments(const std::vector<PlannedAngle>& plan);
 
-/// What cannot be planned, every problem of it.
+/// Reports every reason why a run cannot be planned.
 class PlanError : public std::runtime_error {
  public:
   explicit PlanError(std::vector<Problem> problems);
@@ -59,9 +59,9 @@ class PlanError : public std::runtime_error {
 std::vector<PlannedAngle> make_rotation_plan(const ProtocolConfig& config,
                                              const std::array<AxisTravel, 2>& travel);
 
-/// How far each axis (X, Z) turns away from its zero, the approaches from below included: so far its cables
-/// must reach. The stage starts and is parked at zero, and the travel bounds both ends, so no turn is ever
-/// added to another.
+/// How far each axis (X, Z) turns away from its zero, the approaches from below included: its cables must
+/// reach this far. The stage starts and is parked at zero, and the travel bounds both ends, so no turn is
+/// ever added to another.
 std::array<AxisTravel, 2> cable_twist(const std::vector<PlannedAngle>& plan, const ProtocolConfig& config);
 
 /// How long a plan takes, in seconds.
@@ -77,7 +77,7 @@ struct AxisSpeed {
   double deg_per_s = 0.0;
   double deg_per_s2 = 0.0;  ///< Acceleration, and deceleration.
 
-  /// Of one move; 0 where the speed is not known. Without acceleration it starts and stops at once.
+  /// Duration of one move; 0 where the speed is not known. Without acceleration it starts and stops at once.
   double duration_s(double distance_deg) const;
 };
 
@@ -92,8 +92,8 @@ int readings_per_dwell(const ProtocolConfig& config, double rate_hz);
 /// Readings in one window that is tested for slope and spread before a dwell.
 std::size_t quiet_window_size(const ProtocolConfig& config, double rate_hz);
 
-/// With settle_s = "auto" a dwell begins after so many times the time from which on the outputs showed no
-/// motion.
+/// With settle_s = "auto", the time from the stop to the end of visible motion is multiplied by this before a
+/// dwell begins.
 inline constexpr double kSettlingPatience = 2.0;
 
 /// From the stop to the first reading used where all is quiet at once, in seconds: settle_s, or with "auto"

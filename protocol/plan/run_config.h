@@ -13,16 +13,16 @@ namespace abcal {
 /// One thing that is wrong with a bench file, a plan or an imported file, said so that a person can mend it.
 struct Problem {
   std::string where;     ///< "line 12, [protocol] steps", "axis X".
-  std::string found;     ///< What stands there.
-  std::string required;  ///< What must stand there, or what to do.
+  std::string found;     ///< The text or value that was found.
+  std::string required;  ///< The required value, or the action to take.
 };
 
 /// "line 12, [protocol] steps: found 2; required: 3 to 3600".
 std::string to_string(const Problem& problem);
 
-/// The estimators by name; the program has one entry for each (app/results/estimators).
+/// The estimators by name; the program has one entry for each (app/results/estimates/estimators).
 inline constexpr std::array<std::string_view, 3> kEstimatorNames{"abc", "joint", "norm"};
-/// What a run file and a CSV call the choice.
+/// Name of the chosen estimator's entry in a run file and a CSV.
 inline constexpr std::string_view kEstimatorLabel = "protocol.estimator";
 /// The estimator whose result is the result of a run, unless `[protocol] estimator` names another.
 inline constexpr std::string_view kDefaultEstimator = "joint";
@@ -35,11 +35,11 @@ struct ProtocolConfig {
   Angle step = Angle::degrees(5.0);  ///< D, desired rotation step.
   bool closing_angle = true;         ///< Measure the first angle again, at alpha + 360 degrees.
   bool check_poses = true;           ///< Measure two poses at the start, between experiments and at the end.
-  /// "abc", "joint", "norm": chosen before the first angle, so that nobody chooses by the result.
+  /// "abc", "joint", "norm": chosen before the first angle, so that the choice cannot depend on the result.
   std::string estimator{kDefaultEstimator};
   Angle approach = Angle::degrees(1.0);  ///< Every angle is reached from below, by this much; 0: either side.
   Angle position_window = Angle::degrees(0.01);  ///< Largest distance of the encoder from the command.
-  int window_polls = 3;                          ///< So many polls in a row must find it stopped and inside.
+  int window_polls = 3;                          ///< Consecutive polls that must find it stopped and inside.
   double poll_interval_s = 0.01;
   double motion_timeout_s = 30.0;  ///< Longest wait for a move beyond the time its speed needs.
   double homing_timeout_s = 120.0;
@@ -50,11 +50,13 @@ struct ProtocolConfig {
   double quiet_timeout_s = 10.0;    ///< Longest further wait for the accelerometer to be quiet; then flagged.
   int dwell_readings = 1000;        ///< Readings averaged at one angle.
   double mains_hz = 0.0;            ///< > 0: the dwell lasts a whole number of mains periods.
-  double reading_timeout_s = 2.0;   ///< So long without any reading means that the accelerometer is silent.
+  double reading_timeout_s = 2.0;   ///< An accelerometer without any reading for this time counts as silent.
   double warm_up_s = 0.0;           ///< Waited, with everything on, before the first angle.
   double replug_timeout_s = 120.0;  ///< Longest wait for a port that vanished to come back.
-  double stability_s = 0.0;  ///< Outputs and temperature must be stable so long before the first angle.
+  double stability_s = 0.0;  ///< Outputs and temperature must be stable for this time before the first angle.
   double stability_timeout_s = 3600.0;  ///< Longest wait for that.
+
+  bool operator==(const ProtocolConfig&) const = default;
 };
 
 }  // namespace abcal

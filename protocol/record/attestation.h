@@ -14,21 +14,21 @@ struct TrustedKey {
   std::string public_pem;
 };
 
-/// Against what signatures and time stamps are checked.
+/// Keys and certificates that signatures and time stamps are checked against.
 struct Trust {
-  std::vector<TrustedKey> keys;  ///< Of benches.
+  std::vector<TrustedKey> keys;  ///< Keys of benches.
   std::string authorities_pem;   ///< Certificates of time-stamping authorities, PEM.
 };
 
-/// What signature and time stamp of a run attest.
+/// Result of checking the signature and the time stamp of a run.
 struct Attestation {
-  std::vector<IntegrityCheck> checks;  ///< Of what is there: wrong ones are not good.
-  bool is_signed = false;              ///< By a trusted key, and the signature is right.
-  bool is_stamped = false;             ///< By a trusted authority, and the time stamp is right.
+  std::vector<IntegrityCheck> checks;  ///< Checks of the existing parts; an invalid part is not good.
+  bool is_signed = false;              ///< A trusted key made the signature, and it is valid.
+  bool is_stamped = false;             ///< A trusted authority issued the time stamp, and it is valid.
   std::string words;                   ///< What can be attested and what cannot, in one sentence.
 };
 
-/// Checks signature and time stamp beside a closed run against the bytes that the run has now.
+/// Checks the signature and the time stamp of a closed run against its present bytes.
 Attestation attest(const std::filesystem::path& run, const Trust& trust);
 
 }  // namespace abcal

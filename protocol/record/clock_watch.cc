@@ -28,7 +28,7 @@ std::string describe_clock_step(Clock::Duration step) {
       to_seconds(step));
 }
 
-std::optional<std::string> ClockWatch::look(const ClockPair& now) {
+std::optional<std::string> ClockWatch::find_step(const ClockPair& now) {
   const std::optional<Clock::Duration> step = clock_step(before_, now);
   before_ = now;
   if (!step) return std::nullopt;

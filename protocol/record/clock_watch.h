@@ -26,9 +26,9 @@ class ClockWatch {
  public:
   explicit ClockWatch(const ClockPair& begin) : before_(begin) {}
 
-  /// Compares the clocks with those of the look before.
+  /// Compares the clocks with those of the call before.
   /// @return the words for the event log if the system clock was moved in between
-  std::optional<std::string> look(const ClockPair& now);
+  std::optional<std::string> find_step(const ClockPair& now);
 
  private:
   ClockPair before_;

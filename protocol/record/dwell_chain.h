@@ -15,7 +15,7 @@ namespace abcal {
 /// meta `schema` of a run file.
 inline constexpr std::string_view kRunSchemaName = "abcal.run/3";
 
-/// What the chain of dwells begins with: SHA-256, in hexadecimal, over all that stands before the first angle
+/// First link of the chain of dwells: SHA-256, in hexadecimal, over everything stored before the first angle
 /// (facts but state and timing, instruments, items, registers, plan).
 std::string head_link(SqliteDatabase& database);
 
@@ -32,7 +32,7 @@ std::string last_dwell_link(const std::filesystem::path& run);
 /// A reading as its row holds it, without the dwell.
 struct ReadingRow {
   std::int64_t k = 0;
-  Eigen::Vector3d output = Eigen::Vector3d::Zero();  ///< What is not finite is stored as null.
+  Eigen::Vector3d output = Eigen::Vector3d::Zero();  ///< Values that are not finite are stored as null.
   std::int64_t skipped = 0;
   std::int64_t late_ns = 0;
   std::variant<std::monostate, std::int64_t, double> temperature_steps;  ///< monostate: null.

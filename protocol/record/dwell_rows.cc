@@ -65,7 +65,7 @@ std::int64_t nanoseconds(double seconds) {
   return static_cast<std::int64_t>(std::llround(seconds * kNanosecondsPerSecond));
 }
 
-/// What stands for all readings of a dwell.
+/// Constants from which all readings of a dwell are computed.
 struct ReadingConstants {
   std::optional<std::int64_t> first_sequence, first_ns, interval_ns;
   std::optional<TemperatureScale> temperature;

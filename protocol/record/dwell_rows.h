@@ -13,7 +13,7 @@
 
 namespace abcal {
 
-/// What the times of a session's dwells are counted from.
+/// Origin of the times of a session's dwells.
 struct SessionTimes {
   std::int64_t session = 1;             ///< Row of the table `session`.
   std::int64_t origin_ns = 0;           ///< True time from the first session's beginning to this one's.

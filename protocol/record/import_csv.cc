@@ -47,7 +47,7 @@ struct Row {
 
 using pieces::trimmed;
 
-// What a message may quote of a file that can hold anything.
+// Shortens a text of an arbitrary file for a message.
 std::string as_quoted(std::string_view text) {
   constexpr std::size_t kLongest = 40;
   std::string shown;
@@ -182,8 +182,8 @@ class Importer {
     problems_.push_back({std::move(where), std::move(found), std::move(required)});
   }
 
-  // What `abcal report --csv` writes above the header, so that the analysis of the copy gives the same
-  // numbers.
+  // Reads the comments that `abcal report --csv` writes above the header, so that the analysis of the copy
+  // gives the same numbers.
   void read_comments() {
     for (const auto& [line, comment] : table_.comments) {
       const std::size_t colon = comment.find(':');
@@ -231,7 +231,7 @@ class Importer {
     }
   }
 
-  /// Where nothing stands behind such a key, a default would be in force that nobody wants.
+  /// An empty value of such a key would silently leave the default in force.
   static bool states_a_size(const std::string& key) {
     return key.starts_with("stage_uncertainty.") || key.starts_with("item_uncertainty.") ||
            key.starts_with("tolerances.");
@@ -249,7 +249,7 @@ class Importer {
     return {};
   }
 
-  /// A misspelt key would leave a default in force that nobody wants.
+  /// A misspelt key would silently leave a default in force.
   void check_effect_keys() {
     for (const auto& [key, value] : metadata_) {
       const std::string section = key.substr(0, key.find('.'));
@@ -288,7 +288,7 @@ class Importer {
     }
   }
 
-  /// The number behind a key in the comments; nothing, and a problem if something else stands there.
+  /// The number behind a key in the comments; absent, and a problem is reported, if the text is no number.
   std::optional<double> metadata_number(const std::string& key, double lowest = 0.0, double highest = 1e9) {
     const auto found = metadata_.find(key);
     if (found == metadata_.end()) return std::nullopt;

@@ -26,21 +26,20 @@ class CsvError : public std::runtime_error {
 /// columns `u_u,u_v,u_w` (standard uncertainty of each mean, R), `time_s`, `count`, `temperature_degc`,
 /// `flags` (bits of DwellFlag) and `closing` (0 or 1); columns in any order, others ignored; `#` begins a
 /// comment line. RFC 4180 quotes; comma, or semicolon with decimal comma; LF or CRLF; a byte order mark is
-/// skipped. Without a column `closing` an alpha of 360 degrees beside an alpha of 0 in the same experiment is
-/// the closing angle. Missing angles are allowed: the analysis says whether the rest determines the fit.
+/// skipped. Without a column `closing`, an alpha of 360 degrees is the closing angle if the same experiment
+/// has an alpha of 0. Missing angles are allowed: the analysis says whether the rest determines the fit.
 /// Encoder angles are absent.
 ///
-/// Comments "# key: value" carry what a CSV has no columns for, with the keys of a run file's table `meta`:
+/// Comments "# key: value" hold the data without columns, with the keys of a run file's table `meta`:
 /// `response_unit` (names R), `g_loc.*`, `tolerances.*`, `alignment.*`, `protocol.step_deg` and
-/// `protocol.steps`, `continuations`. What is not there has its default; g_loc is then not known.
+/// `protocol.steps`, `continuations`. Absent entries have their defaults; g_loc is then not known.
 /// @throws CsvError with every problem: missing or repeated column, text in a number or in
-///         a comment that must hold a number, not finite, repeated
-/// row,
+///         a comment that must hold a number, not finite, repeated row,
 ///         unknown experiment, too few angles in an experiment (3 are needed)
 /// @throws std::runtime_error the file cannot be read
 RunRecord import_csv(const std::filesystem::path& path);
 
-/// The same from a stream; `source` names it in messages.
+/// Like import_csv(path), from a stream; `source` names it in messages.
 RunRecord import_csv(std::istream& input, const std::string& source);
 
 }  // namespace abcal

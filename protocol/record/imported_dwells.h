@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-// What every import makes of averaged readings whose experiment, n and alpha are known.
+// Common steps of all imports of averaged readings whose experiment, n and alpha are known.
 
 /// The default orientation turned as the experiment says (docs/theory/model.md), modulo a full turn.
 void set_commanded_angles(DwellRecord& dwell);

@@ -9,12 +9,12 @@
 
 namespace abcal {
 
-/// What the analysis compares a run with, as named texts: they stand in a run file's meta table and above the
-/// header line of its CSV copy. What is absent follows from tolerances and noise.
+/// The limits and expectations of the analysis as named texts, for a run file's meta table and for the lines
+/// above the header of its CSV copy. Absent entries follow from tolerances and noise.
 std::map<std::string, std::string> limits_entries(const LimitsConfig& limits, const ExpectedItem& expected);
 
-/// The reverse. `number` and `text` give what stands behind a name, nothing if the name is absent; what is
-/// absent (in files of before there were limits, everything) stays as it is.
+/// The reverse. `number` and `text` return the value of a name, nothing if it is absent; a limit without an
+/// entry is left unchanged (all of them in older files without limits).
 void read_limits_entries(const std::function<std::optional<double>(const std::string&)>& number,
                          const std::function<std::optional<std::string>(const std::string&)>& text,
                          LimitsConfig& limits, ExpectedItem& expected);

@@ -9,7 +9,7 @@
 
 namespace abcal {
 
-/// Frees what OpenSSL made.
+/// Frees objects made by OpenSSL.
 template <auto Free>
 struct OpensslFree {
   template <class Part>
@@ -26,7 +26,7 @@ inline OpensslBio readable(std::string_view bytes) {
   return OpensslBio(BIO_new_mem_buf(bytes.data(), static_cast<int>(bytes.size())));
 }
 
-/// Memory to write to, and what was written.
+/// A memory buffer for writing, and its content.
 inline OpensslBio writable() {
   return OpensslBio(BIO_new(BIO_s_mem()));
 }

@@ -5,7 +5,7 @@
 
 namespace abcal {
 
-/// What is known of the dwell at an angle of the plan before it is measured.
+/// The dwell at an angle of the plan, as far as it is known before it is measured.
 inline DwellRecord planned_dwell(const PlannedAngle& angle) {
   DwellRecord dwell;
   dwell.experiment = angle.experiment;

@@ -6,13 +6,13 @@
 
 namespace abcal {
 
-/// What finite readings at one angle come to. Not a number where there are none.
+/// Statistics of the finite readings at one angle. Not a number where there are none.
 struct ReadingStatistics {
   Eigen::Vector3d mean = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());  ///< R
   /// R, standard deviation of one reading.
   Eigen::Vector3d spread = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
   /// R. spread / sqrt(effective number of readings), and never below the output's resolution / sqrt(12):
-  /// averaging does not reveal what a converter rounds away.
+  /// averaging does not recover digits that a converter rounds away.
   Eigen::Vector3d u_mean = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
 };
 

@@ -24,7 +24,7 @@ create table if not exists certificate(id integer primary key, utc text, number 
                                        item integer);
 )";
 
-/// Results that an earlier abcal began: they stay readable, and `verify` says what they lack.
+/// Completes results that an earlier abcal began: they stay readable, and `verify` reports what they lack.
 void add_missing_columns(SqliteDatabase& database) {
   if (!database.has_column("analysis", "chain"))
     database.execute("alter table analysis add column chain text");
@@ -93,7 +93,7 @@ std::size_t ResultsFile::analyses() {
 
 void ResultsFile::add_analysis(const std::string& utc, std::string_view program_version,
                                std::string_view estimator, std::string_view result_json) {
-  // From the look at the last link to the commit no other program adds an analysis.
+  // No other program can add an analysis between reading the last link and the commit.
   Transaction transaction(database_);
   {
     SqliteStatement same = database_.prepare(
@@ -134,10 +134,10 @@ std::vector<IssuedCertificate> read_certificates(SqliteDatabase& database) {
   return certificates;
 }
 
-/// @throws RunFileError if a certificate cannot be issued in addition to those that there are
+/// @throws RunFileError if a certificate cannot be issued in addition to the existing ones
 void require_issuable(const IssuedCertificate& certificate, const std::vector<IssuedCertificate>& issued,
                       const std::string& results) {
-  const IssuedCertificate* last = nullptr;  // Of the same item.
+  const IssuedCertificate* last = nullptr;  // Last certificate of the same item.
   bool replaces_one = false;
   for (const IssuedCertificate& one : issued) {
     if (one.number == certificate.number)

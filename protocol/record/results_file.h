@@ -10,18 +10,19 @@
 
 namespace abcal {
 
-/// A certificate as it was issued. Fields in the order in which they are chained.
+/// An issued certificate. Fields in the order in which they are chained.
 struct IssuedCertificate {
   std::string utc;  ///< When it was issued.
   std::string number;
   std::string measured_by, approved_by;
-  std::string date;      ///< Of issue, as on the certificate: "2026-03-01".
+  std::string date;      ///< Date of issue, as on the certificate: "2026-03-01".
   std::string replaces;  ///< Number of the certificate it replaces; empty: none.
   std::string reason;    ///< Why.
   std::string program_version;
-  std::string laboratory_toml;  ///< The laboratory file as it was read.
+  std::string laboratory_toml;  ///< The laboratory file as read.
   std::string xml;              ///< Its bytes, signature included.
-  /// Of a run with several items: whose, from 1. 0: the run has one. Chained last, where it is not 0.
+  /// For a run with several items: the item of the certificate, from 1. 0: the run has one item. Chained
+  /// last, where it is not 0.
   int item = 0;
 };
 
@@ -59,13 +60,13 @@ class ResultsFile {
 
   static std::filesystem::path path_beside(const std::filesystem::path& run_path);
 
-  /// Refuses a run that is not closed and beside which there are results: they are those of another run.
+  /// Refuses a run that is not closed although results exist for its name: they belong to another run.
   /// @throws RunFileError
   static void require_none(const std::filesystem::path& run_path);
 
   /// The certificates issued for a run, oldest first; none where there are no results.
   static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path);
-  /// Those of one item: with several, from 1; the item of a run with one is 0 or 1.
+  /// The certificates of one item: from 1 if there are several; the item of a run with one is 0 or 1.
   static std::vector<IssuedCertificate> certificates(const std::filesystem::path& run_path, int item);
 
  private:

@@ -74,7 +74,7 @@ void name_file(const std::filesystem::path& draft, const std::filesystem::path& 
   throw RunFileError(path.string() + ": cannot be created: " + std::strerror(error));
 }
 
-/// As the header of an SQLite file says: a file without a log is changed by nobody who only reads.
+/// Reads the header of the SQLite file: a connection that only reads does not change a file without a log.
 bool uses_write_ahead_log(const std::filesystem::path& path) {
   constexpr std::size_t kReadVersionAt = 19;  // SQLite file format, section 1.3: 2 is write-ahead logging.
   std::array<char, kReadVersionAt + 1> head{};
@@ -98,12 +98,12 @@ constexpr const char* kDropSchema =
 /// How far each item of a run was measured.
 std::vector<ItemProgress> read_item_states(SqliteDatabase& database, const std::vector<RunItem>& items) {
   std::vector<ItemProgress> states;
-  const bool several = items.size() > 1;
+  const bool has_items = database.has_table("item");  // Version 2 has none, and one item.
   SqliteStatement measured =
-      database.prepare(several ? "select count(distinct position) as n from dwell where item = :item"
-                               : "select count(distinct position) as n from dwell");
+      database.prepare(has_items ? "select count(distinct position) as n from dwell where item = :item"
+                                 : "select count(distinct position) as n from dwell");
   for (const RunItem& item : items) {
-    if (several) measured.set("item", std::int64_t{item.k});
+    if (has_items) measured.set("item", std::int64_t{item.k});
     measured.step();
     states.push_back({item.k, static_cast<std::size_t>(measured.integer("n")), std::nullopt, ""});
     measured.reset();
@@ -147,10 +147,10 @@ std::optional<LastSession> last_session(SqliteDatabase& database) {
   return last;
 }
 
-/// What begin_session() finds out about the time between two sessions.
+/// Time between two sessions, as begin_session() determines it.
 struct Continuation {
   SessionTimes times;
-  std::optional<Clock::Duration> step;  ///< Of the system clock, in between.
+  std::optional<Clock::Duration> step;  ///< Step of the system clock in between.
 };
 
 /// @param utc the UTC of the beginning by the system clock
@@ -171,7 +171,7 @@ Continuation continue_after(const LastSession& last, const SessionStart& start) 
       next.step = Clock::Duration(*origin_ns - last.end_ns);
   }
   if (origin_ns) next.times.origin_ns = std::max(*origin_ns, last.end_ns);
-  // The times of a run never go back, whatever the system clock does.
+  // The times of a run never go back, even if the system clock does.
   if (next.times.begun && before.begun) {
     const auto run_begun = *before.begun - Clock::Duration(before.origin_ns);
     next.times.begun = std::max(*next.times.begun, run_begun + Clock::Duration(last.end_ns));
@@ -206,7 +206,8 @@ void write_session(SqliteDatabase& database, const SessionTimes& times, const Se
       .run();
 }
 
-/// Appends to the event log. Within a transaction: the look at the last link and the new row belong together.
+/// Appends to the event log. Requires a transaction: reading the last link and writing the new row belong
+/// together.
 void write_event(SqliteDatabase& database, const std::string& utc, std::string_view kind,
                  std::string_view text) {
   static constexpr std::array<std::string_view, 5> kColumns{"utc", "who", "kind", "text", "chain"};
@@ -277,7 +278,7 @@ struct RunFile::Impl {
     database.execute(kWaitForDisk);
   }
 
-  /// Commits an angle: what `write` writes, the time spent, and what has come to the transcript.
+  /// Commits an angle: the rows that `write` writes, the time spent, and new lines of the transcript.
   void append_angle(const RunTiming& timing, const std::function<void(DwellWriter&)>& write) {
     const SessionTimes& times = session_times();
     std::optional<WithoutWaitingForDisk> without_waiting;
@@ -313,8 +314,8 @@ struct RunFile::Impl {
     append_wire();
   }
 
-  /// Inside a transaction: writes what has come to the transcript. It is kept until wire_is_stored(), should
-  /// the transaction fail.
+  /// Inside a transaction: writes new lines of the transcript. They are kept until wire_is_stored(), in case
+  /// the transaction fails.
   void append_wire() {
     if (!take_wire) return;
     for (WireRow& row : take_wire()) wire_waiting.push_back(std::move(row));
@@ -337,9 +338,9 @@ struct RunFile::Impl {
   std::function<std::vector<WireRow>()> take_wire;
   std::vector<WireRow> wire_waiting;
   std::filesystem::path path;
-  bool repeatable = false;                        ///< As SessionStart.
-  std::optional<SessionTimes> session;            ///< Under way.
-  std::optional<Clock::Instant> session_instant;  ///< Of its beginning.
+  bool repeatable = false;                        ///< As in SessionStart.
+  std::optional<SessionTimes> session;            ///< The present session.
+  std::optional<Clock::Instant> session_instant;  ///< Its beginning.
   WriterLock lock;  // Outlives the database: closing any descriptor of the file drops SQLite's own locks.
   SqliteDatabase database;
 };
@@ -361,7 +362,7 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
   std::error_code ignored;
   if (std::filesystem::exists(path, ignored)) refuse_to_overwrite(path);
   ResultsFile::require_none(path);
-  // It gets its name when all of its head is in it: a program that is killed meanwhile leaves no run that
+  // The file gets its name when its head is complete: a program that is killed before leaves no run that
   // cannot be read.
   const std::filesystem::path draft = fmt::format("{}.new-{}", path.string(), ::getpid());
   const auto remove_draft = [&] {
@@ -371,7 +372,7 @@ RunFile RunFile::create(const std::filesystem::path& path, const RunHeader& head
   remove_draft();
   try {
     {
-      // Without a write-ahead log: what a failing disk left there would not go along with the name.
+      // No write-ahead log is used, because the rename would leave behind what a failing disk left in it.
       SqliteDatabase database(draft, SqliteDatabase::Mode::kCreate);
       database.execute(kWaitForDisk);
       Transaction transaction(database);
@@ -539,7 +540,7 @@ std::optional<std::string> RunFile::close(const TryAgain& try_again) {
   try {
     ResultsFile::begin(path);
   } catch (const RunFileError&) {
-    // The run comes first. Who keeps the first analysis tries again, and says what is wrong.
+    // The run takes precedence. The step that stores the first analysis tries again, and reports the error.
   }
   // The log is folded into the file, for which SQLite wants it alone, and does not wait by itself.
   for (int failures = 1; !impl_->database.execute_unless_busy("pragma journal_mode=delete"); ++failures) {
@@ -621,8 +622,8 @@ StoredRun load_from(SqliteDatabase& database, const std::filesystem::path& path,
 }  // namespace
 
 StoredRun RunFile::load(const std::filesystem::path& path, int item) {
-  // A run that is being written, or whose program died, has a -wal beside it, which a read-only connection
-  // can use too where its -shm may be written; a closed run is a single file.
+  // A run that is being written, or whose program died, has a file -wal, which a read-only connection can use
+  // too if it may write the file -shm; a closed run is a single file.
   SqliteDatabase database = open_run_file(path, SqliteDatabase::Mode::kReadOnly);
   return load_from(database, path, item);
 }

@@ -22,7 +22,7 @@ namespace abcal {
 /// "2026-03-01T12:00:00.000Z".
 std::string format_utc(Clock::UtcTime time);
 
-/// Who an instrument said it was.
+/// Identity that an instrument reported.
 struct InstrumentIdentity {
   std::string role;  ///< "stage", "accelerometer".
   std::string maker, model, serial_number, firmware;
@@ -61,11 +61,11 @@ struct RunItem {
   std::map<std::string, std::string> registers;
 };
 
-/// What of a header each item of several has for itself.
+/// Facts of a header that each of several items has for itself.
 struct ItemFacts {
   std::map<std::string, std::string> labels;  ///< "item.serial_number", ...
   std::string response_unit = "R";
-  Tolerances tolerances;  ///< Those of the stage are the same for all items.
+  Tolerances tolerances;  ///< The sizes of the stage are the same for all items.
   LimitsConfig limits;
   ExpectedItem expected;
 };
@@ -80,7 +80,7 @@ struct HostClock {
 
 /// When, by which clocks and by which program measuring begins, or goes on.
 struct SessionStart {
-  std::optional<Clock::UtcTime> utc;        ///< By the system clock.
+  std::optional<Clock::UtcTime> utc;        ///< UTC of the system clock.
   std::optional<Clock::Instant> monotonic;  ///< The same moment by the clock of the run.
   HostClock host;
   std::string program_version;
@@ -98,14 +98,15 @@ struct StoredSession {
   std::string end_reason;  ///< Empty: as above.
 };
 
-/// What is known before the first angle.
+/// Facts known before the first angle.
 struct RunHeader {
   std::string program_version;
   std::string created_utc;
   std::string bench_toml;                     ///< The bench file with every default written out.
   std::map<std::string, std::string> labels;  ///< "item.serial_number", "operator.name", ...
   std::vector<InstrumentIdentity> instruments;
-  std::vector<RunItem> items;  ///< Empty: one, as the labels "item.*" name it.
+  /// As read: one at least. To be written, empty: one, as the labels "item.*" name it.
+  std::vector<RunItem> items;
   /// To be written: those of items 2, 3, ...; the header's own are those of item 1. When read, empty: labels,
   /// response unit, tolerances, limits and expectation are those of the item that was asked for.
   std::vector<ItemFacts> further_items;
@@ -122,7 +123,7 @@ struct RunHeader {
   std::vector<PlannedAngle> plan;
 };
 
-/// One reading as it is stored.
+/// One stored reading.
 struct StoredReading {
   std::uint64_t sequence = 0;
   double time_s = 0.0;                               ///< Arrival, on the scale of DwellRecord::time_s.
@@ -137,7 +138,7 @@ inline constexpr std::string_view kItemDroppedEvent = "item dropped";
 /// The kind of the event that says that the system clock was moved.
 inline constexpr std::string_view kClockStepEvent = "clock step";
 
-/// One look at the room.
+/// One observation of the room.
 struct StoredEnvironment {
   std::string utc;
   std::string moment;  ///< "start", "end", "resume"
@@ -150,7 +151,7 @@ struct StoredDwell {
   int experiment = 0;
   int n = 0;
   bool closing = false;
-  int item = 1;  ///< Which of the run's items.
+  int item = 1;  ///< Item of the run, from 1.
   Angle alpha;
   bool repeat = false;  ///< The angle was measured again, for comparison: its first dwell counts.
   std::vector<StoredReading> readings;
@@ -162,11 +163,11 @@ struct RunEvent {
   std::string text;
 };
 
-/// One call on the byte stream of an instrument and what came of it, as the layer of the wire describes it.
+/// One call on the byte stream of an instrument and its result, as the layer of the wire describes it.
 struct WireRow {
-  std::string role;                        ///< Whose stream: "stage", "accelerometer".
-  std::int64_t time_ns = 0;                ///< From the start of the transcript.
-  std::optional<std::int64_t> arrival_ns;  ///< Of the last of the bytes received.
+  std::string role;                        ///< Owner of the stream: "stage", "accelerometer".
+  std::int64_t time_ns = 0;                ///< Time since the start of the transcript.
+  std::optional<std::int64_t> arrival_ns;  ///< Arrival of the last byte received.
   char kind = 0;                           ///< docs/run_file.md
   std::string bytes;
 
@@ -198,39 +199,45 @@ struct ItemDwell {
   std::vector<StoredReading> readings;
 };
 
-/// All that a run file holds but the single readings and the transcript of the wire. Of several items, what
-/// belongs to one is of the item that was asked for.
+/// Contents of a run file except the single readings and the transcript of the wire. The parts that belong to
+/// one item are those of the requested item.
 struct StoredRun {
   RunHeader header;
   RunState state = RunState::kInterrupted;
   RunTiming timing;
   RunRecord record;
-  int item = 1;                         ///< Whose record it is.
-  std::vector<ItemProgress> items;      ///< Of all items, in the order of header.items.
+  int item = 1;                         ///< The item of `record`.
+  std::vector<ItemProgress> items;      ///< Progress of all items, in the order of header.items.
   std::vector<StoredSession> sessions;  ///< None in a file of version 2.
   std::vector<std::size_t> measured;    ///< Positions in header.plan that have a dwell, in order of time.
   std::vector<DwellRecord> dwells;      ///< Their dwells: those of the record and its check poses.
   std::vector<RunEvent> events;
   std::vector<StoredEnvironment> environment;
+
+  /// The item whose record it is, and how far that item was measured.
+  const RunItem& own_item() const { return header.items.at(static_cast<std::size_t>(item) - 1); }
+  const ItemProgress& own_progress() const { return items.at(static_cast<std::size_t>(item) - 1); }
+  /// The item as results files and certificates name it: 0 where the run has one.
+  int named_item() const { return items.size() > 1 ? item : 0; }
 };
 
 /// A run on disk: one SQLite file (docs/run_file.md), append-only, each angle committed before the next move.
 /// One writer at a time (a lock on the file); readers at any time. All functions throw RunFileError.
 class RunFile {
  public:
-  /// Creates a new file. Refuses one that exists: a run is never overwritten; and a name beside which the
-  /// results of another run lie, since those of this run could not be kept then.
+  /// Creates a new file. Refuses a file that exists, since a run is never overwritten, and a name for which
+  /// results of another run exist, since the results of this run could not be stored then.
   static RunFile create(const std::filesystem::path& path, const RunHeader& header);
 
-  /// Opens an interrupted run to go on with it; one of version 2 becomes one of version 3. Refuses a closed
-  /// one, one that another process is writing, and one beside which results lie, which must be those of
+  /// Opens an interrupted run to continue it; one of version 2 becomes one of version 3. Refuses a closed
+  /// run, a run that another process is writing, and a run for which results exist, since they must belong to
   /// another run.
   static RunFile open_for_append(const std::filesystem::path& path);
 
-  /// Reads a run in any state, as it is for one of its items.
+  /// Reads a run in any state, for one of its items.
   static StoredRun load(const std::filesystem::path& path, int item = 1);
 
-  /// The same for every item of a run, in their order; damage is looked for once.
+  /// Like load(), for every item of a run in their order; damage is searched for once.
   static std::vector<StoredRun> load_items(const std::filesystem::path& path);
 
   /// How many items a run has. Nothing else is read, and no damage is looked for.
@@ -244,7 +251,7 @@ class RunFile {
   /// The transcript of the wire, if the run was recorded with one.
   static std::optional<WireTranscript> load_transcript(const std::filesystem::path& path);
 
-  /// Whether a file is SQLite at all, so that a run file and a CSV can be told apart.
+  /// Whether a file is SQLite at all, to distinguish a run file from a CSV.
   static bool looks_like_run_file(const std::filesystem::path& path);
 
   RunFile(RunFile&&) noexcept;
@@ -264,15 +271,16 @@ class RunFile {
   /// UTC of now: as utc() in a session that knows it, else by the system clock.
   Clock::UtcTime utc_now(const Clock& clock) const;
 
-  /// From now on a transcript is kept. What `take` gives (all rows since it was asked last) is written at
-  /// once, with each angle, and with each change of state.
+  /// Keeps a transcript from now on. The rows from `take` (all since its last call) are written at once, with
+  /// each angle, and with each change of state.
   void keep_transcript(Clock::UtcTime start, std::function<std::vector<WireRow>()> take);
 
   /// Commits one angle with its readings and the time spent so far; on return it is on the disk. Angles of a
-  /// repeatable session survive the program at once, and the computer with the next other entry.
+  /// repeatable session survive the end of the program at once, and a failure of the computer from the next
+  /// other entry on.
   void append_dwell(std::size_t plan_position, const DwellRecord& dwell,
                     std::span<const StoredReading> readings, const RunTiming& timing);
-  /// The same for several items: all of them are on the disk, or none is.
+  /// Commits one angle of several items: all of them are on the disk, or none is.
   void append_dwells(std::size_t plan_position, std::span<const ItemDwell> dwells, const RunTiming& timing);
   /// The run goes on without an item, from the angle at a position of the plan on.
   void drop_item(int item, std::size_t plan_position, const std::string& utc, std::string_view why);
@@ -284,8 +292,8 @@ class RunFile {
   /// Sets the state and says why in an event.
   void set_state(RunState state, const std::string& utc, std::string_view why);
 
-  /// Asked each time that another program, which reads the run, keeps it from being closed, with the number
-  /// of times so far: waits for a while and says whether to try again.
+  /// Called each time that another program, which reads the run, prevents closing, with the number of times
+  /// so far: waits for a while and returns whether to try again.
   using TryAgain = std::function<bool(int)>;
   /// Waits 50 ms; 10 s in all.
   static bool wait_for_readers(int failures);

@@ -22,7 +22,7 @@ constexpr std::string_view kItemLabelPrefix = "label.item.";
 constexpr const char* kAccelerometerRole = "accelerometer";
 constexpr std::string_view kItemRole = "item-";
 
-/// What stands before the keys of an item's own facts; item 1 has those of the run.
+/// Prefix of the keys of an item's own facts; those of item 1 are the run's.
 std::string facts_prefix(int item) {
   return item == 1 ? "" : fmt::format("item-{}.", item);
 }
@@ -86,8 +86,10 @@ void write_instruments(SqliteDatabase& database, const std::vector<InstrumentIde
   }
 }
 
-/// The item of a run for which nothing but labels is known.
-RunItem item_from_labels(const RunHeader& header) {
+/// The items of a run: those of its header, and where it names none, the one that its labels describe;
+/// without a label for it, the serial number is the one that the accelerometer reported.
+std::vector<RunItem> items_of(const RunHeader& header) {
+  if (!header.items.empty()) return header.items;
   const auto label = [&](const std::string& key) { return label_of(header.labels, "item." + key); };
   RunItem item;
   item.maker = label("maker");
@@ -95,7 +97,11 @@ RunItem item_from_labels(const RunHeader& header) {
   item.serial_number = label("serial_number");
   item.firmware = label("firmware");
   item.response_unit = header.response_unit;
-  return item;
+  const auto accelerometer =
+      std::ranges::find(header.instruments, kAccelerometerRole, &InstrumentIdentity::role);
+  if (item.serial_number.empty() && accelerometer != header.instruments.end())
+    item.serial_number = accelerometer->serial_number;
+  return {item};
 }
 
 void write_items(SqliteDatabase& database, const std::vector<RunItem>& items) {
@@ -215,7 +221,7 @@ void read_facts(const Facts& facts, const std::string& prefix, RunHeader& header
   }
 }
 
-/// Those of the bench, and the accelerometer of one item.
+/// Reads the instruments of the bench, and the accelerometer of one item.
 void read_instruments(SqliteDatabase& database, int item, std::vector<InstrumentIdentity>& instruments) {
   SqliteStatement rows = database.prepare("select * from instrument order by role");
   while (rows.step()) {
@@ -304,7 +310,7 @@ void write_run_header(SqliteDatabase& database, const RunHeader& header) {
   for (const auto& [key, value] : facts) set_meta(database, key, value);
   set_timing(database, {});
   write_instruments(database, header.instruments);
-  write_items(database, header.items.empty() ? std::vector{item_from_labels(header)} : header.items);
+  write_items(database, items_of(header));
   write_plan(database, header.plan);
 }
 
@@ -320,12 +326,11 @@ void read_run_header(SqliteDatabase& database, const std::string& source, Stored
                 facts.real("timing.dwelling_s"), facts.real("timing.overhead_s")};
   read_instruments(database, run.item, header.instruments);
   read_plan(database, header.plan);
-  if (run_file_version(database) < 3) {
-    header.items = {item_from_labels(header)};
-    return;
+  if (run_file_version(database) >= 3) {
+    read_items(database, header);
+    read_sessions(database, run.sessions);
   }
-  read_items(database, header);
-  read_sessions(database, run.sessions);
+  header.items = items_of(header);
 }
 
 RunState run_state_from(const std::string& word) {

@@ -15,7 +15,7 @@ void set_timing(SqliteDatabase& database, const RunTiming& timing);
 /// Writes all that a run file holds before the first angle. Within a transaction, after the tables were made.
 void write_run_header(SqliteDatabase& database, const RunHeader& header);
 
-/// Reads it again, with state and timing, from a file of any version, as it is for the item `run.item`.
+/// Reads the header, with state and timing, from a file of any version, for the item `run.item`.
 /// @param source of the file, for messages
 /// @throws RunFileError for an item that the run does not have
 void read_run_header(SqliteDatabase& database, const std::string& source, StoredRun& run);
@@ -23,7 +23,7 @@ void read_run_header(SqliteDatabase& database, const std::string& source, Stored
 /// How an instrument of one item of several is called: "item-3". The only one is the "accelerometer".
 std::string item_role(int item);
 
-/// @throws RunFileError for a word that is none of them
+/// @throws RunFileError for any other word
 RunState run_state_from(const std::string& word);
 
 }  // namespace abcal

@@ -15,7 +15,7 @@
 
 namespace abcal {
 
-/// What was noticed at one angle. Bits, so that a run file holds them in one column.
+/// Observations at one angle. Bits, so that a run file holds them in one column.
 enum DwellFlag : std::uint32_t {
   kFlagNone = 0,
   kFlagNotQuiet = 1U << 0,       ///< The accelerometer had not become quiet at the longest wait.
@@ -43,17 +43,17 @@ enum class DwellRole {
              ///< not count.
 };
 std::string_view to_string(DwellRole role);
-/// @return nothing for a word that is none of them
+/// @return nothing for any other word
 std::optional<DwellRole> dwell_role_from(std::string_view word);
 
-/// One angle of one experiment: what was commanded, where the encoder was, and what the accelerometer said.
+/// One angle of one experiment: the command, the encoder angle, and the accelerometer's readings.
 struct DwellRecord {
   int experiment = 0;    ///< 1, 2, 3 as in the paper.
   int n = 0;             ///< 1..N, the paper's index of the desired angle alpha(n).
   bool closing = false;  ///< The extra angle alpha = 360 degrees that shows drift; not part of the fits.
   DwellRole role = DwellRole::kPlan;  ///< kPlan with `closing` set means kClosing: RunFile stores it so.
   Angle alpha;                        ///< Desired rotation angle.
-  Angle commanded_x, commanded_z;     ///< As in the plan: alpha or the initial turn, by whole turns.
+  Angle commanded_x, commanded_z;     ///< Angles of the plan: alpha or the initial turn, by whole turns.
   std::optional<Angle> encoder_x, encoder_z;  ///< Where it said it was; absent for an imported CSV.
   /// Middle of the dwell, in true time from the beginning of the first session: pauses between sessions are
   /// in it. (In run files of version 2 they are not.)
@@ -73,7 +73,7 @@ struct DwellRecord {
 /// One dwell at a check pose (protocol/plan/rotation_plan.h): its experiment is 0 and its n 1 or 2.
 struct CheckDwell {
   DwellRecord dwell;
-  std::size_t after = 0;  ///< So many of RunRecord::dwells were measured before it.
+  std::size_t after = 0;  ///< Number of RunRecord::dwells measured before it.
 };
 
 /// Local gravity at the bench, with where it comes from.
@@ -82,6 +82,8 @@ struct LocalGravity {
   double expanded_uncertainty_mps2 = 0.0;  ///< U = k u.
   double coverage_factor = 2.0;            ///< k.
   std::string source;                      ///< "survey NOAA 2021", "formula GRS80", ...
+
+  bool operator==(const LocalGravity&) const = default;
 };
 
 /// A value measured otherwise, with its standard uncertainty (greater than 0).
@@ -90,7 +92,7 @@ struct MeasuredValue {
   double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
 };
 
-/// Alignment of the stage measured otherwise, e.g. by `abcal level`. What is absent is known from the
+/// Alignment of the stage measured otherwise, e.g. by `abcal level`. Absent components are known from the
 /// tolerances only.
 struct MeasuredAlignment {
   std::optional<MeasuredValue> zx, zy, xz;  ///< 1
@@ -106,7 +108,8 @@ struct RunRecord {
   LimitsConfig limits;
   ExpectedItem expected;
   MeasuredAlignment measured_alignment;  ///< Data for the joint estimator.
-  /// Whose result is the result of the run: chosen before the first angle ("joint"). Empty: not recorded.
+  /// Name of the estimator whose result is the result of the run, chosen before the first angle ("joint").
+  /// Empty: not recorded.
   std::string estimator;
   Angle step = Angle::degrees(5.0);  ///< Desired rotation step D.
   int steps = 72;                    ///< N.

@@ -29,8 +29,8 @@ create table environment(id integer primary key, utc text, moment text, temperat
 create table event(id integer primary key, utc text, who text, kind text, text text, chain text);
 )";
 
-/// New in version 3. A reading holds what differs from the constants of its dwell; the view timed_reading
-/// puts them together again.
+/// New in version 3. A reading holds the differences from the constants of its dwell; the view timed_reading
+/// combines both.
 constexpr const char* kTablesOfVersion3 = R"(
 create table item(k integer primary key, maker text, model text, serial_number text, firmware text, driver text,
                   port text, mounting text, response_unit text, rate_hz real, full_scale real, resolution real);
@@ -100,7 +100,7 @@ bool begins_as_sqlite(const std::filesystem::path& path) {
 
 namespace {
 
-/// A view in the place of a table can be endless, and a trigger does what nobody asked for.
+/// A view in the place of a table can be endless, and a trigger can make unwanted changes.
 void require_plain_tables(const std::filesystem::path& path, SqliteDatabase& database) {
   const auto foreign = database.value(
       "select case when type = 'table' then 'virtual table' else type end || ' \"' || name || '\"' from "

@@ -19,19 +19,19 @@ void create_run_schema(SqliteDatabase& database);
 /// Version of the tables of an open run file.
 std::int64_t run_file_version(SqliteDatabase& database);
 
-/// Opens a run file of any version up to the present, without looking for damage, which takes as long as
+/// Opens a run file of any version up to the present, without checking for damage, which takes as long as
 /// reading all of it.
-/// @throws RunFileError for what is not one, or is newer than this program
+/// @throws RunFileError if it is no run file, or is newer than this program
 SqliteDatabase open_run_file_unchecked(const std::filesystem::path& path, SqliteDatabase::Mode mode);
 
-/// The same. @throws RunFileError also for one that is damaged
+/// Like open_run_file_unchecked(). @throws RunFileError also for a damaged file
 SqliteDatabase open_run_file(const std::filesystem::path& path, SqliteDatabase::Mode mode);
 
 /// Whether a file begins as an SQLite file does.
 bool begins_as_sqlite(const std::filesystem::path& path);
 
 /// Turns a file of an older version, which is open for writing, into one of the present: step by step, all in
-/// one transaction. Closed runs are never changed; they are read as they are.
+/// one transaction. Closed runs are never changed.
 /// @throws RunFileError for a version that cannot be continued
 void upgrade_run_schema(SqliteDatabase& database, const std::filesystem::path& path);
 

@@ -6,7 +6,7 @@
 
 namespace abcal {
 
-/// Who signed the hash of a closed run, and when an authority saw it. Empty: not signed, not stamped.
+/// Signature of the hash of a closed run, and the time stamp of an authority. Empty: not signed, not stamped.
 struct RunSeal {
   std::string signer;      ///< Name of the bench, and its public key (PEM) from the next line on.
   std::string signature;   ///< Ed25519, of statement_of_run().
@@ -21,7 +21,7 @@ struct RunSeal {
 
 // All work on `RUN.results`, which must exist, and throw RunFileError.
 
-/// Signature and time stamp beside a run; empty where there are none, or no results.
+/// Signature and time stamp of a run; empty if there are none, or no results.
 RunSeal read_seal(const std::filesystem::path& run_path);
 
 /// Keeps the signature of the run's hash by the bench's key (PEM). One that is there stays.
@@ -32,7 +32,7 @@ void sign_run(const std::filesystem::path& run_path, const std::string& bench,
 /// @return false: there was one
 bool keep_time_stamp(const std::filesystem::path& run_path, const std::string& token);
 
-/// An analysis as it is stored.
+/// A stored analysis.
 struct StoredAnalysis {
   std::string utc, program_version, estimator, result_json;
 };

@@ -36,7 +36,7 @@ class Sha256 {
 
   std::unique_ptr<evp_md_ctx_st, FreeContext> context_;
   std::array<char, 4096> gathered_;
-  std::size_t count_ = 0;  ///< Of the bytes gathered.
+  std::size_t count_ = 0;  ///< Number of bytes gathered.
 };
 
 /// SHA-256 of a file's bytes, in hexadecimal. @throws RunFileError if it cannot be read.

@@ -15,7 +15,7 @@ namespace {
 
 using DigestContext = std::unique_ptr<EVP_MD_CTX, OpensslFree<EVP_MD_CTX_free>>;
 
-/// Nobody sits at the terminal: an encrypted key is refused.
+/// An encrypted key is refused, because no person is there to type a passphrase.
 int no_passphrase(char*, int, int, void*) {
   return -1;
 }

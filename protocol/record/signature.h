@@ -20,14 +20,14 @@ std::string fingerprint_of(const std::string& public_pem);
 /// @throws std::invalid_argument if it is no private Ed25519 key
 std::string sign(std::string_view message, const std::string& private_pem);
 
-/// Whether a signature is that of a message by the owner of a public key. False for what is no key.
+/// Whether a signature of a message was made by the owner of a public key. False for a text that is no key.
 bool is_signature(std::string_view message, std::string_view signature, const std::string& public_pem);
 
 /// @throws std::invalid_argument if the PEM is no private Ed25519 key
 void require_private_key(const std::string& private_pem);
 
-/// What a bench signs of a closed run: a text that names the SHA-256 of its bytes, so that the signature
-/// serves for nothing else.
+/// Text that a bench signs for a closed run. It names the SHA-256 of its bytes, so that the signature serves
+/// no other purpose.
 std::string statement_of_run(std::string_view run_sha256);
 
 }  // namespace abcal

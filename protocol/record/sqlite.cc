@@ -164,7 +164,8 @@ SqliteDatabase::SqliteDatabase(const std::filesystem::path& path, Mode mode) : f
         explain_sqlite_error(file_, code, database != nullptr ? sqlite3_errmsg(database) : "out of memory"));
   }
   sqlite3_busy_timeout(database, 2000);
-  // A file may come from anybody: its schema runs no functions but harmless ones, and is not written by hand.
+  // A file may come from any source: its schema runs no functions but harmless ones, and cannot be written
+  // directly.
   sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
 }

@@ -15,8 +15,8 @@
 
 namespace abcal {
 
-/// A run file or its results cannot be created, read or written; what() says which file, what was found and
-/// what to do.
+/// A run file or its results cannot be created, read or written; what() names the file, the finding and the
+/// remedy.
 class RunFileError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -30,7 +30,7 @@ class IdleStatements {
   IdleStatements(const IdleStatements&) = delete;
   IdleStatements& operator=(const IdleStatements&) = delete;
   ~IdleStatements();
-  /// Nullptr: none of that text.
+  /// Null if there is none with this text.
   sqlite3_stmt* take(const std::string& sql);
   /// Resets it, so that it holds no lock and no value; finalises it if there is one of that text already.
   void put(const std::string& sql, sqlite3_stmt* statement);
@@ -104,12 +104,12 @@ class SqliteStatement {
 class SqliteDatabase {
  public:
   enum class Mode { kReadOnly, kReadWrite, kCreate };
-  /// Waits up to 2 s for another connection that stands in the way, unless wait_at_most() says otherwise.
+  /// Waits up to 2 s for another connection that holds a lock, unless wait_at_most() says otherwise.
   SqliteDatabase(const std::filesystem::path& path, Mode mode);
 
   void wait_at_most(std::chrono::milliseconds patience);
   void execute(const std::string& sql);
-  /// As execute(), but returns false if another connection prevents it.
+  /// Like execute(), but returns false if another connection prevents it.
   bool execute_unless_busy(const std::string& sql);
   SqliteStatement prepare(std::string_view sql) { return {handle_.get(), idle_, file_, sql}; }
   /// The first column of the first row of a query; nothing if there is no row.
@@ -127,11 +127,11 @@ class SqliteDatabase {
   std::shared_ptr<IdleStatements> idle_ = std::make_shared<IdleStatements>();
 };
 
-/// "insert into TABLE(a, b) values(:a, :b)": columns by name, whatever their order in the table.
+/// "insert into TABLE(a, b) values(:a, :b)": columns by name, independent of their order in the table.
 std::string insert_into(std::string_view table, std::span<const std::string_view> columns);
 
-/// A transaction that may write from its beginning, rolled back unless it is committed. What it reads stays
-/// true until it is committed: no other connection writes meanwhile.
+/// A transaction that may write from its beginning, rolled back unless it is committed. Data read in it stay
+/// valid until the commit: no other connection can write until then.
 class Transaction {
  public:
   explicit Transaction(SqliteDatabase& database);
@@ -145,7 +145,7 @@ class Transaction {
   bool committed_ = false;
 };
 
-/// The words for a failed SQLite call on `file`, with what a person should do about it.
+/// The words for a failed SQLite call on `file`, with the recommended action.
 std::string explain_sqlite_error(const std::string& file, int code, std::string_view message);
 
 }  // namespace abcal

@@ -120,7 +120,8 @@ TimeStampAnswer read_time_stamp_answer(std::string_view answer, std::string_view
   const TS_STATUS_INFO* status = TS_RESP_get_status_info(response.get());
   if (const long code = ASN1_INTEGER_get(TS_STATUS_INFO_get0_status(status)); code != 0 && code != 1)
     return {{}, "the authority refuses (status " + std::to_string(code) + ")"};
-  // Of what the request asks: the hash and the random number. The signature is checked when it is verified.
+  // Checks the parts that the request determines: the hash and the random number. The signature is checked on
+  // verification.
   const Verification check(TS_REQ_to_TS_VERIFY_CTX(asked.get(), nullptr));
   TS_VERIFY_CTX_set_flags(check.get(), TS_VFY_VERSION | TS_VFY_IMPRINT | TS_VFY_NONCE);
   if (TS_RESP_verify_response(check.get(), response.get()) != 1)
@@ -152,7 +153,7 @@ TimeStampCheck check_time_stamp(std::string_view token_der, std::string_view sha
   const Verification check(TS_VERIFY_CTX_new());
   TS_VERIFY_CTX_set_flags(check.get(), TS_VFY_VERSION | TS_VFY_IMPRINT | TS_VFY_SIGNATURE);
   auto* imprint = static_cast<unsigned char*>(OPENSSL_memdup(expected.data(), expected.size()));
-  // Both own what they are given from now on.
+  // Both set functions take ownership of their arguments.
   const auto imprint_size = static_cast<long>(expected.size());
 #if OPENSSL_VERSION_NUMBER >= 0x30400000L
   TS_VERIFY_CTX_set0_imprint(check.get(), imprint, imprint_size);

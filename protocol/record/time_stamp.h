@@ -11,19 +11,19 @@ namespace abcal {
 /// @param sha256  in hexadecimal
 std::string time_stamp_request(std::string_view sha256);
 
-/// What an authority's answer to a request is worth.
+/// Content of an authority's answer to a request.
 struct TimeStampAnswer {
   std::string token;    ///< DER of the time stamp, to be kept; empty: refused.
-  std::string refused;  ///< Why the authority gave none, or why what it gave is not for the request.
+  std::string refused;  ///< Reason why the authority gave none, or why its answer does not match the request.
 };
 TimeStampAnswer read_time_stamp_answer(std::string_view answer, std::string_view request);
 
-/// What a kept time stamp attests.
+/// Result of checking a stored time stamp.
 struct TimeStampCheck {
   bool good = false;
   std::string utc;             ///< The time that the authority states, "2026-03-01T12:00:00Z".
-  std::string authority;       ///< Who signed it, as its certificate names it.
-  bool for_this_hash = false;  ///< Whoever signed it.
+  std::string authority;       ///< Name of the signer in its certificate.
+  bool for_this_hash = false;  ///< Valid for any signer.
   std::string found;           ///< Why it is not good.
 };
 

@@ -45,7 +45,7 @@ IntegrityCheck check_chain(SqliteDatabase& database, const std::string& what, co
   return {what, true, fmt::format("{} entries, each linked to the previous one", count)};
 }
 
-/// Follows the chain of the dwells and compares its end, and that of the event log, with what was sealed.
+/// Follows the chain of the dwells and compares its end, and that of the event log, with the sealed values.
 IntegrityCheck check_dwell_chain(SqliteDatabase& database, bool complete) {
   const std::string what = "dwells";
   SqliteStatement rows = database.prepare("select id, chain from dwell order by id");
@@ -107,7 +107,7 @@ IntegrityCheck check_items(SqliteDatabase& database, const StoredRun& stored) {
                       dropped)};
 }
 
-/// A dwell as it is stored, to be compared with its readings.
+/// The stored values of a dwell, to be compared with its readings.
 struct StatedDwell {
   Eigen::Vector3d mean, spread, u_mean;
   bool has_u = false;
@@ -139,7 +139,7 @@ bool agrees(double stated, double computed, double tolerance) {
   return std::abs(stated - computed) <= tolerance;
 }
 
-/// What of a dwell does not follow from its readings; empty: all does.
+/// Values of a dwell that contradict its readings; empty: none.
 std::string contradiction(const StatedDwell& stated, const std::vector<StoredReading>& readings,
                           const std::optional<RunItem>& item) {
   // Differences of rounding only: the same sums may be taken in another order by another compiler.
@@ -169,14 +169,15 @@ std::string contradiction(const StatedDwell& stated, const std::vector<StoredRea
     if (!agrees(stated.spread[j], computed.spread[j], kSpreadRounding * scale)) return "spread";
     if (!stated.has_u) continue;
     const double tolerance = kUncertaintyRounding * computed.u_mean[j];
-    // Where the resolution is not stored, it may have raised the uncertainty above what the readings show.
+    // If the resolution is not stored, it may have raised the uncertainty above that of the readings.
     const bool raised = !resolution && stated.u_mean[j] > computed.u_mean[j];
     if (!raised && !agrees(stated.u_mean[j], computed.u_mean[j], tolerance)) return "standard uncertainty";
   }
   return "";
 }
 
-/// Computes again what dwells state. Dwells without any reading, as tests write them, state nothing.
+/// Computes the statistics stated by dwells again. Dwells without any reading, as tests write them, state
+/// nothing.
 IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRun& stored) {
   const std::string what = "readings";
   SqliteDatabase database(run, SqliteDatabase::Mode::kReadOnly);
@@ -202,7 +203,8 @@ IntegrityCheck check_statements(const std::filesystem::path& run, const StoredRu
                       dwells, readings)};
 }
 
-/// Of a run with several items: each item has certificates of its own, of which each replaces the one before.
+/// Checks the certificates of a run with several items: each item has its own, and each certificate replaces
+/// the one before.
 void check_certificates_of_items(const std::filesystem::path& run, std::size_t items,
                                  std::vector<IntegrityCheck>& checks) {
   std::map<int, std::vector<IssuedCertificate>> by_item;
@@ -271,7 +273,7 @@ std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run) {
   checks.push_back({"state", complete,
                     complete ? "complete and closed"
                              : fmt::format("{}: only a closed run has a hash", to_string(stored.state))});
-  // Both read every reading of the run.
+  // The two checks that read every reading of the run work in parallel.
   std::future<IntegrityCheck> statements =
       std::async(std::launch::async, [&] { return check_statements(run, stored); });
   {

@@ -11,7 +11,7 @@ struct IntegrityCheck {
   std::string what;
   bool good = false;
   std::string found;  ///< In words.
-  int item = 0;       ///< Of several: whose alone it is, from 1; 0: of the run.
+  int item = 0;       ///< With several items: the item concerned, from 1; 0: the run.
 };
 
 /// Whether a closed run and its results are consistent with each other: every byte of the run by its SHA-256,
@@ -22,7 +22,7 @@ struct IntegrityCheck {
 /// @throws RunFileError if the file is no run file at all.
 std::vector<IntegrityCheck> verify_run(const std::filesystem::path& run);
 
-/// What the checks of verify_run() attest where all are good, and what they cannot.
+/// Statements that the checks of verify_run() attest if all are good, and statements that they cannot attest.
 std::string attested_by(const std::filesystem::path& run);
 
 }  // namespace abcal

@@ -66,8 +66,8 @@ bool DwellMeasurement::must_be_repeated(std::size_t position, const PlannedAngle
     if (left_window) fail_left_window(angle, dwell);
     return false;
   }
-  context_.journal.notify("repeated", fmt::format("{}{}: {}; it is measured again", channel.context.of_item(),
-                                                  describe(angle), describe_flags(transient)));
+  channel.context.notify(
+      "repeated", fmt::format("{}: {}; it is measured again", describe(angle), describe_flags(transient)));
   if (left_window) motion_.forget_positions();
   attempts.marks |= kFlagRepeated;
   return true;
@@ -176,9 +176,8 @@ void DwellMeasurement::wait_for_temperature(std::size_t position, ItemChannel& c
   const StoppableClock& clock = context_.clock;
   const Clock::Instant begin = clock.now();
   const auto excess = [&] { return channel.plausibility.temperature_excess(temperature_degc); };
-  journal.notify("temperature",
-                 fmt::format("{}{}: {}; waiting for the temperature to come back", channel.context.of_item(),
-                             journal.activity(), excess().value_or("")));
+  channel.context.notify("temperature", fmt::format("{}: {}; waiting for the temperature to come back",
+                                                    journal.activity(), excess().value_or("")));
   journal.phase(position, RunPhase::kTemperature);
   while (const auto why = excess()) {
     if (clock.now() >= deadline) {
@@ -191,8 +190,8 @@ void DwellMeasurement::wait_for_temperature(std::size_t position, ItemChannel& c
     const std::vector<Reading> window = channel.readings.read(channel.settling.window_size());
     temperature_degc = dwell_statistics(window, channel.context.accelerometer_info).temperature_degc;
   }
-  journal.notify("temperature", fmt::format("{}the temperature came back after {:.0f} s",
-                                            channel.context.of_item(), to_seconds(clock.now() - begin)));
+  channel.context.notify("temperature", fmt::format("the temperature came back after {:.0f} s",
+                                                    to_seconds(clock.now() - begin)));
   context_.stopwatch.add_settling(clock.now() - begin);
 }
 

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/plan/limits.h"
 #include "protocol/run/dwell_measurement.h"
 #include "protocol/run/halting.h"
 #include "protocol/run/item_channels.h"
@@ -176,7 +177,7 @@ class ExperimentRun {
       if (is_check) continue;
       if (const auto excess = channel.plausibility.full_scale_excess(each.dwell, last)) {
         each.dwell.flags |= kFlagNorm;
-        context_.journal.notify("full scale", channel.context.of_item() + *excess);
+        channel.context.notify("full scale", *excess);
       }
     }
     context_.journal.check_system_clock();
@@ -196,11 +197,9 @@ class ExperimentRun {
   void remember(const ItemDwell& measured) {
     ItemChannel& channel = items_.of(measured.item);
     const DwellRecord& dwell = measured.dwell;
-    if (dwell.flags != kFlagNone) {
-      context_.journal.notify(kFlagEvent,
-                              fmt::format("{}{}: {}", channel.context.of_item(), context_.journal.activity(),
-                                          describe_flags(dwell.flags)));
-    }
+    if (dwell.flags != kFlagNone)
+      channel.context.notify(kFlagEvent,
+                             fmt::format("{}: {}", context_.journal.activity(), describe_flags(dwell.flags)));
     channel.plausibility.remember(dwell);
     channel.settling.spreads().add(dwell.spread, channel.context.accelerometer_info.resolution.value_or(0.0));
   }
@@ -245,8 +244,7 @@ struct RunFailure {
 [[noreturn]] void end_early(const RunInstruments& instruments, const RunFailure& failure,
                             const std::string& activity, RunFile& file) {
   const HaltOutcome halt = halt_stage(instruments.stage);
-  if (instruments.items.empty()) instruments.accelerometer.stop();
-  for (const ItemInstrument& item : instruments.items) item.accelerometer->stop();
+  for (const ItemInstrument& item : instruments.items) item.accelerometer.stop();
   std::string consequences = fmt::format(" ({}); {}", activity, halt.words);
   const std::string& reason = failure.reason;
   try {
@@ -273,7 +271,6 @@ bool can_be_compared_with(const DwellRecord& dwell) {
 
 Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& after,
                                  const Tolerances& tolerances) {
-  constexpr double kOneInAMillion = 4.9;  // standard uncertainties, two-sided
   const Eigen::Vector3d none = Eigen::Vector3d::Zero();
   const Eigen::Vector3d u_before = before.u_mean.value_or(none), u_after = after.u_mean.value_or(none);
   // The response to gravity is at most the norm of the outputs, offsets aside; turning by a small angle
@@ -282,7 +279,7 @@ Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& a
   const double response = std::max(before.mean.norm(), after.mean.norm());
   const double turned = std::hypot(tolerances.zero.rad(), tolerances.step.rad()) * std::numbers::sqrt2;
   const double stage = response * std::hypot(turned, tolerances.drift);
-  return kOneInAMillion *
+  return kFalseAlarmDeviate *
          (u_before.array().square() + u_after.array().square() + stage * stage).sqrt().matrix();
 }
 

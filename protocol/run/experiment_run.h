@@ -45,7 +45,7 @@ struct RunTask {
 bool can_be_compared_with(const DwellRecord& dwell);
 
 /// The largest change of an output (R) between two measurements of one angle that tolerances (zero and step
-/// of the axes), noise and drift explain, at a false alarm in 1e6: 4.9 standard uncertainties of the change.
+/// of the axes), noise and drift explain: kFalseAlarmDeviate standard uncertainties of the change.
 Eigen::Vector3d explained_change(const DwellRecord& before, const DwellRecord& after,
                                  const Tolerances& tolerances);
 

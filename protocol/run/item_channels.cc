@@ -8,9 +8,10 @@
 namespace abcal {
 namespace {
 
-RunContext item_context(const RunContext& run, const ItemInstrument& item) {
+RunContext item_context(const RunContext& run, const ItemInstrument& item, bool beside_others) {
   RunContext context(run);
   context.item = item.k;
+  context.beside_others = beside_others;
   context.settings.limits = item.limits;
   context.settings.tolerances = item.tolerances;
   context.settings.expected = item.expected;
@@ -22,25 +23,23 @@ RunContext item_context(const RunContext& run, const ItemInstrument& item) {
 ItemChannels::ItemChannels(const RunContext& context, const RunInstruments& instruments,
                            const std::map<int, double>& first_temperatures_degc)
     : context_(context),
-      several_(!instruments.items.empty()),
+      several_(instruments.has_several_items),
       can_reconnect_(instruments.reconnector != nullptr) {
-  const auto add = [&](RunContext own, int k, Accelerometer& accelerometer) {
+  for (const ItemInstrument& item : instruments.items) {
+    RunContext own = item_context(context, item, several_);
     std::optional<InstrumentError> failure;
     try {
-      own.accelerometer_info = accelerometer.identify();
+      own.accelerometer_info = item.accelerometer.identify();
     } catch (const InstrumentError& error) {
       if (!several_) throw;
       failure = error;
     }
-    const auto first = first_temperatures_degc.find(k);
+    const auto first = first_temperatures_degc.find(item.k);
     channels_.push_back(std::make_unique<ItemChannel>(
-        own, k, accelerometer,
+        own, item.k, item.accelerometer,
         first == first_temperatures_degc.end() ? std::nullopt : std::optional(first->second)));
     channels_.back()->failure = failure;
-  };
-  if (!several_) add(context, 1, instruments.accelerometer);
-  for (const ItemInstrument& item : instruments.items)
-    add(item_context(context, item), item.k, *item.accelerometer);
+  }
   // The fastest first: what the others have made meanwhile waits for its turn.
   std::ranges::stable_sort(channels_, std::greater{},
                            [](const auto& channel) { return channel->context.accelerometer_info.rate_hz; });

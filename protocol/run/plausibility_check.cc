@@ -51,7 +51,7 @@ void PlausibilityCheck::require_possible(const PlannedAngle& angle, const DwellS
                     "output is stuck",
                     read, describe(angle), statistics.mean[0], statistics.mean[1], statistics.mean[2]));
   }
-  if (context_.item != 0) require_direction_of_gravity(angle, statistics.mean);
+  if (context_.beside_others) require_direction_of_gravity(angle, statistics.mean);
 }
 
 void PlausibilityCheck::require_direction_of_gravity(const PlannedAngle& angle,

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -50,18 +51,19 @@ class RunJournal {
     file_.append_event(format_utc(file_.utc(clock_.now())), kind, text);
   }
   /// Into the run file and to the observer.
-  void notify(std::string_view kind, std::string_view text) {
+  /// @param item  as in RunObserver::notice()
+  void notify(std::string_view kind, std::string_view text, std::optional<int> item = {}) {
     record(kind, text);
-    observer_.notice(kind, text);
+    observer_.notice(kind, text, item);
   }
   /// Into the run file and to the observer: the run goes on without an item, from an angle on.
   void drop_item(int item, std::size_t position, std::string_view text) {
     file_.drop_item(item, position, format_utc(file_.utc(clock_.now())), text);
-    observer_.notice(kItemDroppedEvent, text);
+    observer_.notice(kItemDroppedEvent, text, item);
   }
-  /// Notes a step that the system clock made since the look before.
+  /// Notes a step that the system clock made since the call before.
   void check_system_clock() {
-    if (const auto step = clock_watch_.look(clocks())) notify(kClockStepEvent, *step);
+    if (const auto step = clock_watch_.find_step(clocks())) notify(kClockStepEvent, *step);
   }
 
  private:
@@ -131,7 +133,8 @@ struct RunContext {
   StageInfo& stage_info;
   RunSettings settings;
   AccelerometerInfo accelerometer_info;
-  int item = 0;  ///< Which of several; 0: there is one only.
+  int item = 1;                ///< As in the run file.
+  bool beside_others = false;  ///< The bench has several items.
 
   RunContext(const StoppableClock& run_clock, RunSettings run_settings, const RunTiming& spent_before,
              RunFile& file, RunObserver& observer)
@@ -152,8 +155,13 @@ struct RunContext {
   /// For messages.
   std::string stage_name() const { return "stage " + stage_info.model; }
   std::string accelerometer_name() const { return of_item() + "accelerometer " + accelerometer_info.model; }
-  /// "item 3, ": what a message about one of several items begins with; empty: there is one only.
-  std::string of_item() const { return item == 0 ? "" : "item " + std::to_string(item) + ", "; }
+  /// "item 3, ": the beginning of a message about one of several items; empty where the bench has one only.
+  std::string of_item() const { return beside_others ? "item " + std::to_string(item) + ", " : ""; }
+  /// Into the run file and to the observer: a message about this item, which it names where there are
+  /// several.
+  void notify(std::string_view kind, std::string_view text) const {
+    journal.notify(kind, of_item().append(text), beside_others ? std::optional(item) : std::nullopt);
+  }
 };
 
 /// "experiment 1, alpha = 5 deg", "check pose 1, X = 54.7356 deg, Z = 45 deg".

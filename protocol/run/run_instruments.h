@@ -19,16 +19,16 @@ class Reconnector {
   /// Opens the lost ports, with new drivers that have not identified their instruments yet.
   /// @throws InstrumentError kCannotOpen, kLinkLost: not back yet; what is back stays open.
   virtual void reconnect() = 0;
-  /// Whether the accelerometer of one of several items is gone.
+  /// Whether the accelerometer of an item is gone.
   virtual bool item_lost(int /*item*/) const { return false; }
   /// reconnect() no longer tries to open this item's port.
   virtual void give_up_item(int /*item*/) {}
 };
 
-/// One of several items on the stage.
+/// The accelerometer of an item, and how it is judged.
 struct ItemInstrument {
   int k = 1;  ///< As in the run file.
-  Accelerometer* accelerometer = nullptr;
+  Accelerometer& accelerometer;
   LimitsConfig limits;
   Tolerances tolerances;
   ExpectedItem expected;
@@ -37,10 +37,11 @@ struct ItemInstrument {
 /// The instruments of a run, and their clock.
 struct RunInstruments {
   RotationStage& stage;
-  Accelerometer& accelerometer;
   Clock& clock;
-  Reconnector* reconnector = nullptr;   ///< Null: a port that vanishes ends the run.
-  std::vector<ItemInstrument> items{};  ///< Those to be measured; empty: `accelerometer` is the only one.
+  std::vector<ItemInstrument> items;  ///< Those to be measured, at least one.
+  bool has_several_items =
+      false;  ///< The bench has several items; those that are missing are not in `items`.
+  Reconnector* reconnector = nullptr;  ///< Null: a port that vanishes ends the run.
 };
 
 }  // namespace abcal

@@ -1,20 +1,15 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <span>
-#include <stdexcept>
 #include <string_view>
 
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_interrupted.h"
 #include "protocol/record/run_record.h"
 
 namespace abcal {
-
-/// The run was stopped by a person; the stage was halted and the run file can be resumed.
-class RunInterrupted : public std::runtime_error {
- public:
-  using std::runtime_error::runtime_error;
-};
 
 /// What a run is doing.
 enum class RunPhase {
@@ -44,14 +39,11 @@ class RunObserver {
   virtual ~RunObserver() = default;
   /// `position` is the index in the plan of the angle that is being worked on.
   virtual void phase(std::size_t position, RunPhase phase) = 0;
-  /// An angle was measured and is on the disk.
-  virtual void dwell(std::size_t position, const DwellRecord& dwell) = 0;
-  /// The same with the part of every item; the first one is also that of dwell().
-  virtual void dwells(std::size_t position, std::span<const ItemDwell> dwells) {
-    dwell(position, dwells.front().dwell);
-  }
+  /// An angle was measured and is on the disk: the part of each item, at least one.
+  virtual void dwells(std::size_t position, std::span<const ItemDwell> dwells) = 0;
   /// A message for a person; it is also in the run file, as an event of this kind.
-  virtual void notice(std::string_view kind, std::string_view text) = 0;
+  /// @param item  the number of the item that it is about; absent: the whole bench
+  virtual void notice(std::string_view kind, std::string_view text, std::optional<int> item) = 0;
   /// Called between two angles, and repeatedly while the answer is yes: the stage stays where it is.
   virtual bool hold_wanted() { return false; }
 };

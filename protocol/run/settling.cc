@@ -217,16 +217,16 @@ Settling::Rest Settling::find_rest_by_outputs(Clock::Instant stopped) {
   }
   // Nothing was seen from the window's first reading on: half a window where that is the first of all.
   // Beside other items it may have waited for its turn.
-  const Clock::Instant now = context_.item == 0 ? context_.clock.now() : window.back().arrival;
+  const Clock::Instant now = context_.beside_others ? window.back().arrival : context_.clock.now();
   const Clock::Duration quiet_after = std::max(window.front().arrival - stopped, (now - stopped) / 2);
   return {true, stopped + from_seconds(lesson_.patience() * to_seconds(quiet_after))};
 }
 
 bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
   const ProtocolConfig& protocol = context_.settings.protocol;
-  const auto look = [&] { creep_ = creep_of(readings, context_.accelerometer_info); };
+  const auto update_creep = [&] { creep_ = creep_of(readings, context_.accelerometer_info); };
   const auto creeps_beyond = [&](double limit) { return creep_.cwiseAbs().maxCoeff() > limit; };
-  look();
+  update_creep();
   if (!protocol.settle_auto) {
     const auto of_noise = static_cast<double>(readings.size() / 2) - 1.0;
     return readings.size() / 4 < kLeastQuarter ||
@@ -234,7 +234,7 @@ bool Settling::read_until_at_rest(std::vector<Reading>& readings) {
   }
   const Clock::Instant last = context_.clock.now() + from_seconds(protocol.quiet_timeout_s);
   const std::size_t quarter = std::max<std::size_t>(1, readings.size() / 4);
-  for (; creeps_beyond(kCreepLimit); look()) {
+  for (; creeps_beyond(kCreepLimit); update_creep()) {
     if (context_.clock.now() >= last) return false;
     readings.erase(readings.begin(), readings.begin() + static_cast<std::ptrdiff_t>(quarter));
     const std::vector<Reading> later = readings_.read(quarter);
@@ -250,16 +250,15 @@ void Settling::learn(const DwellStatistics& statistics) {
   const std::string found =
       "the outputs of many angles together still creep towards their rest in the first quarter of the "
       "dwell; ";
-  context_.journal.notify(
+  context_.notify(
       "settling",
-      context_.of_item() + found +
-          (by_outputs
-               ? fmt::format("from now on a dwell begins after {:g} times the time from which on "
-                             "they showed no motion (settle_s = \"auto\")",
-                             lesson_.patience())
-               : fmt::format("settle_s = {:g} is too short for this item on this stage. State a longer "
-                             "one, or \"auto\", and measure again",
-                             context_.settings.protocol.settle_s)));
+      found + (by_outputs
+                   ? fmt::format("from now on a dwell begins after {:g} times the time from which on "
+                                 "they showed no motion (settle_s = \"auto\")",
+                                 lesson_.patience())
+                   : fmt::format("settle_s = {:g} is too short for this item on this stage. State a longer "
+                                 "one, or \"auto\", and measure again",
+                                 context_.settings.protocol.settle_s)));
 }
 
 }  // namespace abcal

@@ -20,16 +20,12 @@ namespace {
 
 constexpr std::array<const char*, 9> kNames{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
                                             "phi_wu", "O_u", "O_v", "O_w"};
-constexpr std::array<std::pair<SeriesLeg, std::string_view>, 4> kLegs{{{SeriesLeg::kReference, "reference"},
-                                                                       {SeriesLeg::kUp, "up"},
-                                                                       {SeriesLeg::kDown, "down"},
-                                                                       {SeriesLeg::kReturn, "return"}}};
 /// 95 % of chi2 with one degree of freedom, and with two.
 constexpr double kOneMore = 3.841, kTwoMore = 5.991;
 /// Temperatures nearer than this are one: order of a polynomial, ways up and down.
 constexpr double kSameTemperatureK = 2.0;
 constexpr double kMillion = 1e6;
-/// What a run finds of the stage, with the unit of a trend.
+/// Constants of the stage that a run determines, with the unit of a trend.
 constexpr std::array<std::pair<const char*, const char*>, 5> kStage{
     {{"Zx", "1"}, {"Zy", "1"}, {"Xz", "1"}, {"d2", "degree"}, {"d3", "degree"}}};
 /// A trend of the stage is found by chance in one series of a thousand, for each constant.
@@ -195,7 +191,8 @@ Eigen::VectorXd powers_of(double from_t0, int order) {
   return powers;
 }
 
-/// As data sheets have it: sensitivities in ppm/K, offsets in millionths of g_loc, angles in microradian.
+/// Coefficient in the units of data sheets: sensitivities in ppm/K, offsets in millionths of g_loc, angles in
+/// microradian.
 TemperatureCoefficient coefficient_of(const TemperaturePolynomial& polynomial, std::size_t k,
                                       double sensitivity, double from, double to) {
   TemperatureCoefficient found;
@@ -243,7 +240,7 @@ StageTrend trend_of(const std::vector<TemperaturePoint>& points, double referenc
     const Quantity& found = point.stage->at(k);
     series.d[i] = point.temperature_degc - reference_degc;
     series.value[i] = found.value;
-    // What the run does not tell is the same at all points.
+    // Only type A counts here, because type B errors are the same at all points.
     const double u = found.type_a.value_or(found.standard_uncertainty);
     series.own_variance[i] = u * u;
   }
@@ -276,7 +273,8 @@ TemperatureHysteresis hysteresis_of(const std::vector<TemperaturePoint>& points,
   TemperatureHysteresis found;
   found.name = polynomial.name;
   found.unit = polynomial.unit;
-  // Both corrected to one temperature: what the polynomial does between them is no hysteresis.
+  // Both values are corrected to one temperature, so that the polynomial between them does not count as
+  // hysteresis.
   const auto difference = [&](const TemperaturePoint& a, const TemperaturePoint& b) {
     return a.value[k] - b.value[k] - polynomial.at(a.temperature_degc - reference) +
            polynomial.at(b.temperature_degc - reference);
@@ -307,17 +305,6 @@ TemperatureHysteresis hysteresis_of(const std::vector<TemperaturePoint>& points,
 }
 
 }  // namespace
-
-std::string_view to_string(SeriesLeg leg) {
-  return std::find_if(kLegs.begin(), kLegs.end(), [&](const auto& each) { return each.first == leg; })
-      ->second;
-}
-
-std::optional<SeriesLeg> series_leg_from(std::string_view word) {
-  for (const auto& [leg, name] : kLegs)
-    if (name == word) return leg;
-  return std::nullopt;
-}
 
 double TemperaturePolynomial::at(double from_t0) const {
   double value = 0.0;

@@ -6,15 +6,10 @@
 #include <string>
 #include <vector>
 
-#include "protocol/analysis/calibration_result.h"
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/plan/series_leg.h"
 
 namespace abcal {
-
-/// Where a point stands in a series.
-enum class SeriesLeg { kReference, kUp, kDown, kReturn };
-std::string_view to_string(SeriesLeg leg);
-/// @return nothing for a word that is none of them
-std::optional<SeriesLeg> series_leg_from(std::string_view word);
 
 /// One point of a series: a run at one temperature. Outputs in the order of Covariance9: s_u, s_v, s_w
 /// (R/g_loc), phi_uv, phi_vw, phi_wu (degree), O_u, O_v, O_w (R).

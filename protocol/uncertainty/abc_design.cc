@@ -10,7 +10,7 @@ namespace abcal {
 
 namespace {
 
-// Smallest over largest pivot of [sin, cos, 1] below which A, B and C cannot be told apart with useful
+// Smallest over largest pivot of [sin, cos, 1] below which A, B and C cannot be distinguished with useful
 // accuracy: 72 even steps give 0.71, angles that cover only 20 degrees 2e-3.
 constexpr double kSmallestReciprocalCondition = 1e-2;
 

@@ -9,8 +9,8 @@
 
 namespace abcal {
 
-/// One rotation experiment as the ABC analysis sees it: its desired angles, and what turns readings into A,
-/// B, C.
+/// One rotation experiment of the ABC analysis: its desired angles, and the weights that turn readings into
+/// A, B, C.
 struct RotationFit {
   std::vector<Angle> alpha;              ///< Desired angles alpha(n), N of them.
   Eigen::VectorXd sin_alpha, cos_alpha;  ///< N each.
@@ -37,8 +37,8 @@ class AbcDesign {
   const std::array<RotationFit, 3>& experiments() const { return experiments_; }
   int readings() const;  ///< Angles of all three experiments together.
 
-  /// What one reading of accelerometer j at angle n (from 0) of experiment 1..3 adds to (s_jx, s_jy, s_jz,
-  /// O_j), per R.
+  /// Contribution of one reading of accelerometer j at angle n (from 0) of experiment 1..3 to (s_jx, s_jy,
+  /// s_jz, O_j), per R.
   Eigen::Vector4d share(int experiment, Eigen::Index n) const;
 
  private:

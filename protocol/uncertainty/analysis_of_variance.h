@@ -11,7 +11,7 @@ namespace abcal {
 struct OneWayAnova {
   int groups = 0;
   int observations = 0;
-  double mean = 0.0;  ///< Of all observations.
+  double mean = 0.0;  ///< Mean of all observations.
   double between_sum_squares = 0.0;
   double within_sum_squares = 0.0;
   int between_degrees_of_freedom = 0;
@@ -19,11 +19,11 @@ struct OneWayAnova {
   double f = 0.0;  ///< Mean square between over mean square within; infinite if nothing scatters within.
   double f_probability = 0.0;  ///< P(F >= f) if the groups do not differ.
   double repeatability = 0.0;  ///< s_r: standard deviation within a group.
-  /// s_L: standard deviation from group to group beyond what the scatter within groups makes of the means; 0
-  /// where it is not seen.
+  /// s_L: standard deviation from group to group beyond the scatter of the means that the scatter within
+  /// groups causes; 0 where it is not seen.
   double between = 0.0;
-  double reproducibility = 0.0;            ///< s_R = sqrt(s_r^2 + s_L^2): of one observation of a new group.
-  double mean_standard_uncertainty = 0.0;  ///< Of the mean, from both scatters (GUM H.5.2).
+  double reproducibility = 0.0;  ///< s_R = sqrt(s_r^2 + s_L^2): scatter of one observation of a new group.
+  double mean_standard_uncertainty = 0.0;  ///< From both scatters (GUM H.5.2).
 
   double between_mean_square() const { return between_sum_squares / between_degrees_of_freedom; }
   double within_mean_square() const { return within_sum_squares / within_degrees_of_freedom; }
@@ -34,7 +34,7 @@ struct OneWayAnova {
 /// value that is not finite
 OneWayAnova one_way_anova(std::span<const std::vector<double>> groups);
 
-/// Scatter of the results of several runs beside what the scatter of the readings within each run explains.
+/// Scatter of the results of several runs beyond the scatter of the readings within each run.
 struct RunSpread {
   int runs = 0;
   double mean = 0.0;
@@ -43,7 +43,7 @@ struct RunSpread {
   /// Standard deviation from run to run that type A does not explain, sqrt(s^2 - within^2): remounting,
   /// drift, the stage's homing. 0 where it is not seen. The uncertainty of a single run has to hold it.
   double between = 0.0;
-  double chi2 = 0.0;  ///< Of the values about their weighted mean, with the type A uncertainties.
+  double chi2 = 0.0;  ///< chi2 of the values about their weighted mean, with the type A uncertainties.
   double chi2_probability =
       0.0;  ///< P(chi2 >= found) if type A is all there is; runs - 1 degrees of freedom.
   double mean_standard_uncertainty = 0.0;  ///< sqrt((between^2 + within^2) / runs); no type B.

@@ -12,10 +12,10 @@
 #include <string_view>
 #include <utility>
 
-#include "protocol/analysis/analyse.h"
-#include "protocol/analysis/check_poses.h"
-#include "protocol/analysis/intrinsic_properties.h"
-#include "protocol/analysis/voltmeter.h"
+#include "protocol/estimators/checks/check_poses.h"
+#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/shared/intrinsic_properties.h"
+#include "protocol/estimators/shared/voltmeter.h"
 #include "protocol/linear/products.h"
 #include "protocol/linear/symmetric_eigen.h"
 #include "protocol/plan/backlash.h"
@@ -41,14 +41,14 @@ Eigen::Index position(Eigen::Index j, Eigen::Index component) {
   return component < 3 ? 3 * j + component : 9 + j;
 }
 
-/// What no budget of this program has a line for.
+/// Sources of uncertainty that no budget of this program covers.
 std::vector<std::string> sources_without_a_line(const RunRecord& record, bool resolution_given) {
   std::vector<std::string> out{"nutation of the stage's axes beyond its stated wobble",
                                "stress-induced distortion of the stage",
                                "temperature and remounting of the accelerometer"};
-  if (!(record.tolerances.cyclic_drift > 0.0))
-    out.emplace_back(
-        "an offset that comes and goes within the run, as with air conditioning (cyclic_drift not given)");
+  for (const EffectSizeKey& size : effect_size_keys())
+    if (!size.uncovered.empty() && !(size.get(record.tolerances) > 0.0))
+      out.push_back(fmt::format("{} ({} not given)", size.uncovered, size.key));
   if (!resolution_given) out.emplace_back("resolution of the accelerometer's output (not given)");
   if (backlash_is_left(record)) out.emplace_back(kBacklashNotCovered);
   return out;
@@ -78,8 +78,8 @@ OutputVector contributions(const OutputJacobian& jacobian, const Covariance12& c
   return carried_covariance(jacobian, covariance).diagonal().cwiseMax(0.0).cwiseSqrt();
 }
 
-/// What the voltmeter adds, of which no angle tells anything.
-/// @return its covariance, of s row by row and O
+/// Adds the contributions of the voltmeter, on which the angles give no information.
+/// @return their covariance, of s row by row and O
 Covariance12 add_voltmeter_to(const RunRecord& record, const CalibrationResult& result,
                               const OutputJacobian& jacobian, Budget& budget) {
   const EffectSizes& sizes = record.tolerances;
@@ -116,7 +116,7 @@ BudgetLine readings_line(std::string input, const RunRecord& record, const Outpu
   return line;
 }
 
-/// What a budget shows the size of a joint fit's effect in, and how large that is in its unit.
+/// Unit in which a budget shows the size of a joint fit's effect, and the size of this unit.
 std::pair<std::string, double> shown_size(const EffectShare& share) {
   constexpr double kDegree = std::numbers::pi / 180.0;
   if (share.key == "wobble_urad") return {"urad", 1e-6};
@@ -125,8 +125,8 @@ std::pair<std::string, double> shown_size(const EffectShare& share) {
   return {"of S", 1.0};
 }
 
-/// What the check poses say of changes during the run. The drifts of the stated sizes have lines of their
-/// own, so these add nothing: they say how far a change could go unseen.
+/// Adds a note on changes during the run that the check poses found, or could have missed. The drifts of the
+/// stated sizes have lines of their own, so the check poses add no uncertainty.
 void add_check_poses_to(const RunRecord& record, Budget& budget) {
   const std::optional<CheckPoseStudy> study = compared_check_poses(record);
   if (!study) {
@@ -160,8 +160,8 @@ void add_check_poses_to(const RunRecord& record, Budget& budget) {
       study->found.empty() ? "." : "; what was found is not covered."));
 }
 
-/// The budget of a joint fit: the priors of each effect, and the readings with their noise process. What the
-/// readings tell of an effect has made its line smaller already.
+/// The budget of a joint fit: the priors of each effect, and the readings with their noise process. The lines
+/// of effects already take into account that the readings determine them in part.
 Budget joint_budget(const RunRecord& record, const CalibrationResult& result) {
   Budget budget;
   const OutputJacobian jacobian = jacobian_of(result.sensitivity_values());
@@ -225,7 +225,7 @@ class BudgetMaker {
   }
 
  private:
-  // One line for each kind of effect: what the ABC result sees of it minus what is meant, as in the result.
+  // One line for each kind of effect: error of the ABC result relative to the measurand, as in the result.
   void add_effects() {
     std::map<std::string, BudgetLine> groups;
     std::map<std::string, int> members;
@@ -294,7 +294,7 @@ class BudgetMaker {
     const Covariance12& covariance = *result_.covariance_type_a;
     BudgetLine line =
         readings_line("readings (noise, fit residual)", record_, contributions(jacobian_, covariance));
-    // The typical standard uncertainty of a reading; each has its own.
+    // The typical standard uncertainty of a reading; each reading has its own.
     double sum = 0.0;
     for (const DwellRecord* dwell : dwells_) sum += dwell->u_mean ? dwell->u_mean->squaredNorm() / 3.0 : 0.0;
     line.standard_uncertainty = sum > 0.0 ? std::sqrt(sum / static_cast<double>(dwells_.size()))
@@ -345,8 +345,8 @@ class BudgetMaker {
   std::vector<const DwellRecord*> dwells_;
   std::vector<Eigen::Vector4d> shares_;
   std::map<std::string, OutputVector> signed_;
-  /// Of the drawn inputs, to first order: by the published equations, what the correction for k2 and k3 adds,
-  /// and both together.
+  /// Covariances due to the drawn inputs, to first order: by the published equations, by the correction for
+  /// k2 and k3, and between both.
   Covariance12 published_ = Covariance12::Zero();
   Covariance12 corrected_ = Covariance12::Zero();
   Covariance12 corrected_with_published_ = Covariance12::Zero();

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <limits>
 
-#include "protocol/analysis/comparison.h"
+#include "protocol/estimators/checks/comparison.h"
 #include "protocol/statistics/distributions.h"
 
 namespace abcal {

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "protocol/analysis/calibration_result.h"
+#include "protocol/estimators/shared/calibration_result.h"
 #include "protocol/uncertainty/analysis_of_variance.h"
 
 namespace abcal {
@@ -17,8 +17,9 @@ struct CampaignProperty {
   std::string unit;
   /// Mean, spread between the runs, and the repeatability within them (root mean square of their type A).
   RunSpread spread;
-  double type_a = 0.0;  ///< Of the mean: the spread between runs, or type A within if that is larger.
-  /// Of the mean: the runs were measured on one stage, whose errors are the same each time.
+  double type_a = 0.0;  ///< Of the mean: spread between runs, or the larger type A within runs.
+  /// Type B uncertainty of the mean: the runs were measured on one stage, whose errors are the same each
+  /// time.
   double type_b = 0.0;
   double standard_uncertainty = 0.0;
   double degrees_of_freedom = 0.0;  ///< Effective (Welch and Satterthwaite): type A has runs - 1.
@@ -30,7 +31,7 @@ struct CampaignProperty {
 struct CampaignSummary {
   std::string estimator;
   int runs = 0;
-  std::vector<CampaignProperty> properties;  ///< Nine, or empty: then `why` says what is missing.
+  std::vector<CampaignProperty> properties;  ///< Nine, or empty: then `why` gives the reason.
   std::string why;
 };
 

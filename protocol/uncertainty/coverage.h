@@ -24,14 +24,14 @@ struct Coverage {
 /// M).
 Coverage coverage_of_sorted(std::span<const double> sorted, double p);
 
-/// The same from values in any order, which it may reorder: only the tails are sorted.
+/// Like coverage_of_sorted(), from values in any order, which it may reorder: only the tails are sorted.
 Coverage coverage_of(std::span<double> values, double p);
 
 /// Counts on a fixed grid, for more trials than are kept. Adding is exact and does not depend on the order,
 /// so histograms filled by different threads and then added are one histogram.
 class GridHistogram {
  public:
-  /// Bins of width u * 1e-3 over centre -+ 8 u; what falls outside is counted at the ends. A u of zero (an
+  /// Bins of width u * 1e-3 over centre -+ 8 u; values outside are counted at the ends. A u of zero (an
   /// output that does not vary) keeps the smallest and the largest value only.
   GridHistogram(double centre, double u);
 

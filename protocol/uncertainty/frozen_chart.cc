@@ -14,12 +14,12 @@ namespace abcal {
 namespace {
 
 constexpr int kCentres = 6, kSpreads = 12;  // Baselines that stand for all, with equal probability.
-constexpr int kHalvings = 24;               // Of an interval of limits: to 1e-5 of a standard deviation.
-constexpr double kWidestLimit = 100.0;      // Beyond it nothing would be seen.
+constexpr int kHalvings = 24;  // Bisections of an interval of limits: to 1e-5 of a standard deviation.
+constexpr double kWidestLimit = 100.0;  // Beyond it nothing would be seen.
 
-/// What the true process looks like from a baseline of so many runs: its mean is off by a normal error, its
+/// The true process seen from a baseline of this number of runs: its mean is off by a normal error, its
 /// standard deviation by one of chi-squared, independent of each other. Quantiles at equal steps; the run
-/// length depends on the size of the shift only, so that one side of the mean stands for both.
+/// length depends on the size of the shift only, so that one side of the mean represents both.
 std::vector<ChartedProcess> processes_seen(int runs) {
   std::vector<ChartedProcess> seen;
   for (int i = 0; i < kCentres; ++i) {
@@ -32,8 +32,8 @@ std::vector<ChartedProcess> processes_seen(int runs) {
   return seen;
 }
 
-/// What the mean of a baseline is off by, in its own standard deviations, in one case of ten (two-sided).
-/// Sums with a smaller allowance would add up that error.
+/// Error of the mean of a baseline, in its own standard deviations, that is exceeded in one case of ten
+/// (two-sided). Sums with a smaller allowance would accumulate that error.
 double mean_is_off_by(int runs) {
   return student_t_above(0.05, runs - 1) / std::sqrt(runs);
 }

@@ -10,9 +10,9 @@ namespace abcal {
 /// baseline.
 struct ChartRules {
   double shewhart = 0.0;     ///< Single values are within +- this.
-  double ewma_weight = 0.2;  ///< Of the newest value in the moving average.
+  double ewma_weight = 0.2;  ///< Weight of the newest value in the moving average.
   double ewma = 0.0;         ///< The average is within +- this of its own standard deviations.
-  /// Half the shift that the sums are to see soonest, and what the baseline's mean may be off by.
+  /// Half the shift that the sums should detect soonest, plus the possible error of the baseline's mean.
   double cusum_allowance = 0.5;
   double cusum = 0.0;  ///< The sums stay below this.
 
@@ -29,15 +29,15 @@ struct ChartDemand {
   double certainty = 0.9;
 };
 
-/// The largest distance of one of so many runs from their mean, in their standard deviations, that chance
-/// explains (Grubbs, Technometrics 11, 1969; two-sided).
+/// The largest distance of one run of a baseline from the mean, in standard deviations of the runs, that
+/// chance explains (Grubbs, Technometrics 11, 1969; two-sided).
 /// @param significance  probability that a sound baseline has a run beyond it
 double outlier_limit(int runs, double significance);
 
-/// Limits that demand such a run length although centre and standard deviation come from few runs: they are
-/// widened until the run length, given the baseline's own errors, is reached by the wanted share of baselines
-/// (guaranteed conditional performance; Albers and Kallenberg 2004, Gandy and Kvaloy 2013). Rates of false
-/// alarms of the rules are added.
+/// Limits that ensure the demanded run length although centre and standard deviation come from few runs: they
+/// are widened until the run length, given the baseline's own errors, is reached by the wanted share of
+/// baselines (guaranteed conditional performance; Albers and Kallenberg 2004, Gandy and Kvaloy 2013). Rates
+/// of false alarms of the rules are added.
 /// @throws std::invalid_argument
 ChartRules design_rules(const ChartDemand& demand);
 
@@ -59,7 +59,7 @@ struct JudgedValue {
   std::string broken() const;
 };
 
-/// What average and sums begin with.
+/// Initial values of the average and the sums.
 struct ChartState {
   double ewma = 0.0, cusum_high = 0.0, cusum_low = 0.0;
 };

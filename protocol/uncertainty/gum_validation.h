@@ -12,7 +12,7 @@ struct GumValidation {
   double expanded_uncertainty = 0.0;  ///< U_p of the GUM framework.
   double d_low = 0.0, d_high = 0.0;   ///< |y -+ U_p - y_low, y_high|
   double tolerance = 0.0;             ///< delta: half a unit of the last meaningful digit of u(y).
-  bool validated = false;             ///< Both differences at most delta.
+  bool validated = false;             ///< Both differences are at most delta.
   /// The Monte Carlo end points are good to delta/5, as section 8.2 asks; else the verdict may be chance.
   bool decided = false;
 };

@@ -20,13 +20,13 @@ namespace {
 
 // Trials a worker takes at a time: a few milliseconds of work, 144 kB of results.
 constexpr std::uint64_t kBlock = 1000;
-// JCGM 101 7.9.4: M = max(J, 1e4) trials between two looks at the digits, J = 100/(1 - p).
+// JCGM 101 7.9.4: M = max(J, 1e4) trials between two checks of the digits, J = 100/(1 - p).
 constexpr std::uint64_t kSmallestLook = 10'000;
 constexpr std::uint64_t kGridTrials = 10'000;   // that set the grid of the histograms
 constexpr std::uint64_t kMostKept = 1'000'000;  // values kept of each output: 144 MB for 18 outputs
 constexpr std::uint64_t kFewestForInterval = 100;
 
-// One block's values and what the merge needs of them.
+// The values of one block and the figures that the merge needs.
 struct Block {
   std::uint64_t count = 0;
   std::vector<double> values;  // output k of trial i at [k * count + i]
@@ -163,7 +163,8 @@ class Engine {
     }
   }
 
-  // In the order of the blocks, whoever made them: sums do not depend on the number of threads.
+  // Merges blocks in their order, whichever thread made them, so that sums do not depend on the number of
+  // threads.
   void merge_what_is_next() {
     try {
       for (auto it = done_.find(next_merge_); it != done_.end() && !finished_; it = done_.find(next_merge_)) {

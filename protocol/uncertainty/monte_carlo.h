@@ -26,13 +26,14 @@ struct MonteCarloOptions {
   /// Adaptive: the tolerance is divided by this (JCGM 101 section 8.2 asks 5 when it validates the GUM
   /// framework).
   double tolerance_divisor = 1.0;
-  std::uint64_t most_trials = 100'000'000;  ///< Where an adaptive run gives up and says so.
+  std::uint64_t most_trials = 100'000'000;  ///< Limit at which an adaptive run ends without having converged,
+                                            ///< and says so.
   unsigned threads = 0;                     ///< 0: as many as the machine has.
   double coverage_probability = 0.95;
-  MonteCarloTeam* team = nullptr;  ///< Other processes that share the work; none: this one alone.
-  std::stop_token stop;            ///< Asked to stop, the engine reports what it has.
-  /// Told from time to time how many trials are done, of how many (0: not known). From any worker, one at a
-  /// time.
+  MonteCarloTeam* team = nullptr;  ///< Other processes that share the work; null: this one alone.
+  std::stop_token stop;            ///< On a request to stop, the engine reports its results so far.
+  /// Called from time to time with the number of trials done and planned (0: not known), by any worker, one
+  /// at a time.
   std::function<void(std::uint64_t done, std::uint64_t planned)> progress;
 };
 
@@ -53,7 +54,7 @@ struct MonteCarloResult {
   /// Adaptive: twice the standard deviation of the averages over the blocks (y, u, y_low, y_high) over the
   /// tolerance, the largest of each output. At most 1 where converged.
   Eigen::VectorXd reached;
-  std::string note;  ///< What a reader must know of these figures; printed as it is.
+  std::string note;  ///< Remark on these figures for the reader; printed unchanged.
 };
 
 /// Runs a study of `outputs` outputs.

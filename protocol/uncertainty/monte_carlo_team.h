@@ -8,7 +8,7 @@
 namespace abcal {
 
 /// Several processes, on one machine or several, that make the trials of one study together. All of them run
-/// the same program on the same input, so each knows how to make any trial; they differ only in who asks. The
+/// the same program on the same input, so each can make any trial; only the leader distributes them. The
 /// leader merges the blocks in their order as it does alone, so the result has the same bits for any team.
 class MonteCarloTeam {
  public:

@@ -42,7 +42,7 @@ struct PhiloxKeys {
   std::uint64_t second[10];
 };
 
-/// The low 32 bits of each 64-bit lane times `factor`, all 64 bits of it.
+/// The full 64-bit product of the low 32 bits of each 64-bit lane and `factor`.
 template <class DU, class VU = hn::Vec<DU>>
 HWY_INLINE VU times(DU du, VU v, std::uint32_t factor) {
 #if HWY_TARGET == HWY_SCALAR  // has no vectors of two 32-bit numbers
@@ -54,8 +54,8 @@ HWY_INLINE VU times(DU du, VU v, std::uint32_t factor) {
 }
 
 /// Ten rounds on K counters held one in each 64-bit lane. Only the low 32 bits of a lane count: the
-/// multiplication ignores the high ones, so what gathers there never needs clearing. The K counters go side
-/// by side because each waits for its own multiplications.
+/// multiplication ignores the high ones, so they never need clearing. The K counters go side by side because
+/// each waits for its own multiplications.
 template <int K, class DU, class VU = hn::Vec<DU>>
 HWY_INLINE void philox(DU du, const PhiloxKeys& keys, VU (&c0)[K], VU (&c1)[K], VU (&c2)[K], VU (&c3)[K]) {
   for (int round = 0; round < 10; ++round) {
@@ -93,7 +93,7 @@ HWY_INLINE void small_sincos(D d, V x, V& sin_x, V& cos_x_minus_1) {
   cos_x_minus_1 = hn::Mul(z, hn::Add(hn::Mul(z, polynomial(d, z, kCos)), hn::Set(d, -0.5)));
 }
 
-/// sin x and cos x - 1 for |x| <= kTiny: what the shorter series leave out is below 1e-21 of either.
+/// sin x and cos x - 1 for |x| <= kTiny: the truncation error of the shorter series is below 1e-21 of either.
 constexpr double kTiny = 0.01;
 template <class D, class V = hn::Vec<D>>
 HWY_INLINE void tiny_sincos(D d, V x, V& sin_x, V& cos_x_minus_1) {

@@ -6,7 +6,7 @@ namespace abcal {
 
 /// The numbers that Geist & Gaitan (J. Res. NIST 126, 126038, 2021) print, as they print them (but for Table
 /// 8, whose rows "s" and "O" are interchanged in print and put right here; docs/theory/abc_protocol.md, slip
-/// 1). Entries are known to half a unit of the fourth digit; what is not printed is NaN.
+/// 1). Entries are known to half a unit of the fourth digit; entries that are not printed are NaN.
 const StudyOutput& published_table_2();  ///< The accelerometer itself, 15 decimals.
 const StudyOutput& published_table_3_and_4_mean();
 const StudyOutput& published_table_3_and_4_standard_deviation();

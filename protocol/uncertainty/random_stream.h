@@ -6,7 +6,7 @@
 
 namespace abcal {
 
-/// What a stream of random numbers is for. Streams of different purposes are independent for one seed and
+/// Purpose of a stream of random numbers. Streams of different purposes are independent for one seed and
 /// trial.
 enum class StreamPurpose : std::uint32_t {
   kTypeB = 0,

@@ -15,8 +15,8 @@
 namespace abcal {
 namespace {
 
-constexpr Eigen::Index kStates = 101;  // Of the chain: meets the published run lengths to the last digit.
-constexpr int kNodes = 60;             // Of the integral; even. More change nothing before the eighth digit.
+constexpr Eigen::Index kStates = 101;  // States of the chain: reach the published run lengths exactly.
+constexpr int kNodes = 60;  // Nodes of the integral; even. More change nothing before the eighth digit.
 constexpr double kLongest = 1e12;
 
 void require_process(const ChartedProcess& process) {
@@ -30,7 +30,7 @@ double plausible(double length) {
   return std::isfinite(length) && length > 0.0 && length < kLongest ? length : HUGE_VAL;
 }
 
-/// Of the sum that grows with values above the allowance.
+/// Run length of the sum that grows with values above the allowance.
 double one_sided_cusum(double allowance, double interval, double shift, double spread) {
   const double width = 2.0 * interval / (2.0 * static_cast<double>(kStates) - 1.0);
   // To go up by d states at most, d from -(kStates - 1) - 1/2.

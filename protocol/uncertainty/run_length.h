@@ -8,7 +8,7 @@ namespace abcal {
 
 /// The process that a chart watches.
 struct ChartedProcess {
-  double shift = 0.0;   ///< Of the mean from the centre line.
+  double shift = 0.0;   ///< Shift of the mean from the centre line.
   double spread = 1.0;  ///< > 0
 };
 
@@ -21,7 +21,7 @@ double shewhart_run_length(double limit, const ChartedProcess& process = {});
 /// @throws std::invalid_argument weight outside (0, 1]
 double ewma_run_length(double weight, double limit, const ChartedProcess& process = {});
 
-/// Two cumulative sums from zero, of what exceeds `allowance` above and below, outside beyond `interval`.
+/// Two cumulative sums from zero, of the excess over `allowance` above and below, outside beyond `interval`.
 /// Markov chain of Brook and Evans (Biometrika 59, 1972) for each; 1/ARL = 1/ARL+ + 1/ARL-.
 double cusum_run_length(double allowance, double interval, const ChartedProcess& process = {});
 

@@ -18,7 +18,7 @@ namespace abcal {
 struct UncertaintyOptions {
   std::optional<std::uint64_t> trials =
       200'000;                ///< Absent: adaptive to `digits`. JCGM 101: at least 1e4/(1 - p).
-  int digits = 2;             ///< Of the adaptive run.
+  int digits = 2;             ///< Digits for the adaptive run.
   int validation_digits = 1;  ///< Meaningful digits of u in the validation of the GUM framework.
   std::uint64_t seed = 1;
   unsigned threads = 0;
@@ -45,7 +45,7 @@ struct RunUncertainty {
   MonteCarloResult combined;  ///< Errors due to the whole budget.
   Budget budget;
   std::vector<GumValidation>
-      validation;  ///< Of `combined` against the budget, output by output; may be empty.
+      validation;  ///< Validation of `combined` against the budget, output by output; may be empty.
   OutputVector standard_uncertainty =
       OutputVector::Zero();  ///< Combined: Monte Carlo, or the preset with type A.
   StudyOutput bounds;        ///< Section 5's bounds for this accelerometer.

@@ -5,7 +5,7 @@
 #include <limits>
 #include <stdexcept>
 
-#include "protocol/analysis/harmonic_fit.h"
+#include "protocol/estimators/circle/harmonic_fit.h"
 #include "protocol/uncertainty/published_tables.h"
 #include "protocol/uncertainty/random_stream.h"
 
@@ -27,8 +27,7 @@ std::string degrees_text(Angle angle) {
   return text;
 }
 
-// Fits the readings, and computes back from the fit what they should have been, as the paper does for Figures
-// 2 and 4.
+// Fits the readings, and computes the fitted readings from the result, as the paper does for Figures 2 and 4.
 SimulatedReadings with_residuals(const AbcDesign& design, const std::array<Eigen::MatrixX3d, 3>& readings,
                                  const StudyOutput& found) {
   SimulatedReadings simulated;

@@ -15,7 +15,7 @@
 
 namespace abcal {
 
-/// What a user may change of the paper's simulation sets. Absent: as in the paper.
+/// Settings of the paper's simulation sets that a user may change. Absent: as in the paper.
 struct SimulationOptions {
   std::optional<std::uint64_t> trials;
   std::uint64_t seed = 1;
@@ -29,8 +29,8 @@ struct SimulationOptions {
   std::function<void(std::uint64_t done, std::uint64_t planned)> progress;
 };
 
-/// Readings of one simulated calibration with what the fit leaves (Figures 1 to 4). [i - 1] is N x 3, columns
-/// u v w.
+/// Readings of one simulated calibration with the residuals of the fit (Figures 1 to 4). [i - 1] is N x 3,
+/// columns u v w.
 struct SimulatedReadings {
   std::array<std::vector<Angle>, 3> alpha;
   std::array<Eigen::MatrixX3d, 3> readings;   ///< R
@@ -42,13 +42,13 @@ struct StudyCase {
   std::string name;
   bool one_of_many = false;          ///< One of many alike, summed up by another case: text leaves it out.
   std::optional<StudyOutput> error;  ///< Estimate minus truth.
-  std::optional<StudyOutput> truth;  ///< Of a single simulation.
-  std::optional<MonteCarloResult> monte_carlo;  ///< Of the errors.
+  std::optional<StudyOutput> truth;  ///< Truth of a single simulation.
+  std::optional<MonteCarloResult> monte_carlo;  ///< Statistics of the errors.
   std::string table;                     ///< "Table 5": where the printed numbers stand; empty: nowhere.
   std::optional<StudyOutput> published;  ///< Printed error, or mean of the errors.
   std::optional<StudyOutput> published_standard_deviation;
   std::optional<StudyOutput> published_truth;  ///< Table 2.
-  std::string note;                            ///< What a reader must know, the paper's slips among it.
+  std::string note;                            ///< Remark for the reader, e.g. on slips of the paper.
   std::optional<SimulatedReadings> readings;
   /// Largest coefficient of harmonics 2 to 5 of the five-harmonic fit (R).
   std::optional<double> largest_higher_harmonic;

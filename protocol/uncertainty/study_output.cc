@@ -57,4 +57,21 @@ std::string output_unit(int k, std::string_view response_unit) {
   return std::string(response_unit) + (offset ? "" : "/g_loc");
 }
 
+std::vector<int> worst_of_each_kind(const OutputVector& u) {
+  std::vector<int> worst;
+  const auto largest = [&](const std::vector<int>& members) {
+    int best = members.front();
+    for (const int k : members) {
+      if (u(k) > u(best)) best = k;
+    }
+    worst.push_back(best);
+  };
+  largest({0, 4, 8});
+  largest({1, 2, 3, 5, 6, 7});
+  largest({9, 10, 11});
+  largest({12, 13, 14});
+  largest({15, 16, 17});
+  return worst;
+}
+
 }  // namespace abcal

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <string>
 #include <string_view>
+#include <vector>
 
 namespace abcal {
 
@@ -33,6 +34,10 @@ StudyOutput to_output(const OutputVector& vector);
 /// The outputs that belong to a sensitivity matrix and an offset: norms of the rows and the angles between
 /// them (by atan2; docs/theory/model.md).
 StudyOutput outputs_of(const Eigen::Matrix3d& sensitivity_matrix, const Eigen::Vector3d& offset);
+
+/// One output for each kind (diagonal and other elements of s, O, s_j, phi): that with the largest
+/// uncertainty. Positions as in study_output.h.
+std::vector<int> worst_of_each_kind(const OutputVector& u);
 
 /// Symbol of output k: "s_ux" ... "s_wz", "O_u", "s_u" (intrinsic), "phi_uv" ...
 std::string_view output_symbol(int k);

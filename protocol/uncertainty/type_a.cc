@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "protocol/analysis/known_acs_fit.h"
+#include "protocol/estimators/shared/known_acs_fit.h"
 #include "protocol/model/forward_model.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/study_output.h"

@@ -8,7 +8,7 @@
 
 namespace abcal {
 
-/// What has been measured of the calibration system, for the type A evaluation of the paper's section 6.
+/// Measured properties of the calibration system, for the type A evaluation of the paper's section 6.
 struct MeasuredAcs {
   AcsErrors mean;            ///< Measured alignment, turn, mean step and step errors.
   AcsErrors standard_error;  ///< Standard errors of these means, in the same fields.

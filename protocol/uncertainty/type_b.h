@@ -29,7 +29,7 @@ enum class StepErrorModel {
               ///< 14).
 };
 
-/// A type B study: what is drawn for every trial.
+/// A type B study: the quantities drawn for every trial.
 struct TypeBStudy {
   AbcDesign design = AbcDesign::uniform();
   AccelerometerUnderTest accelerometer;
@@ -59,15 +59,15 @@ std::array<Eigen::MatrixX3d, 3> simulated_readings(const AbcDesign& design,
 /// The ABC analysis of such readings (docs/theory/abc_protocol.md).
 StudyOutput abc_analysis(const AbcDesign& design, const std::array<Eigen::MatrixX3d, 3>& readings);
 
-/// What the analysis should have found: the outputs of the tilted matrix at rest.
+/// The true values of the analysis' outputs: those of the tilted matrix at rest.
 StudyOutput true_outputs(const AccelerometerUnderTest& accelerometer, const Alignment& alignment);
 
-/// Errors of one simulated calibration: analysis of the simulated readings minus truth. What TypeBSampler
-/// does, written plainly.
+/// Errors of one simulated calibration: analysis of the simulated readings minus truth. Plain version of
+/// TypeBSampler.
 StudyOutput abc_errors(const AbcDesign& design, const AccelerometerUnderTest& accelerometer,
                        const AcsErrors& errors);
 
-/// The inputs of one trial of a study: what TypeBSampler draws, one by one, for checks and for examples.
+/// The inputs of one trial of a study as TypeBSampler draws them, one by one, for checks and for examples.
 struct TypeBDraw {
   AccelerometerUnderTest accelerometer;
   AcsErrors errors;

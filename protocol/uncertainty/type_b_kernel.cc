@@ -2,8 +2,8 @@
 //
 // docs/theory/model.md, "Turning gravity instead of the matrix": gravity seen from the accelerometer is p + q
 // cos(alpha + F + f) + t sin(alpha + F + f) with p, q, t constant in an experiment, and the fit is linear in
-// the readings. So all that the step errors do is to change six sums (A, B, C of the cosine and of the sine),
-// and the accelerometer comes in only after them.
+// the readings. Thus the step errors only change six sums (A, B, C of the cosine and of the sine), and the
+// accelerometer is applied after them.
 #include "protocol/uncertainty/type_b_kernel.h"
 
 #undef HWY_TARGET_INCLUDE
@@ -253,7 +253,7 @@ HWY_INLINE void trials(D d, const TypeBSampler::Plan& plan, const PhiloxKeys& ke
   const Vector3<D> p3 = scaled(z_axis, dot(z_axis, up3));
   const Coefficients<D> e3 = coefficients(p3, difference(up3, p3), cross(up3, z_axis), w3);
 
-  // The estimate is s G with the columns of G below; G - 1 is what goes wrong (docs/theory/abc_protocol.md).
+  // The estimate is s G with the columns of G below; G - 1 is the error (docs/theory/abc_protocol.md).
   Vector3<D> gx = scaled(sum(e2.a, e3.a), hn::Set(d, -0.5));
   Vector3<D> gy = scaled(difference(e1.a, e3.b), half);
   Vector3<D> gz = scaled(sum(e1.b, e2.b), half);

@@ -13,8 +13,8 @@ inline constexpr std::size_t kMostHarmonics = 512;
 /// Trials first .. first + count - 1 of a plan, on the widest vectors of this machine; layout as TrialBlock.
 void type_b_trials(const TypeBSampler::Plan& plan, std::uint64_t first, std::size_t count, double* out);
 
-/// The same normals and nothing else (their sum to out[trial]): what the benchmark holds the whole trial
-/// against.
+/// Only the normals of these trials (their sum to out[trial]), as a reference for the benchmark of the whole
+/// trial.
 void type_b_normals_only(std::uint64_t seed, std::uint32_t pairs, std::uint64_t first, std::size_t count,
                          double* out);
 

@@ -33,7 +33,7 @@ std::string FaultyPort::transmit(Clock::Instant now) {
   std::string bytes;
   try {
     for (;;) {
-      // A deadline that has passed: what is there, without waiting.
+      // With a deadline in the past, returns available bytes without waiting.
       const wire::ReceivedBytes received = stream_.read_until(now);
       if (received.bytes.empty()) return bytes;
       bytes += received.bytes;

@@ -11,7 +11,7 @@
 namespace abcal::sim {
 
 /// A simulated instrument behind a link that is slow or goes wrong (FaultyStream), for an emulator. While it
-/// is unplugged it hears nothing, and what it puts out is lost.
+/// is unplugged it receives nothing, and its output is lost.
 class FaultyPort final : public Firmware {
  public:
   /// `clock` must be the one whose instants are handed in.

@@ -10,8 +10,9 @@
 
 namespace abcal::sim {
 
-/// The inside of a simulated instrument at byte level: what the maker's manual says of the bytes, without a
-/// port. Time is handed in, so that the same firmware serves the jumping clock and real time. One thread.
+/// The inside of a simulated instrument at byte level: the behaviour of the bytes in the maker's manual,
+/// without a port. Time is handed in, so that the same firmware serves the jumping clock and real time. One
+/// thread.
 class Firmware {
  public:
   virtual ~Firmware() = default;
@@ -19,32 +20,31 @@ class Firmware {
   /// The instrument's port took these bytes at `now`. Any split is allowed.
   virtual void receive(std::string_view bytes, Clock::Instant now) = 0;
 
-  /// The bytes that the instrument has put out since the last call and up to `now`.
+  /// The bytes that the instrument has output since the last call and up to `now`.
   virtual std::string transmit(Clock::Instant now) = 0;
 
-  /// When it next has bytes to put out if nothing more is received; nothing: never. May have passed.
+  /// Time of its next output if nothing more is received; absent: never. May be in the past.
   virtual std::optional<Clock::Instant> next_due() const = 0;
 
   /// Whether its plug is in: an emulator takes the port of an unplugged one away.
   virtual bool plugged_in() const { return true; }
 
-  /// A client has connected over a network: the half of a command that another one left is forgotten, and
-  /// what was to be answered to it. Motion, settings and the rest of the instrument's state go on. Not called
-  /// on serial lines: there the half stays.
+  /// A client has connected over a network: half a command of an earlier client is forgotten, and so are
+  /// pending answers to it. Motion, settings and the rest of the instrument's state go on. Not called on
+  /// serial lines, where the half command stays.
   virtual void session_starts() {}
 
   /// Another connection to the same instrument while one is open, with its own commands and replies; null: it
   /// serves one client at a time.
   virtual std::shared_ptr<Firmware> another_session() { return nullptr; }
-  /// Its supply fails (false) or is back (true): motion ends, what it does not keep without power is lost,
-  /// and it starts as its maker lets it start, streaming or not. Nothing is received in between, and what it
-  /// transmits is lost.
+  /// Its supply fails (false) or is back (true): motion ends, volatile settings are lost, and it starts as
+  /// its maker lets it start, streaming or not. Nothing is received in between, and output is lost.
   virtual void power(bool /*on*/, Clock::Instant /*now*/) {}
 
-  /// The speed of its serial port as it is set now, in Bd; nothing: it has none (USB, network).
+  /// The present speed of its serial port in Bd; absent: it has none (USB, network).
   virtual std::optional<unsigned> line_speed() const { return std::nullopt; }
 
-  /// What hosts have asked that it does not carry out.
+  /// Commands from hosts that it does not carry out.
   virtual UnservedCommands& unserved() { return unserved_; }
 
  private:

@@ -11,9 +11,9 @@
 namespace abcal::sim {
 
 /// The port of a simulated instrument inside the program: waiting for bytes advances the clock to the instant
-/// at which the firmware puts them out, or to the deadline, never further. Several of them may share a clock
-/// and a world: what one puts out while another one's wait advances the clock waits here, in a bounded buffer
-/// whose oldest bytes are dropped and counted when it is full.
+/// at which the firmware outputs them, or to the deadline, never further. Several streams may share a clock
+/// and a world: output that comes while another one's wait advances the clock is kept here, in a bounded
+/// buffer whose oldest bytes are dropped and counted when it is full.
 class FirmwareStream final : public wire::ByteStream {
  public:
   static constexpr std::size_t kDefaultCapacity = std::size_t{1} << 20;
@@ -27,11 +27,11 @@ class FirmwareStream final : public wire::ByteStream {
   std::size_t dropped_bytes() const override;
   std::string name() const override { return name_; }
 
-  /// Firmware::power() of the instrument, now; what it had put out is lost.
+  /// Calls Firmware::power() of the instrument now; pending output is lost.
   void power(bool on);
 
  private:
-  /// Takes what was put out up to `now`. @return Firmware::next_due() after that
+  /// Takes the output up to `now`. @return Firmware::next_due() after that
   std::optional<Clock::Instant> collect(Clock::Instant now);
 
   std::shared_ptr<Firmware> firmware_;

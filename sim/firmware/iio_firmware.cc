@@ -59,7 +59,7 @@ std::vector<std::string> words_of(const std::string& line) {
 
 }  // namespace
 
-/// What all clients share.
+/// State that all clients share.
 class IioFirmware::Machine {
  public:
   Machine(std::shared_ptr<SimBench> bench, const IioSettings& settings)
@@ -157,7 +157,7 @@ std::string IioFirmware::Machine::description() const {
   return xml;
 }
 
-/// As the part would put it out: with its own corrections, and to the end of its range.
+/// Raw value as the part outputs it: with its own corrections, limited to its range.
 std::int64_t IioFirmware::Machine::raw_acceleration(const SimOutput& output, int j) const {
   const std::string axis = std::string("accel_") + "xyz"[j];
   const double bias = std::strtod(values_.at(axis + " calibbias").c_str(), nullptr);
@@ -220,13 +220,13 @@ int IioFirmware::Machine::write(const std::string& channel, const std::string& a
   const auto found = values_.find(channel + " " + attribute);
   if (found == values_.end()) return kNoEntry;
   if (!attribute.starts_with("calib")) return kInvalid;
-  // As drivers of the kernel take them: a calibbias in whole counts, a calibscale in millionths.
+  // Kernel drivers take calibbias in whole counts and calibscale in millionths.
   found->second =
       attribute == "calibbias" ? fmt::format("{:.0f}", std::trunc(number)) : fmt::format("{:.6f}", number);
   return static_cast<int>(value.size());
 }
 
-/// What belongs to one connection.
+/// State of one connection.
 class IioFirmware::Client {
  public:
   explicit Client(std::shared_ptr<Machine> machine) : machine_(std::move(machine)) {}
@@ -283,11 +283,11 @@ class IioFirmware::Client {
   std::size_t blocks_ = 4;
   std::deque<std::uint64_t> kept_;  ///< Ticks.
   std::uint64_t next_tick_ = 0;
-  std::size_t wanted_scans_ = 0;  ///< Of a READBUF that waits,
+  std::size_t wanted_scans_ = 0;  ///< Scans wanted by a READBUF that waits,
   Clock::Instant asked_{};        ///< since then.
 };
 
-/// What the kernel's buffer has taken by now: the oldest samples stay, for the newest there is no room.
+/// Fills the kernel's buffer up to now: the oldest samples stay, and for the newest there is no room.
 void IioFirmware::Client::sample(Clock::Instant now) {
   if (mask_ == 0) return;
   const std::size_t room = block_scans_ * blocks_;
@@ -437,7 +437,7 @@ std::optional<Clock::Instant> IioFirmware::next_due() const {
 void IioFirmware::session_starts() {
   client_ = std::make_unique<Client>(machine_);
 }
-/// The computer starts anew; what is set in its devices is kept by their drivers' defaults.
+/// The computer restarts; the settings of its devices remain, as the defaults of their drivers.
 void IioFirmware::power(bool on, Clock::Instant /*now*/) {
   if (on) session_starts();
 }

@@ -12,7 +12,7 @@ namespace abcal::sim {
 struct IioSettings {
   std::string name = "adis16485";
   std::string serial_number = "0x2a51";
-  std::string version = "0.24.v0.24  ";  ///< Of the iiod: seven characters of the release.
+  std::string version = "0.24.v0.24  ";  ///< Version reply of the iiod: its release in seven characters.
   double rate_hz = 123.0;                ///< At power on.
   double highest_rate_hz = 4000.0;
   Clock::Duration reply_delay = std::chrono::microseconds(200);

@@ -202,7 +202,7 @@ void MavlinkFirmware::Device::take_parameter(std::string_view payload, bool set)
   replies_.push(frame(kParamValueMessage, answer), now_ + settings_.reply_delay);
 }
 
-/// As its autopilot corrects.
+/// Applies the corrections of its autopilot.
 Eigen::Vector3d MavlinkFirmware::Device::corrected(const Eigen::Vector3d& raw_mps2) const {
   if (parameters_.empty()) return raw_mps2;
   Eigen::Vector3d value;
@@ -235,7 +235,7 @@ std::string MavlinkFirmware::Device::frame(unsigned message, std::string payload
   return bytes;
 }
 
-// What it hears.
+// Receiving.
 
 void MavlinkFirmware::Device::receive(std::string_view bytes, Clock::Instant now) {
   now_ = std::max(now_, now);
@@ -335,7 +335,7 @@ void MavlinkFirmware::Device::acknowledge(unsigned command, unsigned result) {
   replies_.push(frame(kCommandAckMessage, payload), now_ + settings_.reply_delay);
 }
 
-// What it says.
+// Sending.
 
 std::string MavlinkFirmware::Device::heartbeat() {
   std::string payload;

@@ -12,13 +12,13 @@
 namespace abcal::sim {
 
 struct MavlinkSettings {
-  int version = 2;                                 ///< Of what it sends; it hears both.
+  int version = 2;                                 ///< Version that it sends; it receives both.
   bool has_highres = true;                         ///< HIGHRES_IMU; else SCALED_IMU only.
   bool streams_at_power_on = false;                ///< HIGHRES_IMU, 50 a second.
   std::string serial_number = "0000000000000042";  ///< 16 hexadecimal digits.
   unsigned autopilot = 12;                         ///< PX4
   bool armed = false;
-  bool has_parameters = true;  ///< Those of its first accelerometer.
+  bool has_parameters = true;  ///< Parameters of its first accelerometer.
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
 };
 

@@ -77,7 +77,7 @@ constexpr double kStandardGravity = 9.80665;  // m/s2
 constexpr Clock::Duration kFilterStart = std::chrono::seconds(1);
 enum FilterState : std::uint16_t { kFilterInitialises = 1, kFilterRuns = 2, kFilterRunsWithHeading = 3 };
 
-/// Which units have a command.
+/// Units that have a command.
 enum class Family { kAll, kLegacy, kModern };
 
 /// A setting that is kept and read back: function, key, value.
@@ -87,8 +87,8 @@ struct Kept {
   std::uint8_t reply;
   Family family;
   std::size_t key;                ///< Bytes behind the function that say which one.
-  std::size_t size;               ///< Of the value; 0: any.
-  std::string_view initial = {};  ///< Of the value; zeros where it is shorter.
+  std::size_t size;               ///< Bytes of the value; 0: any.
+  std::string_view initial = {};  ///< Initial value, extended with zeros.
 };
 constexpr std::uint8_t kAccelBias = 0x37;
 constexpr std::uint8_t kGyroBias = 0x38;
@@ -202,7 +202,7 @@ struct Rate {
   std::uint16_t decimation;
 };
 
-/// What can be saved, loaded and reset.
+/// Settings that can be saved, loaded and reset.
 struct Stored {
   struct Stream {
     std::vector<Rate> format;
@@ -297,13 +297,13 @@ class MipFirmware::Device {
   Stored saved_;
   bool idle_;
   std::uint64_t next_tick_ = 0;  ///< The next at which a packet of the stream is due.
-  Clock::Instant next_time_;     ///< Of that tick.
+  Clock::Instant next_time_;     ///< Time of that tick.
   std::vector<std::uint8_t> due_fields_;
   mutable std::optional<std::pair<std::uint64_t, SimOutput>> last_output_;
   std::string input_;
   ReplyQueue replies_;
   std::vector<std::pair<std::uint8_t, std::string>> after_ack_;
-  bool suppress_ack_ = false;                        ///< Of the command in hand.
+  bool suppress_ack_ = false;  ///< Suppresses the acknowledgement of the command in hand.
   Clock::Duration takes_ = Clock::Duration::zero();  ///< The command in hand, before it is answered.
   unsigned line_speed_;
   Clock::Instant filter_since_;  ///< Its last reset.
@@ -381,7 +381,7 @@ void MipFirmware::Device::find_packets() {
     const bool holds = found == checksum(rest.substr(0, size - kChecksum));
     const std::string payload(rest.substr(kHeader, size - kHeader - kChecksum));
     run_packet(byte(rest[2]), payload, holds);
-    // A wrong checksum may be a wrong length: what follows the two sync bytes may hold a good packet.
+    // A wrong checksum may be caused by a wrong length: a good packet may begin behind the two sync bytes.
     at += holds ? size : 2;
   }
   input_.erase(0, at);
@@ -476,7 +476,7 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_base(std::ui
     case 0x09:
       if (!settings_.modern_commands) throw Refusal{kUnknown};
       return baud_rate(true, arguments);
-    case 0x7E:  // soft reset: as after power on, with what was saved
+    case 0x7E:  // soft reset: the state after power on, with the saved settings
       arguments.done();
       current_ = saved_;
       filter_since_ = now_;
@@ -530,7 +530,7 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::run_3dm(std::uin
     case 0x2D:
       require(Family::kModern);
       return event_status(command == 0x2C, arguments);
-    case 0x39: {  // capture of the gyro bias: takes as long as it is told to
+    case 0x39: {  // capture of the gyro bias: lasts for the commanded time
       takes_ = std::chrono::milliseconds(arguments.u16());
       arguments.done();
       current_.kept[kept_name(k3dmSet, 0x38, "")] = std::string(12, '\0');
@@ -619,7 +619,7 @@ std::optional<MipFirmware::Device::Answer> MipFirmware::Device::keep(const Kept&
   }
 }
 
-/// Which triggers (1) or actions (2) there are: kind and how many [unverified against a device].
+/// Supported triggers (1) or actions (2): kinds and their numbers [unverified against a device].
 MipFirmware::Device::Answer MipFirmware::Device::event_support(Arguments arguments) const {
   const std::uint8_t query = arguments.u8();
   arguments.done();
@@ -630,7 +630,7 @@ MipFirmware::Device::Answer MipFirmware::Device::event_support(Arguments argumen
   return {0xB4, data + kinds};
 }
 
-/// Of each event asked for: its kind and its state; none has happened.
+/// Kind and state of each requested event; none has happened.
 MipFirmware::Device::Answer MipFirmware::Device::event_status(bool of_triggers, Arguments arguments) {
   const std::uint8_t count = arguments.u8();
   arguments.bytes(count);
@@ -892,13 +892,13 @@ void MipFirmware::Device::put_fields(std::string& payload, std::uint8_t set,
   }
 }
 
-/// Those that any data set may have.
+/// Data that any data set may contain.
 void MipFirmware::Device::put_shared_data(std::string& out, std::uint8_t set, std::uint8_t field,
                                           std::uint64_t tick) const {
   const Clock::Instant t = grid_.time(tick);
   switch (field) {
     case kEventSource:
-      put(out, 0);  // None: it is the stream's.
+      put(out, 0);  // 0: the stream itself is the source.
       return;
     case kReferenceTime:
       put_big_endian(out, static_cast<std::uint64_t>((t - powered_since_).count()));

@@ -21,7 +21,7 @@ struct MipSettings {
   unsigned baud = 115200;
   bool legacy_commands = true;         ///< 0C,06 and 0C,08; 0C,0A and 0C,0B; 0D,18 and 0D,19: as a GX5.
   bool modern_commands = true;         ///< 0C,0E and 0C,0F; 01,09; 0C,2A to 0C,2F; 0D,50: as a 7 series.
-  bool streaming_at_power_on = false;  ///< As an instrument whose settings were saved with the stream on.
+  bool streaming_at_power_on = false;  ///< The instrument's settings were saved with the stream on.
   Clock::Duration reply_delay = std::chrono::microseconds(200);
 };
 

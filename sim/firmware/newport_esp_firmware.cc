@@ -19,7 +19,7 @@
 namespace abcal::sim {
 namespace {
 
-// Error codes (docs/protocols/newport_esp.md). Those of an axis are 100 * axis + code.
+// Error codes (docs/protocols/newport_esp.md). Errors of an axis are 100 * axis + code.
 constexpr int kEmergencyStop = 4;
 constexpr int kNoSuchCommand = 6;
 constexpr int kOutOfRange = 7;
@@ -229,12 +229,12 @@ class NewportEspFirmware::Controller {
   Error take_error();
 
   // Axes.
-  std::size_t index_of(const Command& command) const;  ///< Of the settings' arrays.
+  std::size_t index_of(const Command& command) const;  ///< Index into the settings' arrays.
   unsigned number_of(std::size_t k) const;
   std::vector<std::size_t> one_or_all(const Command& command) const;
   Axis& axis(const Command& command) { return axes_[index_of(command)]; }
   int axis_error(std::size_t k, int code) const { return static_cast<int>(100 * number_of(k)) + code; }
-  const AxisTruth& truth(std::size_t k) const { return k == 0 ? bench_->truth().x : bench_->truth().z; }
+  const AxisTruth& truth(std::size_t k) const { return bench_->stage().axis(kStageAxes[k]); }
   double unit(std::size_t k) const {
     return degrees_per_unit(axes_[k].unit, truth(k).encoder_resolution.deg());
   }
@@ -313,7 +313,7 @@ class NewportEspFirmware::Controller {
   std::array<Axis, 2> axes_;
   std::map<int, std::vector<std::string>> programs_;
   std::optional<int> entered_program_;  ///< Lines go into it rather than being run.
-  std::array<unsigned, 2> numbers_{};   ///< Of X and Z; 0: not here.
+  std::array<unsigned, 2> numbers_{};   ///< Axis numbers of X and Z; 0: not here.
   ReplyQueue replies_;
   std::string line_;
   std::deque<std::string> waiting_lines_;  ///< Behind a WS or WT.
@@ -422,7 +422,7 @@ NewportEspFirmware::Controller::commands() {
   return table;
 }
 
-/// The initial values are those of no special stage [unverified against a device].
+/// The initial values belong to no particular stage [unverified against a device].
 const std::map<std::string, NewportEspFirmware::Controller::Kept, std::less<>>&
 NewportEspFirmware::Controller::kept_settings() {
   static const std::map<std::string, Kept, std::less<>> table{
@@ -525,7 +525,7 @@ void NewportEspFirmware::Controller::run_command(std::string_view text) {
     unserved_.note(name, "not emulated: error 6, no answer");
     return remember(kNoSuchCommand);
   }
-  // Of a program the number before the command is its own, not an axis'.
+  // The number before a program command is the program's, not an axis'.
   const bool of_a_program = name == "EP" || name == "EX" || name == "XX";
   if (!of_a_program && axis_given && (command.axis < 1 || command.axis > settings_.axes))
     return remember(kAxisOutOfRange);
@@ -555,7 +555,7 @@ NewportEspFirmware::Controller::Error NewportEspFirmware::Controller::take_error
   return error;
 }
 
-/// What has happened by now_.
+/// Applies all changes up to now_.
 void NewportEspFirmware::Controller::update() {
   for (std::size_t k = 0; k < 2; ++k) {
     Axis& a = axes_[k];
@@ -650,7 +650,7 @@ void NewportEspFirmware::Controller::start_move(std::size_t k, double target_deg
   Axis& a = axes_[k];
   refuse_while_homing(k);
   if (!a.motor_on) throw Refusal{axis_error(k, kMotorNotEnabled)};
-  // As its target is typed in decimals, a limit is passed only by more than a step of the encoder.
+  // Targets are typed in decimals, so a limit counts as exceeded only by more than one encoder step.
   const double step = truth(k).encoder_resolution.deg();
   if (target_deg > a.soft_max_deg + step) throw Refusal{axis_error(k, kPositiveSoftwareLimit)};
   if (target_deg < a.soft_min_deg - step) throw Refusal{axis_error(k, kNegativeSoftwareLimit)};
@@ -712,7 +712,7 @@ std::optional<std::string> NewportEspFirmware::Controller::target(const Command&
 }
 
 std::optional<std::string> NewportEspFirmware::Controller::speed_now(const Command& c) {
-  // By the encoder, over one servo cycle, as the controller itself has it.
+  // Measured by the encoder over one servo cycle, as in the controller itself.
   const std::size_t k = index_of(c);
   const Angle turned = bench_->commanded_angle(kStageAxes[k], now_) -
                        bench_->commanded_angle(kStageAxes[k], std::max(bench_->start(), now_ - kServoCycle));
@@ -737,7 +737,7 @@ std::optional<std::string> NewportEspFirmware::Controller::motion_done(const Com
 }
 
 std::optional<std::string> NewportEspFirmware::Controller::stop_motion(const Command& c) {
-  // Of an axis without a stage there is nothing to stop, and no error: so hosts count the axes.
+  // For an axis without a stage there is nothing to stop, and no error: hosts count the axes this way.
   if (c.axis != 0 && c.axis != numbers_[0] && c.axis != numbers_[1]) return std::nullopt;
   for (const std::size_t k : one_or_all(c)) stop(k, false);
   return std::nullopt;
@@ -821,7 +821,7 @@ std::optional<std::string> NewportEspFirmware::Controller::base_speed(const Comm
   if (c.asks() || c.parameter.empty()) return in_units(k, axes_[k].base_speed);
   const double value = number(c.parameter) * unit(k);
   if (value < 0.0 || value > settings_.max_speed_deg_per_s) throw Refusal{kOutOfRange};
-  axes_[k].base_speed = value;  // Of stepping motors: no matter here.
+  axes_[k].base_speed = value;  // Used by stepping motors only: no effect here.
   return std::nullopt;
 }
 
@@ -928,13 +928,13 @@ std::optional<std::string> NewportEspFirmware::Controller::feedback_configuratio
 
 std::optional<std::string> NewportEspFirmware::Controller::encoder_resolution(const Command& c) {
   const std::size_t k = index_of(c);
-  if (!c.asks() && !c.parameter.empty()) throw Refusal{kNotAllowed};  // The stage is what it is.
+  if (!c.asks() && !c.parameter.empty()) throw Refusal{kNotAllowed};  // The stage cannot be changed.
   return fmt::format("{}", truth(k).encoder_resolution.deg() / unit(k));
 }
 
 std::optional<std::string> NewportEspFirmware::Controller::full_step(const Command& c) {
   const std::size_t k = index_of(c);
-  if (!c.asks() && !c.parameter.empty()) throw Refusal{kNotAllowed};  // The stage is what it is.
+  if (!c.asks() && !c.parameter.empty()) throw Refusal{kNotAllowed};  // The stage cannot be changed.
   return fmt::format("{}", truth(k).encoder_resolution.deg() * 100.0 / unit(k));
 }
 
@@ -1058,7 +1058,7 @@ std::optional<std::string> NewportEspFirmware::Controller::controller_status(con
   return std::string(1, static_cast<char>(bits));
 }
 
-/// As switched off and on: motors off, positions from 0, no errors. Programs stay.
+/// State after switching off and on: motors off, positions from 0, no errors. Programs stay.
 std::optional<std::string> NewportEspFirmware::Controller::reset(const Command&) {
   for (std::size_t k = 0; k < 2; ++k)
     if (numbers_[k] != 0) stop(k, true);

@@ -113,9 +113,9 @@ std::string positioner_name(const std::string& name) {
 class NewportXpsFirmware::Controller {
  public:
   struct Call {
-    std::vector<std::string> in;     ///< Without the types of what is to be answered.
+    std::vector<std::string> in;     ///< Arguments, without the types of outputs.
     std::size_t outputs = 0;         ///< How many of those there are.
-    std::optional<Motion> motion{};  ///< Set by what answers only once this has ended.
+    std::optional<Motion> motion{};  ///< Set by calls that are answered only once this motion has ended.
   };
   struct Function {
     std::size_t inputs;
@@ -140,9 +140,9 @@ class NewportXpsFirmware::Controller {
     int state = kNotInit;
     bool aborting = false;
     std::optional<Clock::Instant> homing_until;
-    std::uint64_t motions = 0;  ///< So many were commanded,
-    std::uint64_t ended = 0;    ///< and so many have ended,
-    int last_result = 0;        ///< the last one so.
+    std::uint64_t motions = 0;  ///< Number of motions commanded,
+    std::uint64_t ended = 0;    ///< and of motions that have ended,
+    int last_result = 0;        ///< result of the last one.
     double offset_deg = 0.0;    ///< Controller angle = zero + sign * protocol angle + offset.
     double target_deg = 0.0;
     double travel_min_deg = 0.0;
@@ -152,7 +152,7 @@ class NewportXpsFirmware::Controller {
     std::array<double, 2> jerk_time{0.02, 0.02};
   };
 
-  const AxisTruth& truth(std::size_t k) const { return k == 0 ? bench_->truth().x : bench_->truth().z; }
+  const AxisTruth& truth(std::size_t k) const { return bench_->stage().axis(kStageAxes[k]); }
   std::size_t group(const std::string& name) const;
   std::size_t positioner(const std::string& name) const;
   std::size_t either(const std::string& name) const;
@@ -363,7 +363,7 @@ std::size_t NewportXpsFirmware::Controller::positioner(const std::string& name) 
   return k;
 }
 
-// Functions: what they answer after the error 0.
+// Functions: the values that follow the error 0 in their answers.
 
 std::string NewportXpsFirmware::Controller::error_list(Call&) {
   std::string list;

@@ -18,7 +18,7 @@ struct NewportXpsSettings {
   /// controller angle = zero + sign * protocol angle, once the axis has been homed
   std::array<int, 2> sign{+1, +1};
   std::array<Angle, 2> zero{};
-  std::string serial_number{};  ///< The interface does not tell it.
+  std::string serial_number{};  ///< The interface does not report it.
   std::string version = "XPS-C8 Firmware V2.6.0";
   double max_speed_deg_per_s = 720.0;
   double max_acceleration_deg_per_s2 = 1e5;
@@ -28,18 +28,18 @@ struct NewportXpsSettings {
 /// One connection to a Newport XPS controller that turns the axes of a SimBench, each a single-axis group
 /// (public XPS Programmer's Manual; [unverified against a device]). A motion blocks its connection: the reply
 /// comes when it has ended, and commands before that get error -1. A command ends with its closing bracket;
-/// what cannot be one ends with a line feed, too.
+/// text that cannot be one ends with a line feed, too.
 class NewportXpsFirmware final : public Firmware {
  public:
   /// The first connection to a new controller.
-  /// @throws std::invalid_argument if a sign or the name of an axis cannot be.
+  /// @throws std::invalid_argument if a sign or the name of an axis is invalid.
   explicit NewportXpsFirmware(std::shared_ptr<SimBench> bench, NewportXpsSettings settings = {});
   ~NewportXpsFirmware() override;
 
   void receive(std::string_view bytes, Clock::Instant now) override;
   std::string transmit(Clock::Instant now) override;
   std::optional<Clock::Instant> next_due() const override;
-  /// A motion that the client before had commanded goes on; its reply goes to nobody.
+  /// A motion that the previous client commanded goes on; its reply is dropped.
   void session_starts() override;
   std::shared_ptr<Firmware> another_session() override;
   UnservedCommands& unserved() override;
@@ -48,7 +48,7 @@ class NewportXpsFirmware final : public Firmware {
   class Controller;
   struct Motion {
     std::size_t axis;
-    std::uint64_t number;  ///< Of the motions of this axis.
+    std::uint64_t number;  ///< Counts the motions of this axis.
   };
   explicit NewportXpsFirmware(std::shared_ptr<Controller> controller);
   void take_command(std::string_view text);

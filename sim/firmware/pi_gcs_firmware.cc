@@ -94,7 +94,7 @@ std::string decimal(double value) {
   return fmt::format("{:.6f}", value == 0.0 ? 0.0 : value);
 }
 
-/// As parameters are given: no more digits than needed.
+/// Decimal of a parameter, with no more digits than needed.
 std::string short_decimal(double value) {
   return fmt::format("{:.12g}", value == 0.0 ? 0.0 : value);
 }
@@ -133,9 +133,9 @@ class PiGcsFirmware::Controller {
     bool referenced = false;
     bool reference_mode = true;
     std::optional<Clock::Instant> homing_until;
-    double offset_deg = 0.0;  ///< By POS, on top of zero.
+    double offset_deg = 0.0;  ///< Set by POS, on top of zero.
     double target_deg = 0.0;  ///< Controller angle.
-    double home_deg = 0.0;    ///< Of GOH, by DFH.
+    double home_deg = 0.0;    ///< Target of GOH, set by DFH.
     std::map<unsigned, std::string> parameters;
   };
 
@@ -158,7 +158,7 @@ class PiGcsFirmware::Controller {
   double controller_deg(std::size_t k, Angle protocol) const;
   Angle protocol_angle(std::size_t k, double controller) const;
   std::pair<double, double> travel(std::size_t k) const;
-  const AxisTruth& truth(std::size_t k) const { return k == 0 ? bench_->truth().x : bench_->truth().z; }
+  const AxisTruth& truth(std::size_t k) const { return bench_->stage().axis(kStageAxes[k]); }
   bool in_motion(std::size_t k) const;
   void start_move(std::size_t k, double target_deg);
   void check_move(std::size_t k, double target_deg) const;
@@ -176,7 +176,7 @@ class PiGcsFirmware::Controller {
   struct NamedParameter {
     std::size_t axis;
     const PiParameter* parameter;
-    std::string value;  ///< Of a set command.
+    std::string value;  ///< Value in a set command.
   };
   std::vector<NamedParameter> named_parameters(std::string_view command, const Words& arguments,
                                                bool with_values) const;
@@ -402,7 +402,7 @@ bool PiGcsFirmware::Controller::cut_off() const {
   return false;
 }
 
-/// Takes the address off the words. Nothing: the line is for another controller of the chain.
+/// Takes the address off the words. Absent: the line is for another controller of the chain.
 std::optional<std::string> PiGcsFirmware::Controller::chain_prefix(Words& words) const {
   if (words.empty() || !is_number(words.front()))
     return settings_.address == 1 ? std::optional<std::string>("") : std::nullopt;
@@ -954,7 +954,7 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::set_ccl(const Words&
 // The rest.
 
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::set_cst(const Words& a) {
-  // The simulated stage is what it is.
+  // The type of the simulated stage cannot be changed.
   for (const auto& [k, value] : pairs(a))
     if (value != settings_.stage_names[k]) throw Refusal{kInvalidStageName};
   return {};
@@ -990,7 +990,7 @@ PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::goh(const Words& a) 
 
 PiGcsFirmware::Controller::Lines PiGcsFirmware::Controller::joystick(const Words& a) {
   if (a.size() < 2) throw Refusal{kMissingParameter};
-  if (flag(a[1])) throw Refusal{kNotAllowed};  // None is connected.
+  if (flag(a[1])) throw Refusal{kNotAllowed};  // No joystick is connected.
   return {};
 }
 

@@ -10,7 +10,7 @@
 
 namespace abcal::sim {
 
-/// What an instrument is going to put out, in order, each at its time.
+/// Pending output of an instrument, in order, each piece at its time.
 class ReplyQueue {
  public:
   void push(std::string bytes, Clock::Instant due) {

@@ -15,8 +15,8 @@ struct ScpiStatusLayout {
   unsigned measurement = 0;
 };
 
-/// The status registers of an IEEE 488.2 instrument: what happened (event registers, cleared by reading),
-/// what of it counts (enable registers), and the status byte that sums it up.
+/// The status registers of an IEEE 488.2 instrument: past events (event registers, cleared by reading), masks
+/// that select them (enable registers), and the status byte that summarises the selected events.
 class ScpiStatus {
  public:
   /// Bits of the standard event register.
@@ -39,9 +39,9 @@ class ScpiStatus {
   unsigned take_standard();
   unsigned take_event(Group group);
 
-  /// *CLS: what happened is forgotten; what counts stays.
+  /// *CLS: clears the events; the masks stay.
   void clear();
-  /// STATus:PRESet: nothing counts any more but the standard events.
+  /// STATus:PRESet: clears all masks except that of the standard events.
   void preset() { enable_ = {}; }
 
   unsigned standard_enable = 0;  ///< *ESE

@@ -59,7 +59,7 @@ constexpr ScpiStatusLayout kNewScanner{.error_queue = 1U << 2U, .alarm = 1U << 1
 constexpr ScpiStatusLayout kOldMeter{.operation = 0};
 constexpr ScpiStatusLayout kNewMeter{.error_queue = 1U << 2U};
 constexpr ScpiStatusLayout kKeithleyByte{.error_queue = 1U << 2U, .measurement = 1U << 0U};
-// Those of DAQ970A, 34460A, 34461A, 34470A, 2000, 2701 and 2750 are like those of their sisters
+// The layouts of DAQ970A, 34460A, 34461A, 34470A, 2000, 2701 and 2750 equal those of their sisters
 // [unverified against a device].
 constexpr auto kModels = std::to_array<Model>({
     {"34970A", ScpiFamily::kKeysight34970a, "HEWLETT-PACKARD,34970A,{},13-2-2", kOldScanner},
@@ -389,7 +389,7 @@ class ScpiVoltmeterFirmware::Meter {
   std::shared_ptr<SimBench> bench_;
   ScpiVoltmeterSettings settings_;
 
-  // As *RST leaves it.
+  // Settings after *RST.
   double range_ = 0.0;  ///< 0: automatic.
   double nplc_ = 1.0;
   bool auto_zero_ = true;
@@ -727,7 +727,7 @@ ScpiVoltmeterFirmware::Meter::Reply ScpiVoltmeterFirmware::Meter::run_command(st
   throw Refusal{kUndefinedHeader};
 }
 
-/// What the end of a measurement sets, if it has come.
+/// Sets the registers at the end of a measurement, once it has come.
 void ScpiVoltmeterFirmware::Meter::settle() {
   if (now_ < measured_until_) return;
   if (std::exchange(measuring_, false)) {

@@ -11,7 +11,7 @@
 
 namespace abcal::sim {
 
-/// Whose commands, replies and errors.
+/// Family of voltmeters with the same commands, replies and errors.
 enum class ScpiFamily {
   kKeysight34970a,  ///< Scanning: 34970A, 34972A, DAQ970A.
   kKeysight34401a,  ///< One channel: 34401A, 34465A.
@@ -20,8 +20,8 @@ enum class ScpiFamily {
 
 struct ScpiVoltmeterSettings {
   ScpiFamily family = ScpiFamily::kKeysight34970a;
-  /// Of the family; empty: 34970A, 34465A or 2700. It decides on the identity, the layout of the status byte,
-  /// and for a 2001 on the commands that count.
+  /// Model within the family; empty: 34970A, 34465A or 2700. It decides on the identity, the layout of the
+  /// status byte, and for a 2001 on the commands that count.
   std::string model = {};
   std::string identity = {};  ///< Reply to *IDN?; empty: that of the family, with `serial_number`.
   std::string serial_number = "MY44012345";
@@ -33,7 +33,7 @@ struct ScpiVoltmeterSettings {
   bool needs_remote = false;  ///< Refuses measurements before SYST:REM, as a 34401A on a serial line.
   Clock::Duration channel_overhead =
       std::chrono::milliseconds(4);  ///< Switching and settling of one channel.
-  unsigned baud = 9600;              ///< Of its RS-232 port.
+  unsigned baud = 9600;              ///< Speed of its RS-232 port.
   Clock::Duration reply_delay = std::chrono::microseconds(500);
 };
 
@@ -45,9 +45,10 @@ ScpiVoltmeterSettings scpi_model(const std::string& model);
 /// response unit R is then volt.
 ///
 /// A measurement lasts as long as the integration of each channel (number of power line cycles, twice with
-/// automatic zero) and its switching; each channel is measured at its own time. Commands that come meanwhile
-/// wait, except those after INIT, which runs in the background. Short and long forms, any case, several
-/// commands joined by ';'. Status registers as IEEE 488.2 has them. Commands that it does not know are error
+/// automatic zero) and its switching; each channel is measured at its own time. Commands that come during a
+/// measurement wait, except those after INIT, which runs in the background. Short and long forms, any case,
+/// several commands joined by ';'. Status registers according to IEEE 488.2. Commands that it does not know
+/// are error
 /// -113, and noted (unserved()).
 class ScpiVoltmeterFirmware final : public Firmware {
  public:

@@ -26,17 +26,17 @@ struct TextLineSettings {
   /// "ax=0,1 ay=0,2 az=0,3". Empty: numbers alone.
   std::string names;
   std::string number_unit;         ///< Behind each number at once.
-  std::string decimal_mark = ".";  ///< Numbers with another stand in quotes where that is the separator too.
+  std::string decimal_mark = ".";  ///< Numbers are quoted if this equals the separator.
   std::string header;              ///< A line that is printed once, at power on; empty: none.
   bool time_column = false;        ///< A first column: milliseconds since power on.
   bool crlf = true;                ///< False: lines end with LF.
   double humidity_percent = 45.0;
   double pressure_hpa = 1013.25;
-  std::optional<unsigned> baud{};  ///< Of its serial line; nothing: USB, which has no speed.
+  std::optional<unsigned> baud{};  ///< Speed of its serial line, Bd; absent: USB, which has no speed.
 };
 
-/// A board with a program of somebody's own that prints numbers as lines of text, reading the world of a
-/// SimBench. Powered on at the start of the world's time; hears nothing. Numbers that are none are printed as
+/// A board with a user's own program that prints numbers as lines of text, reading the world of a SimBench.
+/// Powered on at the start of the world's time; hears nothing. Values that are not finite are printed as
 /// "nan".
 class TextLineFirmware final : public Firmware {
  public:

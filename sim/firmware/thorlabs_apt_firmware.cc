@@ -49,7 +49,7 @@ std::string padded(std::string text, std::size_t width) {
   return text;
 }
 
-/// Parameters that are kept and nothing else: set by one message, asked for by the next, told by the third.
+/// Parameters that are only stored: set by one message, requested by the next, reported by the third.
 struct KeptParameters {
   unsigned set;
   unsigned size;
@@ -89,13 +89,13 @@ class ThorlabsAptFirmware::Controller {
   };
   struct Command {
     unsigned id;
-    unsigned first;  ///< Of a message without data.
+    unsigned first;  ///< First parameter of a message without data.
     unsigned second;
     std::string data;
   };
 
   bool unit() const { return settings_.model.starts_with("K10CR") || settings_.model.starts_with("KDC"); }
-  const AxisTruth& truth(std::size_t k) const { return k == 0 ? bench_->truth().x : bench_->truth().z; }
+  const AxisTruth& truth(std::size_t k) const { return bench_->stage().axis(kStageAxes[k]); }
   double controller_deg(std::size_t k, Angle protocol) const;
   Angle protocol_angle(std::size_t k, double controller) const;
   double counts(std::size_t k) const;
@@ -167,7 +167,7 @@ double ThorlabsAptFirmware::Controller::counts(std::size_t k) const {
   return controller_deg(k, bench_->encoder_angle(kStageAxes[k], now_)) * settings_.counts_per_degree;
 }
 
-/// What has happened by now_.
+/// Applies all changes up to now_.
 void ThorlabsAptFirmware::Controller::advance() {
   for (std::size_t k = 0; k < 2; ++k) {
     Axis& a = axes_[k];
@@ -252,7 +252,7 @@ void ThorlabsAptFirmware::Controller::take(unsigned destination, const Command& 
   const bool to_rack = destination == kRackAddress && !unit();
   const auto axis = std::find_if(axes_.begin(), axes_.end(),
                                  [&](const Axis& a) { return a.address != 0 && a.address == destination; });
-  if (!to_rack && axis == axes_.end()) return;  // For somebody else.
+  if (!to_rack && axis == axes_.end()) return;  // For another module.
   constexpr std::array kUnanswered{0x0002U, 0x0011U, 0x0012U, 0x0018U, 0x0223U, 0x0482U, 0x0492U};
   if (std::find(kUnanswered.begin(), kUnanswered.end(), command.id) != kUnanswered.end()) {
     if (command.id == 0x0011U) unserved_.note("0011", "updates of the status are not emulated");
@@ -267,7 +267,7 @@ void ThorlabsAptFirmware::Controller::take(unsigned destination, const Command& 
 }
 
 void ThorlabsAptFirmware::Controller::take_common(unsigned destination, const Command& command) {
-  if (command.id == 0x0060U) {  // Which bays are used; they are counted from 0 here.
+  if (command.id == 0x0060U) {  // The bays in use; here they are counted from 0.
     const bool used = std::any_of(axes_.begin(), axes_.end(),
                                   [&](const Axis& a) { return a.address == 0x21U + command.first; });
     return send_short(0x0061, destination, command.first, used ? 1 : 2);

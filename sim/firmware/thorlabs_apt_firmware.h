@@ -11,8 +11,8 @@
 namespace abcal::sim {
 
 struct ThorlabsAptSettings {
-  /// Bays of X and Z, or "1" of a unit with one channel; what follows the number is of no concern. Empty: not
-  /// on this controller.
+  /// Bays of X and Z, or "1" for a unit with one channel; text after the number is ignored. Empty: not on
+  /// this controller.
   std::array<std::string, 2> axis_names{"1", "2"};
   /// controller angle = zero + sign * protocol angle, once the axis has been homed
   std::array<int, 2> sign{+1, +1};
@@ -22,16 +22,16 @@ struct ThorlabsAptSettings {
   std::string stage = "DDR100";  ///< In every bay.
   double counts_per_degree = 3276800.0 / 360.0;
   double velocity_per_count_s = 102.4e-6 * 65536.0;
-  bool servo = true;  ///< Tells the servo's kind of status, and which stage it drives.
+  bool servo = true;  ///< Reports the servo's kind of status, and the stage that it drives.
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
 };
 
 /// A Thorlabs controller that speaks APT (docs/protocols/thorlabs_apt.md; [unverified against a device]),
-/// turning the axes of a SimBench. Messages for other modules are passed over, as are unknown ones, which are
+/// turning the axes of a SimBench. Messages for other modules are skipped, and so are unknown ones, which are
 /// noted (unserved()). A message that is not complete 50 ms after its last byte is dropped.
 class ThorlabsAptFirmware final : public Firmware {
  public:
-  /// @throws std::invalid_argument if a sign or the name of an axis cannot be.
+  /// @throws std::invalid_argument if a sign or the name of an axis is invalid.
   explicit ThorlabsAptFirmware(std::shared_ptr<SimBench> bench, ThorlabsAptSettings settings = {});
   ~ThorlabsAptFirmware() override;
 

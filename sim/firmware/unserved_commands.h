@@ -12,12 +12,12 @@ namespace abcal::sim {
 /// A command that a host sent and that the simulated instrument does not carry out.
 struct UnservedCommand {
   std::string command;   ///< Printable; cut after 60 characters.
-  std::string reaction;  ///< What the instrument did instead: "error 2, no answer".
+  std::string reaction;  ///< Reaction of the instrument instead: "error 2, no answer".
   std::uint64_t count = 0;
 };
 
-/// What hosts asked of an instrument and did not get, each command once with its count, in the order in which
-/// they came first. Safe to use from several threads.
+/// Requests of hosts that an instrument did not fulfil, each command once with its count, in the order of
+/// their first appearance. Safe to use from several threads.
 class UnservedCommands {
  public:
   using Listener = std::function<void(const UnservedCommand&)>;
@@ -25,12 +25,12 @@ class UnservedCommands {
   /// At most this many different commands are kept; the others are counted in the last entry.
   static constexpr std::size_t kCapacity = 200;
 
-  /// `command` as it came, in any bytes.
+  /// `command` consists of any received bytes.
   void note(std::string_view command, std::string_view reaction);
 
   std::vector<UnservedCommand> all() const;
 
-  /// `listener` is told of each command when it comes for the first time, in the thread that notes it.
+  /// `listener` is called at the first occurrence of each command, in the thread that notes it.
   void on_first(Listener listener);
 
  private:

@@ -153,7 +153,7 @@ struct BinaryOutput {
   }
 };
 
-/// What VNWNV saves.
+/// Settings that VNWNV saves.
 struct Stored {
   std::string user_tag;
   unsigned baud = 115200;
@@ -161,7 +161,7 @@ struct Stored {
   unsigned async_rate_hz = 40;
   std::array<BinaryOutput, 3> binary;
   std::array<unsigned, 7> protocol{0, 0, 0, 0, 1, 0, 1};  ///< Register 30.
-  std::map<unsigned, std::vector<double>> vectors;        ///< Of vectornav_registers().
+  std::map<unsigned, std::vector<double>> vectors;        ///< Values of vectornav_registers().
 };
 
 Eigen::Vector3d yaw_pitch_roll_deg(const BodyMotion& body) {
@@ -323,7 +323,7 @@ void VectorNavFirmware::Device::receive(std::string_view bytes, Clock::Instant n
   now_ = now;
   for (const char c : bytes) {
     if (now_ < silent_until_) continue;  // It is starting, and does not listen.
-    if (c == '$') {                      // Whatever came before was no command.
+    if (c == '$') {                      // Earlier bytes were no command.
       in_command_ = true;
       input_.clear();
     } else if (c == '\r' || c == '\n') {
@@ -388,7 +388,7 @@ std::string VectorNavFirmware::Device::run(const Words& words) {
       replies_.push(binary_packet(output, sample(next > 0 ? next - 1 : 0)), now_ + settings_.reply_delay);
     return fmt::format("VNBOM,{}", which);
   }
-  if (name == "VNTAR" || name == "VNSGB") {  // Of its attitude and its gyro: nothing here depends on them.
+  if (name == "VNTAR" || name == "VNSGB") {  // Commands for attitude and gyro; nothing here depends on them.
     plain();
     return name;
   }
@@ -602,7 +602,7 @@ void VectorNavFirmware::Device::write_binary(BinaryOutput& output, const Words& 
   stream_from(now_);
 }
 
-/// What it is to put out must fit on the line.
+/// Refuses outputs that exceed the capacity of the line.
 void VectorNavFirmware::Device::require_link(const Stored& wanted) const {
   double bytes_per_s = 0.0;
   if (wanted.async_type != 0) {

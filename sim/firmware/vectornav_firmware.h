@@ -28,8 +28,8 @@ struct VectorNavSettings {
 /// both checksums. Samples lie on the grid of its 800 Hz IMU, from the start of the world's time. The port is
 /// its serial port 1. Registers that tune the maker's filter are kept and change nothing. Register 25 is
 /// applied. Attitude, gyro and magnetometer show the motion of the platter (SimBench::body_motion), from the
-/// start on. What it does not know is refused by VNERR, and noted (unserved()). A new baud rate holds from
-/// the end of its answer on.
+/// start on. An unknown command is refused by VNERR, and noted (unserved()). A new baud rate holds from the
+/// end of its answer on.
 class VectorNavFirmware final : public Firmware {
  public:
   /// @throws std::invalid_argument for a baud rate, type or output rate that a VN-100 does not have.

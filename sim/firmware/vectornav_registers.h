@@ -30,7 +30,7 @@ const std::vector<VectorNavRegister>& vectornav_registers();
 
 namespace vn {
 
-/// What a part of a field of a binary group holds.
+/// Content of a part of a field of a binary group.
 enum class Content : std::uint8_t {
   kZero,
   kTime,
@@ -58,7 +58,7 @@ using BinaryField = std::vector<Part>;
 inline constexpr unsigned kGroups = 7;
 
 /// Fields of group 0 (common), 1 (time), 2 (IMU), 3 (GNSS), 4 (attitude), 5 (INS) or 6 (GNSS 2) in the order
-/// of their bits. What the device does not simulate is zero, also the GNSS and INS fields of a VN-100
+/// of their bits. Fields that the device does not simulate are zero, also the GNSS and INS fields of a VN-100
 /// [unverified against a device].
 const std::vector<BinaryField>& fields_of_group(unsigned group);
 

@@ -93,7 +93,7 @@ void WatlowF4Firmware::take_frames(Clock::Instant now) {
     take_rtu_frames(now);
 }
 
-/// The head of a frame says how long it is, whatever is in it; what is of another protocol is passed over.
+/// The head of a frame gives its length, whatever it contains; frames of another protocol are skipped.
 void WatlowF4Firmware::take_tcp_frames(Clock::Instant now) {
   constexpr std::size_t kBeforeUnit = 6, kShortest = 2, kLongest = 254;
   while (received_.size() >= kBeforeUnit) {
@@ -118,7 +118,7 @@ void WatlowF4Firmware::take_rtu_frames(Clock::Instant now) {
     const std::size_t length = request_length(received_, 1);
     if (length == 0) return;
     if (length == std::string::npos) {
-      // Of what is perhaps no frame nothing is said.
+      // Bytes that are perhaps no frame are not answered.
       unserved().note(fmt::format("function {}", byte_at(received_, 1)), "no answer");
       received_.clear();
       return;
@@ -140,7 +140,7 @@ void WatlowF4Firmware::take_rtu_frames(Clock::Instant now) {
   }
 }
 
-/// A request whose length the frame tells: it need not be that of its function (exception 3: "the implied
+/// A request whose length the frame gives: it need not be that of its function (exception 3: "the implied
 /// length is incorrect").
 std::string WatlowF4Firmware::answer_to(const std::string& pdu, Clock::Instant now) {
   const std::size_t length = request_length(pdu, 0);
@@ -157,7 +157,7 @@ std::string WatlowF4Firmware::carry_out(const std::string& pdu, Clock::Instant n
   const auto exception = [&](int code) {
     return std::string{static_cast<char>(function | 0x80U), static_cast<char>(code)};
   };
-  if (function == 8) return pdu;  // The loop-back is repeated as it came.
+  if (function == 8) return pdu;  // The loop-back repeats the request.
   if (function == 3 || function == 4) {
     const unsigned count = word_at(pdu, 3);
     if (count == 0 || count > 125) return exception(kBadValue);
@@ -362,7 +362,7 @@ int WatlowF4Firmware::write_f4t(unsigned address, const std::string& words, Cloc
   return 0;
 }
 
-/// Tells the air what the controller wants.
+/// Sets the state of the air to the controller's commands.
 void WatlowF4Firmware::command(Clock::Instant now) {
   ChamberCommand wanted;
   wanted.target_degc = state_->set_degc;

@@ -13,10 +13,10 @@
 namespace abcal::sim {
 
 struct WatlowF4Settings {
-  bool f4t = true;   ///< Else an F4 (map 2).
+  bool f4t = true;   ///< False: an F4 (map 2).
   bool tcp = false;  ///< Modbus TCP frames, else RTU.
   int address = 1;
-  bool fahrenheit = false;  ///< As an F4T leaves the factory.
+  bool fahrenheit = false;  ///< Factory setting of an F4T.
   int decimals = 1;         ///< F4: register 606.
   double least_set_degc = -70.0;
   double most_set_degc = 180.0;

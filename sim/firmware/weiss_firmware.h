@@ -12,7 +12,7 @@
 namespace abcal::sim {
 
 struct WeissSettings {
-  bool simserv = true;  ///< Else it speaks ASCII-2 only.
+  bool simserv = true;  ///< False: it speaks ASCII-2 only.
   bool ascii2 = true;
   std::string model = "LabEvent T/110/70/5";
   std::string serial_number = "58226211230010";

@@ -209,7 +209,7 @@ void WitMotionFirmware::Device::write(std::uint8_t reg, std::uint16_t value) {
       stream_from(now_);
       return;
     case kCalibrate:
-      return;  // The world's errors are what is to be measured: not calibrated away.
+      return;  // The world's errors are to be measured, so they are not calibrated away.
     case kOutputMask:
       registers_[reg] = value;
       return;

@@ -9,7 +9,7 @@
 namespace abcal::sim {
 
 struct WitMotionSettings {
-  unsigned baud = 115200;       ///< As register 04 has it; 9600 from the factory on most models.
+  unsigned baud = 115200;       ///< Speed in register 04; 9600 from the factory on most models.
   unsigned version = 17202;     ///< Register 2E, and fourth word of the angle frames.
   unsigned output_mask = 0x1E;  ///< Register 02: acceleration, gyro, angle, magnetic field.
   unsigned rate_code = 0x06;    ///< Register 03: 10 Hz.

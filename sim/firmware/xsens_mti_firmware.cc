@@ -105,8 +105,8 @@ const Kept* kept_message(unsigned id) {
   return found == kKept.end() ? nullptr : &*found;
 }
 
-// What the maker's software reads before it measures; it does not look at what is in it
-// [unverified against a device].
+// The maker's software reads the eMTS data before it measures, but ignores its content [unverified against a
+// device].
 constexpr std::size_t kEmtsSize = 64;
 constexpr std::size_t kQuaternionSize = 16;
 constexpr unsigned kAlignmentFrames = 2;  // of the sensor, of the world
@@ -210,7 +210,7 @@ std::uint64_t fixed_point(double value, int bits, int fraction_bits) {
   return static_cast<std::uint64_t>(static_cast<std::int64_t>(held));
 }
 
-/// In the number format that the lowest two bits of the id tell.
+/// Writes a value in the number format given by the lowest two bits of the id.
 void put_real(std::string& out, unsigned id, double value) {
   switch (id & 3U) {
     case 0:
@@ -399,7 +399,7 @@ void XsensMtiFirmware::Device::find_messages() {
       continue;
     }
     if (rest.size() < size) break;
-    if (sum_of(rest.substr(0, size)) != 0) {  // Ignored; what follows the preamble may be a good one.
+    if (sum_of(rest.substr(0, size)) != 0) {  // Ignored; a good message may begin behind the preamble.
       ++at;
       continue;
     }
@@ -434,7 +434,7 @@ void XsensMtiFirmware::Device::run(unsigned id, std::string_view data) {
         if (!data.empty()) throw Refusal{kInvalidParameter};
         if (state_ != State::kMeasurement) begin_measurement(answered);
         break;
-      case kSetNoRotation:  // For so many seconds; hosts send it while it measures.
+      case kSetNoRotation:  // For a number of seconds; hosts send it while it measures.
       case kResetOrientation:
         if (data.size() != 2) throw Refusal{kInvalidParameter};
         break;
@@ -483,7 +483,7 @@ std::string XsensMtiFirmware::Device::run_in_config(unsigned id, std::string_vie
     default:
       throw Refusal{kInvalidMessage};
   }
-  // Those can only be asked. The maker's library asks for the configuration with the data of the request
+  // These can only be queried. The maker's library queries the configuration with the data of the request
   // before it, and takes a refusal for a device that cannot be used.
   if (!data.empty() && id != kReqConfiguration) throw Refusal{kInvalidParameter};
   std::string answer;
@@ -582,7 +582,7 @@ std::string XsensMtiFirmware::Device::keep(const Kept& kept, std::string_view da
   return {};
 }
 
-/// Of the sensor or of the world, by the first byte; alone it asks.
+/// Rotation of the sensor or of the world, by the first byte; that byte alone is a query.
 std::string XsensMtiFirmware::Device::alignment_rotation(std::string_view data) {
   if (data.empty() || byte(data[0]) >= kAlignmentFrames) throw Refusal{kInvalidParameter};
   std::string& quaternion = alignment_[byte(data[0])];
@@ -592,7 +592,7 @@ std::string XsensMtiFirmware::Device::alignment_rotation(std::string_view data) 
   return {};
 }
 
-/// Those to set, then those to clear [unverified against a device].
+/// Flags to set, then flags to clear [unverified against a device].
 std::string XsensMtiFirmware::Device::option_flags(std::string_view data) {
   std::string answer;
   if (data.empty()) {
@@ -616,7 +616,7 @@ std::string XsensMtiFirmware::Device::location_id(std::string_view data) {
   return answer;
 }
 
-/// Entries of 12 bytes; what they say is kept and does nothing.
+/// Entries of 12 bytes; they are stored without effect.
 std::string XsensMtiFirmware::Device::sync_settings(std::string_view data) {
   if (data.empty()) return sync_settings_;
   if (data.size() % 12 != 0) throw Refusal{kInvalidParameter};
@@ -628,7 +628,7 @@ std::string XsensMtiFirmware::Device::firmware_revision() const {
   std::string answer;
   for (const unsigned part : settings_.firmware_version) put_u8(answer, part);
   put_big_endian(answer, std::uint32_t{settings_.firmware_build});
-  put_big_endian(answer, std::uint32_t{0});  // Of the maker's archive.
+  put_big_endian(answer, std::uint32_t{0});  // Number in the maker's archive.
   return answer;
 }
 
@@ -692,7 +692,7 @@ void XsensMtiFirmware::Device::power(bool on, Clock::Instant now) {
   if (on) switch_on(now);
 }
 
-/// What has changed by itself until `now`.
+/// Applies the changes of state that are due by `now`.
 void XsensMtiFirmware::Device::update(Clock::Instant now) {
   if (state_ == State::kSwitchedOff && changes_state_ <= now) switch_on(changes_state_);
   if (state_ == State::kWakingUp && changes_state_ <= now) begin_measurement(changes_state_);
@@ -707,7 +707,7 @@ void XsensMtiFirmware::Device::begin_measurement(Clock::Instant t) {
   advance_tick();
 }
 
-/// What is sampled before it has answered is still put out.
+/// Samples taken before the answer are still output.
 void XsensMtiFirmware::Device::end_measurement(Clock::Instant t) {
   streams_until_ = std::min(streams_until_, t);
 }
@@ -802,7 +802,7 @@ std::string XsensMtiFirmware::Device::item(const Output& output, const SimOutput
   return data;
 }
 
-/// What its other sensors and its filter show.
+/// Data of its other sensors and its filter.
 std::string XsensMtiFirmware::Device::motion_item(const Output& output, const BodyMotion& body) {
   std::string data;
   const auto put_vector = [&](const Eigen::Vector3d& v) {
@@ -829,7 +829,7 @@ std::string XsensMtiFirmware::Device::motion_item(const Output& output, const Bo
       put_quaternion(Eigen::Quaterniond(Eigen::AngleAxisd(angle, axis)));
       break;
     }
-    case kMagneticField:  // Of norm 1 here.
+    case kMagneticField:  // Scaled to norm 1.
       put_vector(body.field_B_gauss.normalized());
       break;
     default:

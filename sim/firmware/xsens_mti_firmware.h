@@ -18,7 +18,7 @@ struct XsensMtiSettings {
   std::array<unsigned, 3> firmware_version{1, 8, 2};
   unsigned firmware_build = 63;
   unsigned baud = 115200;        ///< One of the maker's.
-  unsigned base_rate_hz = 400;   ///< Highest of its outputs; the others are whole fractions of it.
+  unsigned base_rate_hz = 400;   ///< Highest output rate; the others are whole fractions of it.
   bool just_switched_on = true;  ///< WakeUp at the start of the world's time; else it is measuring then.
   Clock::Duration reply_delay = std::chrono::milliseconds(1);
   /// Silence after Reset [unverified against a device].

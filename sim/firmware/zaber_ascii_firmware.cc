@@ -81,7 +81,7 @@ std::string integer(double value) {
   return fmt::format("{}", std::llround(value));
 }
 
-/// What is to be added to the sum of the bytes to make it 0 modulo 256.
+/// The number that makes the sum of the bytes 0 modulo 256.
 unsigned lrc(std::string_view bytes) {
   unsigned sum = 0;
   for (const char c : bytes) sum += static_cast<unsigned char>(c);
@@ -142,17 +142,17 @@ class ZaberAsciiFirmware::Chain {
     bool alerts = false;
     bool checksums = false;
     std::map<std::string, std::string, std::less<>> kept{};  ///< Settings that were written and do nothing.
-    std::vector<std::optional<std::size_t>> axes;  ///< Which of X and Z its axes are; nothing: not connected.
+    std::vector<std::optional<std::size_t>> axes;  ///< X or Z for each of its axes; absent: not connected.
   };
   /// One command for one device.
   struct Command {
     Device* device;
-    int axis;  ///< As it was addressed; 0: all.
+    int axis;  ///< Axis number in the command; 0: all.
     std::optional<int> id;
-    bool with_checksum;  ///< So is then the reply.
+    bool with_checksum;  ///< The reply then has one, too.
     Words arguments;     ///< Without the name.
 
-    /// Those that are meant and there.
+    /// Connected axes that the command addresses.
     std::vector<std::size_t> axes() const;
     /// "01 2 07": how its replies begin.
     std::string place() const;
@@ -163,7 +163,7 @@ class ZaberAsciiFirmware::Chain {
   };
   struct AxisSetting {
     std::string (Chain::*get)(std::size_t k) const;
-    void (Chain::*set)(std::size_t k, const std::string& value);  ///< None: it can only be read.
+    void (Chain::*set)(std::size_t k, const std::string& value);  ///< Null: it can only be read.
   };
   struct DeviceSetting {
     std::string (Chain::*get)(const Device& device) const;
@@ -193,7 +193,7 @@ class ZaberAsciiFirmware::Chain {
   bool stands_still(std::size_t k, Clock::Instant t) const;
   Device& device_of(std::size_t k, int* axis);
   bool cut_off(const Device& device, Clock::Instant t) const;
-  const AxisTruth& truth(std::size_t k) const { return k == 0 ? bench_->truth().x : bench_->truth().z; }
+  const AxisTruth& truth(std::size_t k) const { return bench_->stage().axis(kStageAxes[k]); }
   double steps_per_turn(std::size_t k) const {
     return settings_.full_steps_per_turn[k] * axes_[k].resolution;
   }
@@ -281,7 +281,7 @@ class ZaberAsciiFirmware::Chain {
   ZaberAsciiSettings settings_;
   UnservedCommands& unserved_;
   std::array<Axis, 2> axes_;
-  std::vector<Device> devices_;  ///< As they stand in the chain.
+  std::vector<Device> devices_;  ///< In the order of the chain.
   ReplyQueue replies_;
   std::string line_;
   std::optional<Words> continued_;  ///< A command of which more is to come.
@@ -419,7 +419,7 @@ void ZaberAsciiFirmware::Chain::receive(std::string_view bytes, Clock::Instant n
   }
 }
 
-/// A command begins at the first '/'; what comes before is ignored. A damaged one is not answered
+/// A command begins at the first '/'; characters before it are ignored. A damaged command is not answered
 /// [unverified against a device].
 void ZaberAsciiFirmware::Chain::take_line(std::string line) {
   const std::size_t begin = line.find('/');
@@ -439,7 +439,7 @@ void ZaberAsciiFirmware::Chain::take_line(std::string line) {
   Words words = split(content);
   const auto cont = std::find(words.begin(), words.end(), "cont");
   if (continued_ && words.end() - cont >= 2) {
-    // "1 cont 2 more of it": behind the command that it continues.
+    // "1 cont 2 more words": follows the command that it continues.
     if (whole_number(*(cont + 1)) != ++continuations_) return continued_.reset();
     continued_->insert(continued_->end(), cont + 2, words.end());
     words = *continued_;
@@ -568,7 +568,7 @@ void ZaberAsciiFirmware::Chain::power_on(std::size_t k) {
                      : -controller_deg(k, bench_->target(kStageAxes[k], now_));  // Reads 0 until homed.
 }
 
-/// Of the whole line.
+/// Switches the whole line.
 void ZaberAsciiFirmware::Chain::power(bool on, Clock::Instant now) {
   advance(now);
   forget_session();
@@ -581,7 +581,7 @@ void ZaberAsciiFirmware::Chain::power(bool on, Clock::Instant now) {
   }
 }
 
-/// What has happened by `now`, each thing at its time.
+/// Applies all changes up to `now`, each at its time.
 void ZaberAsciiFirmware::Chain::advance(Clock::Instant now) {
   for (;;) {
     std::optional<std::pair<Clock::Instant, std::size_t>> next;
@@ -597,7 +597,7 @@ void ZaberAsciiFirmware::Chain::advance(Clock::Instant now) {
     if (bench_->fault_at(FaultKind::kLostReference, now_, kStageAxes[k])) axes_[k].referenced = false;
 }
 
-/// When the motion under way ends; nothing: there is none, or no end is in sight.
+/// When the motion under way ends; absent: there is none, or its end is not known.
 std::optional<Clock::Instant> ZaberAsciiFirmware::Chain::done_at(std::size_t k, Clock::Instant now) const {
   const Axis& a = axes_[k];
   if (!a.moving) return std::nullopt;
@@ -780,7 +780,7 @@ std::string ZaberAsciiFirmware::Chain::get(Command& c) {
   return values;
 }
 
-/// Of all axes: one value each, NA for those that are not connected.
+/// One value for each axis, NA for axes that are not connected.
 std::string ZaberAsciiFirmware::Chain::get_one(const Command& c, const std::string& name) {
   const bool peripheral = name == "peripheralid" || (name == "peripheral.id" && !old_firmware());
   const bool new_name =
@@ -829,7 +829,7 @@ std::optional<std::string> ZaberAsciiFirmware::Chain::get_kept(const Command& c,
   return joined(values);
 }
 
-/// Whether there is such a setting.
+/// Whether this setting exists.
 bool ZaberAsciiFirmware::Chain::set_kept(Command& c, const std::string& name, const Words& values) {
   const ZaberSetting* setting = zaber_setting(name);
   if (setting == nullptr || (setting->since_7 && old_firmware())) return false;
@@ -876,7 +876,7 @@ std::string ZaberAsciiFirmware::Chain::driver(Command& c) {
   return "0";
 }
 
-/// The flags as they are; "clear" then forgets those that are no longer so.
+/// The present flags; "clear" then forgets those that no longer apply.
 std::string ZaberAsciiFirmware::Chain::warnings(Command& c) {
   const bool clear = !c.arguments.empty();
   if (clear && only(c.arguments) != "clear") throw Rejection{"BADDATA"};
@@ -904,7 +904,7 @@ std::string ZaberAsciiFirmware::Chain::tools(Command& c) {
   return "0";
 }
 
-/// "storepos 3 1000" stores, "storepos 3 current" where it is; "storepos 3" tells.
+/// "storepos 3 1000" stores, "storepos 3 current" stores the present position; "storepos 3" reports.
 std::string ZaberAsciiFirmware::Chain::store_position(Command& c) {
   if (c.arguments.size() < 2 || c.arguments.size() > 3) throw Rejection{"BADDATA"};
   const double which = whole(c.arguments[1]);
@@ -923,7 +923,7 @@ std::string ZaberAsciiFirmware::Chain::store_position(Command& c) {
   return values.empty() ? "0" : joined(values);
 }
 
-/// How many lines there are: analogue out, analogue in, digital out, digital in. None.
+/// Numbers of lines: analogue out, analogue in, digital out, digital in. All are 0.
 std::string ZaberAsciiFirmware::Chain::io(Command& c) {
   if (c.arguments.empty() || c.arguments.front() != "info") reject_unknown("io " + joined(c.arguments));
   return "0 0 0 0";
@@ -1041,7 +1041,7 @@ void ZaberAsciiFirmware::Chain::set_resolution(std::size_t k, const std::string&
   require_idle(k);
   const double wanted = whole(value);
   if (wanted < 1.0 || wanted > 256.0) throw Rejection{"BADDATA"};
-  axes_[k].resolution = static_cast<int>(wanted);  // All that is counted in microsteps follows.
+  axes_[k].resolution = static_cast<int>(wanted);  // All quantities in microsteps follow.
 }
 
 // Settings of a device.
@@ -1065,7 +1065,7 @@ std::optional<Clock::Instant> ZaberAsciiFirmware::Chain::next_due() const {
   std::optional<Clock::Instant> due = replies_.next_due();
   const auto consider = [&](Clock::Instant t) { due = due ? std::min(*due, t) : t; };
   for (const Device& device : devices_) {
-    if (!device.alerts) continue;  // Then the end of a motion puts out nothing.
+    if (!device.alerts) continue;  // Without alerts the end of a motion causes no output.
     for (const auto k : device.axes) {
       if (!k || !axes_[*k].moving) continue;
       if (const auto done = done_at(*k, now_)) {

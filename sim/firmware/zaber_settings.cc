@@ -13,7 +13,7 @@ constexpr bool kReadOnly = false;
 constexpr bool kSince7 = true;
 constexpr bool kAlways = false;
 
-// Names, scopes and types: docs/protocols/zaber_ascii.md. The values are those of no special device
+// Names, scopes and types: docs/protocols/zaber_ascii.md. The values belong to no particular device
 // [unverified against a device].
 constexpr auto kSettings = std::to_array<ZaberSetting>({
     {"cloop.enable", kAxis, kWritable, kSince7, "1", 0, 1},

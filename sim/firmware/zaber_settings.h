@@ -8,15 +8,15 @@ namespace abcal::sim {
 /// here.
 struct ZaberSetting {
   std::string_view name;
-  bool of_device;  ///< Else of each axis.
+  bool of_device;  ///< False: of each axis.
   bool writable;
   bool since_7;  ///< Unknown to firmware 6.
   std::string_view initial;
-  double lowest = 0.0;  ///< Of what may be written.
+  double lowest = 0.0;  ///< Limits of values that may be written.
   double highest = 1e12;
 };
 
-/// nullptr: there is none of this name.
+/// Null if there is none of this name.
 const ZaberSetting* zaber_setting(std::string_view name);
 
 }  // namespace abcal::sim

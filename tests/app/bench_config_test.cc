@@ -1,11 +1,11 @@
-#include "app/bench/bench_config.h"
+#include "app/ground/bench_file/bench_config.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <filesystem>
 
-#include "app/bench/make_firmware.h"
+#include "app/operate/bench/make_firmware.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
@@ -41,8 +41,8 @@ TEST(BenchConfigTest, FillsInTheDocumentedDefaults) {
   const BenchConfig config = parse_bench(kSmallest, "bench.toml");
   EXPECT_EQ(config.protocol.steps, 72);
   EXPECT_EQ(config.protocol.step, Angle::degrees(5.0));
-  EXPECT_EQ(config.tolerances.alignment, Angle::degrees(0.008));
-  EXPECT_EQ(config.tolerances.drift, 1e-4);
+  EXPECT_EQ(config.item(1).tolerances.alignment, Angle::degrees(0.008));
+  EXPECT_EQ(config.item(1).tolerances.drift, 1e-4);
   EXPECT_EQ(config.stage.x.axis, "1");
   EXPECT_EQ(config.stage.z.axis, "2");
 }
@@ -65,6 +65,7 @@ TEST(BenchConfigTest, WritesEveryDefaultOutAndReadsItBackToTheSame) {
   const std::string once = write_bench(config);
   const BenchConfig again = parse_bench(once, "stored");
   EXPECT_EQ(write_bench(again), once);
+  EXPECT_TRUE(again.is_same_bench(config));
   EXPECT_EQ(again.name, config.name);
   EXPECT_EQ(again.protocol.settle_s, config.protocol.settle_s);
   ASSERT_EQ(again.simulation.x.harmonics.size(), 1U);
@@ -187,19 +188,54 @@ TEST(BenchConfigTest, SeveralItemsHaveTheirOwnAccelerometersAndTheDefaultsOfTheF
                            tray_item("/dev/b", "serial_number = \"2\"\nmounting = \"y -x z\"\n") +
                            "rate_hz = 50.0\n[item.limits]\ndrift = 0.25\n[item.simulation]\nnoise = 2e-3\n";
   const BenchConfig config = parse_bench(toml, "bench.toml");
-  ASSERT_EQ(config.tray.size(), 2U);
-  EXPECT_EQ(config.item.serial_number, "1");
-  EXPECT_EQ(config.accelerometer.port, "/dev/a");
-  EXPECT_EQ(config.tray[0].limits.drift, 0.5);
-  EXPECT_EQ(config.tray[1].limits.drift, 0.25);
-  const BenchConfig second = for_item(config, 2);
-  EXPECT_TRUE(second.tray.empty());
-  EXPECT_EQ(second.accelerometer.rate_hz, 50.0);
-  EXPECT_EQ(second.simulation.noise, 2e-3);
-  EXPECT_EQ(second.simulation.sensitivity_matrix.row(0), Eigen::RowVector3d(0, 1, 0)) << "turned as mounted";
+  ASSERT_EQ(config.items.size(), 2U);
+  EXPECT_EQ(config.item(1).item.serial_number, "1");
+  EXPECT_EQ(config.item(1).accelerometer.port, "/dev/a");
+  EXPECT_EQ(config.item(1).limits.drift, 0.5);
+  EXPECT_EQ(config.item(1).simulation.noise, 1e-3);
+  EXPECT_EQ(config.item(2).limits.drift, 0.25);
+  EXPECT_EQ(config.item(2).accelerometer.settings.rate_hz, 50.0);
+  const sim::ItemTruth second = item_truth(config, 2);
+  EXPECT_EQ(second.noise, 2e-3);
+  EXPECT_EQ(second.sensitivity_matrix.row(0), Eigen::RowVector3d(0, 1, 0)) << "turned as mounted";
+  EXPECT_NE(second.seed, item_truth(config, 1).seed);
   const std::string once = write_bench(config);
   EXPECT_EQ(write_bench(parse_bench(once, "stored")), once);
+  EXPECT_EQ(parse_bench(once, "stored"), config);
   EXPECT_EQ(once.find("\n[accelerometer]"), std::string::npos);
+}
+
+TEST(BenchConfigTest, WhatOneOfSeveralItemsLeavesOutIsNotTakenFromAnotherWhenReadBack) {
+  BenchConfig config = parse_bench(kTrayBench + tray_item("/dev/a") + tray_item("/dev/b"), "bench.toml");
+  config.item(1).simulation.full_scale = 2.0;
+  config.item(1).limits.drift = 0.5;
+  config.item(1).tolerances.k2 = 0.05;
+  config.item(1).tolerances.sources["k2"] = "data sheet";
+  config.item(1).at_power_on = "silent";
+  EXPECT_EQ(parse_bench(write_bench(config), "stored"), config);
+}
+
+TEST(BenchConfigTest, AListOfOneItemMeansTheSameAsTheFormOfOne) {
+  const std::string keys = "serial_number = \"1\"\nmounting = \"y -x z\"\n";
+  const std::string accelerometer = "driver = \"microstrain_mip\"\nport = \"simulated\"\nrate_hz = 50.0\n";
+  const std::string limits = "[limits]\ndrift = 0.5\n";
+  const std::string fault = "[[fault]]\nkind = \"no-output\"\ninstrument = \"";
+  const std::string change = "\"\n[[change]]\nat_s = 5.0\noffset = [0.1, 0.0, 0.0]\n";
+  // A truth in a list is stated along the item's own axes, in [simulation] along those of the platter.
+  const BenchConfig listed =
+      parse_bench(kTrayBench + limits + "[[item]]\n" + keys + "[item.accelerometer]\n" + accelerometer +
+                      "[item.simulation]\nnoise = 1e-3\n" + fault + "item-1" + change,
+                  "bench.toml");
+  const BenchConfig plain =
+      parse_bench(kTrayBench + limits + "[item]\n" + keys + "[accelerometer]\n" + accelerometer +
+                      "[simulation]\nnoise = 1e-3\n"
+                      "sensitivity_matrix = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]\n" +
+                      fault + "accelerometer" + change,
+                  "bench.toml");
+  EXPECT_EQ(listed, plain);
+  EXPECT_EQ(write_bench(listed), write_bench(plain));
+  EXPECT_EQ(accelerometer_name(listed, 1), "accelerometer");
+  EXPECT_EQ(item_words(listed, 1), "");
 }
 
 TEST(BenchConfigTest, EveryProblemOfSeveralItemsIsToldAtOnceWithItsLine) {
@@ -246,7 +282,7 @@ instrument = "item-4"
 TEST(BenchConfigTest, MoreThan32ItemsAreRefused) {
   std::string toml = kTrayBench;
   for (int k = 1; k <= 32; ++k) toml += tray_item("/dev/" + std::to_string(k));
-  EXPECT_EQ(parse_bench(toml, "bench.toml").tray.size(), 32U);
+  EXPECT_EQ(parse_bench(toml, "bench.toml").items.size(), 32U);
   EXPECT_THAT(problems_of(toml + tray_item("/dev/33")),
               testing::AllOf(HasSubstr("line 134, item[32]: found 33 items; required: at most 32")));
 }
@@ -340,7 +376,7 @@ TEST(BenchConfigTest, ASimulatedSensitivityInAnotherUnitIsAProblem) {
       "[simulation]\nsensitivity_matrix = [[9.8, 0.0, 0.0], [0.0, 9.8, 0.0], [0.0, 0.0, 9.8]]\n";
   EXPECT_NO_THROW(parse_bench(toml + matrix, "bench.toml"));
   EXPECT_THAT(problems_of(kSmallest + matrix), HasSubstr("output is in g"));
-  // What is not simulated has no such problem.
+  // An instrument that is not simulated has no such problem.
   EXPECT_NO_THROW(parse_bench(
       replaced(toml, "\"vectornav\"\nport = \"simulated\"", "\"vectornav\"\nport = \"/dev/ttyUSB0\""),
       "bench.toml"));

@@ -29,7 +29,7 @@ class BrokenOutputTest : public EmulatedBenchTest {
     const int exit_code = sh.wait();
     return {exit_code, sh.out(), sh.err()};
   }
-  /// What the program returned, where a pipe hides it: written to `code` by the script.
+  /// The program's exit code if a pipe hides it: the script writes it to `code`.
   int code() const { return std::stoi(test::read_file(folder / "code")); }
   RunState state(const std::string& run) const { return RunFile::load(folder / run).state; }
 };
@@ -83,7 +83,7 @@ TEST_F(BrokenOutputTest, ClosedDescriptorsAreNotTakenByFilesOrPorts) {
     EXPECT_EQ(state(run), RunState::kComplete) << run;
     EXPECT_EQ(abcal({"verify", run}).exit_code, 0) << run;
   }
-  // A CSV that took descriptor 1 would hold what is printed.
+  // A CSV that took descriptor 1 would contain the printed text.
   shell("abcal report a.run --csv whole.csv");
   shell("abcal report a.run --csv closed.csv >&- 2>&-");
   const auto content = [&](const std::string& csv) {
@@ -102,7 +102,7 @@ TEST_F(BrokenOutputTest, CtrlCThatEndsTheReaderTooLeavesAResumableRunWithItsReas
                              "' run bench.toml -o a.run; echo $? >code; } 2>&1 | tee log\n";
   test::Program sh(std::string("/bin/sh"), std::vector<std::string>{"-c", script}, folder.path());
   ASSERT_TRUE(test::wait_for([&] { return measured("a.run") >= 2; }, 60s)) << sh.err();
-  ::kill(-sh.pid(), SIGINT);  // As a terminal does: to every process of the pipe.
+  ::kill(-sh.pid(), SIGINT);  // Ctrl-C in a terminal reaches every process of the pipe.
   sh.wait();
   ASSERT_TRUE(test::wait_for([&] { return !test::read_file(folder / "code").empty(); }, 20s));
   EXPECT_EQ(code(), 130);

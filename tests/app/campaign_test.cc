@@ -51,6 +51,32 @@ TEST_F(CampaignCommandTest, ShowsASummaryToPeople) {
                                 HasSubstr("Mean of the runs, estimator abc"), HasSubstr("phi_vw")));
 }
 
+TEST_F(CampaignCommandTest, EveryItemHasItsMeanAndSpread) {
+  std::string text = BenchText().text();
+  const std::string accelerometer =
+      "[accelerometer]\ndriver = \"microstrain_mip\"\nport = \"simulated\"\nrate_hz = 200.0\n";
+  ASSERT_NE(text.find(accelerometer), std::string::npos);
+  text.erase(text.find(accelerometer), accelerometer.size());
+  for (int k = 1; k <= 2; ++k) text += "[[item]]\n[item." + accelerometer.substr(1);
+  test::write_file(folder / "bench.toml", text);
+  const test::ProgramResult result = abcal(campaign({"--json"}));
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const nlohmann::json json = nlohmann::json::parse(result.out);
+  ASSERT_EQ(json["items"].size(), 2U);
+  for (std::size_t k = 0; k < 2; ++k) {
+    const nlohmann::json& item = json["items"][k];
+    ASSERT_EQ(item["runs"].size(), 3U);
+    double sum = 0.0;
+    for (const nlohmann::json& run : item["runs"]) {
+      const nlohmann::json analysed = nlohmann::json::parse(
+          abcal({"analyse", run["file"].get<std::string>(), "--item", std::to_string(k + 1), "--json"}).out);
+      sum += analysed["intrinsic_sensitivity"][0]["value"].get<double>();
+    }
+    EXPECT_NEAR(item["estimators"][0]["properties"]["s_u"]["mean"].get<double>(), sum / 3.0, 1e-12);
+  }
+  EXPECT_THAT(abcal(campaign({"--go-on"})).out, HasSubstr("item 2: Campaign of 3 runs"));
+}
+
 TEST_F(CampaignCommandTest, ARemountNeedsATerminal) {
   write_bench({});
   test::Program program(
@@ -64,7 +90,7 @@ TEST_F(CampaignCommandTest, ARemountNeedsATerminal) {
 TEST_F(CampaignCommandTest, KeepsWhatIsMeasuredAndSaysHowToGoOn) {
   write_bench({});
   ASSERT_EQ(abcal({"run", "bench.toml", "-o", "c-1.run"}).exit_code, 0);
-  // Files of a run are never overwritten; --go-on keeps what is complete.
+  // Files of a run are never overwritten; --go-on keeps complete runs.
   const test::ProgramResult refused = abcal(campaign());
   EXPECT_EQ(refused.exit_code, 2);
   EXPECT_THAT(refused.err, AllOf(HasSubstr("c-1.run: exists already"), HasSubstr("--go-on")));

@@ -198,7 +198,7 @@ TEST_F(CompareCommand, OneMeasurementDoesNotCountTwice) {
                     HasSubstr("required: each measurement once")));
 }
 
-/// The same readings with another offset of output u.
+/// The readings with another offset of output u.
 std::string with_offset_of_u(const std::string& csv, double offset) {
   std::istringstream lines(csv);
   std::ostringstream changed;

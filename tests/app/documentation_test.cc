@@ -1,4 +1,4 @@
-// What the documentation shows is run, so that it cannot rot.
+// Runs the examples of the documentation, so that they stay correct.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -15,8 +15,8 @@
 #include <functional>
 #include <set>
 
-#include "app/bench/make_firmware.h"
-#include "app/bench/real_clock.h"
+#include "app/ground/system/real_clock.h"
+#include "app/operate/bench/make_firmware.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/microstrain_mip/codec.h"
 #include "drivers/pi_gcs/stage.h"
@@ -40,10 +40,10 @@ using testing::HasSubstr;
 
 /// The longest that a call may last, whatever the link does.
 constexpr Clock::Duration kDeadline = 15s;
-/// Of a voltmeter: it may still be measuring, so that its scan and then its identity are waited for.
+/// Deadline of a voltmeter: it may still be measuring, so that its scan and then its identity are waited for.
 constexpr Clock::Duration kVoltmeterDeadline = 17s;
 
-// ---- What a driver is expected to do
+// ---- Expected behaviour of a driver
 
 /// One way in which a link goes wrong.
 struct Trouble {
@@ -51,9 +51,9 @@ struct Trouble {
   FaultKind kind;
   bool once = false;  ///< Ends with the next command (or after a second); else it lasts.
   enum class Outcome { kRight, kFault, kEither } outcome = Outcome::kEither;
-  std::set<Fault> faults{};   ///< Those that are right.
-  bool damages = false;       ///< What comes may pass for a sound reply where there are no checksums.
-  Clock::Duration delay{};    ///< Of kLateReply.
+  std::set<Fault> faults{};   ///< Faults that are right.
+  bool damages = false;       ///< Without checksums, damaged bytes may pass for a sound reply.
+  Clock::Duration delay{};    ///< Delay of kLateReply.
   bool late_refusal = false;  ///< A refusal comes, and late: it is the answer to its own command only.
 };
 
@@ -86,7 +86,7 @@ const std::vector<Trouble>& troubles() {
   return all;
 }
 
-/// What is known of a driver's protocol.
+/// Properties of a driver's protocol.
 struct Nature {
   bool checksums = false;
   /// Streams unasked from power on, and can do without answers.
@@ -124,7 +124,7 @@ Nature nature_of(const std::string& driver, Clock::Instant now = {}) {
 
 struct Answer {
   bool nothing = false;  ///< It says that it does not know, without an error: no reading, no halt.
-  std::string wrong{};   ///< Where it says what is not so.
+  std::string wrong{};   ///< A wrong statement of the instrument.
 };
 
 /// A driver over its simulated instrument; `Unplugged` and the like happen on links().
@@ -275,14 +275,15 @@ class AccelerometerRig final : public Rig {
     truth.drift_per_hour = {3600.0 * kPerSecond, 0.0, 0.0};
     world_ = std::make_shared<sim::SimBench>(truth);
     BenchConfig config;
-    config.accelerometer.driver = driver.name;
-    config.accelerometer.baud = 115200;
+    config.items.front().accelerometer.driver = driver.name;
+    config.items.front().accelerometer.baud = 115200;
     AccelerometerSettings settings;
-    settings.rate_hz = config.accelerometer.rate_hz = driver.name.starts_with("scpi") ? 2.0 : 50.0;
+    settings.rate_hz = config.items.front().accelerometer.settings.rate_hz =
+        driver.name.starts_with("scpi") ? 2.0 : 50.0;
     settings.integration_plc = 0.02;
     settings.link_bytes_per_s = 11520.0;
     on_demand_ = driver.name.starts_with("scpi");
-    accelerometer_ = driver.make(open(config, accelerometer_ports(config.accelerometer)), clock_, settings);
+    accelerometer_ = driver.make(open(config, accelerometer_ports(config, 1)), clock_, settings);
   }
 
   std::vector<std::string> calls() const override { return {"identify", "start", "next", "stop"}; }
@@ -441,8 +442,8 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
     using enum Trouble::Outcome;
     EXPECT_TRUE(answer.wrong.empty() || (trouble().damages && !nature_.checksums)) << answer.wrong;
     EXPECT_FALSE(answer.nothing && trouble().outcome == kRight);
-    // What talks by itself has been heard before; and a stop on the way out tells nobody.
-    // That a motion has begun is seen on the first connection, whatever becomes of the reply to its command.
+    // An instrument that streams unasked has been heard before, and a stop on the way out has no reply. The
+    // start of a motion is seen on the first connection, even if the reply to its command is lost.
     const bool may_be_right =
         (nature_.talks_by_itself && at > 1) || call == "stop" || (is_stage() && link > 0);
     EXPECT_TRUE(answer.nothing || trouble().outcome != kFault || may_be_right) << "no error";
@@ -467,7 +468,7 @@ class DriverFaults : public testing::TestWithParam<std::tuple<std::string, Troub
   /// No question is answered wrongly; and once nothing is on its way any more, the second asking at the
   /// latest is answered.
   void check_recovery(Rig& rig, const sim::FaultyStream& faulty) {
-    // What is still on its way comes in the middle of the questions.
+    // Bytes still under way arrive among the questions.
     if (const auto due = faulty.next_due()) rig.clock().sleep_until(*due - 1ms);
     std::size_t number = 0;
     for (const auto& question : rig.questions()) {
@@ -527,7 +528,7 @@ INSTANTIATE_TEST_SUITE_P(All, DriverFaults,
                            return std::get<0>(pair.param) + "_" + std::get<1>(pair.param).name;
                          });
 
-// ---- What is no fault of the wire
+// ---- Failures that are no fault of the wire
 
 /// All connections to the simulated controller of a stage.
 std::vector<std::unique_ptr<wire::ByteStream>> simulated_streams(const BenchConfig& config, std::size_t count,

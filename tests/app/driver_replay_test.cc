@@ -9,7 +9,7 @@
 #include <string>
 #include <vector>
 
-#include "app/bench/make_firmware.h"
+#include "app/operate/bench/make_firmware.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/registry.h"
 #include "drivers/wire/recording_stream.h"
@@ -25,7 +25,7 @@ using namespace std::chrono_literals;
 using Streams = std::vector<std::unique_ptr<wire::ByteStream>>;
 using Events = std::vector<std::vector<wire::WireEvent>>;
 
-/// What a stage says in a short session, in words.
+/// Answers of a stage in a short session, in words.
 std::string session_of(RotationStage& stage, Clock& clock) {
   std::string said;
   const auto look = [&](StageAxis axis) {
@@ -107,14 +107,14 @@ TEST_P(DriverReplay, ComesToTheSameValues) {
     if (driver.name != GetParam()) continue;
     BenchConfig config;
     AccelerometerSettings settings;
-    config.accelerometer.driver = driver.name;
-    config.accelerometer.baud = 115200;
-    settings.rate_hz = config.accelerometer.rate_hz = driver.name.starts_with("scpi") ? 2.0 : 50.0;
+    config.items.front().accelerometer.driver = driver.name;
+    config.items.front().accelerometer.baud = 115200;
+    settings.rate_hz = config.items.front().accelerometer.settings.rate_hz =
+        driver.name.starts_with("scpi") ? 2.0 : 50.0;
     settings.integration_plc = 0.02;
-    expect_same_in_replay(config, accelerometer_ports(config.accelerometer),
-                          [&](Streams streams, Clock& clock) {
-                            return session_of(*driver.make(std::move(streams), clock, settings), clock);
-                          });
+    expect_same_in_replay(config, accelerometer_ports(config, 1), [&](Streams streams, Clock& clock) {
+      return session_of(*driver.make(std::move(streams), clock, settings), clock);
+    });
   }
 }
 

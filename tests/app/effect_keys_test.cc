@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "app/bench/bench_config.h"
-#include "app/results/effect_words.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/results/estimates/effect_words.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 
@@ -45,11 +45,11 @@ std::string refusal_of(const std::string& more) {
 TEST(EffectKeysTest, APlainNumberIsAStandardUncertaintyAndStated) {
   const BenchConfig config =
       bench_with("[stage_uncertainty]\nwobble_urad = 12\n[item_uncertainty]\ndrift = 2e-5\n");
-  EXPECT_EQ(config.tolerances.wobble_urad, 12.0);
-  EXPECT_EQ(config.tolerances.sources.at("wobble_urad"), "stated");
-  EXPECT_EQ(config.tolerances.drift, 2e-5);
-  EXPECT_EQ(config.tolerances.step.deg(), 0.008);
-  EXPECT_FALSE(config.tolerances.sources.contains("step_deg"));
+  EXPECT_EQ(config.items.front().tolerances.wobble_urad, 12.0);
+  EXPECT_EQ(config.items.front().tolerances.sources.at("wobble_urad"), "stated");
+  EXPECT_EQ(config.items.front().tolerances.drift, 2e-5);
+  EXPECT_EQ(config.items.front().tolerances.step.deg(), 0.008);
+  EXPECT_FALSE(config.items.front().tolerances.sources.contains("step_deg"));
   EXPECT_TRUE(config.warnings.empty());
 }
 
@@ -61,7 +61,7 @@ step_deg = { half_width = 0.02, distribution = "triangular" }
 initial_turn_deg = { half_width = 0.02, distribution = "u-shaped" }
 wobble_urad = { expanded_uncertainty = 30, k = 2, source = "certificate 4711" }
 )");
-  const EffectSizes& sizes = config.tolerances;
+  const EffectSizes& sizes = config.items.front().tolerances;
   EXPECT_EQ(sizes.alignment.deg(), 0.003);
   EXPECT_EQ(sizes.sources.at("alignment_deg"), "autocollimator 2026-03");
   EXPECT_DOUBLE_EQ(sizes.zero.deg(), 0.02 / std::sqrt(3.0));
@@ -123,9 +123,9 @@ k2 = { vlaue = 1e-3 }
 
 TEST(EffectKeysTest, TheOldSectionIsReadAndSaidToBeOld) {
   const BenchConfig config = bench_with("[tolerances]\nstep_deg = 0.006\ndrift = 3e-5\n");
-  EXPECT_EQ(config.tolerances.step.deg(), 0.006);
-  EXPECT_EQ(config.tolerances.drift, 3e-5);
-  EXPECT_EQ(config.tolerances.sources.at("step_deg"), "tolerances");
+  EXPECT_EQ(config.items.front().tolerances.step.deg(), 0.006);
+  EXPECT_EQ(config.items.front().tolerances.drift, 3e-5);
+  EXPECT_EQ(config.items.front().tolerances.sources.at("step_deg"), "tolerances");
   ASSERT_EQ(config.warnings.size(), 1U);
   EXPECT_THAT(config.warnings[0], HasSubstr("[tolerances] belongs to the older schema abcal.bench/1"));
   EXPECT_THAT(config.warnings[0], HasSubstr("[stage_uncertainty] step_deg, [item_uncertainty] drift"));
@@ -147,9 +147,9 @@ TEST(EffectKeysTest, AWrittenFileTellsDefaultsFromStatedValues) {
   EXPECT_THAT(once, HasSubstr("hysteresis = { value = 1e-05, source = 'default' }"));
   const BenchConfig again = parse_bench(once, "stored");
   EXPECT_EQ(write_bench(again), once);
-  EXPECT_EQ(again.tolerances.sources, config.tolerances.sources);
-  EXPECT_EQ(again.tolerances.wobble_urad, 12.0);
-  EXPECT_EQ(again.tolerances.step.deg(), 0.006);
+  EXPECT_EQ(again.items.front().tolerances.sources, config.items.front().tolerances.sources);
+  EXPECT_EQ(again.items.front().tolerances.wobble_urad, 12.0);
+  EXPECT_EQ(again.items.front().tolerances.step.deg(), 0.006);
   EXPECT_TRUE(again.warnings.empty());
 }
 
@@ -169,11 +169,11 @@ std::vector<std::string> toml_blocks(const std::string& page) {
 TEST(EffectKeysTest, TheExamplesOfThePageAreReadAsTheirTextSays) {
   const std::vector<std::string> blocks = toml_blocks("effects.md");
   ASSERT_EQ(blocks.size(), 3U);
-  const EffectSizes forms = bench_with(blocks[0]).tolerances;
+  const EffectSizes forms = bench_with(blocks[0]).items.front().tolerances;
   EXPECT_EQ(forms.wobble_urad, 12.0);
   EXPECT_DOUBLE_EQ(forms.drift, 1e-5);
   const BenchConfig both = bench_with(blocks[1] + "alignment_deg = 0.01\n" + blocks[2]);
-  const EffectSizes& sizes = both.tolerances;
+  const EffectSizes& sizes = both.items.front().tolerances;
   EXPECT_NEAR(sizes.wobble_urad, 50.0 / 4.1, 0.5);
   EXPECT_NEAR(sizes.zero.deg(), 0.0115, 5e-5);
   EXPECT_EQ(sizes.zero.deg(), sizes.initial_turn.deg());
@@ -198,20 +198,20 @@ TEST(EffectKeysTest, ANumberAloneHasNoSource) {
   EXPECT_THAT(effects_without_source(sizes),
               testing::ElementsAre("alignment of the axes", "step errors without memory",
                                    "non-linearity of order 2"));
-  // As a bench file states them.
+  // Statements of a bench file.
   const BenchConfig config = bench_with(
       "[stage_uncertainty]\nwobble_urad = 12\nzero_deg = { half_width = 0.02, distribution = \"rectangular\" "
       "}\n"
       "step_deg = { value = 0.001, source = \"certificate 12\" }\nalignment_deg = 0\n"
       "[item_uncertainty]\ndrift = { expanded_uncertainty = 2e-5, k = 2 }\n");
-  EXPECT_THAT(effects_without_source(config.tolerances),
+  EXPECT_THAT(effects_without_source(config.items.front().tolerances),
               testing::ElementsAre("zeros of the axes", "wobble of the axes, each coefficient to 3/rev",
                                    "drift of the offset, each order"));
 }
 
 TEST(EffectKeysTest, DefaultsAreNamed) {
   const BenchConfig config = bench_with("[stage_uncertainty]\nwobble_urad = 12\n");
-  const std::string words = default_effects_words(config.tolerances);
+  const std::string words = default_effects_words(config.items.front().tolerances);
   EXPECT_THAT(words, HasSubstr("default sizes are used"));
   EXPECT_THAT(words, HasSubstr("hysteresis"));
   EXPECT_THAT(words, Not(HasSubstr("wobble")));
@@ -249,8 +249,8 @@ order = 1
 cos_1_urad = 20
 sin_2_urad = -20
 )");
-  EXPECT_EQ(config.simulation.k4[0], 1e-4);
-  EXPECT_EQ(config.simulation.gain_step[1], 0.002);
+  EXPECT_EQ(config.items.front().simulation.k4[0], 1e-4);
+  EXPECT_EQ(config.items.front().simulation.gain_step[1], 0.002);
   EXPECT_EQ(config.simulation.span_s, 4000.0);
   EXPECT_EQ(config.simulation.x.wobble_sd_urad, 12.0);
   ASSERT_EQ(config.simulation.x.wobble.size(), 1U);
@@ -259,9 +259,9 @@ sin_2_urad = -20
   const std::string once = write_bench(config);
   const BenchConfig again = parse_bench(once, "stored");
   EXPECT_EQ(write_bench(again), once);
-  EXPECT_EQ(again.simulation.sinusoidal_drift_phase, Angle::degrees(30.0));
+  EXPECT_EQ(again.items.front().simulation.sinusoidal_drift_phase, Angle::degrees(30.0));
   EXPECT_EQ(again.simulation.x.wobble.size(), 1U);
-  EXPECT_EQ(again.simulation.correlated_noise_s, 90.0);
+  EXPECT_EQ(again.items.front().simulation.correlated_noise_s, 90.0);
 }
 
 TEST(EffectKeysTest, TheSimulatedWorldRefusesWhatCannotBe) {

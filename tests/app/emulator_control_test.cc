@@ -11,9 +11,9 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
-#include "app/bench/bench_config.h"
-#include "app/bench/make_bench.h"
-#include "app/emulate/control_server.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/operate/bench/make_bench.h"
+#include "app/operate/emulate/control_server.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/sqlite.h"
 #include "sim/firmware/faulty_port.h"
@@ -156,7 +156,7 @@ TEST(FaultSchedule, ABenchFileMakesThingsGoWrongInTime) {
   bench.stage->identify();
   bench.clock->sleep_until(start + 9s);
   EXPECT_THROW(bench.stage->encoder_angle(StageAxis::kX), InstrumentError);
-  // What is written out is read back to the same.
+  // A written file reads back unchanged.
   EXPECT_EQ(write_bench(parse_bench(write_bench(config), "again")), write_bench(config));
 }
 

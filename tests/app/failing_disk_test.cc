@@ -8,8 +8,8 @@
 #include <algorithm>
 #include <map>
 
-#include "app/results/estimators.h"
-#include "app/results/result_json.h"
+#include "app/results/estimates/estimators.h"
+#include "app/results/estimates/result_json.h"
 #include "protocol/record/verify.h"
 #include "tests/app/in_process_run.h"
 #include "tests/app/repeatable_run.h"
@@ -42,7 +42,7 @@ class FailingDiskTest : public testing::Test {
     for (const Failure how : {Failure::kFull, Failure::kShortWrite, Failure::kInputOutput})
       calls[how] = disk.calls(how);
     ASSERT_TRUE(whole.finished());
-    expected = numbers(result_json(result_of(whole.finished()->results, "abc")).dump());
+    expected = numbers(result_json(result_of(whole.finished()->items.front().results, "abc")).dump());
     expected_bits = measured_bits(whole.path());
   }
 
@@ -124,7 +124,8 @@ class FailingDiskTest : public testing::Test {
     EXPECT_EQ(RunFile::load(run.path()).state, RunState::kComplete);
     EXPECT_EQ(measured_bits(run.path()), expected_bits);
     if (run.finished()) {
-      EXPECT_TRUE(numbers(result_json(result_of(run.finished()->results, "abc")).dump()) == expected);
+      EXPECT_TRUE(numbers(result_json(result_of(run.finished()->items.front().results, "abc")).dump()) ==
+                  expected);
     }
     for (const IntegrityCheck& check : verify_run(run.path()))
       EXPECT_TRUE(check.good) << check.what << ": " << check.found;
@@ -139,7 +140,7 @@ class FailingDiskTest : public testing::Test {
 
   test::TemporaryFolder folder;
   FailingDisk disk;
-  std::map<Failure, std::size_t> calls;  ///< Of a whole run.
+  std::map<Failure, std::size_t> calls;  ///< Number of calls in a whole run.
   nlohmann::json expected;
   std::vector<std::string> expected_bits;
   int tried = 0, unharmed = 0, never_begun = 0, all_measured = 0;

@@ -12,8 +12,8 @@
 #include <memory>
 #include <tuple>
 
-#include "app/bench/make_firmware.h"
-#include "app/bench/real_clock.h"
+#include "app/ground/system/real_clock.h"
+#include "app/operate/bench/make_firmware.h"
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/instrument/split_stage.h"
 #include "drivers/registry.h"
@@ -28,7 +28,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// What the driver uses; the test holds the other end and knows what was written.
+/// Stream of the driver; the test holds the other end and records the written bytes.
 class NotedStream final : public wire::ByteStream {
  public:
   NotedStream(std::shared_ptr<wire::ByteStream> inner, std::vector<std::string>& written)
@@ -132,7 +132,7 @@ TEST_P(HaltRecipes, StopBothAxesInTheMiddleOfAnyCommand) {
 
 TEST_P(HaltRecipes, WorkBeforeAnythingWasAskedAndAreNotAcknowledgedBySilence) {
   HaltRig<sim::SimClock> rig(GetParam());
-  // Of a driver that has asked nothing yet.
+  // Recipes of a driver that has not asked anything yet.
   const std::vector<HaltRecipe> recipes = rig.driver->halt_recipes();
   rig.home();
   rig.driver->move_to(StageAxis::kX, Angle::degrees(150.0));
@@ -140,7 +140,7 @@ TEST_P(HaltRecipes, WorkBeforeAnythingWasAskedAndAreNotAcknowledgedBySilence) {
   ASSERT_TRUE(rig.carried_out(recipes, *rig.port));
   EXPECT_FALSE(rig.anything_moves());
 
-  rig.driver->identify();  // Reads and clears what the half line has left among the errors.
+  rig.driver->identify();  // Reads and clears the errors that the half line has left.
   rig.driver->move_to(StageAxis::kX, Angle::degrees(-150.0));
   sim::FaultyStream deaf(std::make_unique<NotedStream>(rig.port, rig.written), rig.clock,
                          {{.kind = sim::FaultKind::kSilence}});
@@ -209,15 +209,13 @@ struct ChamberRig {
   explicit ChamberRig(const ChamberCase& which) {
     BenchConfig config;
     config.chamber.driver = which.driver;
-    config.chamber.model = which.model;
+    config.chamber.settings.model = which.model;
     config.chamber.port = which.port;
-    config.chamber.pause_output = kPauseOutput;
+    config.chamber.settings.pause_output = kPauseOutput;
     port = std::make_shared<sim::FirmwareStream>(
         make_firmware(config, chamber_ports(config.chamber).at(0), world), clock);
-    ChamberSettings settings;
-    settings.model = which.model;
+    ChamberSettings settings = config.chamber.settings;
     settings.tcp_framing = has_tcp_frames(which.port);
-    settings.pause_output = kPauseOutput;
     std::vector<std::unique_ptr<wire::ByteStream>> streams;
     streams.push_back(std::make_unique<NotedStream>(port, written));
     for (const ChamberDriver& each : chamber_drivers())

@@ -82,7 +82,8 @@ void InProcessRun::before(std::string_view call) {
 
 void InProcessRun::watch(Bench& bench) {
   bench.stage = std::make_unique<WatchedStage>(std::move(bench.stage), *this);
-  bench.accelerometer = std::make_unique<WatchedAccelerometer>(std::move(bench.accelerometer), *this);
+  std::unique_ptr<Accelerometer>& accelerometer = bench.first().accelerometer;
+  accelerometer = std::make_unique<WatchedAccelerometer>(std::move(accelerometer), *this);
 }
 
 void InProcessRun::run_to_end() {
@@ -91,7 +92,8 @@ void InProcessRun::run_to_end() {
   longest_angle_s_ = 0.0;
   finished_.reset();
   if (exists() && RunFile::load(path_).state == RunState::kComplete) {
-    finished_ = finish_measured_run(path_);
+    const auto analyst = make_run_analyst([this](const RunOutcome& outcome) { finished_ = outcome; });
+    (void)finish_measured_run(path_, analyst.get());
     return;
   }
   std::optional<Clock::Instant> last;  // When an angle was measured.
@@ -136,7 +138,7 @@ void InProcessRun::run_to_end() {
     } else {
       BenchConfig config = parse_bench(bench_toml_, "bench.toml");
       if (change_bench) change_bench(config);
-      finished_ = session->start({write_bench(config), "bench.toml", path_.string(), false});
+      finished_ = session->start({config, path_.string()});
     }
   } catch (...) {
     look();

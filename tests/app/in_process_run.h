@@ -9,14 +9,14 @@
 #include <string>
 #include <string_view>
 
-#include "app/bench/bench_config.h"
-#include "app/bench/make_bench.h"
-#include "app/session/run_session.h"
+#include "app/faces/run/run_session.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/operate/bench/make_bench.h"
 
 namespace abcal::test {
 
-/// What `abcal run` and `abcal resume` do, on a simulated bench inside the test, so that it can come between
-/// the run, its instruments and its disk.
+/// Does the work of `abcal run` and `abcal resume` on a simulated bench inside the test, so that the test can
+/// come between the run, its instruments and its disk.
 class InProcessRun {
  public:
   InProcessRun(std::string bench_toml, std::filesystem::path path)
@@ -33,10 +33,10 @@ class InProcessRun {
   /// Called before each call to an instrument, but for halt() and stop(), with its name and its number in
   /// this run_to_end() (1 is the first); may throw what the instrument would.
   std::function<void(std::string_view call, std::size_t number)> before_call;
-  /// May change the bench before it is made, e.g. what goes wrong on it this time.
+  /// May change the bench before it is made, e.g. its faults this time.
   std::function<void(BenchConfig& config)> change_bench;
 
-  // Of the last run_to_end().
+  // Figures of the last run_to_end().
   std::size_t calls() const { return calls_; }
   std::size_t halts() const { return halts_; }
   /// It had been told to move, and neither came to rest nor was halted before the run was left.

@@ -17,7 +17,7 @@ struct AccelerometerCase {
   std::string name;
   std::string section;  ///< [accelerometer] but for its port.
   double scale = 1.0;   ///< Response unit per g_loc.
-  double noise = 1e-4;  ///< Of one reading, in g_loc.
+  double noise = 1e-4;  ///< Noise of one reading, in g_loc.
 };
 
 // The names of the tests carry the parameters: as words, not as bytes.

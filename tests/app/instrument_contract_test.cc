@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "app/bench/bench_config.h"
-#include "app/bench/make_bench.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/operate/bench/make_bench.h"
 #include "drivers/registry.h"
 #include "tests/app/stage_variants.h"
 #include "tests/contract/instrument_contract.h"
@@ -54,7 +54,7 @@ AccelerometerCase accelerometer_case(const std::string& driver, const std::strin
             const auto bench =
                 std::make_shared<Bench>(simulated_bench("driver = \"simulated\"\n", driver, lines));
             return AccelerometerBench{{bench, bench->clock.get()},
-                                      {bench, bench->accelerometer.get()},
+                                      {bench, bench->first().accelerometer.get()},
                                       Eigen::Vector3d(0.0, 0.0, in_mps2(driver) ? 9.81 : 1.0)};
           }};
 }

@@ -28,7 +28,7 @@ class ManualTest : public ProgramTest {
     EXPECT_EQ(code, 0) << command << "\n" << program.out();
     return program.out();
   }
-  /// What bash offers when the last of `words` is being typed.
+  /// Completions that bash offers while the last of `words` is being typed.
   std::vector<std::string> completions(const std::vector<std::string>& words) {
     std::string list;
     for (const std::string& word : words) list += "'" + word + "' ";

@@ -26,7 +26,7 @@ inline BenchText repeatable_bench() {
 }
 
 inline std::string integrity(const std::filesystem::path& run) {
-  // As a person with the tool sqlite3 would: it may finish or take back what was half written.
+  // Opened for writing, as by the tool sqlite3: it may finish or undo half-written transactions.
   return SqliteDatabase(run, SqliteDatabase::Mode::kReadWrite).value("pragma integrity_check").value_or("");
 }
 

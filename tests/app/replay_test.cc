@@ -119,7 +119,7 @@ TEST_F(ProgramTest, AReplayThatLeavesItsRecordingSaysWhere) {
   write_bench({});
   ASSERT_EQ(abcal({"run", "bench.toml", "--record", "-o", "a.run"}).exit_code, 0);
   std::filesystem::permissions(folder / "a.run", std::filesystem::perms::owner_all);
-  {  // As if the driver had asked for another angle then.
+  {  // Changes the recording as if the driver had asked for another angle.
     SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadWrite);
     database.execute(
         "update wire set bytes = cast(replace(cast(bytes as text), 'MOV 1 90', 'MOV 1 91') as blob) "

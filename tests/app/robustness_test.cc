@@ -1,18 +1,19 @@
-#include "app/robustness/robustness_study.h"
+#include "app/studies/robustness/robustness_study.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
+#include <nlohmann/json.hpp>
 #include <set>
 #include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
 
-#include "app/results/analyses.h"
-#include "app/robustness/robustness_text.h"
+#include "app/results/estimates/analyses.h"
+#include "app/studies/robustness/robustness_text.h"
 #include "protocol/uncertainty/budget.h"
 
 namespace abcal {
@@ -39,7 +40,7 @@ TEST(RobustnessTest, IsTheSameForAnyNumberOfThreads) {
   const std::vector<std::string> scenarios{"sound-24", "everything-24", "random-walk"};
   const auto one = robustness_json(study_of(scenarios, 3, 1));
   EXPECT_EQ(robustness_json(study_of(scenarios, 3, 3)), one);
-  // A scenario keeps its benches, whatever stands beside it.
+  // A scenario keeps its benches, whatever other scenarios are chosen.
   const auto alone = robustness_json(study_of({"random-walk"}, 3, 1));
   EXPECT_EQ(alone["outcomes"][0], one["outcomes"][4]);
 }
@@ -154,7 +155,7 @@ TEST(RobustnessTest, ShortfallsFollowTheKindOfTheScenario) {
 }
 
 /// The table of docs/effects.md (some ten minutes of processor time). The same seed gives the same benches,
-/// so a larger count is a step back; lower the numbers when an estimator has learnt more.
+/// so a larger count is a step back; lower the numbers when an estimator has improved.
 TEST(LongRobustness, NoMoreFallsShortThanBefore) {
   constexpr int kShortGroups = 22;
   constexpr int kWrongVerdicts = 6;

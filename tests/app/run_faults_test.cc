@@ -1,6 +1,6 @@
 // Instruments that fail in the middle of a run, at every call that a run makes and in every way that a
 // simulated bench can go wrong (sim/faults.h). The run completes, or ends in time with the right fault in
-// words and the stage at rest; either way its file is sound and the run can go on; and what is called usable
+// words and the stage at rest; either way its file is sound and the run can go on; and a result called usable
 // is right.
 
 #include <fmt/format.h>
@@ -12,7 +12,7 @@
 #include <set>
 #include <tuple>
 
-#include "app/results/analyses.h"
+#include "app/results/estimates/analyses.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/verify.h"
 #include "sim/faults.h"
@@ -140,7 +140,7 @@ class FaultAtEveryCallTest : public testing::Test {
 
   test::TemporaryFolder folder;
   test::FailingDisk disk;  ///< It does not fail here; it does not wait for the real one.
-  std::size_t calls = 0;   ///< Of a whole run.
+  std::size_t calls = 0;   ///< Number of calls in a whole run.
   std::vector<std::string> expected_bits;
   int tried = 0, never_begun = 0, ended = 0, reconnected = 0, not_parked = 0;
 };
@@ -157,7 +157,7 @@ TEST_F(LongFaultAtEveryCallTest, HaltsTheStageSaysWhyAndTheRunGoesOnToTheSameBit
 
 // ---- Every fault of sim/faults.h through every driver
 
-/// What may come of a fault that is still there when a run has to end.
+/// Permitted faults in the reason of a run that has to end while a fault is still present.
 std::set<Fault> right_faults(FaultKind kind) {
   using enum Fault;
   switch (kind) {
@@ -204,7 +204,7 @@ std::set<Fault> right_faults(FaultKind kind) {
 struct FaultOnDriver {
   StageCase stage;
   AccelerometerCase accelerometer;
-  std::string instrument;  ///< Of a fault of the wire.
+  std::string instrument;  ///< Instrument of a fault of the wire.
   sim::FaultDescription fault;
 };
 
@@ -292,7 +292,7 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
       }
       EXPECT_THAT(why,
                   HasSubstr(stored.events.back().text.substr(stored.events.back().text.find("; the stage"))));
-      // What went wrong is mended.
+      // The fault is removed.
       run.change_bench = [](BenchConfig& config) { config.faults.clear(); };
       std::filesystem::copy_file(run.path(), folder / "kept.run",
                                  std::filesystem::copy_options::overwrite_existing);
@@ -301,9 +301,9 @@ class RunFaults : public testing::TestWithParam<FaultOnDriver> {
       EXPECT_FALSE(run.left_moving());
     }
     ASSERT_TRUE(run.finished());
-    EXPECT_EQ(run.finished()->stored.measured.size(), run.finished()->stored.header.plan.size());
+    EXPECT_EQ(run.finished()->stored().measured.size(), run.finished()->stored().header.plan.size());
     expect_verified(run.path());
-    const CalibrationResult& result = run.finished()->results.front();
+    const CalibrationResult& result = run.finished()->items.front().results.front();
     const TruthComparison truth = compare_with_truth(result, parse_bench(text, "bench.toml"));
     EXPECT_TRUE(result.verdict != Verdict::kUsable || truth.agrees()) << truth.text;
     for (const char* suffix : {"", ".results"}) std::filesystem::remove(run.path().string() + suffix);
@@ -323,11 +323,11 @@ TEST_P(RunFaults, EndInTimeWithTheRightFaultAndGoOnOrCompleteWithoutAWrongNumber
   InProcessRun whole(text, folder / "whole.run");
   whole.run_to_end();
   ASSERT_TRUE(whole.finished());
-  EXPECT_EQ(whole.finished()->results.front().verdict, Verdict::kUsable)
-      << whole.finished()->results.front().why;
+  EXPECT_EQ(whole.finished()->items.front().results.front().verdict, Verdict::kUsable)
+      << whole.finished()->items.front().results.front().why;
   // Between the first angle and the last: an axis that slips before the first one is an item mounted
   // otherwise.
-  const std::vector<DwellRecord>& dwells = whole.finished()->stored.record.dwells;
+  const std::vector<DwellRecord>& dwells = whole.finished()->stored().record.dwells;
   const double measured_s = dwells.back().time_s.value() - dwells.front().time_s.value();
   for (const double part : {0.25, 0.7}) {
     const double at_s = whole.simulated_s() - (1.0 - part) * measured_s;

@@ -1,6 +1,6 @@
-// What a signal does to the program: it ends at once what only computes, and nothing that moves a stage.
+// Effect of a signal on the program: a computation ends at once, but nothing that moves a stage.
 
-#include "app/system/interrupt.h"
+#include "app/ground/system/interrupt.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,9 +13,9 @@
 #include <numbers>
 #include <sstream>
 
-#include "app/bench/bench_config.h"
-#include "app/bench/make_bench.h"
-#include "app/system/last_signal.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/ground/system/last_signal.h"
+#include "app/operate/bench/make_bench.h"
 #include "drivers/instrument/instrument_error.h"
 #include "tests/app/program_fixtures.h"
 
@@ -72,7 +72,7 @@ class SignalsTest : public ProgramTest {
 };
 
 TEST_F(SignalsTest, EndAtOnceWhatOnlyComputes) {
-  // The fits of so many angles take longer than all else, 10 s or more.
+  // The fits of this many angles take longer than everything else, 10 s or more.
   test::write_file(folder / "long.csv", sine_readings(2400));
   test::write_file(folder / "other.csv", sine_readings(2399));
   const std::vector<std::pair<int, std::vector<std::string>>> cases{

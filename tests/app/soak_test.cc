@@ -1,6 +1,6 @@
 // Many runs one after the other in one process, with faults of instruments, wires, the world and the disk at
-// random, resumed until they are complete: memory and descriptors stay what they are, every run ends
-// completed or with the reason, and what is called usable is right.
+// random, resumed until they are complete: memory and descriptors stay constant, every run ends completed or
+// with the reason, and results called usable are right.
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -12,7 +12,7 @@
 #include <fstream>
 #include <random>
 
-#include "app/results/analyses.h"
+#include "app/results/estimates/analyses.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/verify.h"
 #include "sim/faults.h"
@@ -30,7 +30,7 @@ using test::InProcessRun;
 
 struct Resources {
   std::size_t heap_bytes = 0;      ///< In use.
-  std::size_t resident_bytes = 0;  ///< Of the process.
+  std::size_t resident_bytes = 0;  ///< Resident memory of the process.
   std::size_t descriptors = 0;
 
   static Resources now() {
@@ -48,7 +48,7 @@ struct Resources {
 
 class SoakTest : public testing::Test {
  protected:
-  /// Allocators keep some of what they are given back; a leak of one reading (100 bytes) an angle would show.
+  /// Allocators keep some of the returned memory; a leak of one reading (100 bytes) an angle would show.
   static constexpr double kMarginBytes = 1.5e6;
 
   void soak(std::size_t wanted) {
@@ -147,7 +147,7 @@ class SoakTest : public testing::Test {
     ADD_FAILURE() << truth.text;
   }
 
-  /// @return what it is, in words
+  /// @return its description in words
   std::string draw_trouble(const StageCase& stage, const AccelerometerCase& accelerometer, InProcessRun& run,
                            std::vector<FaultConfig>& faults) {
     const auto uniform = [&] { return std::uniform_real_distribution<double>(0.0, 1.0)(random); };

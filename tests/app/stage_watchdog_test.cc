@@ -1,4 +1,4 @@
-#include "app/bench/stage_watchdog.h"
+#include "app/operate/bench/stage_watchdog.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -6,7 +6,7 @@
 #include <condition_variable>
 #include <future>
 
-#include "app/bench/real_clock.h"
+#include "app/ground/system/real_clock.h"
 #include "drivers/instrument/instrument_error.h"
 
 namespace abcal {
@@ -68,7 +68,7 @@ class StageWatchdogTest : public testing::Test {
     stage = owned.get();
     dog = std::make_unique<StageWatchdog>(std::move(owned), clock, 50ms);
   }
-  /// What the next call of the run says; calls until the watchdog has noted its halt.
+  /// Error of the next call of the run; calls until the watchdog has noted its halt.
   std::string next_error() {
     for (;;) {
       try {

@@ -146,7 +146,7 @@ TEST_F(StudyCommands, TolerancesOnTheCommandLineReplaceTheRunsOwn) {
   std::vector<std::string> arguments = exact;
   arguments[9] = "0.004";
   const Json twice = json_of(arguments);
-  // s_uy: to first order proportional; second order is 0.004 degrees = 7e-5 of it.
+  // s_uy: to first order proportional; the second-order part is 0.004 degrees = 7e-5 relative.
   EXPECT_NEAR(u(twice) / u(small), 2.0, 2e-3);
   arguments[9] = "-0.004";
   const ProgramResult negative = abcal(arguments);

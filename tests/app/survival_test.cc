@@ -1,5 +1,5 @@
-// Runs that are killed or unplugged at random moments: nothing measured is lost, and what comes out is what
-// an undisturbed run gives. A few under the label quick, as many as a laboratory sees in years under long.
+// Runs that are killed or unplugged at random moments: nothing measured is lost, and the results equal those
+// of an undisturbed run. A few under the label quick, as many as a laboratory sees in years under long.
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>

@@ -1,5 +1,4 @@
-// Series over temperature: a whole one, what is wrong with a bench file, chambers that fail, and programs
-// that die.
+// Series over temperature: a complete one, errors in a bench file, chambers that fail, and programs that die.
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -9,12 +8,13 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
-#include "app/bench/bench_config.h"
-#include "app/bench/real_clock.h"
-#include "app/session/temperature_series.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/ground/system/real_clock.h"
+#include "app/operate/session/temperature_series.h"
 #include "drivers/wire/byte_stream.h"
 #include "drivers/wire/open_stream.h"
 #include "protocol/record/run_file.h"
+#include "protocol/record/run_label.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/app/temperature_text.h"
 
@@ -92,6 +92,41 @@ TEST_F(TemperatureTest, ASeriesUpAndDownFindsTheCoefficients) {
   EXPECT_EQ(again.exit_code, 0);
   EXPECT_EQ(again.out, result.out);
   EXPECT_THAT(again.err, Not(HasSubstr("Point")));
+}
+
+TEST_F(TemperatureTest, EveryItemOfASeriesHasItsCoefficients) {
+  SeriesText one;
+  one.temperature = "set_points_degc = [23, 60]\nsoak_min_s = 600\nsoak_max_s = 14400\n";
+  std::string text = one.text();
+  const std::string item = "[item]\nsensitivity_tolerance = 0.1\n",
+                    accelerometer = "[accelerometer]\ndriver = \"simulated\"\nresponse_unit = \"g\"\n";
+  for (const std::string& section : {item, accelerometer}) {
+    ASSERT_NE(text.find(section), std::string::npos);
+    text.erase(text.find(section), section.size());
+  }
+  for (int k = 1; k <= 2; ++k)
+    text += fmt::format("[[item]]\nserial_number = \"{}\"\nsensitivity_tolerance = 0.1\n[item.{}", k,
+                        accelerometer.substr(1));
+  test::write_file(folder / "bench.toml", text);
+  const ProgramResult all = abcal({"temperature", "bench.toml", "--json"});
+  ASSERT_EQ(all.exit_code, 0) << all.err;
+  const Json json = Json::parse(all.out);
+  ASSERT_EQ(json["items"].size(), 2U);
+  EXPECT_NE(json["items"][0]["coefficients"], json["items"][1]["coefficients"]);
+  const ProgramResult second = abcal({"temperature", "bench.toml", "--json", "--item", "2"});
+  EXPECT_EQ(Json::parse(second.out), json["items"][1]);
+  EXPECT_EQ(abcal({"temperature", "bench.toml", "--item", "3"}).exit_code, 2);
+  EXPECT_THAT(abcal({"temperature", "bench.toml", "--html", "a.html"}).err,
+              HasSubstr("required: --item 1 to 2, whose page is written"));
+  std::vector<std::string> points{"export"};
+  for (std::size_t n = 1; n <= json["items"][0]["points"].size(); ++n)
+    points.push_back(fmt::format("bench-temperature-{:02}.run", n));
+  points.insert(points.end(), {"--as", "json", "--item"});
+  points.emplace_back("2");
+  const ProgramResult exported = abcal(points);
+  ASSERT_EQ(exported.exit_code, 0) << exported.err;
+  EXPECT_EQ(Json::parse(exported.out)["outputs"][0]["coefficients"],
+            json["items"][1]["polynomials"][0]["coefficients"]);
 }
 
 TEST_F(TemperatureTest, AStageThatTurnsWarmMakesTheSeriesDoubtful) {
@@ -207,7 +242,7 @@ class KilledSeriesTest : public TemperatureTest {
                chamber.driver, chamber.model, chamber.port, kSet, kSet, end);
   }
 
-  /// What follows `begin` in what the emulator says, up to the end of the line.
+  /// Text after `begin` in the emulator's output, up to the end of the line.
   std::string told(const std::string& begin) const {
     const std::string out = emulator_->out();
     const std::size_t at = out.find(begin);

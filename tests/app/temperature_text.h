@@ -14,7 +14,7 @@ struct SeriesText {
   std::string protocol =
       "steps = 8\nstep_deg = 45.0\ncheck_poses = false\nsettle_s = 0.1\ndwell_readings = 20\n";
   std::string world;  ///< More keys of [simulation].
-  std::string more;   ///< Of [simulation.chamber], and sections behind it.
+  std::string more;   ///< Further keys of [simulation.chamber], and sections behind it.
   int seed = 3;
 
   std::string text() const {

@@ -14,9 +14,9 @@
 #include <string>
 #include <vector>
 
-#include "app/bench/bench_config.h"
-#include "app/results/analyses.h"
-#include "app/results/result_text.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/result_text.h"
 #include "protocol/record/verify.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/emulator_control.h"
@@ -43,7 +43,7 @@ class LongTrayTest : public ProgramTest {
     replace(text, "dwell_readings = 300", "dwell_readings = 150");
     return text;
   }
-  /// The same with the links of the emulator.
+  /// The bench file with the links of the emulator.
   static std::string wired(std::string text) {
     const std::string port = "port = \"simulated\"";
     std::size_t at = replace(text, port, "port = \"links/stage\"");
@@ -74,8 +74,7 @@ TEST_F(LongTrayTest, EightItemsInRealTimeTakeTheTimeOfOneAndLoseNothing) {
     const StoredRun stored = RunFile::load(folder / "eight.run", k);
     EXPECT_EQ(stored.measured.size(), stored.header.plan.size()) << k << "\n" << run.err << run.out;
     for (const DwellRecord& dwell : stored.dwells) EXPECT_EQ(dwell.lost, 0) << k;
-    const TruthComparison comparison =
-        compare_with_truth(analyse(stored.record, "joint"), for_item(truth, k));
+    const TruthComparison comparison = compare_with_truth(analyse(stored.record, "joint"), truth, k);
     EXPECT_TRUE(comparison.agrees()) << k << "\n" << comparison.text;
   }
   for (const IntegrityCheck& check : verify_run(folder / "eight.run"))

@@ -1,4 +1,4 @@
-// What watching costs: a run in real time (the emulator in a process of its own, over pseudo-terminals, the
+// Cost of watching: a run in real time (the emulator in a process of its own, over pseudo-terminals, the
 // console in another) with nobody watching and with 50 pages, one of which never reads; the memory of the
 // console; and the time from an angle in the measuring thread to a page.
 
@@ -77,7 +77,7 @@ class ServedBench {
     while (ended.is_null()) {
       const auto message = page.next(end);
       if (!message) throw std::runtime_error("the run did not end");
-      if ((*message)["type"] == "ended") ended = *message;
+      if ((*message)["type"] == "finished") ended = *message;
     }
     if (!ended["complete"].get<bool>()) throw std::runtime_error(ended.dump());
     page.wait_for_activity("idle");
@@ -113,7 +113,7 @@ class Watchers {
 
  private:
   void look(const Json& message) {
-    if (message["type"] != "dwell") return;
+    if (message["type"] != "dwell_done") return;
     const auto now = std::chrono::floor<std::chrono::microseconds>(std::chrono::system_clock::now());
     const std::lock_guard lock(mutex_);
     delays_ms_.push_back(

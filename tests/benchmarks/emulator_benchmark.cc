@@ -214,7 +214,7 @@ void BM_EightBenches(benchmark::State& state) {
     for (const auto& bench : benches) {
       bench->program->signal(SIGINT);
       bench->program->wait();
-      // Those of the first second lay in the terminal before it was listened to.
+      // Messages of the first second waited in the terminal before it was read.
       const auto skipped = std::min(bench->offsets_s.size(), static_cast<std::size_t>(100.0 * speed) + 1);
       bench->offsets_s.erase(bench->offsets_s.begin(),
                              bench->offsets_s.begin() + static_cast<std::ptrdiff_t>(skipped));
@@ -234,7 +234,7 @@ void BM_EightBenches(benchmark::State& state) {
         static_cast<double>(std::ranges::count_if(late_ms, [](double ms) { return ms > kLateMs; }));
     state.counters["answer_p50_ms"] = quantile(answers_ms, 0.5);
     state.counters["answer_max_ms"] = quantile(answers_ms, 1.0);
-    // Of all eight, with their start.
+    // Processor time of all eight, including their start.
     state.counters["cpu_percent"] = 100.0 * (cpu_of_children_s() - cpu_before_s) / listened_s;
   }
 }

@@ -6,10 +6,10 @@
 #include <random>
 #include <vector>
 
-#include "protocol/analysis/analyse.h"
-#include "protocol/analysis/effect_fit.h"
-#include "protocol/analysis/joint_fit.h"
-#include "protocol/analysis/norm_fit.h"
+#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/estimators/joint/effect_fit.h"
+#include "protocol/estimators/norm/norm_fit.h"
 #include "protocol/model/forward_model.h"
 
 namespace {

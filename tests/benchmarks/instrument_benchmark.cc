@@ -1,5 +1,5 @@
-// What the program itself costs on a bench in real time: the emulator runs in a process of its own, the bytes
-// go over pseudo-terminals. Prints the overhead of a run.
+// Cost of the program itself on a bench in real time: the emulator runs in a process of its own, the bytes go
+// over pseudo-terminals. Prints the overhead of a run.
 
 #include <benchmark/benchmark.h>
 #include <fmt/format.h>

@@ -1,5 +1,5 @@
 // How long a whole trial of Simulation Set ABC1 takes (draw 219 normals and an accelerometer, model, fit,
-// intrinsic properties), beside the two yardsticks of docs/uncertainty.md, and how a study scales with
+// intrinsic properties), compared with the two yardsticks of docs/uncertainty.md, and how a study scales with
 // threads. Prints the ratios at the end of one run.
 #include <benchmark/benchmark.h>
 #include <fmt/format.h>

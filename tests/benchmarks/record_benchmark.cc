@@ -1,4 +1,4 @@
-// What a long dwell costs: its statistics, and its way to the disk and back. Argument: readings.
+// Cost of a long dwell: its statistics, and its way to the disk and back. Argument: readings.
 
 #include <benchmark/benchmark.h>
 
@@ -72,7 +72,7 @@ void write_dwell(benchmark::State& state) {
     state.ResumeTiming();
     file.append_dwell(0, dwell, readings, {});
   }
-  // Of the readings alone: without the tables of the run.
+  // Readings only, without the tables of the run.
   state.counters["bytes_per_reading"] = (file_size(header, dwell, readings) - file_size(header, dwell, {})) /
                                         static_cast<double>(readings.size());
 }

@@ -1,4 +1,4 @@
-// What the fastest stream of every accelerometer costs and loses, in real time over pseudo-terminals. The
+// Cost and losses of the fastest stream of every accelerometer, in real time over pseudo-terminals. The
 // processor's share is that of the port's thread, the driver and its reader; the emulator, in a thread of its
 // own, is not counted.
 

@@ -3,8 +3,8 @@
 
 #include <benchmark/benchmark.h>
 
-#include "protocol/analysis/analyse_tray.h"
-#include "tests/protocol/analysis/made_tray.h"
+#include "protocol/estimators/joint/analyse_tray.h"
+#include "tests/protocol/estimators/made_tray.h"
 
 namespace {
 

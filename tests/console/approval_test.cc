@@ -1,6 +1,6 @@
 // From result to certificate on the page: who may approve, four eyes, and that no flow stands twice.
 
-#include "app/console/approval.h"
+#include "app/faces/console/approval.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -8,9 +8,9 @@
 #include <chrono>
 #include <string>
 
-#include "app/bench/real_clock.h"
-#include "app/certificate/issue.h"
-#include "app/certificate/signing_certificate.h"
+#include "app/ground/system/real_clock.h"
+#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/signing_certificate.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"
 #include "tests/support/project_paths.h"
@@ -68,7 +68,7 @@ class ApprovalTest : public ConsoleTest {
     return test::http_post(port, "/approve",
                            form() + "&name=" + plus(name) + "&password=" + plus(password) + more, person);
   }
-  /// The run, or the item of it, in a path and in a form.
+  /// Path of the run or its item, also used in a form.
   std::string path() const {
     return "/runs/" + run + (item > 0 ? "/items/" + std::to_string(item) : std::string());
   }
@@ -85,7 +85,7 @@ class ApprovalTest : public ConsoleTest {
   test::TrainingRegister registered{folder.path()};
   test::Headers person;
   std::string run = "a.run", sha256;
-  int item = 0;  ///< Of several, from 1.
+  int item = 0;  ///< With several items: the item, from 1.
 };
 
 TEST_F(ApprovalTest, ASecondPersonApprovesWithTheirPassword) {
@@ -99,7 +99,7 @@ TEST_F(ApprovalTest, ASecondPersonApprovesWithTheirPassword) {
   EXPECT_THAT(number, StartsWith("T-"));
   EXPECT_EQ(Json::parse(issued.body)["training"], true);
   EXPECT_TRUE(is_logged("certificate " + number + " of a.run, approved by Approver N. N."));
-  // As the command line has it.
+  // The certificate equals that of the command line.
   const auto kept = current_certificate(runs() / "a.run", 1);
   ASSERT_TRUE(kept);
   EXPECT_EQ(kept->number, number);
@@ -163,7 +163,7 @@ TEST_F(ApprovalTest, FailuresSlowDown) {
   EXPECT_EQ(approve("Approver N. N.").status, 429U);
 }
 
-/// The private key never comes to the console: what it is given is the certificate, signed elsewhere.
+/// The private key never reaches the console: it receives only the certificate, signed elsewhere.
 class ApprovalByKeyTest : public ApprovalTest {
  protected:
   ApprovalByKeyTest() {
@@ -276,7 +276,7 @@ TEST_F(ApprovalByKeyTest, RefusesOtherSignatures) {
 
 TEST_F(ApprovalByKeyTest, RefusesWhoMayNot) {
   open();
-  look();  // As who measured.
+  look();  // Viewed by the person who measured.
   const test::Answer own = prepare();
   EXPECT_EQ(own.status, 422U);
   EXPECT_THAT(own.body, HasSubstr("may not approve"));
@@ -323,7 +323,7 @@ TEST_F(TrayApprovalTest, EachItemIsApprovedByItself) {
   EXPECT_THAT(current_certificate(runs() / "tray.run", 2)->xml, HasSubstr("6284.000002"));
   EXPECT_EQ(approve("Approver N. N.").status, 409U) << "twice";
 
-  // That of another item is another one, and replaces none.
+  // A certificate of another item is independent, and replaces none.
   item = 3;
   EXPECT_EQ(state()["certificates"], Json::array());
   EXPECT_EQ(approve("Approver N. N.", "&replaces=" + number + "&reason=none").status, 409U);

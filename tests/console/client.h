@@ -17,7 +17,7 @@
 
 namespace abcal::test {
 
-/// What a client of the console does, with a deadline for everything.
+/// Deadline for every action of a client of the console.
 constexpr std::chrono::seconds kPatience{60};
 
 using Headers = std::map<std::string, std::string>;
@@ -145,7 +145,7 @@ class PageClient {
 
   void send(const std::string& text) { socket_.write(boost::asio::buffer(text)); }
 
-  /// The answer to a request. What comes in between is kept for next().
+  /// The answer to a request. Messages before it are kept for next().
   Json ask(Json request) {
     request["id"] = ++last_id_;
     send(request.dump());
@@ -162,7 +162,7 @@ class PageClient {
   }
   bool ok(const Json& request) { return ask(request)["ok"].get<bool>(); }
 
-  /// The next message for which `wanted` holds; what came before it is dropped.
+  /// The next message for which `wanted` holds; messages before it are dropped.
   Json wait_for(const std::function<bool(const Json&)>& wanted, const char* what) {
     const auto deadline = std::chrono::steady_clock::now() + kPatience;
     while (true) {
@@ -201,6 +201,7 @@ class PageClient {
     if (messages_.empty()) return std::nullopt;
     Json message = std::move(messages_.front());
     messages_.pop_front();
+    if (!message.contains("type")) message["type"] = message["event"];  // One of a run.
     return message;
   }
 

@@ -13,7 +13,7 @@
 #include <stdexcept>
 #include <thread>
 
-#include "app/console/bench_service.h"
+#include "app/faces/console/bench_service.h"
 #include "protocol/record/run_file.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/console/client.h"
@@ -199,7 +199,7 @@ class KilledConsoleTest : public KillTest {
     start_console();
     auto page = page_that_steers();
     ASSERT_TRUE(page->ok(kStart));
-    page->wait_for_type("dwell");
+    page->wait_for_type("dwell_done");
     std::mt19937_64 random(20261125);
     std::size_t seen = 1;
     for (int k = 0; k < times; ++k) {
@@ -211,17 +211,17 @@ class KilledConsoleTest : public KillTest {
       std::this_thread::sleep_for(std::chrono::milliseconds(random() % 100));
       start_console();
       page = page_that_steers();
-      // The run has gone on meanwhile, and its new console knows all of it.
+      // The run has gone on meanwhile, and its new console knows its complete state.
       ASSERT_EQ(snapshot["activity"]["activity"], "running") << snapshot["run"]["ended"];
-      EXPECT_GE(snapshot["run"]["dwells"].size(), seen);
-      seen = snapshot["run"]["dwells"].size();
+      EXPECT_GE(snapshot["run"]["measured"].size(), seen);
+      seen = snapshot["run"]["measured"].size();
     }
-    // What is left of the run takes minutes, an angle some seconds.
+    // The rest of the run takes minutes, an angle some seconds.
     Json ended;
     do
-      ended = page->wait_for([](const Json& m) { return m["type"] == "dwell" || m["type"] == "ended"; },
-                             "an angle");
-    while (ended["type"] != "ended");
+      ended = page->wait_for(
+          [](const Json& m) { return m["type"] == "dwell_done" || m["type"] == "finished"; }, "an angle");
+    while (ended["type"] != "finished");
     EXPECT_TRUE(ended["complete"].get<bool>()) << ended;
     const StoredRun run = RunFile::load(only_run());
     EXPECT_EQ(run.state, RunState::kComplete);
@@ -323,7 +323,7 @@ TEST_F(KilledConsoleTest, AConsoleThatIsStoppedByItsServiceLeavesTheRunAlone) {
   start_console();
   auto page = page_that_steers();
   ASSERT_TRUE(page->ok(kStart));
-  page->wait_for_type("dwell");
+  page->wait_for_type("dwell_done");
   server->signal(SIGTERM);
   EXPECT_EQ(server->wait(), 0);
   const std::size_t then = measured(only_run());

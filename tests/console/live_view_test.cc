@@ -1,10 +1,11 @@
-#include "app/console/live_view.h"
+#include "app/faces/console/live_view.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <vector>
 
@@ -24,8 +25,8 @@ DwellRecord dwell(int experiment, int n, double u) {
   return record;
 }
 
-RunBegan run_of(int angles) {
-  RunBegan began;
+RunBeganEvent run_of(int angles) {
+  RunBeganEvent began;
   began.file = "a.run";
   began.unit = "g";
   began.estimated_s = 10.0 * angles;
@@ -34,17 +35,30 @@ RunBegan run_of(int angles) {
   return began;
 }
 
+FinishedEvent finished(bool complete, const std::string& reason) {
+  FinishedEvent end;
+  end.file = "a.run";
+  end.complete = complete;
+  end.verdict = complete ? "usable" : "";
+  end.reason = reason;
+  return end;
+}
+
 class LiveViewTest : public testing::Test {
  protected:
   Json apply(const Event& event) { return Json::parse(view.apply(event)); }
+  /// An angle, with output u of each item.
+  static DwellDoneEvent done(std::size_t position, const std::map<int, double>& u) {
+    DwellDoneEvent event{position, {}};
+    for (const auto& [item, output] : u)
+      event.dwells[item] = dwell(1, static_cast<int>(position) + 1, output);
+    return event;
+  }
   Json snapshot() const { return Json::parse(view.snapshot()); }
   /// The constant of the fit so far, 1 + 0.5 sin + 0.25 cos given.
   Json measure(std::size_t position) {
     const double a = 30.0 * static_cast<double>(position) * M_PI / 180.0;
-    return apply(
-        DwellSeen{position,
-                  dwell(1, static_cast<int>(position) + 1, 1.0 + 0.5 * std::sin(a) + 0.25 * std::cos(a)),
-                  {}});
+    return apply(done(position, {{1, 1.0 + 0.5 * std::sin(a) + 0.25 * std::cos(a)}}));
   }
 
   test::FakeClock clock;
@@ -69,40 +83,49 @@ TEST_F(LiveViewTest, GrowsACurvePointByPoint) {
   EXPECT_NEAR(fit["constant"].get<double>(), 1.0, 1e-12);
   EXPECT_NEAR(fit["sine"].get<double>(), 0.5, 1e-12);
   EXPECT_NEAR(fit["cosine"].get<double>(), 0.25, 1e-12);
-  EXPECT_EQ(snapshot()["run"]["dwells"].size(), 4U);
+  EXPECT_EQ(snapshot()["run"]["measured"].size(), 4U);
   EXPECT_EQ(snapshot()["run"]["fits"][0]["outputs"][0], fit);
 }
 
 TEST_F(LiveViewTest, FollowsEachOfSeveralItems) {
   apply(ActivitySeen{Activity::kRunning, false, false});
-  RunBegan began = run_of(12);
+  RunBeganEvent began = run_of(12);
   began.items = {{1, "SN 1", "A", "g", 100.0, ""},
                  {2, "SN 2", "B", "m/s2", 50.0, ""},
                  {3, "SN 3", "A", "g", 100.0, "no answer"}};
   apply(began);
-  EXPECT_EQ(snapshot()["run"]["items"][2]["dropped"], "no answer");
-  const auto see = [&](std::size_t position, std::vector<ItemReading> items) {
-    return apply(
-        DwellSeen{position, dwell(1, static_cast<int>(position) + 1, 1.0), {}, std::move(items)})["items"];
-  };
-  see(0, {{1, {1, 0, 0}, 0}, {2, {9, 0, 0}, 0}});
-  see(0, {{1, {1, 0, 0}, 0}, {2, {9, 0, 0}, 0}});  // Measured again.
-  const Json both = see(1, {{1, {1, 0, 0}, 0}, {2, {9.5, 0, 0}, kFlagNotFinite}});
-  EXPECT_EQ(both[1]["measured"], 2);
-  EXPECT_EQ(both[1]["mean"][0], 9.5);
-  EXPECT_NE(both[1]["flags"], "");
-  EXPECT_EQ(both[2]["measured"], 0);
-  EXPECT_EQ(both[2]["mean"], Json());
+  const auto items = [&] { return snapshot()["run"]["items"]; };
+  EXPECT_EQ(items()[2]["missing"], "no answer");
+  apply(done(0, {{1, 1.0}, {2, 9.0}}));
+  apply(done(0, {{1, 1.0}, {2, 9.0}}));  // Measured again.
+  const Json message = apply(done(1, {{1, 1.0}, {2, 9.5}}));
+  EXPECT_EQ(message["event"], "dwell_done");
+  EXPECT_EQ(message["items"][1]["mean"][0], 9.5);
+  EXPECT_EQ(items()[1]["measured"], 2);
+  EXPECT_EQ(items()[2]["measured"], 0);
 
-  const Json dropped = apply(ItemDropped{2, "item 2, accelerometer B (SN 2) is left out"});
-  EXPECT_EQ(dropped["type"], "items");
-  EXPECT_EQ(dropped["items"][1]["dropped"], "item 2, accelerometer B (SN 2) is left out");
-  const Json alone = see(2, {});  // The first is the only one that is left.
-  EXPECT_EQ(alone[0]["measured"], 3);
-  EXPECT_EQ(alone[1]["measured"], 2);
-  EXPECT_EQ(snapshot()["run"]["items"], alone);
+  const std::string why = "item 2, accelerometer B (SN 2) is left out";
+  const Json dropped = apply(NoticeEvent{"item dropped", why, 2});
+  EXPECT_EQ(dropped["event"], "notice");
+  EXPECT_EQ(dropped["item"], 2);
+  EXPECT_EQ(dropped["line"]["text"], why);
+  EXPECT_EQ(dropped["line"]["grade"], "warning");
+  EXPECT_EQ(items()[1]["missing"], why);
+  apply(done(2, {{1, 1.0}}));  // The first is the only one that is left.
+  EXPECT_EQ(items()[0]["measured"], 3);
+  EXPECT_EQ(items()[1]["measured"], 2);
   apply(run_of(12));
-  EXPECT_EQ(snapshot()["run"]["items"], Json::array());
+  EXPECT_EQ(items(), Json::array());
+}
+
+TEST_F(LiveViewTest, WhatIsSaidOfAnItemIsNotFoundInASentence) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  RunBeganEvent began = run_of(12);
+  began.items = {{1, "SN 1", "A", "g", 100.0, ""}, {2, "SN 2", "B", "g", 100.0, ""}};
+  apply(began);
+  apply(NoticeEvent{"item dropped", "item 1 is well, this one is not", 2});
+  EXPECT_EQ(snapshot()["run"]["items"][0]["missing"], "");
+  EXPECT_NE(snapshot()["run"]["items"][1]["missing"], "");
 }
 
 TEST_F(LiveViewTest, ShowsTheReadingsOfEachOfSeveralItems) {
@@ -135,36 +158,33 @@ TEST_F(LiveViewTest, ShowsTheReadingsOfEachOfSeveralItems) {
 
 TEST_F(LiveViewTest, TheCurveIsThatOfOneItemAlone) {
   apply(ActivitySeen{Activity::kRunning, false, false});
-  RunBegan began = run_of(12);
+  RunBeganEvent began = run_of(12);
   began.items = {{1, "SN 1", "A", "g", 100.0, ""}, {2, "SN 2", "B", "g", 100.0, ""}};
   apply(began);
-  const auto see = [&](std::size_t position, int first, double u) {
-    return apply(DwellSeen{
-        position, dwell(1, static_cast<int>(position) + 1, u), {}, {{first, {u, 0.5, 0.25}, 0, 23.5}}});
-  };
-  for (std::size_t position = 0; position < 6; ++position)
-    EXPECT_EQ(see(position, 1, 1.0)["dwell"]["item"], 1);
-  // Item 1 is left out: what is shown then is of item 2, without the angles of the other.
-  EXPECT_TRUE(see(6, 2, -1.0)["fit"]["outputs"][0].is_null()) << "one angle";
+  for (std::size_t position = 0; position < 6; ++position) apply(done(position, {{1, 1.0}}));
+  // Item 1 is left out: the view then shows item 2, without the angles of the other.
+  EXPECT_TRUE(apply(done(6, {{2, -1.0}}))["fit"]["outputs"][0].is_null()) << "one angle";
   Json last;
-  for (std::size_t position = 7; position < 11; ++position) last = see(position, 2, -1.0);
-  EXPECT_EQ(last["dwell"]["item"], 2);
-  EXPECT_EQ(last["items"][1]["temperature_degc"], 23.5);
+  for (std::size_t position = 7; position < 11; ++position) last = apply(done(position, {{2, -1.0}}));
+  EXPECT_EQ(last["items"][0]["k"], 2);
   EXPECT_EQ(last["progress"]["measured"], 11);
   EXPECT_NEAR(last["fit"]["outputs"][0]["constant"].get<double>(), -1.0, 1e-12);  // Rounding near 1.
 }
 
 TEST_F(LiveViewTest, ARunThatGoesOnHasTheItemsThatWereLeftOutBefore) {
   apply(ActivitySeen{Activity::kRunning, false, false});
-  RunBegan began = run_of(12);
+  RunBeganEvent began = run_of(12);
+  began.resumed = true;
   began.items = {{1, "SN 1", "A", "g", 100.0, "left out", 3}, {2, "SN 2", "B", "g", 100.0, "", 5}};
-  began.measured.push_back({4, dwell(1, 5, 1.0), {}, {{2, {1, 0, 0}, 0}}});
-  const Json run = apply(began)["run"];
+  began.measured.push_back(done(4, {{2, 1.0}}));
+  const Json whole = apply(began);
+  EXPECT_EQ(whole["log"].back()["text"], "Run a.run continues: 1 of 12 angles are measured.");
+  const Json run = whole["run"];
   EXPECT_EQ(run["items"][0]["measured"], 3);
-  EXPECT_EQ(run["items"][0]["dropped"], "left out");
+  EXPECT_EQ(run["items"][0]["missing"], "left out");
   EXPECT_EQ(run["items"][1]["measured"], 5);
-  EXPECT_EQ(run["dwells"][0]["item"], 2);
-  const Json ended = apply(RunEnded{"a.run", false, "stopped"});
+  EXPECT_EQ(run["measured"][0]["items"][0]["k"], 2);
+  const Json ended = apply(finished(false, "stopped"));
   EXPECT_EQ(ended["interrupted"]["items"], 1) << "one is left";
 }
 
@@ -172,7 +192,7 @@ TEST_F(LiveViewTest, AnInterruptedRunIsOfferedUntilOneBegins) {
   apply(ActivitySeen{Activity::kRunning, false, false});
   apply(run_of(12));
   measure(0);
-  apply(RunEnded{"a.run", false, "stopped"});
+  apply(finished(false, "stopped"));
   apply(ActivitySeen{Activity::kIdle, false, false});
   // A check, or a resumption that an instrument refuses.
   apply(ActivitySeen{Activity::kRunning, false, false});
@@ -184,10 +204,17 @@ TEST_F(LiveViewTest, AnInterruptedRunIsOfferedUntilOneBegins) {
 
 TEST_F(LiveViewTest, ALimitIsInTheTimeOfTheBench) {
   apply(ActivitySeen{Activity::kRunning, false, false});
-  const Json phase = apply(PhaseSeen{0, RunPhase::kDwelling, TimeLimit{2.0, "without any reading", true}});
+  BenchOpened opened;
+  opened.protocol.reading_timeout_s = 2.0;
+  opened.simulated_time = true;
+  EXPECT_EQ(view.apply(opened), "") << "pages need not be told";
+  const Json phase = apply(PhaseEvent{0, RunPhase::kDwelling});
+  EXPECT_EQ(phase["phase"], "reading");
   EXPECT_EQ(phase["limit_s"], 2.0);
+  EXPECT_EQ(phase["limit_words"], "without any reading");
   EXPECT_EQ(phase["limit_simulated"], true);
-  EXPECT_EQ(apply(PhaseSeen{0, RunPhase::kHolding, {}})["limit_s"], Json());
+  EXPECT_EQ(snapshot()["phase"], phase);
+  EXPECT_EQ(apply(PhaseEvent{0, RunPhase::kHolding})["limit_s"], Json());
 }
 
 TEST_F(LiveViewTest, TellsTheTimeLeftFromWhatTheLatestAnglesTook) {
@@ -199,7 +226,7 @@ TEST_F(LiveViewTest, TellsTheTimeLeftFromWhatTheLatestAnglesTook) {
   }
   EXPECT_EQ(measure(5)["progress"]["left_s"], 6 * 4.0);
   // An hour's hold is no angle's time.
-  apply(PhaseSeen{6, RunPhase::kHolding, {}});
+  apply(PhaseEvent{6, RunPhase::kHolding});
   clock.advance(std::chrono::hours(1));
   EXPECT_EQ(measure(6)["progress"]["left_s"], 5 * 4.0);
 }
@@ -214,7 +241,7 @@ TEST_F(LiveViewTest, AnAngleMeasuredAgainTakesThePlaceOfTheFirst) {
 
 TEST_F(LiveViewTest, TheTurnOfACheckIsNoRun) {
   apply(ActivitySeen{Activity::kChecking, false, false});
-  EXPECT_EQ(measure(0)["type"], "nothing");
+  EXPECT_EQ(view.apply(done(0, {{1, 1.0}})), "");
   EXPECT_TRUE(snapshot()["run"].is_null());
 }
 
@@ -233,12 +260,32 @@ TEST_F(LiveViewTest, KeepsOnlyTheLatestOfWhatGrowsWithoutEnd) {
   EXPECT_EQ(json["log"].back()["text"], "line 4999");
 }
 
-TEST_F(LiveViewTest, WhatIsNoNumberIsNull) {
+TEST_F(LiveViewTest, WhatIsNoNumberIsNone) {
   apply(ActivitySeen{Activity::kRunning, false, false});
   apply(run_of(12));
-  const Json message = apply(DwellSeen{0, dwell(1, 1, std::numeric_limits<double>::quiet_NaN()), {}});
-  EXPECT_TRUE(message["dwell"]["mean"][0].is_null());
+  const Json message = apply(done(0, {{1, std::numeric_limits<double>::quiet_NaN()}}));
+  EXPECT_EQ(message["dwell"]["mean"][0], "nan");
   EXPECT_EQ(message["dwell"]["mean"][1], 0.5);
+}
+
+TEST_F(LiveViewTest, WhatIsToldOfTheRunIsTheEventOfItsSession) {
+  apply(ActivitySeen{Activity::kRunning, false, false});
+  const RunBeganEvent began = run_of(12);
+  const Json run = apply(began)["run"];
+  const Json as_event = to_json_object(began);
+  for (const auto& [key, value] : as_event.items()) EXPECT_EQ(run[key], value) << key;
+  const DwellDoneEvent event = done(3, {{1, 1.0}});
+  const Json message = apply(event), dwell_as_event = to_json_object(event);
+  for (const auto& [key, value] : dwell_as_event.items()) EXPECT_EQ(message[key], value) << key;
+  EXPECT_EQ(snapshot()["run"]["measured"][0]["dwell"], dwell_as_event["dwell"]);
+  EXPECT_EQ(view.apply(AngleBegunEvent{4}), "") << "the phase says so";
+}
+
+TEST_F(LiveViewTest, EveryFlagHasItsWords) {
+  const Json words = snapshot()["about"]["flags"];
+  std::string all;
+  for (const Json& each : words) all += (all.empty() ? "" : ", ") + each.get<std::string>();
+  EXPECT_EQ(all, describe_flags(kAllFlags));
 }
 
 TEST_F(LiveViewTest, WhatAnInstrumentSaysMayBeAnyBytes) {

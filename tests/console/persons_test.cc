@@ -1,6 +1,6 @@
 // Persons of the register at the console: what they may do, and that a run says who did it.
 
-#include "app/console/persons.h"
+#include "app/faces/console/persons.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -9,10 +9,10 @@
 #include <cmath>
 #include <cstdlib>
 
-#include "app/bench/real_clock.h"
-#include "app/compare/check_chart.h"
-#include "app/console/login_throttle.h"
-#include "app/laboratory/register.h"
+#include "app/faces/console/login_throttle.h"
+#include "app/ground/system/real_clock.h"
+#include "app/laboratory/compare/check_chart.h"
+#include "app/laboratory/register/register.h"
 #include "protocol/record/run_operator.h"
 #include "tests/console/console_fixture.h"
 
@@ -84,7 +84,7 @@ class PersonsTest : public ConsoleTest {
     return texts;
   }
 
-  std::string identity;  ///< Of the register.
+  std::string identity;  ///< Identity of the register.
 };
 
 TEST_F(PersonsTest, NothingIsShownUntilAPersonHasLoggedIn) {
@@ -114,7 +114,7 @@ TEST_F(PersonsTest, TheRunSaysWhoOperatedAndWhoDidWhat) {
   open();
   auto page = steering_page(logged_in("Operator N. N."));
   ASSERT_TRUE(page->ok(kStartRun));
-  page->wait_for_type("dwell");
+  page->wait_for_type("dwell_done");
   ASSERT_TRUE(page->ok({{"do", "hold"}}));
   ASSERT_TRUE(page->ok({{"do", "note"}, {"text", "door opened"}}));
   page->wait_for([](const Json& m) { return m["type"] == "phase" && m["phase"] == "held"; }, "the hold");
@@ -126,14 +126,14 @@ TEST_F(PersonsTest, TheRunSaysWhoOperatedAndWhoDidWhat) {
         return m["type"] == "control" && m.value("who", "").starts_with("Other N. N., page");
       },
       "who has it now");
-  // Who may not measure steers nothing, but stops it.
+  // A person who may not measure steers nothing, but may stop it.
   test::PageClient watcher(port, logged_in("Watcher N. N."));
   EXPECT_EQ(watcher.wait_for_type("you")["may_steer"], false);
   EXPECT_THAT(watcher.ask({{"do", "control"}, {"from_another", true}})["why"].get<std::string>(),
               HasSubstr("required: a person with the right to measure"));
   EXPECT_FALSE(watcher.ok({{"do", "continue"}, {"confirmed", true}}));
   ASSERT_TRUE(watcher.ok({{"do", "stop"}}));
-  EXPECT_FALSE(other->wait_for_type("ended")["complete"].get<bool>());
+  EXPECT_FALSE(other->wait_for_type("finished")["complete"].get<bool>());
 
   const StoredRun run = only_run();
   const std::vector<RunOperator> operators{{"Operator N. N.", identity}, {"Other N. N.", identity}};
@@ -152,7 +152,7 @@ TEST_F(PersonsTest, ACompleteRunIsWholeAndItsOperatorVerified) {
   open();
   auto page = steering_page(logged_in("Operator N. N."));
   ASSERT_TRUE(page->ok(kStartRun));
-  const Json ended = page->wait_for_type("ended");
+  const Json ended = page->wait_for_type("finished");
   ASSERT_TRUE(ended["complete"].get<bool>()) << ended;
   page->wait_for_activity("idle");
   EXPECT_EQ(describe(operators_of(only_run())), "Operator N. N.");
@@ -178,18 +178,18 @@ void add_chart_of(const StoredRun& run, const std::string& location, const std::
       by, {"CHECK", "Item", baseline_json(make_baseline(baseline, kUsualRunLength)), {}, {}, {}}, now);
 }
 
-// As `abcal run` does: the page says it, and the register knows who measured.
+// The console behaves like `abcal run`: the page shows it, and the register knows who measured.
 TEST_F(PersonsTest, ARunOfACheckStandardIsToldToItsChart) {
   open();
   auto page = steering_page(logged_in("Operator N. N."));
   ASSERT_TRUE(page->ok(kStartRun));
-  ASSERT_TRUE(page->wait_for_type("ended")["complete"].get<bool>());
+  ASSERT_TRUE(page->wait_for_type("finished")["complete"].get<bool>());
   page->wait_for_activity("idle");
   add_chart_of(only_run(), options.register_location, "Approver N. N.");
   ASSERT_TRUE(page->ok(kStartRun));
   const Json line = page->wait_for(
       [](const Json& m) {
-        return m["type"] == "log" &&
+        return m.contains("line") &&
                m["line"]["text"].get<std::string>().find("check standard") != std::string::npos;
       },
       "that a chart waits for it");

@@ -1,7 +1,6 @@
-// The queue of items and plans: its order, what is kept on the disk, and that nothing begins without a
-// person.
+// The queue of items and plans: its order, its storage on the disk, and that nothing begins without a person.
 
-#include "app/console/queue.h"
+#include "app/faces/console/queue.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -37,7 +36,7 @@ class QueueTest : public testing::Test {
     for (const QueueEntry& entry : queue.entries()) serials.push_back(entry.choice.item->serial_number);
     return serials;
   }
-  /// Of a queue that goes on.
+  /// Measures an entry of a queue that goes on.
   static void measure(Queue& queue, std::int64_t number, const std::string& run) {
     queue.checked(number, good());
     EXPECT_EQ(queue.may_start(number), std::nullopt);
@@ -76,7 +75,7 @@ TEST_F(QueueTest, NothingStartsBeforeItsItemWasChecked) {
   EXPECT_THAT(*queue.may_start(1), HasSubstr("found a problem"));
   measure(queue, 1, "a.run");
   EXPECT_EQ(queue.repeats(), nullptr);
-  EXPECT_THAT(*queue.may_start(2), HasSubstr("nobody has checked"));  // That check was of another item.
+  EXPECT_THAT(*queue.may_start(2), HasSubstr("nobody has checked"));  // That check belonged to another item.
 }
 
 TEST_F(QueueTest, AnItemThatStaysMountedIsRepeated) {
@@ -91,7 +90,7 @@ TEST_F(QueueTest, AnItemThatStaysMountedIsRepeated) {
   (void)queue.ended("2.run", true, "");
   EXPECT_EQ(queue.repeats(), nullptr) << "the next is another item";
   EXPECT_EQ(queue.next()->number, 2);
-  EXPECT_EQ(queue.repeat(1), std::nullopt);  // Of one that is done: a new entry.
+  EXPECT_EQ(queue.repeat(1), std::nullopt);  // Repeats an entry that is done: a new entry.
   EXPECT_EQ(queue.entries().back().number, 3);
 }
 
@@ -269,7 +268,7 @@ TEST_F(QueueAtBenchTest, LevelsAndAsksThePorts) {
   page->wait_for_activity("idle");
   const std::filesystem::path file = runs() / levelled["file"].get<std::string>();
   EXPECT_TRUE(std::filesystem::exists(file)) << file;
-  // As the command evaluates the same readings.
+  // The command must evaluate these readings equally.
   std::filesystem::path run = file;
   run.replace_extension(".run");
   const auto command =

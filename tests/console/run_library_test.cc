@@ -1,6 +1,6 @@
-// What the console shows and hands out of runs that lie in its folder.
+// Pages and files of the runs in the console's folder.
 
-#include "app/console/run_library.h"
+#include "app/faces/console/run_library.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,9 +12,9 @@
 #include <string>
 #include <vector>
 
-#include "app/document/weasyprint.h"
-#include "app/system/child_process.h"
-#include "protocol/analysis/check_meanings.h"
+#include "app/ground/document/weasyprint.h"
+#include "app/ground/system/child_process.h"
+#include "protocol/estimators/checks/check_meanings.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"
 #include "tests/support/project_paths.h"
@@ -77,7 +77,7 @@ TEST_F(RunLibraryTest, HandsOutWhatTheCommandsWrite) {
   // It is kept as a file, never shown as a page of the console.
   EXPECT_EQ(report.headers.at("Content-Disposition"), "attachment");
   EXPECT_THAT(get("/runs/a.run/run.h5").body, StartsWith("\x89HDF"));
-  // What it prints is tested with the reports: WeasyPrint takes its time.
+  // Its content is tested with the reports, because WeasyPrint is slow.
   EXPECT_EQ(std::count(names.begin(), names.end(), "report.pdf"), is_installed(kWeasyPrint) ? 1 : 0);
 }
 
@@ -148,7 +148,7 @@ TEST_F(RunLibraryTest, ListsVerdictPersonAndDurationAlsoFromWhatIsKept) {
   EXPECT_GT(first[0]["duration_s"], 0.0);
   ASSERT_TRUE(std::filesystem::exists(runs() / RunLibrary::kSummaries));
   EXPECT_EQ(listed(), first);
-  // What another program has kept is made again.
+  // Summaries stored by another program version are made again.
   test::write_file(runs() / RunLibrary::kSummaries, "{\"program\":1,\"runs\":[]}");
   EXPECT_EQ(listed(), first);
 }
@@ -200,6 +200,20 @@ TEST_F(RunLibraryTest, ChartsEveryItemOfARunWithSeveral) {
   }
 }
 
+TEST_F(RunLibraryTest, ComparesItemsOfARunWithSeveral) {
+  test::write_file(folder / "tray.toml", test::small_tray());
+  std::filesystem::create_directories(runs());
+  const auto ran = test::run_program({"run", "tray.toml", "-o", "runs/tray.run"}, folder.path());
+  ASSERT_EQ(ran.exit_code, 0) << ran.err;
+  open();
+  const Json compared = Json::parse(get("/compare/tray.run%231/tray.run%233").body);
+  EXPECT_EQ(compared["results"][0]["file"], "tray.run#1");
+  EXPECT_EQ(compared["results"][1]["file"], "tray.run#3");
+  EXPECT_NE(compared["results"][0]["properties"], compared["results"][1]["properties"]);
+  EXPECT_THAT(get("/compare/tray.run/tray.run%233").body, HasSubstr("tray.run#1 to"));
+  EXPECT_EQ(get("/compare/tray.run%231/none.run%231").status, 404U);
+}
+
 TEST_F(RunLibraryTest, ChartsTheRunsOfOneItemAgainstTheirLimits) {
   for (int i = 1; i <= 4; ++i) {
     bench.simulation = "seed = " + std::to_string(i) + "\n";
@@ -219,7 +233,8 @@ TEST_F(RunLibraryTest, ChartsTheRunsOfOneItemAgainstTheirLimits) {
   EXPECT_EQ(Json::parse(get("/history/another/s_u").body)["runs"].size(), 0U);
   EXPECT_EQ(get("/history/" + item + "/mass").status, 404U);
 
-  // Each property is that of the run's own page, also by the next console, which reads it from what is kept.
+  // Each property equals that of the run's own page, also in the next console, which reads it from the stored
+  // summaries.
   const auto charted = [&](const std::string& property) {
     return Json::parse(get("/history/" + item + "/" + property).body)["runs"][3];
   };

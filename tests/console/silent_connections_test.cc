@@ -1,4 +1,4 @@
-#include "app/console/silent_connections.h"
+#include "app/faces/console/silent_connections.h"
 
 #include <gtest/gtest.h>
 
@@ -11,7 +11,7 @@ class SilentConnectionsTest : public testing::Test {
  protected:
   SilentConnections::Ticket arrive(const std::string& address) {
     const auto number = static_cast<int>(++arrivals);
-    return silent.arrived(address, [this, number] { ended.push_back(number); });
+    return silent.add(address, [this, number] { ended.push_back(number); });
   }
 
   SilentConnections silent{{4, 2}};
@@ -38,7 +38,7 @@ TEST_F(SilentConnectionsTest, BeyondAllTheOldestGivesWay) {
 TEST_F(SilentConnectionsTest, WhoHasSaidWhoTheyAreDoesNotCount) {
   const auto first = arrive("a");
   arrive("a");
-  silent.left(first);
+  silent.remove(first);
   arrive("a");
   EXPECT_TRUE(ended.empty());
 }

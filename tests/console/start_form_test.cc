@@ -6,8 +6,8 @@
 #include <fstream>
 #include <string>
 
-#include "app/console/request.h"
-#include "app/console/run_choice.h"
+#include "app/faces/console/request.h"
+#include "app/faces/console/run_choice.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"
@@ -28,7 +28,7 @@ class StartFormTest : public ConsoleTest {
     return Json::parse(answer.body);
   }
   static std::vector<std::string> lines(const Json& list) { return list.get<std::vector<std::string>>(); }
-  /// What the page sends of a form.
+  /// Message that the page sends for a form.
   static Json start_of(const Json& form) {
     Json start = {{"do", "start"},
                   {"confirmed", true},
@@ -81,7 +81,7 @@ TEST_F(StartFormTest, StartsTheItemAndThePlanThatWereChosen) {
   EXPECT_THAT(lines(shown["warnings"]), Contains(HasSubstr("TA-9")));
   auto page = steering_page();
   ASSERT_TRUE(page->ok(start_of(shown)));
-  const Json ended = page->wait_for_type("ended");
+  const Json ended = page->wait_for_type("finished");
   EXPECT_TRUE(ended["complete"].get<bool>()) << ended;
   const StoredRun run = RunFile::load(runs() / ended["file"].get<std::string>());
   EXPECT_EQ(run.header.labels.at("item.serial_number"), "<b>SN 7</b>");
@@ -120,11 +120,11 @@ TEST_F(StartFormTest, ItemsThatAreNotThereAreLeftOutIfAPersonSaysSo) {
   const Json began =
       page->wait_for([](const Json& m) { return m["type"] == "snapshot" && !m["run"].is_null(); }, "a run");
   ASSERT_EQ(began["run"]["items"].size(), 3U);
-  EXPECT_NE(began["run"]["items"][1]["dropped"], Json());
-  EXPECT_EQ(began["run"]["items"][2]["dropped"], Json());
+  EXPECT_NE(began["run"]["items"][1]["missing"], "");
+  EXPECT_EQ(began["run"]["items"][2]["missing"], "");
   page->wait_for(
       [](const Json& m) {
-        return m["type"] == "dwell" && m["items"][2]["measured"] == 1 && m["items"][1]["measured"] == 0;
+        return m["type"] == "dwell_done" && m["items"].size() == 2U && m["items"][1]["k"] == 3;
       },
       "an angle");
   ASSERT_TRUE(page->ok({{"do", "stop"}}));
@@ -194,7 +194,7 @@ TEST(RunChoiceTest, ReadsOnlyWhatItKnows) {
   EXPECT_THROW(start(R"("without_missing_items":1)"), RequestError);
   EXPECT_THROW(start(R"("steps":3)"), RequestError);
   EXPECT_THROW(start(R"("steps":12.5)"), RequestError);
-  EXPECT_THROW(start(R"("dwell_readings":0)"), RequestError);
+  EXPECT_THROW(start(R"("dwell_readings":3)"), RequestError) << "fewer than a bench file may have";
   EXPECT_THROW(start(R"("item":{"serial_number":"a\nb"})"), RequestError);
 }
 

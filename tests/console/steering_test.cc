@@ -1,4 +1,4 @@
-// What the console does at a simulated bench: the same as the commands do.
+// Actions of the console at a simulated bench equal those of the commands.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -11,9 +11,9 @@
 #include <thread>
 #include <vector>
 
-#include "app/console/interrupted_run.h"
-#include "app/results/analyses.h"
-#include "app/results/result_json.h"
+#include "app/faces/console/interrupted_run.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/result_json.h"
 #include "protocol/record/run_file.h"
 #include "tests/console/console_fixture.h"
 #include "tests/console/tray_bench.h"
@@ -32,7 +32,7 @@ class SteeringTest : public ConsoleTest {
   static constexpr std::size_t kPlanned = 39;
 
   std::string wait_for_end(test::PageClient& page) {
-    const Json ended = page.wait_for_type("ended");
+    const Json ended = page.wait_for_type("finished");
     EXPECT_TRUE(ended["complete"].get<bool>()) << ended;
     page.wait_for_activity("idle");
     return ended["file"];
@@ -52,9 +52,9 @@ TEST_F(SteeringTest, ARunIsTheSameAsThatOfTheCommandLine) {
   std::string file;
   page->wait_for(
       [&](const Json& message) {
-        if (message["type"] == "dwell") seen.insert(message["dwell"]["position"].get<std::size_t>());
-        if (message["type"] == "ended") file = message["file"];
-        return message["type"] == "ended";
+        if (message["type"] == "dwell_done") seen.insert(message["position"].get<std::size_t>());
+        if (message["type"] == "finished") file = message["file"];
+        return message["type"] == "finished";
       },
       "the end of the run");
   EXPECT_EQ(seen.size(), kPlanned);
@@ -71,7 +71,7 @@ TEST_F(SteeringTest, ARunIsTheSameAsThatOfTheCommandLine) {
     EXPECT_EQ(watched.record.dwells[i].time_s, alone.record.dwells[i].time_s) << i;
   }
 
-  // What the page shows of it is what the commands show.
+  // The page shows the same results as the commands.
   const test::Answer answer = test::http_get(port, "/runs/" + file + "/result");
   ASSERT_EQ(answer.status, 200U);
   const Json shown = Json::parse(answer.body);
@@ -93,19 +93,19 @@ TEST_F(SteeringTest, HoldsAfterAnAngleAndGoesOn) {
   auto page = steering_page();
   ASSERT_TRUE(page->ok(kStart));
   EXPECT_FALSE(page->ok({{"do", "continue"}, {"confirmed", true}}));
-  page->wait_for_type("dwell");
+  page->wait_for_type("dwell_done");
   ASSERT_TRUE(page->ok({{"do", "hold"}}));
   page->wait_for([](const Json& m) { return m["type"] == "phase" && m["phase"] == "held"; }, "the hold");
   ASSERT_TRUE(page->ok({{"do", "note"}, {"text", "door opened; 23 °C"}}));
   page->wait_for(
       [](const Json& m) {
-        return m["type"] == "log" &&
+        return m.contains("line") &&
                m["line"]["text"].get<std::string>().find("door opened") != std::string::npos;
       },
       "the note");
   // Held: no angle comes.
   const auto a_while = std::chrono::steady_clock::now() + std::chrono::milliseconds(300);
-  while (const auto message = page->next(a_while)) EXPECT_NE((*message)["type"], "dwell");
+  while (const auto message = page->next(a_while)) EXPECT_NE((*message)["type"], "dwell_done");
   test::PageClient late(port);
   EXPECT_EQ(late.wait_for_type("snapshot")["phase"]["phase"], "held");
   ASSERT_TRUE(page->ok({{"do", "continue"}, {"confirmed", true}}));
@@ -126,13 +126,13 @@ TEST_F(SteeringTest, StopsAtOnceAndResumes) {
   open();
   auto page = steering_page();
   ASSERT_TRUE(page->ok(kStart));
-  for (int i = 0; i < 3; ++i) page->wait_for_type("dwell");
+  for (int i = 0; i < 3; ++i) page->wait_for_type("dwell_done");
   const auto asked = std::chrono::steady_clock::now();
   ASSERT_TRUE(page->ok({{"do", "stop"}}));
-  const Json ended = page->wait_for_type("ended");
+  const Json ended = page->wait_for_type("finished");
   EXPECT_LT(std::chrono::steady_clock::now() - asked, std::chrono::seconds(1));
   EXPECT_FALSE(ended["complete"].get<bool>());
-  EXPECT_THAT(ended["words"].get<std::string>(), HasSubstr("the stage is halted"));
+  EXPECT_THAT(ended["reason"].get<std::string>(), HasSubstr("the stage is halted"));
   page->wait_for_activity("idle");
   const std::string file = ended["file"];
   const std::size_t kept = RunFile::load(runs() / file).measured.size();
@@ -143,14 +143,14 @@ TEST_F(SteeringTest, StopsAtOnceAndResumes) {
   ASSERT_EQ(list.size(), 1U);
   EXPECT_EQ(list[0]["state"], "interrupted");
   EXPECT_EQ(list[0]["measured"], kept);
-  // Who asked for it is stored after the reason.
+  // The person who asked for it is stored after the reason.
   const std::optional<InterruptedRun> found = find_interrupted_run(runs());
   ASSERT_TRUE(found);
-  EXPECT_EQ(found->words, ended["words"].get<std::string>());
+  EXPECT_EQ(found->words, ended["reason"].get<std::string>());
   ASSERT_TRUE(page->ok({{"do", "resume"}, {"run", file}, {"confirmed", true}}));
   const Json began =
       page->wait_for([](const Json& m) { return m["type"] == "snapshot"; }, "the run's beginning");
-  EXPECT_EQ(began["run"]["dwells"].size(), kept);
+  EXPECT_EQ(began["run"]["measured"].size(), kept);
   EXPECT_EQ(wait_for_end(*page), file);
   EXPECT_EQ(RunFile::load(runs() / file).record.continuations, 1);
   // Closed now.
@@ -188,7 +188,7 @@ TEST_F(SteeringTest, ARunWhoseProgramEndedAfterTheLastAngleIsClosedAndAnalysed) 
   };
   EXPECT_TRUE(closed());
   EXPECT_TRUE(analysed());
-  // As a kill leaves it: complete, but neither closed nor analysed.
+  // State after a kill: complete, but neither closed nor analysed.
   std::filesystem::remove(ResultsFile::path_beside(runs() / file));
   std::filesystem::permissions(runs() / file, std::filesystem::perms::owner_write,
                                std::filesystem::perm_options::add);
@@ -198,7 +198,7 @@ TEST_F(SteeringTest, ARunWhoseProgramEndedAfterTheLastAngleIsClosedAndAnalysed) 
   const Json line = page->wait_for(
       [&](const Json& m) {
         moved = moved || m["type"] == "stage" || m["type"] == "phase";
-        return m["type"] == "log";
+        return m.contains("line");
       },
       "what was done");
   EXPECT_THAT(line["line"]["text"].get<std::string>(), HasSubstr("closed and analysed now: "));
@@ -256,27 +256,33 @@ TEST_F(SteeringTest, EachOfSeveralItemsIsShownAndOneThatFallsSilentIsLeftOut) {
   ASSERT_TRUE(page->ok(kStart));
   std::set<int> shown;
   bool faulted = false;
-  const Json items = page->wait_for(
+  std::map<int, int> measured;  // Angles of each item.
+  const auto count = [&](const Json& message) {
+    if (message["type"] != "dwell_done") return;
+    for (const Json& item : message["items"]) ++measured[item["k"].get<int>()];
+  };
+  const Json dropped = page->wait_for(
       [&](const Json& message) {
+        count(message);
         if (message["type"] == "strip") shown.insert(message["group"]["item"].get<int>());
         faulted = faulted || message["type"] == "fault";
-        return message["type"] == "items";
+        return message["type"] == "notice" && message["kind"] == "item dropped";
       },
-      "an item that is left out")["items"];
+      "an item that is left out");
   EXPECT_EQ(shown, (std::set<int>{1, 2, 3}));
-  EXPECT_THAT(items[2]["dropped"].get<std::string>(), HasSubstr("item 3, accelerometer"));
-  EXPECT_EQ(items[0]["dropped"], Json());
+  EXPECT_EQ(dropped["item"], 3);
+  EXPECT_THAT(dropped["text"].get<std::string>(), HasSubstr("item 3, accelerometer"));
   EXPECT_FALSE(faulted);
-  const auto left = items[2]["measured"].get<int>();
-  const Json later = page->wait_for(
+  const int remaining = measured[3];
+  page->wait_for(
       [&](const Json& message) {
-        return message["type"] == "dwell" && message["items"][0]["measured"].get<int>() > left + 1;
+        count(message);
+        return measured[1] > remaining + 1;
       },
       "the others go on");
-  EXPECT_EQ(later["items"][2]["measured"], left);
-  EXPECT_EQ(later["dwell"]["item"], 1);
+  EXPECT_EQ(measured[3], remaining);
   ASSERT_TRUE(page->ok({{"do", "stop"}}));
-  const Json ended = page->wait_for_type("ended");
+  const Json ended = page->wait_for_type("finished");
   EXPECT_EQ(ended["interrupted"]["items"], 2);
   // It goes on without that item, which is still named.
   page->wait_for_activity("idle");
@@ -284,8 +290,9 @@ TEST_F(SteeringTest, EachOfSeveralItemsIsShownAndOneThatFallsSilentIsLeftOut) {
   const Json again =
       page->wait_for([](const Json& m) { return m["type"] == "snapshot"; }, "the run's beginning")["run"];
   ASSERT_EQ(again["items"].size(), 3U);
-  EXPECT_EQ(again["items"][2]["dropped"], items[2]["dropped"]);
-  EXPECT_EQ(again["items"][2]["measured"], left);
+  EXPECT_EQ(again["items"][0]["missing"], "");
+  EXPECT_EQ(again["items"][2]["missing"], dropped["text"]);
+  EXPECT_EQ(again["items"][2]["measured"], remaining);
   ASSERT_TRUE(page->ok({{"do", "stop"}}));
   page->wait_for_activity("idle");
 }
@@ -295,9 +302,9 @@ TEST_F(SteeringTest, AFaultEndsTheRunAndIsTold) {
   open();
   auto page = steering_page();
   ASSERT_TRUE(page->ok(kStart));
-  const Json ended = page->wait_for_type("ended");
+  const Json ended = page->wait_for_type("finished");
   EXPECT_FALSE(ended["complete"].get<bool>());
-  EXPECT_THAT(ended["words"].get<std::string>(), HasSubstr("stage"));
+  EXPECT_THAT(ended["reason"].get<std::string>(), HasSubstr("stage"));
   page->wait_for_activity("idle");
 }
 
@@ -321,7 +328,7 @@ TEST_F(SteeringTest, ThePageThatSteeredMayVanish) {
   test::PageClient other(port);
   other.wait_for(
       [](const Json& m) {
-        return m["type"] == "ended" ||
+        return m["type"] == "finished" ||
                (m["type"] == "snapshot" && m["run"].is_object() && m["run"]["ended"].is_object());
       },
       "the end of the run");
@@ -329,7 +336,7 @@ TEST_F(SteeringTest, ThePageThatSteeredMayVanish) {
 }
 
 TEST_F(SteeringTest, APageThatDoesNotReadHoldsUpNobodyAndCatchesUp) {
-  // Enough messages to fill what is buffered for a page: its queue, and the system's buffers.
+  // Enough messages to fill the buffers of a page: its queue, and the system's buffers.
   bench.protocol = "steps = 90\nstep_deg = 4.0\nsettle_s = 0.0\ndwell_readings = 10\nclosing_angle = false\n";
   pace = 5000.0;
   options.longest_queue = 64;
@@ -355,9 +362,9 @@ TEST_F(SteeringTest, APageThatDoesNotReadHoldsUpNobodyAndCatchesUp) {
     if (type == "reply") {
       EXPECT_EQ((*message)["id"], ++answered);
     } else if (type == "snapshot" && (*message)["run"].is_object()) {
-      all_angles = (*message)["run"]["dwells"].size() == 270;
+      all_angles = (*message)["run"]["measured"].size() == 270;
       ended = (*message)["run"]["ended"];
-    } else if (type == "ended") {
+    } else if (type == "finished") {
       ended = *message;
     }
   }
@@ -369,7 +376,7 @@ TEST_F(SteeringTest, TheEndOfTheProgramHaltsARunAndLeavesItResumable) {
   open();
   auto page = steering_page();
   ASSERT_TRUE(page->ok(kStart));
-  page->wait_for_type("dwell");
+  page->wait_for_type("dwell_done");
   close();
   EXPECT_TRUE(something_was_on);
   ASSERT_EQ(run_files(), 1U);

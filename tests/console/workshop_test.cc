@@ -1,7 +1,7 @@
-// What takes seconds at the console: in a pool, once for all who wait, cancelled when nobody does, kept by
-// its hash.
+// Slow work of the console: done in a pool, once for all who wait, cancelled when nobody waits, stored by its
+// hash.
 
-#include "app/console/workshop.h"
+#include "app/faces/console/workshop.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -20,8 +20,8 @@
 #include <thread>
 #include <vector>
 
-#include "app/document/weasyprint.h"
-#include "app/system/child_process.h"
+#include "app/ground/document/weasyprint.h"
+#include "app/ground/system/child_process.h"
 #include "tests/console/console_fixture.h"
 
 namespace abcal::console {
@@ -94,7 +94,7 @@ TEST_F(WorkshopTest, EndsWhatNobodyWaitsForAnyMore) {
   EXPECT_EQ(end.wait_for(std::chrono::seconds(0)), std::future_status::timeout);
   second.reset();
   EXPECT_TRUE(end.get());
-  // Who asks then is no part of what was cancelled.
+  // A later request is independent of the cancelled one.
   bool told = false;
   const Workshop::Ticket third = workshop.order(
       "a", [](const std::stop_token&) { return product_of("anew"); },

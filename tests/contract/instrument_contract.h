@@ -1,7 +1,7 @@
 #pragma once
 
-// What every stage and every accelerometer must do, whatever it is made of. For a test program with
-// GoogleTest, also of a driver in a repository of its own: include this in one source, and give the cases.
+// Requirements on every stage and every accelerometer, real or simulated. For a test program with GoogleTest,
+// also of a driver in a repository of its own: include this in one source, and give the cases.
 //
 //   INSTANTIATE_TEST_SUITE_P(MyStage, StageContract, testing::Values(StageCase{"my_stage", make_my_stage}),
 //                            [](const auto& one) { return one.param.name; });

@@ -1,4 +1,4 @@
-// What the pages point at is there, and what they quote is what the program says.
+// Link targets of the pages exist, and quoted messages equal those of the program.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -108,7 +108,7 @@ std::string sources() {
 TEST(PagesTest, TroubleshootingListsWhatTheProgramSays) {
   const std::string all = sources();
   const std::regex quoted("`([^`]*)`");
-  // What varies: "...", a number N, a FILE; and parts that a colon joins.
+  // Variable parts: "...", a number N, a FILE; and parts that a colon joins.
   const std::regex varies(R"(\.\.\.|\bN\b|\bFILE\b|:)");
   int parts = 0;
   for (const std::string& line : prose(kRoot / "docs/troubleshooting.md")) {

@@ -68,7 +68,7 @@ TEST(EndlessBytesTest, HoldNoStage) {
 
 TEST(EndlessBytesTest, HoldNoAccelerometer) {
   AccelerometerSettings settings;
-  settings.rate_hz = 5.0;  // Which a voltmeter can keep.
+  settings.rate_hz = 5.0;  // A rate that a voltmeter can keep.
   for (const AccelerometerDriver& driver : accelerometer_drivers()) {
     if (driver.ports == 0) continue;
     for (const std::string& bytes : babbles()) {

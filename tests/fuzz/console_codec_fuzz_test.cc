@@ -1,18 +1,17 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <iterator>
 #include <random>
 #include <string>
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
 
 /// Requests as pages send them, put together at random, then changed at a few places. The fuzz target aborts
-/// if one is taken for what it is not.
+/// if one is misread.
 std::string mutated_request(std::mt19937& random) {
   static const std::string kKeys[] = {"do",   "id",          "confirmed",    "axis",    "by_deg", "run",
                                       "text", "with_motion", "from_another", "release", "speed"};
@@ -45,11 +44,7 @@ std::string mutated_request(std::mt19937& random) {
 }
 
 TEST(ConsoleCodecFuzzTest, NeverTakesARequestForAnother) {
-  std::mt19937 random(20261121);
-  for (int i = 0; i < 50'000; ++i) {
-    const std::string input = mutated_request(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20261121, 50'000, mutated_request);
 }
 
 }  // namespace

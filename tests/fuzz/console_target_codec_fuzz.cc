@@ -1,5 +1,5 @@
-// Fuzz target of the targets of HTTP requests: whatever the bytes, they are taken apart or refused; what is
-// taken apart is the letters that were sent and no others, and is read the same when it is written out again.
+// Fuzz target of the targets of HTTP requests: whatever the bytes, they are parsed or refused; the parsed
+// text has exactly the letters that were sent, and writing and reading it again changes nothing.
 //
 // With clang: -fsanitize=fuzzer,address,undefined (CMake option ABCAL_FUZZ). With any compiler:
 // console_target_codec_fuzz_test feeds it a fixed number of seeded inputs.
@@ -13,7 +13,7 @@
 #include <string>
 #include <string_view>
 
-#include "app/console/target.h"
+#include "app/faces/console/target.h"
 
 namespace {
 

@@ -1,18 +1,17 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <iterator>
 #include <random>
 #include <string>
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
 
 /// Targets as browsers and attackers send them, put together at random, then changed at a few places. The
-/// fuzz target aborts if one is taken for what it is not.
+/// fuzz target aborts if one is misread.
 std::string mutated_target(std::mt19937& random) {
   static const std::string kParts[] = {"/runs",   "/a.run", "/result", "/..",     "/.",  "/%2e%2e", "%2f",
                                        "%5c",     "%00",    "/",       "//",      "\\",  "%",       "%zz",
@@ -33,11 +32,7 @@ std::string mutated_target(std::mt19937& random) {
 }
 
 TEST(ConsoleTargetCodecFuzzTest, TakesApartWhatWasSentAndNothingElse) {
-  std::mt19937 random(20261121);
-  for (int i = 0; i < 50'000; ++i) {
-    const std::string input = mutated_target(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20261121, 50'000, mutated_target);
 }
 
 }  // namespace

@@ -1,13 +1,9 @@
 #include <gtest/gtest.h>
 
-#include <cstddef>
-#include <cstdint>
 #include <random>
 #include <string>
 
-#include "tests/fuzz/mutated_samples.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -29,11 +25,8 @@ TEST(IioCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
       "format=\"le:s16/16>>0\"/></channel><channel id=\"accel_y\" type=\"input\"><scan-element index=\"1\" "
       "format=\"le:s16/16>>0\"/></channel><channel id=\"accel_z\" type=\"input\"><scan-element index=\"2\" "
       "format=\"le:s16/16>>0\"/></channel></device></context>"};
-  std::mt19937 random(30431);
-  for (int i = 0; i < 5'000; ++i) {
-    const std::string input = test::mutated(kReplies, 3, random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(30431, 5'000,
+                           [&](std::mt19937& random) { return test::mutated(kReplies, 3, random); });
 }
 
 }  // namespace

@@ -3,15 +3,13 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <string>
 
+#include "tests/support/fuzz_inputs.h"
 #include "tests/support/project_paths.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
 
 namespace abcal {
 namespace {
@@ -25,7 +23,7 @@ TEST_P(KeptCorpusTest, AgreesWithTheReference) {
     std::ifstream stream(file.path(), std::ios::binary);
     ASSERT_TRUE(stream) << file.path();
     const std::string input{std::istreambuf_iterator<char>(stream), {}};
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
+    test::show_target(input);
     ++inputs;
   }
   EXPECT_GT(inputs, 0U);

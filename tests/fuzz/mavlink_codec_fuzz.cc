@@ -53,7 +53,7 @@ struct Found {
   bool known;
 };
 
-/// What is in the bytes from the front, up to a frame that is not whole.
+/// Frames in the bytes from the front, up to a frame that is not whole.
 std::vector<Found> slow_frames(const Bytes& bytes) {
   std::vector<Found> found;
   bool due = false;

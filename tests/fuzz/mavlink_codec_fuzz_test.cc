@@ -1,13 +1,9 @@
 #include <gtest/gtest.h>
 
-#include <cstddef>
-#include <cstdint>
 #include <random>
 #include <string>
 
-#include "tests/fuzz/mutated_samples.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -26,11 +22,7 @@ std::string mutated_frames(std::mt19937& random) {
 }
 
 TEST(MavlinkCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(14550);
-  for (int i = 0; i < 5'000; ++i) {
-    const std::string input = mutated_frames(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(14550, 5'000, mutated_frames);
 }
 
 }  // namespace

@@ -75,7 +75,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   require(parser.skipped_bytes() == expected.skipped_bytes, "skipped bytes");
   require(parser.has_partial() == (expected.undecided_from < bytes.size()), "bytes held back");
 
-  // The line falls silent: what is found behind a false beginning is whole, and nothing is given twice.
+  // The line falls silent: packets found behind a false beginning are whole, and nothing is given twice.
   while (const auto packet = parser.next_behind_partial()) {
     used += packet->payload.size() + mip::kPacketOverhead;
     decode_all(*packet);

@@ -1,12 +1,11 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <iterator>
 #include <random>
 #include <string>
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -46,20 +45,15 @@ std::string mutated_lines(std::mt19937& random) {
 }
 
 TEST(NewportEspCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(20240229);
-  for (int i = 0; i < 3'000; ++i) {
-    const std::string input = mutated_lines(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20240229, 3'000, mutated_lines);
 }
 
 TEST(NewportEspCodecFuzzTest, AgreesWithTheReferenceOnRandomBytes) {
-  std::mt19937 random(7);
-  for (int i = 0; i < 3'000; ++i) {
+  test::show_target_seeded(7, 3'000, [](std::mt19937& random) {
     std::string input(random() % 600, '\0');
     for (char& byte : input) byte = "\r\n0123456789.,-+eE SNabcx\xFF"[random() % 26];
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+    return input;
+  });
 }
 
 }  // namespace

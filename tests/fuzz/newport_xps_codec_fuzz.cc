@@ -42,7 +42,7 @@ void decode(const std::string& body) {
   require(reply->values == (comma == std::string::npos ? "" : body.substr(comma + 1)), "values");
   for (const char c : reply->values) require(c >= ' ' && c <= '~', "a byte that cannot be printed");
   double value = 0.0;
-  bool too_small = false;  // For a double: refused, or 0, or what little is left of it.
+  bool too_small = false;  // Too small for a double: refused, 0, or the denormal rest.
   const auto number = xps::parse_number(reply->values);
   const bool expected = is_number(reply->values, value, too_small);
   require(number.has_value() == expected || too_small, "number");

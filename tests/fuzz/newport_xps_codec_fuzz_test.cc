@@ -1,13 +1,9 @@
 #include <gtest/gtest.h>
 
-#include <cstddef>
-#include <cstdint>
 #include <random>
 #include <string>
 
-#include "tests/fuzz/mutated_samples.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -26,11 +22,7 @@ std::string mutated_replies(std::mt19937& random) {
 }
 
 TEST(NewportXpsCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(5001);
-  for (int i = 0; i < 5'000; ++i) {
-    const std::string input = mutated_replies(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(5001, 5'000, mutated_replies);
 }
 
 }  // namespace

@@ -176,7 +176,7 @@ void check_number(const std::string& text) {
   const auto number = gcs::parse_number(text);
   require(same(number, reference_number(text)), "number");
   if (!number || std::abs(*number) > 1e6) return;
-  // What is commanded is what was read, to half a millionth of a degree and what a double rounds.
+  // The commanded number equals the parsed one, to half a millionth of a degree and the rounding of a double.
   const std::string move = gcs::move_command("1", abcal::Angle::degrees(*number));
   require(move.rfind("MOV 1 ", 0) == 0, "move");
   const auto target = reference_number(move.substr(6));

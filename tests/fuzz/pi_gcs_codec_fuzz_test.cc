@@ -1,19 +1,14 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <iterator>
 #include <random>
 #include <string>
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
-
-void show(const std::string& input) {
-  LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-}
 
 /// Replies as controllers send them, then changed at a few places.
 std::string mutated_replies(std::mt19937& random) {
@@ -60,24 +55,22 @@ std::string mutated_replies(std::mt19937& random) {
 }
 
 TEST(PiGcsCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(20240229);
-  for (int i = 0; i < 10'000; ++i) show(mutated_replies(random));
+  test::show_target_seeded(20240229, 10'000, mutated_replies);
 }
 
 TEST(PiGcsCodecFuzzTest, AgreesWithTheReferenceOnRandomBytes) {
-  std::mt19937 random(7);
-  for (int i = 0; i < 10'000; ++i) {
+  test::show_target_seeded(7, 10'000, [](std::mt19937& random) {
     std::string input(random() % 60, '\0');
     for (char& byte : input) byte = "\n 0123456789.=+-eExX,Aa\t\r\xB0"[random() % 26];
-    show(input);
-  }
+    return input;
+  });
 }
 
 TEST(PiGcsCodecFuzzTest, AgreesWithTheReferenceOnRepliesAboutAsLongAsTheyMayBe) {
   for (const std::size_t size : {65534U, 65535U, 65536U, 65537U}) {
-    show(std::string(size, '1') + "\n");
-    show(std::string(size, '1'));
-    show("1=" + std::string(size, ' ') + "\n0\n");
+    test::show_target(std::string(size, '1') + "\n");
+    test::show_target(std::string(size, '1'));
+    test::show_target("1=" + std::string(size, ' ') + "\n0\n");
   }
 }
 

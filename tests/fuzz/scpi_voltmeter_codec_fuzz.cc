@@ -38,7 +38,7 @@ struct Walk {
     at += word.size();
     return true;
   }
-  /// As many characters of a set as there are.
+  /// All following characters of a set.
   std::string take_all(std::string_view set) {
     std::string taken;
     while (!done() && set.find(text[at]) != std::string_view::npos) taken += text[at++];

@@ -1,12 +1,11 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <iterator>
 #include <random>
 #include <string>
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -54,21 +53,12 @@ std::string mutated_replies(std::mt19937& random) {
 }
 
 TEST(ScpiVoltmeterCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(20240318);
-  for (int i = 0; i < 10'000; ++i) {
-    const std::string input = mutated_replies(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20240318, 10'000, mutated_replies);
 }
 
 TEST(ScpiVoltmeterCodecFuzzTest, AgreesWithTheReferenceOnEveryStartAndEnd) {
   std::mt19937 random(7);
-  const std::string input = mutated_replies(random);
-  for (std::size_t i = 0; i <= input.size(); ++i) {
-    const auto* data = reinterpret_cast<const std::uint8_t*>(input.data());
-    LLVMFuzzerTestOneInput(data, i);
-    LLVMFuzzerTestOneInput(data + i, input.size() - i);
-  }
+  test::show_target_every_part(mutated_replies(random));
 }
 
 }  // namespace

@@ -1,12 +1,11 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <iterator>
 #include <random>
 #include <string>
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -59,21 +58,12 @@ std::string mutated_lines(std::mt19937& random) {
 }
 
 TEST(TextLineCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(20240303);
-  for (int i = 0; i < 10'000; ++i) {
-    const std::string input = mutated_lines(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20240303, 10'000, mutated_lines);
 }
 
 TEST(TextLineCodecFuzzTest, AgreesWithTheReferenceOnEveryStartAndEnd) {
   std::mt19937 random(7);
-  const std::string input = mutated_lines(random);
-  for (std::size_t i = 0; i <= input.size(); ++i) {
-    const auto* data = reinterpret_cast<const std::uint8_t*>(input.data());
-    LLVMFuzzerTestOneInput(data, i);
-    LLVMFuzzerTestOneInput(data + i, input.size() - i);
-  }
+  test::show_target_every_part(mutated_lines(random));
 }
 
 }  // namespace

@@ -1,13 +1,9 @@
 #include <gtest/gtest.h>
 
-#include <cstddef>
-#include <cstdint>
 #include <random>
 #include <string>
 
-#include "tests/fuzz/mutated_samples.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -28,11 +24,7 @@ std::string mutated_messages(std::mt19937& random) {
 }
 
 TEST(ThorlabsAptCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(1152);
-  for (int i = 0; i < 5'000; ++i) {
-    const std::string input = mutated_messages(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(1152, 5'000, mutated_messages);
 }
 
 }  // namespace

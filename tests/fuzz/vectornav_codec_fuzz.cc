@@ -36,7 +36,7 @@ bool same(double a, float b) {
   return a == static_cast<double>(b) || (a != a && b != b);
 }
 
-/// Of the output that the driver sets: header 6, time 8, acceleration 12, temperature 4, CRC 2.
+/// Checks the output that the driver sets: header 6, time 8, acceleration 12, temperature 4, CRC 2.
 void confirm_reading(const vectornav::BinaryMessage& message, std::string_view whole) {
   if (!whole.starts_with(std::string_view("\xFA\x05\x01\x01\x10\x00", 6))) return;
   const auto measurement = vectornav::decode_binary_measurement(message);
@@ -126,7 +126,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   require(parser.skipped_bytes() == expected.skipped_bytes, "skipped bytes");
   require(parser.has_partial() == (expected.undecided_from < bytes.size()), "bytes held back");
 
-  // The line falls silent: what is found behind a false beginning is whole, and nothing is given twice.
+  // The line falls silent: messages found behind a false beginning are whole, and nothing is given twice.
   std::size_t whole = used;
   while (const auto message = parser.next_behind_partial()) {
     const auto* text = std::get_if<vectornav::TextMessage>(&*message);

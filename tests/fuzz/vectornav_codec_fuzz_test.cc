@@ -1,13 +1,11 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <random>
 #include <string>
 
 #include "tests/drivers/vectornav/reference_decoder.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -73,21 +71,12 @@ std::string mutated_stream(std::mt19937& random) {
 }
 
 TEST(VectorNavCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(20240301);
-  for (int i = 0; i < 10'000; ++i) {
-    const std::string input = mutated_stream(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20240301, 10'000, mutated_stream);
 }
 
 TEST(VectorNavCodecFuzzTest, AgreesWithTheReferenceOnEveryStartAndEndOfAStream) {
   std::mt19937 random(7);
-  const std::string input = mutated_stream(random);
-  for (std::size_t i = 0; i <= input.size(); ++i) {
-    const auto* data = reinterpret_cast<const std::uint8_t*>(input.data());
-    LLVMFuzzerTestOneInput(data, i);
-    LLVMFuzzerTestOneInput(data + i, input.size() - i);
-  }
+  test::show_target_every_part(mutated_stream(random));
 }
 
 }  // namespace

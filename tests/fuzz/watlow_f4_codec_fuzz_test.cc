@@ -1,14 +1,10 @@
 #include <gtest/gtest.h>
 
 #include <array>
-#include <cstddef>
-#include <cstdint>
 #include <random>
 #include <string>
 
-#include "tests/fuzz/mutated_samples.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -21,11 +17,8 @@ TEST(WatlowF4CodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
                            "\x01\x86\x03\x02\x61"s,
                            "\x00\x01\x00\x00\x00\x07\x01\x03\x04\x33\x33\x41\xBB"s,
                            "\x00\x01\x00\x00\x00\x06\x01\x10\x0A\xDE\x00\x02"s};
-  std::mt19937 random(20261122);
-  for (int i = 0; i < 10'000; ++i) {
-    const std::string input = test::mutated(samples, 3, random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20261122, 10'000,
+                           [&](std::mt19937& random) { return test::mutated(samples, 3, random); });
 }
 
 }  // namespace

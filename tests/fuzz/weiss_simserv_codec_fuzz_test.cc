@@ -1,14 +1,10 @@
 #include <gtest/gtest.h>
 
 #include <array>
-#include <cstddef>
-#include <cstdint>
 #include <random>
 #include <string>
 
-#include "tests/fuzz/mutated_samples.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -24,11 +20,8 @@ TEST(WeissSimservCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
       "-075.0 -038.3 0101000000000000Z\r",
       "$01E CV01 CV02 SV01 DO00 DO01 <CR>\r\nCV01 CV01 CV02 CV02 DO00 DO01\r\n",
       "CV01  value min:  -77.0   Value max:  182.0   Temperature\r\nDO01  Start\r\n"};
-  std::mt19937 random(20261122);
-  for (int i = 0; i < 10'000; ++i) {
-    const std::string input = test::mutated(samples, 4, random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20261122, 10'000,
+                           [&](std::mt19937& random) { return test::mutated(samples, 4, random); });
 }
 
 }  // namespace

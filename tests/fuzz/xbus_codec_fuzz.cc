@@ -82,7 +82,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   require(parser.skipped_bytes() == expected.skipped_bytes, "skipped bytes");
   require(parser.has_partial() == (expected.undecided_from < bytes.size()), "bytes held back");
 
-  // The line falls silent: what is found behind a false beginning is whole, and nothing is given twice.
+  // The line falls silent: messages found behind a false beginning are whole, and nothing is given twice.
   std::size_t used = expected.undecided_from - expected.skipped_bytes;
   while (const auto message = parser.next_behind_partial()) used += message->data.size() + 5;  // At least.
   require(used + parser.skipped_bytes() <= bytes.size(), "bytes given twice");

@@ -1,13 +1,12 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
-#include <cstdint>
 #include <cstdio>
 #include <iterator>
 #include <random>
 #include <string>
 
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size);
+#include "tests/support/fuzz_inputs.h"
 
 namespace abcal {
 namespace {
@@ -50,21 +49,12 @@ std::string mutated_lines(std::mt19937& random) {
 }
 
 TEST(ZaberAsciiCodecFuzzTest, AgreesWithTheReferenceOnSeededMutations) {
-  std::mt19937 random(20240229);
-  for (int i = 0; i < 10'000; ++i) {
-    const std::string input = mutated_lines(random);
-    LLVMFuzzerTestOneInput(reinterpret_cast<const std::uint8_t*>(input.data()), input.size());
-  }
+  test::show_target_seeded(20240229, 10'000, mutated_lines);
 }
 
 TEST(ZaberAsciiCodecFuzzTest, AgreesWithTheReferenceOnEveryStartAndEnd) {
   std::mt19937 random(7);
-  const std::string input = mutated_lines(random);
-  for (std::size_t i = 0; i <= input.size(); ++i) {
-    const auto* data = reinterpret_cast<const std::uint8_t*>(input.data());
-    LLVMFuzzerTestOneInput(data, i);
-    LLVMFuzzerTestOneInput(data + i, input.size() - i);
-  }
+  test::show_target_every_part(mutated_lines(random));
 }
 
 }  // namespace

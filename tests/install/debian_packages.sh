@@ -17,7 +17,7 @@ case "$(field "$program" Depends)" in *libc6*libserialport0*|*libserialport0*lib
 contents() { dpkg-deb -c "$1" | awk '{print $6}'; }
 contents "$program" >"$work/program.list"
 contents "$library" >"$work/library.list"
-for file in usr/bin/abcal usr/libexec/abcal/abcal-hdf5 usr/libexec/abcal/abcal-mat usr/libexec/abcal/abcal-notify usr/libexec/abcal/abcal-pdf usr/libexec/abcal/abcal-sign usr/share/abcal/schemas/v3.3.0/dcc.xsd usr/share/man/man1/abcal.1.gz usr/share/man/man1/abcal-run.1.gz \
+for file in usr/bin/abcal usr/libexec/abcal/abcal-hdf5 usr/libexec/abcal/abcal-mat usr/libexec/abcal/abcal-transfer usr/libexec/abcal/abcal-pdf usr/libexec/abcal/abcal-sign usr/share/abcal/schemas/v3.3.0/dcc.xsd usr/share/man/man1/abcal.1.gz usr/share/man/man1/abcal-run.1.gz \
     usr/share/bash-completion/completions/abcal usr/share/zsh/vendor-completions/_abcal \
     usr/lib/udev/rules.d/60-abcal.rules usr/lib/systemd/system/abcal-console.service \
     usr/lib/systemd/system/abcal-bench.service usr/libexec/abcal/abcal-guard \
@@ -33,7 +33,7 @@ for file in certificate.md theory/model.md decisions/0001-exceptions-for-instrum
 done
 if grep -E 'share/doc/.*\.(md|png|ipynb)$' "$work/program.list"; then fail "these belong into abcal-doc"; fi
 if grep 'examples/cpp' "$work/pages.list"; then fail "these belong into libabcal-dev"; fi
-for file in usr/include/abcal/protocol/analysis/analyse.h; do
+for file in usr/include/abcal/protocol/estimators/circle/analyse.h; do
   grep -qx "./$file" "$work/library.list" || fail "the package libabcal-dev has no $file"
 done
 grep -q '/cmake/abcal/abcal-config.cmake$' "$work/library.list" || fail "libabcal-dev has no abcal-config.cmake"

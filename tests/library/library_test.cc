@@ -4,6 +4,7 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -148,6 +149,23 @@ TEST_F(SmallBench, ARunIsMeasuredAndAnalysed) {
   EXPECT_EQ(dwells, 3 * 13 + 8);
   EXPECT_EQ(run.result.to_json(), abcal::analyse(abcal::load(run.file)).to_json());
   EXPECT_EQ(bench.simulated().size(), 2U);
+}
+
+TEST_F(SmallBench, EachOfSeveralItemsIsRead) {
+  std::ifstream one(folder / "bench.toml");
+  std::string text{std::istreambuf_iterator<char>(one), {}};
+  const std::size_t begin = text.find("[accelerometer]"), end = text.find("[protocol]");
+  const std::string item = "[[item]]\n[item." + text.substr(begin + 1, end - begin - 1);
+  std::ofstream(folder / "two.toml") << text.erase(begin, end - begin) << item << item;
+  abcal::Bench bench(folder / "two.toml");
+  const abcal::CompleteRun run = bench.run(folder / "a.run", [](const abcal::Event&) {});
+  const std::string file = (folder / "a.run").string();
+  EXPECT_THROW(abcal::load(file), std::invalid_argument);
+  const abcal::Record first = abcal::load(file + "#1"), second = abcal::load(file + "#2");
+  EXPECT_EQ(first.size(), second.size());
+  EXPECT_NE(first.readings(), second.readings());
+  EXPECT_NE(run.result.to_json().find("\"usable\""), std::string::npos);
+  EXPECT_NO_THROW(abcal::compare({file + "#1", file + "#2"}, {.any_item = true}));
 }
 
 TEST_F(SmallBench, AListenerThatThrowsHaltsTheStageAndTheRunResumes) {

@@ -17,8 +17,8 @@
 #include <string>
 #include <vector>
 
-#include "app/xml/xml_query.h"
-#include "app/xml/xml_tree.h"
+#include "app/ground/xml/xml_query.h"
+#include "app/ground/xml/xml_tree.h"
 #include "tests/support/program.h"
 #include "tests/support/project_paths.h"
 #include "tests/support/temporary_folder.h"
@@ -116,7 +116,7 @@ class PrintedCertificateTest : public testing::Test {
   }
   static std::string file(const std::string& name) { return test::read_file(*folder_ / name); }
 
-  /// The text of the pages, without what stands on each of them.
+  /// The text of the pages, without the lines that repeat on each of them.
   static std::string text_of(const std::string& pdf) {
     EXPECT_TRUE(shell("pdftotext -layout " + pdf + " text.txt")) << file("log");
     return std::regex_replace(file("text.txt"), std::regex("(page|Seite) [0-9]+ (of|von) [0-9]+"), "");
@@ -296,7 +296,7 @@ TEST_F(PrintedCertificateTest, AKeyOfAnotherPersonIsRefused) {
   EXPECT_THAT(refused.err, HasSubstr("none of Approver N. N.'s in the register"));
 }
 
-// A German certificate says all of it in German.
+// A German certificate is entirely in German.
 TEST_F(PrintedCertificateTest, AGermanCertificateIsGerman) {
   const test::ProgramResult draft =
       abcal({"report", "a.run", "--draft", "--laboratory", "lab.toml", "--language", "de", "--html",

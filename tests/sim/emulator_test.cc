@@ -73,11 +73,11 @@ class Client {
   void send(const std::string& bytes) {
     ASSERT_EQ(::write(fd_, bytes.data(), bytes.size()), static_cast<ssize_t>(bytes.size()));
   }
-  /// What comes until `count` bytes are there, the other end hangs up, or `limit` has passed.
+  /// Bytes that come until `count` have arrived, the other end hangs up, or `limit` has passed.
   std::string receive(std::size_t count, Clock::Duration limit = seconds(5)) {
     return receive_while_not([&](const std::string& bytes) { return bytes.size() >= count; }, limit);
   }
-  /// What comes until `wanted` is among it.
+  /// Bytes that come until `wanted` is among them.
   std::string receive_until(std::string_view wanted) {
     return receive_while_not(
         [&](const std::string& bytes) { return bytes.find(wanted) != std::string::npos; }, seconds(20));

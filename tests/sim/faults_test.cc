@@ -146,11 +146,11 @@ TEST_F(FaultyStreamTest, DiscardingForgetsWhatHasComeOnly) {
 TEST(FaultsTest, EveryFaultHasAnOwnNameByWhichItIsFound) {
   EXPECT_EQ(fault_descriptions().size(), 22U);
   for (const FaultDescription& description : fault_descriptions()) {
-    EXPECT_EQ(fault_kind(description.name), description.kind);
+    EXPECT_EQ(fault_description(description.name).kind, description.kind);
     EXPECT_FALSE(description.what.empty());
   }
   try {
-    fault_kind("earthquake");
+    fault_description("earthquake");
     FAIL() << "known";
   } catch (const std::invalid_argument& error) {
     EXPECT_THAT(error.what(), HasSubstr("earthquake"));

@@ -16,7 +16,7 @@ class FirmwareHost {
 
   void send(std::string_view bytes) { firmware_.receive(bytes, clock_.now()); }
 
-  /// What comes within `duration`, instant by instant.
+  /// Bytes that come within `duration`, instant by instant.
   std::string listen(Clock::Duration duration) {
     const Clock::Instant deadline = clock_.now() + duration;
     std::string received;

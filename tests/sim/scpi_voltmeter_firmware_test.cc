@@ -235,7 +235,7 @@ class Keithley2001Test : public ScpiTest {
   Keithley2001Test() : ScpiTest(scpi_model("2001")) {}
 };
 
-// As EPICS asks it: the buffer is full when bit 9 of the measurement events says so.
+// Queries of EPICS: the buffer is full when bit 9 of the measurement events says so.
 TEST_F(Keithley2001Test, ScansByItsArmLayer) {
   constexpr std::string_view kNone = "0, \"no error\"\n";
   EXPECT_EQ(ask("*IDN?"), "KEITHLEY INSTRUMENTS INC.,MODEL 2001,MY44012345,B17  /A02  \n");

@@ -267,8 +267,8 @@ TEST(SimBenchTest, TheStageErrorIsAMapOfThePoseOfBothAxes) {
     return bench.stage_error(axis, Angle::degrees(angle), Angle::degrees(other)).deg();
   };
   EXPECT_NEAR(error(StageAxis::kX, 35.0, -90.0), error(StageAxis::kX, 35.0 - 360.0, 270.0), 1e-17);
-  // The same pose to a millionth of a degree: the same draw (another one would differ by some 0.008), and the
-  // harmonics move by 0.04 x 1e-8 degrees per radian.
+  // The same pose to a millionth of a degree gives the same draw (another one would differ by some 0.008),
+  // and the harmonics move by 0.04 x 1e-8 degrees per radian.
   EXPECT_NEAR(error(StageAxis::kX, 35.0, -90.0), error(StageAxis::kX, 35.0 + 1e-8, -90.0 - 1e-8), 1e-11);
   EXPECT_NE(error(StageAxis::kX, 35.0, -90.0), error(StageAxis::kX, 35.0, 0.0));
   EXPECT_NE(error(StageAxis::kX, 35.0, 35.0), error(StageAxis::kZ, 35.0, 35.0));

@@ -4,9 +4,11 @@
 
 #include <Eigen/Dense>
 #include <Eigen/Geometry>
+#include <chrono>
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <memory>
 #include <numbers>
 #include <string>
 #include <utility>
@@ -154,6 +156,31 @@ TEST(SimEffectsTest, DrawnWobbleAndSmoothErrorsHaveTheirSizeAndRepeatBySeed) {
   // the three odd orders, 0 for the even ones. Standard deviation of either ratio: 0.016.
   EXPECT_NEAR(std::sqrt(tilt2 / kWorlds), std::sqrt(3.0) * 50e-6, 0.08 * std::sqrt(3.0) * 50e-6);
   EXPECT_NEAR(std::sqrt(error2 / kWorlds), std::sqrt(12.0) * 0.004, 0.08 * std::sqrt(12.0) * 0.004);
+}
+
+TEST(SimEffectsTest, AllItemsStandOnOneStage) {
+  BenchTruth truth;
+  truth.noise = 1e-4;
+  truth.zx_per_degc = 1e-4;
+  for (AxisTruth* axis : {&truth.x, &truth.z}) {
+    axis->wobble_sd_urad = 50.0;
+    axis->smooth_error_sd = Angle::degrees(0.004);
+    axis->step_error_sd = Angle::degrees(0.005);
+  }
+  SimBench first(truth);
+  ItemTruth other{truth, item_seed(truth.seed, 2)};
+  other.temperature_per_hour = 10.0;  // The stage has the temperature of the first item.
+  const std::shared_ptr<SimBench> second = first.add_item(other);
+  Clock::Instant now = first.start();
+  for (const double x : {30.0, 75.0, 210.0}) {
+    now += std::chrono::minutes(10);
+    first.place(StageAxis::kX, Angle::degrees(x), now);
+    first.place(StageAxis::kZ, Angle::degrees(2.0 * x), now);
+    for (const StageAxis axis : kStageAxes)
+      EXPECT_EQ(first.actual_angle(axis, now), second->actual_angle(axis, now));
+    EXPECT_EQ(first.specific_force(now), second->specific_force(now));
+    EXPECT_NE(first.output(now, 0).value, second->output(now, 0).value) << "each has noise of its own";
+  }
 }
 
 TEST(SimEffectsTest, DriftsAreFunctionsOfTheSpan) {

@@ -17,7 +17,7 @@ namespace {
 using std::chrono::milliseconds;
 using std::chrono::seconds;
 
-/// What a board prints in `duration`.
+/// Output of a board in `duration`.
 std::string printed(const TextLineSettings& settings, const BenchTruth& truth, Clock::Duration duration) {
   TextLineFirmware firmware(std::make_shared<SimBench>(truth), settings);
   FirmwareHost host(firmware);

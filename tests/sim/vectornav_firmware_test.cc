@@ -282,7 +282,8 @@ TEST_F(VectorNavFirmwareTest, WhatTheLineCannotCarryIsRefused) {
   EXPECT_EQ(ask("VNRRG,75"), "VNRRG,75,0,1,00");
 }
 
-// What the public ROS driver writes by default, also to a VN-100: groups common, time, attitude, INS.
+// Configuration that the public ROS driver writes by default, also to a VN-100: groups common, time,
+// attitude, INS.
 TEST_F(VectorNavFirmwareTest, TakesTheOutputsOfTheRosDriver) {
   const std::string command = "VNWRG,75,1,20,33,578,4C,100,69D";
   EXPECT_EQ(ask(command), command);
@@ -384,7 +385,7 @@ TEST(VectorNavFirmwareAtPowerOnTest, StreamsAsItLeavesTheFactory) {
   const auto lines = lines_of(host.listen(seconds(1)));
   ASSERT_EQ(lines.size(), 40U);
   for (const std::string& line : lines) EXPECT_THAT(line, StartsWith("$VNYMR,"));
-  // As long as the line recorded from a real one.
+  // The line has the length of one recorded from a real device.
   EXPECT_EQ(lines[0].size(),
             std::string_view("$VNYMR,-165.970,-037.299,+001.252,+00.2894,+00.0706,+00.7482,-05.961,"
                              "-00.184,-07.853,+00.000885,-00.000192,-00.000642*69")

@@ -70,7 +70,7 @@ TEST_F(WatlowF4TcpTest, HalfAFrameIsForgotten) {
 TEST_F(WatlowF4TcpTest, AFrameOfAnotherProtocolIsPassedOverWhole) {
   EXPECT_EQ(host.exchange(frame(1, 1, 6, kRead)), "");
   EXPECT_EQ(host.exchange(frame(2, 1, 6, kRead) + request(3)), answer(3));
-  // Its length is believed, not its function: what is in it is not ours.
+  // The firmware trusts its length, but not its function: its content is not ours.
   EXPECT_EQ(host.exchange(frame(4, 1, 12, request(5)) + request(6)), answer(6));
 }
 

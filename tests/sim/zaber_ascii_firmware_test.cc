@@ -12,12 +12,14 @@
 #include "drivers/zaber_ascii/stage.h"
 #include "sim/firmware/firmware_stream.h"
 #include "tests/sim/firmware_host.h"
+#include "tests/support/error_of.h"
 
 namespace abcal::sim {
 namespace {
 
 using std::chrono::milliseconds;
 using std::chrono::seconds;
+using test::error_of;
 using testing::HasSubstr;
 using testing::StartsWith;
 
@@ -491,18 +493,6 @@ class ZaberDriverTest : public testing::TestWithParam<DriverCase> {
       clock.sleep_until(clock.now() + milliseconds(10));
     return clock.now() - start;
   }
-  template <class Call>
-  std::string error_of(Fault fault, Call call) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      EXPECT_EQ(error.fault(), fault);
-      return error.what();
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {};
-  }
-
   SimClock clock;
   std::shared_ptr<SimBench> bench = std::make_shared<SimBench>(BenchTruth{}, clock.now());
   std::shared_ptr<Firmware> firmware = std::make_shared<ZaberAsciiFirmware>(bench, GetParam().firmware);
@@ -550,13 +540,13 @@ TEST_P(ZaberDriverTest, HaltsInTheMiddleOfAMoveAndGoesOnAfterwards) {
 }
 
 TEST_P(ZaberDriverTest, RefusesAMoveOutOfTravelOrWithoutReference) {
-  EXPECT_THAT(error_of(Fault::kNotReady, [&] { stage->move_to(StageAxis::kX, Angle::degrees(1)); }),
+  EXPECT_THAT(error_of([&] { stage->move_to(StageAxis::kX, Angle::degrees(1)); }, Fault::kNotReady),
               HasSubstr("WR"));
   home_both();
-  error_of(Fault::kOutOfTravel, [&] { stage->move_to(StageAxis::kZ, Angle::degrees(361)); });
+  error_of([&] { stage->move_to(StageAxis::kZ, Angle::degrees(361)); }, Fault::kOutOfTravel);
   EXPECT_EQ(bench->target(StageAxis::kZ, clock.now()).deg(), 0.0);
   bench->inject({.kind = FaultKind::kRefusedMove, .at = clock.now(), .axis = StageAxis::kX});
-  EXPECT_THAT(error_of(Fault::kRefused, [&] { stage->move_to(StageAxis::kX, Angle::degrees(1)); }),
+  EXPECT_THAT(error_of([&] { stage->move_to(StageAxis::kX, Angle::degrees(1)); }, Fault::kRefused),
               HasSubstr("PARKED"));
 }
 
@@ -564,7 +554,7 @@ TEST_P(ZaberDriverTest, TellsAStallInWords) {
   home_both();
   stage->move_to(StageAxis::kX, Angle::degrees(90));
   bench->inject({.kind = FaultKind::kStalledAxis, .at = clock.now() + seconds(1), .axis = StageAxis::kX});
-  EXPECT_THAT(error_of(Fault::kRefused, [&] { wait(StageAxis::kX); }), HasSubstr("FS (stalled and stopped)"));
+  EXPECT_THAT(error_of([&] { wait(StageAxis::kX); }, Fault::kRefused), HasSubstr("FS (stalled and stopped)"));
 }
 
 INSTANTIATE_TEST_SUITE_P(

@@ -14,7 +14,7 @@ namespace abcal::test {
 class FailingDisk {
  public:
   enum class Failure {
-    kFull,         ///< A write fails with SQLITE_FULL; nothing of it is written.
+    kFull,         ///< A write fails with SQLITE_FULL; none of its bytes are written.
     kShortWrite,   ///< A write fails with SQLITE_FULL after half of its bytes.
     kInputOutput,  ///< A write, a sync, a truncation, the opening or removal of a file fails with an I/O
                    ///< error.
@@ -38,7 +38,7 @@ class FailingDisk {
  private:
   struct File;
   struct Methods;
-  /// What a call that changes something on the disk is to do: nothing to be passed on, or a failure.
+  /// Action of a call that changes the disk: absent if it is passed on, else a failure.
   std::optional<Failure> next(bool write, const char* what, const char* file);
 
   sqlite3_vfs* real_;

@@ -11,8 +11,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/bench/make_firmware.h"
-#include "app/bench/real_clock.h"
+#include "app/ground/system/real_clock.h"
+#include "app/operate/bench/make_firmware.h"
 #include "drivers/registry.h"
 #include "drivers/wire/open_stream.h"
 #include "sim/emulator.h"
@@ -45,7 +45,7 @@ inline FastAccelerometer fastest(const std::string& driver) {
 }
 
 /// An accelerometer driver in real time over pseudo-terminals, with the emulator of its instrument in a
-/// thread of this process. What u reads tells the time at which it was made.
+/// thread of this process. The reading of u encodes the time at which it was made.
 class EmulatedAccelerometer {
  public:
   explicit EmulatedAccelerometer(const AccelerometerDriver& driver) : fast_(fastest(driver.name)) {
@@ -55,11 +55,11 @@ class EmulatedAccelerometer {
     world_ = std::make_shared<sim::SimBench>(truth, clock_.now());
 
     BenchConfig config;
-    config.accelerometer.driver = driver.name;
-    config.accelerometer.rate_hz = fast_.rate_hz;
-    config.accelerometer.baud = fast_.baud;
+    config.items.front().accelerometer.driver = driver.name;
+    config.items.front().accelerometer.settings.rate_hz = fast_.rate_hz;
+    config.items.front().accelerometer.baud = fast_.baud;
     std::vector<sim::Endpoint> endpoints;
-    for (const InstrumentPort& port : accelerometer_ports(config.accelerometer))
+    for (const InstrumentPort& port : accelerometer_ports(config, 1))
       endpoints.push_back({make_firmware(config, port, world_), sim::PtyLink{folder_ / port.name}});
     emulator_ = std::make_unique<sim::Emulator>(std::move(endpoints), clock_);
     thread_ = std::jthread([this](std::stop_token stop) { emulator_->run(std::move(stop)); });

@@ -36,7 +36,7 @@ inline void write_file(const std::filesystem::path& path, const std::string& tex
 class Program {
  public:
   struct Limits {
-    std::optional<rlim_t> file_size;  ///< As if the disk were full at this size of a file.
+    std::optional<rlim_t> file_size;  ///< Simulates a disk that is full at this size of a file.
   };
 
   Program(std::vector<std::string> arguments, const std::filesystem::path& folder)

@@ -18,14 +18,14 @@
 
 namespace abcal::test {
 
-/// The far end of a line of text commands: a function says what is answered to each, and a script what goes
-/// wrong with which answer. Times are those of the FakeClock, which a read takes to the arrival of the next
-/// bytes or to its deadline.
+/// The far end of a line of text commands: a function gives the answer to each, and a script the faults of
+/// these answers. Times are those of the FakeClock, which a read takes to the arrival of the next bytes or to
+/// its deadline.
 class ScriptedLine final : public wire::ByteStream {
  public:
   /// The answer to a command, given without its end.
   using Answer = std::function<std::string(const std::string& command)>;
-  /// What a command is called in the script, e.g. without its message id.
+  /// Name of a command in the script, e.g. without its message id.
   using Name = std::function<std::string(const std::string& command)>;
 
   ScriptedLine(

@@ -22,7 +22,7 @@ class ScriptedPort final : public wire::ByteStream {
 
   ScriptedPort(FakeClock& clock, OnCommand on_command) : clock_(clock), on_command_(std::move(on_command)) {}
 
-  std::vector<std::string> commands;  ///< As written by the driver.
+  std::vector<std::string> commands;  ///< Commands written by the driver.
   std::size_t dropped = 0;
   bool unplugged = false;
 

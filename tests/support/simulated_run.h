@@ -47,7 +47,7 @@ struct SimulatedRun {
   /// Called after each angle, with how many there are.
   std::function<void(sim::SimBench& world, Clock::Instant now, std::size_t dwells)> after_dwell;
 
-  std::vector<std::string> notices;  ///< Of the last run.
+  std::vector<std::string> notices;  ///< Notices of the last run.
   std::vector<PlannedAngle> plan;
 
   /// Measures into a new file and loads it again.
@@ -73,8 +73,8 @@ struct SimulatedRun {
       RunFile file = RunFile::create(path, header);
       Observer observer(*this, *world, clock);
       if (before_run) before_run(*world, clock.now());
-      run_experiments({stage, accelerometer, clock}, {plan, settings(), {}}, file, observer,
-                      std::stop_source().get_token());
+      run_experiments({stage, clock, {{1, accelerometer, limits, tolerances, expected}}},
+                      {plan, settings(), {}}, file, observer, std::stop_source().get_token());
     }
     return RunFile::load(path);
   }
@@ -124,17 +124,19 @@ struct SimulatedRun {
     Observer(SimulatedRun& run, sim::SimBench& world, Clock& clock)
         : run_(run), world_(world), clock_(clock) {}
     void phase(std::size_t, RunPhase) override {}
-    void dwell(std::size_t, const DwellRecord&) override {
-      ++dwells_;
-      if (run_.after_dwell) run_.after_dwell(world_, clock_.now(), dwells_);
+    void dwells(std::size_t, std::span<const ItemDwell>) override {
+      ++count_;
+      if (run_.after_dwell) run_.after_dwell(world_, clock_.now(), count_);
     }
-    void notice(std::string_view, std::string_view text) override { run_.notices.emplace_back(text); }
+    void notice(std::string_view, std::string_view text, std::optional<int>) override {
+      run_.notices.emplace_back(text);
+    }
 
    private:
     SimulatedRun& run_;
     sim::SimBench& world_;
     Clock& clock_;
-    std::size_t dwells_ = 0;
+    std::size_t count_ = 0;
   };
 };
 

@@ -11,7 +11,7 @@
 namespace abcal::test {
 
 /// The path of a file or folder of the shared data set: in the folder named by ABCAL_TEST_DATA, else in
-/// ../shared/data beside the project. Nothing if it is absent: skip the test and say so.
+/// ../shared/data next to the project. Nothing if it is absent: skip the test and say so.
 inline std::optional<std::filesystem::path> shared_data(std::string_view relative) {
   const char* named = std::getenv("ABCAL_TEST_DATA");
   const std::filesystem::path root =

@@ -14,8 +14,8 @@
 #include <utility>
 #include <vector>
 
-#include "app/apply/apply_session.h"
-#include "app/apply/apply_text.h"
+#include "app/faces/apply/apply_session.h"
+#include "app/faces/apply/apply_text.h"
 #include "drivers/instrument/instrument_error.h"
 #include "tests/support/temporary_folder.h"
 
@@ -32,7 +32,7 @@ struct Family {
   double noise = 1e-4;        ///< g
   std::string more;           ///< Further sections.
   RegisterTexts earlier{};    ///< Content before the run, other than from the factory.
-  double tolerance = 0.1;     ///< Of the sensitivity.
+  double tolerance = 0.1;     ///< Tolerance of the sensitivity.
 };
 
 void PrintTo(const Family& family, std::ostream* out) {
@@ -183,7 +183,8 @@ class ApplyTest : public testing::Test {
     RunSession::Options options;
     options.open_bench = [this](const BenchConfig& config, BenchStreams streams) {
       Bench bench = make_bench(config, std::move(streams));
-      bench.accelerometer = std::make_unique<HookedAccelerometer>(std::move(bench.accelerometer), hook);
+      auto& accelerometer = bench.first().accelerometer;
+      accelerometer = std::make_unique<HookedAccelerometer>(std::move(accelerometer), hook);
       return bench;
     };
     options.stop = stop.get_token();
@@ -197,14 +198,14 @@ class ApplyTest : public testing::Test {
     }
   }
 
-  Accelerometer& accelerometer() { return *session->bench()->accelerometer; }
+  Accelerometer& accelerometer() { return *session->bench()->first().accelerometer; }
   StartRequest start(const std::string& name) const {
-    return {toml, "bench.toml", (folder / name).string(), false, {}};
+    return {parse_bench(toml, "bench.toml"), (folder / name).string()};
   }
   ApplyRequest request() const {
     ApplyRequest request;
     request.run = folder / "found.run";
-    request.bench_toml = toml;
+    request.bench = parse_bench(toml, "bench.toml");
     request.bench_file = "bench.toml";
     request.as_left = folder / "left.run";
     request.label = "LABEL-7";
@@ -281,6 +282,49 @@ TEST_P(ApplyToEachFamily, UndoBringsTheOldRegistersBack) {
 INSTANTIATE_TEST_SUITE_P(All, ApplyToEachFamily, testing::ValuesIn(families()),
                          [](const auto& family) { return family.param.name; });
 
+// Of a run with several items the constants of one go into that one; the others are left alone.
+TEST_F(ApplyTest, OneOfSeveralItemsIsWrittenVerifiedAndUndone) {
+  const Family& family = families()[1];  // Its simulated instruments have serial numbers of their own.
+  toml = bench_of(family);
+  const std::string accelerometer = "port = \"simulated\"\n" + family.accelerometer;
+  for (const std::string& section :
+       {fmt::format("[item]\nserial_number = \"LABEL-7\"\nsensitivity_tolerance = {}\n", family.tolerance),
+        "[accelerometer]\n" + accelerometer}) {
+    ASSERT_NE(toml.find(section), std::string::npos);
+    toml.erase(toml.find(section), section.size());
+  }
+  for (int k = 1; k <= 2; ++k)
+    toml += fmt::format("[[item]]\nsensitivity_tolerance = {}\n[item.accelerometer]\n{}", family.tolerance,
+                        accelerometer);
+  session = std::make_unique<RunSession>(RunSession::Options{});
+  session->start(start("found.run"));
+  const auto registers_of = [&](std::size_t k) {
+    Accelerometer* item = session->bench()->items.at(k - 1).accelerometer.get();
+    (void)item->identify();
+    return item->correction_registers();
+  };
+  const RegisterTexts first = registers_of(1), second = registers_of(2);
+  ApplyRequest wanted = request();
+  wanted.label.clear();
+  EXPECT_THROW(apply().apply(wanted), std::invalid_argument) << "which item?";
+  wanted.item = 2;
+  const ApplyReport report = apply().apply(wanted);
+  ASSERT_EQ(report.failure, "");
+  EXPECT_EQ(report.state, AdjustmentState::kVerified);
+  EXPECT_EQ(report.serial_number, RunFile::load(folder / "found.run", 2).own_item().serial_number);
+  EXPECT_EQ(registers_of(1), first);
+  EXPECT_EQ(registers_of(2), report.after);
+  EXPECT_NE(report.after, second);
+  EXPECT_EQ(RunFile::load(folder / "left.run", 1).own_item().registers, first);
+  EXPECT_EQ(RunFile::load(folder / "left.run", 2).own_item().registers, report.after);
+  EXPECT_LT(report.as_left->offset.norm(), 0.1 * report.as_found.offset.norm());
+  wanted.item = 1;
+  EXPECT_THROW(apply().undo(wanted), std::invalid_argument) << "nothing was written into it";
+  wanted.item = 2;
+  EXPECT_EQ(apply().undo(wanted).state, AdjustmentState::kUndone);
+  EXPECT_EQ(registers_of(2), second);
+}
+
 TEST_F(ApplyTest, ASecondApplyOfTheSameRunWritesTheSame) {
   open(families()[0]);
   session->start(start("found.run"));
@@ -330,7 +374,7 @@ TEST_F(ApplyTest, WithoutConsentNothingIsWrittenAndTheOldContentIsKeptBefore) {
   };
   hook = [](std::string_view call) { EXPECT_NE(call, "write"); };
   EXPECT_EQ(apply().apply(request()).state, AdjustmentState::kDeclined);
-  EXPECT_EQ(log().last_to_undo(), nullptr);
+  EXPECT_EQ(log().last_to_undo(1), nullptr);
 }
 
 TEST_F(ApplyTest, AnotherSerialNumberIsRefused) {
@@ -406,7 +450,7 @@ TEST_P(ApplyFails, AtAnyStepTheOldRegistersComeBack) {
   EXPECT_THAT(report.failure, AllOf(HasSubstr("made to fail"), HasSubstr("old registers are back")));
   EXPECT_EQ(report.state, AdjustmentState::kUndone);
   EXPECT_EQ(content(), before);
-  EXPECT_EQ(log().last_to_undo(), nullptr);
+  EXPECT_EQ(log().last_to_undo(1), nullptr);
 }
 
 INSTANTIATE_TEST_SUITE_P(Steps, ApplyFails,
@@ -422,7 +466,7 @@ TEST_F(ApplyTest, WhatIsNotTakenIsFoundByReadingBack) {
     hook = [&](std::string_view call) {
       if (call != "written") return;
       hook = {};
-      accelerometer().corrections()->write(before);  // As if nothing had come of it.
+      accelerometer().corrections()->write(before);  // Undoes the writing.
     };
     return true;
   };

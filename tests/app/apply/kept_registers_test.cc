@@ -1,4 +1,4 @@
-// What each instrument keeps of its correction registers when it is switched off, and what it refuses.
+// Correction registers that each instrument keeps when it is switched off, and writes that it refuses.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -62,7 +62,8 @@ class KeptRegistersTest : public testing::Test {
     return sum / 50;
   }
 
-  /// As apply does: streamed before, written, gone when it is switched off; kept when it was saved.
+  /// Follows the steps of apply: streamed before, written, gone when it is switched off; kept when it was
+  /// saved.
   void check_keeping(Accelerometer& accelerometer, const Eigen::Vector3d& offset) {
     const Eigen::Vector3d before = output(accelerometer);
     const RegisterTexts factory = read(accelerometer);
@@ -143,7 +144,7 @@ TEST_F(KeptRegistersTest, IioSaysThatItKeepsNothing) {
   adis["accel_x calibscale"] = "655";
   EXPECT_NEAR(driver->decode(adis).matrix(0, 0), 1.0 + 655.0 / 32768.0, 1e-12);
   EXPECT_EQ(driver->encode(driver->decode(adis), adis).at("accel_x calibscale"), "655");
-  adis["accel_x calibbias"] = "0.500000";  // m/s2, added before what the factor does is taken off.
+  adis["accel_x calibbias"] = "0.500000";  // m/s2, added before the effect of the factor is removed.
   EXPECT_NEAR(driver->decode(adis).offset[0], -0.5 / (1.0 + 655.0 / 32768.0), 1e-12);
   adis["accel_x calibscale"] = "-1.0";
   EXPECT_THROW((void)driver->decode(adis), std::invalid_argument);

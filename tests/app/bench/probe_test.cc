@@ -1,4 +1,4 @@
-#include "app/bench/probe.h"
+#include "app/operate/bench/probe.h"
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/bench/probe_ports.h"
+#include "app/operate/bench/probe_ports.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/iio_firmware.h"
 #include "sim/firmware/mavlink_firmware.h"
@@ -36,7 +36,7 @@ namespace {
 using std::chrono::milliseconds;
 using std::chrono::seconds;
 
-/// An instrument that is known, and what is asked of it to see whether anything has changed.
+/// A known instrument, and the questions that show whether anything in it has changed.
 struct Known {
   std::string driver;
   std::function<std::shared_ptr<sim::Firmware>(std::shared_ptr<sim::SimBench>)> make;
@@ -141,7 +141,7 @@ TEST_F(ProbeTest, EveryKnownInstrumentIsFoundWithinThreeSeconds) {
   }
 }
 
-/// What a probe of a chain is asked to find.
+/// A chain that a probe must find.
 struct KnownChain {
   std::string name;
   std::function<std::shared_ptr<sim::Firmware>(std::shared_ptr<sim::SimBench>)> make;
@@ -278,7 +278,7 @@ TEST_F(ProbeTest, AnIdentityIsToldEvenIfNoDriverFits) {
   EXPECT_EQ(found->said, "ACME,Oven 3000,17,1.0");
 }
 
-// What a probe writes before an instrument has been recognised, sent to every instrument.
+// Sends to every instrument all that a probe writes before an instrument has been recognised.
 TEST_F(ProbeTest, NoQuestionMovesOrChangesAnything) {
   std::vector<std::string> questions;
   for (const StageDriver& driver : stage_drivers()) questions.push_back(driver.recognition.question);

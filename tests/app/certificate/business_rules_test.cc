@@ -1,4 +1,4 @@
-#include "app/certificate/business_rules.h"
+#include "app/laboratory/certificate/business_rules.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -21,7 +21,7 @@ class BusinessRulesTest : public testing::Test {
     ABCAL_SHARED_DATA_OR_SKIP(path, "dcc/examples/abc_example_dcc_3.3.0.xml");
     xml = test::read_file(path);
   }
-  /// What is said when one thing is changed.
+  /// The findings after one change.
   std::string after(const std::string& from, const std::string& to) const {
     return check(replaced(xml, from, to));
   }

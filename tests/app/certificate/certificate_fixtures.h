@@ -6,8 +6,8 @@
 #include <filesystem>
 #include <string>
 
-#include "app/certificate/certificate.h"
-#include "app/results/report_data.h"
+#include "app/laboratory/certificate/certificate.h"
+#include "app/results/estimates/report_data.h"
 #include "protocol/plan/effect_sizes.h"
 #include "tests/app/bench_text.h"
 #include "tests/support/program.h"
@@ -17,7 +17,7 @@
 
 namespace abcal {
 
-/// A bench file of which a certificate can be made; what stands between it and that is changed by `replaced`.
+/// A bench file for certificates. Tests change its text by `replaced`.
 inline std::string certificate_bench() {
   return R"([bench]
 name = "bench 1"

@@ -1,4 +1,4 @@
-#include "app/certificate/certificate.h"
+#include "app/laboratory/certificate/certificate.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -7,9 +7,9 @@
 #include <map>
 #include <numbers>
 
-#include "app/certificate/dcc_xml.h"
-#include "app/certificate/issue.h"
-#include "app/results/analyses.h"
+#include "app/laboratory/certificate/dcc_xml.h"
+#include "app/laboratory/certificate/issue.h"
+#include "app/results/estimates/analyses.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 
@@ -97,7 +97,8 @@ TEST_F(MakeCertificateTest, EveryClauseOfReportingHasItsPlace) {
             9U);
 }
 
-// What the certificate cannot do without is named before anything is written, from the file and from the run.
+// Everything that the certificate requires is named before anything is written, from the file and from the
+// run.
 TEST_F(MakeCertificateTest, EachMissingItemIsNamed) {
   const std::string good = example_laboratory();
   for (const auto& [from, named] : std::vector<std::pair<std::string, std::string>>{
@@ -226,7 +227,7 @@ TEST_F(MakeCertificateTest, NoUncertaintyIsBelowTheScopeInWhateverUnit) {
   EXPECT_NEAR(decided.at("offset_w"), 0.020, 1e-12);
   const double s_w = made.run.data.result().intrinsic_sensitivity[2].value;
   EXPECT_NEAR(decided.at("bias_w"), 20.0 * 9.80101 / 9.80665 / s_w, 1e-9);
-  EXPECT_LT(decided.at("misalignment_u"), 1.0);  // Of the mounting: in no scope.
+  EXPECT_LT(decided.at("misalignment_u"), 1.0);  // Includes the mounting: in no scope.
 
   const CertificateXml xml(checked_xml(made, nullptr));
   const auto stated = [&](const std::string& result) {

@@ -1,4 +1,4 @@
-#include "app/certificate/dcc_xml.h"
+#include "app/laboratory/certificate/dcc_xml.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,9 +12,9 @@
 #include <random>
 #include <sstream>
 
-#include "app/certificate/business_rules.h"
-#include "app/certificate/issue.h"
-#include "app/certificate/schema_check.h"
+#include "app/laboratory/certificate/business_rules.h"
+#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/schema_check.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 
@@ -204,7 +204,7 @@ class Chance {
     return list[below(list.size())];
   }
 
-  /// Any finite number whose square and ten times of it are finite too: ordinary, huge, tiny, denormal, zero.
+  /// Any finite number whose square and tenfold are finite too: ordinary, huge, tiny, denormal, zero.
   double number() {
     const double sign = coin() ? 1.0 : -1.0;
     switch (below(6)) {

@@ -1,4 +1,4 @@
-#include "app/certificate/decision.h"
+#include "app/laboratory/certificate/decision.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

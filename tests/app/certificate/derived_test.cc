@@ -1,4 +1,4 @@
-#include "app/certificate/derived.h"
+#include "app/laboratory/certificate/derived.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,7 +10,7 @@
 #include <random>
 #include <stdexcept>
 
-#include "protocol/analysis/intrinsic_properties.h"
+#include "protocol/estimators/shared/intrinsic_properties.h"
 
 namespace abcal {
 namespace {

@@ -7,9 +7,9 @@
 #include <random>
 #include <string>
 
-#include "app/certificate/dsi_list.h"
-#include "app/units/dsi_unit.h"
-#include "app/xml/xml_tree.h"
+#include "app/ground/units/dsi_unit.h"
+#include "app/ground/xml/xml_tree.h"
+#include "app/laboratory/certificate/dsi_list.h"
 
 namespace abcal {
 namespace {

@@ -1,4 +1,4 @@
-#include "app/certificate/issue.h"
+#include "app/laboratory/certificate/issue.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -170,7 +170,7 @@ TEST_F(IssueTest, TheRegisterFindsWhatIsTakenAwayFromARun) {
   std::filesystem::remove(results);
   EXPECT_EQ(abcal({"analyse", run}).exit_code, 0);
   EXPECT_EQ(abcal({"verify", run}).exit_code, 1);
-  EXPECT_EQ(abcal(issue()).exit_code, 1);  // Nor a second number for it.
+  EXPECT_EQ(abcal(issue()).exit_code, 1);  // A second number is refused, too.
 }
 
 TEST_F(IssueTest, AllThatIsWrongIsSaidTogetherAndNothingIsWritten) {

@@ -1,4 +1,4 @@
-#include "app/certificate/laboratory_file.h"
+#include "app/laboratory/certificate/laboratory_file.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

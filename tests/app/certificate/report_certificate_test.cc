@@ -4,7 +4,7 @@
 
 #include <cstdlib>
 
-#include "app/certificate/issue.h"
+#include "app/laboratory/certificate/issue.h"
 #include "protocol/record/sqlite.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
@@ -97,7 +97,7 @@ TEST_F(ReportCertificateTest, AChangedRunGivesADraftOnly) {
 }
 
 TEST_F(ReportCertificateTest, AsFoundAndAsLeftAreTwoResultsOfOneCertificate) {
-  // The same bench later, with the offset taken out: as left.
+  // The same bench later, with the offset removed, is the as-left state.
   std::string bench =
       replaced(certificate_bench(), "offset = [0.01, 0.02, 0.03]", "offset = [0.0, 0.0, 0.0]");
   measure(bench, "left.run", folder);

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
-#include "app/certificate/dcc_xml.h"
+#include "app/laboratory/certificate/dcc_xml.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
@@ -126,7 +126,7 @@ TEST_F(SeriesCertificateTest, AnIssuedCertificateHasTheSeriesAsASection) {
   for (std::size_t i = 0; i < kPoints; ++i)
     EXPECT_NEAR(at_points[i], json["points"][i]["values"][0].get<double>(), 1e-4);
 
-  // What was measured is named by its bytes; who verifies is told of a file that changed or is gone.
+  // The evidence is named by its bytes; verification reports a file that changed or is gone.
   for (std::size_t number = 1; number <= kPoints; ++number)
     EXPECT_THAT(text, HasSubstr(sha256_of_file(folder / point(number)))) << number;
   const auto verified = abcal({"verify", point(kPoints)});

@@ -1,10 +1,10 @@
-#include "app/certificate/traceability.h"
+#include "app/laboratory/certificate/traceability.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "app/certificate/dcc_xml.h"
-#include "app/certificate/issue.h"
+#include "app/laboratory/certificate/dcc_xml.h"
+#include "app/laboratory/certificate/issue.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
 
@@ -28,7 +28,7 @@ class TraceabilityTest : public CertificateTest {
     asked.issue->today = *parse_date("2026-03-02");
     return asked;
   }
-  /// As a run keeps it from the register.
+  /// Equipment from the register in the form that a run stores.
   static std::string registered_equipment(const std::string& serial_number, const std::string& quantity,
                                           const std::string& values = "") {
     return R"({"equipment":"S","name":"of the register","maker":"","model":"","serial_number":")" +
@@ -36,7 +36,7 @@ class TraceabilityTest : public CertificateTest {
            R"(","certificate":"C-9","issuer":"I","performed":"2026-01-01","due":"2027-01-01","sha256":"","values":[)" +
            values + "]}";
   }
-  /// A stage that reports no serial number, with what the bench file states of it.
+  /// A stage that reports no serial number, with the bench file's statement of it.
   static void without_reported_number(CertificateRequest& asked, const std::string& role,
                                       const std::string& stated, const std::string& reported = "") {
     for (InstrumentIdentity& instrument : asked.run.run->header.instruments)
@@ -96,9 +96,9 @@ TEST_F(TraceabilityTest, TheCalibrationIsThatOfTheInstrumentThatMeasured) {
       "[[equipment]]\nname = \"Another stage\"\nquantity = \"angle\"\nserial_number = \"7\"\n"
       "certificate = \"C-1\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
   EXPECT_THAT(refusal(issuable(laboratory)), HasSubstr("equipment for angle with serial number 118001234"));
-  // A voltmeter's reading is a voltage, whatever unit a scale makes of it.
+  // A voltmeter's reading is a voltage, whatever unit its scale has.
   CertificateRequest asked = issuable();
-  asked.run.bench->accelerometer.driver = "scpi_voltmeter";
+  asked.run.bench->items.front().accelerometer.driver = "scpi_voltmeter";
   for (InstrumentIdentity& instrument : asked.run.run->header.instruments)
     if (instrument.role == "accelerometer") instrument.serial_number = "MY-1";
   asked.run.record.response_unit = "g";
@@ -166,7 +166,7 @@ TEST_F(TraceabilityTest, AVoltmeterThatReportsNoSerialNumberNeedsOneThatTheBench
       "[[equipment]]\nname = \"Voltmeter\"\nquantity = \"voltage\"\nserial_number = \"MY-1\"\n"
       "certificate = \"C-2\"\ncertificate_issuer = \"I\"\nperformed = 2026-01-01\ndue = 2027-01-01\n";
   CertificateRequest asked = issuable(example_laboratory() + voltmeter);
-  asked.run.bench->accelerometer.driver = "scpi_voltmeter";
+  asked.run.bench->items.front().accelerometer.driver = "scpi_voltmeter";
   without_reported_number(asked, "accelerometer", "", "0");
   EXPECT_THAT(refusal(asked), HasSubstr("run, voltmeter: found no serial number"));
   without_reported_number(asked, "accelerometer", "MY-2", "0");

@@ -1,5 +1,6 @@
-#include "app/certificate/words.h"
+#include "app/laboratory/certificate/words.h"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -9,12 +10,14 @@
 #include <regex>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
-#include "app/certificate/derived.h"
-#include "app/certificate/issue.h"
-#include "app/certificate/page_numbers.h"
-#include "app/results/analyses.h"
+#include "app/laboratory/certificate/derived.h"
+#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/page_numbers.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/effect_words.h"
 #include "protocol/plan/effect_sizes.h"
 #include "tests/app/certificate/certificate_fixtures.h"
 #include "tests/app/certificate/xml_query.h"
@@ -31,7 +34,8 @@ std::vector<std::string> sentences_of_sources() {
       "\\b(?:words|say|fact|identification)\\(((?:[^\"();]*\\?)?(?:from, [a-z]+, "
       ")?(?:\\s*:?\\s*\"(?:[^\"\\\\]|\\\\.)*\")+)"),
       kLiteral("(:?)\\s*\"((?:[^\"\\\\]|\\\\.)*)\"");
-  for (const auto& entry : std::filesystem::directory_iterator(test::source_folder() / "app/certificate")) {
+  for (const auto& entry :
+       std::filesystem::directory_iterator(test::source_folder() / "app/laboratory/certificate")) {
     if (entry.path().extension() != ".cc") continue;
     const std::string source = test::read_file(entry.path());
     for (std::sregex_iterator call(source.begin(), source.end(), kCall), end; call != end; ++call) {
@@ -55,7 +59,11 @@ std::vector<std::string> sentences_of_sources() {
 /// Words that come with the data: of effects, quantities, roles, decisions.
 std::vector<std::string> words_of_data() {
   std::vector<std::string> words;
-  for (const EffectSizeKey& key : effect_size_keys()) words.emplace_back(key.words);
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    words.emplace_back(key.words);
+    if (!key.uncovered.empty()) words.push_back(fmt::format("{} ({} not given)", key.uncovered, key.key));
+  }
+  for (std::string& sentence : uncovered_effects_words({})) words.push_back(std::move(sentence));
   for (std::string name : names_of_quantities()) {
     name.resize(name.rfind('_'));
     std::replace(name.begin(), name.end(), '_', ' ');
@@ -128,8 +136,9 @@ std::vector<std::string> sentences_of_analysis() {
       "=|why =)"
       "\\(?\\s*(?:fmt::format\\(\\s*)?((?:\"(?:[^\"\\\\]|\\\\.)*\"\\s*)+)[,);]");
   static const std::regex kLiteral("\"((?:[^\"\\\\]|\\\\.)*)\""), kPlace("\\{[^}]*\\}");
-  for (const char* file : {"analyse.cc", "analyse_joint.cc"}) {
-    const std::string source = test::read_file(test::source_folder() / "protocol/analysis" / file);
+  for (const char* file :
+       {"circle/analyse.cc", "joint/item_fit.cc", "joint/joint_result.cc", "joint/joint_verdict.cc"}) {
+    const std::string source = test::read_file(test::source_folder() / "protocol/estimators" / file);
     for (std::sregex_iterator call(source.begin(), source.end(), kFormat), end; call != end; ++call) {
       const std::string literals = (*call)[1];
       std::string sentence;
@@ -157,7 +166,7 @@ std::vector<std::string> english_of(const std::string& language) {
   constexpr std::size_t kTelling = 14;
   std::vector<std::string> parts;
   const auto table = nlohmann::json::parse(
-      test::read_file(test::source_folder() / "app/certificate/languages" / (language + ".json")));
+      test::read_file(test::source_folder() / "app/laboratory/certificate/languages" / (language + ".json")));
   for (const auto& [english, translated] : table.items()) {
     std::string_view rest = english;
     while (!rest.empty()) {
@@ -171,7 +180,7 @@ std::vector<std::string> english_of(const std::string& language) {
   return parts;
 }
 
-/// What is English in a German certificate.
+/// English sentences in a German certificate.
 std::vector<std::string> english_in(const std::string& xml) {
   std::vector<std::string> found;
   const CertificateXml read(xml);

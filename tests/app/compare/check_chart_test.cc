@@ -1,5 +1,5 @@
 // Charts of check standards: baselines that are frozen, and later points judged by them.
-#include "app/compare/check_chart.h"
+#include "app/laboratory/compare/check_chart.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -7,7 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
-#include "app/compare/chart_report.h"
+#include "app/laboratory/compare/chart_report.h"
 #include "protocol/record/sha256.h"
 
 namespace abcal {
@@ -93,7 +93,7 @@ TEST_F(CheckChartTest, OneChartWithItsWords) {
   for (std::size_t k = 7; k < 12; ++k) {
     EXPECT_THAT(outside_words(judged[k]), AllOf(HasSubstr("O_u +"), HasSubstr("single value"))) << k + 1;
   }
-  // After a lifted block average and sums begin anew: what was put right is inside at once.
+  // After a lifted block the average and the sums restart: a repaired bench is inside at once.
   points.push_back({run("2026-03").values, true});
   EXPECT_EQ(outside_words(judge_points(baseline, points).back()), "");
   points.back().begins_anew = false;

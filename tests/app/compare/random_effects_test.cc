@@ -1,4 +1,4 @@
-#include "app/compare/random_effects.h"
+#include "app/laboratory/compare/random_effects.h"
 
 #include <gtest/gtest.h>
 

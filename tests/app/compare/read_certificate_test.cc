@@ -1,4 +1,4 @@
-#include "app/compare/read_certificate.h"
+#include "app/laboratory/compare/read_certificate.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -6,8 +6,8 @@
 #include <Eigen/LU>
 #include <cmath>
 
-#include "app/results/other_file.h"
-#include "app/xml/xml_tree.h"
+#include "app/ground/xml/xml_tree.h"
+#include "app/results/estimates/other_file.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"

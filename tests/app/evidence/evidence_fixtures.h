@@ -56,7 +56,7 @@ class EvidenceTest : public CertificateTest {
   std::filesystem::path path;
 };
 
-/// Readings and means of output u 5e-4 larger: what is stated still follows from what is stored.
+/// Readings and means of output u 5e-4 larger: stated values still follow from the stored readings.
 inline constexpr const char* kLargerU =
     "update reading set u = u * 1.0005; update dwell set r_u = r_u * 1.0005, spread_u = spread_u * 1.0005,"
     " u_u = u_u * 1.0005";

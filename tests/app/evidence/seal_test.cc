@@ -62,7 +62,7 @@ extendedKeyUsage = critical,timeStamping
     return abcal(more);
   }
 
-  /// That authority on a port of this machine, for as long as this lives.
+  /// The authority on a port of this machine, for the lifetime of this object.
   class Server {
    public:
     explicit Server(const SealTest& test)
@@ -162,7 +162,7 @@ TEST_F(SealTest, WhatWasForgedByHandIsSelfConsistentButNotSigned) {
   ASSERT_EQ(forged.checks.size(), 1U);
   EXPECT_FALSE(forged.checks[0].good);
 
-  // Without the signature the forgery cannot be told from a run: that is what is said.
+  // Without the signature the forgery cannot be distinguished from a run, and the output says so.
   SqliteDatabase(results(), SqliteDatabase::Mode::kReadWrite)
       .execute("update run set signer = null, signature = null");
   test::write_file(folder / "bench.pub", public_key_of(key));
@@ -171,7 +171,7 @@ TEST_F(SealTest, WhatWasForgedByHandIsSelfConsistentButNotSigned) {
   EXPECT_THAT(alone.out, HasSubstr("neither a signature nor a time stamp"));
   EXPECT_EQ(verify({"--require", "signed", "--key", "bench.pub"}).exit_code, 1);
 
-  // Nor does a signature by another key help.
+  // A signature by another key does not help, either.
   sign_run(path, "bench 1", make_private_key());
   const auto other = verify({"--require", "signed", "--key", "bench.pub"});
   EXPECT_EQ(other.exit_code, 1);
@@ -200,7 +200,7 @@ TEST_F(SealTest, ATimeStampHoldsForTheBytesThatWereStamped) {
   EXPECT_THAT(verify({}).out, HasSubstr("it is not for the present content of the run"));
 }
 
-// Who may write every file has neither the bench's key nor an earlier stamp of the authority.
+// Anyone who can write every file has neither the bench's key nor an earlier stamp of the authority.
 TEST_F(SealTest, WithSignatureAndTimeStampALaterChangeOfEveryFileIsFound) {
   if (!shell("command -v openssl")) GTEST_SKIP() << "openssl is not installed";
   make_authority();
@@ -219,7 +219,7 @@ TEST_F(SealTest, WithSignatureAndTimeStampALaterChangeOfEveryFileIsFound) {
   ASSERT_EQ(good.exit_code, 0) << good.out;
   EXPECT_THAT(good.out, AllOf(HasSubstr("signed by the key of bench 1"), HasSubstr("unchanged since 20")));
 
-  // Readings, means, chains, seal, hashes and analyses are made anew, so that the run agrees with itself.
+  // Readings, means, chains, seal, hashes and analyses are made again, so that the run agrees with itself.
   forge(kLargerU);
   EXPECT_EQ(abcal({"analyse", run}).exit_code, 0);
   EXPECT_EQ(verify(both).exit_code, 1);  // Signature and stamp are of the run as it was.
@@ -227,7 +227,7 @@ TEST_F(SealTest, WithSignatureAndTimeStampALaterChangeOfEveryFileIsFound) {
       .execute("update run set signer = null, signature = null, time_stamp = null");
   EXPECT_EQ(verify({}).exit_code, 0);  // Agrees with itself: without the two nothing shows it.
   EXPECT_EQ(verify(both).exit_code, 1);
-  // Signed by another key, and stamped anew by the same authority.
+  // Signed by another key, and stamped again by the same authority.
   sign_run(path, "bench 1", make_private_key());
   stamp();
   const auto other = verify(both);
@@ -257,8 +257,19 @@ TEST_F(SealTest, AnAuthorityThatDoesNotAnswerLosesNothing) {
       abcal({"lab", "timestamp", path.filename().string(), "--authority", "http://127.0.0.1:1/tsr"});
   EXPECT_EQ(unanswered.exit_code, 1);
   EXPECT_THAT(unanswered.err, HasSubstr("does not answer"));
+  {
+    const Server server(*this);  // It has no keys yet, so that it cannot stamp.
+    const auto refused =
+        abcal({"lab", "timestamp", path.filename().string(), "--authority", server.address()});
+    EXPECT_EQ(refused.exit_code, 1);
+    EXPECT_THAT(refused.err, HasSubstr("time stamp: " + server.address() + " answers 500"));
+  }
   EXPECT_EQ(sha256_of_file(results()), before);
-  EXPECT_EQ(abcal({"lab", "timestamp", path.filename().string(), "--authority", "ftp://x"}).exit_code, 2);
+  for (const char* address : {"ftp://x", "https://x/", "no address", "http://", "http://x:port/"}) {
+    const auto unusable = abcal({"lab", "timestamp", path.filename().string(), "--authority", address});
+    EXPECT_EQ(unusable.exit_code, 2) << address;
+    EXPECT_THAT(unusable.err, HasSubstr("required: http://HOST[:PORT][/PATH]")) << address;
+  }
 }
 
 TEST_F(SealTest, ARunAsksForItsTimeStampAndIsNotLostWithoutOne) {

@@ -5,7 +5,7 @@
 #include <random>
 #include <utility>
 
-#include "app/results/recompute.h"
+#include "app/results/estimates/recompute.h"
 #include "tests/app/evidence/evidence_fixtures.h"
 
 namespace abcal {

@@ -71,7 +71,7 @@ TEST_F(ChartCommands, ARunOutsideEndsWith1AndBlocksIssueUntilAPersonLiftsIt) {
   EXPECT_THAT(approved.out, AllOf(HasSubstr("approved by Approver N. N."), HasSubstr("no points yet"),
                                   HasSubstr("at most one in 200 check runs")));
 
-  // Who may only measure adds points, and neither approves nor lifts.
+  // A person who may only measure adds points, but neither approves nor lifts.
   registered.log_in("Operator N. N.");
   const auto good = chart({"add", "SN-42", "good.run"});
   EXPECT_EQ(good.exit_code, 0) << good.err << good.out;
@@ -149,7 +149,7 @@ TEST_F(ChartCommands, OnlyATrainingRegisterChartsSimulatedRuns) {
   EXPECT_THAT(refused.err, HasSubstr("only a training register charts such a run"));
 }
 
-// As the issue wants it seen, with whole runs: a shift of 1e-4 g from point 8 on.
+// The whole procedure with complete runs: a shift of 1e-4 g from point 8 on.
 TEST_F(ChartCommands, LongAShiftAtPoint8Of12IsFlaggedFromThereOn) {
   const std::vector<std::string> baseline = measure_baseline(10);
   for (int k = 1; k <= 12; ++k) measure_check(std::to_string(k) + ".run", 200 + k, k >= 8 ? 1e-4 : 0.0);

@@ -12,7 +12,7 @@
 namespace abcal::lab {
 namespace {
 
-/// So many processes give so many numbers each at the same time: all are different, none is lost, and the
+/// Several processes give `each` numbers each at the same time: all are different, none is lost, and the
 /// audit is whole.
 void issue_at_once(Register made, const std::filesystem::path& folder, int processes, int each) {
   std::vector<std::unique_ptr<test::Program>> running;

@@ -4,8 +4,8 @@
 
 #include <nlohmann/json.hpp>
 
-#include "app/laboratory/register.h"
-#include "app/laboratory/register_schema.h"
+#include "app/laboratory/register/register.h"
+#include "app/laboratory/register/register_schema.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/sha256.h"
 #include "tests/app/laboratory/register_fixtures.h"
@@ -189,7 +189,7 @@ TEST_P(RegisterChartsTest, ARunThatTheRegisterWasToldOfWaitsUntilItIsJudged) {
 TEST_P(RegisterChartsTest, ARegisterOfTheFirstStepIsBroughtToTheNewest) {
   Register made = with_people();
   nlohmann::json backup = nlohmann::json::parse(made.backup());
-  // As the program of the first step wrote it.
+  // State as written by the program of the first step.
   backup["step"] = 1;
   auto& steps = backup["tables"]["schema_step"];
   while (steps.size() > 1) steps.erase(steps.size() - 1);

@@ -6,7 +6,7 @@
 #include <memory>
 #include <string>
 
-#include "app/laboratory/register.h"
+#include "app/laboratory/register/register.h"
 #include "tests/support/postgresql_cluster.h"
 #include "tests/support/temporary_folder.h"
 
@@ -20,7 +20,7 @@ inline std::string name_of(const testing::TestParamInfo<Kind>& info) {
 
 inline constexpr const char* kPassword = "correct horse 7";
 
-/// 2026-03-01T12:00:00Z and so many seconds.
+/// The time 2026-03-01T12:00:00Z plus this number of seconds.
 inline Clock::UtcTime at(int seconds) {
   using namespace std::chrono;
   return Clock::UtcTime(sys_days(year(2026) / March / 1).time_since_epoch() + hours(12) +

@@ -1,4 +1,4 @@
-#include "app/laboratory/register.h"
+#include "app/laboratory/register/register.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -9,14 +9,14 @@
 #include <stdexcept>
 #include <string>
 
-#include "app/planner/known_bench.h"
-#include "app/planner/plan_search.h"
-#include "app/planner/wanted.h"
-#include "app/planner/write_plan.h"
-#include "app/results/analyses.h"
-#include "app/robustness/robustness_study.h"
-#include "app/robustness/scenario.h"
-#include "protocol/analysis/intrinsic_properties.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/planner/known_bench.h"
+#include "app/results/planner/plan_search.h"
+#include "app/results/planner/wanted.h"
+#include "app/results/planner/write_plan.h"
+#include "app/studies/robustness/robustness_study.h"
+#include "app/studies/robustness/scenario.h"
+#include "protocol/estimators/shared/intrinsic_properties.h"
 #include "protocol/record/planned_dwell.h"
 #include "sim/counter_noise.h"
 #include "sim/sim_bench.h"
@@ -84,7 +84,7 @@ TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
   const PlanPrediction prediction = predict_plan(planned, protocol);
 
   RunRecord record;
-  record.tolerances = planned.config.tolerances;
+  record.tolerances = planned.config.items.front().tolerances;
   record.steps = protocol.steps;
   record.step = protocol.step;
   record.expected.nominal_sensitivity = 1.0;
@@ -113,7 +113,8 @@ TEST(PlanPredictionTest, AgreesWithWhatARunWithThatNoiseStates) {
     O = std::max(O, result.offset[j].standard_uncertainty);
     phi = std::max(phi, result.intrinsic_angle[j].standard_uncertainty);
   }
-  // What one run finds of the noise process of its own readings moves its uncertainties by some per cent.
+  // The noise process is estimated from the readings of one run, which varies its uncertainties by some per
+  // cent.
   EXPECT_NEAR(s / prediction.u[0], 1.0, 0.1);
   EXPECT_NEAR(O / prediction.u[2], 1.0, 0.1);
   EXPECT_NEAR(phi / prediction.u[3], 1.0, 0.1);
@@ -145,7 +146,8 @@ Stated stated(const CalibrationResult& result) {
   return found;
 }
 
-/// As `abcal plan --noise RUN` does: an earlier run on the same bench says how the item is, and its noise.
+/// Prediction of `abcal plan --noise RUN`: an earlier run on the same bench gives the item's properties and
+/// its noise.
 PlanPrediction prediction_after_a_run(const ScenarioBench& drawn) {
   constexpr int kReadings = 100;
   ScenarioBench before = drawn;
@@ -154,7 +156,7 @@ PlanPrediction prediction_after_a_run(const ScenarioBench& drawn) {
   for (DwellRecord& dwell : earlier.dwells) dwell.count = kReadings;
   PlanningBench planned = bench();
   planned.item = known_item(earlier, analyse(earlier, "abc"));
-  planned.config.tolerances = drawn.stated;
+  planned.config.items.front().tolerances = drawn.stated;
   ProtocolConfig protocol = planned.config.protocol;
   protocol.steps = drawn.steps;
   protocol.step = Angle::degrees(360.0 / drawn.steps);
@@ -178,7 +180,7 @@ TEST(PlanPredictionTest, HoldsOnRandomBenches) {
     const sim::BenchTruth& truth = drawn.truth;
     const bool white =
         truth.random_walk == 0.0 && truth.flicker_noise == 0.0 && truth.correlated_noise == 0.0;
-    if (!white) continue;  // Which the prediction does not know.
+    if (!white) continue;  // The prediction does not model other noise.
     const CalibrationResult result = analyse(simulate_run(drawn).record, "joint");
     if (!result.sensitivity_matrix) continue;
     const PlannedValues predicted = prediction_after_a_run(drawn).u;

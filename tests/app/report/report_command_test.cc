@@ -14,8 +14,8 @@
 #include <string>
 #include <vector>
 
-#include "app/document/gnuplot.h"
-#include "app/document/weasyprint.h"
+#include "app/ground/document/gnuplot.h"
+#include "app/ground/document/weasyprint.h"
 #include "protocol/record/results_file.h"
 #include "protocol/record/run_record.h"
 #include "protocol/record/sha256.h"
@@ -273,7 +273,7 @@ TEST_F(ReportTest, PlanRunAnalyseAndReportSayWhichSizesAreDefaults) {
   EXPECT_EQ(effects.at(0), "smooth step errors, each coefficient to 6/rev");
 }
 
-// What the check poses say, in every form of the report.
+// The results of the check poses, in every form of the report.
 TEST_F(ReportTest, TheCheckPosesAreInTheReportTheJsonTheCsvAndTheHdf5) {
   BenchText bench;
   bench.check_poses = true;

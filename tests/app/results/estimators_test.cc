@@ -1,12 +1,12 @@
-#include "app/results/estimators.h"
+#include "app/results/estimates/estimators.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <stdexcept>
 
-#include "app/results/analyses.h"
-#include "protocol/analysis/unusable_data.h"
+#include "app/results/estimates/analyses.h"
+#include "protocol/estimators/shared/unusable_data.h"
 
 namespace abcal {
 namespace {

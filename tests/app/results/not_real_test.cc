@@ -1,10 +1,10 @@
-// Which runs are simulated although their ports look like real ones.
-#include "app/results/not_real.h"
+// Runs that count as simulated although their ports look like real ones.
+#include "app/ground/bench_file/not_real.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "app/bench/make_bench.h"
+#include "app/operate/bench/make_bench.h"
 #include "tests/app/instrument_cases.h"
 #include "tests/support/project_paths.h"
 
@@ -42,11 +42,11 @@ TEST(NotRealTest, ABenchFileWithASimulationIsThatOfAnEmulator) {
   const BenchConfig real = read_bench(test::source_folder() / "docs/examples/real.toml");
   EXPECT_THAT(instruments_not_real({}, real), IsEmpty());
   BenchConfig emulated = real;
-  emulated.simulation.noise = 1e-4;
+  emulated.items.front().simulation.noise = 1e-4;
   EXPECT_THAT(instruments_not_real({}, emulated), ElementsAre("stage", "accelerometer"));
-  // Where a port says what is simulated, the simulation is that instrument's.
+  // If a port names the simulated instrument, only that one is simulated.
   emulated = on_ports(stages().front(), accelerometers().front(), "/dev/ttyUSB0");
-  emulated.accelerometer.port = "simulated";
+  emulated.items.front().accelerometer.port = "simulated";
   EXPECT_THAT(instruments_not_real({}, emulated), ElementsAre("accelerometer"));
 }
 
@@ -65,6 +65,7 @@ TEST(NotRealTest, EverySimulatedInstrumentIsKnownByItsSerialNumber) {
     if (found.empty()) continue;  // Its interface does not tell it.
     BenchConfig real = on_ports(stage, accelerometers().front(), "/dev/ttyUSB0");
     real.simulation = {};
+    real.items.front().simulation = {};
     EXPECT_THAT(instruments_not_real(with("stage", found), real), ElementsAre("stage"))
         << stage.name << ": " << found;
     EXPECT_THAT(instruments_not_real(with("stage", "1" + single_serial_numbers(found).front()), real),
@@ -73,11 +74,13 @@ TEST(NotRealTest, EverySimulatedInstrumentIsKnownByItsSerialNumber) {
   }
   for (const AccelerometerCase& accelerometer : accelerometers()) {
     const std::string found = make_bench(on_ports(stages().front(), accelerometer, "simulated"))
+                                  .first()
                                   .accelerometer->identify()
                                   .serial_number;
     if (found.empty()) continue;  // These have none.
     BenchConfig real = on_ports(stages().front(), accelerometer, "/dev/ttyUSB0");
     real.simulation = {};
+    real.items.front().simulation = {};
     EXPECT_THAT(instruments_not_real(with("accelerometer", found), real), ElementsAre("accelerometer"))
         << accelerometer.name << ": " << found;
   }

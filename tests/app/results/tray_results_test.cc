@@ -1,19 +1,21 @@
-#include "app/results/tray_results.h"
+#include "app/results/estimates/tray_results.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <nlohmann/json.hpp>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
-#include "app/bench/real_clock.h"
-#include "app/report/calibration_document.h"
-#include "app/results/analyses.h"
-#include "app/results/report_data.h"
+#include "app/ground/system/real_clock.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/load_record.h"
+#include "app/results/estimates/report_data.h"
+#include "app/results/report/calibration_document.h"
 #include "protocol/uncertainty/budget.h"
-#include "tests/protocol/analysis/made_tray.h"
+#include "tests/protocol/estimators/made_tray.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/support/test_data.h"
@@ -73,7 +75,7 @@ class TrayResultsTest : public testing::Test {
 };
 
 TEST_F(TrayResultsTest, JsonHasEveryItemTheStageOnceAndWhatTheyShare) {
-  const TrayRun run = analyse_tray_run(path);
+  const AnalysedRun run = analyse_run(RunFile::load_items(path));
   const json out = json::parse(tray_json(run).dump());
   EXPECT_EQ(out["schema"], "abcal.tray/1");
   EXPECT_EQ(out["verdict"], "doubtful") << out["why"];
@@ -96,12 +98,12 @@ TEST_F(TrayResultsTest, JsonHasEveryItemTheStageOnceAndWhatTheyShare) {
 }
 
 TEST_F(TrayResultsTest, ReportOfAnItemHasTheResultOfTheCommonFit) {
-  const TrayRun run = analyse_tray_run(path);
+  const AnalysedRun run = analyse_run(RunFile::load_items(path));
   const ReportData data = gather_report(path, RealClock().utc_now(), 2);
   EXPECT_EQ(data.label("item.serial_number"), "s2");
-  ASSERT_TRUE(data.tray);
+  ASSERT_TRUE(data.is_one_of_several());
   const CalibrationResult& joint = result_of(data.results, "joint");
-  EXPECT_EQ(joint.sensitivity_values(), run.tray.items[1].result.sensitivity_values());
+  EXPECT_EQ(joint.sensitivity_values(), run.joint.items[1].result.sensitivity_values());
   const Budget budget = make_budget(data.record, joint);
   const auto others = std::find_if(budget.lines.begin(), budget.lines.end(), [](const auto& line) {
     return line.input.starts_with("effects of the other items");
@@ -155,12 +157,8 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   const test::ProgramResult no_such = run({"analyse", path, "--item", "4"});
   EXPECT_EQ(no_such.exit_code, 2);
   EXPECT_THAT(no_such.err, HasSubstr("has 3 items; required: 1 to 3"));
-  const test::ProgramResult refused = run({"uncertainty", path});
-  EXPECT_EQ(refused.exit_code, 2);
-  EXPECT_THAT(refused.err, HasSubstr("has 3 items; required: a run of one. `abcal report " + path.string() +
-                                     " --item K --csv"));
   EXPECT_EQ(run({"report", path, "--item", "2", "--csv", "two.csv"}).exit_code, 0);
-  const test::ProgramResult averaged = run({"analyse", "two.csv", "--json"});  // As the message says.
+  const test::ProgramResult averaged = run({"analyse", "two.csv", "--json"});
   EXPECT_EQ(averaged.exit_code, 0) << averaged.err;
   const test::ProgramResult all_by_abc = run({"analyse", path, "--estimator", "abc"});
   EXPECT_EQ(all_by_abc.exit_code, 2);
@@ -172,6 +170,31 @@ TEST_F(TrayResultsTest, ProgramAnalysesAllItemsOrOne) {
   const test::ProgramResult exported = run({"export", path, "--item", "2", "--as", "json"});
   EXPECT_EQ(exported.exit_code, 0) << exported.err;
   EXPECT_THAT(exported.out, HasSubstr("s2"));
+}
+
+TEST_F(TrayResultsTest, UncertaintyIsThatOfTheItem) {
+  const auto run = [&](std::vector<std::string> arguments) {
+    arguments.insert(arguments.end(), {"--trials", "2000", "--json"});
+    return test::run_program(arguments, folder.path());
+  };
+  const test::ProgramResult refused = run({"uncertainty", path});
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.err, HasSubstr("has 3 items; required: --item 1 to 3"));
+  for (const std::string item : {"1", "2"}) {
+    const test::ProgramResult of_item = run({"uncertainty", path, "--item", item});
+    ASSERT_EQ(of_item.exit_code, 0) << of_item.err;
+    // The averaged readings of the item alone say the same.
+    ASSERT_EQ(
+        test::run_program({"report", path, "--item", item, "--csv", item + ".csv"}, folder.path()).exit_code,
+        0);
+    json of_copy = json::parse(run({"uncertainty", item + ".csv"}).out), of_run = json::parse(of_item.out);
+    for (json* each : {&of_copy, &of_run}) each->erase("source");
+    EXPECT_EQ(of_run, of_copy) << item;
+  }
+  EXPECT_NE(run({"uncertainty", path, "--item", "1"}).out, run({"uncertainty", path, "--item", "2"}).out);
+  EXPECT_EQ(load_record(path.string() + "#2").run->own_item().serial_number, "s2");
+  EXPECT_THROW(load_record(path.string() + "#4"), std::invalid_argument);
+  EXPECT_THROW(load_record(path.string() + "#x"), std::invalid_argument);
 }
 
 }  // namespace

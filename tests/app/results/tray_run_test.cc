@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "app/certificate/dsi_list.h"
-#include "app/system/version.h"
+#include "app/ground/system/version.h"
+#include "app/laboratory/certificate/dsi_list.h"
 #include "protocol/record/run_file.h"
 #include "protocol/record/run_seal.h"
 #include "protocol/record/sha256.h"
@@ -86,9 +86,9 @@ class TrayRunTest : public testing::Test {
     EXPECT_EQ(result.exit_code, 0) << result.err;
     return json::parse(result.out);
   }
-  /// What the run printed when it ended.
+  /// Output of the run at its end.
   static json told() { return json::parse(told_); }
-  /// What RUN.results holds of an item by an estimator.
+  /// Results of an item by an estimator in RUN.results.
   std::vector<json> stored(int item, const std::string& estimator) const {
     std::vector<json> found;
     for (const StoredAnalysis& one : stored_analyses(folder / "a.run")) {
@@ -111,7 +111,7 @@ TEST_F(TrayRunTest, ResultsFileHoldsWhatWasTold) {
   (void)json_of({"analyse", "a.run", "--item", "2", "--json"});
   for (int k = 1; k <= kItems; ++k) {
     std::vector<json> kept = stored(k, "joint");
-    ASSERT_EQ(kept.size(), 1U) << "item " << k;  // What is said again is not kept again.
+    ASSERT_EQ(kept.size(), 1U) << "item " << k;  // A repeated result is not stored again.
     kept.front().erase("item");
     const auto at = static_cast<std::size_t>(k - 1);
     EXPECT_EQ(kept.front(), run["items"][at]["result"]) << k;
@@ -124,7 +124,7 @@ TEST_F(TrayRunTest, ResultsFileHoldsWhatWasTold) {
 }
 
 TEST_F(TrayRunTest, VerifyRecomputesTheCommonFit) {
-  // What item 2 alone gives is not what is kept of it.
+  // The result of item 2 alone differs from the stored one.
   json wrong = stored(2, "joint").at(0);
   wrong["offset"][0]["standard_uncertainty"] = 1.5 * wrong["offset"][0]["standard_uncertainty"].get<double>();
   const std::filesystem::path run = folder / "a.run";
@@ -154,7 +154,7 @@ TEST_F(TrayRunTest, EachItemHasACertificateOfItsOwn) {
   EXPECT_THAT(second.out, HasSubstr(", item 2: measured by"));
   const std::string number = test::number_of(second.out);
   EXPECT_THAT(issue({"--item", "2"}).err, HasSubstr("--replaces " + number));
-  // That of another item cannot be replaced.
+  // The certificate of another item cannot be replaced.
   EXPECT_THAT(issue({"--item", "1", "--replaces", number, "--reason", "none"}).err,
               HasSubstr("another item of this run"));
   const test::ProgramResult first = issue({"--item", "1"});
@@ -200,6 +200,17 @@ TEST_F(TrayRunTest, AnItemIsAnalysedByTheEstimatorThatTheRunDeclares) {
   EXPECT_EQ(declared, json_of({"report", "abc.run", "--item", "2", "--json"})["results"][0]);
   EXPECT_EQ(json_of({"analyse", "abc.run", "--item", "2", "--estimator", "joint", "--json"})["estimator"],
             "joint");
+}
+
+TEST_F(TrayRunTest, AnItemIsComparedWithItsSimulatedTruth) {
+  test::write_file(folder / "bench.toml", tray_bench());
+  const test::ProgramResult third = abcal({"analyse", "a.run", "--item", "3", "--truth", "bench.toml"});
+  EXPECT_EQ(third.exit_code, 0) << third.out;
+  EXPECT_THAT(third.out, AllOf(HasSubstr("Compared with the simulated truth (joint estimator)"),
+                               HasSubstr("Estimators side by side")));
+  const test::ProgramResult all = abcal({"analyse", "a.run", "--truth", "bench.toml"});
+  EXPECT_EQ(all.exit_code, 2);
+  EXPECT_THAT(all.err, HasSubstr("a.run has 3 items; required: --item 1 to 3 as well"));
 }
 
 TEST_F(TrayRunTest, CertificateReportAndAnalysisOfAnItemAgree) {
@@ -390,6 +401,7 @@ TEST_F(TrayRunTest, ItemsOfARunAreComparedWithWhatTheyShare) {
   test::write_file(folder / "again.toml", tray_bench(12));
   ASSERT_EQ(abcal({"run", "again.toml", "-o", "b.run"}).exit_code, 0);
   EXPECT_EQ(compare({"a.run#2", "b.run#2"})["pairs"].size(), 1U);
+  EXPECT_EQ(compare({"a.run", "b.run", "--item", "2"}), compare({"a.run#2", "b.run#2"}));
   const test::ProgramResult different = abcal({"compare", "a.run#1", "b.run#2"});
   EXPECT_EQ(different.exit_code, 2);
   EXPECT_THAT(different.err, HasSubstr("different items"));

@@ -1,14 +1,19 @@
 // The self-test of an installation, and the software validation file.
-#include "app/self_test/self_test.h"
+#include "app/faces/self_test/self_test.h"
 
+#include <fnmatch.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cctype>
 #include <filesystem>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
-#include "app/self_test/validation_file.h"
+#include "app/faces/self_test/requirements.h"
+#include "app/faces/self_test/validation_file.h"
 #include "tests/app/program_fixtures.h"
 #include "tests/support/project_paths.h"
 
@@ -22,6 +27,51 @@ using testing::Not;
 TEST(ValidationFileTest, ThePageIsWhatTheProgramPrints) {
   // Made with `abcal self-test --page > docs/validation.md`.
   EXPECT_EQ(test::read_file(test::source_folder() / "docs/validation.md"), validation_page());
+}
+
+/// Whether a source file defines a function: its name, with "(" behind it, on a line that is not indented.
+bool defines(const std::string& source, const std::string& function) {
+  const auto is_of_name = [](char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '_'; };
+  std::istringstream lines(source);
+  for (std::string line; std::getline(lines, line);) {
+    if (line.empty() || !is_of_name(line.front())) continue;
+    const std::size_t at = line.find(function + "(");
+    if (at == std::string::npos || line.ends_with(';')) continue;
+    if (at == 0 || (!is_of_name(line[at - 1]) && line[at - 1] != ':')) return true;
+  }
+  return false;
+}
+
+// That the tests execute it is verified by scripts/requirements_coverage.py.
+TEST(ValidationFileTest, TheCodeOfEachRequirementIsInTheSources) {
+  std::map<std::string, std::string> sources;
+  const std::filesystem::path root = test::source_folder();
+  for (const char* top : {"app", "drivers", "protocol", "sim"})
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(root / top))
+      if (entry.path().extension() == ".cc")
+        sources[std::filesystem::relative(entry.path(), root).string()] = test::read_file(entry.path());
+  // The library for other programs has functions with the names of those that they call.
+  std::erase_if(sources, [](const auto& source) { return source.first.starts_with("app/faces/library/"); });
+  ASSERT_GT(sources.size(), 100U);
+  std::size_t named = 0;
+  for (const RequirementSection& section : requirements()) {
+    for (const Requirement& requirement : section.requirements) {
+      for (const std::string& code : requirement.code) {
+        ++named;
+        const bool is_file = code.find('/') != std::string::npos;
+        const auto count = std::ranges::count_if(sources, [&](const auto& source) {
+          return is_file ? ::fnmatch(code.c_str(), source.first.c_str(), FNM_PATHNAME) == 0
+                         : defines(source.second, code);
+        });
+        if (is_file) {
+          EXPECT_GE(count, 1) << requirement.words << ": " << code;
+        } else {
+          EXPECT_EQ(count, 1) << requirement.words << ": " << code;
+        }
+      }
+    }
+  }
+  EXPECT_GT(named, 50U);
 }
 
 TEST(ValidationFileTest, ItHasTheLastResultOfEachTest) {
@@ -38,11 +88,11 @@ TEST(ValidationFileTest, ItHasTheLastResultOfEachTest) {
   const TestResults results = read_test_results(folder.path());
   const std::vector<SelfCheck> checks{{"run", "simulated run", SelfCheck::Grade::kGood, "fine"}};
   const std::string file = validation_file({"1.0 (abc)", "2026-03-02T00:00:00Z", "host"}, checks, &results);
-  EXPECT_THAT(
-      file, AllOf(HasSubstr("- Program: abcal 1.0 (abc)"), HasSubstr("last run 2026-03-01T12:00:00.000"),
-                  HasSubstr("| run: simulated run | good"), HasSubstr("| 1 of 3 passed; `ForwardModelTest."),
-                  HasSubstr("`ControlChartTest.IndividualsAgreeWithTheHandbook` FAILED"),
-                  Not(HasSubstr("`RegisterTest.ABackupIsRestoredOnEitherDatabase` skipped"))));
+  EXPECT_THAT(file,
+              AllOf(HasSubstr("- Program: abcal 1.0 (abc)"), HasSubstr("last run 2026-03-01T12:00:00.000"),
+                    HasSubstr("| run: simulated run | good"), HasSubstr("| 1 of 5 passed; `StageModelTest."),
+                    HasSubstr("`ControlChartTest.IndividualsAgreeWithTheHandbook` FAILED"),
+                    Not(HasSubstr("`RegisterTest.ABackupIsRestoredOnEitherDatabase` skipped"))));
   EXPECT_THAT(validation_file({"1.0", "", ""}, checks, nullptr), HasSubstr("- Tests: not run here"));
 }
 
@@ -60,7 +110,8 @@ TEST_F(SelfTestCommand, ChecksThisInstallationAndSaysWhatItFound) {
     EXPECT_EQ(check["result"], "good") << check.dump();
   }
   EXPECT_EQ(of_the_run, 4U);
-  for (const char* part : {"abcal-guard", "abcal-pdf", "abcal-sign", "abcal-hdf5", "schemas"}) {
+  for (const char* part :
+       {"abcal-guard", "abcal-pdf", "abcal-sign", "abcal-hdf5", "abcal-transfer", "schemas"}) {
     const auto& checks = json["checks"];
     const auto found = std::find_if(checks.begin(), checks.end(),
                                     [&](const nlohmann::json& check) { return check["what"] == part; });

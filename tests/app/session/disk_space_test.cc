@@ -1,4 +1,4 @@
-#include "app/session/disk_space.h"
+#include "app/operate/session/disk_space.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

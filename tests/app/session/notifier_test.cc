@@ -1,7 +1,7 @@
 // Messages of a run to others: which there are, and that a receiver on this machine gets them as they were
 // meant.
 
-#include "app/session/notifier.h"
+#include "app/operate/session/notifier.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,7 +13,7 @@
 #include <string>
 #include <vector>
 
-#include "app/system/helper_program.h"
+#include "app/ground/system/helper_program.h"
 #include "tests/app/program_fixtures.h"
 
 namespace abcal {
@@ -158,7 +158,7 @@ TEST_F(NotifierTest, AMailServerGetsTheSameInWords) {
 TEST_F(NotifierTest, NobodyIsToldWhereNobodyIsNamed) {
   set_helper_folder("/nowhere");
   EXPECT_THAT(tell({}), IsEmpty());
-  EXPECT_THAT(tell(webhook("http://127.0.0.1:1/")), ElementsAre(HasSubstr("abcal-notify")));
+  EXPECT_THAT(tell(webhook("http://127.0.0.1:1/")), ElementsAre(HasSubstr("abcal-transfer")));
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// What becomes of a run, and of each axis, when the stage is lost or halted by something other than the run.
+// State of a run, and of each axis, after the stage is lost or halted by something other than the run.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -16,9 +16,9 @@
 #include <utility>
 #include <vector>
 
-#include "app/bench/real_clock.h"
-#include "app/bench/stage_watchdog.h"
-#include "app/session/run_session.h"
+#include "app/faces/run/run_session.h"
+#include "app/ground/system/real_clock.h"
+#include "app/operate/bench/stage_watchdog.h"
 #include "drivers/instrument/instrument_error.h"
 #include "sim/faults.h"
 #include "sim/sim_clock.h"
@@ -112,7 +112,8 @@ TEST_P(LostControllerTest, TheOtherAxisIsHaltedAtOnceAndTheRunFileSaysWhatBecame
     }
   };
   RunSession session(std::move(options));
-  EXPECT_THROW(session.start({bench(), "bench.toml", (folder / "a.run").string(), false}), InstrumentError);
+  EXPECT_THROW(session.start({parse_bench(bench(), "bench.toml"), (folder / "a.run").string()}),
+               InstrumentError);
 
   ASSERT_TRUE(unplugged);
   EXPECT_FALSE(still_turning);
@@ -185,7 +186,7 @@ TEST_P(LostInAChainTest, TheOtherAxisIsHaltedAndTheRunFileSaysWhatBecameOfEach) 
   const std::string each = lost == StageAxis::kX ? "axis X: unreachable, may be moving; axis Z: halted"
                                                  : "axis X: halted; axis Z: unreachable, may be moving";
   try {
-    session.start({bench, "bench.toml", (folder / "a.run").string(), false});
+    session.start({parse_bench(bench, "bench.toml"), (folder / "a.run").string()});
     FAIL() << "the run did not end";
   } catch (const InstrumentError& error) {
     EXPECT_EQ(error.fault(), Fault::kNoReply) << error.what();
@@ -255,7 +256,7 @@ TEST(WatchdogInARun, ItsHaltIsAnEventOfTheRunFileAndTheReasonIsTheFirstCause) {
   RunSession session(std::move(options));
   const std::filesystem::path path = folder / "a.run";
   try {
-    session.start({repeatable_bench().text(), "bench.toml", path.string(), false});
+    session.start({parse_bench(repeatable_bench().text(), "bench.toml"), path.string()});
     FAIL() << "the run did not end";
   } catch (const InstrumentError& error) {
     EXPECT_EQ(error.fault(), Fault::kStalled);

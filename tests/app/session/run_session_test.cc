@@ -1,4 +1,4 @@
-#include "app/session/run_session.h"
+#include "app/faces/run/run_session.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,7 +13,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/system/helper_program.h"
+#include "app/ground/system/helper_program.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/record/verify.h"
 #include "tests/app/program_fixtures.h"
@@ -59,7 +59,7 @@ class RunSessionTest : public testing::Test {
   }
 
   StartRequest start(const std::string& name = "a.run") const {
-    return {bench_toml, "bench.toml", (folder / name).string(), false};
+    return {parse_bench(bench_toml, "bench.toml"), (folder / name).string()};
   }
 
   std::size_t count(const std::string& kind) const {
@@ -80,18 +80,18 @@ class RunSessionTest : public testing::Test {
   std::stop_source stop;
   std::function<void(const SessionEvent&)> on_event;
   std::function<void(const RunOutcome&)> on_result;
-  std::vector<std::string> kinds;  ///< Of all events, in order.
+  std::vector<std::string> kinds;  ///< Kinds of all events, in order.
   std::optional<SessionEvent> last;
   int opened = 0;
 };
 
 TEST_F(RunSessionTest, ARunIsToldFromItsBeginningToItsEnd) {
   const RunOutcome outcome = session()->start(start());
-  EXPECT_EQ(outcome.stored.state, RunState::kComplete);
-  EXPECT_EQ(outcome.stored.measured.size(), kPlanned);
+  EXPECT_EQ(outcome.stored().state, RunState::kComplete);
+  EXPECT_EQ(outcome.stored().measured.size(), kPlanned);
   EXPECT_EQ(outcome.sha256.size(), 64U);
   EXPECT_FALSE(outcome.measured_before);
-  ASSERT_FALSE(outcome.results.empty());
+  ASSERT_FALSE(outcome.items.front().results.empty());
   EXPECT_EQ(kinds.front(), "run_began");
   EXPECT_EQ(count("run_began"), 1U);
   EXPECT_EQ(count("angle_begun"), kPlanned);
@@ -102,7 +102,7 @@ TEST_F(RunSessionTest, ARunIsToldFromItsBeginningToItsEnd) {
   EXPECT_TRUE(finished.complete);
   EXPECT_EQ(finished.measured, kPlanned);
   EXPECT_EQ(finished.planned, kPlanned);
-  EXPECT_EQ(finished.reason, outcome.results.front().why);
+  EXPECT_EQ(finished.reason, outcome.items.front().results.front().why);
 }
 
 TEST_F(RunSessionTest, AMessageThatDoesNotArriveIsAWarningOfARunThatIsComplete) {
@@ -113,15 +113,8 @@ TEST_F(RunSessionTest, AMessageThatDoesNotArriveIsAWarningOfARunThatIsComplete) 
     if (const auto* notice = std::get_if<NoticeEvent>(&event); notice != nullptr && notice->kind == "notify")
       notices.push_back(notice->text);
   };
-  EXPECT_EQ(session()->start(start()).stored.state, RunState::kComplete);
+  EXPECT_EQ(session()->start(start()).stored().state, RunState::kComplete);
   EXPECT_THAT(notices, ElementsAre(HasSubstr("a message to those in [notify] did not arrive: the webhook")));
-}
-
-TEST_F(RunSessionTest, ARequestThatWasJsonBeginsARunToo) {
-  const SessionRequest request = request_from_json(nlohmann::json::parse(to_json_object(start()).dump()));
-  const std::optional<RunOutcome> outcome = session()->carry_out(request);
-  ASSERT_TRUE(outcome);
-  EXPECT_EQ(outcome->stored.measured.size(), kPlanned);
 }
 
 TEST_F(RunSessionTest, AStopLeavesARunThatIsResumedToTheSameBits) {
@@ -149,7 +142,7 @@ TEST_F(RunSessionTest, AStopLeavesARunThatIsResumedToTheSameBits) {
   const RunOutcome outcome = session()->resume({(folder / "a.run").string()});
   EXPECT_EQ(known, 4U);
   EXPECT_EQ(count("dwell_done"), kPlanned - 4);
-  EXPECT_EQ(outcome.stored.record.continuations, 1);
+  EXPECT_EQ(outcome.stored().record.continuations, 1);
   EXPECT_EQ(measured_bits(folder / "a.run"), measured_bits(folder / "whole.run"));
 }
 
@@ -165,10 +158,10 @@ TEST_F(RunSessionTest, HoldsBetweenTwoAnglesStoresNotesAndGoesOn) {
   std::unique_ptr<RunSession> run = session();
   on_event = [&](const SessionEvent& event) {
     if (std::holds_alternative<DwellDoneEvent>(event) && count("dwell_done") == 3) {
-      run->carry_out(HoldRequest{});
-      run->carry_out(NoteRequest{"door opened", "me"});
+      run->hold();
+      EXPECT_TRUE(run->add_note({"door opened", "me"}));
     }
-    if (std::holds_alternative<HeldEvent>(event)) run->carry_out(ContinueRequest{});
+    if (std::holds_alternative<HeldEvent>(event)) run->continue_run();
   };
   run->start(start());
   EXPECT_EQ(count("held"), 1U);
@@ -249,7 +242,7 @@ TEST_F(RunSessionTest, APortThatVanishesAndComesBackIsTold) {
   EXPECT_EQ(count("port_lost"), 1U);
   EXPECT_EQ(count("port_back"), 1U);
   EXPECT_THAT(lost, AllOf(HasSubstr("the port of accelerometer"), HasSubstr("the stage is halted")));
-  EXPECT_EQ(outcome.stored.record.reconnections, 1);
+  EXPECT_EQ(outcome.stored().record.reconnections, 1);
 }
 
 TEST_F(RunSessionTest, TheResultIsToldOnceAndBeforeReadersOfTheFileAreWaitedFor) {
@@ -259,7 +252,7 @@ TEST_F(RunSessionTest, TheResultIsToldOnceAndBeforeReadersOfTheFileAreWaitedFor)
   on_result = [&](const RunOutcome& outcome) {
     ++told;
     sha256 = outcome.sha256;
-    EXPECT_FALSE(outcome.results.empty());
+    EXPECT_FALSE(outcome.items.front().results.empty());
     reader.reset();
   };
   const RunOutcome alone = session()->start(start("alone.run"));
@@ -284,9 +277,9 @@ TEST_F(RunSessionTest, ALevellingIsMeasuredAndClosedAsARunButNotAnalysed) {
   EXPECT_FALSE(run->identify_instruments(start()).stage.model.empty());
   const RunOutcome outcome = run->level(start());
   EXPECT_EQ(opened, 1);
-  EXPECT_EQ(outcome.stored.state, RunState::kComplete);
-  EXPECT_EQ(outcome.stored.measured.size(), 5U + 4U);  // The spin, and the reversal.
-  EXPECT_THAT(outcome.results, testing::IsEmpty());
+  EXPECT_EQ(outcome.stored().state, RunState::kComplete);
+  EXPECT_EQ(outcome.stored().measured.size(), 5U + 4U);  // The spin, and the reversal.
+  EXPECT_THAT(outcome.items.front().results, testing::IsEmpty());
   EXPECT_EQ(kinds.back(), "finished");
   for (const IntegrityCheck& check : verify_run(folder / "a.run"))
     EXPECT_TRUE(check.good) << check.what << ": " << check.found;
@@ -330,9 +323,9 @@ TEST_F(RunSessionTest, AnInterruptedLevellingIsResumedAndStaysALevelling) {
   first.reset();
   const RunOutcome outcome = session()->resume({(folder / "a.run").string()});
   EXPECT_TRUE(outcome.is_levelling());
-  EXPECT_THAT(outcome.results, testing::IsEmpty());
-  EXPECT_EQ(outcome.stored.record.dwells.size(), 5U + 4U);
-  EXPECT_THAT(outcome.stored.record.check_poses, testing::IsEmpty());
+  EXPECT_THAT(outcome.items.front().results, testing::IsEmpty());
+  EXPECT_EQ(outcome.stored().record.dwells.size(), 5U + 4U);
+  EXPECT_THAT(outcome.stored().record.check_poses, testing::IsEmpty());
   EXPECT_EQ(measured_bits(folder / "a.run"), measured_bits(folder / "whole.run"));
 }
 

@@ -1,13 +1,10 @@
-#include "app/session/session_events.h"
+#include "app/operate/session/session_events.h"
 
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <set>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -15,7 +12,6 @@ namespace abcal {
 namespace {
 
 using nlohmann::json;
-using testing::HasSubstr;
 
 DwellRecord a_dwell() {
   DwellRecord dwell;
@@ -50,14 +46,15 @@ std::vector<SessionEvent> events() {
   began.rate_hz = 800.0;
   began.plan = {{1, 1, false, Angle{}, Angle{}, Angle{}},
                 {3, 72, true, Angle::degrees(355), Angle::degrees(-90), Angle::degrees(0.1)}};
-  began.measured = {{1, a_dwell()}};
+  began.measured = {{1, {{1, a_dwell()}}}};
   began.estimated_s = 3601.5;
   began.simulated_time = true;
+  began.simulated = "stage";
   began.items = {{2, "SN 2", "VN-100", "m/s2", 100.0, "no reading", 7}};
   return {began,
           PhaseEvent{4, RunPhase::kTemperature},
           AngleBegunEvent{5},
-          DwellDoneEvent{6, a_dwell(), {{2, {1.0, 2.0, 3.0}, kFlagStuck, 23.5}}},
+          DwellDoneEvent{6, {{1, a_dwell()}}},
           FlagEvent{"not quiet"},
           PortLostEvent{"the port is gone"},
           PortBackEvent{"it is back"},
@@ -70,104 +67,88 @@ std::vector<SessionEvent> events() {
           FinishedEvent{"a.run", true, "usable", "nothing found", 219, 220, true}};
 }
 
-std::vector<SessionRequest> requests() {
-  return {StartRequest{"[bench]\n", "bench.toml", "a.run", true},
-          ResumeRequest{"a.run"},
-          ReplayRequest{"a.run", "b.run"},
-          HoldRequest{},
-          ContinueRequest{},
-          StopRequest{},
-          NoteRequest{"a \"note\"", "me"}};
-}
-
-TEST(SessionEventsTest, EveryEventComesBackFromItsJsonText) {
+TEST(SessionEventsTest, EveryEventHasANameOfItsOwn) {
   std::set<std::string> names;
   std::set<std::size_t> alternatives;
   for (const SessionEvent& event : events()) {
-    const std::string text = to_json_object(event).dump();
-    const SessionEvent back = event_from_json(json::parse(text));
-    EXPECT_EQ(back.index(), event.index()) << text;
-    EXPECT_EQ(to_json_object(back).dump(), text);
-    names.insert(json::parse(text)["event"].get<std::string>());
+    names.insert(to_json_object(event)["event"].get<std::string>());
     alternatives.insert(event.index());
   }
   EXPECT_EQ(alternatives.size(), std::variant_size_v<SessionEvent>) << "an event is not tested";
   EXPECT_EQ(names.size(), std::variant_size_v<SessionEvent>) << "two events have one name";
 }
 
-TEST(SessionEventsTest, EveryRequestComesBackFromItsJsonText) {
-  std::set<std::string> names;
-  for (const SessionRequest& request : requests()) {
-    const std::string text = to_json_object(request).dump();
-    const SessionRequest back = request_from_json(json::parse(text));
-    EXPECT_EQ(back.index(), request.index()) << text;
-    EXPECT_EQ(to_json_object(back).dump(), text);
-    names.insert(json::parse(text)["request"].get<std::string>());
-  }
-  EXPECT_EQ(names.size(), std::variant_size_v<SessionRequest>);
-}
-
 TEST(SessionEventsTest, NumbersKeepEveryBitAndMayBeMissing) {
   const DwellRecord dwell = a_dwell();
-  const SessionEvent event = DwellDoneEvent{3, dwell};
-  const auto back =
-      std::get<DwellDoneEvent>(event_from_json(json::parse(to_json_object(event).dump()))).dwell;
-  EXPECT_EQ(back.experiment, dwell.experiment);
-  EXPECT_EQ(back.n, dwell.n);
-  EXPECT_EQ(back.closing, dwell.closing);
-  EXPECT_EQ(back.alpha, dwell.alpha);
-  EXPECT_EQ(back.commanded_x, dwell.commanded_x);
-  EXPECT_EQ(back.encoder_x, dwell.encoder_x);
-  EXPECT_EQ(back.encoder_z, std::nullopt);
-  EXPECT_EQ(back.time_s, dwell.time_s);
-  EXPECT_EQ(back.count, dwell.count);
-  EXPECT_EQ(back.lost, dwell.lost);
-  EXPECT_EQ(back.mean[0], dwell.mean[0]);
-  EXPECT_TRUE(std::isnan(back.mean[1]));
-  EXPECT_EQ(back.mean[2], dwell.mean[2]);
-  EXPECT_EQ(back.spread, dwell.spread);
-  ASSERT_TRUE(back.u_mean);
-  EXPECT_EQ(*back.u_mean, *dwell.u_mean);
-  EXPECT_EQ(back.temperature_degc, std::nullopt);
-  EXPECT_EQ(back.flags, dwell.flags);
+  const json message = json::parse(to_json_object(DwellDoneEvent{3, {{1, dwell}}}).dump());
+  EXPECT_EQ(message["event"], "dwell_done");
+  EXPECT_EQ(message["position"], 3);
+  EXPECT_EQ(message["items"], json::array()) << "the dwell is that of item 1";
+  const json& written = message["dwell"];
+  EXPECT_EQ(written["experiment"], 2);
+  EXPECT_EQ(written["n"], 7);
+  EXPECT_EQ(written["closing"], true);
+  EXPECT_EQ(written["alpha_deg"], dwell.alpha.deg());
+  EXPECT_EQ(written["commanded_x_deg"], dwell.commanded_x.deg());
+  EXPECT_EQ(written["encoder_x_deg"], dwell.encoder_x->deg());
+  EXPECT_EQ(written["encoder_z_deg"], json());
+  EXPECT_EQ(written["time_s"], *dwell.time_s);
+  EXPECT_EQ(written["settle_time_s"], dwell.settle_time_s);
+  EXPECT_EQ(written["count"], 1000);
+  EXPECT_EQ(written["lost"], 3);
+  EXPECT_EQ(written["mean"], json({dwell.mean[0], "nan", dwell.mean[2]}));
+  EXPECT_EQ(written["spread"], json({"inf", 0.0, 1e-5}));
+  EXPECT_EQ(written["u_mean"], json({1e-6, 2e-6, "-inf"}));
+  EXPECT_EQ(written["temperature_degc"], json());
+  EXPECT_EQ(written["flags"], kFlagStuck | kFlagHeld);
 }
 
-TEST(SessionEventsTest, MembersOfARunThatBeganComeBack) {
-  const auto back = std::get<RunBeganEvent>(event_from_json(to_json_object(events().front())));
-  EXPECT_EQ(back.file, "runs/a.run");
-  EXPECT_TRUE(back.resumed);
-  EXPECT_EQ(back.operator_name, "A. Operator");
-  EXPECT_EQ(back.stage.model, "C-884");
-  EXPECT_EQ(back.accelerometer.serial_number, "77");
-  ASSERT_EQ(back.plan.size(), 2U);
-  EXPECT_EQ(back.plan[1].alpha.deg(), 355.0);
-  EXPECT_EQ(back.plan[1].z.deg(), 0.1);
-  EXPECT_TRUE(back.plan[1].closing);
-  ASSERT_EQ(back.measured.size(), 1U);
-  EXPECT_EQ(back.measured[0].position, 1U);
-  EXPECT_EQ(back.estimated_s, 3601.5);
+TEST(SessionEventsTest, EachOfSeveralItemsIsInADwell) {
+  DwellRecord second = a_dwell();
+  second.mean = {1.0, 2.0, 3.0};
+  second.temperature_degc = 23.5;
+  const json message = to_json_object(DwellDoneEvent{6, {{1, a_dwell()}, {2, second}}});
+  EXPECT_EQ(message["dwell"]["mean"][0], 1.0 / 3.0) << "that of the first";
+  ASSERT_EQ(message["items"].size(), 2U);
+  EXPECT_EQ(message["items"][1], json({{"k", 2},
+                                       {"mean", {1.0, 2.0, 3.0}},
+                                       {"flags", kFlagStuck | kFlagHeld},
+                                       {"temperature_degc", 23.5}}));
+  // The only one that is left is named, unless it is the first.
+  const json alone = to_json_object(DwellDoneEvent{6, {{2, second}}});
+  EXPECT_EQ(alone["dwell"]["mean"][0], 1.0);
+  EXPECT_EQ(alone["items"][0]["k"], 2);
+}
+
+TEST(SessionEventsTest, ARunThatBeganHasItsPlanAndItsItems) {
+  const json message = to_json_object(events().front());
+  EXPECT_EQ(message["file"], "runs/a.run");
+  EXPECT_EQ(message["resumed"], true);
+  EXPECT_EQ(message["operator"], "A. Operator");
+  EXPECT_EQ(message["stage"]["model"], "C-884");
+  EXPECT_EQ(message["accelerometer"]["serial_number"], "77");
+  EXPECT_EQ(message["simulated"], "stage");
+  ASSERT_EQ(message["plan"].size(), 2U);
+  EXPECT_EQ(message["plan"][1]["alpha_deg"], 355.0);
+  EXPECT_EQ(message["plan"][1]["z_deg"], 0.1);
+  EXPECT_EQ(message["plan"][1]["closing"], true);
+  ASSERT_EQ(message["measured"].size(), 1U);
+  EXPECT_EQ(message["measured"][0]["position"], 1);
+  EXPECT_EQ(message["estimated_s"], 3601.5);
+  EXPECT_EQ(message["items"][0]["missing"], "no reading");
 }
 
 TEST(SessionEventsTest, EveryPhaseHasAWordOfItsOwn) {
-  for (int k = 0; k <= static_cast<int>(RunPhase::kParking); ++k) {
-    const SessionEvent event = PhaseEvent{0, static_cast<RunPhase>(k)};
-    EXPECT_EQ(std::get<PhaseEvent>(event_from_json(to_json_object(event))).phase, static_cast<RunPhase>(k));
-  }
+  std::set<std::string> words;
+  for (int k = 0; k <= static_cast<int>(RunPhase::kParking); ++k)
+    words.insert(to_json_object(PhaseEvent{0, static_cast<RunPhase>(k)})["phase"].get<std::string>());
+  EXPECT_EQ(words.size(), static_cast<std::size_t>(RunPhase::kParking) + 1);
 }
 
-TEST(SessionEventsTest, RefusesWhatIsNone) {
-  for (const char* text :
-       {R"({})", R"([])", R"(3)", R"({"event": 3})", R"({"event": "no such"})", R"({"event": "phase"})",
-        R"({"event": "phase", "position": "far", "phase": "moving"})",
-        R"({"event": "phase", "position": 1, "phase": "dancing"})", R"({"request": "stop"})"}) {
-    try {
-      (void)event_from_json(json::parse(text));
-      FAIL() << text;
-    } catch (const std::invalid_argument& error) {
-      EXPECT_THAT(error.what(), HasSubstr("required")) << text;
-    }
-  }
-  EXPECT_THROW((void)request_from_json(json::parse(R"({"request": "start"})")), std::invalid_argument);
+TEST(SessionEventsTest, AMessageAboutAnItemNamesIt) {
+  EXPECT_EQ(to_json_object(NoticeEvent{"item dropped", "item 2 takes no part", 2})["item"], 2);
+  EXPECT_EQ(to_json_object(FlagEvent{"item 3, not quiet", 3})["item"], 3);
+  EXPECT_EQ(to_json_object(NoticeEvent{"temperature", "23.1 degC"})["item"], json());
 }
 
 }  // namespace

@@ -11,7 +11,9 @@
 #include <string>
 #include <vector>
 
-#include "app/session/run_session.h"
+#include "app/faces/run/run_session.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/results/estimates/analyses.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/plan/limits.h"
 #include "protocol/record/verify.h"
@@ -61,7 +63,7 @@ class SeveralItemsTest : public testing::Test {
                  const std::string& name = "a.run") {
     RunSession session(options());
     started = &session;
-    StartRequest request{toml, "bench.toml", (folder / name).string(), false};
+    StartRequest request{parse_bench(toml, "bench.toml"), (folder / name).string()};
     request.without_missing_items = without_missing_items;
     return session.start(request);
   }
@@ -102,6 +104,31 @@ class SeveralItemsTest : public testing::Test {
   int angles_begun = 0;
 };
 
+TEST_F(SeveralItemsTest, OneStageExplainsTheReadingsOfAllItemsAndTheResultsCoverTheTruth) {
+  // All within the default sizes of [stage_uncertainty] and [item_uncertainty].
+  std::string text =
+      "[bench]\ng_loc_mps2 = 9.81\n[stage]\ndriver = \"simulated\"\nport = \"simulated\"\n[protocol]\n"
+      "estimator = \"joint\"\nsteps = 24\nstep_deg = 15.0\nsettle_s = 0.2\ndwell_readings = 100\n"
+      "[simulation]\nnoise = 1e-4\nseed = 7\nzx = 1e-4\nzy = -1e-4\nxz = 5e-5\nspan_s = 600.0\n"
+      "drift_1 = [3e-5, -2e-5, 4e-5]\n";
+  for (const char* axis : {"x", "z"})
+    text += std::string("[simulation.") + axis +
+            "]\nspeed_deg_per_s = 500.0\nacceleration_deg_per_s2 = 25000.0\nstep_error_deg = 0.005\n"
+            "mean_step_error_deg = 0.004\ninitial_turn_error_deg = -0.004\nsmooth_error_deg = 0.004\n"
+            "wobble_urad = 40.0\n";
+  text += item("simulated", "1") +
+          item("simulated", "2", "mounting = \"y -x z\"\n", "offset = [0.02, 0.0, 0.01]\n") +
+          item("simulated", "3", "mounting = \"x -y -z\"\n");
+  const RunOutcome outcome = run(text);
+  EXPECT_EQ(outcome.joint.verdict, Verdict::kUsable) << outcome.joint.why;
+  const BenchConfig truth = parse_bench(text, "bench.toml");
+  for (int k = 1; k <= 3; ++k) {
+    const TruthComparison comparison =
+        compare_with_truth(outcome.joint.items.at(static_cast<std::size_t>(k) - 1).result, truth, k);
+    EXPECT_TRUE(comparison.agrees()) << "item " << k << "\n" << comparison.text;
+  }
+}
+
 TEST_F(SeveralItemsTest, EightItemsOfFourDriversAreMeasuredInTheTimeOfOne) {
   const std::vector<std::string> mountings{"x y z", "y -x z",  "x -y -z", "z x y",
                                            "x y z", "-x -y z", "y z x"};
@@ -116,7 +143,7 @@ TEST_F(SeveralItemsTest, EightItemsOfFourDriversAreMeasuredInTheTimeOfOne) {
   items.push_back(item("simulated", "8", "mounting = \"0.8 0.6 0  -0.6 0.8 0  0 0 1\"\n"));
   const RunOutcome outcome = run(bench(items));
   ASSERT_EQ(outcome.items.size(), 8U);
-  for (const ItemOutcome& each : outcome.items) {
+  for (const AnalysedItem& each : outcome.items) {
     EXPECT_EQ(each.stored.measured.size(), kAnglesOfPlan) << each.stored.item;
     for (const DwellRecord& dwell : each.stored.dwells) {
       EXPECT_EQ(dwell.lost, 0) << each.stored.item;
@@ -132,11 +159,11 @@ TEST_F(SeveralItemsTest, EightItemsOfFourDriversAreMeasuredInTheTimeOfOne) {
   // Each has noise of its own.
   EXPECT_NE(outcome.items[0].stored.dwells[0].spread, outcome.items[6].stored.dwells[0].spread);
   ASSERT_EQ(dwells.size(), kAnglesOfPlan);
-  EXPECT_EQ(dwells[0].items.size(), 8U);
+  EXPECT_EQ(dwells[0].dwells.size(), 8U);
   expect_sound_file();
-  const double together_s = outcome.stored.timing.total_s();
+  const double together_s = outcome.stored().timing.total_s();
   // The one that takes longest to start.
-  const double alone_s = run(bench({items[5]}), false, "b.run").stored.timing.total_s();
+  const double alone_s = run(bench({items[5]}), false, "b.run").stored().timing.total_s();
   EXPECT_LT(together_s, 1.02 * alone_s);
 }
 
@@ -157,7 +184,7 @@ TEST_F(SeveralItemsTest, ARunRepeatsBitForBit) {
 TEST_F(SeveralItemsTest, OneThatIsUnpluggedAndComesBackGoesOn) {
   const RunOutcome outcome = run(
       bench(three(), "[[fault]]\nkind = \"unplug\"\ninstrument = \"item-2\"\nat_s = 14.0\nfor_s = 3.0\n"));
-  for (const ItemOutcome& each : outcome.items) {
+  for (const AnalysedItem& each : outcome.items) {
     EXPECT_EQ(each.stored.measured.size(), kAnglesOfPlan);
     EXPECT_FALSE(each.stored.items.at(1).dropped_at);
   }
@@ -174,7 +201,7 @@ TEST_F(SeveralItemsTest, OneThatDoesNotComeBackIsLeftOut) {
       run(bench(three(), "[[fault]]\nkind = \"unplug\"\ninstrument = \"item-2\"\nat_s = 14.0\n"));
   EXPECT_EQ(outcome.items[0].stored.measured.size(), kAnglesOfPlan);
   EXPECT_EQ(outcome.items[2].stored.measured.size(), kAnglesOfPlan);
-  const ItemProgress& second = outcome.stored.items.at(1);
+  const ItemProgress& second = outcome.stored().items.at(1);
   ASSERT_TRUE(second.dropped_at);
   EXPECT_EQ(second.measured, *second.dropped_at);
   EXPECT_LT(second.measured, kAnglesOfPlan);
@@ -187,12 +214,12 @@ TEST_F(SeveralItemsTest, OneThatDoesNotComeBackIsLeftOut) {
 TEST_F(SeveralItemsTest, OneThatFallsSilentIsLeftOutWithTheOthersReadingsKept) {
   const RunOutcome outcome =
       run(bench(three(), "[[fault]]\nkind = \"no-output\"\ninstrument = \"item-3\"\nat_s = 14.0\n"));
-  const ItemProgress& third = outcome.stored.items.at(2);
+  const ItemProgress& third = outcome.stored().items.at(2);
   ASSERT_TRUE(third.dropped_at);
   EXPECT_THAT(third.reason, AllOf(HasSubstr("item 3"), HasSubstr("no reading for 2 s")));
   EXPECT_EQ(outcome.items[0].stored.measured.size(), kAnglesOfPlan);
   EXPECT_EQ(angles_begun, static_cast<int>(kAnglesOfPlan)) << "no angle was measured again for it";
-  EXPECT_EQ(dwells.back().items.size(), 2U);
+  EXPECT_EQ(dwells.back().dwells.size(), 2U);
   expect_sound_file();
 }
 
@@ -216,7 +243,7 @@ TEST_F(SeveralItemsTest, OneThatIsDeadFromTheStartIsSaidBeforeTheFirstMove) {
   EXPECT_FALSE(std::filesystem::exists(folder / "a.run"));
   const RunOutcome outcome = run(toml, true);
   EXPECT_EQ(outcome.items[0].stored.measured.size(), kAnglesOfPlan);
-  EXPECT_EQ(outcome.stored.items.at(1).dropped_at, 0U);
+  EXPECT_EQ(outcome.stored().items.at(1).dropped_at, 0U);
   EXPECT_EQ(outcome.items[1].stored.header.labels.at("item.serial_number"), "2");
   expect_sound_file();
 }

@@ -1,7 +1,7 @@
 // Series over temperature inside the test: chambers of both makers, and chambers, doors and persons that end
 // one.
 
-#include "app/session/temperature_series.h"
+#include "app/operate/session/temperature_series.h"
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -13,7 +13,8 @@
 #include <cmath>
 #include <random>
 
-#include "app/session/temperature_soak.h"
+#include "app/operate/session/temperature_soak.h"
+#include "app/results/estimates/temperature_points.h"
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/run_observer.h"
 #include "tests/app/temperature_text.h"
@@ -37,9 +38,9 @@ class TemperatureSeriesTest : public testing::Test {
       if (dwells_ == stop_after_) stop_.request_stop();
     };
     options.tell = [this](const std::string& line) { told_ += line + "\n"; };
-    const auto paths =
-        TemperatureSeries(std::move(options)).measure({text.text(), "bench.toml", folder_ / name});
-    return fit_temperature(points_of_series(paths), 23.0, "g");
+    const auto paths = TemperatureSeries(std::move(options))
+                           .measure({parse_bench(text.text(), "bench.toml"), "bench.toml", folder_ / name});
+    return fit_temperature(points_of_series(paths).front(), 23.0, "g");
   }
   InstrumentError failure_of(const SeriesText& text, const std::string& name = "a") {
     try {

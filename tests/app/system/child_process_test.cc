@@ -1,6 +1,6 @@
 // Other programs: what they begin with, and that nothing of them is left behind.
 
-#include "app/system/child_process.h"
+#include "app/ground/system/child_process.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,7 +13,7 @@
 #include <cstdlib>
 #include <string>
 
-#include "app/document/gnuplot.h"
+#include "app/ground/document/gnuplot.h"
 #include "protocol/run/experiment_run.h"
 #include "tests/support/program.h"
 #include "tests/support/temporary_folder.h"

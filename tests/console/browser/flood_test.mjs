@@ -62,7 +62,7 @@ before(async () => {
       heard = now;
       page.send('{"do":"beat"}');
     }
-    if (message.type === 'dwell') ++measured;
+    if (message.event === 'dwell_done') ++measured;
     if (message.type === 'reply') answers.get(message.id)(message);
   });
   await new Promise((resolve) => page.on('open', resolve));

@@ -6,7 +6,7 @@ import {fileURLToPath} from 'node:url';
 import {barriers, begin, complainsOfNothing, confirmDialog, ENDLESS, eventually, noEnglish, runOver, served, stateIs} from './page_test.mjs';
 import {SIZES} from './served_page.mjs';
 
-const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/console/page');
+const folder = path.join(path.dirname(fileURLToPath(import.meta.url)), '../../../app/faces/console/page');
 // By its text: Node 18 takes a file "*.js" for a module only where a package.json says so.
 const germanOf = async (name) => (await import(`data:text/javascript,${encodeURIComponent(readFileSync(path.join(folder, name), 'utf8'))}`)).default;
 const german = await germanOf('de.js');
@@ -45,7 +45,7 @@ step('every text has German words with the same values in them', async () => {
 // What the program says has its words in tables of its own; these are the sentences that it always has.
 step('checks, flags and what they mean have German words', async () => {
   const program = await germanOf('program_de.js');
-  const source = readFileSync(path.join(folder, '../../../protocol/analysis/check_meanings.cc'), 'utf8');
+  const source = readFileSync(path.join(folder, '../../../../protocol/estimators/checks/check_meanings.cc'), 'utf8');
   const pairs = [...source.matchAll(/\{"([^"]+)",\s*"([^"]+)"\}/g)];
   assert.ok(pairs.length >= 30, String(pairs.length));
   assert.deepEqual(pairs.flatMap(([, name, meaning]) => [name, meaning]).filter((words) => !(words in program)), []);

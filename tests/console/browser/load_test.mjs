@@ -13,7 +13,7 @@ step('shows as many angles as the run has at its end', async (page) => {
       constructor(...words) {
         super(...words);
         globalThis.socket = this;
-        this.addEventListener('message', ({data}) => { if (data.includes('"type":"dwell"')) this.told = JSON.parse(data); });
+        this.addEventListener('message', ({data}) => { if (data.includes('"event":"dwell_done"')) this.told = JSON.parse(data); });
       }
     };
   });
@@ -26,8 +26,8 @@ step('shows as many angles as the run has at its end', async (page) => {
     const {told} = globalThis.socket;
     for (let i = 40; i < 1092; ++i) {
       const experiment = 1 + Math.floor(i / 364);
-      const dwell = {...told.dwell, position: i, experiment, alpha_deg: i % 364};
-      globalThis.socket.onmessage({data: JSON.stringify({...told, dwell, fit: {...told.fit, experiment}})});
+      const dwell = {...told.dwell, experiment, alpha_deg: i % 364};
+      globalThis.socket.onmessage({data: JSON.stringify({...told, position: i, dwell, fit: {...told.fit, experiment}})});
     }
   });
 });

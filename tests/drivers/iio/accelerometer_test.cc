@@ -12,11 +12,13 @@
 #include "sim/firmware/iio_firmware.h"
 #include "sim/sim_clock.h"
 #include "tests/drivers/endless_stream.h"
+#include "tests/support/error_of.h"
 
 namespace abcal::iio {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using testing::HasSubstr;
 
 class IioTest : public testing::Test {
@@ -40,17 +42,6 @@ class IioTest : public testing::Test {
   std::string ask(const std::string& question) {
     firmware->receive(question, clock.now());
     return firmware->transmit(clock.now() + 1s);
-  }
-
-  static std::string complaint(const std::function<void()>& call, Fault fault) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      EXPECT_EQ(error.fault(), fault) << error.what();
-      return error.what();
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {};
   }
 
   sim::SimClock clock;
@@ -99,7 +90,7 @@ TEST_F(IioTest, SetsTheRateAndRefusesOneThatTheDeviceDoesNotHave) {
   driver.start();
   EXPECT_EQ(ask("READ iio:device0 sampling_frequency\r\n"), std::string("11\n250.000000\0\n", 15));
   auto too_fast = make(5000.0);
-  EXPECT_THAT(complaint([&] { too_fast.start(); }, Fault::kRefused), HasSubstr("sampling_frequency"));
+  EXPECT_THAT(error_of([&] { too_fast.start(); }, Fault::kRefused), HasSubstr("sampling_frequency"));
 }
 
 TEST_F(IioTest, ASlowRateHasBlocksOfOneSample) {
@@ -152,7 +143,7 @@ TEST_F(IioTest, WhatIsDiscardedIsNotDeliveredLater) {
 
 TEST_F(IioTest, OneOfSeveralAccelerometersMustBeNamed) {
   auto driver = make(100.0, "bmi160");
-  EXPECT_THAT(complaint([&] { driver.identify(); }, Fault::kWrongIdentity),
+  EXPECT_THAT(error_of([&] { driver.identify(); }, Fault::kWrongIdentity),
               HasSubstr("no accelerometer \"bmi160\"; it has: adis16485 (iio:device0)"));
   auto by_id = make(100.0, "iio:device0");
   EXPECT_EQ(by_id.identify().model, "adis16485");
@@ -233,7 +224,7 @@ TEST_F(IioTest, AServerThatBabblesIsGivenUpAndItsBytesAreNotKept) {
   const auto read_on = [&] {
     while (clock.now() < end) driver.next(clock.now() + 1s);
   };
-  EXPECT_THAT(complaint(read_on, Fault::kNoReply), HasSubstr("\"VERSION\" was not answered"));
+  EXPECT_THAT(error_of(read_on, Fault::kNoReply), HasSubstr("\"VERSION\" was not answered"));
   EXPECT_LT(clock.now(), end);
   ASSERT_GT(stream.given, 1'000'000U);
   EXPECT_GE(driver.health().skipped_bytes + 2 * 65536U, stream.given) << "the others are kept";

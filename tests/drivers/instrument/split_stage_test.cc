@@ -12,7 +12,7 @@
 namespace abcal {
 namespace {
 
-/// Notes what it is asked, under its name.
+/// Notes its calls, under its name.
 class NotingStage final : public RotationStage {
  public:
   NotingStage(std::string name, std::vector<std::string>& notes) : name_(std::move(name)), notes_(notes) {}

@@ -11,22 +11,14 @@
 #include <stdexcept>
 
 #include "drivers/instrument/instrument_error.h"
+#include "tests/support/error_of.h"
 
 namespace abcal::manual_stage {
 namespace {
 
-using ::testing::HasSubstr;
+using test::error_of;
 
-template <class Call>
-InstrumentError error_of(Call call) {
-  try {
-    call();
-  } catch (const InstrumentError& error) {
-    return error;
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {"", Fault::kImplausible, "nothing was thrown"};
-}
+using ::testing::HasSubstr;
 
 TEST(ManualStageTest, TypedAnglesAreDegreesOrDegreesMinutesSeconds) {
   EXPECT_EQ(parse_typed_angle("89.98")->deg(), 89.98);

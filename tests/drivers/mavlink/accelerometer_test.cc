@@ -10,11 +10,13 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/mavlink_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/support/error_of.h"
 
 namespace abcal {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using ::testing::HasSubstr;
 
 /// Lets through what `passes` says.
@@ -59,17 +61,6 @@ class MavlinkAccelerometerTest : public ::testing::Test {
     return std::make_unique<MavlinkAccelerometer>(
         std::make_unique<Filter>(std::make_unique<sim::FirmwareStream>(firmware_, clock_), passes_), clock_,
         settings);
-  }
-
-  template <class Call>
-  InstrumentError error_of(Call call) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      return error;
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {"", Fault::kImplausible, "nothing was thrown"};
   }
 
   sim::SimClock clock_;

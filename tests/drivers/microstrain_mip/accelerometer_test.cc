@@ -16,6 +16,8 @@
 #include "sim/sim_clock.h"
 #include "tests/drivers/microstrain_mip/fake_mip_device.h"
 #include "tests/drivers/microstrain_mip/reference_decoder.h"
+#include "tests/support/accelerometer_bench.h"
+#include "tests/support/error_of.h"
 #include "tests/support/test_data.h"
 
 namespace abcal {
@@ -24,7 +26,9 @@ namespace {
 using std::chrono::milliseconds;
 using std::chrono::seconds;
 using test::data_packet;
+using test::error_of;
 using test::FakeMipDevice;
+using test::sequences;
 using test::WaitingClock;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
@@ -34,38 +38,10 @@ namespace reference = test::mip_reference;
 constexpr double kTwoTries = 2.0 * (2.0 + 1.5 * 261.0 / 11520.0);
 
 /// A driver with its scripted device.
-struct Bench {
-  explicit Bench(const FakeMipDevice::Script& script = {}, AccelerometerSettings settings = {}) {
-    auto owned = std::make_unique<FakeMipDevice>(clock, script);
-    device = owned.get();
-    accelerometer = std::make_unique<MipAccelerometer>(std::move(owned), clock, settings);
-  }
-
-  /// Readings the driver has now; waits no longer than `wait`.
-  std::vector<Reading> read_all(Clock::Duration wait = {}) {
-    std::vector<Reading> readings;
-    const Clock::Instant deadline = clock.now() + wait;
-    while (const auto reading = accelerometer->next(deadline)) readings.push_back(*reading);
-    return readings;
-  }
-
-  WaitingClock clock;
-  FakeMipDevice* device = nullptr;
-  std::unique_ptr<MipAccelerometer> accelerometer;
+struct Bench : test::AccelerometerBench<MipAccelerometer, FakeMipDevice, WaitingClock> {
+  explicit Bench(const FakeMipDevice::Script& script = {}, const AccelerometerSettings& settings = {})
+      : AccelerometerBench(settings, script) {}
 };
-
-/// Expects an InstrumentError of this fault from `call` and returns its text.
-template <typename Call>
-std::string error_of(Call call, Fault fault) {
-  try {
-    call();
-  } catch (const InstrumentError& error) {
-    EXPECT_EQ(error.fault(), fault) << error.what();
-    return error.what();
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {};
-}
 
 std::string hex(std::string_view bytes) {
   constexpr std::string_view kDigits = "0123456789ABCDEF";
@@ -76,12 +52,6 @@ std::string hex(std::string_view bytes) {
     text += kDigits[value % 16];
   }
   return text;
-}
-
-std::vector<std::uint64_t> sequences(const std::vector<Reading>& readings) {
-  std::vector<std::uint64_t> result;
-  for (const Reading& reading : readings) result.push_back(reading.sequence);
-  return result;
 }
 
 constexpr std::uint64_t kPeriodNs = 10'000'000;  // 100 Hz
@@ -105,9 +75,9 @@ TEST(MipAccelerometerTest, IdentifiesAModernDevice) {
   EXPECT_EQ(info.output_unit, "g");
   EXPECT_EQ(info.full_scale, 8.0);
   EXPECT_EQ(info.rate_hz, 100.0);
-  EXPECT_EQ(hex(bench.device->commands.front()), "756501020202E1C7") << "idle comes first";
-  EXPECT_FALSE(bench.device->was_sent(0x0C, 0x0F)) << "identify() changes nothing";
-  EXPECT_FALSE(bench.device->was_sent(0x01, 0x06));
+  EXPECT_EQ(hex(bench.port->commands.front()), "756501020202E1C7") << "idle comes first";
+  EXPECT_FALSE(bench.port->was_sent(0x0C, 0x0F)) << "identify() changes nothing";
+  EXPECT_FALSE(bench.port->was_sent(0x01, 0x06));
 }
 
 TEST(MipAccelerometerTest, IdentifiesALegacyDeviceAndItsRealRate) {
@@ -132,7 +102,7 @@ TEST(MipAccelerometerTest, ConfiguresAModernDevice) {
   Bench bench;
   bench.accelerometer->start();
   std::vector<std::string> commands;
-  for (const std::string& command : bench.device->commands)
+  for (const std::string& command : bench.port->commands)
     commands.push_back(hex(command.substr(4, command.size() - 6)));
   EXPECT_THAT(commands, ::testing::ElementsAre("0202", "0203", "0204", "030E80",
                                                // D5, 04, 18 at 1000/10, 14 at 1000/1000: once a second
@@ -147,7 +117,7 @@ TEST(MipAccelerometerTest, ConfiguresALegacyDeviceAndSwitchesItsOtherStreamsOff)
   Bench bench(script);
   bench.accelerometer->start();
   std::vector<std::string> commands;
-  for (const std::string& command : bench.device->commands)
+  for (const std::string& command : bench.port->commands)
     commands.push_back(hex(command.substr(4, command.size() - 6)));
   EXPECT_THAT(commands, ::testing::ElementsAre("0202", "0203", "0204", "0206", "0A080102120005040005",
                                                "0511010200", "0511010300", "0511010101", "0206"));
@@ -163,7 +133,7 @@ TEST(MipAccelerometerTest, AsksForMoreDescriptorsWhereTheDeviceHasThem) {
   };
   Bench bench(script);
   bench.accelerometer->start();
-  EXPECT_EQ(hex(bench.device->commands[5].substr(4, 11)), "0B0F018002D5000A04000A");
+  EXPECT_EQ(hex(bench.port->commands[5].substr(4, 11)), "0B0F018002D5000A04000A");
 }
 
 TEST(MipAccelerometerTest, RefusesARateThatNoDecimationGives) {
@@ -173,7 +143,7 @@ TEST(MipAccelerometerTest, RefusesARateThatNoDecimationGives) {
   EXPECT_EQ(bench.accelerometer->identify().rate_hz, 333.0 + 1.0 / 3.0);  // nearer than 500
   EXPECT_THAT(error_of([&] { bench.accelerometer->start(); }, Fault::kRefused),
               AllOf(HasSubstr("rate_hz is 400"), HasSubstr("1000"), HasSubstr("333.333")));
-  EXPECT_FALSE(bench.device->was_sent(0x0C, 0x0F));
+  EXPECT_FALSE(bench.port->was_sent(0x0C, 0x0F));
   for (const double rate_hz : {0.0, -1.0, std::nan(""), std::numeric_limits<double>::infinity()}) {
     settings.rate_hz = rate_hz;
     EXPECT_THROW(Bench({}, settings), std::invalid_argument) << rate_hz;
@@ -205,12 +175,12 @@ TEST(MipAccelerometerTest, GivesReadingsWithTemperatureAndOverRange) {
   bench.accelerometer->start();
   const std::string temperature = reference::field_bytes(
       0x14, reference::float_bytes(20) + reference::float_bytes(30) + reference::float_bytes(25));
-  bench.device->send(data_packet(kPeriodNs, 0.25F, -0.5F, 1.0F,
-                                 reference::field_bytes(0x18, reference::bytes_of(0x0770, 2))));
-  bench.device->send(data_packet(2 * kPeriodNs, 0, 0, 1,
-                                 reference::field_bytes(0x18, reference::bytes_of(2, 2)) + temperature));
-  bench.device->send(data_packet(3 * kPeriodNs, 0, 0, 1), milliseconds(9'999));
-  bench.device->send(data_packet(4 * kPeriodNs, 0, 0, 1), milliseconds(10'001));
+  bench.port->send(data_packet(kPeriodNs, 0.25F, -0.5F, 1.0F,
+                               reference::field_bytes(0x18, reference::bytes_of(0x0770, 2))));
+  bench.port->send(data_packet(2 * kPeriodNs, 0, 0, 1,
+                               reference::field_bytes(0x18, reference::bytes_of(2, 2)) + temperature));
+  bench.port->send(data_packet(3 * kPeriodNs, 0, 0, 1), milliseconds(9'999));
+  bench.port->send(data_packet(4 * kPeriodNs, 0, 0, 1), milliseconds(10'001));
   const Clock::Instant began = bench.clock.now();
   const auto readings = bench.read_all(seconds(11));
   ASSERT_EQ(readings.size(), 4U);
@@ -241,7 +211,7 @@ TEST(MipAccelerometerTest, ReturnsNothingAtTheDeadline) {
 TEST(MipAccelerometerTest, PassesNanOn) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->send(data_packet(1, std::numeric_limits<float>::quiet_NaN(), 0, 1));
+  bench.port->send(data_packet(1, std::numeric_limits<float>::quiet_NaN(), 0, 1));
   const auto readings = bench.read_all();
   ASSERT_EQ(readings.size(), 1U);
   EXPECT_TRUE(std::isnan(readings[0].output.x()));
@@ -253,7 +223,7 @@ TEST(MipAccelerometerTest, CountsAGapInTheReferenceTimeAsLost) {
   // Up to 2 % of the period off: the time stamps need not lie on a grid.
   for (const std::uint64_t time :
        {1'000'000'000U, 1'010'100'000U, 1'040'000'000U, 1'050'000'000U, 1'750'150'000U}) {
-    bench.device->send(data_packet(time, 0, 0, 1));
+    bench.port->send(data_packet(time, 0, 0, 1));
   }
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(0, 1, 4, 5, 75));
   const StreamHealth health = bench.accelerometer->health();
@@ -265,13 +235,13 @@ TEST(MipAccelerometerTest, CountsAGapInTheReferenceTimeAsLost) {
 TEST(MipAccelerometerTest, SaysSoWhenTheDeviceWasRestarted) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->send(data_packet(5'000'000'000, 0, 0, 1));
+  bench.port->send(data_packet(5'000'000'000, 0, 0, 1));
   ASSERT_EQ(bench.read_all().size(), 1U);
-  bench.device->send(data_packet(20'000'000, 0, 0, 1));
+  bench.port->send(data_packet(20'000'000, 0, 0, 1));
   EXPECT_THAT(error_of([&] { bench.read_all(); }, Fault::kNotReady), HasSubstr("restarted"));
   EXPECT_THAT(error_of([&] { bench.read_all(); }, Fault::kNotReady), HasSubstr("before it was started"));
   bench.accelerometer->start();
-  bench.device->send(data_packet(900'000'000, 0, 0, 1));
+  bench.port->send(data_packet(900'000'000, 0, 0, 1));
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(0));
 }
 
@@ -285,14 +255,14 @@ std::string gps_packet(double time_of_week_s, unsigned week, unsigned flags) {
 TEST(MipAccelerometerTest, CountsAGapInTheGpsTimestampAsLostButNotAStepOfItsClock) {
   Bench bench(legacy_script());
   bench.accelerometer->start();
-  bench.device->send(gps_packet(604'799.99, 2200, 0));
-  bench.device->send(gps_packet(0.0, 2201, 0));           // the week is over
-  bench.device->send(gps_packet(0.03, 2201, 0));          // two lost
-  bench.device->send(gps_packet(0.53, 2201, 0x6));        // a receiver found the time
-  bench.device->send(gps_packet(345'600.51, 2300, 0x6));  // or was set otherwise
-  bench.device->send(gps_packet(345'600.4, 2300, 0x6));   // set back
-  bench.device->send(gps_packet(std::numeric_limits<double>::infinity(), 2300, 0x6));
-  bench.device->send(gps_packet(std::nan(""), 2300, 0x6));
+  bench.port->send(gps_packet(604'799.99, 2200, 0));
+  bench.port->send(gps_packet(0.0, 2201, 0));           // the week is over
+  bench.port->send(gps_packet(0.03, 2201, 0));          // two lost
+  bench.port->send(gps_packet(0.53, 2201, 0x6));        // a receiver found the time
+  bench.port->send(gps_packet(345'600.51, 2300, 0x6));  // or was set otherwise
+  bench.port->send(gps_packet(345'600.4, 2300, 0x6));   // set back
+  bench.port->send(gps_packet(std::numeric_limits<double>::infinity(), 2300, 0x6));
+  bench.port->send(gps_packet(std::nan(""), 2300, 0x6));
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(0, 1, 4, 5, 6, 7, 8, 9));
   EXPECT_EQ(bench.accelerometer->health().lost_readings, 2U);
 }
@@ -313,12 +283,12 @@ TEST(MipAccelerometerTest, JudgesLossesByTheDamagedBytesWhereTheDeviceHasNoClock
   bench.accelerometer->start();
   std::string damaged = bare_packet(2);
   damaged[8] = static_cast<char>(damaged[8] ^ 4);
-  bench.device->send(bare_packet(1) + damaged + bare_packet(3));
-  bench.device->send(bare_packet(4) + "ue" + bare_packet(5));         // two bytes of noise: no reading
-  bench.device->send(bare_packet(6).substr(0, 17) + bare_packet(7));  // three bytes left out
+  bench.port->send(bare_packet(1) + damaged + bare_packet(3));
+  bench.port->send(bare_packet(4) + "ue" + bare_packet(5));         // two bytes of noise: no reading
+  bench.port->send(bare_packet(6).substr(0, 17) + bare_packet(7));  // three bytes left out
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(0, 2, 3, 4, 6));
-  bench.device->dropped = 60;  // The input queue ran over: three packets of 20 bytes.
-  bench.device->send(bare_packet(8));
+  bench.port->dropped = 60;  // The input queue ran over: three packets of 20 bytes.
+  bench.port->send(bare_packet(8));
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(10));
   const StreamHealth health = bench.accelerometer->health();
   EXPECT_EQ(health.readings, 6U);
@@ -329,10 +299,10 @@ TEST(MipAccelerometerTest, JudgesLossesByTheDamagedBytesWhereTheDeviceHasNoClock
 TEST(MipAccelerometerTest, CountsPacketsWithImpossibleFieldsAsBad) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->send(data_packet(1 * kPeriodNs, 0, 0, 1));
-  bench.device->send(reference::packet(0x80, std::string("\x0E\x04", 2)));  // beyond the end
-  bench.device->send(reference::packet(0x80, reference::field_bytes(0x04, std::string(8, 0))));  // two floats
-  bench.device->send(data_packet(4 * kPeriodNs, 0, 0, 1));
+  bench.port->send(data_packet(1 * kPeriodNs, 0, 0, 1));
+  bench.port->send(reference::packet(0x80, std::string("\x0E\x04", 2)));  // beyond the end
+  bench.port->send(reference::packet(0x80, reference::field_bytes(0x04, std::string(8, 0))));  // two floats
+  bench.port->send(data_packet(4 * kPeriodNs, 0, 0, 1));
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(0, 3));
   EXPECT_EQ(bench.accelerometer->health().bad_frames, 2U);
   EXPECT_EQ(bench.accelerometer->health().lost_readings, 2U);
@@ -344,7 +314,7 @@ TEST(MipAccelerometerTest, ReassemblesSplitFramesAndTakesTheArrivalOfTheLastByte
   const Clock::Instant began = bench.clock.now();
   const std::string packet = data_packet(kPeriodNs, 0.5F, 0, 1);
   for (std::size_t i = 0; i < packet.size(); ++i) {
-    bench.device->send(packet.substr(i, 1), milliseconds(i));
+    bench.port->send(packet.substr(i, 1), milliseconds(i));
   }
   const auto readings = bench.read_all(seconds(1));
   ASSERT_EQ(readings.size(), 1U);
@@ -372,14 +342,14 @@ TEST(MipAccelerometerTest, BeginsItsFiguresAtTheStart) {
   FakeMipDevice::Script script;
   script.on_command = [](FakeMipDevice& device, unsigned set, unsigned descriptor) {
     if (set != 0x0C || descriptor != 0x11) return false;
-    device.send(FakeMipDevice::answer(set, descriptor) + "noise ue");  // Of no stream yet.
+    device.send(FakeMipDevice::answer(set, descriptor) + "noise ue");  // Bytes that belong to no stream yet.
     return true;
   };
   Bench bench(script);
   for (int run = 0; run < 2; ++run) {
     bench.accelerometer->start();
-    bench.device->dropped += 10;
-    bench.device->send(data_packet(kPeriodNs, 0, 0, 1) + "noise" + data_packet(4 * kPeriodNs, 0, 0, 1));
+    bench.port->dropped += 10;
+    bench.port->send(data_packet(kPeriodNs, 0, 0, 1) + "noise" + data_packet(4 * kPeriodNs, 0, 0, 1));
     const auto readings = bench.read_all();
     EXPECT_THAT(sequences(readings), ::testing::ElementsAre(0, 3));
     EXPECT_FALSE(readings.front().temperature_degc) << "that was of another run";
@@ -387,7 +357,7 @@ TEST(MipAccelerometerTest, BeginsItsFiguresAtTheStart) {
     EXPECT_EQ(health.readings, 2U);
     EXPECT_EQ(health.lost_readings, 2U);
     EXPECT_EQ(health.skipped_bytes, 5U + 10U);
-    bench.device->send(
+    bench.port->send(
         data_packet(5 * kPeriodNs, 0, 0, 1, reference::field_bytes(0x14, std::string(12, '\0'))));
     EXPECT_TRUE(bench.read_all().front().temperature_degc);
   }
@@ -399,8 +369,8 @@ TEST(MipAccelerometerTest, IgnoresOtherDataSets) {
   std::string other = data_packet(kPeriodNs, 9, 9, 9);
   other[2] = '\x82';
   other = other.substr(0, other.size() - 2);
-  bench.device->send(other + reference::bytes_of(reference::checksum(other), 2));
-  bench.device->send(data_packet(kPeriodNs, 0, 0, 1));
+  bench.port->send(other + reference::bytes_of(reference::checksum(other), 2));
+  bench.port->send(data_packet(kPeriodNs, 0, 0, 1));
   const auto readings = bench.read_all();
   ASSERT_EQ(readings.size(), 1U);
   EXPECT_EQ(readings[0].output.z(), 1.0);
@@ -409,14 +379,14 @@ TEST(MipAccelerometerTest, IgnoresOtherDataSets) {
 TEST(MipAccelerometerTest, DiscardsWhatArrivedBeforeAndCountsNoneOfItAsLost) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->send(data_packet(1 * kPeriodNs, 1, 0, 1));
-  bench.device->send(data_packet(2 * kPeriodNs, 2, 0, 1));
+  bench.port->send(data_packet(1 * kPeriodNs, 1, 0, 1));
+  bench.port->send(data_packet(2 * kPeriodNs, 2, 0, 1));
   ASSERT_TRUE(bench.accelerometer->next(bench.clock.now()));  // The second waits in the driver.
-  bench.device->send(data_packet(3 * kPeriodNs, 3, 0, 1));    // The third in the stream.
+  bench.port->send(data_packet(3 * kPeriodNs, 3, 0, 1));      // The third in the stream.
   const std::string fourth = data_packet(4 * kPeriodNs, 4, 0, 1);
-  bench.device->send(fourth.substr(0, 10));  // Of the fourth, which was made before, the half.
-  bench.device->send(fourth.substr(10), milliseconds(1));
-  bench.device->send(data_packet(5 * kPeriodNs, 5, 0, 1), milliseconds(10));
+  bench.port->send(fourth.substr(0, 10));  // First half of the fourth, which was made before the discard.
+  bench.port->send(fourth.substr(10), milliseconds(1));
+  bench.port->send(data_packet(5 * kPeriodNs, 5, 0, 1), milliseconds(10));
   bench.accelerometer->discard_pending();
   const auto readings = bench.read_all(seconds(1));
   ASSERT_EQ(readings.size(), 1U);
@@ -428,11 +398,11 @@ TEST(MipAccelerometerTest, DiscardsWhatArrivedBeforeAndCountsNoneOfItAsLost) {
 TEST(MipAccelerometerTest, BlamesADwellForNothingThatAnOverfullQueueLostBeforeIt) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->send(data_packet(1 * kPeriodNs, 1, 0, 1));
-  bench.device->dropped = 1000;
+  bench.port->send(data_packet(1 * kPeriodNs, 1, 0, 1));
+  bench.port->dropped = 1000;
   bench.accelerometer->discard_pending();
-  bench.device->send(data_packet(50 * kPeriodNs, 1, 0, 1));
-  bench.device->send(data_packet(53 * kPeriodNs, 1, 0, 1));
+  bench.port->send(data_packet(50 * kPeriodNs, 1, 0, 1));
+  bench.port->send(data_packet(53 * kPeriodNs, 1, 0, 1));
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(49, 52));
   EXPECT_EQ(bench.accelerometer->health().lost_readings, 2U);
   EXPECT_EQ(bench.accelerometer->health().skipped_bytes, 1000U);
@@ -441,12 +411,12 @@ TEST(MipAccelerometerTest, BlamesADwellForNothingThatAnOverfullQueueLostBeforeIt
 TEST(MipAccelerometerTest, BlamesADwellForNothingThatWasLostAmongWhatItThrowsAway) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->send(data_packet(1 * kPeriodNs, 1, 0, 1) + data_packet(90 * kPeriodNs, 1, 0, 1));
-  bench.device->dropped = 1000;
+  bench.port->send(data_packet(1 * kPeriodNs, 1, 0, 1) + data_packet(90 * kPeriodNs, 1, 0, 1));
+  bench.port->dropped = 1000;
   bench.accelerometer->discard_pending();
   EXPECT_EQ(bench.accelerometer->health().lost_readings, 0U);
   // Where no queue ran over, the device or the line lost it: that counts.
-  bench.device->send(data_packet(91 * kPeriodNs, 1, 0, 1) + data_packet(93 * kPeriodNs, 1, 0, 1));
+  bench.port->send(data_packet(91 * kPeriodNs, 1, 0, 1) + data_packet(93 * kPeriodNs, 1, 0, 1));
   bench.accelerometer->discard_pending();
   EXPECT_EQ(bench.accelerometer->health().lost_readings, 1U);
 }
@@ -456,10 +426,10 @@ TEST(MipAccelerometerTest, CountsWhatAFullQueueLost) {
   bench.accelerometer->start();
   std::string bytes;
   for (std::uint64_t i = 1; i <= 10'000; ++i) bytes += data_packet(i * kPeriodNs, 0, 0, 1);
-  bench.device->send(bytes);
+  bench.port->send(bytes);
   std::size_t given = bench.read_all().size();
   EXPECT_EQ(given, 8192U);
-  bench.device->send(data_packet(10'001 * kPeriodNs, 0, 0, 1));
+  bench.port->send(data_packet(10'001 * kPeriodNs, 0, 0, 1));
   EXPECT_THAT(sequences(bench.read_all()), ::testing::ElementsAre(10'000));
   EXPECT_EQ(bench.accelerometer->health().readings, 8193U);
   EXPECT_EQ(bench.accelerometer->health().lost_readings, 10'000U - 8192U);
@@ -475,14 +445,14 @@ TEST(MipAccelerometerTest, NeedsAStart) {
   error_of([&] { bench.read_all(); }, Fault::kNotReady);
   bench.accelerometer->start();
   bench.accelerometer->stop();
-  EXPECT_EQ(hex(bench.device->commands.back()), "756501020202E1C7");
+  EXPECT_EQ(hex(bench.port->commands.back()), "756501020202E1C7");
   error_of([&] { bench.read_all(); }, Fault::kNotReady);
 }
 
 TEST(MipAccelerometerTest, KeepsItsFiguresAfterTheStop) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->send("noise" + data_packet(1 * kPeriodNs, 0, 0, 1) + data_packet(4 * kPeriodNs, 0, 0, 1));
+  bench.port->send("noise" + data_packet(1 * kPeriodNs, 0, 0, 1) + data_packet(4 * kPeriodNs, 0, 0, 1));
   EXPECT_EQ(bench.read_all().size(), 2U);
   bench.accelerometer->stop();
   const StreamHealth health = bench.accelerometer->health();
@@ -491,13 +461,13 @@ TEST(MipAccelerometerTest, KeepsItsFiguresAfterTheStop) {
   EXPECT_EQ(health.skipped_bytes, 5U);
 }
 
-// What goes wrong while talking.
+// Failures of the communication.
 
 TEST(MipAccelerometerTest, TakesNoAnswerThatWasThereBeforeTheQuestion) {
   FakeMipDevice::Script script;
   script.on_command = [](FakeMipDevice&, unsigned, unsigned) { return true; };
   Bench bench(script);
-  bench.device->send(FakeMipDevice::answer(0x01, 0x02));
+  bench.port->send(FakeMipDevice::answer(0x01, 0x02));
   EXPECT_THAT(error_of([&] { bench.accelerometer->identify(); }, Fault::kNoReply), HasSubstr("set idle"));
 }
 
@@ -521,7 +491,7 @@ TEST(MipAccelerometerTest, SaysThatASilentPortIsSilentAfterTwoTries) {
       error_of([&] { bench.accelerometer->identify(); }, Fault::kNoReply),
       AllOf(HasSubstr("set idle"), HasSubstr("not one byte"), HasSubstr("baud rate"), HasSubstr("scripted")));
   EXPECT_NEAR(to_seconds(bench.clock.now() - began), kTwoTries, 1e-6);  // Deadlines are rounded to 1 ns.
-  EXPECT_EQ(bench.device->count_sent(0x01, 0x02), 2);
+  EXPECT_EQ(bench.port->count_sent(0x01, 0x02), 2);
   bench.accelerometer->stop();  // Must not throw.
 }
 
@@ -576,8 +546,8 @@ TEST(MipAccelerometerTest, PutsARefusalInWords) {
     EXPECT_THAT(error_of([&] { bench.accelerometer->start(); }, Fault::kRefused),
                 AllOf(HasSubstr("code " + std::to_string(code)), HasSubstr(words),
                       HasSubstr("message format"), HasSubstr("SN 6253.12345")));
-    EXPECT_EQ(bench.device->count_sent(0x0C, 0x0F), 1) << "a refusal is an answer";
-    EXPECT_FALSE(bench.device->was_sent(0x01, 0x06));
+    EXPECT_EQ(bench.port->count_sent(0x0C, 0x0F), 1) << "a refusal is an answer";
+    EXPECT_FALSE(bench.port->was_sent(0x01, 0x06));
   }
 }
 
@@ -591,8 +561,8 @@ TEST(MipAccelerometerTest, GoesOnIfAnotherStreamCannotBeSwitchedOff) {
   };
   Bench bench(script);
   bench.accelerometer->start();
-  EXPECT_EQ(bench.device->count_sent(0x0C, 0x11), 2);
-  EXPECT_TRUE(bench.device->was_sent(0x01, 0x06));
+  EXPECT_EQ(bench.port->count_sent(0x0C, 0x11), 2);
+  EXPECT_TRUE(bench.port->was_sent(0x01, 0x06));
 }
 
 TEST(MipAccelerometerTest, RefusesAnswersWithoutTheirContent) {
@@ -623,9 +593,9 @@ void stream_for(FakeMipDevice& device, WaitingClock& clock, Clock::Duration dura
 TEST(MipAccelerometerTest, FindsItsAnswersInTheMidstOfAStream) {
   Bench bench;
   // All the while: "set idle" is acknowledged, and the device sends on, as one whose buffer is long.
-  stream_for(*bench.device, bench.clock, seconds(2));
+  stream_for(*bench.port, bench.clock, seconds(2));
   EXPECT_EQ(bench.accelerometer->identify().model, "3DM-GX5-25");
-  EXPECT_EQ(bench.device->count_sent(0x01, 0x02), 1);
+  EXPECT_EQ(bench.port->count_sent(0x01, 0x02), 1);
 }
 
 TEST(MipAccelerometerTest, RepeatsSetIdleWhileDataStreams) {
@@ -635,16 +605,16 @@ TEST(MipAccelerometerTest, RepeatsSetIdleWhileDataStreams) {
            device.count_sent(set, descriptor) < 4;  // Drowned three times.
   };
   Bench bench(script);
-  stream_for(*bench.device, bench.clock, seconds(60));
+  stream_for(*bench.port, bench.clock, seconds(60));
   EXPECT_EQ(bench.accelerometer->identify().model, "3DM-GX5-25");
-  EXPECT_EQ(bench.device->count_sent(0x01, 0x02), 4);
+  EXPECT_EQ(bench.port->count_sent(0x01, 0x02), 4);
 }
 
 TEST(MipAccelerometerTest, SaysThatDataStreamsThoughNothingIsAnswered) {
   FakeMipDevice::Script script;
   script.on_command = [](FakeMipDevice&, unsigned, unsigned) { return true; };
   Bench bench(script);
-  stream_for(*bench.device, bench.clock, seconds(60));
+  stream_for(*bench.port, bench.clock, seconds(60));
   EXPECT_THAT(error_of([&] { bench.accelerometer->identify(); }, Fault::kNoReply),
               HasSubstr("other MIP packets"));
 }
@@ -658,17 +628,17 @@ TEST(MipAccelerometerTest, RepeatsACommandWhoseAnswerWasDamaged) {
   };
   Bench bench(script);
   EXPECT_EQ(bench.accelerometer->identify().model, "3DM-GX5-25");
-  EXPECT_EQ(bench.device->count_sent(0x01, 0x04), 2);
-  EXPECT_EQ(bench.device->count_sent(0x01, 0x01), 1) << "a ping makes sure that no answer is to come";
+  EXPECT_EQ(bench.port->count_sent(0x01, 0x04), 2);
+  EXPECT_EQ(bench.port->count_sent(0x01, 0x01), 1) << "a ping makes sure that no answer is to come";
 }
 
 TEST(MipAccelerometerTest, NeverTakesALateAnswerForThatOfTheNextCommand) {
   // The filter stream is switched off, and the answer comes only after the second try; then, late, the second
-  // answer, which would pass for the one to "stream on". That one is refused.
+  // answer, which would pass for the one to "stream on". "stream on" itself is refused.
   FakeMipDevice::Script script;
   script.descriptors.push_back(0x8201);
   script.on_command = [](FakeMipDevice& device, unsigned set, unsigned descriptor) {
-    if (set == 0x01 && descriptor == 0x01) {  // The device answers in order: this after what is late.
+    if (set == 0x01 && descriptor == 0x01) {  // Follows the late answer, because the device answers in order.
       device.send(FakeMipDevice::answer(set, descriptor), milliseconds(700));
       return true;
     }
@@ -700,7 +670,7 @@ TEST(MipAccelerometerTest, CountsNoRefusalWhileAnEarlierTryIsOutstanding) {
   };
   Bench bench(script);
   EXPECT_NO_THROW(bench.accelerometer->start());
-  EXPECT_EQ(bench.device->count_sent(0x0C, 0x0F), 2);
+  EXPECT_EQ(bench.port->count_sent(0x0C, 0x0F), 2);
 }
 
 TEST(MipAccelerometerTest, NeverTakesALateAnswerAfterAFailure) {
@@ -714,23 +684,23 @@ TEST(MipAccelerometerTest, NeverTakesALateAnswerAfterAFailure) {
   std::string stale = FakeMipDevice::info_reply("stale           ");
   stale.replace(2, 16, "OLD MODEL       ");
   for (int i = 0; i < 2; ++i) {
-    bench.device->send(FakeMipDevice::answer(0x01, 0x03, 0, 0x81, stale), std::chrono::microseconds(500));
+    bench.port->send(FakeMipDevice::answer(0x01, 0x03, 0, 0x81, stale), std::chrono::microseconds(500));
   }
-  bench.device->script.on_command = nullptr;
+  bench.port->script.on_command = nullptr;
   EXPECT_EQ(bench.accelerometer->identify().model, "3DM-GX5-25");
 }
 
 TEST(MipAccelerometerTest, ReportsAnUnpluggedDevice) {
   Bench bench;
   bench.accelerometer->start();
-  bench.device->unplugged = true;
+  bench.port->unplugged = true;
   error_of([&] { bench.accelerometer->next(bench.clock.now()); }, Fault::kLinkLost);
   error_of([&] { bench.accelerometer->discard_pending(); }, Fault::kLinkLost);
   bench.accelerometer->stop();  // Must not throw.
   error_of([&] { bench.accelerometer->identify(); }, Fault::kLinkLost);
-  bench.device->unplugged = false;
+  bench.port->unplugged = false;
   bench.accelerometer->start();
-  bench.device->send(data_packet(kPeriodNs, 0, 0, 1));
+  bench.port->send(data_packet(kPeriodNs, 0, 0, 1));
   EXPECT_EQ(bench.read_all().size(), 1U);
 }
 
@@ -759,7 +729,7 @@ Replayed replay(const std::string& bytes, std::mt19937& random, std::size_t long
   int n = 0;
   for (std::size_t at = 0; at < bytes.size(); ++n) {
     const std::size_t size = 1 + random() % longest_piece;
-    bench.device->send_at(begin + std::chrono::microseconds(n), bytes.substr(at, size));
+    bench.port->send_at(begin + std::chrono::microseconds(n), bytes.substr(at, size));
     at += size;
   }
   bench.accelerometer->start();
@@ -821,7 +791,7 @@ TEST(MipAccelerometerTest, GivesOfADamagedStreamOnlyTrueReadingsAndCountsTheOthe
           bytes[at] = static_cast<char>(bytes[at] ^ (1 << random() % 8));
       }
     }
-    // What a slow decoder finds in the damaged bytes, in order.
+    // Packets that a slow decoder finds in the damaged bytes, in order.
     std::vector<std::pair<std::uint64_t, std::string>> expected;
     const reference::Decoded decoded = reference::decode(bytes);
     for (const auto& packet : decoded.packets) {

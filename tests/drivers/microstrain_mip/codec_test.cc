@@ -32,7 +32,7 @@ std::string from_hex(std::string_view hex) {
   return bytes;
 }
 
-/// What the parser gives, in the form of the reference decoder; fed in pieces of the given sizes, over and
+/// Output of the parser in the form of the reference decoder; fed in pieces of the given sizes, over and
 /// over.
 struct Parsed {
   std::vector<reference::FoundPacket> packets;

@@ -47,7 +47,7 @@ class FakeMipDevice final : public wire::ByteStream {
 
   WaitingClock& clock_;
   Script script;
-  std::vector<std::string> commands;  ///< As written by the driver: whole packets.
+  std::vector<std::string> commands;  ///< Whole packets written by the driver.
   std::size_t dropped = 0;
   bool unplugged = false;
 
@@ -71,7 +71,7 @@ class FakeMipDevice final : public wire::ByteStream {
            "           I042Z" + std::string(options);
   }
 
-  /// As an undamaged device answers.
+  /// Answer of an undamaged device.
   void answer_by_default(unsigned set, unsigned descriptor) {
     using namespace mip_reference;
     std::string descriptors;

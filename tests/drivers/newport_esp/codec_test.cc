@@ -95,7 +95,7 @@ TEST(NewportEspCodecTest, UnsolicitedLinesAreThoseThatEpicsSkips) {
 TEST(NewportEspCodecTest, ErrorCodesHaveWordsAndAnAxis) {
   EXPECT_EQ(error_text(0), "no error");
   EXPECT_EQ(error_text(9), "axis number out of range");
-  EXPECT_EQ(error_text(402), "axis 4: amplifier fault");  // As in the manual.
+  EXPECT_EQ(error_text(402), "axis 4: amplifier fault");  // Example of the manual.
   EXPECT_EQ(error_text(103), "axis 1: following error");
   EXPECT_EQ(error_text(207), "axis 2: negative software limit");
   EXPECT_THAT(error_text(299), HasSubstr("unknown error"));

@@ -8,12 +8,14 @@
 #include <stdexcept>
 
 #include "drivers/instrument/instrument_error.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_line.h"
 
 namespace abcal::newport_esp {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 
@@ -67,17 +69,6 @@ class NewportEspStageTest : public ::testing::Test {
       stage_->home(axis);
       EXPECT_EQ(stage_->motion_state(axis), MotionState::kStopped);
     }
-  }
-
-  template <class Call>
-  InstrumentError error_of(Call call) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      return error;
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {"", Fault::kImplausible, "nothing was thrown"};
   }
 
   std::map<std::string, std::string> replies_;
@@ -247,7 +238,7 @@ TEST_F(NewportEspStageTest, AnErrorOfOneAxisIsNotTheAnswerToACommandToTheOther) 
   EXPECT_NO_THROW(stage_->move_to(StageAxis::kZ, Angle::degrees(10.0)));
   EXPECT_EQ(stage_->motion_state(StageAxis::kZ), MotionState::kStopped);
   EXPECT_THAT(error_of([&] { stage_->motion_state(StageAxis::kX); }).what(), HasSubstr("following error"));
-  // Nor is it why a query was not answered.
+  // It is not the reason for an unanswered query, either.
   stage_->move_to(StageAxis::kX, Angle::degrees(80.0));
   line_.mishaps["2TP?"] = {{.instead = ""}};
   buffer_ = {103};

@@ -39,7 +39,7 @@ TEST(NewportXpsCodecTest, ReadsCodeAndValues) {
 TEST(NewportXpsCodecTest, WhatIsNoReplyIsNotTakenForOne) {
   EXPECT_FALSE(parse_reply(",,EndOfAPI"));
   EXPECT_FALSE(parse_reply("zero,1,EndOfAPI"));
-  EXPECT_FALSE(parse_reply("7,1,EndOfAPI"));  // There are no positive errors beside 1, TCL.
+  EXPECT_FALSE(parse_reply("7,1,EndOfAPI"));  // The only positive error is 1, TCL.
   EXPECT_FALSE(parse_reply("-99999,1,EndOfAPI"));
   EXPECT_FALSE(parse_reply("0,1\x01,EndOfAPI"));
   EXPECT_FALSE(parse_reply("0,1,EndOfAP"));

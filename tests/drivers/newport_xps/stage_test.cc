@@ -9,11 +9,13 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/newport_xps_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/support/error_of.h"
 
 namespace abcal::newport_xps {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using ::testing::HasSubstr;
 
 class NewportXpsStageTest : public ::testing::Test {
@@ -32,23 +34,12 @@ class NewportXpsStageTest : public ::testing::Test {
     while (stage.motion_state(axis) == MotionState::kMoving) clock_.sleep_until(clock_.now() + 20ms);
   }
 
-  /// What another client says to the controller, and what it answers within 100 ms.
+  /// Answer of the controller to another client's request within 100 ms.
   std::string other_client(const std::string& request) {
     const auto session = firmware_->another_session();
     session->receive(request, clock_.now());
     clock_.sleep_until(clock_.now() + 100ms);
     return session->transmit(clock_.now());
-  }
-
-  template <class Call>
-  InstrumentError error_of(Call call) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      return error;
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {"", Fault::kImplausible, "nothing was thrown"};
   }
 
   sim::SimClock clock_;

@@ -17,8 +17,8 @@
 
 namespace abcal::test {
 
-/// The far end of a GCS line, as a table: what is answered to which command, and what goes wrong with which
-/// answer. No physics: a test says what an axis does. Times are those of the FakeClock, which a read takes to
+/// The far end of a GCS line, as a table of commands with their answers and with the faults of these answers.
+/// No physics: a test defines the state of an axis. Times are those of the FakeClock, which a read takes to
 /// the arrival of the next bytes or to its deadline.
 class ScriptedController final : public wire::ByteStream {
  public:
@@ -61,7 +61,7 @@ class ScriptedController final : public wire::ByteStream {
     std::optional<std::string> instead;  ///< Sent in place of the answer; "" is silence.
     Clock::Duration late{0};
   };
-  /// What goes wrong with the next answers to a command, in order.
+  /// Faults of the next answers to a command, in order.
   std::map<std::string, std::deque<Mishap>> mishaps;
   /// read_until() holds its caller, in real time, from this command until a stop (#24) is written.
   std::string held_until_stop;

@@ -14,11 +14,13 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "tests/drivers/pi_gcs/scripted_controller.h"
+#include "tests/support/error_of.h"
 
 namespace abcal::pi_gcs {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using test::ScriptedController;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
@@ -28,18 +30,6 @@ class PiGcsStageTest : public ::testing::Test {
   void connect(const StageSettings& settings = {}) {
     stage_ =
         std::make_unique<PiGcsStage>(std::unique_ptr<wire::ByteStream>(owned_.release()), clock_, settings);
-  }
-
-  /// The fault and the text that `call` throws; fails the test if it throws none.
-  template <class Call>
-  InstrumentError error_of(Call call) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      return error;
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {"", Fault::kImplausible, "nothing was thrown"};
   }
 
   test::FakeClock clock_;
@@ -182,7 +172,7 @@ TEST_F(PiGcsStageTest, SettingsThatCannotBeMeantAreRefused) {
   settings = {};
   settings.axis_names = {"2 1", "1"};  // One has no address.
   EXPECT_THROW(with(settings), std::invalid_argument);
-  settings.address = "2";  // The same axis.
+  settings.address = "2";  // Both names then mean the same axis.
   EXPECT_THROW(with(settings), std::invalid_argument);
 }
 
@@ -636,7 +626,7 @@ TEST_F(PiGcsStageTest, TheErrorOfAHaltIsNotTheAnswerToTheNextCommand) {
   controller_.mishaps["ERR?"] = {{.instead = "10\n", .late = {}}};
   EXPECT_NO_THROW(stage_->move_to(StageAxis::kX, Angle::degrees(2.0)));
   EXPECT_EQ(controller_.count("MOV 1 2.000000"), 1U);
-  // Nor is it why a query was not answered.
+  // It is not the reason for an unanswered query, either.
   controller_.mishaps["POS? 1"] = {{.instead = "", .late = {}}};
   controller_.mishaps["ERR?"] = {{.instead = "10\n", .late = {}}};
   EXPECT_EQ(stage_->encoder_angle(StageAxis::kX).deg(), 14.5);

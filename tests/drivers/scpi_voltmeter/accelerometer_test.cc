@@ -15,12 +15,15 @@
 #include "sim/firmware/scpi_voltmeter_firmware.h"
 #include "sim/sim_clock.h"
 #include "tests/drivers/endless_stream.h"
+#include "tests/support/accelerometer_bench.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_line.h"
 
 namespace abcal {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using test::ScriptedLine;
 using ::testing::AllOf;
 using ::testing::Contains;
@@ -41,7 +44,7 @@ AccelerometerSettings settings_at(double rate_hz) {
   return settings;
 }
 
-/// What a voltmeter answers.
+/// Answers of a voltmeter.
 struct FakeMeter {
   std::string identity = "HEWLETT-PACKARD,34970A,MY1,13-2-2";
   std::string no_error = "+0,\"No error\"";
@@ -50,7 +53,7 @@ struct FakeMeter {
   std::function<std::string(int scan)> readings = [](int scan) {
     return fmt::format("+{0}.1E+00,101,+{0}.2E+00,102,+{0}.3E+00,103", scan);
   };
-  std::map<std::string, std::vector<std::string>> errors;  ///< That a command causes.
+  std::map<std::string, std::vector<std::string>> errors;  ///< Errors that a command causes.
 
   std::string operator()(const std::string& command) {
     if (command == "*IDN?") return identity + "\n";
@@ -72,12 +75,9 @@ struct FakeMeter {
   int scans = 0;
 };
 
-struct Bench {
-  explicit Bench(FakeMeter fake = {}, AccelerometerSettings settings = settings_at(kRateHz)) {
-    auto owned = std::make_unique<ScriptedLine>(clock, '\n', fake);
-    line = owned.get();
-    accelerometer = std::make_unique<ScpiScanningVoltmeter>(std::move(owned), clock, settings);
-  }
+struct Bench : test::AccelerometerBench<ScpiScanningVoltmeter, ScriptedLine> {
+  explicit Bench(const FakeMeter& fake = {}, const AccelerometerSettings& settings = settings_at(kRateHz))
+      : AccelerometerBench(settings, '\n', fake) {}
 
   std::optional<Reading> next(Clock::Duration patience = 1s) {
     const Clock::Instant deadline = clock.now() + patience;
@@ -90,30 +90,14 @@ struct Bench {
     const auto reading = next(patience);
     return reading ? static_cast<int>(std::lround(reading->output(0) - 0.1)) : -1;
   }
-  /// What it was told, without what it was asked.
+  /// Settings sent to it, without queries.
   std::vector<std::string> settings_sent() const {
     std::vector<std::string> sent;
-    for (const std::string& command : line->commands())
+    for (const std::string& command : port->commands())
       if (!command.ends_with('?')) sent.push_back(command);
     return sent;
   }
-
-  test::FakeClock clock;
-  ScriptedLine* line = nullptr;
-  std::unique_ptr<ScpiScanningVoltmeter> accelerometer;
 };
-
-template <typename Call>
-std::string error_of(Call call, Fault fault) {
-  try {
-    call();
-  } catch (const InstrumentError& error) {
-    EXPECT_EQ(error.fault(), fault) << error.what();
-    return error.what();
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {};
-}
 
 FakeMeter keithley(const std::string& model) {
   FakeMeter fake;
@@ -138,7 +122,7 @@ TEST(ScpiScanningVoltmeterTest, IdentifiesTheModelAndChangesNothing) {
   EXPECT_EQ(info.output_unit, "g");
   EXPECT_EQ(info.full_scale, 25.0) << "(10 V + 2.5 V) / 0.5 V/g";
   EXPECT_EQ(info.rate_hz, kRateHz);
-  EXPECT_THAT(bench.line->commands(), ElementsAre("*IDN?"));
+  EXPECT_THAT(bench.port->commands(), ElementsAre("*IDN?"));
   EXPECT_EQ(Bench().accelerometer->identify().output_unit, "V");
 }
 
@@ -242,24 +226,24 @@ TEST(ScpiScanningVoltmeterTest, RefusesARateThatTheIntegrationCannotKeepBeforeIt
 
 TEST(ScpiScanningVoltmeterTest, RefusesARateThatItsScansDoNotKeepInTheMean) {
   Bench bench;
-  bench.line->mishaps["READ?"].assign(11, {.late = 400ms});
+  bench.port->mishaps["READ?"].assign(11, {.late = 400ms});
   EXPECT_THAT(error_of([&] { bench.accelerometer->start(); }, Fault::kRefused),
               AllOf(HasSubstr("rate_hz is 5"), HasSubstr("at most 2.48"), HasSubstr("0.402 s (mean of 10)")));
 }
 
 TEST(ScpiScanningVoltmeterTest, OneSlowScanDoesNotMakeARateImpossible) {
   Bench bench;
-  bench.line->mishaps["READ?"] = {{.late = 400ms}};
+  bench.port->mishaps["READ?"] = {{.late = 400ms}};
   EXPECT_NO_THROW(bench.accelerometer->start());
-  EXPECT_EQ(bench.line->count("READ?"), 11U);
-  // Nor do a few among the others: the mean counts.
-  bench.line->mishaps["READ?"] = {{.late = 400ms}, {.late = 400ms}, {}, {.late = 400ms}};
+  EXPECT_EQ(bench.port->count("READ?"), 11U);
+  // A few slow scans among the others are accepted, too: the mean counts.
+  bench.port->mishaps["READ?"] = {{.late = 400ms}, {.late = 400ms}, {}, {.late = 400ms}};
   EXPECT_NO_THROW(bench.accelerometer->start());
 }
 
 TEST(ScpiScanningVoltmeterTest, AVerySlowVoltmeterIsJudgedByFewerScans) {
   Bench bench;
-  bench.line->mishaps["READ?"].assign(11, {.late = 3s});
+  bench.port->mishaps["READ?"].assign(11, {.late = 3s});
   const Clock::Instant begin = bench.clock.now();
   error_of([&] { bench.accelerometer->start(); }, Fault::kRefused);
   EXPECT_LT(bench.clock.now() - begin, 20s);
@@ -316,21 +300,21 @@ TEST(ScpiScanningVoltmeterTest, KeepsItsRateAndCountsItsScans) {
 TEST(ScpiScanningVoltmeterTest, KeepsTheDeadlineWhileAScanLasts) {
   Bench bench;
   bench.accelerometer->start();
-  bench.line->mishaps["READ?"] = {{.late = 1s}};
+  bench.port->mishaps["READ?"] = {{.late = 1s}};
   for (int i = 0; i < 9; ++i) {
     const Clock::Instant deadline = bench.clock.now() + 100ms;
     EXPECT_FALSE(bench.accelerometer->next(deadline));
     EXPECT_EQ(bench.clock.now(), deadline);
   }
   EXPECT_FALSE(bench.accelerometer->next(bench.clock.now() - 1h)) << "a deadline long gone";
-  EXPECT_EQ(bench.line->count("READ?"), 2U) << "the same scan all the time";
+  EXPECT_EQ(bench.port->count("READ?"), 2U) << "the same scan all the time";
   EXPECT_EQ(bench.next_scan(), 1);
 }
 
 TEST(ScpiScanningVoltmeterTest, ThrowsAwayTheScanThatBeganBeforeADiscard) {
   Bench bench;
   bench.accelerometer->start();
-  bench.line->mishaps["READ?"] = {{.late = 100ms}};
+  bench.port->mishaps["READ?"] = {{.late = 100ms}};
   EXPECT_FALSE(bench.next(10ms));
   bench.accelerometer->discard_pending();
   EXPECT_EQ(bench.next_scan(), 2);
@@ -341,7 +325,7 @@ TEST(ScpiScanningVoltmeterTest, ThrowsAwayTheScanThatBeganBeforeADiscard) {
 
 TEST(ScpiScanningVoltmeterTest, UnderstandsARepliesBytesOneByOne) {
   Bench bench;
-  bench.line->byte_by_byte = true;
+  bench.port->byte_by_byte = true;
   bench.accelerometer->start();
   for (int scan = 1; scan < 5; ++scan) EXPECT_EQ(bench.next_scan(), scan);
 }
@@ -350,7 +334,7 @@ TEST(ScpiScanningVoltmeterTest, NeverTakesALateReplyForTheNextScan) {
   for (const Clock::Duration late : {3s, 4s, 6s, 8s, 9s, 11s}) {
     Bench bench;
     bench.accelerometer->start();
-    bench.line->mishaps["READ?"] = {{.late = late}};
+    bench.port->mishaps["READ?"] = {{.late = late}};
     const auto reading = bench.next(60s);
     ASSERT_TRUE(reading) << to_seconds(late);
     const auto health = bench.accelerometer->health();
@@ -370,7 +354,7 @@ TEST(ScpiScanningVoltmeterTest, NeverTakesALateAnswerToASettingsQuery) {
   FakeMeter fake;
   fake.errors["TRIG:COUN 1"] = {"-222,\"Data out of range\""};
   Bench bench(fake);
-  bench.line->mishaps["SYST:ERR?"] = {{.late = 7s}};  // "No error", of *CLS.
+  bench.port->mishaps["SYST:ERR?"] = {{.late = 7s}};  // "No error", of *CLS.
   EXPECT_THAT(error_of([&] { bench.accelerometer->start(); }, Fault::kNoReply), HasSubstr("SYST:ERR?"));
   EXPECT_THAT(error_of([&] { bench.accelerometer->start(); }, Fault::kRefused), HasSubstr("\"TRIG:COUN 1\""))
       << "the error is told of the command that caused it";
@@ -383,7 +367,7 @@ TEST(ScpiScanningVoltmeterTest, LosesADamagedScanAndCountsIt) {
         "+1.1,101,+1.2,101,+1.3,102\n"}) {
     Bench bench;
     bench.accelerometer->start();
-    bench.line->mishaps["READ?"] = {{.instead = damaged}};
+    bench.port->mishaps["READ?"] = {{.instead = damaged}};
     EXPECT_EQ(bench.next_scan(), 2) << damaged;
     const auto health = bench.accelerometer->health();
     EXPECT_EQ(health.lost_readings, 1U);
@@ -396,7 +380,7 @@ TEST(ScpiScanningVoltmeterTest, LosesAScanOfWhichNothingOrHalfCame) {
   for (const char* half : {"", "+1.1E+00,101,+1.2"}) {
     Bench bench;
     bench.accelerometer->start();
-    bench.line->mishaps["READ?"] = {{.instead = half}};
+    bench.port->mishaps["READ?"] = {{.instead = half}};
     EXPECT_EQ(bench.next_scan(), 2) << half;
     EXPECT_EQ(bench.accelerometer->health().lost_readings, 1U);
     EXPECT_EQ(bench.accelerometer->health().skipped_bytes, std::string_view(half).size());
@@ -405,17 +389,17 @@ TEST(ScpiScanningVoltmeterTest, LosesAScanOfWhichNothingOrHalfCame) {
 
 TEST(ScpiScanningVoltmeterTest, AsksForTheIdentityAgainWhereNoiseSpoiltIt) {
   Bench bench;
-  bench.line->mishaps["*IDN?"] = {{.instead = "\xF0noise\n"}};
+  bench.port->mishaps["*IDN?"] = {{.instead = "\xF0noise\n"}};
   bench.accelerometer->start();
-  bench.line->mishaps["READ?"] = {{.instead = ""}};
-  bench.line->mishaps["*IDN?"] = {{.before = "noise"}};
+  bench.port->mishaps["READ?"] = {{.instead = ""}};
+  bench.port->mishaps["*IDN?"] = {{.before = "noise"}};
   EXPECT_EQ(bench.next_scan(), 2);
 }
 
 TEST(ScpiScanningVoltmeterTest, GivesUpAfterThreeLostScansInARow) {
   Bench bench;
   bench.accelerometer->start();
-  bench.line->mishaps["READ?"] = {{.instead = "x\n"}, {.instead = "x\n"}, {.instead = "+1,101\n"}};
+  bench.port->mishaps["READ?"] = {{.instead = "x\n"}, {.instead = "x\n"}, {.instead = "+1,101\n"}};
   EXPECT_THAT(
       error_of([&] { bench.next(60s); }, Fault::kBadFrame),
       AllOf(HasSubstr("3 scans in a row"), HasSubstr("\"+1,101\""), HasSubstr("1 readings; required: 3")));
@@ -426,7 +410,7 @@ TEST(ScpiScanningVoltmeterTest, SaysWhyThereIsNoReadingIfTheVoltmeterDoes) {
   FakeMeter fake;
   fake.errors["READ?"] = {"-410,\"Query INTERRUPTED\"", "+532,\"Cannot achieve requested resolution\""};
   Bench bench(fake);
-  bench.line->mishaps["READ?"] = {{}, {.instead = ""}};
+  bench.port->mishaps["READ?"] = {{}, {.instead = ""}};
   bench.accelerometer->start();
   EXPECT_THAT(error_of([&] { bench.next(60s); }, Fault::kRefused),
               AllOf(HasSubstr("error 532"), HasSubstr("Cannot achieve"), HasSubstr("\"READ?\"")));
@@ -434,31 +418,31 @@ TEST(ScpiScanningVoltmeterTest, SaysWhyThereIsNoReadingIfTheVoltmeterDoes) {
 
 TEST(ScpiScanningVoltmeterTest, SaysThatNothingComes) {
   Bench bench;
-  bench.line->silent = true;
+  bench.port->silent = true;
   Clock::Instant begin = bench.clock.now();
   EXPECT_THAT(error_of([&] { bench.accelerometer->identify(); }, Fault::kNoReply),
               AllOf(HasSubstr("*IDN?"), HasSubstr("switched on")));
   EXPECT_LE(bench.clock.now() - begin, 2 * kAnswerTime);
 
-  bench.line->silent = false;
+  bench.port->silent = false;
   bench.accelerometer->start();
-  bench.line->silent = true;
+  bench.port->silent = true;
   begin = bench.clock.now();
   EXPECT_THAT(error_of([&] { bench.accelerometer->next(begin + 1h); }, Fault::kNoReply),
               AllOf(HasSubstr("no reply to \"READ?\""), HasSubstr("no answer to \"*IDN?\"")));
   EXPECT_LE(bench.clock.now() - begin, 2 * kBeyondPatience + 2 * kAnswerTime);
 
-  // It comes back, with another world behind it: what is delivered then was measured then.
-  bench.line->silent = false;
-  const std::size_t asked = bench.line->count("READ?");
+  // It comes back, with a changed world behind it: readings delivered then were measured then.
+  bench.port->silent = false;
+  const std::size_t asked = bench.port->count("READ?");
   EXPECT_TRUE(bench.next(60s));
-  EXPECT_EQ(bench.line->count("READ?"), asked + 1);
+  EXPECT_EQ(bench.port->count("READ?"), asked + 1);
 }
 
 TEST(ScpiScanningVoltmeterTest, SaysThatSomethingElseAnswers) {
   Bench bench;
   for (int i = 0; i < 2; ++i)
-    bench.line->mishaps["*IDN?"].push_back({.instead = "@01 0 RJ IDLE -- BADCOMMAND\n"});
+    bench.port->mishaps["*IDN?"].push_back({.instead = "@01 0 RJ IDLE -- BADCOMMAND\n"});
   EXPECT_THAT(error_of([&] { bench.accelerometer->identify(); }, Fault::kWrongIdentity),
               AllOf(HasSubstr("BADCOMMAND"), HasSubstr("another instrument")));
 }
@@ -466,7 +450,7 @@ TEST(ScpiScanningVoltmeterTest, SaysThatSomethingElseAnswers) {
 TEST(ScpiScanningVoltmeterTest, SaysThatThePortIsGone) {
   Bench bench;
   bench.accelerometer->start();
-  bench.line->unplugged = true;
+  bench.port->unplugged = true;
   for (int i = 0; i < 3; ++i) error_of([&] { bench.next(); }, Fault::kLinkLost);
   bench.accelerometer->stop();
   error_of([&] { bench.accelerometer->identify(); }, Fault::kLinkLost);
@@ -476,12 +460,12 @@ TEST(ScpiScanningVoltmeterTest, StopsAndGoesLocal) {
   Bench bench;
   error_of([&] { bench.next(); }, Fault::kNotReady);
   bench.accelerometer->stop();
-  EXPECT_THAT(bench.line->commands(), SizeIs(0)) << "who is there is not known";
+  EXPECT_THAT(bench.port->commands(), SizeIs(0)) << "who is there is not known";
   bench.accelerometer->start();
-  bench.line->mishaps["READ?"] = {{.late = 1s}};
+  bench.port->mishaps["READ?"] = {{.late = 1s}};
   EXPECT_FALSE(bench.next(10ms));
   bench.accelerometer->stop();
-  const auto commands = bench.line->commands();
+  const auto commands = bench.port->commands();
   EXPECT_EQ(commands.at(commands.size() - 2), "ABOR");
   EXPECT_EQ(commands.back(), "SYST:LOC");
   error_of([&] { bench.next(); }, Fault::kNotReady);

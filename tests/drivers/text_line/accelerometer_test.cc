@@ -10,6 +10,8 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/text_line_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/support/accelerometer_bench.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_port.h"
 
 namespace abcal {
@@ -17,20 +19,20 @@ namespace {
 
 using std::chrono::milliseconds;
 using std::chrono::seconds;
+using test::error_of;
 using test::ScriptedPort;
+using test::sequences;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
-struct Bench {
-  explicit Bench(AccelerometerSettings settings = {}) {
-    auto owned = std::make_unique<ScriptedPort>(
-        clock, [](ScriptedPort&, const std::string&) { ADD_FAILURE() << "nothing is sent to a board"; });
-    port = owned.get();
-    accelerometer = std::make_unique<TextLineAccelerometer>(std::move(owned), clock, settings);
-  }
+struct Bench : test::AccelerometerBench<TextLineAccelerometer> {
+  explicit Bench(const AccelerometerSettings& settings = {})
+      : AccelerometerBench(settings, [](ScriptedPort&, const std::string&) {
+          ADD_FAILURE() << "nothing is sent to a board";
+        }) {}
 
-  /// What the board prints from now on: the end of a line, then a line in each period.
+  /// Output of the board from now on: the end of a line, then a line in each period.
   void print(const std::string& line, milliseconds period, int lines) {
     port->say(".99\r\n", milliseconds(1));
     for (int i = 1; i <= lines; ++i) port->say(line + "\r\n", i * period);
@@ -42,36 +44,7 @@ struct Bench {
     print("0,0,1", milliseconds(10), 101);
     accelerometer->start();
   }
-
-  std::vector<Reading> read_all(Clock::Duration wait = {}) {
-    std::vector<Reading> readings;
-    const Clock::Instant deadline = clock.now() + wait;
-    while (const auto reading = accelerometer->next(deadline)) readings.push_back(*reading);
-    return readings;
-  }
-
-  test::FakeClock clock;
-  ScriptedPort* port = nullptr;
-  std::unique_ptr<TextLineAccelerometer> accelerometer;
 };
-
-template <typename Call>
-std::string error_of(Call call, Fault fault) {
-  try {
-    call();
-  } catch (const InstrumentError& error) {
-    EXPECT_EQ(error.fault(), fault) << error.what();
-    return error.what();
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {};
-}
-
-std::vector<std::uint64_t> sequences(const std::vector<Reading>& readings) {
-  std::vector<std::uint64_t> result;
-  for (const Reading& reading : readings) result.push_back(reading.sequence);
-  return result;
-}
 
 TEST(TextLineAccelerometerTest, IdentifiesABoardByItsLines) {
   AccelerometerSettings settings;
@@ -226,7 +199,7 @@ TEST(TextLineAccelerometerTest, CountsTheLinesOfABoardThatRestarts) {
   EXPECT_GE(bench.accelerometer->health().lost_readings, 1U);
 }
 
-// What goes wrong.
+// Failures.
 
 TEST(TextLineAccelerometerTest, SaysThatASilentPortIsSilent) {
   Bench bench;

@@ -19,7 +19,7 @@ namespace reference = test::text_line_reference;
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 
-/// What is read if the bytes come in pieces of this size.
+/// Lines that are read if the bytes come in pieces of this size.
 std::vector<std::vector<double>> read(std::string_view bytes, std::size_t piece = 1, LineFormat format = {}) {
   LineReader reader(std::move(format));
   std::vector<std::vector<double>> lines;
@@ -83,7 +83,7 @@ TEST(TextLineCodecTest, EachNumberMayHaveALineOfItsOwn) {
   const LineFormat format{.names = kNames};
   const std::string bytes = "\n>ay:2\n>az:3\n>temp:23\n>ax:4\n>ay:5\n>az:6\n>ax:7\n>ay:8\n>az:9\n";
   // It began in the middle of a reading, whose rest is taken with the first number of the next: the sensor's
-  // own order is not known. From then on a name that comes again begins anew.
+  // own order is not known. From then on a repeated name begins a new reading.
   EXPECT_THAT(read(bytes, 5, format), ElementsAre(ElementsAre(4, 2, 3), ElementsAre(7, 5, 6)));
 }
 

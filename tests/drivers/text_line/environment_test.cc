@@ -10,6 +10,7 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/text_line_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_port.h"
 
 namespace abcal {
@@ -42,14 +43,7 @@ struct Bench {
 };
 
 std::string error_of(Bench& bench, Fault fault) {
-  try {
-    bench.read();
-  } catch (const InstrumentError& error) {
-    EXPECT_EQ(error.fault(), fault) << error.what();
-    return error.what();
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {};
+  return test::error_of([&] { bench.read(); }, fault);
 }
 
 TEST(TextLineEnvironmentTest, ReadsTheColumnsItHas) {
@@ -80,7 +74,7 @@ TEST(TextLineEnvironmentTest, GivesTheNewestLineThatWaits) {
   EXPECT_EQ(bench.read().temperature_degc, 22.0) << "the line of which half had come";
 }
 
-/// What came to a queue at its own time, as a thread behind a real port puts it there.
+/// Bytes that arrived in a queue at an earlier time, as a thread behind a real port puts them there.
 class OldBytes final : public wire::ByteStream {
  public:
   explicit OldBytes(Clock& clock) : clock_(clock) {}
@@ -208,7 +202,7 @@ TEST(TextLineEnvironmentTest, ReadsTheSimulatedSensor) {
     clock.sleep_until(Clock::Instant{} + std::chrono::minutes(minutes));
     const EnvironmentReading reading = sensor.read(clock.now() + seconds(5));
     ASSERT_TRUE(reading.temperature_degc);
-    // What it has printed is up to 2 s old, a thousandth of a degree; half of the last digit printed.
+    // The printed value is up to 2 s old, a thousandth of a degree; plus half of the last printed digit.
     EXPECT_NEAR(*reading.temperature_degc, 21.0 + minutes / 30.0, 0.0012 + 0.005);
     EXPECT_EQ(reading.humidity_percent, 38.5);
     EXPECT_EQ(reading.pressure_hpa, 987.25);

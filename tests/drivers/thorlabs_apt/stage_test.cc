@@ -10,11 +10,13 @@
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/thorlabs_apt_firmware.h"
 #include "sim/sim_clock.h"
+#include "tests/support/error_of.h"
 
 namespace abcal::thorlabs_apt {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using ::testing::HasSubstr;
 
 class ThorlabsAptStageTest : public ::testing::Test {
@@ -39,17 +41,6 @@ class ThorlabsAptStageTest : public ::testing::Test {
 
   void wait(ThorlabsAptStage& stage, StageAxis axis) {
     while (stage.motion_state(axis) == MotionState::kMoving) clock_.sleep_until(clock_.now() + 20ms);
-  }
-
-  template <class Call>
-  InstrumentError error_of(Call call) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      return error;
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {"", Fault::kImplausible, "nothing was thrown"};
   }
 
   sim::SimClock clock_;

@@ -12,6 +12,8 @@
 #include "sim/firmware/vectornav_firmware.h"
 #include "sim/sim_clock.h"
 #include "tests/drivers/vectornav/reference_decoder.h"
+#include "tests/support/accelerometer_bench.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_port.h"
 
 namespace abcal {
@@ -19,7 +21,9 @@ namespace {
 
 using std::chrono::milliseconds;
 using std::chrono::seconds;
+using test::error_of;
 using test::ScriptedPort;
+using test::sequences;
 using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::ElementsAre;
@@ -30,7 +34,7 @@ namespace reference = test::vectornav_reference;
 
 constexpr std::uint64_t kPeriodNs = 10'000'000;  // 100 Hz
 
-/// A VN-100 as a table: the answer to each command, without frame; what is not here is echoed, as writes are.
+/// A VN-100 as a table: the answer to each command, without frame; other commands are echoed, as writes are.
 struct Script {
   std::map<std::string, std::string> answers{{"VNRRG,01", "VNRRG,01,VN-100T-CR"},
                                              {"VNRRG,02", "VNRRG,02,7"},
@@ -50,19 +54,9 @@ struct Script {
   }
 };
 
-struct Bench {
-  explicit Bench(Script script = {}, AccelerometerSettings settings = {}) {
-    auto owned = std::make_unique<ScriptedPort>(clock, script);
-    port = owned.get();
-    accelerometer = std::make_unique<VectorNavAccelerometer>(std::move(owned), clock, settings);
-  }
-
-  std::vector<Reading> read_all(Clock::Duration wait = {}) {
-    std::vector<Reading> readings;
-    const Clock::Instant deadline = clock.now() + wait;
-    while (const auto reading = accelerometer->next(deadline)) readings.push_back(*reading);
-    return readings;
-  }
+struct Bench : test::AccelerometerBench<VectorNavAccelerometer> {
+  explicit Bench(const Script& script = {}, const AccelerometerSettings& settings = {})
+      : AccelerometerBench(settings, script) {}
 
   /// The commands without their frame.
   std::vector<std::string> commands() const {
@@ -70,29 +64,7 @@ struct Bench {
     for (const std::string& frame : port->commands) texts.push_back(frame.substr(1, frame.rfind('*') - 1));
     return texts;
   }
-
-  test::FakeClock clock;
-  ScriptedPort* port = nullptr;
-  std::unique_ptr<VectorNavAccelerometer> accelerometer;
 };
-
-template <typename Call>
-std::string error_of(Call call, Fault fault) {
-  try {
-    call();
-  } catch (const InstrumentError& error) {
-    EXPECT_EQ(error.fault(), fault) << error.what();
-    return error.what();
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {};
-}
-
-std::vector<std::uint64_t> sequences(const std::vector<Reading>& readings) {
-  std::vector<std::uint64_t> result;
-  for (const Reading& reading : readings) result.push_back(reading.sequence);
-  return result;
-}
 
 TEST(VectorNavAccelerometerTest, IdentifiesTheDevice) {
   Bench bench;
@@ -290,7 +262,7 @@ TEST(VectorNavAccelerometerTest, RefusesATextRateThatIsNone) {
               AllOf(HasSubstr("rate_hz is 80"), HasSubstr("no binary output")));
 }
 
-// What goes wrong while talking.
+// Failures of the communication.
 
 TEST(VectorNavAccelerometerTest, SaysThatASilentPortIsSilentAfterTwoTries) {
   Script script;

@@ -31,7 +31,7 @@ std::string from_hex(std::string_view hex) {
   return bytes;
 }
 
-/// What the parser finds if the bytes come in pieces of this size: texts, and binary payloads.
+/// Messages that the parser finds if the bytes come in pieces of this size: texts, and binary payloads.
 std::vector<std::string> parse(std::string_view bytes, std::size_t piece = 1, std::string only_header = {}) {
   MessageParser parser(std::move(only_header));
   std::vector<std::string> found;

@@ -62,7 +62,7 @@ inline std::string binary_message(std::string_view header_and_payload) {
          static_cast<char>(sum % 256);
 }
 
-/// As the driver configures it: time since startup, acceleration; temperature.
+/// Message with the driver's configuration: time since startup, acceleration; temperature.
 inline std::string data_message(std::uint64_t time_ns, float x, float y, float z, float temperature = 25.0F) {
   return binary_message(std::string("\x05\x01\x01\x10\x00", 5) + little_endian(time_ns, 8) + float_bytes(x) +
                         float_bytes(y) + float_bytes(z) + float_bytes(temperature));

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "drivers/instrument/instrument_error.h"
+#include "sim/faults.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/watlow_f4_firmware.h"
 #include "sim/sim_clock.h"
@@ -102,7 +103,7 @@ TEST_P(WatlowChamberTest, AlarmAndDoorAreTold) {
   EXPECT_TRUE(reading.door_open || !reading.alarms.empty());
 }
 
-// At every call: the chamber does what was asked, or says what is wrong, within seconds.
+// At every call the chamber does as requested, or reports the fault within seconds.
 TEST_P(WatlowChamberTest, FaultsOfTheWireAtEveryWrite) {
   const auto series = [](Rig& rig) {
     rig.chamber->identify();

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "drivers/instrument/instrument_error.h"
+#include "sim/faults.h"
 #include "sim/firmware/firmware_stream.h"
 #include "sim/firmware/weiss_firmware.h"
 #include "sim/sim_clock.h"
@@ -96,7 +97,7 @@ TEST_P(WeissChamberTest, AlarmAndDoorAreToldBySimserv) {
   EXPECT_TRUE(rig.chamber->read().door_open);
 }
 
-// At every call: the chamber does what was asked, or says what is wrong, within seconds.
+// At every call the chamber does as requested, or reports the fault within seconds.
 TEST_P(WeissChamberTest, FaultsOfTheWireAtEveryWrite) {
   bool undamaged = true;
   const auto series = [&undamaged](Rig& rig) {

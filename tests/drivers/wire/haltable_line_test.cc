@@ -105,7 +105,7 @@ TEST_F(HaltableLineTest, HaltGivesUpAtItsDeadlineAndAtOnceWithoutALink) {
 }
 
 TEST_F(HaltableLineTest, MeanwhileTheOwnerSendsNothing) {
-  // The owner is held in its query until the stop is written; what it sends next is refused.
+  // The owner is held in its query until the stop is written; its next command is refused.
   far_end_->held_until = "query";
   far_end_->released_by = "stop";
   auto owner = std::async(std::launch::async, [&] {

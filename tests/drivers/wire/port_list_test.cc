@@ -8,6 +8,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/open_stream.h"
+#include "drivers/wire/port_held.h"
 #include "tests/drivers/wire/pseudo_terminal.h"
 #include "tests/drivers/wire/steady_clock.h"
 
@@ -127,6 +128,11 @@ TEST(PortListTest, TheHolderOfAPortIsFoundAndOneselfIsNone) {
   }
   EXPECT_THAT(find_holder(terminal.path()),
               AllOf(HasSubstr("pid " + std::to_string(child)), HasSubstr("(wire_test)")));
+  const std::vector<PortHolder> holders = find_holders(terminal.path());
+  ASSERT_EQ(holders.size(), 1U);
+  EXPECT_EQ(holders[0].pid, std::to_string(child));
+  EXPECT_TRUE(PortHeld(terminal.path(), "held", holders).is_held_by("wire_test"));
+  EXPECT_FALSE(PortHeld(terminal.path(), "held", holders).is_held_by("abcal-guard"));
   ::close(to_child[1]);
   int status = -1;
   EXPECT_EQ(::waitpid(child, &status, 0), child);

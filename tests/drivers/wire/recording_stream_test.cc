@@ -38,7 +38,7 @@ class TalkingStream final : public ByteStream {
 
 class RecordingStreamTest : public ::testing::Test {
  protected:
-  /// What was told since it was asked last; at the beginning without "opened".
+  /// Events since the last call; at the beginning without "opened".
   std::vector<WireEvent> told() { return std::exchange(events_, {}); }
 
   test::FakeClock clock_;

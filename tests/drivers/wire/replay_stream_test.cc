@@ -5,12 +5,14 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/recording_stream.h"
+#include "tests/support/error_of.h"
 #include "tests/support/fake_clock.h"
 
 namespace abcal::wire {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using testing::AllOf;
 using testing::HasSubstr;
 using Kind = WireEvent::Kind;
@@ -33,18 +35,6 @@ class ReplayStreamTest : public ::testing::Test {
  protected:
   ReplayStreamTest() { EXPECT_EQ(clock_.now(), at(1s)); }
   ReplayStream replay(std::vector<WireEvent> events) { return {std::move(events), clock_}; }
-
-  /// The error of `action`; a failure of the test if there is none.
-  template <class Action>
-  InstrumentError error_of(Action action) {
-    try {
-      action();
-    } catch (const InstrumentError& error) {
-      return error;
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {"", Fault::kRefused, ""};
-  }
 
   test::FakeClock clock_;
 };

@@ -150,7 +150,7 @@ TEST_F(SerialPortTest, ABurstOfAMegabyteIsReadWithoutLoss) {
 TEST_F(SerialPortTest, ABurstIsKeptForAReaderThatIsBusy) {
   SerialPort port({.path = terminal_.path(), .baud = 115200, .rts_cts = false}, clock_);
   const std::string burst(std::size_t{1} << 20, 'u');
-  terminal_.write(burst);  // Returns once the port's own thread has taken nearly all of it: nobody reads.
+  terminal_.write(burst);  // Returns once the port's own thread has taken nearly all bytes: nobody reads.
   EXPECT_EQ(read_all(port, burst.size()).size(), burst.size());
 }
 
@@ -170,7 +170,7 @@ TEST_F(SerialPortTest, DiscardThrowsAwayWhatHasArrived) {
   terminal_.write("stale!");
   const Clock::Instant deadline = clock_.now() + kPatience;
   while (port.dropped_bytes() < 1 && clock_.now() < deadline)
-    std::this_thread::yield();  // All of it has arrived.
+    std::this_thread::yield();  // All bytes have arrived.
   port.discard_input();
   EXPECT_EQ(port.read_until(clock_.now()).bytes, "");
   terminal_.write("fresh");

@@ -15,6 +15,7 @@
 #include "drivers/instrument/instrument_error.h"
 #include "drivers/wire/open_stream.h"
 #include "tests/drivers/wire/steady_clock.h"
+#include "tests/support/error_of.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/temporary_folder.h"
 
@@ -22,6 +23,7 @@ namespace abcal::wire {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -41,7 +43,7 @@ class FakeDevice final : public UsbtmcDevice {
   };
   std::deque<Reply> replies;
   std::vector<std::string> messages;
-  std::deque<int> errors;  ///< Of the next calls, in order; 0: none.
+  std::deque<int> errors;  ///< Errors of the next calls, in order; 0: none.
   int reads_too_early = 0;
   int status_requests = 0;
 
@@ -66,7 +68,7 @@ class FakeDevice final : public UsbtmcDevice {
   int status_byte() override {
     ++status_requests;
     if (const int error = next_error(); error != 0) return error;
-    return waits() ? 0x50 : 0x40;  // With a bit that is of no account.
+    return waits() ? 0x50 : 0x40;  // With a bit that must be ignored.
   }
 
  private:
@@ -87,18 +89,6 @@ class UsbtmcStreamTest : public ::testing::Test {
     auto owned = std::make_unique<FakeDevice>(clock_);
     device_ = owned.get();
     stream_ = std::make_unique<UsbtmcStream>(std::move(owned), "/dev/usbtmc7", clock_);
-  }
-
-  template <class Call>
-  std::string error_of(Call call, Fault fault) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      EXPECT_EQ(error.fault(), fault) << error.what();
-      return error.what();
-    }
-    ADD_FAILURE() << "no error";
-    return {};
   }
 
   test::FakeClock clock_;

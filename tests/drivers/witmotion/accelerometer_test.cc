@@ -12,6 +12,8 @@
 #include "sim/firmware/witmotion_firmware.h"
 #include "sim/sim_clock.h"
 #include "tests/drivers/witmotion/reference_decoder.h"
+#include "tests/support/accelerometer_bench.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_port.h"
 
 namespace abcal {
@@ -19,7 +21,9 @@ namespace {
 
 using std::chrono::milliseconds;
 using std::chrono::seconds;
+using test::error_of;
 using test::ScriptedPort;
+using test::sequences;
 using ::testing::AllOf;
 using ::testing::Each;
 using ::testing::ElementsAre;
@@ -31,8 +35,7 @@ using reference::from_hex;
 const std::string kRead = from_hex("FF AA 27");
 const std::string kWriteRate = from_hex("FF AA 03");
 
-/// A sensor as a table: the four registers from each one that may be asked for, and what it streams once its
-/// rate is set.
+/// A sensor as a table: four registers from each readable address, and its stream once its rate is set.
 struct Script {
   std::map<int, std::array<int, 4>> registers{
       {0x2E, {17202, 0, 0, 0}}, {0x21, {3, 0, 0, 0}}, {0x02, {0x1E, 6, 6, 0}}};
@@ -51,8 +54,8 @@ struct Script {
     if (command.starts_with(kWriteRate)) stream(port);
   }
 
-  /// As much as the driver listens to before it calls the stream started: a second from the first frame on. A
-  /// frame of the first 10 ms is thrown away before, as it may be one of the old rate.
+  /// The amount that the driver listens to before it calls the stream started: a second from the first frame
+  /// on. A frame of the first 10 ms is discarded before, as it may have the old rate.
   void stream(ScriptedPort& port) const {
     const int thrown_away = static_cast<int>(milliseconds(10) / period);
     const int frames =
@@ -61,42 +64,10 @@ struct Script {
   }
 };
 
-struct Bench {
-  explicit Bench(Script script = {}, AccelerometerSettings settings = {}) {
-    auto owned = std::make_unique<ScriptedPort>(clock, script);
-    port = owned.get();
-    accelerometer = std::make_unique<WitMotionAccelerometer>(std::move(owned), clock, settings);
-  }
-
-  std::vector<Reading> read_all(Clock::Duration wait = {}) {
-    std::vector<Reading> readings;
-    const Clock::Instant deadline = clock.now() + wait;
-    while (const auto reading = accelerometer->next(deadline)) readings.push_back(*reading);
-    return readings;
-  }
-
-  test::FakeClock clock;
-  ScriptedPort* port = nullptr;
-  std::unique_ptr<WitMotionAccelerometer> accelerometer;
+struct Bench : test::AccelerometerBench<WitMotionAccelerometer> {
+  explicit Bench(const Script& script = {}, const AccelerometerSettings& settings = {})
+      : AccelerometerBench(settings, script) {}
 };
-
-template <typename Call>
-std::string error_of(Call call, Fault fault) {
-  try {
-    call();
-  } catch (const InstrumentError& error) {
-    EXPECT_EQ(error.fault(), fault) << error.what();
-    return error.what();
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {};
-}
-
-std::vector<std::uint64_t> sequences(const std::vector<Reading>& readings) {
-  std::vector<std::uint64_t> result;
-  for (const Reading& reading : readings) result.push_back(reading.sequence);
-  return result;
-}
 
 TEST(WitMotionAccelerometerTest, IdentifiesADeviceThatAnswers) {
   Bench bench;
@@ -315,7 +286,7 @@ TEST(WitMotionAccelerometerTest, TakesAModelThatPutsOutMoreThanItWasTold) {
   EXPECT_THAT(sequences(bench.read_all()), ElementsAre(0, 1, 2));
 }
 
-// What goes wrong while talking.
+// Failures of the communication.
 
 TEST(WitMotionAccelerometerTest, SaysThatASilentPortIsSilent) {
   Script script;

@@ -9,6 +9,8 @@
 #include <memory>
 
 #include "tests/drivers/xsens_mti/reference_decoder.h"
+#include "tests/support/accelerometer_bench.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_port.h"
 
 namespace abcal {
@@ -16,13 +18,15 @@ namespace {
 
 using std::chrono::milliseconds;
 using std::chrono::seconds;
+using test::error_of;
 using test::ScriptedPort;
+using test::sequences;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 namespace reference = test::xbus_reference;
 
-/// An MTi as a table: the data of the answer to each command; what is not here is answered by its own data.
+/// An MTi as a table: the data of the answer to each command; other commands are answered by their own data.
 struct Script {
   std::map<unsigned, std::string> answers{{0x00, "\x03\x70\x03\xF8"},
                                           {0x1C, "MTi-300-2A5G4       "},
@@ -46,48 +50,16 @@ struct Script {
   }
 };
 
-struct Bench {
-  explicit Bench(Script script = {}, AccelerometerSettings settings = {}) {
-    auto owned = std::make_unique<ScriptedPort>(clock, script);
-    port = owned.get();
-    accelerometer = std::make_unique<XsensMtiAccelerometer>(std::move(owned), clock, settings);
-  }
-
-  std::vector<Reading> read_all(Clock::Duration wait = {}) {
-    std::vector<Reading> readings;
-    const Clock::Instant deadline = clock.now() + wait;
-    while (const auto reading = accelerometer->next(deadline)) readings.push_back(*reading);
-    return readings;
-  }
+struct Bench : test::AccelerometerBench<XsensMtiAccelerometer> {
+  explicit Bench(const Script& script = {}, const AccelerometerSettings& settings = {})
+      : AccelerometerBench(settings, script) {}
 
   std::vector<unsigned> commands() const {
     std::vector<unsigned> ids;
     for (const std::string& frame : port->commands) ids.push_back(reference::byte_at(frame, 2));
     return ids;
   }
-
-  test::FakeClock clock;
-  ScriptedPort* port = nullptr;
-  std::unique_ptr<XsensMtiAccelerometer> accelerometer;
 };
-
-template <typename Call>
-std::string error_of(Call call, Fault fault) {
-  try {
-    call();
-  } catch (const InstrumentError& error) {
-    EXPECT_EQ(error.fault(), fault) << error.what();
-    return error.what();
-  }
-  ADD_FAILURE() << "nothing was thrown";
-  return {};
-}
-
-std::vector<std::uint64_t> sequences(const std::vector<Reading>& readings) {
-  std::vector<std::uint64_t> result;
-  for (const Reading& reading : readings) result.push_back(reading.sequence);
-  return result;
-}
 
 std::string outputs(std::initializer_list<std::pair<unsigned, unsigned>> list) {
   std::string data;
@@ -324,7 +296,7 @@ TEST(XsensMtiAccelerometerTest, SaysAnErrorOfTheDeviceWhileItStreams) {
   EXPECT_THAT(error_of([&] { bench.read_all(); }, Fault::kRefused), HasSubstr("timer overflow"));
 }
 
-// What goes wrong while talking.
+// Failures of the communication.
 
 TEST(XsensMtiAccelerometerTest, SaysThatASilentPortIsSilentAfterTwoTries) {
   Script script;

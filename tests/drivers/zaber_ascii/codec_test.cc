@@ -99,7 +99,7 @@ TEST(ZaberAsciiCodecTest, AnySingleByteErrorInAChecksummedReplyIsRejected) {
         std::string changed = line;
         changed[at] = static_cast<char>(value);
         if (changed == line) continue;
-        // As the driver takes it: lines, then messages.
+        // Decodes in the order of the driver: lines, then messages.
         for (std::string_view rest = changed; !rest.empty();) {
           const auto verdict = check_line(rest);
           ASSERT_EQ(verdict.check, FrameCheck::kComplete);

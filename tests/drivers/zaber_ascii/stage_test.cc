@@ -15,18 +15,20 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "tests/drivers/endless_stream.h"
+#include "tests/support/error_of.h"
 #include "tests/support/scripted_line.h"
 
 namespace abcal::zaber_ascii {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 constexpr double kStepsPerTurn = 384000.0;
 
-/// What one axis says.
+/// State that one axis reports.
 struct FakeAxis {
   std::string position = "15466";  ///< 14.499375 degrees.
   std::string warnings = "00";
@@ -47,8 +49,8 @@ class FakeChain {
   std::map<int, std::vector<FakeAxis>> devices{{1, {FakeAxis{}, FakeAxis{}}}};
   bool checksums = true;
   std::string limit_max = "384000";
-  std::map<std::string, std::string> replies;  ///< Of queries, in place of the usual.
-  unsigned damaged = 0;                        ///< So many replies come with one bit wrong.
+  std::map<std::string, std::string> replies;  ///< Replies to queries, in place of the usual ones.
+  unsigned damaged = 0;                        ///< Number of replies that come with one bit wrong.
   std::string alert;                           ///< Before every reply.
 
   /// "1 1 get pos" of "/1 1 05 get pos:CC".
@@ -153,17 +155,6 @@ class ZaberAsciiStageTest : public ::testing::Test {
   void connect(const StageSettings& settings = {}) {
     stage_ = std::make_unique<ZaberAsciiStage>(std::unique_ptr<wire::ByteStream>(owned_.release()), clock_,
                                                settings);
-  }
-
-  template <class Call>
-  InstrumentError error_of(Call call) {
-    try {
-      call();
-    } catch (const InstrumentError& error) {
-      return error;
-    }
-    ADD_FAILURE() << "nothing was thrown";
-    return {"", Fault::kImplausible, "nothing was thrown"};
   }
 
   FakeAxis& x() { return chain_.devices[1][0]; }

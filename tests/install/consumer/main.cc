@@ -1,7 +1,7 @@
 // A program of somebody else: the estimators as a library, found with find_package(abcal).
 
-#include <protocol/analysis/analyse.h>
-#include <protocol/analysis/joint_fit.h>
+#include <protocol/estimators/circle/analyse.h>
+#include <protocol/estimators/joint/analyse_joint.h>
 #include <protocol/record/import_csv.h>
 
 #include <cstdio>

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <map>
 #include <optional>
 #include <string>
@@ -46,8 +47,8 @@ TEST(EffectSizesTest, EveryEntryIsReadBack) {
 TEST(EffectSizesTest, ADefaultIsNotTakenForAStatement) {
   const EffectSizes sizes = read_back(effect_size_entries({}));
   EXPECT_TRUE(sizes.sources.empty());
-  // Orthogonality, gain and offset of a voltmeter, and cyclic drift are zero: they are no effects of this
-  // run.
+  // A default of zero (orthogonality, gain and offset of a voltmeter, cyclic drift) is no effect of this run.
+  EXPECT_EQ(std::ranges::count_if(effect_size_keys(), [](const auto& key) { return key.get({}) == 0.0; }), 4);
   EXPECT_EQ(unstated_effects(sizes).size(), effect_size_keys().size() - 4);
   EXPECT_EQ(sizes.wobble_urad, 50.0);
 }

@@ -1,5 +1,5 @@
-// What version 3 of the run file promises: true time, sessions, roles, items, compact readings, chained
-// dwells, and results that many programs may write at once.
+// Promises of version 3 of the run file: true time, sessions, roles, items, compact readings, chained dwells,
+// and results that many programs may write at once.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -40,7 +40,7 @@ RunHeader plan_of_two() {
   return header;
 }
 
-/// A beginning at so many seconds after the first, on a computer that was started once.
+/// A beginning at this time after the first, on a computer that was started once.
 SessionStart start_after(Clock::Duration elapsed, const std::string& boot_id = "boot-1",
                          Clock::Duration system_clock_moved = {}) {
   return {kMorning + elapsed + system_clock_moved,
@@ -49,7 +49,7 @@ SessionStart start_after(Clock::Duration elapsed, const std::string& boot_id = "
           "0.2.0"};
 }
 
-/// Readings at 100 Hz that arrive up to 3 ms late, with a temperature of so many bits.
+/// Readings at 100 Hz that arrive up to 3 ms late, with a temperature in single precision.
 std::vector<StoredReading> late_readings(std::size_t count, double begin_s) {
   std::mt19937_64 engine(1);
   std::normal_distribution<double> noise(0.0, 1e-4);
@@ -141,7 +141,7 @@ class RunFile3Test : public testing::Test {
     file.append_dwell(position, dwell_of(readings, closing), readings, {1.0, 1.0, 1.0, 1.0});
   }
   SqliteDatabase reader() const { return {path, SqliteDatabase::Mode::kReadOnly}; }
-  /// What `verify` finds of a subject.
+  /// The finding of `verify` on a subject.
   IntegrityCheck found(const std::string& what) const { return found(what, path); }
   static IntegrityCheck found(const std::string& what, const std::filesystem::path& run) {
     for (const IntegrityCheck& check : verify_run(run))
@@ -228,7 +228,7 @@ TEST(ClockWatchTest, FindsAStepAndNothingInASlewOrALongWait) {
   const auto go_on = [&](Clock::Duration monotonic, Clock::Duration utc) {
     now.monotonic += monotonic;
     now.utc += utc;
-    return watch.look(now);
+    return watch.find_step(now);
   };
   EXPECT_EQ(go_on(60s, 60s), std::nullopt);
   EXPECT_EQ(go_on(60s, 60s + 30ms), std::nullopt) << "500 parts in a million";

@@ -177,7 +177,7 @@ TEST(RunFileTest, ClosingWaitsForThoseWhoReadTheRun) {
   const std::filesystem::path path = folder / "a.run";
   RunFile file = RunFile::create(path, header());
   file.append_dwell(0, dwell(1), kReadings, {});
-  // As `sqlite3 a.run`, or the list of runs in the console: whoever has read keeps a lock while it is open.
+  // A reader such as `sqlite3 a.run`, or the list of runs in the console, keeps a lock while it is open.
   std::optional<SqliteDatabase> reader;
   reader.emplace(path, SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(reader->value("select count(*) from dwell"), "1");
@@ -304,7 +304,7 @@ TEST(RunFileTest, KeepsATranscriptWithEachAngleAndEachChangeOfState) {
   WireSource source{{kWritten}};
   const Clock::UtcTime start{Clock::Duration(1'772'366'400'123'456'789)};
   file.keep_transcript(start, source.take());
-  EXPECT_EQ(stored(), std::vector{kWritten});  // What came before the first angle, at once.
+  EXPECT_EQ(stored(), std::vector{kWritten});  // Rows from before the first angle are written at once.
   EXPECT_EQ(RunFile::load_transcript(folder / "a.run")->start, start);
   source.rows = {kReceived};
   file.append_dwell(0, dwell(1), kReadings, {});

@@ -40,7 +40,7 @@ RunHeader two_items() {
   return header;
 }
 
-/// What an item reads at an angle: ten readings about its number.
+/// Dwell of an item at an angle: ten readings about its number.
 ItemDwell dwell_of(int item, int n) {
   ItemDwell each{item, {}, {}};
   std::vector<Eigen::Vector3d> outputs;
@@ -166,7 +166,7 @@ TEST_F(SeveralItemsFileTest, AnAngleIsThereForAllItemsOrForNone) {
   {
     RunFile file = RunFile::create(path, two_items());
     append(file, 0);
-    // As a disk that fails between two items.
+    // Simulates a disk that fails between two items.
     change(
         "create trigger full before insert on dwell when new.item = 2 and new.position = 1"
         " begin select raise(abort, 'disk is full'); end");

@@ -145,7 +145,7 @@ TEST_F(VerifyTest, CertificatesOfBeforeItemsStayLinked) {
   IssuedCertificate first;
   first.number = "1";
   ResultsFile(path, hash).add_certificate(first);
-  // As an earlier abcal wrote it.
+  // The form that an earlier abcal wrote.
   SqliteDatabase(results, SqliteDatabase::Mode::kReadWrite)
       .execute("alter table certificate drop column item");
   EXPECT_EQ(bad(), "");

@@ -122,7 +122,7 @@ TEST_F(Version2Test, AnInterruptedRunGoesOnAsVersion3WithEveryNumberKept) {
   for (const IntegrityCheck& check : verify_run(path)) {
     EXPECT_EQ(check.good, check.what != "state") << check.what << ": " << check.found;
   }
-  // It goes on: what is measured now belongs to the session that begins now.
+  // It goes on: new angles belong to the session that begins now.
   RunFile file = RunFile::open_for_append(path);
   file.begin_session({});
   EXPECT_EQ(RunFile::load(path).sessions.size(), 2U);

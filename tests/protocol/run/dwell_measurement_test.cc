@@ -26,7 +26,7 @@ class DwellMeasurementTest : public test::RunPartsTest {
     Motion motion(context(), stage);
     std::map<int, double> first_temperatures;
     if (first_temperature_degc) first_temperatures[1] = *first_temperature_degc;
-    const ItemChannels items(context(), {stage, accelerometer, clock}, first_temperatures);
+    const ItemChannels items(context(), instruments(), first_temperatures);
     if (usual_spread > 0.0)
       items.first().settling.spreads().add(Eigen::Vector3d::Constant(usual_spread), 0.0);
     std::vector<ItemDwell> measured = DwellMeasurement(context(), motion, items).measure(7, angle);

@@ -87,7 +87,7 @@ TEST(DwellStatisticsTest, CountsGapsAndFlagsClipping) {
   EXPECT_TRUE(s.flags & kFlagClipped);
 }
 
-/// As it is defined, lag by lag.
+/// The effective number by its definition, lag by lag.
 double effective_number_by_direct_sum(const std::vector<double>& values) {
   const auto n = static_cast<double>(values.size());
   double mean = 0.0, variance = 0.0;

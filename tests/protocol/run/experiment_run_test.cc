@@ -9,6 +9,7 @@
 #include <numbers>
 
 #include "drivers/instrument/instrument_error.h"
+#include "protocol/plan/limits.h"
 #include "sim/sim_accelerometer.h"
 #include "sim/sim_bench.h"
 #include "sim/sim_clock.h"
@@ -23,12 +24,14 @@ using testing::HasSubstr;
 class SilentObserver : public RunObserver {
  public:
   void phase(std::size_t, RunPhase) override {}
-  void dwell(std::size_t, const DwellRecord& dwell) override {
-    dwells.push_back(dwell);
+  void dwells(std::size_t, std::span<const ItemDwell> dwells) override {
+    measured.push_back(dwells.front().dwell);
     if (after_dwell) after_dwell();
   }
-  void notice(std::string_view, std::string_view text) override { notices.emplace_back(text); }
-  std::vector<DwellRecord> dwells;
+  void notice(std::string_view, std::string_view text, std::optional<int>) override {
+    notices.emplace_back(text);
+  }
+  std::vector<DwellRecord> measured;
   std::vector<std::string> notices;
   std::function<void()> after_dwell;
 };
@@ -87,11 +90,15 @@ class ExperimentRunTest : public testing::Test {
     return all;
   }
 
+  RunInstruments instruments(Clock& of_the_run) const {
+    const RunSettings all = settings();
+    return {*stage, of_the_run, {{1, *accelerometer, all.limits, all.tolerances, all.expected}}};
+  }
+
   RunTiming run(const std::set<std::size_t>& measured = {}) {
     RunProgress so_far;
     so_far.measured = measured;
-    return run_experiments({*stage, *accelerometer, clock}, {plan, settings(), so_far}, *file, observer,
-                           stop.get_token());
+    return run_experiments(instruments(clock), {plan, settings(), so_far}, *file, observer, stop.get_token());
   }
 
   /// Runs into the fault and gives its words; the run must be left interrupted, the stage halted.
@@ -105,7 +112,7 @@ class ExperimentRunTest : public testing::Test {
       const StoredRun stored = RunFile::load(folder / "a.run");
       EXPECT_EQ(stored.state, RunState::kInterrupted);
       EXPECT_THAT(stored.events.back().text, HasSubstr(error.detail().substr(0, 20)));
-      EXPECT_EQ(stored.record.dwells.size(), observer.dwells.size());
+      EXPECT_EQ(stored.record.dwells.size(), observer.measured.size());
       return error.what();
     }
     return {};
@@ -113,7 +120,7 @@ class ExperimentRunTest : public testing::Test {
 
   void inject_after(std::size_t dwells, sim::WorldFault fault) {
     observer.after_dwell = [this, dwells, fault]() mutable {
-      if (observer.dwells.size() != dwells) return;
+      if (observer.measured.size() != dwells) return;
       fault.at = clock.now();
       world->inject(fault);
     };
@@ -136,7 +143,7 @@ class ExperimentRunTest : public testing::Test {
 TEST_F(ExperimentRunTest, StoresEveryAngleWithItsReadingsAndParksTheStage) {
   build();
   const RunTiming timing = run();
-  EXPECT_EQ(observer.dwells.size(), plan.size());
+  EXPECT_EQ(observer.measured.size(), plan.size());
   EXPECT_THAT(observer.notices, testing::IsEmpty());
   const StoredRun stored = RunFile::load(folder / "a.run");
   ASSERT_EQ(stored.record.dwells.size(), plan.size());
@@ -178,7 +185,7 @@ TEST_F(ExperimentRunTest, LeavesOutTheAnglesThatAreMeasuredAlready) {
   std::set<std::size_t> measured;
   for (std::size_t k = 0; k < plan.size() - 3; ++k) measured.insert(k);
   run(measured);
-  EXPECT_EQ(observer.dwells.size(), 3U);
+  EXPECT_EQ(observer.measured.size(), 3U);
 }
 
 /// The first angles measured; then what a second program would know of them.
@@ -187,7 +194,7 @@ class ResumedRunTest : public ExperimentRunTest {
   RunProgress interrupted_after(std::size_t dwells) {
     build();
     observer.after_dwell = [this, dwells] {
-      if (observer.dwells.size() == dwells) stop.request_stop();
+      if (observer.measured.size() == dwells) stop.request_stop();
     };
     EXPECT_THROW(run(), RunInterrupted);
     observer.after_dwell = {};
@@ -200,8 +207,7 @@ class ResumedRunTest : public ExperimentRunTest {
     return so_far;
   }
   void resume(const RunProgress& so_far) {
-    run_experiments({*stage, *accelerometer, clock}, {plan, settings(), so_far}, *file, observer,
-                    stop.get_token());
+    run_experiments(instruments(clock), {plan, settings(), so_far}, *file, observer, stop.get_token());
   }
 };
 
@@ -210,8 +216,8 @@ TEST_F(ResumedRunTest, MeasuresTheLastAngleAgainAndGoesOn) {
   resume(so_far);
   const StoredRun stored = RunFile::load(folder / "a.run");
   EXPECT_EQ(stored.record.dwells.size(), plan.size());
-  EXPECT_EQ(observer.dwells.size(), plan.size());
-  // What was measured first counts; the check beside it is kept.
+  EXPECT_EQ(observer.measured.size(), plan.size());
+  // The first measurement counts; the check of it is kept.
   for (const DwellRecord& dwell : stored.record.dwells) EXPECT_EQ(dwell.flags & kFlagRepeated, 0U);
   SqliteDatabase database(folder / "a.run", SqliteDatabase::Mode::kReadOnly);
   EXPECT_EQ(database.value("select group_concat(position) from dwell where flag_words like '%repeated%'"),
@@ -276,10 +282,9 @@ TEST_F(ExperimentRunTest, ASystemClockThatIsSetDuringTheRunIsAnEventAndMovesNoTi
   build();
   SettableClock settable(clock);
   observer.after_dwell = [&] {
-    if (observer.dwells.size() == 5) settable.moved = -std::chrono::hours(1);
+    if (observer.measured.size() == 5) settable.moved = -std::chrono::hours(1);
   };
-  run_experiments({*stage, *accelerometer, settable}, {plan, settings(), {}}, *file, observer,
-                  stop.get_token());
+  run_experiments(instruments(settable), {plan, settings(), {}}, *file, observer, stop.get_token());
   file->complete(format_utc(file->utc_now(settable)), {});
   const StoredRun stored = RunFile::load(folder / "a.run");
   int steps = 0;
@@ -318,17 +323,17 @@ TEST(ExplainedChange, IsFivefoldTheUncertaintyOfTheChange) {
   Tolerances none;
   none.zero = none.step = Angle{};
   none.drift = 0.0;
-  EXPECT_NEAR(explained_change(dwell, dwell, none)[0], 4.9 * 3e-3 * std::sqrt(2.0), 1e-12);
+  EXPECT_NEAR(explained_change(dwell, dwell, none)[0], kFalseAlarmDeviate * 3e-3 * std::sqrt(2.0), 1e-12);
   dwell.u_mean = Eigen::Vector3d::Zero();
   none.step = Angle::degrees(0.008);
   EXPECT_NEAR(explained_change(dwell, dwell, none)[2],
-              4.9 * 0.008 * std::numbers::pi / 180.0 * std::sqrt(2.0), 1e-12);
+              kFalseAlarmDeviate * 0.008 * std::numbers::pi / 180.0 * std::sqrt(2.0), 1e-12);
 }
 
 TEST_F(ExperimentRunTest, StopsBetweenTwoLooksWhenTheOperatorSaysSo) {
   build();
   observer.after_dwell = [this] {
-    if (observer.dwells.size() == 5) stop.request_stop();
+    if (observer.measured.size() == 5) stop.request_stop();
   };
   EXPECT_THROW(run(), RunInterrupted);
   EXPECT_EQ(stage->halts, 1);
@@ -368,7 +373,7 @@ TEST_F(ExperimentRunTest, ClippingIsFlaggedWhereItHappens) {
   build();
   run();
   int clipped = 0;
-  for (const DwellRecord& dwell : observer.dwells) clipped += (dwell.flags & kFlagClipped) != 0;
+  for (const DwellRecord& dwell : observer.measured) clipped += (dwell.flags & kFlagClipped) != 0;
   EXPECT_GT(clipped, 3);
   EXPECT_LT(clipped, static_cast<int>(plan.size()));
   EXPECT_GE(observer.notices.size(), static_cast<std::size_t>(clipped));
@@ -407,18 +412,18 @@ TEST_F(ExperimentRunTest, WaitsForTheRingDownAndFlagsWhatNeverBecomesQuiet) {
   build();
   run();
   double longest = 0.0;
-  for (const DwellRecord& dwell : observer.dwells) longest = std::max(longest, dwell.settle_time_s);
+  for (const DwellRecord& dwell : observer.measured) longest = std::max(longest, dwell.settle_time_s);
   EXPECT_GT(longest, 1.0);
   EXPECT_THAT(observer.notices, testing::IsEmpty());
 }
 
 TEST_F(ExperimentRunTest, FlagsAnAngleThatIsNotQuietAtTheLongestWait) {
   truth.drift_per_hour =
-      Eigen::Vector3d::Constant(3600.0 * 0.05);  // 5e-4 R a reading, beside 1e-4 R of noise
+      Eigen::Vector3d::Constant(3600.0 * 0.05);  // 5e-4 R a reading, compared with 1e-4 R of noise
   protocol.quiet_timeout_s = 0.5;
   build();
   run();
-  for (const DwellRecord& dwell : observer.dwells) EXPECT_TRUE(dwell.flags & kFlagNotQuiet);
+  for (const DwellRecord& dwell : observer.measured) EXPECT_TRUE(dwell.flags & kFlagNotQuiet);
 }
 
 TEST_F(ExperimentRunTest, FlagsATemperatureOutsideItsLimits) {
@@ -427,7 +432,7 @@ TEST_F(ExperimentRunTest, FlagsATemperatureOutsideItsLimits) {
   limits.temperature_wait_s = 0.0;
   build();
   run();
-  for (const DwellRecord& dwell : observer.dwells) EXPECT_TRUE(dwell.flags & kFlagTemperature);
+  for (const DwellRecord& dwell : observer.measured) EXPECT_TRUE(dwell.flags & kFlagTemperature);
 }
 
 }  // namespace

@@ -27,10 +27,10 @@ class ScriptedReconnector final : public Reconnector {
 class RecoveryTest : public test::RunPartsTest {
  protected:
   bool wait(int times = 1) {
-    const RunInstruments instruments{stage, accelerometer, clock, &reconnector};
-    const ItemChannels items(context(), instruments, {});
+    const RunInstruments ports = instruments(&reconnector);
+    const ItemChannels items(context(), ports, {});
     if (!plugged_in.empty()) accelerometer.serial_number = plugged_in;
-    Recovery recovery(context(), instruments, items);
+    Recovery recovery(context(), ports, items);
     bool home_again = false;
     for (int k = 0; k < times; ++k) home_again = recovery.wait_for_ports(lost, 5);
     return home_again;
@@ -92,8 +92,8 @@ TEST_F(RecoveryTest, PortsMayNotVanishForEver) {
 }
 
 TEST_F(RecoveryTest, IsPossibleOnlyForALostPortThatCanBeOpenedAgain) {
-  const RunInstruments with{stage, accelerometer, clock, &reconnector};
-  const RunInstruments without{stage, accelerometer, clock, nullptr};
+  const RunInstruments with = instruments(&reconnector);
+  const RunInstruments without = instruments();
   const InstrumentError stalled("stage", Fault::kStalled, "it stands");
   const ItemChannels items(context(), with, {});
   EXPECT_TRUE(Recovery(context(), with, items).is_possible(lost));

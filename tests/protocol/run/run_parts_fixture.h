@@ -14,6 +14,7 @@
 
 #include "drivers/instrument/instrument_error.h"
 #include "protocol/run/run_context.h"
+#include "protocol/run/run_instruments.h"
 #include "sim/sim_clock.h"
 #include "tests/support/temporary_folder.h"
 
@@ -23,8 +24,10 @@ namespace abcal::test {
 class KeepingObserver final : public RunObserver {
  public:
   void phase(std::size_t position, RunPhase phase) override { phases.emplace_back(position, phase); }
-  void dwell(std::size_t, const DwellRecord&) override {}
-  void notice(std::string_view kind, std::string_view text) override { notices.emplace_back(kind, text); }
+  void dwells(std::size_t, std::span<const ItemDwell>) override {}
+  void notice(std::string_view kind, std::string_view text, std::optional<int>) override {
+    notices.emplace_back(kind, text);
+  }
   std::vector<std::pair<std::size_t, RunPhase>> phases;
   std::vector<std::pair<std::string, std::string>> notices;
 };
@@ -122,7 +125,7 @@ class ScriptedAccelerometer final : public Accelerometer {
   Clock& clock_;
 };
 
-/// What the parts of a run need around them.
+/// Surroundings that the parts of a run need.
 class RunPartsTest : public testing::Test {
  protected:
   RunContext& context() {
@@ -134,6 +137,14 @@ class RunPartsTest : public testing::Test {
       context_->accelerometer_info = accelerometer.identify();
     }
     return *context_;
+  }
+
+  RunInstruments instruments(Reconnector* reconnector = nullptr) {
+    return {stage,
+            clock,
+            {{1, accelerometer, settings.limits, settings.tolerances, settings.expected}},
+            false,
+            reconnector};
   }
 
   /// Noise of 1e-4 that differs from reading to reading, the same in each test.

@@ -27,7 +27,7 @@ class SettlingTest : public test::RunPartsTest {
     return *readings_;
   }
   Settling settling() { return Settling(context(), readings()); }
-  ItemChannels items() { return {context(), {stage, accelerometer, clock}, {}}; }
+  ItemChannels items() { return {context(), instruments(), {}}; }
 
  private:
   std::optional<ReadingSource> readings_;

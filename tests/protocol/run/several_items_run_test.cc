@@ -30,15 +30,16 @@ class KeepingDwells final : public RunObserver {
     moves += phase == RunPhase::kMoving ? 1 : 0;
     if (phase == RunPhase::kDwelling && on_dwelling) on_dwelling(position);
   }
-  void dwell(std::size_t, const DwellRecord&) override {}
   void dwells(std::size_t, std::span<const ItemDwell> dwells) override { sizes.push_back(dwells.size()); }
-  void notice(std::string_view kind, std::string_view text) override {
+  void notice(std::string_view kind, std::string_view text, std::optional<int> item) override {
     notices.push_back(std::string(kind) + ": " + std::string(text));
+    if (kind == kItemDroppedEvent) dropped.push_back(item.value());
   }
   std::function<void(std::size_t position)> on_dwelling;
   int moves = 0;
   std::vector<std::size_t> sizes;
   std::vector<std::string> notices;
+  std::vector<int> dropped;
 };
 
 class SeveralItemsRunTest : public testing::Test {
@@ -51,11 +52,11 @@ class SeveralItemsRunTest : public testing::Test {
     settings.protocol.check_poses = false;
     settings.protocol.closing_angle = false;
     for (std::size_t k = 0; k < 3; ++k) {
-      sim::BenchTruth truth;
+      sim::ItemTruth truth;
       truth.noise = 1e-4;
-      truth.item = k;
-      worlds.push_back(std::make_shared<sim::SimBench>(truth, clock.now()));
-      if (k > 0) worlds.front()->add_follower(worlds.back());
+      truth.seed = sim::item_seed(1, static_cast<int>(k));
+      worlds.push_back(k == 0 ? std::make_shared<sim::SimBench>(truth, sim::StageTruth{}, clock.now())
+                              : worlds.front()->add_item(truth));
       accelerometers.push_back(std::make_unique<sim::SimAccelerometer>(worlds.back(), clock, rates_hz[k], "g",
                                                                        "SIM-" + std::to_string(k + 2)));
     }
@@ -64,11 +65,11 @@ class SeveralItemsRunTest : public testing::Test {
   /// @param items numbers of those that take part
   StoredRun run(const std::vector<int>& items) {
     sim::SimStage stage(worlds.front(), clock);
-    RunInstruments instruments{stage, *accelerometers.front(), clock};
+    RunInstruments instruments{stage, clock, {}, true};
     RunHeader header;
     header.plan = make_rotation_plan(settings.protocol, {});
     for (const int k : items) {
-      instruments.items.push_back({k, accelerometers[static_cast<std::size_t>(k) - 1].get(), settings.limits,
+      instruments.items.push_back({k, *accelerometers[static_cast<std::size_t>(k) - 1], settings.limits,
                                    settings.tolerances, settings.expected});
       header.items.emplace_back().k = k;
       if (k > 1) header.further_items.emplace_back();
@@ -146,6 +147,7 @@ TEST_F(SeveralItemsRunTest, ASilentItemIsLeftOutAndTheOthersKeepTheAngle) {
   EXPECT_EQ(first.dwells.size(), planned);
   EXPECT_EQ(observer.moves, static_cast<int>(planned));
   EXPECT_EQ(observer.sizes.at(dropped_at), 2U);
+  EXPECT_THAT(observer.dropped, ElementsAre(2));
   EXPECT_THAT(first.items.at(1).reason, AllOf(HasSubstr("item 2, accelerometer"),
                                               HasSubstr("no reading for 2 s"), HasSubstr("other 2")));
 }

@@ -60,7 +60,7 @@ TEST(TemperatureFitTest, FindsOrdersAndCoefficients) {
   EXPECT_EQ(s.unit, "g/g_loc");
   EXPECT_NEAR(s.coefficient[1], -1e-4, 4.0 * std::sqrt(s.covariance(1, 1)));
   EXPECT_NEAR(o.coefficient[3], 3e-9, 4.0 * std::sqrt(o.covariance(3, 3)));
-  // What all points share moves the polynomial as a whole, and says nothing of its slope.
+  // The error shared by all points moves the polynomial as a whole, and does not affect its slope.
   EXPECT_NEAR(std::sqrt(s.covariance(0, 0)), kShared, 0.1 * kShared);
   EXPECT_LT(std::sqrt(s.covariance(1, 1)) * 60.0, kOwn);
   EXPECT_EQ(result.coefficients[0].unit, "ppm/K");
@@ -154,7 +154,8 @@ TEST(TemperatureFitTest, OneTemperatureIsNoSeries) {
   EXPECT_THROW(fit_temperature(points, 23.0, "g"), std::invalid_argument);
 }
 
-/// The stage as each run finds it: Zx by `slope` per kelvin, all with noise `scatter` times what is stated.
+/// The stage as each run finds it: Zx by `slope` per kelvin, all with noise `scatter` times the stated
+/// uncertainty.
 TemperatureResult with_stage(std::mt19937_64& random, double slope, double scatter) {
   constexpr double kStated = 1e-5;
   std::normal_distribution<double> normal;

@@ -23,7 +23,7 @@ TEST(ControlChartTest, IndividualsAgreeWithTheHandbook) {
   EXPECT_TRUE(chart.in_control());
 }
 
-// The same handbook, 6.3.2.4: lambda 0.3 and limits from history, 50 and s = 2.0539.
+// NIST/SEMATECH e-Handbook, 6.3.2.4: lambda 0.3 and limits from history, 50 and s = 2.0539.
 TEST(ControlChartTest, MovingAverageAgreesWithTheHandbook) {
   const std::array<double, 20> values{52.0, 47.0, 53.0, 49.3, 50.1, 47.0, 51.0, 50.1, 51.2, 50.5,
                                       49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1};

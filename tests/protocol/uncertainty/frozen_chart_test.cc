@@ -13,7 +13,7 @@
 namespace abcal {
 namespace {
 
-/// Half of the last digit of a number as it is printed, with so many decimals.
+/// Half of the last digit of a number printed with this number of decimals.
 double half_digit(int decimals) {
   return 0.5001 * std::pow(10.0, -decimals);
 }
@@ -96,7 +96,8 @@ TEST(RunLengthTest, DrawnChartsLastAsLongAsTheChainsSay) {
       }
       return sum / kCharts;
     };
-    // Lengths are spread nearly as an exponential distribution: 1/sqrt(6000) = 1.3 % each, at 4 of it.
+    // Lengths are spread nearly as an exponential distribution: 1/sqrt(6000) = 1.3 % each, at 4 standard
+    // deviations.
     constexpr double kRelative = 4.0 / 77.0;
     EXPECT_NEAR(drawn(only_shewhart) / shewhart_run_length(2.2, process), 1.0, kRelative);
     EXPECT_NEAR(drawn(only_ewma) / ewma_run_length(0.2, 2.2, process), 1.0, kRelative);
@@ -154,7 +155,7 @@ TEST(FrozenChartTest, JudgesByEachRule) {
   EXPECT_DOUBLE_EQ(last.cusum_high, 0.0);
   state = {};
   EXPECT_FALSE(judge(rules, 1.0, state).outside());
-  EXPECT_TRUE(judge(rules, std::nan(""), state).outside());  // What is not known is not inside.
+  EXPECT_TRUE(judge(rules, std::nan(""), state).outside());  // An unknown value is not inside.
 }
 
 // Critical values of Grubbs' test, two-sided 5 % (one-sided 2.5 %): Grubbs and Beck, Technometrics 14 (1972).

@@ -195,7 +195,7 @@ TEST(MonteCarloTest, InterruptedItReportsWhatItHasAndSaysSo) {
   EXPECT_LT(result.trials, 1'000'000U);
   EXPECT_NEAR(result.standard_deviation(0), 1.0, 5.0 / std::sqrt(2.0 * 5000.0));
   EXPECT_NE(result.note.find("Interrupted"), std::string::npos);
-  // The same numbers as a run of just as many trials.
+  // The result equals that of a run of exactly this number of trials.
   MonteCarloOptions whole;
   whole.trials = result.trials;
   const MonteCarloResult again =

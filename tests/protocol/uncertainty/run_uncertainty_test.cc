@@ -6,7 +6,7 @@
 #include <cmath>
 #include <string>
 
-#include "protocol/analysis/analyse.h"
+#include "protocol/estimators/circle/analyse.h"
 #include "protocol/plan/rotation_plan.h"
 #include "protocol/uncertainty/random_stream.h"
 #include "protocol/uncertainty/type_b.h"
@@ -108,8 +108,8 @@ TEST(RunUncertaintyTest, NoiseEntersAsTheFitPassesItOn) {
   for (const BudgetLine& line : budget.lines) {
     if (!line.type_a) continue;
     // docs/theory/uncertainty.md: u(s) = sigma/sqrt(N), u(O) = sigma/sqrt(3 N), u(phi) = sqrt(2)
-    // sigma/sqrt(N) rad. The correction for k3 (0.75 - 0.6 of it in the diagonal) costs what k3 is known to:
-    // a third harmonic of 1/4 on two circles.
+    // sigma/sqrt(N) rad. The correction for k3 (0.75 - 0.6 times it in the diagonal) adds the uncertainty of
+    // k3: a third harmonic of 1/4 on two circles.
     EXPECT_NEAR(line.contribution(0), 1e-3 * std::sqrt(1.0 / 72.0 + 0.15 * 0.15 * 32.0 / 144.0), 1e-9);
     EXPECT_NEAR(line.contribution(9), 1e-3 / std::sqrt(216.0), 1e-9);
     EXPECT_NEAR(line.contribution(15), std::sqrt(2.0) * 1e-3 / std::sqrt(72.0) * 57.29578, 5e-5);
@@ -159,7 +159,7 @@ TEST(RunUncertaintyTest, TheBudgetCombinesToTheStatedUncertainty) {
   }
 }
 
-// What the check poses say stands in the budget, and adds nothing to what the drifts have.
+// The budget states the results of the check poses, which add nothing to the lines of the drifts.
 TEST(RunUncertaintyTest, TheBudgetSaysWhatTheCheckPosesShow) {
   RunRecord record = simulated_record(table_2_accelerometer(), {}, 1e-5);
   const auto line_of = [](const Budget& budget, const std::string& input) -> const BudgetLine* {

@@ -15,8 +15,8 @@ double half_of_the_last_digit(double printed) {
   return 0.5 * std::pow(10.0, std::floor(std::log10(std::abs(printed))) - 3.0);
 }
 
-// To every printed digit; what is printed below 1e-14 is the paper's round-off and need only be below 1e-14
-// here.
+// Compares every printed digit; printed numbers below 1e-14 are the paper's round-off and need only be below
+// 1e-14 here.
 void expect_as_printed(const StudyOutput& ours, const StudyOutput& printed) {
   const OutputVector a = to_vector(ours), b = to_vector(printed);
   for (int k = 0; k < kStudyOutputs; ++k) {
@@ -68,7 +68,7 @@ TEST(SimulationSetTest, Tables5To7ToEveryPrintedDigit) {
 
 TEST(SimulationSetTest, Table8NeedsAnXzThatItsTextDoesNotName) {
   const StudyResult set = run_simulation_set("6", {});
-  // As the text says: docs/theory/abc_protocol.md, row "T2, Zx = Zy = q, Xz = 0".
+  // Values by the paper's text: docs/theory/abc_protocol.md, row "T2, Zx = Zy = q, Xz = 0".
   const StudyOutput text =
       to_output((OutputVector() << -7.796e-06, -2.598e-06, +1.514e-04, -5.983e-05, -1.995e-05, +5.156e-05,
                  -1.717e-04, -5.724e-05, -1.638e-05, -1.732e-06, -1.330e-05, -3.816e-05, -2.492e-06,
@@ -164,7 +164,7 @@ TEST(SimulationSetTest, Abc2IsAsThePaperSaysOnceItsSlipIsUndone) {
   EXPECT_NEAR(std::abs(second.sensitivity_matrix(2, 0)), 2.1e-4, 0.05e-4);
   // "1.36 times as large as the largest off-diagonal standard-deviation uncertainty in Table 3"
   EXPECT_NEAR(std::abs(second.sensitivity_matrix(2, 0)) / 1.548e-4, 1.36, 0.01);
-  // As the text says, 6 q: six times as much.
+  // By the paper's text, 6 q: six times as much.
   EXPECT_NEAR(std::abs(set.cases[2].error->sensitivity_matrix(0, 2)), 1.26e-3, 0.005e-3);
 }
 

@@ -1,15 +1,15 @@
-#include "protocol/analysis/voltmeter.h"
+#include "protocol/estimators/shared/voltmeter.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
 
-#include "protocol/analysis/analyse.h"
-#include "protocol/analysis/joint_fit.h"
-#include "protocol/analysis/norm_fit.h"
+#include "protocol/estimators/circle/analyse.h"
+#include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/estimators/norm/norm_fit.h"
 #include "protocol/uncertainty/budget.h"
-#include "tests/protocol/analysis/made_record.h"
+#include "tests/protocol/estimators/made_record.h"
 
 namespace abcal {
 namespace {
@@ -35,7 +35,7 @@ EffectSizes voltmeter_sizes() {
   return sizes;
 }
 
-/// As a voltmeter with a gain and offsets of its own reads it.
+/// A record read by a voltmeter with a gain and offsets of its own.
 RunRecord read_by_voltmeter(std::mt19937_64& engine) {
   RunRecord record = test::made_record(analog_item(), {}, 12, Angle::degrees(30.0));
   record.tolerances = voltmeter_sizes();

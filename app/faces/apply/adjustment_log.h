@@ -1,0 +1,70 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "drivers/instrument/correction_registers.h"
+
+namespace abcal {
+
+/// How far an adjustment has come.
+enum class AdjustmentState {
+  kBegun,       ///< The old content is kept; perhaps something is written.
+  kDeclined,    ///< Nothing was written: a person said no.
+  kWritten,     ///< Written and read back.
+  kVerified,    ///< A run afterwards shows what was predicted.
+  kSaving,      ///< Perhaps kept by the instrument.
+  kSaved,       ///< Kept by the instrument when it is switched off.
+  kUndone,      ///< The old content is back, and was read back.
+  kUndoFailed,  ///< It could not be brought back.
+};
+std::string_view to_string(AdjustmentState state);
+
+/// One adjustment of an instrument: all that undoing it needs.
+struct Adjustment {
+  int item = 1;  ///< Of the run.
+  std::string utc;
+  std::string driver, model, serial_number;
+  std::string label;  ///< Serial number on the label, where the instrument reports none.
+  RegisterTexts before, after;
+  AdjustmentState state = AdjustmentState::kBegun;
+  bool saved = false;   ///< The instrument was told to keep `after`: undoing must be kept as well.
+  std::string as_left;  ///< Run file of the verification.
+  std::string why;      ///< What ended it, where something failed.
+
+  /// What is in the registers may not be what was in them before.
+  bool can_be_undone() const;
+  /// It ended neither in success nor undone: a program was killed, or could not undo.
+  bool is_unfinished() const;
+};
+
+/// The adjustments that were made with one run: `RUN.adjustments.json` beside it. Every change is on the disk
+/// before the function returns.
+class AdjustmentLog {
+ public:
+  /// Reads what is there. @throws std::runtime_error if it cannot be read
+  explicit AdjustmentLog(const std::filesystem::path& run);
+
+  static std::filesystem::path path_beside(const std::filesystem::path& run);
+
+  const std::filesystem::path& path() const { return path_; }
+  const std::vector<Adjustment>& all() const { return all_; }
+  /// The last one of an item that can be undone; null: none.
+  const Adjustment* last_to_undo(int item) const;
+
+  /// @throws std::runtime_error if it cannot be stored
+  void begin(Adjustment adjustment);
+  /// Changes the last one that was begun, or that is undone now.
+  void update(const Adjustment& adjustment);
+
+ private:
+  void store() const;
+
+  std::filesystem::path path_;
+  std::vector<Adjustment> all_;
+};
+
+}  // namespace abcal

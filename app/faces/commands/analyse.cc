@@ -1,0 +1,172 @@
+#include <fmt/format.h>
+
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "app/faces/commands/commands.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/ground/system/exit_code.h"
+#include "app/ground/system/output.h"
+#include "app/ground/system/real_clock.h"
+#include "app/ground/system/terminal.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/estimators.h"
+#include "app/results/estimates/load_record.h"
+#include "app/results/estimates/other_file.h"
+#include "app/results/estimates/recompute.h"
+#include "app/results/estimates/result_json.h"
+#include "app/results/estimates/result_text.h"
+#include "app/results/estimates/tray_results.h"
+#include "protocol/estimators/norm/pose_import.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal {
+namespace {
+
+/// A file of poses or a time series serves the norm estimator alone; a run or a CSV with angles serves all.
+bool has_no_angles(const std::filesystem::path& path) {
+  if (RunFile::looks_like_run_file(path)) return false;
+  std::ifstream file(path);
+  for (std::string line; std::getline(file, line);) {
+    if (line.empty() || line.front() == '#' || line == "\r") continue;
+    return line.find("experiment") == std::string::npos;
+  }
+  return false;
+}
+
+/// What is to be kept of an item of a run.
+using Kept = std::pair<const StoredRun*, const CalibrationResult*>;
+
+/// Keeps analyses with a closed run; what cannot be kept (a read-only folder) is shown all the same.
+void keep(const std::filesystem::path& path, const std::vector<Kept>& analyses) {
+  if (!RunFile::looks_like_run_file(path) || !RunFile::is_closed(path)) return;
+  try {
+    ResultsFile results(path, sha256_of_file(path));
+    if (results.made_again()) {
+      print_log("{} was missing and is created again; earlier analyses are unknown\n",
+                ResultsFile::path_beside(path).string());
+    }
+    const std::string utc = format_utc(RealClock().utc_now());
+    for (const auto& [run, result] : analyses) keep_analysis(results, utc, *result, *run);
+  } catch (const RunFileError& error) {
+    print_log("warning: the analysis was not stored: {}\n", error.what());
+  }
+}
+
+struct AnalyseOptions {
+  std::string file;
+  std::string estimator;
+  std::string truth;
+  int item = 0;
+  bool json = false;
+};
+
+/// The items of a run, or the one of a CSV; for an estimator that needs no angles also a file without angles.
+std::vector<StoredRun> load(const AnalyseOptions& options) {
+  std::error_code error;
+  if (options.estimator.empty() || find_estimator(options.estimator).needs_angles ||
+      !std::filesystem::is_regular_file(options.file, error) || !has_no_angles(options.file))
+    return load_items(options.file);
+  refuse_other_file(options.file, kRunOrCsv);
+  std::vector<StoredRun> poses(1);
+  poses.front().record = import_poses(options.file).record;
+  return poses;
+}
+
+/// All items of a run with several, by the joint estimator.
+int show_all(const AnalyseOptions& options, std::vector<StoredRun> items) {
+  if (!options.truth.empty())
+    throw std::invalid_argument(fmt::format("--truth: {} has {} items; required: --item 1 to {} as well",
+                                            options.file, items.size(), items.size()));
+  if (!options.estimator.empty() && options.estimator != "joint")
+    throw std::invalid_argument(fmt::format(
+        "--estimator {}: {} has several items, which only the joint estimator analyses together; required: "
+        "--item as well",
+        options.estimator, options.file));
+  const AnalysedRun run = analyse_run(std::move(items), "joint");
+  std::vector<Kept> kept;
+  for (const AnalysedItem& item : run.items) kept.emplace_back(&item.stored, &item.results.front());
+  keep(options.file, kept);
+  options.json ? print_result("{}\n", tray_json(run).dump(2)) : print_result("{}", tray_text(run, stdout));
+  return run.joint.verdict == Verdict::kNotUsable ? kExitFailed : kExitDone;
+}
+
+/// @return whether the result agrees with the simulated truth
+bool agrees_with_truth(const AnalyseOptions& options, const StoredRun& item,
+                       const CalibrationResult& result) {
+  const BenchConfig bench = read_bench(options.truth);
+  const TruthComparison comparison =
+      compare_with_truth(result, bench, bench.has_several_items() ? item.item : 1);
+  std::FILE* stream = options.json ? stderr : stdout;
+  const std::string heading =
+      fmt::format("Compared with the simulated truth ({} estimator)", result.estimator);
+  const std::string text =
+      fmt::format("\n{}\n{}", emphasised(stream, Emphasis::kHeading, heading), comparison.text);
+  options.json ? print_log("{}", text) : print_result("{}", text);
+  return comparison.agrees();
+}
+
+/// One item by the estimator asked for, else by the one that the run declares: joint is the common fit of all
+/// items, each other one knows this item alone.
+int show_one(const AnalyseOptions& options, std::vector<StoredRun> items, int k) {
+  std::string estimator = options.estimator;
+  if (estimator.empty() && options.json) estimator = declared_estimator(items.front().record).name;
+  const AnalysedRun run = analyse_run(std::move(items), estimator);
+  const AnalysedItem& item = run.item(k);
+  const StoredRun& stored = item.stored;
+  const CalibrationResult& result = item.results.front();
+  keep(options.file, {{&stored, &result}});
+  if (options.json) {
+    print_result("{}\n", result_json(result).dump(2));
+  } else {
+    if (RunFile::looks_like_run_file(options.file) && stored.state != RunState::kComplete) {
+      print_result("{}\n", emphasised(stdout, Emphasis::kWarning,
+                                      fmt::format("This run is {}: {} of {} angles are measured.",
+                                                  to_string(stored.state), stored.measured.size(),
+                                                  stored.header.plan.size())));
+    }
+    print_result("{}", item_text(item, stdout));
+  }
+  const bool agrees = options.truth.empty() || agrees_with_truth(options, stored, result);
+  return result.verdict == Verdict::kNotUsable || !agrees ? kExitFailed : kExitDone;
+}
+
+}  // namespace
+
+CLI::App* add_analyse(CLI::App& parent, int& exit_code) {
+  auto options = std::make_shared<AnalyseOptions>();
+  CLI::App* command = parent.add_subcommand(
+      "analyse", "Sensitivity matrix, offsets and intrinsic properties of a run or CSV");
+  command
+      ->add_option("FILE", options->file,
+                   "run file, or CSV of averaged readings (norm: of poses, or a time series)")
+      ->required();
+  command
+      ->add_option("--estimator", options->estimator,
+                   fmt::format("{} (default: the estimator chosen before the run, {} if none was chosen; the "
+                               "text output shows all)",
+                               estimator_choice(), kPublishedEstimator))
+      ->check(CLI::IsMember(estimator_names()));
+  command->add_option("--item", options->item,
+                      "of a run with several items: this one alone, from 1 (default: all of them)");
+  command->add_flag("--json", options->json,
+                    "print one JSON object, schema abcal.result/1; of several items abcal.tray/1");
+  command->add_option(
+      "--truth", options->truth,
+      "compare with the simulated truth of this bench file; exit 1 beyond 4 standard uncertainties");
+  command->callback([options, &exit_code] {
+    std::vector<StoredRun> items = load(*options);
+    const bool all = options->item == 0 && items.size() > 1;
+    exit_code = all ? show_all(*options, std::move(items))
+                    : show_one(*options, std::move(items), chosen_item(options->file, options->item));
+  });
+  return command;
+}
+
+}  // namespace abcal

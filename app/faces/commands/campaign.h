@@ -1,0 +1,23 @@
+#pragma once
+
+#include <string>
+
+namespace abcal {
+
+/// `abcal run BENCH --repeat K`: several runs of one accelerometer, and their summary.
+struct CampaignOptions {
+  std::string bench_file;
+  std::string output;  ///< "a" or "a.run" makes a-1.run, a-2.run, ...; empty: the bench file's name and time.
+  int repeat = 0;
+  bool remount = false;                ///< A person remounts the accelerometer between the runs.
+  bool keep_complete_runs = false;     ///< Runs that are complete are kept, only the others are measured.
+  bool without_missing_items = false;  ///< Of several items the others are measured if some are not there.
+  bool json = false;
+};
+
+/// Measures, stores and summarises. What ends one run ends the campaign; the runs before are kept.
+/// @return the exit code of the program
+/// @throws as `abcal run`; std::invalid_argument for files in the way, for --remount without a terminal
+int run_campaign(const CampaignOptions& options);
+
+}  // namespace abcal

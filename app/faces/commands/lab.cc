@@ -1,0 +1,113 @@
+#include "app/faces/commands/lab.h"
+
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "app/faces/commands/commands.h"
+#include "app/ground/system/exit_code.h"
+#include "app/ground/system/output.h"
+#include "app/ground/system/real_clock.h"
+#include "app/ground/system/secret_input.h"
+#include "app/ground/system/terminal.h"
+
+namespace abcal {
+namespace {
+
+struct InitOptions {
+  std::string laboratory, administrator, prefix = "EX-", password_file;
+  bool training = false;
+};
+
+void init(const LabOptions& shared, const InitOptions& options) {
+  const std::string location = lab::register_location(shared.location);
+  if (location.empty())
+    throw std::invalid_argument(
+        "--register is missing: a file to be made, or postgresql://USER@HOST/DATABASE");
+  lab::NewRegister facts;
+  facts.laboratory = options.laboratory;
+  facts.training = options.training;
+  facts.number_prefix = options.prefix;
+  facts.administrator = options.administrator;
+  facts.password = read_secret("password of " + options.administrator, options.password_file);
+  const lab::Register made = lab::Register::create(location, facts, RealClock().utc_now());
+  print_result("register of {} made: {}; its administrator is {}\n", made.facts().name,
+               lab::without_password(location), options.administrator);
+  if (made.facts().training)
+    print_result("TRAINING: its certificates have numbers {}..., are marked TRAINING, and certify nothing\n",
+                 made.facts().number_prefix);
+}
+
+void add_init(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
+  auto options = std::make_shared<InitOptions>();
+  CLI::App* command = parent.add_subcommand("init", "Make a register");
+  command->add_option("--laboratory", options->laboratory, "name of the laboratory")->required();
+  command
+      ->add_option("--administrator", options->administrator,
+                   "name of the first person, who may do everything")
+      ->required();
+  command->add_option("--prefix", options->prefix, "beginning of the certificates' numbers (default: EX-)");
+  command->add_option("--password-file", options->password_file,
+                      "file with the password, readable by its owner only");
+  command->add_flag(
+      "--training", options->training,
+      "for training: certificates are marked TRAINING and have numbers T-..., also of simulated runs");
+  command->callback([shared, options, &exit_code] {
+    init(*shared, *options);
+    exit_code = kExitDone;
+  });
+}
+
+void add_verify_register(CLI::App& parent, const std::shared_ptr<LabOptions>& shared, int& exit_code) {
+  auto json = std::make_shared<bool>(false);
+  CLI::App* command =
+      parent.add_subcommand("verify", "Check the register: its audit, its records, its numbers");
+  command->add_flag("--json", *json, "print one JSON object");
+  command->callback([shared, json, &exit_code] {
+    lab::Register opened = open_register(*shared);
+    nlohmann::ordered_json object{{"schema", "abcal.register_verify/1"}, {"good", true}};
+    bool good = true;
+    for (const lab::RegisterFinding& finding : opened.verify()) {
+      good = good && finding.good;
+      object["checks"].push_back({{"what", finding.what}, {"good", finding.good}, {"found", finding.found}});
+      if (!*json)
+        print_result("{}  {}: {}\n",
+                     emphasised(stdout, finding.good ? Emphasis::kGood : Emphasis::kBad,
+                                finding.good ? "good" : " bad"),
+                     finding.what, finding.found);
+    }
+    object["good"] = good;
+    if (*json) print_result("{}\n", object.dump(2));
+    exit_code = good ? kExitDone : kExitFailed;
+  });
+}
+
+}  // namespace
+
+lab::Register open_register(const LabOptions& options) {
+  const std::string location = lab::register_location(options.location);
+  if (location.empty())
+    throw std::invalid_argument(
+        "no register is configured; required: --register FILE or postgresql://..., or ABCAL_REGISTER");
+  return lab::Register::open(location, RealClock().utc_now());
+}
+
+CLI::App* add_lab(CLI::App& parent, int& exit_code) {
+  auto shared = std::make_shared<LabOptions>();
+  CLI::App* command =
+      parent.add_subcommand("lab", "The register of a laboratory: persons, equipment, certificates");
+  command->add_option("--register", shared->location,
+                      "file or postgresql://USER@HOST/DATABASE (default: ABCAL_REGISTER)");
+  command->require_subcommand(1);
+  add_init(*command, shared, exit_code);
+  add_lab_people(*command, shared, exit_code);
+  add_lab_records(*command, shared, exit_code);
+  add_lab_charts(*command, shared, exit_code);
+  add_lab_copies(*command, shared, exit_code);
+  add_verify_register(*command, shared, exit_code);
+  add_lab_time_stamp(*command, exit_code);
+  add_lab_sign(*command, exit_code);
+  return command;
+}
+
+}  // namespace abcal

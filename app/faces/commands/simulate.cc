@@ -1,0 +1,214 @@
+#include "app/faces/commands/simulate.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <fstream>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <thread>
+
+#include "app/faces/commands/accelerometer_file.h"
+#include "app/faces/commands/simulate_joint.h"
+#include "app/faces/commands/simulate_robustness.h"
+#include "app/ground/system/exit_code.h"
+#include "app/ground/system/interrupt.h"
+#include "app/ground/system/output.h"
+#include "app/ground/system/progress.h"
+#include "app/ground/system/real_clock.h"
+#include "app/studies/study/study_figures.h"
+#include "app/studies/study/study_json.h"
+#include "app/studies/study/study_text.h"
+#include "protocol/uncertainty/simulation_sets.h"
+
+namespace abcal {
+namespace {
+
+void write_file(const std::filesystem::path& path, const std::string& text) {
+  std::ofstream file(path, std::ios::binary);
+  file << text;
+  if (!file.flush()) throw std::runtime_error(fmt::format("{} cannot be written", path.string()));
+}
+
+}  // namespace
+
+std::uint64_t not_negative(const char* option, std::int64_t value) {
+  if (value < 0)
+    throw std::invalid_argument(
+        fmt::format("{} = {}; required: a number that is not negative", option, value));
+  return static_cast<std::uint64_t>(value);
+}
+
+namespace {
+
+/// --threads: 0 means as many as the machine has.
+int threads_of(int threads) {
+  const auto wanted = static_cast<int>(not_negative("--threads", threads));
+  return wanted > 0 ? wanted : static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+}
+
+struct SimulateOptions {
+  std::string set, csv, figures, aut;
+  std::optional<std::int64_t> trials;
+  std::int64_t seed = 1;
+  int threads = 0;
+  std::optional<double> alignment, step, initial_turn, zero;
+  bool scale = false, resolution = false, json = false;
+  JointStudyOptions joint;
+  bool without_mean_step = false;
+  std::int64_t benches = RobustnessOptions{}.benches;
+  std::vector<std::string> scenarios;
+};
+
+void add_common_options(CLI::App& command, SimulateOptions& options) {
+  std::string sets;
+  for (const std::string& name : simulation_set_names()) sets += (sets.empty() ? "" : " ") + name;
+  command
+      .add_option("SET", options.set,
+                  "one of " + sets +
+                      "; joint: the joint estimator's coverage; or robustness: "
+                      "coverage and verdicts on benches that break the model")
+      ->required();
+  command.add_option("--trials", options.trials, "simulations (default: as many as in the paper)");
+  command.add_option("--seed", options.seed, "seed of the random numbers")->capture_default_str();
+  command.add_option("--threads", options.threads, "threads; 0: one per processor (same result)");
+  command.add_option("--aut", options.aut,
+                     "accelerometer: JSON with sensitivity_matrix and offset, or 12 numbers");
+  command.add_option("--alignment", options.alignment, "alignment of the axes, degrees");
+  command.add_option("--step", options.step, "rotation-step error, degrees");
+  command.add_option("--initial-turn", options.initial_turn,
+                     "error of the initial -90 degree turns, degrees (abc1)");
+  command.add_option("--zero", options.zero, "mean step error, degrees (abc1)");
+  command.add_flag("--scale", options.scale, "sets 3 to 6: also with a tenth and ten times the misalignment");
+  command.add_flag("--resolution", options.resolution,
+                   "the stage's resolution of 0.001 degrees instead of its accuracy of 0.008 degrees");
+  command.add_flag("--json", options.json, "print one JSON object, schema abcal.study/1");
+  command.add_option("--csv", options.csv, "write the outputs of every case to this file");
+  command.add_option("--figures", options.figures,
+                     "sets 1 and 2: write figures 1 to 4 into this folder (gnuplot)");
+}
+
+void add_joint_options(CLI::App& command, SimulateOptions& options) {
+  const auto number = [&](const char* name, double& value, const char* meaning) {
+    command.add_option(name, value, meaning)->group("joint study")->capture_default_str();
+  };
+  number("--noise", options.joint.noise, "noise of one averaged reading, R");
+  number("--nonlinearity", options.joint.k, "standard deviation of k2 and k3");
+  number("--drift", options.joint.drift, "standard deviation of the drift over a run, R");
+  number("--response-scale", options.joint.scale, "response units per R, e.g. 4096 for LSB");
+  command.add_option("--steps", options.joint.steps, "angles of each experiment")
+      ->group("joint study")
+      ->capture_default_str();
+  command
+      .add_flag("--without-mean-step", options.without_mean_step,
+                "leave the mean step errors out of the fit, to show that coverage then fails")
+      ->group("joint study");
+}
+
+void add_robustness_options(CLI::App& command, SimulateOptions& options) {
+  const char* const group = "robustness study";
+  command.add_option("--benches", options.benches, "simulated benches of each scenario")
+      ->group(group)
+      ->capture_default_str();
+  command
+      .add_option("--scenarios", options.scenarios,
+                  "only these scenarios, separated by commas (default: all)")
+      ->group(group)
+      ->delimiter(',');
+}
+
+int run_robustness_study(const SimulateOptions& options) {
+  RobustnessOptions study;
+  study.benches = static_cast<int>(not_negative("--benches", options.benches));
+  study.scenarios = options.scenarios;
+  study.seed = not_negative("--seed", options.seed);
+  study.threads = threads_of(options.threads);
+  return simulate_robustness(study, options.json);
+}
+
+int run_joint_study(const SimulateOptions& options) {
+  JointStudyOptions study = options.joint;
+  study.trials = static_cast<int>(not_negative("--trials", options.trials.value_or(study.trials)));
+  study.seed = not_negative("--seed", options.seed);
+  study.threads = threads_of(options.threads);
+  study.joint.mean_step = !options.without_mean_step;
+  const auto set_angle = [](Angle& tolerance, std::optional<double> degrees) {
+    if (degrees) tolerance = Angle::degrees(*degrees);
+  };
+  set_angle(study.tolerances.alignment, options.alignment);
+  set_angle(study.tolerances.step, options.step);
+  set_angle(study.tolerances.initial_turn, options.initial_turn);
+  set_angle(study.tolerances.zero, options.zero);
+  return simulate_joint(study, options.json);
+}
+
+/// What the command line asks of one of the paper's sets.
+SimulationOptions simulation_of(const SimulateOptions& options) {
+  SimulationOptions simulation;
+  if (options.trials) simulation.trials = not_negative("--trials", *options.trials);
+  simulation.seed = not_negative("--seed", options.seed);
+  simulation.threads = static_cast<unsigned>(not_negative("--threads", options.threads));
+  simulation.scale = options.scale;
+  simulation.resolution = options.resolution;
+  const auto angle = [](std::optional<double> degrees) -> std::optional<Angle> {
+    if (!degrees) return std::nullopt;
+    return Angle::degrees(*degrees);
+  };
+  simulation.alignment = angle(options.alignment);
+  simulation.step = angle(options.step);
+  simulation.initial_turn = angle(options.initial_turn);
+  simulation.zero = angle(options.zero);
+  if (!options.aut.empty()) simulation.accelerometer = read_accelerometer(options.aut);
+  if (!options.figures.empty() && options.set != "1" && options.set != "2") {
+    throw std::invalid_argument("--figures: figures 1 and 2 belong to set 1, 3 and 4 to set 2; set " +
+                                options.set + " has none");
+  }
+  simulation.stop = interrupt_token();
+  return simulation;
+}
+
+int run_set(const SimulateOptions& options) {
+  SimulationOptions simulation = simulation_of(options);
+  RealClock clock;
+  ProgressBar bar("simulating", clock);
+  const Clock::Instant start = clock.now();
+  simulation.progress = [&](std::uint64_t done, std::uint64_t planned) {
+    // No bar for studies that take less than two seconds.
+    if (to_seconds(clock.now() - start) > 2.0)
+      bar.show(static_cast<double>(done), static_cast<double>(planned));
+  };
+  const StudyResult study = run_simulation_set(options.set, simulation);
+  bar.clear();
+  if (!options.csv.empty()) write_file(options.csv, study_csv(study));
+  if (options.json) {
+    print_result("{}\n", study_json(study).dump(2));
+  } else {
+    print_result("{}", study_text(study));
+  }
+  if (!options.figures.empty()) {
+    for (const std::filesystem::path& path : write_study_figures(study, options.figures)) {
+      print_log("wrote {}\n", path.string());
+    }
+  }
+  return study.interrupted ? kExitInterrupted : kExitDone;
+}
+
+}  // namespace
+
+CLI::App* add_simulate(CLI::App& parent, int& exit_code) {
+  auto options = std::make_shared<SimulateOptions>();
+  CLI::App* command = parent.add_subcommand(
+      "simulate", "The simulations of Geist & Gaitan (2021), compared with the printed values");
+  add_common_options(*command, *options);
+  add_joint_options(*command, *options);
+  add_robustness_options(*command, *options);
+  command->callback([options, &exit_code] {
+    exit_code = options->set == "robustness" ? run_robustness_study(*options)
+                : options->set == "joint"    ? run_joint_study(*options)
+                                             : run_set(*options);
+  });
+  return command;
+}
+
+}  // namespace abcal

@@ -1,0 +1,186 @@
+#include "app/faces/commands/uncertainty.h"
+
+#include <fmt/format.h>
+
+#include <cstdlib>
+#include <fstream>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "app/faces/commands/simulate.h"
+#include "app/ground/system/exit_code.h"
+#include "app/ground/system/interrupt.h"
+#include "app/ground/system/output.h"
+#include "app/ground/system/progress.h"
+#include "app/ground/system/real_clock.h"
+#include "app/results/estimates/load_record.h"
+#include "app/studies/study/study_json.h"
+#include "app/studies/study/study_text.h"
+#include "protocol/uncertainty/run_uncertainty.h"
+
+namespace abcal {
+namespace {
+
+struct Measured {
+  double value = 0.0, standard_error = 0.0;
+};
+
+Measured measured(const nlohmann::json& quantity) {
+  // A step that was not measured is null: nothing is known of it but that the joint fit left it out.
+  if (quantity.at("value").is_null()) return {};
+  return {quantity.at("value").get<double>(), quantity.at("standard_uncertainty").get<double>()};
+}
+
+void set_measured(const nlohmann::json& quantity, double& mean, double& error) {
+  const Measured m = measured(quantity);
+  mean = m.value;
+  error = m.standard_error;
+}
+
+void set_measured(const nlohmann::json& quantity, Angle& mean, Angle& error) {
+  const Measured m = measured(quantity);
+  mean = Angle::degrees(m.value);
+  error = Angle::degrees(m.standard_error);
+}
+
+struct Options {
+  std::string file, preset, measured;
+  std::optional<std::int64_t> trials;
+  std::optional<int> digits;
+  std::int64_t seed = 1;
+  int threads = 0, item = 0;
+  std::optional<double> alignment, step, initial_turn, zero, resolution;
+  bool json = false;
+};
+
+RunUncertainty study_of(const Options& options, MonteCarloTeam* team) {
+  UncertaintyOptions uncertainty;
+  if (options.trials) uncertainty.trials = not_negative("--trials", *options.trials);
+  if (options.digits) {
+    uncertainty.trials.reset();
+    uncertainty.digits = *options.digits;
+  }
+  uncertainty.seed = not_negative("--seed", options.seed);
+  uncertainty.threads = static_cast<unsigned>(not_negative("--threads", options.threads));
+  uncertainty.resolution = options.resolution;
+  uncertainty.paper_preset = options.preset == "paper";
+  if (!options.measured.empty()) uncertainty.measured = read_measured_acs(options.measured);
+  RunRecord record = load_record(options.file, options.item).record;
+  const auto override_with = [](std::optional<double> degrees, Angle& tolerance) {
+    if (degrees) tolerance = Angle::degrees(*degrees);
+  };
+  override_with(options.alignment, record.tolerances.alignment);
+  override_with(options.step, record.tolerances.step);
+  override_with(options.initial_turn, record.tolerances.initial_turn);
+  override_with(options.zero, record.tolerances.zero);
+  uncertainty.stop = interrupt_token();
+  RealClock clock;
+  ProgressBar bar("uncertainty", clock);
+  const Clock::Instant start = clock.now();
+  uncertainty.progress = [&](std::uint64_t done, std::uint64_t planned) {
+    if (planned > 0 && to_seconds(clock.now() - start) > 2.0) {
+      bar.show(static_cast<double>(done), static_cast<double>(planned));
+    }
+  };
+  uncertainty.team = team;
+  RunUncertainty study = run_uncertainty(record, uncertainty);
+  bar.clear();
+  return study;
+}
+
+void print(const RunUncertainty& study, bool json) {
+  if (json) {
+    print_result("{}\n", study_json(study).dump(2));
+    for (const std::string& warning : study.warnings) print_warning(warning);
+  } else {
+    print_result("{}", study_text(study));
+  }
+}
+
+}  // namespace
+
+MeasuredAcs read_measured_acs(const std::filesystem::path& path) {
+  std::ifstream file(path);
+  if (!file)
+    throw std::invalid_argument(fmt::format("measured system errors: {} cannot be read", path.string()));
+  MeasuredAcs acs;
+  try {
+    const nlohmann::json json = nlohmann::json::parse(file);
+    const nlohmann::json& alignment = json.at("alignment");
+    set_measured(alignment.at(0), acs.mean.alignment.zx, acs.standard_error.alignment.zx);
+    set_measured(alignment.at(1), acs.mean.alignment.zy, acs.standard_error.alignment.zy);
+    set_measured(alignment.at(2), acs.mean.alignment.xz, acs.standard_error.alignment.xz);
+    set_measured(json.at("initial_turn_error").at(0), acs.mean.d2, acs.standard_error.d2);
+    set_measured(json.at("initial_turn_error").at(1), acs.mean.d3, acs.standard_error.d3);
+    set_measured(json.at("mean_step_error").at(0), acs.mean.mean_step_x, acs.standard_error.mean_step_x);
+    set_measured(json.at("mean_step_error").at(1), acs.mean.mean_step_z, acs.standard_error.mean_step_z);
+    for (std::size_t i = 0; i < 3; ++i) {
+      for (const nlohmann::json& step : json.at("step_error").at(i)) {
+        set_measured(step, acs.mean.step_errors[i].emplace_back(),
+                     acs.standard_error.step_errors[i].emplace_back());
+      }
+    }
+  } catch (const nlohmann::json::exception& error) {
+    throw std::invalid_argument(fmt::format(
+        "measured system errors: {} is not the JSON of a joint analysis: {}", path.string(), error.what()));
+  }
+  return acs;
+}
+
+StudyProcesses one_process() {
+  const auto join = []() -> std::unique_ptr<MonteCarloTeam> {
+    // Set by Open MPI's mpirun and srun.
+    if (std::getenv("OMPI_COMM_WORLD_SIZE") == nullptr && std::getenv("PMIX_RANK") == nullptr) return nullptr;
+    throw std::runtime_error(
+        "under mpirun each process of abcal would do the whole study; found: mpirun; required: mpirun "
+        "abcal-mpi uncertainty (built if libopenmpi-dev is installed), or abcal without mpirun");
+  };
+  return {join, [](MonteCarloTeam*, const char*, int) {}};
+}
+
+CLI::App* add_uncertainty(CLI::App& parent, int& exit_code, StudyProcesses processes) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command = parent.add_subcommand(
+      "uncertainty", "Type B and type A uncertainty of a run, with budget and coverage intervals");
+  command->add_option("FILE", options->file, "run file, or CSV of averaged readings")->required();
+  command->add_option("--item", options->item, "of a run with several items: which one, from 1");
+  CLI::Option* trials =
+      command->add_option("--trials", options->trials, "Monte Carlo trials (default 200000)");
+  command
+      ->add_option("--digits", options->digits,
+                   "adaptive: as many trials as 1 or 2 significant digits of u require")
+      ->excludes(trials);
+  command->add_option("--seed", options->seed, "seed of the random numbers")->capture_default_str();
+  command->add_option("--threads", options->threads, "threads; 0: one per processor (same result)");
+  command->add_option("--alignment", options->alignment,
+                      "standard uncertainty of the alignment of the axes, degrees");
+  command->add_option("--step", options->step, "standard uncertainty of each rotation step, degrees");
+  command->add_option("--initial-turn", options->initial_turn,
+                      "standard uncertainty of the initial -90 degree turns, degrees");
+  command->add_option("--zero", options->zero,
+                      "standard uncertainty of the mean step errors (axis zeros), degrees");
+  command->add_option("--resolution", options->resolution,
+                      "smallest step of the output, in the unit of the readings");
+  command
+      ->add_option("--preset", options->preset,
+                   "paper: the bounds of Geist & Gaitan 2021, section 5, as type B")
+      ->check(CLI::IsMember({"paper"}));
+  command->add_option("--measured-acs", options->measured,
+                      "JSON of a joint analysis: measured system errors for the type A evaluation");
+  command->add_flag("--json", options->json, "print one JSON object, schema abcal.study/1");
+  command->callback([options, processes = std::move(processes), &exit_code] {
+    const std::unique_ptr<MonteCarloTeam> team = processes.join();
+    try {
+      const RunUncertainty study = study_of(*options, team.get());
+      if (team == nullptr || team->leads()) print(study, options->json);
+      exit_code = study.interrupted ? kExitInterrupted : kExitDone;
+    } catch (const std::exception& error) {
+      processes.abandon(team.get(), error.what(), kExitFailed);
+      throw;
+    }
+  });
+  return command;
+}
+
+}  // namespace abcal

@@ -1,0 +1,197 @@
+#include "app/faces/console/answers.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <charconv>
+#include <utility>
+
+#include "app/faces/console/start_form.h"
+#include "app/faces/console/target.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/results/estimates/load_record.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal::console {
+namespace {
+
+namespace http = boost::beast::http;
+
+/// The memory for products of runs that may be asked for again: some hundred results, some PDFs.
+constexpr std::size_t kMostKept = 16 * 1024 * 1024;
+/// As many analyses at a time; two processors are the least on which a bench is run.
+constexpr std::size_t kAnalysts = 2;
+
+/// The number of an item; nothing: it is none.
+std::optional<int> item_of(const std::string& text) {
+  int item = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), item);
+  if (error != std::errc() || end != text.data() + text.size() || item < 1 ||
+      item > static_cast<int>(kMostItems))
+    return std::nullopt;
+  return item;
+}
+
+}  // namespace
+
+Answers::Answers(ServerCommon& common, Logins& logins, const Session::Options& bench)
+    : common_(common),
+      logins_(logins),
+      bench_file_(bench.bench_file),
+      runs_(bench.runs),
+      library_(bench.runs),
+      signatures_(approval_place()),
+      products_(kMostKept),
+      lists_(common.io, 1),
+      analyses_(common.io, kAnalysts),
+      prints_(common.io, 1) {}
+
+Answers::~Answers() {
+  for (Workshop* workshop : {&lists_, &analyses_, &prints_}) workshop->close();
+  seal_.join();  // A certificate that was begun is issued.
+}
+
+HttpResponse Answers::refuse(const Asked& asked, http::status status, const std::string& why) {
+  return console::refuse(common_.log_refusal, asked, status, why);
+}
+
+HttpResponse Answers::answer(const Asked& asked, Slow& later) {
+  const HttpRequest& request = asked.request;
+  if (asked.access == Access::kWrongHost)
+    return refuse(asked, http::status::misdirected_request,
+                  "This console is not known by that name; see `abcal serve --host`.");
+  if (asked.access == Access::kWrongOrigin)
+    return refuse(asked, http::status::forbidden, "Another page may not use this console.");
+  if (logins_.is_proxied_unknown(request))
+    return refuse(
+        asked, http::status::forbidden,
+        "This came through a proxy, but this console is for this computer's accounts alone; see `abcal "
+        "serve --trusted-proxy`.");
+  const std::optional<Target> target = parse_target(view(request.target()));
+  if (!target) return refuse(asked, http::status::bad_request, "The path cannot be read.");
+  const std::string& path = target->path;
+  const bool reads = request.method() == http::verb::get || request.method() == http::verb::head;
+  if (path == "/login" && request.method() == http::verb::post && !logins_.is_open())
+    return logins_.log_in(asked, later);
+  if (asked.access == Access::kNoToken) return logins_.ask_who(asked, path);
+  if (path == "/logout" && request.method() == http::verb::post) return logins_.log_out(asked);
+  if (path == "/approve" && request.method() == http::verb::post) return approve_certificate(asked, later);
+  if (is_signed_certificate(request)) return take_signed_certificate(asked, target->words, later);
+  if (!reads) return refuse(asked, http::status::method_not_allowed, "Only GET is answered here.");
+
+  if (auto asset = answer_with_asset(request, path == "/" ? "/index.html" : path)) return *std::move(asset);
+  if (path == "/who") {
+    const Visitor& visitor = asked.visitor;
+    return json_answer(request, {{"person", visitor.who.name}, {"may_steer", visitor.may_steer}});
+  }
+  if (path == "/start-form") {
+    if (order_start_form(asked, later)) return {};
+    return refuse(asked, http::status::bad_request, "The fields of the form cannot be read.");
+  }
+  if (order_of_library(target->words, later) || order_approval(target->words, asked.visitor, later)) {
+    later.head = head_of(request);
+    return {};
+  }
+  later = {};  // Of what was not found nothing is made.
+  return refuse(asked, http::status::not_found, "There is no such page.");
+}
+
+/// GET /start-form?steps=...&serial_number=...: what would be started. @return false: the fields cannot be
+/// read
+bool Answers::order_start_form(const Asked& asked, Slow& later) {
+  const std::string_view target = view(asked.request.target());
+  const std::size_t query = target.find('?');
+  const auto fields =
+      parse_form(query == std::string_view::npos ? std::string_view() : target.substr(query + 1));
+  if (!fields) return false;
+  later.head = head_of(asked.request);
+  later.workshop = &analyses_;
+  later.make = [this, fields = *fields, who = asked.visitor.who](const std::stop_token&) {
+    const StartFormAsked form{bench_file_, runs_, common_.options.register_location, who,
+                              parse_run_choice(fields)};
+    return made_of_json(start_form(form, library_, common_.clock.utc_now()));
+  };
+  return true;
+}
+
+Workshop::Make Answers::kept(const std::string& what, std::vector<std::filesystem::path> files,
+                             std::function<Product(const std::stop_token&)> make) {
+  return [this, what, files = std::move(files), make = std::move(make)](const std::stop_token& cancelled) {
+    const std::string key = products_.key_of(what, files);
+    if (!key.empty())
+      if (std::shared_ptr<const Product> known = products_.find(key)) return known;
+    auto product = std::make_shared<const Product>(make(cancelled));
+    // Of files that have not changed meanwhile.
+    if (!key.empty() && products_.key_of(what, files) == key) products_.keep(key, product);
+    return product;
+  };
+}
+
+/// /runs, /runs/NAME/result, /runs/NAME/DOWNLOAD, /runs/NAME/items/K/result and so on,
+/// /compare/NAME/NAME[/shared-stage], /history/SERIAL/PROPERTY
+bool Answers::order_of_library(const std::vector<std::string>& words, Slow& later) {
+  later.workshop = &analyses_;
+  if (words == std::vector<std::string>{"runs"}) {
+    later.workshop = &lists_;
+    later.make = [this](const std::stop_token&) { return made_of_json(library_.list()); };
+    return true;
+  }
+  if (words.size() == 3 && words[0] == "history") {
+    if (!RunLibrary::is_charted(words[2])) return false;
+    later.make = [this, serial = words[1], property = words[2]](const std::stop_token&) {
+      return made_of_json(library_.history(serial, property));
+    };
+    return true;
+  }
+  later.name = fmt::format("{}", fmt::join(words, "/"));
+  const bool shared_stage = words.size() == 4 && words[3] == "shared-stage";
+  if ((words.size() == 3 || shared_stage) && words[0] == "compare") {
+    const auto first = library_.find_item(words[1]), second = library_.find_item(words[2]);
+    if (!first || !second) return false;
+    later.make = kept(later.name, {named_item(*first).file, named_item(*second).file},
+                      [first = *first, second = *second, shared_stage](const std::stop_token&) {
+                        return *made_of_json(RunLibrary::compare(first, second, shared_stage));
+                      });
+    return true;
+  }
+  const auto of = find_item(words);
+  return of && order_of_run(*of, words.back(), later);
+}
+
+std::optional<ItemOfRun> Answers::find_item(const std::string& run, const std::string& item) const {
+  const auto path = library_.find(run);
+  const auto number = item.empty() ? 0 : item_of(item);
+  if (!path || !number) return std::nullopt;
+  return ItemOfRun{*path, *number};
+}
+
+std::optional<ItemOfRun> Answers::find_item(const std::vector<std::string>& words) const {
+  const bool of_item = words.size() == 5 && words[2] == "items";
+  if ((words.size() != 3 && !of_item) || words[0] != "runs") return std::nullopt;
+  if (of_item && words[3].empty()) return std::nullopt;
+  return find_item(words[1], of_item ? words[3] : "");
+}
+
+/// What is made of a run, of one of its items; item 0 is the first that was not left out.
+bool Answers::order_of_run(const ItemOfRun& of, const std::string& what, Slow& later) {
+  const std::vector<std::filesystem::path> files{of.run, ResultsFile::path_beside(of.run)};
+  const std::string of_item = fmt::format(", item {}", of.item);
+  if (what == "result") {
+    later.make = kept("result" + of_item, files, [this, of](const std::stop_token&) {
+      return *made_of_json(library_.result(of.run, of.item));
+    });
+    return true;
+  }
+  for (const Download& download : downloads()) {
+    if (what != download.name) continue;
+    if (download.is_printed) later.workshop = &prints_;
+    later.make = kept(download.name + of_item, files, [of, download](const std::stop_token& cancelled) {
+      const int item = shown_item(RunFile::load(of.run), of.item);
+      return Product{200, download.content_type, download.make({of.run, item}, cancelled), true};
+    });
+    return true;
+  }
+  return false;
+}
+
+}  // namespace abcal::console

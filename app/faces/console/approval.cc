@@ -1,0 +1,156 @@
+#include "app/faces/console/approval.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "app/laboratory/issuing/issue_run.h"
+#include "protocol/record/run_operator.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal::console {
+namespace {
+
+using ApprovalJson = nlohmann::ordered_json;
+
+ApprovalJson certificates_of(const ItemOfRun& of) {
+  ApprovalJson list = ApprovalJson::array();
+  for (const IssuedCertificate& issued : ResultsFile::certificates(of.run, of.item))
+    list.push_back({{"number", issued.number},
+                    {"date", issued.date},
+                    {"measured_by", issued.measured_by},
+                    {"approved_by", issued.approved_by},
+                    {"replaces", issued.replaces},
+                    {"reason", issued.reason},
+                    {"sha256", sha256_of(issued.xml)}});
+  return list;
+}
+
+/// Why an item of a run has no certificate; empty: it can have one.
+std::string why_not_item(int item, const StoredRun& stored) {
+  const std::size_t count = stored.items.size();
+  if (item == 0 && count > 1)
+    return fmt::format("The run has {} items, each with a certificate of its own: choose one of them.",
+                       count);
+  const auto k = static_cast<std::size_t>(std::max(item, 1));
+  if (k > count)
+    return fmt::format("The run has {}, and no item {}.",
+                       count == 1 ? "one item" : fmt::format("{} items", count), item);
+  if (stored.items[k - 1].dropped_at) return fmt::format("Item {} was left out of the run.", item);
+  return {};
+}
+
+/// Why nothing can be issued on this page, for everybody; empty: it can.
+std::string why_not_here(const ItemOfRun& of, const StoredRun& stored, const ApprovalPlace& place) {
+  if (place.register_location.empty())
+    return "Certificates are issued on this page with a register only (ABCAL_REGISTER); see `abcal issue`.";
+  if (place.laboratory_file.empty())
+    return "The console knows no laboratory file; start it with `abcal serve --laboratory FILE`.";
+  if (stored.state != RunState::kComplete || !RunFile::is_closed(of.run))
+    return "The run is not complete and closed.";
+  if (!has_experiments(stored.header.plan)) return "This is a levelling, no calibration.";
+  return why_not_item(of.item, stored);
+}
+
+/// Logged in for one approval, and out again.
+class Approver {
+ public:
+  Approver(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now)
+      : now_(now), opened_(lab::Register::open(place.register_location, now)) {
+    constexpr std::chrono::minutes kForOneApproval{10};
+    try {
+      login_ = opened_.log_in(form.approver, form.password, now, kForOneApproval);
+    } catch (const lab::RegisterError& refused) {
+      (void)opened_.find_person({});  // A register that is lost throws here.
+      throw LoginRefused(refused.what());
+    }
+  }
+  Approver(const Approver&) = delete;
+  Approver& operator=(const Approver&) = delete;
+  ~Approver() {
+    try {
+      opened_.log_out(login_, now_);
+    } catch (const std::exception&) {
+      return;  // It ends by itself.
+    }
+  }
+  lab::LoggedIn who() { return opened_.who(login_, now_); }
+
+ private:
+  Clock::UtcTime now_;
+  lab::Register opened_;
+  std::string login_;
+};
+
+void require_current(const ApprovalForm& form) {
+  if (sha256_of_file(form.of.run) != form.run_sha256)
+    throw StaleApproval("the run is not the one that was looked at; open its result again");
+  const std::vector<IssuedCertificate> issued = ResultsFile::certificates(form.of.run, form.of.item);
+  const std::string last = issued.empty() ? std::string() : issued.back().number;
+  if (last != form.replaces)
+    throw StaleApproval(fmt::format("certificate {} was issued for this run meanwhile; open its result again",
+                                    last.empty() ? "none" : last));
+}
+
+/// The valid keys of a person that the register knows.
+ApprovalJson keys_of(const std::string& person, const ApprovalPlace& place, Clock::UtcTime now) {
+  ApprovalJson list = ApprovalJson::array();
+  for (const lab::SigningKey& key : lab::Register::open(place.register_location, now).keys())
+    if (key.kind == "person" && key.owner == person && key.valid_to.empty())
+      list.push_back({{"fingerprint", key.fingerprint}, {"valid_from", key.valid_from}});
+  return list;
+}
+
+}  // namespace
+
+StoredRun require_approvable(const ApprovalForm& form, const ApprovalPlace& place) {
+  StoredRun stored = RunFile::load(form.of.run);
+  if (const std::string why = why_not_here(form.of, stored, place); !why.empty())
+    throw std::invalid_argument(why);
+  require_current(form);
+  return stored;
+}
+
+IssueAsked issue_asked(const ApprovalForm& form, const ApprovalPlace& place) {
+  IssueAsked asked;
+  asked.run = form.of.run.string();
+  asked.item = form.of.item;
+  asked.certificate.laboratory = place.laboratory_file.string();
+  asked.replaces = form.replaces;
+  asked.reason = form.reason;
+  return asked;
+}
+
+ApprovalJson issued_json(const IssueOutcome& outcome, const std::string& approver, bool training) {
+  return {{"number", outcome.known_now.empty() ? outcome.issued.number : outcome.known_now},
+          {"training", training},
+          {"approved_by", approver},
+          {"warnings", outcome.warnings}};
+}
+
+ApprovalJson approval_json(const ItemOfRun& of, const ApprovalPlace& place, const Visitor& visitor,
+                           Clock::UtcTime now) {
+  const StoredRun stored = RunFile::load(of.run);
+  const std::string why = why_not_here(of, stored, place);
+  return {{"run_sha256", why.empty() ? sha256_of_file(of.run) : ""},
+          {"measured_by", describe(operators_of(stored))},
+          {"person", visitor.who.name},
+          {"why_not", why},
+          {"keys", why.empty() ? keys_of(visitor.who.name, place, now) : ApprovalJson::array()},
+          {"certificates", certificates_of(of)}};
+}
+
+ApprovalJson approve(const ApprovalForm& form, const ApprovalPlace& place, Clock::UtcTime now) {
+  const StoredRun stored = require_approvable(form, place);
+  Approver approver(form, place, now);
+  const lab::LoggedIn who = approver.who();
+  if (const auto why = why_not_approve(who.person(), stored)) throw std::invalid_argument(*why);
+  Registered registered{lab::Register::open(place.register_location, now), who};
+  const IssueOutcome outcome = issue_run(issue_asked(form, place), &registered, now);
+  return issued_json(outcome, who.name(), registered.opened.facts().training);
+}
+
+}  // namespace abcal::console

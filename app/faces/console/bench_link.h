@@ -1,0 +1,86 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <string_view>
+
+#include "app/faces/console/bench_channel.h"
+#include "app/faces/console/request.h"
+#include "app/faces/console/session.h"
+#include "app/ground/system/real_clock.h"
+
+namespace abcal::console {
+
+/// What a console knows of the process that holds its bench.
+enum class BenchState {
+  kStarting,  ///< Not found yet; it is being started.
+  kOn,
+  kSilent,  ///< Connected, but it has not said anything for 3 s.
+  kGone,    ///< It has died, or cannot be started.
+};
+std::string_view to_string(BenchState state);
+
+/// A console's end of the process that holds the bench (BenchService): finds it or starts it, and again when
+/// it has died. For the thread of `io`.
+class BenchLink {
+ public:
+  struct Listener {
+    std::function<void(std::string_view json)> message;   ///< For every page.
+    std::function<void(std::string_view json)> snapshot;  ///< One that was asked for.
+    std::function<void(const nlohmann::json& reply)> reply;
+    std::function<void(BenchState state, const std::string& words)> state;
+    std::function<void(bool was_on)> end;  ///< The bench was closed.
+  };
+  struct Options {
+    Session::Options bench;
+    std::filesystem::path socket;
+    bool start = true;  ///< False: another program starts it (a service of its own).
+  };
+
+  BenchLink(boost::asio::io_context& io, Options options, Listener listener);
+
+  void begin();
+  bool is_on() const { return channel_ != nullptr; }
+  void ask_snapshot();
+  void request(std::uint64_t id, const Asker& by, const Request& request);
+  /// Tells who steers from now on.
+  void control_taken(const Asker& by);
+  /// Stops what is in progress, halts the stage and ends the process. @return false: there is none
+  bool close_bench();
+  /// Lets it go on alone.
+  void leave();
+
+ private:
+  void connect();
+  void connected(BenchChannel::Socket socket);
+  void received(std::string_view line);
+  void lost();
+  void watch();
+  void try_again(std::chrono::milliseconds after);
+  void start_process();
+  void notify(BenchState state, const std::string& words);
+
+  boost::asio::io_context& io_;
+  Options options_;
+  Listener listener_;
+  RealClock clock_;
+  boost::asio::steady_timer again_;
+  boost::asio::steady_timer next_watch_;
+  std::shared_ptr<BenchChannel> channel_;
+  Clock::Instant heard_{}, begun_{};
+  BenchState state_ = BenchState::kStarting;
+  bool started_ = false;  ///< A process was started and has not been reached yet.
+  bool leaving_ = false;
+  pid_t process_ = -1;  ///< Started here.
+};
+
+}  // namespace abcal::console

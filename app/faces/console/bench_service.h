@@ -1,0 +1,49 @@
+#pragma once
+
+#include <chrono>
+#include <filesystem>
+#include <memory>
+#include <stdexcept>
+#include <stop_token>
+
+#include "app/faces/console/session.h"
+
+namespace abcal::console {
+
+/// Another process holds the bench already.
+class BenchIsHeld : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Where the process that holds a bench listens, by default: in the run folder, named after the bench file.
+std::filesystem::path default_bench_socket(const Session::Options& bench);
+
+/// Holds a bench for consoles, in a process of its own: the instruments, the measuring thread, and the state
+/// that pages show. Consoles come and go over a Unix socket that only this user can reach; what is in
+/// progress goes on without any. For one bench there is one such process.
+class BenchService {
+ public:
+  struct Options {
+    Session::Options bench;
+    std::filesystem::path socket;
+    /// Ends when nothing is in progress and no console has been there for this time; zero: never by itself.
+    std::chrono::milliseconds linger{3000};
+  };
+
+  /// Listens from here on.
+  /// @throws BenchIsHeld, std::runtime_error
+  explicit BenchService(Options options);
+  ~BenchService();
+
+  /// Serves until `stop`, until a console closes the bench, or until nobody needs it; the stage is halted
+  /// then.
+  /// @return whether something was stopped so
+  bool serve(const std::stop_token& stop);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace abcal::console

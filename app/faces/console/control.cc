@@ -1,0 +1,234 @@
+#include "app/faces/console/control.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <boost/asio/post.hpp>
+#include <chrono>
+#include <filesystem>
+#include <utility>
+
+#include "app/faces/console/bench_service.h"
+#include "app/ground/system/output.h"
+
+namespace abcal::console {
+namespace {
+
+using Json = nlohmann::json;
+
+/// After this time without an answer to a beat nothing is known of the other end.
+constexpr std::chrono::seconds kSilent{3};
+
+SharedText shared(std::string text) {
+  return std::make_shared<const std::string>(std::move(text));
+}
+
+std::string text_of(const Json& json) {
+  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+/// @param why  the reason of a refusal; empty: the request was accepted
+std::string reply_to(std::uint64_t id, const std::string& why) {
+  Json reply = {{"type", "reply"}, {"id", id}, {"ok", why.empty()}};
+  if (!why.empty()) reply["why"] = why;
+  return text_of(reply);
+}
+
+}  // namespace
+
+Control::Control(ServerCommon& common, Session::Options bench) : common_(common) {
+  BenchLink::Listener listener;
+  listener.message = [this](std::string_view json) { broadcast(std::string(json)); };
+  listener.snapshot = [this](std::string_view json) { receive_snapshot(json); };
+  listener.reply = [this](const Json& reply) { receive_reply(reply); };
+  listener.state = [this](BenchState state, const std::string& words) { receive_state(state, words); };
+  listener.end = [this](bool was_on) { note_end(was_on); };
+  const bool is_service = !common.options.bench_socket.empty();
+  const std::filesystem::path socket = is_service ? common.options.bench_socket : default_bench_socket(bench);
+  bench_ = std::make_unique<BenchLink>(common.io, BenchLink::Options{std::move(bench), socket, !is_service},
+                                       std::move(listener));
+}
+
+// ---- The bench
+
+void Control::broadcast(const std::string& text) {
+  const SharedText message = shared(text);
+  for (const std::shared_ptr<Page>& page : pages_)
+    if (!page->waits_for_snapshot) page->send(message);
+}
+
+void Control::receive_snapshot(std::string_view json) {
+  const SharedText text = shared(std::string(json));
+  const SharedText control = shared(control_message());
+  for (const std::shared_ptr<Page>& page : pages_) {
+    if (!std::exchange(page->waits_for_snapshot, false)) continue;
+    page->send(text);
+    page->send(control);
+  }
+}
+
+std::string Control::bench_message() const {
+  return text_of({{"type", "bench"}, {"state", to_string(bench_state_)}, {"words", bench_words_}});
+}
+
+/// The process that holds the bench has come or gone.
+void Control::receive_state(BenchState state, const std::string& words) {
+  bench_state_ = state;
+  bench_words_ = words;
+  const SharedText text = shared(bench_message());
+  for (const std::shared_ptr<Page>& page : pages_) page->send(text);
+  if (state == BenchState::kGone) {
+    for (const auto& [number, lost] : std::exchange(passed_on_, {})) {
+      if (const std::shared_ptr<Page> page = lost.page.lock())
+        page->reply(
+            text_of({{"type", "reply"}, {"id", lost.id}, {"ok", false}, {"lost", true}, {"why", words}}));
+    }
+  }
+  if (state != BenchState::kOn) return;
+  for (const std::shared_ptr<Page>& page : pages_) page->waits_for_snapshot = true;
+  bench_->ask_snapshot();
+}
+
+/// The bench has answered a request that was passed on.
+void Control::receive_reply(const Json& reply) {
+  const auto found = passed_on_.find(reply.at("id").get<std::uint64_t>());
+  if (found == passed_on_.end()) return;
+  const PassedOn answered = std::move(found->second);
+  passed_on_.erase(found);
+  const std::shared_ptr<Page> page = answered.page.lock();
+  if (!page) return;
+  const std::string why = reply.at("ok").get<bool>() ? "" : reply.at("why").get<std::string>();
+  if (!why.empty()) common_.log_refusal(page->peer(), answered.text, why);
+  page->reply(reply_to(answered.id, why));
+}
+
+void Control::note_end(bool was_on) {
+  if (!std::exchange(bench_is_closed_, true)) bench_closed_.set_value(was_on);
+}
+
+bool Control::end(bool leave_running) {
+  boost::asio::post(common_.io, [this, leave_running] {
+    if (leave_running) bench_->leave();
+    const bool waits = !leave_running && bench_->close_bench();
+    if (!waits) note_end(false);
+  });
+  // The longest halt that a driver waits for, twice.
+  constexpr std::chrono::seconds kLongestEnd{60};
+  std::future<bool> closed = bench_closed_.get_future();
+  if (closed.wait_for(kLongestEnd) == std::future_status::ready) return closed.get();
+  print_error(
+      "the process that holds the bench does not answer: the stage may be moving, stop it by its own switch");
+  return true;
+}
+
+// ---- The pages
+
+void Control::join(const std::shared_ptr<Page>& page) {
+  page->number = ++pages_so_far_;
+  page->heard = common_.clock.now();
+  pages_.insert(page);
+  const Visitor& visitor = page->visitor();
+  page->send(shared(text_of({{"type", "you"},
+                             {"number", page->number},
+                             {"person", visitor.who.name},
+                             {"may_steer", visitor.may_steer}})));
+  if (bench_state_ != BenchState::kOn) page->send(shared(bench_message()));
+  send_snapshot(*page);
+}
+
+void Control::leave(Page& page) {
+  if (controller_ == &page) give_control(nullptr);
+  pages_.erase(page.shared_from_this());
+}
+
+void Control::send_snapshot(Page& page) {
+  const bool is_asked =
+      std::any_of(pages_.begin(), pages_.end(), [](const auto& other) { return other->waits_for_snapshot; });
+  page.waits_for_snapshot = true;
+  if (!is_asked) bench_->ask_snapshot();
+}
+
+std::vector<std::string> Control::logins() const {
+  std::vector<std::string> logins;
+  for (const std::shared_ptr<Page>& page : pages_)
+    if (!page->visitor().login.empty()) logins.push_back(page->visitor().login);
+  return logins;
+}
+
+void Control::close_pages(const std::vector<std::string>& logins) {
+  const std::set<std::shared_ptr<Page>> open = pages_;
+  for (const std::shared_ptr<Page>& page : open)
+    if (std::ranges::find(logins, page->visitor().login) != logins.end()) page->close();
+}
+
+void Control::receive(Page& page, std::string_view text) {
+  page.heard = common_.clock.now();
+  std::uint64_t id = 0;
+  std::string why;
+  try {
+    const Request request = parse_request(text);
+    if (std::holds_alternative<Beat>(request.command)) return;
+    id = static_cast<std::uint64_t>(request.id);
+    std::optional<std::string> refusal = carry_out(page, request, text);
+    if (!refusal) return;
+    why = *std::move(refusal);
+  } catch (const RequestError& error) {
+    id = error.id();
+    why = error.what();
+  }
+  if (!why.empty()) common_.log_refusal(page.peer(), text, why);
+  page.reply(reply_to(id, why));
+}
+
+std::optional<std::string> Control::carry_out(Page& page, const Request& request, std::string_view text) {
+  if (const auto* take = std::get_if<TakeControl>(&request.command))
+    return take_control(page, *take).value_or("");
+  // Anybody who sees that something goes wrong may stop it, with control or without.
+  if (controller_ != &page && !std::holds_alternative<Stop>(request.command))
+    return "this page only watches; take control first";
+  if (std::holds_alternative<ReleaseControl>(request.command)) {
+    give_control(nullptr);
+    return "";
+  }
+  if (!bench_->is_on()) return "the process that holds the bench is not there";
+  passed_on_[++passed_on_so_far_] = {page.weak_from_this(), static_cast<std::uint64_t>(request.id),
+                                     std::string(text)};
+  bench_->request(passed_on_so_far_, page.asker(), request);
+  return std::nullopt;
+}
+
+// ---- Control
+
+void Control::check_beats() {
+  const bool is_silent = controller_ != nullptr && common_.clock.now() - controller_->heard > kSilent;
+  if (std::exchange(controller_silent_, is_silent) != is_silent) broadcast(control_message());
+}
+
+std::string Control::control_message() const {
+  Json message = {{"type", "control"}, {"page", nullptr}};
+  if (controller_ != nullptr) {
+    message["page"] = controller_->number;
+    message["who"] = controller_->asker().for_people();
+    message["silent"] = controller_silent_;
+  }
+  return text_of(message);
+}
+
+void Control::give_control(Page* page) {
+  controller_ = page;
+  controller_silent_ = false;
+  broadcast(control_message());
+}
+
+Session::Refusal Control::take_control(Page& page, const TakeControl& take) {
+  if (!page.visitor().may_steer)
+    return fmt::format("{} may watch and stop, but not steer; required: a person with the right to measure",
+                       page.visitor().who.name.empty() ? "who has the token" : page.visitor().who.name);
+  if (controller_ != nullptr && controller_ != &page && !take.from_another)
+    return fmt::format("{} steers; take control from it first", controller_->asker().for_people());
+  if (controller_ != &page) bench_->control_taken(page.asker());
+  give_control(&page);
+  return std::nullopt;
+}
+
+}  // namespace abcal::console

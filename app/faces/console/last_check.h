@@ -1,0 +1,29 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/operate/session/bench_check.h"
+
+namespace abcal::console {
+
+/// The last check of a bench, kept in the run folder so that it is known after a restart.
+struct LastCheck {
+  std::string utc;
+  std::string by;  ///< Who asked for it, in words.
+  bool with_motion = false;
+  std::size_t good = 0, warnings = 0, problems = 0;
+};
+
+/// What a check found. A check that cannot be kept is no reason to fail: @return false then.
+bool keep_check(const std::filesystem::path& runs, const std::filesystem::path& bench_file,
+                const LastCheck& check);
+/// Nothing: none is known.
+std::optional<LastCheck> last_check(const std::filesystem::path& runs,
+                                    const std::filesystem::path& bench_file);
+
+LastCheck count_findings(const std::vector<Finding>& findings);
+
+}  // namespace abcal::console

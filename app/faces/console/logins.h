@@ -1,0 +1,75 @@
+#pragma once
+
+#include <boost/asio/thread_pool.hpp>
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/faces/console/http_exchange.h"
+#include "app/faces/console/login_throttle.h"
+#include "app/faces/console/persons.h"
+#include "app/faces/console/server_common.h"
+
+namespace abcal::console {
+
+/// Decides who a visitor is: a person of the register by a login, or whoever has the token. Asks the register
+/// in a thread of its own. Its functions are for the thread of the connections.
+class Logins {
+ public:
+  /// @param port  where the console listens: browsers do not keep the cookies of two ports apart
+  /// @param ended  called with the logins that may not use the console any more
+  Logins(ServerCommon& common, std::uint16_t port,
+         std::function<void(const std::vector<std::string>& logins)> ended);
+  ~Logins();
+  Logins(const Logins&) = delete;
+  Logins& operator=(const Logins&) = delete;
+
+  /// Everybody who reaches the console may use it.
+  bool is_open() const;
+  /// A proxy that nobody named has passed it on, to a console that asks nobody who they are.
+  bool is_proxied_unknown(const HttpRequest& request) const;
+
+  /// The login that a request shows; empty: none.
+  std::string login_of(const HttpRequest& request) const;
+  /// The person of a login, as far as it is known here; null: it is not.
+  Persons::Known find(const std::string& login);
+  /// Asks the register about a login that is not known here. @param then  called with null for nobody
+  void look_up(const std::string& login, const Peer& peer, std::function<void(const Persons::Known&)> then);
+
+  /// The answer to a visitor of whom nothing is known.
+  HttpResponse ask_who(const Asked& asked, const std::string& path);
+  /// POST /login: a form with `token`, or with `name` and `password`.
+  HttpResponse log_in(const Asked& asked, Slow& later);
+  /// POST /logout: ends the login, its pages and its cookies.
+  HttpResponse log_out(const Asked& asked);
+  /// Each second: ends logins that have expired; each half minute also those that the register ended.
+  /// @param of_pages  the logins of the pages that are open
+  void check(const std::vector<std::string>& of_pages);
+
+  /// The refusal of an attempt after too many failures; absent: this one may be made.
+  std::optional<HttpResponse> refuse_if_throttled(const Asked& asked, const std::string& name);
+  void failed(const std::string& name, const Peer& peer);
+  void succeeded(const std::string& name, const Peer& peer);
+
+ private:
+  HttpResponse log_in_by_token(const Asked& asked, const std::string& token);
+  HttpResponse greet(const Asked& asked, const std::string& cookie, const std::string& value,
+                     std::chrono::seconds life) const;
+  void set_cookie(const Asked& asked, HttpResponse& response, const std::string& name,
+                  const std::string& value, std::chrono::seconds life) const;
+  void end(const std::vector<std::string>& logins);
+
+  ServerCommon& common_;
+  const std::string login_cookie_;
+  const std::function<void(const std::vector<std::string>&)> ended_;
+  Persons persons_;
+  LoginThrottle throttle_;
+  Clock::Instant checked_{};          ///< When the register was last asked which logins it ended.
+  bool checks_ = false;               ///< It is being asked.
+  boost::asio::thread_pool door_{1};  ///< Asks the register.
+};
+
+}  // namespace abcal::console

@@ -1,0 +1,353 @@
+// The live view: shows what the messages say. Knows nothing that the server has not said.
+import {byId, degrees, duration, element, number, signed, small, table, DASH} from '/text.js';
+import {said} from '/said.js';
+import {drawGimbal} from '/gimbal.js';
+import {liveItem} from '/items.js';
+import {OUTPUTS, plot, pointRadius, series} from '/plots.js';
+import {PagedTable} from '/pages.js';
+import {angleIn, operatorIn, rolesIn, t} from '/language.js';
+import {Strip} from '/strip.js';
+import {timeElement} from '/time.js';
+
+const REDRAWN_AFTER_MS = 100;
+const LINES = 200;  // Of the log, at most.
+
+// A number that is not finite comes as a text.
+const finite = (value) => (Number.isFinite(value) ? value : null);
+// What each item read at an angle; of one item alone it is the dwell.
+const readingsOf = ({dwell, items}) => (items.length ? items : [{k: 1, ...dwell}]);
+// How a run ended, with the verdict or the cause in words.
+const endOf = (event) => event && {...event, words: !event.complete ? event.reason : event.verdict ? `${event.verdict}: ${event.reason}` : ''};
+
+export class LiveView {
+  constructor() {
+    this.run = null;
+    this.items = [];  // Empty: there is one.
+    this.dwells = new Map();
+    this.fits = [null, null, null];
+    this.charts = [];
+    this.stageSeen = {x: {}, z: {}};
+    this.newLines = [];  // Of the log, not shown yet.
+    this.untold = new Set();  // Parts of the page whose words have changed, and when they were shown last.
+    this.told = -Infinity;
+    this.dirty = new Set(['strip']);
+    this.strip = new Strip(() => this.dirty.add('strip'));
+    this.makeResponses();
+    this.makeTable();
+    drawGimbal(0, 0);  // Until an angle is known; the table says that none is.
+    // Drawn when the browser is ready, however fast messages come.
+    this.drawn = new Map();
+    const frame = (now) => { this.draw(now); requestAnimationFrame(frame); };
+    requestAnimationFrame(frame);
+    setInterval(() => this.countDown(), 1000);
+  }
+
+  makeResponses() {
+    const about = [t('1: X turns'), t('2: X turns, Z at −90°'), t('3: Z turns, X at −90°')];
+    byId('responses').replaceChildren();
+    this.charts = about.map((words, i) => {
+      const response = element('canvas', {role: 'img', 'aria-label': t`Response of experiment ${i + 1} against angle; the table below has the numbers`});
+      const residual = element('canvas', {role: 'img', 'aria-label': t`Residuals of experiment ${i + 1}; the table below has the numbers`});
+      byId('responses').append(element('div', {}, element('h4', {}, t`Experiment ${words}`),
+        element('div', {class: 'plot'}, response), element('div', {class: 'plot small'}, residual)));
+      const group = {}, turn = {min: 0, max: 360, ticks: {stepSize: 90}};
+      return {
+        response: plot(response, {x: t('angle (degrees)'), y: t('output'), xRange: turn, group,
+          datasets: [...OUTPUTS.map((name) => series(name, name, {line: false, points: true})), ...OUTPUTS.map((name) => series(name, `_fit ${name}`))]}),
+        residual: plot(residual, {x: t('angle (degrees)'), y: t('residual'), xRange: turn, group, legend: false,
+          datasets: OUTPUTS.map((name) => series(name, name, {line: false, points: true}))}),
+      };
+    });
+  }
+
+  snapshot(message) {
+    this.about = message.about;
+    this.run = message.run;
+    this.dwells.clear();
+    this.fits = [null, null, null];
+    this.lastDwell = null;
+    this.items = (this.run?.items ?? []).map(({missing, ...item}) => ({...item, dropped: missing, mean: null, flags: '', temperature_degc: null}));
+    this.knowProgress(this.run?.progress);
+    if (this.run) {
+      for (const done of this.run.measured) this.knowDwell(done);
+      for (const fit of this.run.fits) this.fits[fit.experiment - 1] = fit.outputs;
+      byId('run-file').textContent = this.run.file || DASH;
+      byId('item').textContent = this.items.map(({name}) => name).join(', ') || this.run.item || DASH;
+      byId('operator').textContent = operatorIn(this.run.operator) || DASH;
+      byId('simulated').textContent = this.run.simulated ? t`SIMULATED: ${rolesIn(this.run.simulated)}` : '';
+      byId('time').textContent = this.run.simulated_time ? t`simulated, ${this.about.pace} times as fast as real time` : t('real');
+    } else {  // The process that holds the bench has begun anew.
+      for (const id of ['run-file', 'item', 'operator', 'time']) byId(id).textContent = DASH;
+      byId('simulated').textContent = '';
+    }
+    this.strip.begin(message.strip, message.activity.activity === 'checking' ? [] : this.items);
+    this.stageSeen = {...message.stage};
+    byId('log-lines').replaceChildren();
+    this.newLines = [...message.log];
+    if (message.checks) this.checks(message.checks);
+    else byId('checks').replaceChildren(element('p', {}, t('Not checked yet.')));
+    this.activity = message.activity;
+    this.phase = message.phase;
+    this.fault = message.fault;
+    this.ended = endOf(this.run?.ended ?? null);
+    this.interrupted = message.interrupted;
+    byId('guard').replaceChildren(said(message.guard ?? ''));
+    this.words();
+    this.drawProgress();
+    for (const part of ['strip', 'table', 'items']) this.dirty.add(part);
+    this.untold.add('stage').add('log');
+    this.responsesChange();
+  }
+
+  responsesChange() {
+    for (const n of [1, 2, 3]) this.dirty.add(`response ${n}`).add(`residual ${n}`);
+  }
+
+  receive(message) {
+    if (message.line) this.knowLine(message.line);
+    switch (message.type) {
+      case 'snapshot': this.snapshot(message); break;
+      case 'activity':
+        if (message.activity === 'checking') this.strip.begin([], []);  // The readings begin again, and their time with them.
+        if (message.activity !== 'idle') this.fault = null;
+        if (message.activity === 'idle') this.phase = null;
+        this.activity = message;
+        this.words();
+        break;
+      case 'phase': this.phase = message; this.untold.add('words'); break;
+      case 'stage': this.stageSeen[message.axis] = message; this.untold.add('stage'); break;
+      case 'fault': this.fault = message; break;
+      case 'notice':
+        if (message.kind === 'guard') byId('guard').replaceChildren(said(message.text));
+        if (message.kind === 'item dropped') {
+          for (const item of this.items) if (item.k === message.item) item.dropped = message.text;
+          this.itemsChange();
+        }
+        break;
+      case 'strip':
+        this.strip.receive(message.group);
+        this.dirty.add('strip');
+        break;
+      case 'dwell_done': {
+        const before = this.responding;
+        if (!this.dwells.has(message.position))  // An angle that is measured again counts once.
+          for (const {k} of readingsOf(message)) for (const item of this.items) if (item.k === k) ++item.measured;
+        this.knowDwell(message);
+        if (this.responding !== before) this.responsesChange();
+        this.knowProgress(message.progress);
+        this.untold.add('words');
+        this.dirty.add('table');
+        this.itemsChange();
+        if (message.fit.experiment > 0) {  // A check pose is of no experiment.
+          this.fits[message.fit.experiment - 1] = message.fit.outputs;
+          this.dirty.add(`response ${message.fit.experiment}`).add(`residual ${message.fit.experiment}`);
+        }
+        break;
+      }
+      case 'checks': this.checks(message.findings); break;
+      case 'finished': this.ended = endOf(message); this.interrupted = message.interrupted; this.words(); break;
+    }
+    this.tell();
+  }
+
+  // Words, log and angles: once for all messages of a short while. By time, not by frames: a page in the background has none.
+  tell() {
+    if (!this.untold.size) return;
+    const wait = this.told + REDRAWN_AFTER_MS - performance.now();
+    if (wait > 0) {
+      this.telling ??= setTimeout(() => { this.telling = null; this.tell(); }, wait);
+      return;
+    }
+    const parts = this.untold;
+    this.untold = new Set();
+    this.told = performance.now();
+    if (parts.has('stage')) this.drawStage();
+    if (parts.has('log')) this.drawLog();
+    if (parts.has('words')) { this.words(); this.drawProgress(); }
+  }
+
+  // An angle that is measured: the dwell of its first item, and the last mean of each.
+  knowDwell(done) {
+    const {position, dwell} = done, readings = readingsOf(done);
+    const words = (flags) => this.about.flags.filter((_, bit) => flags & (1 << bit)).join(', ');
+    this.lastDwell = {...dwell, position, item: readings[0].k, mean: dwell.mean.map(finite), u_mean: dwell.u_mean?.map(finite), flags: words(dwell.flags)};
+    this.dwells.set(position, this.lastDwell);
+    for (const {k, mean, flags, temperature_degc} of readings)
+      for (const item of this.items) if (item.k === k) Object.assign(item, {mean: mean.map(finite), flags: words(flags), temperature_degc});
+  }
+
+  itemsChange() {
+    this.strip.items = this.items;
+    this.dirty.add('items').add('strip');
+  }
+
+  // Whether the server is heard; what is not known now does not count on.
+  setContact(contact) {
+    if (this.contact === contact) return;
+    this.countDown();  // With what was known before; a run may have ended a moment ago.
+    this.contact = contact;
+    this.leftSince = performance.now();
+    if (contact) this.countDown();
+    else if (byId('left').textContent !== DASH) byId('left').textContent = t`${byId('left').textContent}, last known`;
+  }
+
+  words() {
+    const what = this.activity ? this.activity.activity : 'idle';
+    const planned = this.run && this.phase ? this.run.plan[this.phase.position] : null;
+    const held = this.phase && this.phase.phase === 'held';
+    byId('angle').textContent = planned && what === 'running'
+      ? `${held ? t('next: ') : ''}${planned.check ? t`check pose ${planned.n}`
+        : t`experiment ${planned.experiment}, ${number(planned.alpha_deg, 1)} degrees`}${planned.closing ? t(' (closing angle)') : ''}` : DASH;
+    this.settling();
+    this.offerInterrupted();
+  }
+
+  // A run that a person may go on with.
+  offerInterrupted() {
+    const run = this.interrupted;
+    byId('interrupted').hidden = !run || this.activity.activity !== 'idle';
+    if (!run) return;
+    const at = run.angle ? t` at ${angleIn(run.angle)}` : '';
+    byId('interrupted-words').replaceChildren(t`${run.file} was interrupted${at}: ${run.measured} of ${run.planned} angles are measured. `,
+      ...(run.words ? [said(run.words, {capital: true}), run.words.endsWith('.') ? ' ' : '. '] : []), t('Nothing moves until a person resumes it.'));
+  }
+
+  // Whether all is still now; else how long that took at the angle measured last.
+  settling() {
+    const now = {moving: t('the stage moves'), settling: t('waiting until the outputs are quiet'), reading: t('still'), held: t('still')}[this.phase?.phase];
+    const took = this.lastDwell && Number.isFinite(this.lastDwell.settle_time_s) ? t`last angle: ${number(this.lastDwell.settle_time_s, 1, 's')}` : '';
+    const on = this.activity && this.activity.activity === 'running';
+    byId('settling').textContent = [on ? now : '', took].filter(Boolean).join('; ') || DASH;
+  }
+
+  knowProgress(progress) {
+    this.progress = progress;
+    this.left = progress?.left_s;
+    this.leftSince = performance.now();
+  }
+
+  drawProgress() {
+    const {progress} = this;
+    byId('measured').textContent = progress ? t`${progress.measured} of ${progress.total}` : DASH;
+    byId('progress').value = progress?.total ? progress.measured / progress.total : 0;
+    this.countDown();
+  }
+
+  countDown() {
+    if (this.contact === false) return;  // Nobody knows whether it goes on.
+    const elapsed = (performance.now() - this.leftSince) / 1000;
+    this.leftSince = performance.now();
+    const phase = this.phase?.phase ?? '', port = phase.startsWith('waiting for a port');
+    if (this.activity?.activity !== 'running' || this.left === undefined || this.left === null || !this.progress.total) {
+      byId('left').textContent = DASH;
+    } else if (phase === 'held' || port) {
+      byId('left').textContent = port ? t`${duration(Math.max(0, this.left))} (waiting for a port)` : this.left > 0 ? t`${duration(this.left)} (held)` : DASH;
+    } else {
+      this.left -= elapsed;
+      byId('left').textContent = this.left < 0 && this.progress.measured < this.progress.total ? t('longer than predicted') : t`about ${duration(Math.max(0, this.left))}`;
+    }
+  }
+
+  drawStage() {
+    const {x, z} = this.stageSeen;
+    for (const [axis, seen] of [['x', x], ['z', z]]) {
+      byId(`${axis}-encoder`).textContent = degrees(seen.encoder_deg, 4);
+      byId(`${axis}-target`).textContent = degrees(seen.target_deg, 4);
+    }
+    drawGimbal(x.encoder_deg ?? 0, z.encoder_deg ?? 0);
+    byId('gimbal-title').textContent = t`The gimbal: X at ${byId('x-encoder').textContent}, Z at ${byId('z-encoder').textContent}`;
+  }
+
+  knowLine(line) {
+    this.newLines.push(line);
+    if (this.newLines.length > LINES) this.newLines.shift();
+    this.untold.add('log');
+  }
+
+  drawLog() {
+    const log = byId('log'), lines = byId('log-lines');
+    const atEnd = log.scrollHeight - log.scrollTop - log.clientHeight < 30;
+    lines.append(...this.newLines.map((line) => element('li', {class: `grade-${line.grade}`},
+      timeElement(line.utc, 'clock'),
+      ...(line.grade === 'info' ? [] : [`${t(line.grade)}: `]), said(line.text))));
+    this.newLines = [];
+    while (lines.children.length > LINES) lines.firstChild.remove();
+    if (atEnd) log.scrollTop = log.scrollHeight;
+  }
+
+  checks(findings) {
+    byId('checks').replaceChildren(table(t('Checks of the bench and their findings'), [t('Check'), t('Grade'), t('Found'), t('Advice')],
+      findings.map((f) => [said(f.what), element('span', {class: `grade-${f.grade.replace(' ', '-')}`}, t(f.grade)), said(f.found), f.advice ? said(f.advice) : ''])));
+  }
+
+  // One part in a frame, each at most ten times a second: the page can be used however fast messages come.
+  draw(now) {
+    const part = [...this.dirty].find((name) => now - (this.drawn.get(name) ?? -Infinity) >= REDRAWN_AFTER_MS);
+    if (part === undefined) return;
+    this.dirty.delete(part);
+    this.drawn.set(part, now);
+    if (part === 'strip') this.strip.draw();
+    const [plotted, experiment] = part.split(' ');
+    if (experiment) this.drawExperiment(plotted, Number(experiment) - 1);
+    if (part === 'table') this.drawTable();
+    if (part === 'items') this.drawItems();
+  }
+
+  // The responses are those of one item: of several the first that takes part, which is another if that was left out.
+  get responding() { return this.lastDwell?.item ?? this.items.find(({dropped}) => !dropped)?.k ?? 1; }
+  get unit() { return this.items.find(({k}) => k === this.responding)?.unit ?? this.run?.unit ?? ''; }
+  ofResponding() { return [...this.dwells.values()].filter(({item}) => item === this.responding); }
+
+  drawItems() {
+    byId('items-card').hidden = !this.items.length;
+    byId('response-of').textContent = this.items.length ? `: ${t`Item ${this.responding}`}` : '';
+    byId('items').replaceChildren(...this.items.map((item) => liveItem(item, this.progress?.total ?? 0)));
+  }
+
+  fitted(fit, alphaDeg) {
+    const a = alphaDeg * Math.PI / 180;
+    return fit.constant + fit.sine * Math.sin(a) + fit.cosine * Math.cos(a);
+  }
+
+  // The response of experiment i, or its residual.
+  drawExperiment(plotted, i) {
+    const chart = this.charts[i][plotted];
+    const dwells = this.ofResponding().filter((d) => d.experiment === i + 1).sort((a, b) => a.alpha_deg - b.alpha_deg);
+    const fits = dwells.length ? this.fits[i] : null;
+    if (this.unit) chart.options.scales.y.title.text = plotted === 'residual' ? t`residual (${this.unit})` : t`output (${this.unit})`;
+    OUTPUTS.forEach((name, j) => {
+      const fit = fits ? fits[j] : null, points = chart.data.datasets[j];
+      points.pointRadius = pointRadius(dwells);
+      if (plotted === 'residual') {
+        points.data = fit ? dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j] - this.fitted(fit, d.alpha_deg)})) : [];
+      } else {
+        points.data = dwells.map((d) => ({x: d.alpha_deg, y: d.mean[j]}));
+        chart.data.datasets[3 + j].data = fit ? Array.from({length: 73}, (_, k) => ({x: 5 * k, y: this.fitted(fit, 5 * k)})) : [];
+      }
+    });
+    chart.update('none');
+  }
+
+  makeTable() {
+    const cells = (d) => [d.experiment ? `${d.experiment}${d.closing ? t(' (closing)') : ''}` : t`check pose ${d.n}`,
+      d.experiment ? number(d.alpha_deg, 2) : DASH,
+      ...d.mean.map((value) => signed(value, 6)), d.u_mean ? small(Math.max(...d.u_mean)) : DASH,
+      number(d.temperature_degc, 2), d.flags || t('none')];
+    this.table = new PagedTable(byId('dwell-table'), {
+      follow: true,
+      caption: () => t`Means of the outputs and their standard uncertainty in ${this.unit}`,
+      head: () => [t('Experiment'), t('Angle (degrees)'), `u (${this.unit})`, `v (${this.unit})`, `w (${this.unit})`, t`Largest std. uncertainty (${this.unit})`, t('Temperature (°C)'), t('Flags')],
+      rows: (from, to) => this.ofResponding().sort((a, b) => a.position - b.position).slice(from, to).map(cells),
+    });
+    const folded = byId('dwell-table').closest('details');
+    folded.addEventListener('toggle', () => this.dirty.add('table'));
+    this.tableIsSeen = () => folded.open;
+  }
+
+  drawTable() {
+    const flagged = [...this.dwells.values()].filter((d) => d.flags);
+    const flags = [...new Set(flagged.flatMap((d) => d.flags.split(', ')))].join(', ');
+    byId('flagged').textContent = this.run ? t`${flagged.length} of ${this.dwells.size}` + (flags && `: ${flags}`) : DASH;
+    if (this.tableIsSeen()) this.table.show(this.ofResponding().length);
+  }
+}

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+
+#include "app/faces/console/asker.h"
+#include "app/faces/console/event.h"
+#include "app/faces/console/queue.h"
+#include "app/faces/console/request.h"
+#include "app/faces/console/session.h"
+
+namespace abcal::console {
+
+/// Brings queue and bench together: carries out what pages ask for, and follows the events of the bench. What
+/// moves between two items is begun by a person; a further run of the item that stays mounted is not asked
+/// for again, unless the queue is paused. For one thread.
+class QueueDesk {
+ public:
+  QueueDesk(std::filesystem::path file, Session& session, std::function<void(Event)> notify);
+
+  Session::Refusal carry_out(const Asker& by, const QueueCommand& command);
+  void see(const Event& event);
+
+ private:
+  Session::Refusal check(std::int64_t entry);
+  Session::Refusal start(std::int64_t entry, const Asker& by);
+  void see_activity(const ActivitySeen& seen);
+  void notify() { notify_(StateSeen{"queue", queue_.json()}); }
+
+  Queue queue_;
+  Session& session_;
+  std::function<void(Event)> notify_;
+  Asker starter_;              ///< Who started the entry that is measured.
+  std::int64_t starting_ = 0;  ///< The entry whose run has no file yet.
+  bool own_ = false;           ///< What the bench does now was begun here.
+};
+
+}  // namespace abcal::console

@@ -1,0 +1,485 @@
+#include "app/faces/console/run_library.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <fstream>
+#include <limits>
+#include <string_view>
+#include <utility>
+
+#include "app/faces/console/download.h"
+#include "app/ground/bench_file/bench_config.h"
+#include "app/ground/bench_file/not_real.h"
+#include "app/ground/system/output_file.h"
+#include "app/ground/system/version.h"
+#include "app/laboratory/compare/compare_json.h"
+#include "app/laboratory/compare/compare_results.h"
+#include "app/operate/bench/make_bench.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/estimators.h"
+#include "app/results/estimates/load_record.h"
+#include "app/results/estimates/result_json.h"
+#include "protocol/estimators/checks/check_meanings.h"
+#include "protocol/record/run_label.h"
+#include "protocol/record/run_operator.h"
+#include "protocol/record/run_seal.h"
+#include "protocol/uncertainty/control_chart.h"
+
+namespace abcal::console {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+/// Of what is kept of each run; another one is made again.
+constexpr int kSummaryFormat = 5;
+
+/// A file NAME.run itself: a link would lead out of the folder.
+bool is_run(const std::filesystem::path& path) {
+  std::error_code ignored;
+  return path.extension() == ".run" &&
+         std::filesystem::is_regular_file(std::filesystem::symlink_status(path, ignored));
+}
+
+/// Of each item as the person named it; else as the accelerometer named itself.
+std::string serial_numbers_of(const RunHeader& header) {
+  std::vector<std::string> of_items;
+  for (const RunItem& item : header.items) of_items.push_back(item.serial_number);
+  return fmt::format("{}", fmt::join(of_items, ", "));
+}
+
+/// Which instruments of a run were simulated, as its bench file says: "stage, accelerometer"; empty: none.
+std::string simulated_of(const RunHeader& header) {
+  try {
+    return fmt::format("{}", fmt::join(simulated_instruments(parse_bench(header.bench_toml, "run")), ", "));
+  } catch (const std::exception&) {
+    return "";  // An imported run has no bench file.
+  }
+}
+
+/// The items of a run, and how far each was measured.
+Json items_of(const StoredRun& run) {
+  Json items = Json::array();
+  for (std::size_t i = 0; i < run.items.size(); ++i) {
+    const ItemProgress& item = run.items[i];
+    items.push_back({{"k", item.k},
+                     {"serial_number", run.header.items[i].serial_number},
+                     {"model", run.header.items[i].model},
+                     {"measured", item.measured},
+                     {"dropped", item.dropped_at ? Json(item.reason) : Json(nullptr)}});
+  }
+  return items;
+}
+
+/// The verdict of the estimator that was chosen for a run, as it was kept when the run was closed; empty: it
+/// is not analysed, or its results cannot be read.
+std::string kept_verdict(const std::filesystem::path& path, const std::string& estimator) {
+  std::string verdict;
+  try {
+    for (const StoredAnalysis& each : stored_analyses(path))
+      if (each.estimator == estimator)
+        verdict = Json::parse(each.result_json).at("verdict").get<std::string>();
+  } catch (const std::exception&) {
+    return "";  // The run's own page says why.
+  }
+  return verdict;
+}
+
+constexpr std::array<std::string_view, 9> kCharted{"s_u",    "s_v", "s_w", "phi_uv", "phi_vw",
+                                                   "phi_wu", "O_u", "O_v", "O_w"};
+
+/// Of what json_number() wrote.
+double number_from(const Json& json) {
+  return json.is_null() ? std::numeric_limits<double>::quiet_NaN() : json.get<double>();
+}
+
+/// The limits of a chart of single values; null where there are too few.
+Json limits_of(const Json& runs) {
+  std::vector<double> series;
+  for (const Json& run : runs)
+    if (run["value"].is_number()) series.push_back(run["value"]);
+  if (series.size() < 2) return nullptr;
+  const ControlChart chart = individuals_chart(series);
+  int outside = 0;
+  for (std::size_t k = 0; k < chart.points.size(); ++k) outside += chart.inside(k) ? 0 : 1;
+  return {{"centre", chart.centre},
+          {"standard_deviation", chart.standard_deviation},
+          {"lower", chart.points.front().lower},
+          {"upper", chart.points.front().upper},
+          {"outside", outside}};
+}
+
+}  // namespace
+
+/// The items of a run with this serial number that were measured to the end, from 1.
+std::vector<int> RunLibrary::whole_items_of(const Summary& summary, const std::string& serial_number) {
+  std::vector<int> items;
+  for (const Json& item : Json::parse(summary.items))
+    if (item.at("serial_number") == serial_number && item.at("dropped").is_null())
+      items.push_back(item.at("k").get<int>());
+  return items;
+}
+
+RunLibrary::Summary RunLibrary::summary_of(const StoredRun& run) {
+  const RunHeader& header = run.header;
+  Summary summary;
+  summary.state = to_string(run.state);
+  summary.created_utc = header.created_utc;
+  summary.item = serial_numbers_of(header);
+  summary.items = items_of(run).dump();
+  summary.maker = label_of(header.labels, "item.maker");
+  summary.model = label_of(header.labels, "item.model");
+  summary.bench = label_of(header.labels, "bench.name");
+  summary.operators = describe(operators_of(run));
+  summary.unit = header.response_unit;
+  summary.measured = run.measured.size();
+  summary.planned = header.plan.size();
+  summary.duration_s = run.timing.total_s();
+  summary.simulated = simulated_of(header);
+  return summary;
+}
+
+Json RunLibrary::to_json(const std::string& name, const Summary& summary) {
+  return {{"name", name},
+          {"state", summary.state},
+          {"created_utc", summary.created_utc},
+          {"item", summary.item},
+          {"items", Json::parse(summary.items)},
+          {"maker", summary.maker},
+          {"model", summary.model},
+          {"bench", summary.bench},
+          {"operator", summary.operators},
+          {"unit", summary.unit},
+          {"measured", summary.measured},
+          {"planned", summary.planned},
+          {"duration_s", json_number(summary.duration_s)},
+          {"simulated", summary.simulated},
+          {"verdict", summary.verdict}};
+}
+
+RunLibrary::Summary RunLibrary::summary_from(const Json& kept) {
+  const auto text = [&kept](const char* key) { return kept.at(key).get<std::string>(); };
+  Summary summary;
+  summary.state = text("state");
+  summary.created_utc = text("created_utc");
+  summary.item = text("item");
+  summary.items = kept.at("items").dump();
+  summary.maker = text("maker");
+  summary.model = text("model");
+  summary.bench = text("bench");
+  summary.operators = text("operator");
+  summary.unit = text("unit");
+  summary.measured = kept.at("measured").get<std::size_t>();
+  summary.planned = kept.at("planned").get<std::size_t>();
+  summary.duration_s = number_from(kept.at("duration_s"));
+  summary.simulated = text("simulated");
+  summary.verdict = text("verdict");
+  return summary;
+}
+
+RunLibrary::RunLibrary(std::filesystem::path folder) : folder_(std::move(folder)) {
+  read_summaries();
+}
+
+/// What is kept is only a copy: what cannot be read is made again.
+void RunLibrary::read_summaries() {
+  std::ifstream file(folder_ / kSummaries);
+  const Json json = Json::parse(file, nullptr, /*allow_exceptions=*/false);
+  try {
+    if (!json.is_object() || json.value("program", "") != program_version() ||
+        json.value("format", 0) != kSummaryFormat)
+      return;
+    for (const auto& [name, kept] : json.at("runs").items()) {
+      Entry entry;
+      entry.time = std::filesystem::file_time_type(
+          std::filesystem::file_time_type::duration(kept.at("time").get<std::int64_t>()));
+      entry.size = kept.at("size").get<std::uintmax_t>();
+      entry.summary = summary_from(kept.at("summary"));
+      entry.estimator = kept.at("estimator").get<std::string>();
+      const Json charts = kept.value("charted", Json::object());
+      for (const auto& [item, charted] : charts.items())
+        entry.charted[std::stoi(item)] = charted_from(charted);
+      entry.closed = true;
+      known_[name] = std::move(entry);
+    }
+  } catch (const std::exception&) {  // of JSON, or a number that is none
+    known_.clear();
+  }
+}
+
+void RunLibrary::keep_summaries() {
+  if (!std::exchange(have_new_, false)) return;
+  Json runs = Json::object();
+  for (const auto& [name, entry] : known_) {
+    if (!entry.closed) continue;
+    Json& kept = runs[name];
+    kept = {{"time", entry.time.time_since_epoch().count()},
+            {"size", entry.size},
+            {"estimator", entry.estimator},
+            {"summary", to_json(name, entry.summary)}};
+    for (const auto& [item, charted] : entry.charted)
+      kept["charted"][std::to_string(item)] = to_json(charted);
+  }
+  const Json json = {{"program", program_version()}, {"format", kSummaryFormat}, {"runs", std::move(runs)}};
+  try {
+    OutputFile(folder_ / kSummaries).write(json.dump(-1, ' ', false, Json::error_handler_t::replace));
+  } catch (const std::exception&) {
+    return;  // The next console reads the runs again: slower, and no worse.
+  }
+}
+
+bool RunLibrary::is_known(const std::string& name) const {
+  const auto known = known_.find(name);
+  std::error_code ignored;
+  return known != known_.end() && known->second.closed &&
+         known->second.time == std::filesystem::last_write_time(folder_ / name, ignored) &&
+         known->second.size == std::filesystem::file_size(folder_ / name, ignored);
+}
+
+std::vector<std::string> RunLibrary::names() const {
+  std::vector<std::pair<std::filesystem::file_time_type, std::string>> found;
+  std::error_code error;
+  for (std::filesystem::directory_iterator at(folder_, error), end; !error && at != end;
+       at.increment(error)) {
+    std::error_code ignored;
+    if (!is_run(at->path())) continue;
+    found.emplace_back(at->last_write_time(ignored), at->path().filename().string());
+  }
+  std::sort(found.rbegin(), found.rend());
+  std::vector<std::string> names;
+  names.reserve(found.size());
+  for (auto& [time, name] : found) names.push_back(std::move(name));
+  return names;
+}
+
+std::optional<std::filesystem::path> RunLibrary::find_in(const std::filesystem::path& folder,
+                                                         const std::string& name) {
+  std::error_code error;
+  for (std::filesystem::directory_iterator at(folder, error), end; !error && at != end; at.increment(error)) {
+    if (at->path().filename().string() == name && is_run(at->path())) return at->path();
+  }
+  return std::nullopt;
+}
+
+/// Reads a run unless it was read already and has not changed since. Throws RunFileError.
+RunLibrary::Entry& RunLibrary::entry(const std::string& name) {
+  const std::filesystem::path path = folder_ / name;
+  std::error_code ignored;
+  const auto time = std::filesystem::last_write_time(path, ignored);
+  const auto size = std::filesystem::file_size(path, ignored);
+  Entry& known = known_[name];
+  if (known.closed && known.time == time && known.size == size) return known;
+  const StoredRun run = RunFile::load(path);
+  const bool closed = run.state == RunState::kComplete || run.state == RunState::kAbandoned;
+  known = {.time = time, .size = size, .summary = summary_of(run), .closed = closed, .charted = {}};
+  known.estimator = declared_estimator(run.record).name;
+  have_new_ = have_new_ || closed;
+  return known;
+}
+
+/// Of a closed run, unless it is known, or its results have none.
+void RunLibrary::find_verdict(const std::string& name, Entry& known) {
+  if (!known.closed || !known.summary.verdict.empty()) return;
+  std::error_code ignored;
+  const auto time = std::filesystem::last_write_time(ResultsFile::path_beside(folder_ / name), ignored);
+  if (known.results_time == time) return;
+  known.results_time = time;
+  known.summary.verdict = kept_verdict(folder_ / name, known.estimator);
+  have_new_ = have_new_ || !known.summary.verdict.empty();
+}
+
+Json RunLibrary::list(std::chrono::milliseconds patience) {
+  const std::lock_guard lock(mutex_);
+  Json list = Json::array();
+  const std::vector<std::string> all = names();
+  const auto deadline = std::chrono::steady_clock::now() + patience;
+  for (const std::string& name : all) {
+    if (std::chrono::steady_clock::now() > deadline && !is_known(name)) {
+      list.push_back({{"name", name}, {"state", "not read yet"}});
+      continue;
+    }
+    try {
+      Entry& known = entry(name);
+      // Not so where the program ended in between; resuming the run analyses it.
+      const bool analysed = std::filesystem::exists(ResultsFile::path_beside(folder_ / name));
+      if (analysed) find_verdict(name, known);
+      Json summary = to_json(name, known.summary);
+      summary["analysed"] = analysed;
+      list.push_back(std::move(summary));
+    } catch (const RunFileError& error) {
+      list.push_back({{"name", name}, {"state", "unreadable"}, {"why", error.what()}});
+    }
+  }
+  // What was deleted is forgotten.
+  std::vector<std::string> sorted = all;
+  std::sort(sorted.begin(), sorted.end());
+  std::erase_if(known_, [&](const auto& known) {
+    return !std::binary_search(sorted.begin(), sorted.end(), known.first);
+  });
+  keep_summaries();
+  return list;
+}
+
+Json RunLibrary::result(const std::filesystem::path& path, int item) {
+  const AnalysedRun all = analyse_run(RunFile::load_items(path));
+  const AnalysedItem& shown = all.item(shown_item(all.items.front().stored, item));
+  const StoredRun& run = shown.stored;
+  Json json = {{"run", to_json(path.filename().string(), summary_of(run))}};
+  json["item"] = run.item;
+  json["program_version"] = run.header.program_version;
+  json["timing"] = {{"moving_s", run.timing.moving_s},
+                    {"settling_s", run.timing.settling_s},
+                    {"dwelling_s", run.timing.dwelling_s},
+                    {"overhead_s", run.timing.overhead_s}};
+  json["instruments"] = Json::array();
+  for (const InstrumentIdentity& i : run.header.instruments) {
+    json["instruments"].push_back({{"role", i.role},
+                                   {"maker", i.maker},
+                                   {"model", i.model},
+                                   {"serial_number", i.serial_number},
+                                   {"firmware", i.firmware},
+                                   {"details", i.details}});
+  }
+  json["events"] = Json::array();
+  for (const RunEvent& event : run.events)
+    json["events"].push_back({{"utc", event.utc}, {"kind", event.kind}, {"text", event.text}});
+  json["downloads"] = Json::array();
+  for (const Download& download : downloads()) {
+    if (!download.available || download.available({path, run.item}))
+      json["downloads"].push_back({{"name", download.name}, {"words", download.words}});
+  }
+  json["results"] = Json::array();
+  json["meanings"] = Json::object();
+  for (const CalibrationResult& result : shown.results) {
+    json["results"].push_back(result_json(result));
+    for (const Check& check : result.diagnostics.checks)
+      json["meanings"][check.name] = meaning_of_check(check.name);
+    for (const FlagCount& flag : result.diagnostics.flags)
+      json["meanings"][flag.flag] = meaning_of_flag(flag.flag);
+  }
+  return json;
+}
+
+std::optional<std::string> RunLibrary::find_item(const std::string& name) const {
+  if (const auto run = find(name)) return run->string();
+  const std::size_t mark = std::min(name.rfind('#'), name.size());
+  const auto run = find(name.substr(0, mark));
+  return run ? std::optional(run->string() + name.substr(mark)) : std::nullopt;
+}
+
+Json RunLibrary::compare(const std::string& first, const std::string& second, bool shared_stage) {
+  std::vector<ComparedResult> results = load_compared({first, second}, std::string(kPublishedEstimator));
+  for (ComparedResult& result : results)  // A page refers to runs by name.
+    result.file = std::filesystem::path(result.file).filename().string();
+  CompareOptions options;
+  options.shared_stage = shared_stage;
+  options.any_item = true;  // The person has chosen them.
+  return compare_json(compare_results(std::move(results), options));
+}
+
+RunLibrary::Charted RunLibrary::charted_of(const CalibrationResult& result) {
+  Charted charted{std::string(to_string(result.verdict)), {}};
+  const std::array<const std::array<Quantity, 3>*, 3> groups{&result.intrinsic_sensitivity,
+                                                             &result.intrinsic_angle, &result.offset};
+  for (std::size_t i = 0; i < charted.values.size(); ++i) {
+    const Quantity& quantity = (*groups[i / 3])[i % 3];
+    charted.values[i] = {quantity.value, quantity.standard_uncertainty, quantity.unit};
+  }
+  return charted;
+}
+
+Json RunLibrary::to_json(const Charted& charted) {
+  Json values = Json::array();
+  for (const Charted::Value& each : charted.values)
+    values.push_back({json_number(each.value), json_number(each.standard_uncertainty), each.unit});
+  return {{"verdict", charted.verdict}, {"values", std::move(values)}};
+}
+
+RunLibrary::Charted RunLibrary::charted_from(const Json& kept) {
+  Charted charted{kept.at("verdict").get<std::string>(), {}};
+  for (std::size_t i = 0; i < charted.values.size(); ++i) {
+    const Json& each = kept.at("values").at(i);
+    charted.values[i] = {number_from(each.at(0)), number_from(each.at(1)), each.at(2).get<std::string>()};
+  }
+  return charted;
+}
+
+/// The lock is held while a summary is looked up or stored, never while a run is analysed: the list of runs
+/// waits for nobody's chart.
+std::vector<Json> RunLibrary::points_of_chart(const std::string& name, const std::string& serial_number,
+                                              std::size_t index) {
+  Json point;
+  std::vector<int> items;
+  std::map<int, Charted> charted;
+  std::filesystem::file_time_type time;
+  {
+    const std::lock_guard lock(mutex_);
+    const Entry& known = entry(name);
+    const Summary& summary = known.summary;
+    if (summary.state != to_string(RunState::kComplete)) return {};
+    items = whole_items_of(summary, serial_number);
+    if (items.empty()) return {};
+    time = known.time;
+    charted = known.charted;
+    point = {{"name", name}, {"created_utc", summary.created_utc}, {"simulated", summary.simulated}};
+  }
+  std::vector<Json> points;
+  std::optional<AnalysedRun> analysed;  // Once for all of its items.
+  for (const int item : items) {
+    auto found = charted.find(item);
+    if (found == charted.end()) {
+      if (!analysed)
+        analysed = analyse_run(RunFile::load_items(folder_ / name), std::string(kPublishedEstimator));
+      found = charted.emplace(item, charted_of(analysed->item(item).results.front())).first;
+      const std::lock_guard lock(mutex_);
+      const auto known = known_.find(name);  // It may have been deleted or have changed meanwhile.
+      if (known != known_.end() && known->second.time == time) {
+        known->second.charted.insert(*found);
+        have_new_ = true;
+      }
+    }
+    const Charted::Value& value = found->second.values.at(index);
+    point["item"] = item;
+    point["verdict"] = found->second.verdict;
+    point["value"] = json_number(value.value);
+    point["standard_uncertainty"] = json_number(value.standard_uncertainty);
+    point["unit"] = value.unit;
+    points.push_back(point);
+  }
+  return points;
+}
+
+bool RunLibrary::is_charted(const std::string& property) {
+  return std::find(kCharted.begin(), kCharted.end(), property) != kCharted.end();
+}
+
+Json RunLibrary::history(const std::string& serial_number, const std::string& property) {
+  const auto index =
+      static_cast<std::size_t>(std::find(kCharted.begin(), kCharted.end(), property) - kCharted.begin());
+  Json list = Json::array();
+  std::vector<std::string> oldest_first = names();
+  std::reverse(oldest_first.begin(), oldest_first.end());
+  for (const std::string& name : oldest_first) {
+    try {
+      for (Json& point : points_of_chart(name, serial_number, index)) list.push_back(std::move(point));
+    } catch (const RunFileError&) {
+      continue;  // list() reports the reason.
+    }
+  }
+  {
+    const std::lock_guard lock(mutex_);
+    keep_summaries();
+  }
+  // Stable: runs in simulated time may all begin at one time.
+  std::stable_sort(list.begin(), list.end(), [](const Json& a, const Json& b) {
+    return a["created_utc"].get_ref<const std::string&>() < b["created_utc"].get_ref<const std::string&>();
+  });
+  Json limits = limits_of(list);
+  return {{"runs", std::move(list)}, {"limits", std::move(limits)}};
+}
+
+}  // namespace abcal::console

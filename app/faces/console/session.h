@@ -1,0 +1,112 @@
+#pragma once
+
+#include <condition_variable>
+#include <deque>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "app/faces/console/asker.h"
+#include "app/faces/console/event.h"
+#include "app/faces/console/request.h"
+#include "app/faces/console/run_choice.h"
+#include "app/faces/run/run_session.h"
+#include "app/operate/bench/make_bench.h"
+
+namespace abcal::console {
+
+/// The bench that a console steers. One thread of its own does all that touches the instruments; the
+/// functions here only tell it, and return at once: they say why something cannot be begun, or nothing. What
+/// comes of it is told by events.
+class Session {
+ public:
+  struct Options {
+    std::filesystem::path bench_file;  ///< Read again for each check, run and jog.
+    std::filesystem::path runs;        ///< Folder of the run files.
+    double pace = 1.0;                 ///< If everything is simulated: simulated time over real time.
+  };
+  using Refusal = std::optional<std::string>;
+
+  /// `notify` is called from the measuring thread and must return at once.
+  Session(Options options, std::function<void(Event)> notify);
+  ~Session() { close(); }
+  Session(const Session&) = delete;
+  Session& operator=(const Session&) = delete;
+
+  /// Stops the current activity, halts the stage, and waits for the end. Nothing can be begun afterwards.
+  void close();
+
+  Refusal check(bool with_motion, const Asker& by);
+  /// A run of this person: with a register the one who is logged in, else as the bench file states. Refused
+  /// if the form was used already, or the bench file has changed since the person looked at it.
+  Refusal start(const RunChoice& choice, const Asker& by);
+  /// Looks at the item of an entry of the queue, which a person has mounted; nothing moves.
+  Refusal check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
+  Refusal resume(const ResumeRequest& request, const Asker& by);
+  /// As `abcal level`, into the run folder.
+  Refusal level(const Asker& by);
+  /// As `abcal instruments --probe`.
+  Refusal probe();
+  Refusal hold(const Asker& by);
+  Refusal continue_run(const Asker& by);
+  Refusal jog(const Jog& jog);
+  /// Into the event log of the current run.
+  Refusal note(std::string text, const Asker& by);
+  /// Halts the stage at once and ends the current activity.
+  Refusal stop(const Asker& by);
+  /// Nothing is in progress now; an event that says otherwise may be on its way still.
+  bool is_idle() const;
+  /// Somebody steers from now on; the event log of the current run says so.
+  void control_taken(const Asker& by);
+
+ private:
+  Refusal begin(Activity activity, std::function<void()> job, const Asker& by = {});
+  /// What a person does, for the event log of the current run; the mutex is held.
+  void record(const char* kind, const Asker& by, RunOperator operates = {});
+  void work(const std::stop_token& end);
+  void carry_out(const std::function<void()>& job);
+  void notify_activity();
+  void log(std::string text);  ///< For the pages.
+  /// Passes an event of a run session on to the pages.
+  void show(SessionEvent event);
+
+  Bench open(const BenchConfig& config);
+  void do_check(bool with_motion, const Asker& by);
+  void do_check_item(std::int64_t entry, const RunChoice& choice, const ItemBefore& before);
+  void do_start(const std::string& name, const RunChoice& choice);
+  Refusal stale(const RunChoice& choice) const;
+  void do_level(const std::filesystem::path& run);
+  void do_probe();
+  void do_jog(const Jog& jog);
+
+  Options options_;
+  std::function<void(Event)> notify_;
+
+  mutable std::mutex mutex_;
+  std::condition_variable_any wake_;
+  std::function<void()> job_;  ///< To be begun.
+  Activity activity_ = Activity::kIdle;
+  bool closing_ = false;
+  std::stop_source stop_;            ///< Of the current activity.
+  std::shared_ptr<RunSession> run_;  ///< Null: no run is in progress.
+  Asker operator_;                   ///< Who began it.
+  std::deque<std::string> forms_;    ///< Used already; the latest of them.
+
+  /// Kept open between jogs; of the measuring thread alone.
+  struct JogBench {
+    BenchConfig config;
+    Bench bench;
+  };
+  std::optional<JogBench> jog_bench_;
+
+  std::jthread stopper_;  ///< Sends the halt, so that no other thread waits for it.
+  std::jthread worker_;
+};
+
+}  // namespace abcal::console

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <deque>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "app/faces/console/approval.h"
+#include "app/faces/console/download.h"
+#include "app/faces/console/persons.h"
+#include "app/laboratory/issuing/issue_run.h"
+
+namespace abcal::console {
+
+/// Approval by key: the certificate is made here and signed where the approver's private key is, which never
+/// comes here. Keeps what waits for its signature; after a restart it is prepared again, with the same
+/// number. Who approves is who is logged in. For one thread.
+class SignatureDesk {
+ public:
+  explicit SignatureDesk(ApprovalPlace place) : place_(std::move(place)) {}
+
+  /// Makes the certificate that is to be signed. @return its number, and its XML, for pages
+  /// @throws StaleApproval, LoginRefused, std::invalid_argument (who may not), what prepare_to_sign() throws
+  nlohmann::ordered_json prepare(const ApprovalForm& form, const Visitor& visitor, Clock::UtcTime now);
+
+  /// Issues it, as it was signed. @return the certificate, for pages
+  /// @throws the same; StaleApproval if none of this person waits here; what issue_signed() throws
+  nlohmann::ordered_json take(const ItemOfRun& of, const std::string& signed_xml, const Visitor& visitor,
+                              Clock::UtcTime now);
+
+ private:
+  struct Waiting {
+    ApprovalForm form;
+    std::string person;
+    AwaitedSignature awaited;
+  };
+  /// Opens the register as who is logged in. @throws LoginRefused, std::invalid_argument (who may not)
+  Registered approver(const StoredRun& run, const Visitor& visitor, Clock::UtcTime now) const;
+
+  ApprovalPlace place_;
+  std::deque<Waiting> waiting_;
+};
+
+}  // namespace abcal::console

@@ -1,0 +1,165 @@
+#include "app/faces/console/workshop.h"
+
+#include <malloc.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <boost/asio/post.hpp>
+#include <utility>
+
+#include "app/ground/system/version.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal::console {
+namespace {
+
+/// Reading an old run leaves the processor to the current run.
+void yield_to_measuring() {
+  constexpr int kLessThanMeasuring = 10;
+  thread_local bool done = false;
+  if (!std::exchange(done, true))
+    ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kLessThanMeasuring);
+}
+
+/// What a product took while it was made came in many small pieces (a list of a thousand runs, an analysis);
+/// glibc keeps them for its thread, the most that there ever were.
+void give_back_memory() {
+#ifdef __GLIBC__
+  ::malloc_trim(0);
+#endif
+}
+
+}  // namespace
+
+void require_wanted(const std::stop_token& cancelled) {
+  if (cancelled.stop_requested()) throw Cancelled("cancelled: nobody waits for it any more");
+}
+
+// ---- Workshop
+
+struct Workshop::Order {
+  std::string name;
+  std::stop_source stop;
+  std::map<std::uint64_t, Done> waiting;
+};
+
+/// What is being made; of the thread of the connections.
+struct Workshop::Book {
+  std::map<std::string, std::shared_ptr<Order>> by_name;
+  std::size_t in_progress = 0;
+  std::uint64_t tickets = 0;
+
+  void forget(const Order& order) {
+    const auto found = by_name.find(order.name);
+    if (found != by_name.end() && found->second.get() == &order) by_name.erase(found);
+  }
+};
+
+Workshop::Workshop(boost::asio::io_context& io, std::size_t threads)
+    : io_(io), book_(std::make_shared<Book>()), pool_(threads) {}
+
+Workshop::Ticket Workshop::order(const std::string& name, Make make, Done done) {
+  const std::uint64_t number = ++book_->tickets;
+  // A path cannot begin so: of nobody else.
+  const std::string known_as = name.empty() ? std::to_string(number) : "/" + name;
+  std::shared_ptr<Order>& place = book_->by_name[known_as];
+  const bool is_new = place == nullptr;
+  if (is_new) {
+    place = std::make_shared<Order>();
+    place->name = known_as;
+  }
+  const std::shared_ptr<Order> order = place;
+  order->waiting[number] = std::move(done);
+  ++book_->in_progress;
+  if (is_new) {
+    boost::asio::post(pool_, [this, order, make = std::move(make), stop = order->stop.get_token()] {
+      yield_to_measuring();
+      std::shared_ptr<const Product> product;
+      try {
+        require_wanted(stop);
+        product = make(stop);
+      } catch (const std::exception& error) {
+        product = std::make_shared<Product>(
+            Product{422, "text/plain; charset=utf-8", std::string(error.what()) + "\n"});
+      }
+      give_back_memory();
+      boost::asio::post(io_, [book = book_, order, product] {
+        book->forget(*order);
+        for (const auto& [waits, tell] : std::exchange(order->waiting, {})) {
+          --book->in_progress;
+          tell(product);
+        }
+      });
+    });
+  }
+  return {order.get(), [book = book_, order, number](Order*) {
+            if (order->waiting.erase(number) == 0) return;  // It was told.
+            --book->in_progress;
+            if (!order->waiting.empty()) return;
+            book->forget(*order);
+            order->stop.request_stop();
+          }};
+}
+
+void Workshop::close() {
+  for (const auto& [name, order] : book_->by_name) order->stop.request_stop();
+  pool_.stop();
+  pool_.join();
+}
+
+std::size_t Workshop::in_progress() const {
+  return book_->in_progress;
+}
+
+// ---- ProductCache
+
+std::string ProductCache::hash_of(const std::filesystem::path& file) {
+  std::error_code error;
+  const auto time = std::filesystem::last_write_time(file, error);
+  if (error) return "absent";
+  const auto size = std::filesystem::file_size(file, error);
+  {
+    const std::lock_guard lock(mutex_);
+    const auto known = hashes_.find(file.string());
+    if (known != hashes_.end() && known->second.time == time && known->second.size == size)
+      return known->second.sha256;
+  }
+  std::string sha256 = sha256_of_file(file);
+  const std::lock_guard lock(mutex_);
+  hashes_[file.string()] = {time, size, sha256};
+  return sha256;
+}
+
+std::string ProductCache::key_of(const std::string& what, const std::vector<std::filesystem::path>& files) {
+  std::vector<std::string> parts{program_version(), what};
+  for (const std::filesystem::path& file : files) {
+    // SQLite's log: somebody writes to it.
+    if (std::filesystem::exists(file.string() + "-wal")) return {};
+    parts.push_back(file.filename().string());
+    parts.push_back(hash_of(file));
+  }
+  return next_link("", parts);
+}
+
+std::shared_ptr<const Product> ProductCache::find(const std::string& key) {
+  const std::lock_guard lock(mutex_);
+  const auto found = places_.find(key);
+  if (found == places_.end()) return nullptr;
+  kept_.splice(kept_.begin(), kept_, found->second);
+  return kept_.front().product;
+}
+
+void ProductCache::keep(const std::string& key, std::shared_ptr<const Product> product) {
+  const std::lock_guard lock(mutex_);
+  if (places_.contains(key) || product->body.size() > most_bytes_ / 2) return;
+  bytes_ += product->body.size();
+  kept_.push_front({key, std::move(product)});
+  places_[key] = kept_.begin();
+  while (bytes_ > most_bytes_) {
+    bytes_ -= kept_.back().product->body.size();
+    places_.erase(kept_.back().key);
+    kept_.pop_back();
+  }
+}
+
+}  // namespace abcal::console

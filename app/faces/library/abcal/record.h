@@ -1,0 +1,97 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "abcal/export.h"
+
+namespace abcal::v1 {
+/// Rows of numbers wherever they lie; nothing is copied.
+using Rows = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>, Eigen::Unaligned,
+                        Eigen::Stride<Eigen::Dynamic, Eigen::Dynamic>>;
+using Column = Eigen::Map<const Eigen::VectorXd, Eigen::Unaligned, Eigen::InnerStride<Eigen::Dynamic>>;
+
+/// No rows: the quantity is not known.
+inline Rows no_rows() {
+  return {nullptr, 0, 3, {3, 1}};
+}
+inline Column no_column() {
+  return {nullptr, 0, Eigen::InnerStride<Eigen::Dynamic>(1)};
+}
+
+/// Averaged readings as arrays, one row an angle, in the order of measurement.
+struct RecordArrays {
+  std::span<const int> experiment;  ///< 1, 2 or 3 as in the paper.
+  Column alpha_deg =
+      no_column();  ///< Desired angle; one that repeats the first one 360 degrees later closes the circle.
+  Rows readings = no_rows();    ///< Mean outputs u, v, w in the response unit.
+  Rows u = no_rows();           ///< Their standard uncertainties; no rows: not known.
+  Column time_s = no_column();  ///< True time of the middle of each dwell; no rows: equal spacing.
+};
+
+/// Facts of a record that its arrays do not contain. Sizes of effects that are not stated have their
+/// defaults, and results say so.
+struct RecordSettings {
+  std::string source = "arrays";    ///< Names the record in messages.
+  std::string response_unit = "R";  ///< "g", "m/s2", "V", "LSB", ...
+  std::string estimator =
+      {};                     ///< Chosen before the first angle: "abc", "joint", "norm"; empty: not recorded.
+  double g_loc_mps2 = 0.0;    ///< Local gravity; 0: not known.
+  double g_loc_u_mps2 = 0.0;  ///< Its standard uncertainty.
+  std::string g_loc_source = {};
+  /// Standard uncertainties of [stage_uncertainty] and [item_uncertainty] by their keys in a bench file:
+  /// "alignment_deg", "wobble_urad", ...
+  std::map<std::string, double> effects = {};
+};
+
+/// Averaged readings of the three rotation experiments: a run file, a CSV, or arrays. Cheap to copy, never
+/// changed.
+class Record {
+ public:
+  /// @throws std::invalid_argument with every problem: sizes that differ, numbers that are not finite, too
+  /// few angles, an effect that does not exist
+  Record(const RecordArrays& arrays, const RecordSettings& settings = {});
+
+  std::string source() const;
+  std::string response_unit() const;
+  std::string estimator() const;  ///< Chosen before the first angle; empty: not recorded.
+  std::size_t size() const;       ///< Angles, closing ones included.
+  std::size_t flagged() const;    ///< Angles at which something was noticed (not quiet, readings lost, ...).
+  double g_loc_mps2() const;      ///< NaN: not known.
+
+  std::vector<int> experiment() const;
+  /// These views point into the record and remain valid as long as it or a copy of it exists.
+  Column alpha_deg() const;
+  Rows readings() const;
+  std::vector<double> time_s() const;                  ///< NaN: not known.
+  Eigen::Matrix<double, Eigen::Dynamic, 3> u() const;  ///< NaN: not known.
+  std::vector<bool> closing() const;
+  /// Sizes of all effects, stated or default, by their keys in a bench file.
+  std::map<std::string, double> effects() const;
+  std::vector<std::string> default_effects() const;  ///< Words of the sizes that were not stated.
+
+  struct Data;
+  explicit Record(std::shared_ptr<const Data> data) : data_(std::move(data)) {}
+  const Data& data() const { return *data_; }
+
+ private:
+  std::shared_ptr<const Data> data_;
+};
+
+/// Reads a run file, or a CSV of averaged readings (docs/run_file.md); the content decides which it is.
+/// "RUN#2" is item 2 of a run with several items.
+/// @throws std::runtime_error that names the error in the file; std::invalid_argument for a run with several
+///         items of which none is named, or one that it does not have
+Record load(const std::filesystem::path& path);
+
+/// Reads poses whose angles are not known, or a time series, for the estimator "norm".
+/// @throws std::runtime_error
+Record load_poses(const std::filesystem::path& path);
+
+}  // namespace abcal::v1

@@ -1,0 +1,80 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "abcal/record.h"
+#include "abcal/values.h"
+
+namespace abcal::v1 {
+/// Whether numbers may be used.
+enum class Usability {
+  kNotUsable,  ///< No result: nothing may be read from the numbers.
+  kDoubtful,   ///< Solved, but something contradicts the model or the stated uncertainty.
+  kUsable,
+};
+
+/// Contribution of one effect to the uncertainty, as the joint estimator estimated and tested it.
+struct EffectFound {
+  std::string name;           ///< "wobble of X"
+  std::string key;            ///< Key of its size: "wobble_urad"
+  double times_stated = 0.0;  ///< Root mean square of its unknowns over their stated standard uncertainty.
+  double probability = 1.0;   ///< Probability of a departure this large if the statement is right.
+  bool agrees = true;
+};
+
+/// The result of one estimator on one record. Cheap to copy, never changed.
+class Result {
+ public:
+  std::string estimator() const;
+  Usability usability() const;
+  std::string verdict() const;  ///< "usable", "doubtful", "not_usable"
+  std::string why() const;      ///< One sentence: the reason for the verdict.
+  std::string response_unit() const;
+  std::vector<std::string> notes() const;  ///< Sentences that a reader should see together with the verdict.
+
+  const Values& sensitivity_matrix() const;  ///< 3 x 3, rows u v w, columns x y z; R/g_loc. Empty for norm.
+  const Values& offset() const;              ///< 3: u v w; R
+  const Values& intrinsic_sensitivity() const;  ///< 3: u v w; R/g_loc
+  const Values& intrinsic_angle() const;        ///< 3: uv vw wu; degree
+  /// Covariance of the twelve outputs: s row by row, then O. Empty for norm.
+  const Covariance& covariance() const;
+  /// Covariance of the nine outputs that do not depend on the mounting: intrinsic sensitivities and angles,
+  /// offsets.
+  const Covariance& covariance_intrinsic() const;
+  /// Effects tested by the joint estimator; empty for the others.
+  std::vector<EffectFound> effects() const;
+  /// The joint estimator's alignment Zx, Zy, Xz (1); empty for the others.
+  Values alignment() const;
+
+  /// JSON text equal to that of `abcal analyse --json`, schema abcal.result/1.
+  std::string to_json() const;
+  /// For people, as `abcal analyse` prints it, without colours.
+  std::string to_text() const;
+
+  struct Data;
+  explicit Result(std::shared_ptr<const Data> data) : data_(std::move(data)) {}
+
+ private:
+  std::shared_ptr<const Data> data_;
+};
+
+/// Names of the estimators: "abc", "joint", "norm".
+std::vector<std::string> estimators();
+
+/// @param estimator  empty: the one chosen before the first angle, "abc" if none was recorded
+/// @throws std::invalid_argument for a name that is not in estimators(). A record that the estimator refuses
+/// is no error: its result is not usable, and why() gives the reason.
+Result analyse(const Record& record, const std::string& estimator = {});
+
+/// How the joint estimator is run, for studies; the defaults are analyse(record, "joint").
+struct JointChoices {
+  bool nonlinearity = true;   ///< k2 and k3 are unknowns; false: zero exactly.
+  bool drift = true;          ///< Drift of offset and sensitivity.
+  bool mean_step = true;      ///< false: the axis zeros are exact.
+  bool noise_process = true;  ///< false: the noise is white.
+};
+Result analyse_joint(const Record& record, const JointChoices& choices);
+
+}  // namespace abcal::v1

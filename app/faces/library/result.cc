@@ -1,0 +1,187 @@
+#include "abcal/result.h"
+
+#include <array>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <utility>
+
+#include "app/faces/library/data.h"
+#include "app/faces/library/no_colours.h"
+#include "app/ground/system/version.h"
+#include "app/results/estimates/analyses.h"
+#include "app/results/estimates/estimators.h"
+#include "app/results/estimates/result_json.h"
+#include "app/results/estimates/result_text.h"
+#include "protocol/estimators/checks/comparison.h"
+#include "protocol/estimators/joint/analyse_joint.h"
+#include "protocol/uncertainty/study_output.h"
+
+namespace abcal::v1 {
+namespace {
+
+void set_value(Values& values, Eigen::Index row, Eigen::Index column, const ::abcal::Quantity& from) {
+  values.value(row, column) = from.value;
+  values.u(row, column) = from.standard_uncertainty;
+  values.type_a(row, column) = from.type_a.value_or(kNan);
+  values.type_b(row, column) = from.type_b.value_or(kNan);
+  values.degrees_of_freedom(row, column) = from.degrees_of_freedom;
+  values.unit = from.unit;
+}
+
+Values sized(Eigen::Index rows, Eigen::Index columns) {
+  const Eigen::MatrixXd unknown = Eigen::MatrixXd::Constant(rows, columns, kNan);
+  return {unknown, unknown, unknown, unknown, unknown, ""};
+}
+
+Values column_of(const std::array<::abcal::Quantity, 3>& quantities) {
+  Values values = sized(3, 1);
+  for (Eigen::Index j = 0; j < 3; ++j) set_value(values, j, 0, quantities[static_cast<std::size_t>(j)]);
+  return values;
+}
+
+Values matrix_of(const ::abcal::CalibrationResult& result) {
+  if (!result.sensitivity_matrix) return {};
+  Values values = sized(3, 3);
+  for (std::size_t j = 0; j < 3; ++j)
+    for (std::size_t k = 0; k < 3; ++k)
+      set_value(values, static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k),
+                (*result.sensitivity_matrix)[j][k]);
+  return values;
+}
+
+Covariance outputs_covariance(const ::abcal::CalibrationResult& result) {
+  Covariance covariance;
+  if (!result.covariance || !result.sensitivity_matrix) return covariance;
+  covariance.matrix = *result.covariance;
+  covariance.values.resize(12);
+  for (int i = 0; i < 12; ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    const ::abcal::Quantity& quantity =
+        i < 9 ? (*result.sensitivity_matrix)[at / 3][at % 3] : result.offset[at - 9];
+    covariance.labels.emplace_back(::abcal::output_symbol(i));
+    covariance.units.push_back(quantity.unit);
+    covariance.values[i] = quantity.value;
+  }
+  return covariance;
+}
+
+Covariance intrinsic_covariance(const ::abcal::CalibrationResult& result) {
+  Covariance covariance;
+  if (!result.covariance_intrinsic) return covariance;
+  covariance.matrix = *result.covariance_intrinsic;
+  covariance.values = ::abcal::intrinsic_values(result);
+  for (std::size_t i = 0; i < ::abcal::kIntrinsicNames.size(); ++i) {
+    covariance.labels.emplace_back(::abcal::kIntrinsicNames[i]);
+    covariance.units.push_back(::abcal::intrinsic_property(result, static_cast<Eigen::Index>(i)).unit);
+  }
+  return covariance;
+}
+
+}  // namespace
+
+const char* version() {
+  return ::abcal::program_version();
+}
+
+Result public_result(::abcal::CalibrationResult result) {
+  Result::Data data;
+  data.sensitivity_matrix = matrix_of(result);
+  data.offset = column_of(result.offset);
+  data.intrinsic_sensitivity = column_of(result.intrinsic_sensitivity);
+  data.intrinsic_angle = column_of(result.intrinsic_angle);
+  data.covariance = outputs_covariance(result);
+  data.covariance_intrinsic = intrinsic_covariance(result);
+  data.result = std::move(result);
+  return Result(std::make_shared<const Result::Data>(std::move(data)));
+}
+
+std::string Result::estimator() const {
+  return data_->result.estimator;
+}
+
+Usability Result::usability() const {
+  switch (data_->result.verdict) {
+    case ::abcal::Verdict::kUsable:
+      return Usability::kUsable;
+    case ::abcal::Verdict::kDoubtful:
+      return Usability::kDoubtful;
+    case ::abcal::Verdict::kNotUsable:
+      break;
+  }
+  return Usability::kNotUsable;
+}
+
+std::string Result::verdict() const {
+  return std::string(::abcal::to_string(data_->result.verdict));
+}
+std::string Result::why() const {
+  return data_->result.why;
+}
+std::string Result::response_unit() const {
+  return data_->result.response_unit;
+}
+std::vector<std::string> Result::notes() const {
+  return data_->result.diagnostics.notes;
+}
+const Values& Result::sensitivity_matrix() const {
+  return data_->sensitivity_matrix;
+}
+const Values& Result::offset() const {
+  return data_->offset;
+}
+const Values& Result::intrinsic_sensitivity() const {
+  return data_->intrinsic_sensitivity;
+}
+const Values& Result::intrinsic_angle() const {
+  return data_->intrinsic_angle;
+}
+const Covariance& Result::covariance() const {
+  return data_->covariance;
+}
+const Covariance& Result::covariance_intrinsic() const {
+  return data_->covariance_intrinsic;
+}
+
+std::vector<EffectFound> Result::effects() const {
+  std::vector<EffectFound> effects;
+  if (!data_->result.joint) return effects;
+  for (const ::abcal::EffectTest& test : data_->result.joint->effects)
+    effects.push_back({test.name, test.key, test.times_stated, test.probability, test.passed});
+  return effects;
+}
+
+Values Result::alignment() const {
+  return data_->result.joint ? column_of(data_->result.joint->alignment) : Values{};
+}
+
+std::string Result::to_json() const {
+  return ::abcal::result_json(data_->result).dump(2);
+}
+std::string Result::to_text() const {
+  return ::abcal::result_text(data_->result, no_colours());
+}
+
+std::vector<std::string> estimators() {
+  return ::abcal::estimator_names();
+}
+
+Result analyse(const Record& record, const std::string& estimator) {
+  const ::abcal::RunRecord& data = record.data().record;
+  return public_result(::abcal::analyse(
+      data, estimator.empty() ? ::abcal::declared_estimator(data) : ::abcal::find_estimator(estimator)));
+}
+
+Result analyse_joint(const Record& record, const JointChoices& choices) {
+  ::abcal::JointOptions options;
+  options.nonlinearity =
+      choices.nonlinearity ? ::abcal::Nonlinearity::kFitted : ::abcal::Nonlinearity::kLeftOut;
+  options.drift = choices.drift;
+  options.mean_step = choices.mean_step;
+  options.noise_process = choices.noise_process;
+  const ::abcal::RunRecord& data = record.data().record;
+  options.measured_alignment = data.measured_alignment;
+  return public_result(::abcal::analyse_joint(data, options));
+}
+
+}  // namespace abcal::v1

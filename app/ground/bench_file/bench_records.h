@@ -1,0 +1,20 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <string_view>
+
+#include "app/ground/bench_file/bench_config.h"
+#include "app/ground/toml/record_lookup.h"
+
+namespace abcal {
+
+/// Reads a bench file that may name records of the laboratory as sources (`{ from = "RECORD" }`). What they
+/// say is in the configuration afterwards, as values with their sources, so that nothing is looked up again.
+/// @throws BenchError also for a record that is missing, does not hold today, or lacks the value
+BenchConfig read_bench(const std::filesystem::path& path, const RecordLookup& lookup);
+
+/// The same from text; `source` names it in messages.
+BenchConfig parse_bench(std::string_view toml, const std::string& source, const RecordLookup& lookup);
+
+}  // namespace abcal

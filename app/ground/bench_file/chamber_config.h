@@ -1,0 +1,51 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "drivers/instrument/thermal_chamber.h"
+
+namespace abcal {
+
+/// [chamber]: the thermal chamber around the stage. No driver: there is none.
+struct ChamberConfig {
+  std::string driver, port;
+  std::optional<int> baud;
+  ChamberSettings settings;
+  std::optional<double> min_degc, max_degc;  ///< Narrower than its own hardware's limits.
+  bool dry_gas = false;                      ///< Dry air or nitrogen is on: nothing can condense.
+  double poll_s = 2.0;
+
+  bool present() const { return !driver.empty(); }
+
+  bool operator==(const ChamberConfig&) const = default;
+};
+
+/// [temperature]: the series of `abcal temperature`.
+struct TemperatureConfig {
+  std::vector<double> set_points_degc;  ///< In one direction; empty: no series.
+  double reference_degc = 23.0;
+  bool down = true;                   ///< Back down through the same points.
+  double ramp_k_per_min = 1.0;        ///< 0: as fast as the chamber can.
+  double air_window_k = 1.5;          ///< Of the air around the set point, before a soak counts.
+  double soak_min_s = 1800.0;         ///< With the air in its window.
+  double soak_rate_k_per_min = 0.02;  ///< The item's sensor must move slower than this.
+  double soak_span_s = 300.0;         ///< Over which that is looked at.
+  double soak_max_s = 14'400.0;       ///< Longest wait, ramp included; then the series ends.
+  std::optional<double> item_min_degc, item_max_degc;  ///< What the item stands.
+  double dew_point_margin_k = 2.0;                     ///< The air must be so much warmer than its dew point.
+  bool pause = true;            ///< Compressor or fan pauses in dwells, where the chamber can.
+  std::string end = "ambient";  ///< "hold", "ambient", "off".
+
+  bool wanted() const { return !set_points_degc.empty(); }
+  ChamberPolicy policy() const {
+    return end == "hold"  ? ChamberPolicy::kHold
+           : end == "off" ? ChamberPolicy::kOff
+                          : ChamberPolicy::kAmbient;
+  }
+
+  bool operator==(const TemperatureConfig&) const = default;
+};
+
+}  // namespace abcal

@@ -1,0 +1,23 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "app/ground/document/document.h"
+
+namespace abcal {
+
+/// A page, and warnings about missing parts.
+struct HtmlPage {
+  std::string html;
+  std::vector<std::string> warnings;  ///< "figures are left out: gnuplot is not installed ...".
+};
+
+/// The document as one HTML page in UTF-8: no scripts, nothing loaded from elsewhere, figures inside as SVG,
+/// set for A4 paper with the identification, the cautions and the page number on every printed page. All text
+/// is put into libxml2's tree as text, so that markup in a name stays a name.
+/// @throws std::runtime_error if gnuplot fails; where it is not installed the page says so in the figures'
+/// place
+HtmlPage document_html(const Document& document);
+
+}  // namespace abcal

@@ -1,0 +1,45 @@
+#include "app/ground/document/weasyprint.h"
+
+#include <fmt/format.h>
+
+#include <chrono>
+#include <fstream>
+#include <sstream>
+#include <stdexcept>
+#include <vector>
+
+#include "app/ground/system/helper_program.h"
+#include "app/ground/system/temporary_folder.h"
+
+namespace abcal {
+
+const Tool kWeasyPrint{"weasyprint", "a PDF needs", "weasyprint"};
+
+PdfPrinter::PdfPrinter()
+    : weasyprint_(kWeasyPrint, {"--quiet", "--pdf-variant", "pdf/ua-1", "--base-url",
+                                (folder_ / "page.html").string(), "-", (folder_ / "tagged.pdf").string()}) {}
+
+void PdfPrinter::print(const std::string& html, const std::filesystem::path& pdf,
+                       const std::optional<Attachment>& attachment, const std::function<bool()>& cancelled) {
+  // A page of thousands of rows takes tens of seconds.
+  constexpr std::chrono::minutes kLongest{5};
+  if (const ToolResult result = weasyprint_.finish(html, kLongest, cancelled); result.exit_code != 0)
+    throw std::runtime_error(
+        fmt::format("weasyprint failed with exit code {}: {}", result.exit_code, result.words));
+  std::vector<std::string> arguments{"finish", (folder_ / "tagged.pdf").string(), pdf.string()};
+  if (attachment)
+    arguments.insert(arguments.end(), {attachment->kind == AttachmentKind::kData ? "--data" : "--supplement",
+                                       std::filesystem::absolute(attachment->file).string()});
+  run_helper("abcal-pdf", "a PDF is finished by", arguments);
+}
+
+std::string attachment_of_pdf(const std::filesystem::path& pdf) {
+  const TemporaryFolder folder;
+  const std::filesystem::path attached = folder / "attached";
+  run_helper("abcal-pdf", "a PDF is read by", {"detach", "--", pdf.string(), attached.string()});
+  std::ostringstream bytes;
+  bytes << std::ifstream(attached, std::ios::binary).rdbuf();
+  return bytes.str();
+}
+
+}  // namespace abcal

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <string_view>
+
+#include "drivers/instrument/clock.h"
+
+namespace abcal {
+
+/// "1 h 05 min", "3 min 20 s", "12 s".
+std::string describe_duration(double seconds);
+
+/// A progress bar with the remaining time, on one line of a terminal; silent on other streams.
+class ProgressBar {
+ public:
+  /// On standard error, because standard output belongs to results.
+  ProgressBar(std::string title, const Clock& clock);
+  ~ProgressBar();
+  ProgressBar(const ProgressBar&) = delete;
+  ProgressBar& operator=(const ProgressBar&) = delete;
+
+  /// `done` of `total`, with a few words on the current activity. Redraws at most ten times a second.
+  void show(double done, double total, std::string_view words = {});
+  /// Prints a line of its own above the bar (also where there is no terminal).
+  void line(std::string_view text);
+  /// Removes the bar.
+  void clear();
+
+ private:
+  std::string title_;
+  const Clock& clock_;
+  bool visible_;
+  bool drawn_ = false;
+  Clock::Instant started_;
+  Clock::Instant last_draw_;
+  double done_at_start_ = -1.0;
+};
+
+}  // namespace abcal

@@ -1,0 +1,454 @@
+#include "app/laboratory/certificate/certificate.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string_view>
+
+#include "app/laboratory/certificate/certified_series.h"
+#include "app/laboratory/certificate/dsi_list.h"
+#include "app/laboratory/certificate/scope.h"
+#include "app/laboratory/certificate/traceability.h"
+
+namespace abcal {
+namespace {
+
+std::string problem_list(const std::string& head, const std::vector<Problem>& problems) {
+  std::string text = fmt::format("{}: {} problem{}", head, problems.size(), problems.size() == 1 ? "" : "s");
+  for (const Problem& problem : problems) text += "\n  " + to_string(problem);
+  return text;
+}
+
+/// Names in problems for the run of a certificate, and for the common facts of a series.
+constexpr const char* kRunWords = "run";
+constexpr const char* kSeriesWords = "runs over temperature";
+
+bool contains(const std::vector<Problem>& problems, const Problem& problem) {
+  return std::any_of(problems.begin(), problems.end(), [&](const Problem& each) {
+    return each.where == problem.where && each.found == problem.found && each.required == problem.required;
+  });
+}
+
+/// Collects the problems of a certificate in two lists: those that a draft cannot have either, and the rest.
+class Inspection {
+ public:
+  Inspection(const LaboratoryFile& laboratory, std::vector<Problem> of_file)
+      : laboratory_(laboratory), of_file_(std::move(of_file)) {}
+
+  void check(const ReportData& data, const std::string& which) {
+    if (!data.run) {
+      of_run_.push_back(
+          {which, "a CSV of averages", "a run file: a certificate names item, operator and bench"});
+      return;
+    }
+    check_state(data, which);
+    check_labels(data, which);
+    check_conditions(data, which);
+    check_equipment(data, which);
+  }
+
+  void check_pair(const ReportData& found, const ReportData& left) {
+    for (const char* key : {"item.maker", "item.model", "item.serial_number"}) {
+      if (found.label(key) != left.label(key)) {
+        of_run_.push_back({std::string("as-found run, ") + key, "\"" + found.label(key) + "\"",
+                           "the item of the other run, \"" + left.label(key) + "\""});
+      }
+    }
+    if (found.record.response_unit != left.record.response_unit)
+      of_run_.push_back(
+          {"as-found run, response unit", found.record.response_unit, left.record.response_unit});
+    if (found.started_utc() > left.started_utc())
+      of_run_.push_back({"as-found run", "began " + found.started_utc(),
+                         "a beginning not after that of the other run, " + left.started_utc()});
+    if (laboratory_.job.adjustment.empty())
+      of_file_.push_back({"[job] adjustment", "nothing",
+                          "what was done to the item between the as-found and the as-left run"});
+  }
+
+  /// Checks the points of a series. A problem with the bench of all points, or of the run as well, is
+  /// reported once.
+  void check_series(const std::vector<ReportData>& points, const ReportData& run, const std::string& which) {
+    for (const ReportData& point : points) {
+      if (!point.run) continue;
+      if (point.sha256 != run.sha256) check_state(point, point.path.filename().string());
+      check_labels(point, kSeriesWords);
+      check_conditions(point, kSeriesWords);
+      check_equipment(point, kSeriesWords);
+    }
+    add_of_run(problems_of_series(points, run));
+    std::vector<Problem> each_once;
+    for (Problem& problem : of_run_) {
+      Problem of_the_run = problem;
+      if (problem.where.starts_with(kSeriesWords))
+        of_the_run.where.replace(0, std::string_view(kSeriesWords).size(), which);
+      if (!contains(each_once, problem) && !contains(each_once, of_the_run))
+        each_once.push_back(std::move(problem));
+    }
+    of_run_ = std::move(each_once);
+  }
+
+  /// @param runs  of the certificate; the last is the calibration
+  void check_issue(const IssueFacts& issue, const std::vector<const ReportData*>& runs,
+                   const std::vector<RunOperator>& operators) {
+    check_persons(issue, operators, !equipment_of_run(*runs.back()).empty());
+    check_dates(issue, runs);
+    if (issue.number.find_first_not_of(" \t\r\n") == std::string::npos)
+      of_run_.push_back({"number", quoted(issue.number), "the unique number of the certificate"});
+    if (issue.replaces && issue.replaces->reason.find_first_not_of(" \t\r\n") == std::string::npos)
+      of_run_.push_back({"reason", "nothing", "why certificate " + issue.replaces->number + " is replaced"});
+    if (issue.replaces && issue.replaces->number == issue.number)
+      of_run_.push_back(
+          {"number", quoted(issue.number), "a number different from that of the replaced certificate"});
+  }
+
+  /// Derives the requested units and decides on the limits; reports those that the result does not provide.
+  void derive_and_decide(const ReportData& data, CertifiedRun& run) {
+    std::vector<SensitivityUnit> units;
+    for (const std::string& name : laboratory_.units) {
+      try {
+        units.push_back(sensitivity_unit(name, data.record.response_unit));
+      } catch (const std::invalid_argument& error) {
+        of_file_.push_back({"[units] sensitivity", quoted(name), error.what()});
+      }
+    }
+    if (!run.has_numbers() || !data.run) return;
+    run.derived = derive(data.result(), units);
+    for (const SpecificationLimit& limit : laboratory_.limits) {
+      const auto quantity = find_quantity(data.result(), run.derived, limit.quantity, limit.unit);
+      if (!quantity) {
+        std::string offered;
+        for (const std::string& unit : units_of(data.result(), run.derived, limit.quantity))
+          offered += (offered.empty() ? "" : ", ") + quoted(unit);
+        of_file_.push_back({fmt::format("line {}, [limit] unit of {}", limit.line, limit.quantity),
+                            quoted(limit.unit), "one of " + offered});
+      } else if (laboratory_.decision) {
+        // With the U that is stated, which is never below that of the scope.
+        const double factor = coverage_factor(*quantity);
+        const auto cmc = smallest_uncertainty(laboratory_.scope, data.result(), limit.quantity, *quantity);
+        const double expanded = certified_uncertainty(factor * quantity->standard_uncertainty, cmc).expanded;
+        run.decisions.push_back(
+            decide(*laboratory_.decision, limit, quantity->value, expanded / factor, factor));
+        run.decisions.back().degrees_of_freedom = quantity->degrees_of_freedom;
+      }
+    }
+  }
+
+  void add_of_run(const std::vector<Problem>& problems) {
+    of_run_.insert(of_run_.end(), problems.begin(), problems.end());
+  }
+
+  const std::vector<Problem>& of_file() const { return of_file_; }
+  const std::vector<Problem>& of_run() const { return of_run_; }
+  std::vector<Problem> all() const {
+    std::vector<Problem> all = of_file_;
+    all.insert(all.end(), of_run_.begin(), of_run_.end());
+    return all;
+  }
+
+ private:
+  static std::string quoted(const std::string& text) { return text.empty() ? "nothing" : "\"" + text + "\""; }
+
+  /// Four eyes: the persons who measured are taken from the run's own events, not from present statements.
+  void check_persons(const IssueFacts& issue, const std::vector<RunOperator>& operators,
+                     bool has_registered_equipment) {
+    for (const RunOperator& who : operators) {
+      if (one_of("measure", who.name) == nullptr)
+        of_run_.push_back(
+            {"measured by", quoted(who.name), "one of " + names("measure") + ", who may measure"});
+      if (who.name == issue.approved_by)
+        of_run_.push_back(
+            {"approved by", quoted(issue.approved_by), "a person other than the one who measured"});
+      if (!issue.register_identity.empty() && !issue.training &&
+          who.register_identity != issue.register_identity)
+        of_run_.push_back({"measured by", fmt::format("\"{}\" ({})", who.name, kNotVerified),
+                           "a person who was logged in to the register during the run"});
+    }
+    const bool known = std::any_of(operators.begin(), operators.end(),
+                                   [&](const RunOperator& who) { return who.name == issue.measured_by; });
+    if (!issue.measured_by.empty() && !known)
+      of_run_.push_back({"--measured-by", quoted(issue.measured_by),
+                         "who measured by the events of the run: " + quoted(describe(operators))});
+    if (!issue.register_identity.empty() && !issue.training && !has_registered_equipment)
+      of_run_.push_back({"equipment", "nothing that the register named when the run began",
+                         "calibrations in the register (`abcal lab add calibration`) before the run"});
+    if (one_of("approve", issue.approved_by) == nullptr)
+      of_run_.push_back(
+          {"approved by", quoted(issue.approved_by), "one of " + names("approve") + ", who may approve"});
+  }
+
+  /// Dates agree with each other and with the clock.
+  void check_dates(const IssueFacts& issue, const std::vector<const ReportData*>& runs) {
+    const auto [begin_utc, end_utc] = period_of(runs);
+    const auto begin = parse_date(begin_utc), end = parse_date(end_utc);
+    if (end && issue.date < *end)
+      of_run_.push_back(
+          {"date of issue", format_date(issue.date), "not before the run's end, " + format_date(*end)});
+    if (issue.today && issue.date > *issue.today)
+      of_run_.push_back(
+          {"date of issue", format_date(issue.date), "not after today, " + format_date(*issue.today)});
+    const auto& received = laboratory_.job.received;
+    // The clock of a simulated run is simulated, too.
+    if (received && begin && runs.back()->simulated.empty() && *received > *begin)
+      of_run_.push_back(
+          {"[job] received", format_date(*received), "not after the run began, " + format_date(*begin)});
+    if (issue.today && end && *end > *issue.today)
+      of_run_.push_back(
+          {"end of the run", format_date(*end), "not after today, " + format_date(*issue.today)});
+  }
+
+  const Person* one_of(const std::string& may, const std::string& name) const {
+    for (const Person& person : laboratory_.persons)
+      if (person.name == name && std::find(person.may.begin(), person.may.end(), may) != person.may.end())
+        return &person;
+    return nullptr;
+  }
+  std::string names(const std::string& may) const {
+    std::string text;
+    for (const Person& person : laboratory_.persons)
+      if (one_of(may, person.name) == &person) text += (text.empty() ? "" : ", ") + quoted(person.name);
+    return text.empty() ? "the [[person]] entries" : text;
+  }
+
+  void check_state(const ReportData& data, const std::string& which) {
+    if (!data.complete()) {
+      of_run_.push_back({which,
+                         fmt::format("{}, {} of {} angles measured", to_string(data.run->state),
+                                     data.run->measured.size(), data.run->header.plan.size()),
+                         "a complete run: `abcal resume`"});
+    } else {
+      for (const IntegrityCheck& check : data.integrity)
+        if (!check.good)
+          of_run_.push_back({which + ", " + check.what, check.found, "consistent with what was stored"});
+    }
+    const CalibrationResult& result = data.result();
+    if (result.verdict != Verdict::kUsable)
+      of_run_.push_back(
+          {which + ", verdict", fmt::format("{}: {}", to_string(result.verdict), result.why), "usable"});
+  }
+
+  void check_labels(const ReportData& data, const std::string& which) {
+    for (const auto& [key, words] : {std::pair{"item.maker", "[item] maker"},
+                                     {"item.model", "[item] model"},
+                                     {"item.serial_number", "[item] serial_number"},
+                                     {"operator.name", "[operator] name"}}) {
+      if (data.label(key).find_first_not_of(" \t\r\n") == std::string::npos)
+        of_run_.push_back({which + ", " + words, "nothing", "given in the bench file before the run"});
+    }
+    const std::string name = data.label("operator.name");
+    if (!name.empty() && one_of("measure", name) == nullptr)
+      of_run_.push_back(
+          {which + ", operator", quoted(name), "one of " + names("measure") + ", who may measure"});
+  }
+
+  void check_conditions(const ReportData& data, const std::string& which) {
+    const auto& environment = data.run->environment;
+    if (std::none_of(environment.begin(), environment.end(),
+                     [](const StoredEnvironment& look) { return look.temperature_degc.has_value(); })) {
+      of_run_.push_back({which + ", temperature of the room", "nothing",
+                         "[environment] temperature_degc in the bench file, or a sensor"});
+    }
+    if (!(data.record.g_loc.expanded_uncertainty_mps2 > 0.0))
+      of_run_.push_back({which + ", local gravity", "no uncertainty",
+                         "[bench] g_loc_expanded_uncertainty_mps2, as the survey states it"});
+    if (data.record.g_loc.source.empty())
+      of_run_.push_back({which + ", local gravity", "no source", "[bench] g_loc_source"});
+  }
+
+  void check_equipment(const ReportData& data, const std::string& which) {
+    const auto day = parse_date(data.ended_utc());
+    for (const Equipment& one : laboratory_.equipment) {
+      if (day && one.due && *one.due < *day)
+        of_run_.push_back({fmt::format("line {}, [[equipment]] {}, due", one.line, one.name),
+                           format_date(*one.due),
+                           fmt::format("a date not before that of the {}, {}", which, format_date(*day))});
+    }
+    const std::string missing =
+        serial_number_without_equipment(laboratory_.equipment, "angle", serial_numbers_of(data, "stage"));
+    if (!missing.empty())
+      of_run_.push_back({which + ", stage", fmt::format("serial number {}", missing),
+                         "an [[equipment]] with quantity = \"angle\" and this serial_number"});
+    const bool volts = data.record.response_unit.ends_with("V");
+    if (volts && std::none_of(laboratory_.equipment.begin(), laboratory_.equipment.end(),
+                              [](const Equipment& one) { return one.quantity == "voltage"; })) {
+      of_run_.push_back({which + ", output in " + data.record.response_unit, "no calibrated voltmeter",
+                         "an [[equipment]] with quantity = \"voltage\""});
+    }
+  }
+
+  const LaboratoryFile& laboratory_;
+  std::vector<Problem> of_file_, of_run_;
+};
+
+std::vector<Shift> shifts_between(const CalibrationResult& found, const CalibrationResult& left) {
+  std::vector<Shift> shifts;
+  const auto add = [&](const std::string& name, const Quantity& a, const Quantity& b) {
+    Shift shift;
+    shift.name = name;
+    shift.difference.unit = b.unit;
+    shift.difference.value = b.value - a.value;
+    shift.difference.standard_uncertainty = std::hypot(a.standard_uncertainty, b.standard_uncertainty);
+    shift.normalised_error =
+        shift.difference.value / (kCoverageFactor * shift.difference.standard_uncertainty);
+    shifts.push_back(shift);
+  };
+  for (std::size_t j = 0; j < 3; ++j)
+    add(std::string("intrinsic_sensitivity_") + kAccelerometers[j], found.intrinsic_sensitivity[j],
+        left.intrinsic_sensitivity[j]);
+  for (std::size_t j = 0; j < 3; ++j)
+    add(std::string("intrinsic_angle_") + kPairs[j], found.intrinsic_angle[j], left.intrinsic_angle[j]);
+  for (std::size_t j = 0; j < 3; ++j)
+    add(std::string("offset_") + kAccelerometers[j], found.offset[j], left.offset[j]);
+  return shifts;
+}
+
+/// Even a draft needs a result with a sensitivity matrix.
+void require_certifiable(const ReportData& data) {
+  if (find_estimator(data.estimator).certifiable) return;
+  throw CertificateRefused(data.path.string(),
+                           {{"estimator", data.estimator, "one that gives the sensitivity matrix"}});
+}
+
+std::vector<const ReportData*> runs_of(const CertificateRequest& request) {
+  std::vector<const ReportData*> runs;
+  if (request.as_found) runs.push_back(&*request.as_found);
+  for (const ReportData& point : request.series) runs.push_back(&point);
+  runs.push_back(&request.run);
+  return runs;
+}
+
+/// The operators in all runs of a certificate.
+std::vector<RunOperator> operators_of_runs(const std::vector<const ReportData*>& runs) {
+  std::vector<RunOperator> operators;
+  for (const ReportData* data : runs) {
+    if (!data->run) continue;
+    for (RunOperator& who : operators_of(*data->run))
+      if (std::find(operators.begin(), operators.end(), who) == operators.end())
+        operators.push_back(std::move(who));
+  }
+  return operators;
+}
+
+/// A problem in the language of the certificate.
+std::string in_words(const Words& words, const Problem& problem) {
+  const std::string where = words.composed(problem.where).text, found = words.composed(problem.found).text,
+                    required = words.composed(problem.required).text;
+  if (found.empty() || required.empty()) return to_string(Problem{where, found, required});
+  return words("{}: found {}; required: {}", where, found, required).text;
+}
+
+std::vector<Problem> reasons_against(const LaboratoryFile& laboratory, const CertificateRequest& request) {
+  std::vector<Problem> reasons = against_traceability(laboratory, request.run, kRunWords);
+  if (request.as_found)
+    for (Problem& problem : against_traceability(laboratory, *request.as_found, "as-found run"))
+      reasons.push_back(std::move(problem));
+  // A reason against the run itself, or against several points, is reported once.
+  for (const ReportData& point : request.series) {
+    const std::vector<Problem> as_run = against_traceability(laboratory, point, kRunWords);
+    std::vector<Problem> as_series = against_traceability(laboratory, point, kSeriesWords);
+    for (std::size_t i = 0; i < as_series.size(); ++i)
+      if (!contains(reasons, as_run[i]) && !contains(reasons, as_series[i]))
+        reasons.push_back(std::move(as_series[i]));
+  }
+  return reasons;
+}
+
+}  // namespace
+
+std::vector<const ReportData*> runs_of(const Certificate& certificate) {
+  std::vector<const ReportData*> runs;
+  if (certificate.as_found) runs.push_back(&certificate.as_found->data);
+  if (certificate.series)
+    for (const ReportData& point : certificate.series->points) runs.push_back(&point);
+  runs.push_back(&certificate.run.data);
+  return runs;
+}
+
+std::pair<std::string, std::string> period_of(const std::vector<const ReportData*>& runs) {
+  std::string begin, end;
+  for (const ReportData* run : runs) {
+    const std::string started = run->started_utc(), ended = run->ended_utc();
+    if (begin.empty() || (!started.empty() && started < begin)) begin = started;
+    if (end.empty() || ended > end) end = ended;
+  }
+  return {begin, end};
+}
+
+std::string Certificate::measured_by() const {
+  std::string names;
+  for (const RunOperator& who : operators)
+    if (names.find(who.name) == std::string::npos) names += (names.empty() ? "" : ", ") + who.name;
+  return names;
+}
+
+CertificateRefused::CertificateRefused(const std::string& run, std::vector<Problem> problems)
+    : std::runtime_error(
+          problem_list("no certificate for " + run, problems) +
+          "\n  `abcal report --draft` makes a draft in spite of this and lists the reasons in it"),
+      problems_(std::move(problems)) {}
+
+std::string draft_number(const ReportData& run) {
+  return "DRAFT-" + (run.sha256 ? run.sha256->substr(0, 12) : std::string("open")) +
+         (run.is_one_of_several() ? fmt::format("-{}", run.item) : "");
+}
+
+Certificate make_certificate(CertificateRequest request) {
+  require_certifiable(request.run);
+  if (request.as_found) require_certifiable(*request.as_found);
+  for (const ReportData& point : request.series) require_certifiable(point);
+  ReadLaboratoryFile read = std::move(request.laboratory);
+  Certificate certificate;
+  certificate.laboratory = std::move(read.file);
+  certificate.words = Words(certificate.laboratory.language);
+  // The register's data at the start of the run take precedence over the present file.
+  if (auto registered = equipment_of_run(request.run); !registered.empty())
+    certificate.laboratory.equipment = std::move(registered);
+  certificate.operators = operators_of_runs(runs_of(request));
+  const std::vector<Problem> not_traceable = reasons_against(certificate.laboratory, request);
+  for (const Problem& problem : not_traceable)
+    certificate.not_traceable.push_back(in_words(certificate.words, problem));
+  Inspection inspection(certificate.laboratory, std::move(read.problems));
+  const std::string which = request.as_found ? "as-left run" : kRunWords;
+  inspection.check(request.run, which);
+  if (request.as_found) {
+    inspection.check(*request.as_found, "as-found run");
+    inspection.check_pair(*request.as_found, request.run);
+  }
+  if (!request.series.empty()) {
+    inspection.check_series(request.series, request.run, which);
+    std::vector<Problem> problems;
+    certificate.series = certified_series(request.series, problems);
+    inspection.add_of_run(problems);
+  }
+  if (request.issue) {
+    inspection.check_issue(*request.issue, runs_of(request), certificate.operators);
+    if (!request.issue->training && !request.draft) inspection.add_of_run(not_traceable);
+  }
+
+  certificate.run.data = std::move(request.run);
+  inspection.derive_and_decide(certificate.run.data, certificate.run);
+  if (request.as_found) {
+    certificate.as_found.emplace().data = std::move(*request.as_found);
+    Inspection silent(certificate.laboratory,
+                      {});  // Units and limits are the same, so their problems are reported only once.
+    silent.derive_and_decide(certificate.as_found->data, *certificate.as_found);
+  }
+
+  if (!inspection.of_file().empty())
+    throw LaboratoryFileError(certificate.laboratory.source, inspection.all());
+  const bool may_be_draft =
+      request.draft && certificate.run.data.run && (!certificate.as_found || certificate.as_found->data.run);
+  if (!inspection.of_run().empty() && !may_be_draft)
+    throw CertificateRefused(certificate.run.data.path.string(), inspection.of_run());
+  for (const Problem& problem : inspection.of_run())
+    certificate.reservations.push_back(in_words(certificate.words, problem));
+
+  if (certificate.as_found && certificate.as_found->has_numbers() && certificate.run.has_numbers())
+    certificate.shifts = shifts_between(certificate.as_found->data.result(), certificate.run.data.result());
+  certificate.issue = std::move(request.issue);
+  certificate.number = certificate.issue ? certificate.issue->number : draft_number(certificate.run.data);
+  certificate.program_version = certificate.run.data.program_version;
+  return certificate;
+}
+
+}  // namespace abcal

@@ -1,0 +1,117 @@
+#pragma once
+
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "app/laboratory/certificate/decision.h"
+#include "app/laboratory/certificate/derived.h"
+#include "app/laboratory/certificate/laboratory_file.h"
+#include "app/laboratory/certificate/words.h"
+#include "app/results/estimates/report_data.h"
+#include "protocol/record/run_operator.h"
+#include "protocol/temperature/temperature_fit.h"
+
+namespace abcal {
+
+/// The certificate that this one replaces (ISO/IEC 17025 7.8.8).
+struct Replacement {
+  std::string number;
+  std::string reason;
+  std::string sha256;  ///< SHA-256 of the XML of the replaced certificate; empty: not available.
+};
+
+/// Facts that issuing adds. Until then a certificate is a draft.
+struct IssueFacts {
+  std::string number;
+  std::string measured_by;  ///< Empty: the operators of the run; else it must be one of them.
+  std::string approved_by;
+  Date date{};
+  std::optional<Date> today;      ///< No date is after it. Absent: a certificate that was issued before.
+  std::string register_identity;  ///< Register that gave the number; empty: none, names are stated only.
+  bool training = false;          ///< Training register: marked TRAINING, and accepts simulated runs.
+  std::optional<Replacement> replaces;
+};
+
+/// One calibration in a certificate, with derived quantities and decisions.
+struct CertifiedRun {
+  ReportData data;
+  std::vector<DerivedGroup> derived;  ///< Empty where there is no result.
+  std::vector<Decision> decisions;
+  bool has_numbers() const { return data.result().verdict != Verdict::kNotUsable; }
+};
+
+/// Difference as left minus as found of a quantity that does not depend on the mounting.
+struct Shift {
+  std::string name;
+  Quantity difference;  ///< Its uncertainty treats the runs as independent: an upper bound on one stage.
+  double normalised_error = 0.0;  ///< E_n: difference / U of the difference.
+};
+
+/// A series over temperature of the item in a certificate.
+struct CertifiedSeries {
+  std::vector<ReportData> points;           ///< One run each, in the order of the series.
+  std::optional<TemperatureResult> result;  ///< Absent in a draft whose runs make no series.
+};
+
+/// The content of a certificate, independent of its form.
+struct Certificate {
+  std::string number;                     ///< "DRAFT-..." until issued.
+  std::vector<std::string> reservations;  ///< Problems that a draft is allowed to have.
+  LaboratoryFile laboratory;
+  std::optional<IssueFacts> issue;
+  std::optional<CertifiedRun> as_found;  ///< The item before it was adjusted.
+  CertifiedRun run;                      ///< The calibration; as left where there is an as_found.
+  std::vector<Shift> shifts;
+  std::optional<CertifiedSeries> series;  ///< Over temperature.
+  std::vector<RunOperator> operators;     ///< Operators according to the events of the runs.
+  std::vector<std::string>
+      not_traceable;  ///< Every reason why the results are not called traceable; empty: they are.
+  std::string program_version;
+  Words words;  ///< In the language of the laboratory file.
+
+  bool draft() const { return !issue; }
+  bool training() const { return issue && issue->training; }
+  /// Names of those who measured.
+  std::string measured_by() const;
+};
+
+/// The input of a certificate.
+struct CertificateRequest {
+  ReadLaboratoryFile laboratory;  ///< With its problems, reported together with those of the run.
+  ReportData run;
+  std::optional<ReportData> as_found;
+  std::vector<ReportData> series;  ///< Points over temperature; empty: none.
+  std::optional<IssueFacts> issue;
+  bool draft = false;  ///< Make a draft in spite of problems of the run or the equipment.
+};
+
+/// A certificate is refused, with every reason.
+class CertificateRefused : public std::runtime_error {
+ public:
+  CertificateRefused(const std::string& run, std::vector<Problem> problems);
+  const std::vector<Problem>& problems() const { return problems_; }
+
+ private:
+  std::vector<Problem> problems_;
+};
+
+/// Gathers a certificate, or reports every problem of the laboratory file and of the run together, before
+/// anything is written. For a draft, problems of the run and of the equipment's dates become reservations;
+/// problems of the laboratory file never do.
+/// @throws LaboratoryFileError  with any problem of the laboratory file (problems of the run follow it)
+/// @throws CertificateRefused   if only the run has problems, or its estimator gives no matrix
+Certificate make_certificate(CertificateRequest request);
+
+/// Every run of a certificate: as found, points over temperature, and at the end the calibration.
+std::vector<const ReportData*> runs_of(const Certificate& certificate);
+
+/// From the first start to the last end of runs, UTC; empty where they do not say it.
+std::pair<std::string, std::string> period_of(const std::vector<const ReportData*>& runs);
+
+/// Name of the certificate until it is issued.
+std::string draft_number(const ReportData& run);
+
+}  // namespace abcal

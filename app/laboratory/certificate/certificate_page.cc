@@ -1,0 +1,401 @@
+#include "app/laboratory/certificate/certificate_page.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "app/laboratory/certificate/page_numbers.h"
+#include "app/laboratory/certificate/page_parts.h"
+
+namespace abcal {
+namespace {
+
+/// Rows of quantities and decisions for which the second page has room, and the number of rows that the
+/// heading and the words of such a table take.
+constexpr std::size_t kRoomOnSecondPage = 9, kRowsOfDecisionWords = 7, kRowsOfHeading = 4;
+
+void add_fact(FactList& list, const std::string& name, const std::string& text) {
+  if (!text.empty()) list.facts.emplace_back(name, text);
+}
+
+std::string joined(const std::vector<std::string>& parts, std::string_view between = ", ") {
+  std::string text;
+  for (const std::string& part : parts)
+    if (!part.empty()) text += (text.empty() ? std::string() : std::string(between)) + part;
+  return text;
+}
+
+std::string address(const PageSource& from, const std::string& contact) {
+  const std::string at = contact + "/dcc:location/";
+  return joined({from.content(contact + "/dcc:name"), from.text(at + "dcc:street"),
+                 joined({from.text(at + "dcc:postCode"), from.text(at + "dcc:city")}, " "),
+                 from.text(at + "dcc:state"), from.content(at + "dcc:further"),
+                 from.text(contact + "/dcc:eMail"), from.text(contact + "/dcc:phone")});
+}
+
+std::string identification(const PageSource& from, const std::string& of, const std::string& name) {
+  return from.text(
+      fmt::format("{}/dcc:identifications/dcc:identification[dcc:name/dcc:content=\"{}\"]/dcc:value", of,
+                  from.say(name)));
+}
+
+/// Parties, item and dates: the head of the first page.
+Section head_section(const PageSource& from) {
+  const std::string administrative = "dcc:administrativeData/", core = administrative + "dcc:coreData/",
+                    item = administrative + "dcc:items/dcc:item";
+  SideBySide parties;
+  add_fact(parties.left, from.say("Laboratory"),
+           address(from, administrative + "dcc:calibrationLaboratory/dcc:contact"));
+  add_fact(parties.left, from.say("Accreditation"),
+           from.text(administrative + "dcc:calibrationLaboratory/dcc:calibrationLaboratoryCode"));
+  add_fact(parties.right, from.say("Customer"), address(from, administrative + "dcc:customer"));
+  add_fact(parties.right, from.say("Order"),
+           from.text(core + "dcc:identifications/dcc:identification/dcc:value"));
+  SideBySide facts;
+  add_fact(facts.left, from.say("Object"), from.content(item + "/dcc:name"));
+  add_fact(facts.left, from.say("Manufacturer"), from.content(item + "/dcc:manufacturer/dcc:name"));
+  add_fact(facts.left, from.say("Type"), from.text(item + "/dcc:model"));
+  add_fact(facts.left, from.say("Serial number"), identification(from, item, "Serial number"));
+  add_fact(facts.left, from.say("Number of the owner"), identification(from, item, "Number of the owner"));
+  const std::string begin = from.text(core + "dcc:beginPerformanceDate"),
+                    end = from.text(core + "dcc:endPerformanceDate");
+  add_fact(facts.right, from.say("Date of calibration"), begin == end ? end : begin + " – " + end);
+  const std::string issued = from.text(core + "dcc:issueDate");
+  add_fact(facts.right, from.say("Date of issue"), issued.empty() ? from.say("not issued: DRAFT") : issued);
+  add_fact(facts.right, from.say("Received"), from.text(core + "dcc:receiptDate"));
+  add_fact(facts.right, from.say("Place of calibration"),
+           from.words.known(from.text(core + "dcc:performanceLocation")));
+  add_fact(facts.right, from.say("Replaces"),
+           from.text(core + "dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"));
+  FactList condition;
+  add_fact(condition, from.say("Condition"), from.content(item + "/dcc:description"));
+  return {"", {parties, facts, condition}};
+}
+
+xmlNode* result_of(const PageSource& from, xmlNode* measurement, const std::string& ref_type) {
+  const auto found = from.xml.nodes("dcc:results/dcc:result[@refType='" + ref_type + "']", measurement);
+  return found.empty() ? nullptr : found.front();
+}
+
+/// The main results: matrix, intrinsic properties, offsets.
+Section result_section(const PageSource& from, xmlNode* measurement, const std::string& title) {
+  Section section{title, {}};
+  if (xmlNode* none = result_of(from, measurement, "abc_noResult")) {
+    section.blocks.push_back(Paragraph{from.content("dcc:data/dcc:text", none)});
+    return section;
+  }
+  DocumentTable table = value_table(from);
+  for (const char* ref_type :
+       {"abc_sensitivityMatrix", "abc_intrinsicSensitivities", "abc_intrinsicAngles", "abc_offsets"}) {
+    xmlNode* result = result_of(from, measurement, ref_type);
+    if (result == nullptr) throw std::runtime_error(std::string("the certificate has no result ") + ref_type);
+    add_rows(table, from, result, false, false);
+    const auto quantities = quantities_of(from, result);
+    if (ref_type != std::string_view("abc_offsets") || !is_hybrid(from, quantities.front())) continue;
+    const std::size_t heading = table.rows.size();
+    add_rows(table, from, result, true, false);
+    table.rows[heading].front() += " (" + table.rows.back().back() + ")";
+  }
+  section.blocks.emplace_back(std::move(table));
+  if (xmlNode* matrix = result_of(from, measurement, "abc_sensitivityMatrix"))
+    section.blocks.push_back(Paragraph{
+        from.content("dcc:description", matrix) + " " +
+        from.say("k is that of the effective degrees of freedom ν; ∞: so many that they do not change k.")});
+  return section;
+}
+
+std::string limit_of(const PageSource& from, xmlNode* facts, const std::string& kind, bool own) {
+  const std::string lower = "dcc:data/dcc:quantity[@refType='basic_" + kind + "Lower']",
+                    upper = "dcc:data/dcc:quantity[@refType='basic_" + kind + "Upper']";
+  const auto shown = [&](const std::string& path) -> std::string {
+    const auto found = from.xml.nodes(path, facts);
+    return found.empty() ? "" : values_of(from, found.front(), own).front().value;
+  };
+  const std::string low = shown(lower), high = shown(upper);
+  if (!low.empty() && !high.empty()) return from.words("{} to {}", low, high).text;
+  return low.empty() ? "≤ " + high : "≥ " + low;
+}
+
+Section decision_section(const PageSource& from, xmlNode* result, const std::string& title) {
+  DocumentTable table;
+  table.dense = true;
+  table.columns = {{from.say("Quantity")},
+                   {from.say("Value"), CellKind::kNumber},
+                   {"U", CellKind::kNumber},
+                   {from.say("Unit"), CellKind::kUnit},
+                   {from.say("Tolerance"), CellKind::kNumber},
+                   {from.say("Acceptance"), CellKind::kNumber},
+                   {from.say("Probability"), CellKind::kNumber},
+                   {from.say("Decision")}};
+  for (xmlNode* quantity : quantities_of(from, result)) {
+    const bool own = is_hybrid(from, quantity);
+    const PageValue value = values_of(from, quantity, own).front();
+    const auto metadata =
+        from.xml.nodes("dcc:measurementMetaData/dcc:metaData[@refType='basic_conformity']", quantity);
+    xmlNode* facts = metadata.front();
+    const std::string probability =
+        from.text("dcc:data/dcc:quantity[@refType='abc_conformanceProbability']/si:real/si:value", facts);
+    table.rows.push_back(
+        {quantity_words(from, from.content("dcc:name", quantity)), value.value, value.expanded, value.unit,
+         limit_of(from, facts, "toleranceLimit", own), limit_of(from, facts, "acceptanceLimit", own),
+         typeset_number(probability, from.words), from.words.known(from.text("dcc:conformity", facts))});
+  }
+  Section section{title, {}};
+  section.blocks.emplace_back(std::move(table));
+  section.blocks.push_back(Paragraph{
+      from.content("dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_decisionRule']/"
+                   "dcc:declaration") +
+      " " +
+      joined(from.xml.texts("dcc:administrativeData/dcc:statements/"
+                            "dcc:statement[@refType='abc_decisionRule']/dcc:reference"),
+             "; ") +
+      "."});
+  return section;
+}
+
+Section shift_section(const PageSource& from, xmlNode* result) {
+  DocumentTable table;
+  table.caption = from.content("dcc:description", result);
+  table.columns = {{from.say("Quantity")},
+                   {from.say("Difference"), CellKind::kNumber},
+                   {"U", CellKind::kNumber},
+                   {from.say("Unit"), CellKind::kUnit},
+                   {"E_n", CellKind::kNumber}};
+  for (xmlNode* quantity : quantities_of(from, result)) {
+    const PageValue value = values_of(from, quantity, is_hybrid(from, quantity)).front();
+    table.rows.push_back(
+        {quantity_words(from, from.content("dcc:name", quantity)), value.value, value.expanded, value.unit,
+         typeset_number(
+             from.text("dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value",
+                       quantity),
+             from.words)});
+  }
+  return {from.content("dcc:name", result), {table}};
+}
+
+/// Room, item, local gravity.
+Section condition_section(const PageSource& from, xmlNode* measurement) {
+  FactList list;
+  for (xmlNode* condition :
+       from.xml.nodes("dcc:influenceConditions/dcc:influenceCondition[dcc:data/dcc:quantity]", measurement)) {
+    std::vector<PageValue> values;
+    for (xmlNode* quantity : from.xml.nodes("dcc:data/dcc:quantity", condition))
+      values.push_back(values_of(from, quantity, is_hybrid(from, quantity)).front());
+    std::string text = values.front().value;
+    if (values.size() > 1 && values.back().value != text)
+      text = from.words("{} to {}", text, values.back().value).text;
+    text += " " + values.front().unit;
+    if (!values.front().expanded.empty())
+      text +=
+          ", U = " + values.front().expanded + " " + values.front().unit + ", k = " + values.front().factor;
+    const std::string source = from.content("dcc:description", condition);
+    add_fact(list, from.content("dcc:name", condition), source.empty() ? text : text + "; " + source);
+  }
+  return {from.say("Conditions"), {list}};
+}
+
+Section equipment_section(const PageSource& from, xmlNode* measurement) {
+  DocumentTable table;
+  table.dense = true;
+  table.columns = {{from.say("Traceable quantity")},
+                   {from.say("Equipment")},
+                   {from.say("Certificate")},
+                   {from.say("Calibrated on"), CellKind::kUnit},
+                   {from.say("Valid until"), CellKind::kUnit}};
+  for (xmlNode* one : from.xml.nodes("dcc:measuringEquipments/dcc:measuringEquipment", measurement)) {
+    const auto fact = [&](const std::string& name) {
+      return from.text(
+          fmt::format("dcc:identifications/dcc:identification[dcc:name/dcc:content=\"{}\"]/dcc:value",
+                      from.say(name)),
+          one);
+    };
+    if (fact("Traceable quantity").empty()) continue;  // An instrument as it identified itself.
+    table.rows.push_back(
+        {fact("Traceable quantity"),
+         joined({from.content("dcc:name", one), from.content("dcc:manufacturer/dcc:name", one),
+                 from.text("dcc:model", one), fact("Serial number")}),
+         joined({fact("Calibration certificate"), fact("Issuer of the certificate")}), fact("Calibrated on"),
+         fact("Valid until")});
+  }
+  Section section{from.say("Metrological traceability"), {}};
+  const std::string claim =
+      "dcc:administrativeData/dcc:statements/dcc:statement[@refType='abc_traceability']";
+  if (from.text(claim + "/dcc:traceable") == "true") {
+    section.blocks.push_back(Paragraph{
+        from.say("The results are traceable to the International System of Units (SI) by this equipment:")});
+  } else {
+    // "Metrological traceability is not claimed: ...", with every reason in the annex.
+    const std::string reasons = from.content(claim + "/dcc:declaration");
+    section.blocks.push_back(
+        Paragraph{reasons.substr(0, reasons.find(':')) + ". " + from.say("The annex has the reasons.")});
+  }
+  if (!table.rows.empty()) section.blocks.emplace_back(std::move(table));
+  return section;
+}
+
+/// The statements that every customer has to read.
+Section statement_section(const PageSource& from) {
+  FactList list;
+  for (const char* ref_type : {"abc_uncertainty", "abc_deviations", "abc_scope", "abc_reproduction",
+                               "abc_sampling", "abc_externalResults", "abc_opinions", "basic_adjustment",
+                               "abc_customerSupplied", "basic_recalibration", "abc_amendment"}) {
+    for (xmlNode* statement : from.xml.nodes(
+             fmt::format("dcc:administrativeData/dcc:statements/dcc:statement[@refType='{}']", ref_type)))
+      add_fact(list, from.content("dcc:name", statement),
+               joined({from.content("dcc:declaration", statement), from.text("dcc:date", statement)}, " "));
+  }
+  return {from.say("Statements"), {list}};
+}
+
+Section person_section(const PageSource& from) {
+  SideBySide persons;
+  for (xmlNode* person : from.xml.nodes("dcc:administrativeData/dcc:respPersons/dcc:respPerson")) {
+    const bool signer = from.text("dcc:mainSigner", person) == "true";
+    FactList& list = signer ? persons.right : persons.left;
+    add_fact(list, from.content("dcc:person/dcc:name", person), from.text("dcc:role", person));
+  }
+  add_fact(persons.left, from.say("Date of calibration"),
+           from.text("dcc:administrativeData/dcc:coreData/dcc:endPerformanceDate"));
+  const std::string issued = from.text("dcc:administrativeData/dcc:coreData/dcc:issueDate");
+  if (issued.empty()) {
+    add_fact(persons.right, from.say("approved by"), from.say("not approved: DRAFT"));
+  } else {
+    add_fact(persons.right, from.say("Date of issue"), issued);
+  }
+  const bool is_signed = from.xml.any("ds:Signature");
+  return {
+      from.say("Persons and signatures"),
+      {persons,
+       Paragraph{is_signed ? from.say("The XML of this certificate, which is attached to the PDF, is signed "
+                                      "electronically; it is the certificate.")
+                           : from.say("The XML of this certificate is attached to the PDF; it is the "
+                                      "certificate.")}}};
+}
+
+/// Marks, and the sentence of each that must be seen first.
+void add_marks(const PageSource& from, Document& document) {
+  for (const auto& [ref_type, mark] : {std::pair{"abc_draft", "DRAFT"},
+                                       {"abc_training", "TRAINING"},
+                                       {"abc_simulated", ""},
+                                       {"abc_replayed", ""}}) {
+    const std::string text = from.content(fmt::format(
+        "dcc:administrativeData/dcc:statements/dcc:statement[@refType='{}']/dcc:declaration", ref_type));
+    if (text.empty()) continue;
+    if (document.page_mark.empty() && *mark != '\0') document.page_mark = from.say(mark);
+    document.cautions.push_back(
+        text.substr(0, text.find(". ") == std::string::npos ? text.size() : text.find(". ") + 1));
+  }
+}
+
+/// Derived quantities for which the second page has room.
+Section further_section(const PageSource& from, xmlNode* measurement, std::size_t room,
+                        std::vector<std::string>& shown) {
+  DocumentTable table = value_table(from);
+  for (xmlNode* result : from.xml.nodes("dcc:results/dcc:result", measurement)) {
+    const std::string ref_type = owned_text(xmlGetProp(result, as_xml("refType")));
+    const bool offered = ref_type.starts_with("abc_sensitivityInUnit") ||
+                         ref_type == "abc_transverseSensitivity" || ref_type == "abc_misalignment" ||
+                         ref_type == "abc_nonOrthogonality" || ref_type == "abc_bias" ||
+                         ref_type == "abc_transverseAzimuth";
+    constexpr std::size_t kRowsOfGroup = 4;  // of three outputs
+    if (!offered || kRowsOfHeading + table.rows.size() + kRowsOfGroup > room) continue;
+    add_rows(table, from, result, true, true);
+    shown.push_back(ref_type);
+  }
+  Section section{from.say("Further quantities"), {}};
+  if (!table.rows.empty()) section.blocks.emplace_back(std::move(table));
+  return section;
+}
+
+/// The annex of every calibration, and of a series over temperature.
+/// @param shown  refTypes of the last calibration's results that stand on the customer's pages already
+void add_annex(const PageSource& from, const std::vector<xmlNode*>& measurements,
+               const std::vector<xmlNode*>& series, const std::vector<std::string>& shown,
+               Document& document) {
+  const bool pair = measurements.size() > 1;
+  bool first = true;
+  for (xmlNode* measurement : measurements) {
+    std::vector<Section> annex = annex_sections(
+        from, measurement, measurement == measurements.back() ? shown : std::vector<std::string>{});
+    if (annex.empty()) continue;
+    annex.front().on_new_page = first;
+    const std::string name = pair ? ", " + from.content("dcc:name", measurement) : "";
+    annex.front().title = from.say("Annex") + name + ": " + annex.front().title;
+    first = false;
+    std::move(annex.begin(), annex.end(), std::back_inserter(document.sections));
+  }
+  for (xmlNode* one : series) {
+    std::vector<Section> annex = temperature_annex(from, one);
+    annex.front().title =
+        from.say("Annex") + ", " + from.content("dcc:name", one) + ": " + annex.front().title;
+    std::move(annex.begin(), annex.end(), std::back_inserter(document.sections));
+  }
+}
+
+}  // namespace
+
+Document certificate_page(const std::string& xml) {
+  const XmlDocument parsed = parse_xml(xml, "certificate");
+  const XmlQuery query(parsed.get());
+  const PageSource from{query,
+                        Words(query.text("dcc:administrativeData/dcc:coreData/dcc:usedLangCodeISO639_1"))};
+  Document document;
+  document.language = from.words.language();
+  document.page_words = from.say("page {} of {}");
+  document.title = from.say("Calibration certificate");
+  document.subtitle = from.text("dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier");
+  document.identification =
+      joined({document.subtitle,
+              from.content("dcc:administrativeData/dcc:calibrationLaboratory/dcc:contact/dcc:name")},
+             " · ");
+  document.origin =
+      "abcal, " + from.content("dcc:administrativeData/dcc:dccSoftware/dcc:software/dcc:description");
+  add_marks(from, document);
+  document.sections.push_back(head_section(from));
+  const auto measurements =
+      query.nodes("dcc:measurementResults/dcc:measurementResult[not(@refType='abc_temperatureSeries')]");
+  const auto series =
+      query.nodes("dcc:measurementResults/dcc:measurementResult[@refType='abc_temperatureSeries']");
+  if (measurements.empty()) throw std::runtime_error("the certificate has no results");
+  const bool pair = measurements.size() > 1;
+  for (xmlNode* measurement : measurements)
+    document.sections.push_back(result_section(
+        from, measurement, pair ? from.content("dcc:name", measurement) : from.say("Results")));
+
+  // The second page: decisions first, then results as far as they fit.
+  xmlNode* last = measurements.back();
+  std::size_t used = 0;
+  std::vector<Section> second;
+  for (xmlNode* measurement : measurements) {
+    xmlNode* decisions = result_of(from, measurement, "abc_conformity");
+    if (decisions == nullptr) continue;
+    used += quantities_of(from, decisions).size() + kRowsOfDecisionWords;
+    second.push_back(
+        decision_section(from, decisions,
+                         pair ? from.say("Conformity") + ": " + from.content("dcc:name", measurement)
+                              : from.say("Conformity")));
+  }
+  if (xmlNode* shift = result_of(from, last, "abc_shift")) {
+    second.push_back(shift_section(from, shift));
+    used += 12;
+  }
+  std::vector<std::string> shown;
+  Section further = further_section(from, last, kRoomOnSecondPage - std::min(used, kRoomOnSecondPage), shown);
+  if (!further.blocks.empty()) second.push_back(std::move(further));
+  second.push_back(condition_section(from, last));
+  second.push_back(equipment_section(from, last));
+  second.push_back(statement_section(from));
+  second.push_back(person_section(from));
+  second.front().on_new_page = true;
+  std::move(second.begin(), second.end(), std::back_inserter(document.sections));
+  for (xmlNode* one : series) {
+    std::vector<Section> over_temperature = temperature_sections(from, one);
+    std::move(over_temperature.begin(), over_temperature.end(), std::back_inserter(document.sections));
+  }
+  add_annex(from, measurements, series, shown, document);
+  return document;
+}
+
+}  // namespace abcal

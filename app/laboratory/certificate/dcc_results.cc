@@ -1,0 +1,389 @@
+#include "app/laboratory/certificate/dcc_results.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <cmath>
+#include <functional>
+
+#include "app/laboratory/certificate/dcc_budget.h"
+#include "app/laboratory/certificate/dcc_conditions.h"
+#include "app/laboratory/certificate/dcc_quantity.h"
+#include "app/laboratory/certificate/dcc_temperature.h"
+#include "app/laboratory/certificate/dcc_text.h"
+#include "app/laboratory/certificate/dsi_list.h"
+#include "app/laboratory/certificate/scope.h"
+#include "protocol/estimators/shared/intrinsic_properties.h"
+
+namespace abcal {
+namespace {
+
+using Triple = std::array<Quantity, 3>;
+
+std::vector<std::string> labels(const std::string& symbol, const std::array<const char*, 3>& of) {
+  std::vector<std::string> list;
+  for (const char* one : of) list.push_back(symbol + "_" + one);
+  return list;
+}
+
+std::vector<std::string> row_labels(const std::string& symbol, std::size_t row) {
+  std::vector<std::string> list;
+  for (const char* axis : kPlatterAxes) list.push_back(symbol + "_" + kAccelerometers[row] + axis);
+  return list;
+}
+
+void add_rows(XmlElement& data, const Words& words, const std::function<ValueList(std::size_t)>& row) {
+  XmlElement list = data.add("dcc:list");
+  list.attribute("refType", "abc_matrix3x3");
+  for (std::size_t j = 0; j < 3; ++j)
+    add_list(list, words, words("row of accelerometer {}", kAccelerometers[j]), row(j));
+}
+
+std::vector<Quantity> as_vector(const Triple& triple) {
+  return {triple.begin(), triple.end()};
+}
+
+/// Values with their covariance, so that a customer can propagate it.
+void add_values(XmlElement& results, const Words& words, const std::string& ref_type, const Wording& name,
+                const ValueList& values) {
+  XmlElement data = add_result(results, ref_type, name);
+  add_list(data, words, name, values);
+}
+
+Eigen::MatrixXd block(const Eigen::MatrixXd& covariance, Eigen::Index first) {
+  return covariance.block(first, first, 3, 3);
+}
+
+/// Labels of the twelve outputs, or of the nine that do not depend on the mounting, with `s` for sensitivity.
+std::vector<std::string> output_labels(const std::string& s) {
+  std::vector<std::string> all;
+  for (std::size_t j = 0; j < 3; ++j)
+    for (const std::string& label : row_labels(s, j)) all.push_back(label);
+  for (const std::string& label : labels("O", kAccelerometers)) all.push_back(label);
+  return all;
+}
+std::vector<std::string> intrinsic_labels(const std::string& s) {
+  std::vector<std::string> all = labels(s, kAccelerometers);
+  for (const std::string& label : labels("phi", kPairs)) all.push_back(label);
+  for (const std::string& label : labels("O", kAccelerometers)) all.push_back(label);
+  return all;
+}
+
+/// Quantities with their derivatives, from which their covariance is computed.
+using DerivedList = std::vector<DerivedQuantity>;
+
+std::vector<Quantity> values_of(const DerivedList& list) {
+  std::vector<Quantity> values;
+  for (const DerivedQuantity& quantity : list) values.push_back(quantity.value);
+  return values;
+}
+
+Eigen::MatrixXd covariance_of(const CalibrationResult& result, const DerivedList& list) {
+  const auto n = static_cast<Eigen::Index>(list.size());
+  return Eigen::MatrixXd::NullaryExpr(n, n, [&](Eigen::Index i, Eigen::Index j) {
+    return covariance_of(result, list[static_cast<std::size_t>(i)], list[static_cast<std::size_t>(j)]);
+  });
+}
+
+const DerivedList& group_of(const CertifiedRun& run, std::string_view name) {
+  const auto found = std::find_if(run.derived.begin(), run.derived.end(),
+                                  [&](const DerivedGroup& group) { return group.name == name; });
+  if (found == run.derived.end()) throw std::logic_error(fmt::format("nothing was derived as {}", name));
+  return found->quantities;
+}
+
+using Scope = std::vector<ScopeLimit>;
+
+/// The scope, as it holds for the values of a result.
+struct ScopeOfResult {
+  const Scope& scope;
+  const CalibrationResult& result;
+
+  /// The list with the smallest uncertainties that the scope allows for its values. Each is named by the
+  /// group and by the part of its label after "_": "offset" and "O_u" are "offset_u".
+  ValueList within(const std::string& group, ValueList list) const {
+    for (Eigen::Index i = 0; i < list.values.size(); ++i)
+      list.cmc.push_back(least(group, list, i, list.unit));
+    return list;
+  }
+
+  /// The list of sensitivities followed by the offsets, with the smallest uncertainties that the scope
+  /// allows.
+  ValueList all_within(ValueList list) const {
+    list = within("sensitivity", std::move(list));
+    for (Eigen::Index i = 9; i < list.values.size(); ++i)
+      list.cmc[static_cast<std::size_t>(i)] = least("offset", list, i, result.offset[0].unit);
+    return list;
+  }
+
+ private:
+  std::optional<double> least(const std::string& group, const ValueList& list, Eigen::Index i,
+                              const std::string& unit) const {
+    const std::string& label = list.labels[static_cast<std::size_t>(i)];
+    Quantity quantity;
+    quantity.value = list.values[i];
+    quantity.unit = unit;
+    return smallest_uncertainty(scope, result, group + label.substr(label.rfind('_')), quantity);
+  }
+};
+
+/// In SI units: sensitivities per m/s2, to which the uncertainty of local gravity belongs.
+void add_si(XmlElement& results, const Words& words, const ScopeOfResult& scope, const CertifiedRun& run) {
+  const CalibrationResult& result = run.data.result();
+  const DerivedList &sensitivity = group_of(run, "sensitivity"),
+                    &intrinsic = group_of(run, "intrinsic_sensitivity");
+  XmlElement matrix =
+      add_result(results, "abc_sensitivityMatrix", words("Sensitivity matrix"),
+                 words("Rows u, v, w; columns x, y, z of the platter. Specific force at rest points up."));
+  add_rows(matrix, words, [&](std::size_t j) {
+    const auto first = sensitivity.begin() + static_cast<std::ptrdiff_t>(3 * j);
+    const DerivedList row(first, first + 3);
+    return scope.within("sensitivity",
+                        list_of(row_labels("s", j), values_of(row), covariance_of(result, row)));
+  });
+  add_values(results, words, "abc_intrinsicSensitivities", words("Intrinsic sensitivities"),
+             scope.within("intrinsic_sensitivity", list_of(labels("s", kAccelerometers), values_of(intrinsic),
+                                                           covariance_of(result, intrinsic))));
+  const Eigen::MatrixXd nine = *result.covariance_intrinsic;
+  add_values(results, words, "abc_intrinsicAngles",
+             words("Intrinsic angles between the sensitive directions"),
+             scope.within("intrinsic_angle",
+                          list_of(labels("phi", kPairs), as_vector(result.intrinsic_angle), block(nine, 3))));
+  add_values(results, words, "abc_offsets", words("Zero-acceleration offsets"),
+             scope.within("offset",
+                          list_of(labels("O", kAccelerometers), as_vector(result.offset), block(nine, 6))));
+}
+
+/// Results in the form of the analysis: change of the output for one g_loc. They do not include the
+/// uncertainty of local gravity.
+void add_per_gravity(XmlElement& results, const Words& words, const ScopeOfResult& scope) {
+  const CalibrationResult& result = scope.result;
+  const std::string s = "g_loc*s";
+  XmlElement matrix =
+      add_result(results, "abc_sensitivityMatrixPerGravity", words("Sensitivity matrix per local gravity"),
+                 words("Change of the output for an acceleration of one local gravity g_loc, which is among "
+                       "the conditions; "
+                       "its uncertainty does not enter."));
+  std::vector<Quantity> twelve;
+  add_rows(matrix, words, [&](std::size_t j) {
+    const auto& row = (*result.sensitivity_matrix)[j];
+    twelve.insert(twelve.end(), row.begin(), row.end());
+    return scope.within("sensitivity", list_of(row_labels(s, j), {row.begin(), row.end()},
+                                               block(*result.covariance, static_cast<Eigen::Index>(3 * j))));
+  });
+  add_values(results, words, "abc_intrinsicSensitivitiesPerGravity",
+             words("Intrinsic sensitivities per local gravity"),
+             scope.within("intrinsic_sensitivity",
+                          list_of(labels(s, kAccelerometers), as_vector(result.intrinsic_sensitivity),
+                                  block(*result.covariance_intrinsic, 0))));
+  twelve.insert(twelve.end(), result.offset.begin(), result.offset.end());
+  add_values(results, words, "abc_allOutputsPerGravity",
+             words("Sensitivity matrix per local gravity row by row and offsets, with their covariance"),
+             scope.all_within(list_of(output_labels(s), twelve, *result.covariance)));
+}
+
+/// Coefficients of correlation, row by row. Lists of several units draw warnings of the Schematron, so that a
+/// covariance of sensitivities, angles and offsets together is given in this form.
+void add_correlation(XmlElement& data, const std::string& ref_type, const Wording& name,
+                     const std::vector<std::string>& labels, const Eigen::MatrixXd& covariance) {
+  XmlElement list = data.add("dcc:list");
+  list.attribute("refType", ref_type);
+  add_words(list, "dcc:name", name);
+  for (Eigen::Index i = 0; i < covariance.rows(); ++i) {
+    XmlElement row = add_quantity(list, "abc_correlation", {labels[static_cast<std::size_t>(i)], {}});
+    std::vector<std::string> numbers;
+    for (Eigen::Index j = 0; j < covariance.cols(); ++j) {
+      const double scale = std::sqrt(covariance(i, i)) * std::sqrt(covariance(j, j));
+      // Rounding may exceed 1 in the last place.
+      const double of = i == j ? 1.0 : scale > 0.0 ? std::clamp(covariance(i, j) / scale, -1.0, 1.0) : 0.0;
+      numbers.push_back(
+          dsi_number(std::round(of * 1e4) / 1e4, "correlation of " + labels[static_cast<std::size_t>(i)]));
+    }
+    add_number_list(row, labels, numbers, "\\one");
+  }
+}
+
+void add_correlations(XmlElement& results, const Words& words, const CertifiedRun& run) {
+  const CalibrationResult& result = run.data.result();
+  // Quantities per m/s2, so that their common error of local gravity is included.
+  DerivedList all = group_of(run, "sensitivity");
+  const Eigen::Matrix<double, 9, 12> jacobian = intrinsic_jacobian(result.sensitivity_values());
+  const auto add_output = [&](DerivedList& list, const auto& gradient) {
+    list.emplace_back().gradient.template head<12>() = gradient;
+  };
+  DerivedList nine = group_of(run, "intrinsic_sensitivity");
+  for (Eigen::Index row = 3; row < 6; ++row) add_output(nine, jacobian.row(row).transpose());
+  for (DerivedList* list : {&all, &nine})
+    for (Eigen::Index j = 9; j < 12; ++j) add_output(*list, Eigen::Matrix<double, 12, 1>::Unit(j));
+  XmlElement data = add_result(
+      results, "abc_correlations", words("Coefficients of correlation"),
+      words("With the standard uncertainties U/k they give the covariance of all outputs together."));
+  add_correlation(data, "abc_correlationOutputs", words("Sensitivity matrix row by row and offsets"),
+                  output_labels("s"), covariance_of(result, all));
+  add_correlation(data, "abc_correlationIntrinsic",
+                  words("Intrinsic sensitivities, intrinsic angles and offsets"), intrinsic_labels("s"),
+                  covariance_of(result, nine));
+}
+
+/// "transverse_sensitivity" as "abc_transverseSensitivity".
+std::string ref_type_of(const std::string& group) {
+  std::string name = "abc_";
+  bool upper = false;
+  for (const char c : group) {
+    if (c == '_') {
+      upper = true;
+      continue;
+    }
+    name += upper ? static_cast<char>(std::toupper(static_cast<unsigned char>(c))) : c;
+    upper = false;
+  }
+  return name;
+}
+
+void add_derived_group(XmlElement& results, const Words& words, const ScopeOfResult& scope,
+                       const DerivedGroup& group, const std::pair<std::string, Wording>& heading) {
+  const auto& [ref_type, name] = heading;
+  std::vector<Quantity> values;
+  std::vector<std::string> names;
+  for (const DerivedQuantity& quantity : group.quantities) {
+    if (std::isnan(quantity.value.value)) continue;  // Not determined: the description says so.
+    values.push_back(quantity.value);
+    names.push_back(quantity.name);
+  }
+  if (values.empty()) return;
+  XmlElement data =
+      add_result(results, ref_type, name,
+                 values.size() == group.quantities.size()
+                     ? Wording{}
+                     : words("Left out where the transverse sensitivity does not exceed its expanded "
+                             "uncertainty, so that it has no direction."));
+  const std::string& first = group.quantities.front().name;
+  add_list(data, words, name, scope.within(first.substr(0, first.rfind('_')), list_of(names, values)));
+}
+
+void add_decision(XmlElement& data, const Words& words, const Decision& decision) {
+  const SpecificationLimit& limit = decision.limit;
+  XmlElement quantity = add_quantity(data, "basic_measuredValue", {limit.quantity, {}});
+  Quantity value;
+  value.value = decision.value;
+  value.unit = limit.unit;
+  value.degrees_of_freedom = decision.degrees_of_freedom;
+  // U as decided with, also where the scope raised it.
+  value.standard_uncertainty = decision.expanded_uncertainty / coverage_factor(value);
+  add_value(quantity, value, limit.quantity);
+  XmlElement metadata = quantity.add("dcc:measurementMetaData");
+  XmlElement conformity =
+      add_metadatum(metadata, "basic_conformity", words("Conformity of {}", limit.quantity));
+  add_line(conformity, "dcc:reference", limit.source);
+  conformity.add("dcc:conformity", to_string(decision.conformity));
+  XmlElement facts = conformity.add("dcc:data");
+  const auto add_limit = [&](const std::string& ref_type, const Wording& name,
+                             const std::optional<double>& of) {
+    if (of) add_number(facts, ref_type, name, dsi_number(*of, limit.quantity), limit.unit);
+  };
+  add_limit("basic_toleranceLimitLower", words("lower tolerance limit"), limit.lower);
+  add_limit("basic_toleranceLimitUpper", words("upper tolerance limit"), limit.upper);
+  // Numbers that follow from U have the digits of U.
+  const auto add_rounded = [&](const std::string& ref_type, const Wording& name,
+                               const std::optional<double>& of) {
+    if (of)
+      add_number(facts, ref_type, name,
+                 rounded_value(*of, decision.expanded_uncertainty, limit.quantity).value, limit.unit);
+  };
+  add_rounded("basic_acceptanceLimitLower", words("lower acceptance limit"), decision.lower_acceptance);
+  add_rounded("basic_acceptanceLimitUpper", words("upper acceptance limit"), decision.upper_acceptance);
+  add_rounded("abc_guardBand", words("guard band"), decision.guard_band);
+  constexpr double kDigits = 1e6;
+  add_number(facts, "abc_conformanceProbability",
+             words("probability that the true value lies inside the tolerance limits"),
+             dsi_number(std::round(decision.conformance_probability * kDigits) / kDigits, limit.quantity),
+             "1");
+}
+
+void add_shifts(XmlElement& results, const Words& words, const std::vector<Shift>& shifts) {
+  if (shifts.empty()) return;
+  XmlElement data = add_result(
+      results, "abc_shift", words("As left minus as found"),
+      words("Uncertainties take both calibrations as independent, an upper bound where they were made "
+            "on the same stage."));
+  for (const Shift& shift : shifts) {
+    XmlElement quantity = add_quantity(data, "abc_difference", {shift.name, {}});
+    add_value(quantity, shift.difference, "shift of " + shift.name);
+    XmlElement metadata = quantity.add("dcc:measurementMetaData");
+    const Wording name = words("E_n, difference divided by its expanded uncertainty");
+    XmlElement error = add_metadatum(metadata, "abc_normalisedError", name);
+    XmlElement facts = error.add("dcc:data");
+    add_number(facts, "abc_normalisedError", name, fmt::format("{:.2f}", shift.normalised_error), "1");
+  }
+}
+
+void add_results(XmlElement& measurement, const Words& words, const Scope& scope, const CertifiedRun& run,
+                 const std::vector<Shift>& shifts) {
+  XmlElement results = measurement.add("dcc:results");
+  const CalibrationResult& result = run.data.result();
+  if (!run.has_numbers()) {
+    XmlElement data = add_result(results, "abc_noResult", words("No result"));
+    add_words(data, "dcc:text",
+              words("No numbers are given, since the run gave none that may be used: {}",
+                    words.composed(result.why).text));
+    return;
+  }
+  const ScopeOfResult of_result{scope, result};
+  add_si(results, words, of_result, run);
+  add_per_gravity(results, words, of_result);
+  int unit = 0;
+  for (const DerivedGroup& group : run.derived) {
+    if (group.name == "sensitivity" || group.name == "intrinsic_sensitivity") continue;
+    if (!group.name.starts_with("sensitivity [")) {
+      add_derived_group(results, words, of_result, group, {ref_type_of(group.name), words(group.words)});
+      continue;
+    }
+    const std::string& own = group.quantities.front().value.unit;
+    const Wording name = own.ends_with("/g") ? words("Sensitivity in {}, with standard gravity", own)
+                                             : words("Sensitivity in {}", own);
+    add_derived_group(results, words, of_result, group,
+                      {fmt::format("abc_sensitivityInUnit{}", ++unit), name});
+  }
+  if (!run.decisions.empty()) {
+    XmlElement data = add_result(results, "abc_conformity", words("Conformity with specification"));
+    for (const Decision& decision : run.decisions) add_decision(data, words, decision);
+  }
+  add_shifts(results, words, shifts);
+  add_correlations(results, words, run);
+  if (run.data.budget) add_budget(results, words, run.data);
+}
+
+void add_measurement(XmlElement& measurements, const Certificate& certificate, const CertifiedRun& run,
+                     const ItemState& state, const std::vector<Shift>& shifts) {
+  const Words& words = certificate.words;
+  XmlElement measurement = measurements.add("dcc:measurementResult");
+  measurement.attribute("refType", "abc_calibration");
+  std::string name = words("Calibration by rotations in gravity (ABC protocol)").text;
+  if (!state.words.empty()) name += ", " + words.known(state.words);
+  if (certificate.draft()) name = words("DRAFT").text + ": " + name;
+  add_words(measurement, "dcc:name", words.as_given(name));
+  (void)add_methods(measurement, certificate, run.data);
+  add_used_software(measurement, certificate, run.data);
+  add_equipment(measurement, certificate, run.data);
+  add_conditions(measurement, certificate, {&run.data}, state);
+  add_results(measurement, words, certificate.laboratory.scope, run, shifts);
+  add_metadata(measurement, certificate, run.data);
+}
+
+}  // namespace
+
+void add_measurement_results(XmlElement& root, const Certificate& certificate) {
+  XmlElement measurements = root.add("dcc:measurementResults");
+  if (certificate.as_found) {
+    add_measurement(measurements, certificate, *certificate.as_found, {"as found", "beforeAdjustment"}, {});
+    add_measurement(measurements, certificate, certificate.run, {"as left", "afterAdjustment"},
+                    certificate.shifts);
+  } else {
+    add_measurement(measurements, certificate, certificate.run, {}, {});
+  }
+  if (certificate.series && certificate.series->result) add_temperature_series(measurements, certificate);
+}
+
+}  // namespace abcal

@@ -1,0 +1,286 @@
+#include "app/laboratory/certificate/derived.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <map>
+#include <numbers>
+#include <stdexcept>
+#include <unsupported/Eigen/AutoDiff>
+
+#include "app/results/estimates/report_data.h"
+#include "protocol/plan/response_unit.h"
+
+namespace abcal {
+namespace {
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+
+using Gradient = Eigen::Matrix<double, 13, 1>;
+using Real = Eigen::AutoDiffScalar<Gradient>;  // a number with its derivatives
+
+/// The twelve outputs and g_loc as numbers that carry their derivatives along.
+struct Inputs {
+  std::array<std::array<Real, 3>, 3> s;
+  std::array<Real, 3> offset;
+  Real g_loc;
+
+  explicit Inputs(const CalibrationResult& result) {
+    int i = 0;
+    const auto input = [&i](double value) { return Real(value, 13, i++); };
+    for (std::size_t j = 0; j < 3; ++j)
+      for (std::size_t k = 0; k < 3; ++k) s[j][k] = input((*result.sensitivity_matrix)[j][k].value);
+    for (std::size_t j = 0; j < 3; ++j) offset[j] = input(result.offset[j].value);
+    g_loc = input(result.g_loc.value);
+  }
+
+  Real norm(std::size_t j) const { return sqrt(dot(j, j)); }
+  Real dot(std::size_t i, std::size_t j) const {
+    return s[i][0] * s[j][0] + s[i][1] * s[j][1] + s[i][2] * s[j][2];
+  }
+  /// Root of the sum of squares of the off-diagonal elements of a row.
+  Real transverse(std::size_t j) const {
+    const Real &a = s[j][(j + 1) % 3], &b = s[j][(j + 2) % 3];
+    return sqrt(Real(a * a + b * b));
+  }
+  Real diagonal(std::size_t j) const { return s[j][j].value() < 0.0 ? Real(-s[j][j]) : s[j][j]; }
+};
+
+class Deriver {
+ public:
+  explicit Deriver(const CalibrationResult& result) : result_(result), inputs_(result) {}
+
+  const Inputs& inputs() const { return inputs_; }
+
+  DerivedQuantity quantity(const std::string& name, const std::string& unit, const Real& value) const {
+    DerivedQuantity derived;
+    derived.name = name;
+    derived.gradient = value.derivatives();
+    derived.value.unit = unit;
+    derived.value.value = value.value();
+    const auto propagated = [&](const std::optional<Covariance12>& covariance) -> std::optional<double> {
+      if (!covariance) return std::nullopt;
+      const auto outputs = derived.gradient.head<12>();
+      return std::max(0.0, outputs.dot(*covariance * outputs));
+    };
+    // Local gravity is known from elsewhere: not correlated with the outputs, and of type B.
+    const double by_gravity = std::pow(derived.gradient[12] * result_.g_loc.standard_uncertainty, 2);
+    if (const auto a = propagated(result_.covariance_type_a)) derived.value.type_a = std::sqrt(*a);
+    if (const auto b = propagated(result_.covariance_type_b))
+      derived.value.type_b = std::sqrt(*b + by_gravity);
+    derived.value.standard_uncertainty = std::sqrt(*propagated(result_.covariance) + by_gravity);
+    derived.value.degrees_of_freedom = least_degrees(derived);
+    return derived;
+  }
+
+  /// One quantity for each axis or pair.
+  DerivedGroup triple(const std::string& name, const std::string& words, const std::string& unit,
+                      const std::array<const char*, 3>& of,
+                      const std::function<Real(std::size_t)>& value) const {
+    DerivedGroup group{name, words, {}};
+    for (std::size_t j = 0; j < 3; ++j)
+      group.quantities.push_back(quantity(name + "_" + of[j], unit, value(j)));
+    return group;
+  }
+
+ private:
+  /// A derived quantity has the degrees of freedom of the least known output that it is made of, as the
+  /// intrinsic properties have.
+  double least_degrees(const DerivedQuantity& derived) const {
+    constexpr double kShare = 0.05;
+    double least = std::numeric_limits<double>::infinity();
+    const double variance = std::pow(derived.value.standard_uncertainty, 2);
+    for (Eigen::Index i = 0; i < 12; ++i) {
+      const auto at = static_cast<std::size_t>(i);
+      const Quantity& output = i < 9 ? (*result_.sensitivity_matrix)[at / 3][at % 3] : result_.offset[at - 9];
+      const double share = std::pow(derived.gradient[i], 2) * (*result_.covariance)(i, i);
+      if (share > kShare * variance) least = std::min(least, output.degrees_of_freedom);
+    }
+    return least;
+  }
+
+  const CalibrationResult& result_;
+  Inputs inputs_;
+};
+
+/// A direction that is not there has no derivative: its uncertainty is that of its two components together.
+void mend_zero(DerivedGroup& group, const CalibrationResult& result, double scale) {
+  for (std::size_t j = 0; j < 3; ++j) {
+    Quantity& value = group.quantities[j].value;
+    if (value.value != 0.0) continue;
+    const double diagonal = std::abs((*result.sensitivity_matrix)[j][j].value);
+    double variance = 0.0;
+    for (const std::size_t k : {(j + 1) % 3, (j + 2) % 3})
+      variance += std::pow((*result.sensitivity_matrix)[j][k].standard_uncertainty, 2);
+    value.standard_uncertainty = scale * std::sqrt(variance) / diagonal;
+    value.type_a = value.type_b = std::nullopt;
+    group.quantities[j].gradient.setZero();
+  }
+}
+
+DerivedGroup azimuth(const Deriver& deriver, const DerivedGroup& transverse) {
+  const Inputs& in = deriver.inputs();
+  DerivedGroup group = deriver.triple(
+      "transverse_azimuth",
+      "Direction of the transverse sensitivity about the axis itself: of u from y towards z, of v "
+      "from z towards x, of w from x towards y",
+      "degree", kAccelerometers,
+      [&](std::size_t j) { return Real(atan2(in.s[j][(j + 2) % 3], in.s[j][(j + 1) % 3]) / kDegree); });
+  for (std::size_t j = 0; j < 3; ++j) {
+    const Quantity& size = transverse.quantities[j].value;
+    if (size.value > kCoverageFactor * size.standard_uncertainty) continue;
+    group.quantities[j].value = Quantity{};  // any direction is as likely as any other
+    group.quantities[j].value.unit = "degree";
+  }
+  return group;
+}
+
+DerivedGroup sensitivity_rows(const Deriver& deriver, const std::string& name, const std::string& words,
+                              const std::string& unit, const Real& per) {
+  DerivedGroup group{name, words, {}};
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      group.quantities.push_back(
+          deriver.quantity(std::string("sensitivity_") + kAccelerometers[j] + kPlatterAxes[k], unit,
+                           Real(deriver.inputs().s[j][k] * per)));
+    }
+  }
+  return group;
+}
+
+std::string per(const std::string& unit, const std::string& of) {
+  return (unit.find('/') == std::string::npos ? unit : "(" + unit + ")") + "/" + of;
+}
+
+std::vector<std::pair<std::string, const Quantity*>> of_result(const CalibrationResult& result) {
+  std::vector<std::pair<std::string, const Quantity*>> all;
+  for (std::size_t j = 0; j < 3; ++j) {
+    for (std::size_t k = 0; k < 3 && result.sensitivity_matrix; ++k)
+      all.emplace_back(std::string("sensitivity_") + kAccelerometers[j] + kPlatterAxes[k],
+                       &(*result.sensitivity_matrix)[j][k]);
+    all.emplace_back(std::string("intrinsic_sensitivity_") + kAccelerometers[j],
+                     &result.intrinsic_sensitivity[j]);
+    all.emplace_back(std::string("intrinsic_angle_") + kPairs[j], &result.intrinsic_angle[j]);
+    all.emplace_back(std::string("offset_") + kAccelerometers[j], &result.offset[j]);
+  }
+  return all;
+}
+
+template <class Visit>
+void visit_all(const CalibrationResult& result, const std::vector<DerivedGroup>& derived,
+               const std::string& name, Visit visit) {
+  for (const auto& [of, quantity] : of_result(result))
+    if (of == name && std::isfinite(quantity->value)) visit(*quantity);
+  for (const DerivedGroup& group : derived)
+    for (const DerivedQuantity& quantity : group.quantities)
+      if (quantity.name == name && std::isfinite(quantity.value.value)) visit(quantity.value);
+}
+
+}  // namespace
+
+SensitivityUnit sensitivity_unit(const std::string& name, const std::string& response_unit) {
+  const auto refuse = [&](const std::string& why) {
+    throw std::invalid_argument("unit \"" + name + "\": " + why);
+  };
+  const auto slash = name.find('/');
+  if (slash == std::string::npos || slash == 0) refuse("required: OUTPUT/g or OUTPUT/(m/s2)");
+  const std::string denominator = name.substr(slash + 1);
+  if (denominator != "g" && denominator != "(m/s2)") refuse("required: per g or per (m/s2)");
+  const auto ratio = unit_ratio(response_unit, name.substr(0, slash));
+  if (!ratio) refuse("the output is in " + response_unit + ", which cannot be given in it");
+  return {name, *ratio, denominator == "g"};
+}
+
+std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vector<SensitivityUnit>& units) {
+  if (!result.sensitivity_matrix || !result.covariance)
+    throw std::invalid_argument("nothing can be derived from a result without a sensitivity matrix");
+  if (!std::isfinite(result.g_loc.value) || !std::isfinite(result.g_loc.standard_uncertainty))
+    throw std::invalid_argument("local gravity is not known, so that nothing can be given per m/s2");
+  const Deriver deriver(result);
+  const Inputs& in = deriver.inputs();
+  const std::string& unit = result.response_unit;
+  const Real one_per_gravity = Real(1.0) / in.g_loc;
+
+  std::vector<DerivedGroup> groups;
+  groups.push_back(sensitivity_rows(deriver, "sensitivity", "Sensitivity matrix in SI units",
+                                    per(unit, "(m/s2)"), one_per_gravity));
+  groups.push_back(deriver.triple("intrinsic_sensitivity", "Intrinsic sensitivity in SI units",
+                                  per(unit, "(m/s2)"), kAccelerometers,
+                                  [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity); }));
+  groups.push_back(deriver.triple(
+      "transverse_sensitivity",
+      "Transverse sensitivity (ISO 16063-31), relative to the sensitivity along the platter axis; it "
+      "contains "
+      "the mounting",
+      "%", kAccelerometers, [&](std::size_t j) { return Real(100.0 * in.transverse(j) / in.diagonal(j)); }));
+  mend_zero(groups.back(), result, 100.0);
+  groups.push_back(azimuth(deriver, groups.back()));
+  groups.push_back(deriver.triple(
+      "misalignment", "Angle between the sensitive direction and its platter axis", "mrad", kAccelerometers,
+      [&](std::size_t j) { return Real(1e3 * atan2(in.transverse(j), in.diagonal(j))); }));
+  mend_zero(groups.back(), result, 1e3);
+  groups.push_back(deriver.triple("non_orthogonality", "Intrinsic angle minus 90 degrees", "mrad", kPairs,
+                                  [&](std::size_t j) {
+                                    const std::size_t k = (j + 1) % 3;
+                                    // asin would lose digits near 90 degrees of angle; the angle from a right
+                                    // one is a ratio of these two.
+                                    const Real cosine = in.dot(j, k) / Real(in.norm(j) * in.norm(k));
+                                    return Real(-1e3 * atan2(cosine, sqrt(Real(1.0 - cosine * cosine))));
+                                  }));
+  groups.push_back(deriver.triple(
+      "bias", "Offset as an acceleration, in units of standard gravity g = 9.80665 m/s2", "mg",
+      kAccelerometers,
+      [&](std::size_t j) { return Real(in.offset[j] / in.norm(j) * in.g_loc * (1e3 / kStandardGravity)); }));
+  for (const SensitivityUnit& wanted : units) {
+    const double factor = wanted.output_factor * (wanted.per_standard_gravity ? kStandardGravity : 1.0);
+    const std::string words = wanted.per_standard_gravity
+                                  ? "Sensitivity in " + wanted.name + ", g = 9.80665 m/s2 (standard gravity)"
+                                  : "Sensitivity in " + wanted.name;
+    DerivedGroup group =
+        deriver.triple("intrinsic_sensitivity", words, wanted.name, kAccelerometers,
+                       [&](std::size_t j) { return Real(in.norm(j) * one_per_gravity * factor); });
+    group.name = "sensitivity [" + wanted.name + "]";
+    groups.push_back(std::move(group));
+  }
+  return groups;
+}
+
+double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, const DerivedQuantity& b) {
+  return a.gradient.head<12>().dot(*result.covariance * b.gradient.head<12>()) +
+         a.gradient[12] * b.gradient[12] * std::pow(result.g_loc.standard_uncertainty, 2);
+}
+
+std::vector<std::string> names_of_quantities() {
+  std::vector<std::string> names;
+  for (const char* axis : kAccelerometers)
+    for (const char* platter : kPlatterAxes) names.push_back(std::string("sensitivity_") + axis + platter);
+  for (const std::string of_axis :
+       {"intrinsic_sensitivity_", "offset_", "transverse_sensitivity_", "misalignment_", "bias_"}) {
+    for (const char* axis : kAccelerometers) names.push_back(of_axis + axis);
+  }
+  for (const std::string of_pair : {"intrinsic_angle_", "non_orthogonality_"})
+    for (const char* pair : kPairs) names.push_back(of_pair + pair);
+  return names;
+}
+
+std::optional<Quantity> find_quantity(const CalibrationResult& result,
+                                      const std::vector<DerivedGroup>& derived, const std::string& name,
+                                      const std::string& unit) {
+  std::optional<Quantity> found;
+  visit_all(result, derived, name, [&](const Quantity& quantity) {
+    if (!found && quantity.unit == unit) found = quantity;
+  });
+  return found;
+}
+
+std::vector<std::string> units_of(const CalibrationResult& result, const std::vector<DerivedGroup>& derived,
+                                  const std::string& name) {
+  std::vector<std::string> units;
+  visit_all(result, derived, name, [&](const Quantity& quantity) { units.push_back(quantity.unit); });
+  return units;
+}
+
+}  // namespace abcal

@@ -1,0 +1,78 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/plan/limits.h"
+
+namespace abcal {
+
+// Names of the accelerometers, of their pairs, and of the axes of the platter, in the order of a result.
+inline constexpr std::array<const char*, 3> kAccelerometers{"u", "v", "w"};
+inline constexpr std::array<const char*, 3> kPairs{"uv", "vw", "wu"};
+inline constexpr std::array<const char*, 3> kPlatterAxes{"x", "y", "z"};
+
+/// One number that a customer may ask for, with its uncertainty by propagation of the twelve outputs and of
+/// local gravity to first order (JCGM 100), correlations included.
+struct DerivedQuantity {
+  std::string name;  ///< "intrinsic_sensitivity_u", "bias_w", ...: as in a laboratory file.
+  Quantity value;
+  /// Derivatives with respect to s row by row, O, g_loc (m/s2).
+  Eigen::Matrix<double, 13, 1> gradient = Eigen::Matrix<double, 13, 1>::Zero();
+};
+
+/// Several alike, one for each axis or pair of axes.
+struct DerivedGroup {
+  std::string name;  ///< "transverse_sensitivity"
+  std::string words;
+  std::vector<DerivedQuantity> quantities;
+};
+
+/// A unit of sensitivity "OUTPUT/g" or "OUTPUT/(m/s2)" that a customer asks for.
+struct SensitivityUnit {
+  std::string name;
+  double output_factor = 1.0;         ///< Number of these output units in one response unit.
+  bool per_standard_gravity = false;  ///< Per g = 9.80665 m/s2; else per m/s2.
+};
+
+/// @throws std::invalid_argument  if the unit cannot be made from the response unit
+SensitivityUnit sensitivity_unit(const std::string& name, const std::string& response_unit);
+
+/// Everything that can be derived from a result. Quantities per m/s2 and per g include the uncertainty of
+/// g_loc.
+///
+///   sensitivity               s_jk / g_loc, R/(m/s2)
+///   intrinsic_sensitivity     s_j / g_loc, R/(m/s2)
+///   transverse_sensitivity    sqrt(sum of squares of the off-diagonal) / |diagonal|, % (ISO 16063-31);
+///                             mounting included
+///   transverse_azimuth        its direction, degree: about the axis itself, from the next platter axis (of u
+///                             (x): from y towards z, of v: from z towards x, of w: from x towards y); only
+///                             where the transverse sensitivity exceeds its expanded uncertainty, else NaN
+///   misalignment              angle between the sensitive direction and its platter axis, mrad
+///   non_orthogonality         phi_jk - 90 degrees, mrad
+///   bias                      O_j / s_j as an acceleration, mg with g = 9.80665 m/s2
+///
+/// A group of sensitivities for each of `units` follows, named after the unit ("sensitivity [mV/g]").
+/// @throws std::invalid_argument  for a result without matrix, covariance or local gravity
+std::vector<DerivedGroup> derive(const CalibrationResult& result, const std::vector<SensitivityUnit>& units);
+
+/// Covariance of two derived quantities of one result, local gravity included.
+double covariance_of(const CalibrationResult& result, const DerivedQuantity& a, const DerivedQuantity& b);
+
+/// Names of quantities that limits may be set on: those of the result itself and the derived ones.
+std::vector<std::string> names_of_quantities();
+
+/// A quantity of the result or derived from it, by its name and in the requested unit. Absent: not in this
+/// unit, or not determined; `units_of` lists the available units.
+std::optional<Quantity> find_quantity(const CalibrationResult& result,
+                                      const std::vector<DerivedGroup>& derived, const std::string& name,
+                                      const std::string& unit);
+/// The units in which a quantity is there.
+std::vector<std::string> units_of(const CalibrationResult& result, const std::vector<DerivedGroup>& derived,
+                                  const std::string& name);
+
+}  // namespace abcal

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "app/ground/document/document.h"
+#include "app/ground/xml/xml_query.h"
+#include "app/laboratory/certificate/words.h"
+
+namespace abcal {
+
+/// Source of the pages of a certificate: its XML, and the words of its language.
+struct PageSource {
+  const XmlQuery& xml;
+  Words words;
+
+  std::string text(const std::string& path, xmlNode* from = nullptr) const { return xml.text(path, from); }
+  /// The words below a name, a description, a declaration.
+  std::string content(const std::string& path, xmlNode* from = nullptr) const {
+    return xml.text(path + "/dcc:content", from);
+  }
+  /// "2026-03-01 12:00:00", both if they differ.
+  std::string say(std::string_view english) const { return words(english).text; }
+};
+
+/// One value of a list or alone, as the XML has it, typeset.
+struct PageValue {
+  std::string label, value, expanded, factor, unit;
+};
+
+/// The values below a dcc:quantity. @param own  of a hybrid: in the unit that is not of the SI; else in SI
+std::vector<PageValue> values_of(const PageSource& from, xmlNode* quantity, bool own = false);
+
+/// Whether a quantity is given in a unit outside the SI as well.
+bool is_hybrid(const PageSource& from, xmlNode* quantity);
+
+/// "s_ux" of "s_ux[|g]".
+std::string without_unit(const std::string& label);
+
+/// "transverse_sensitivity_u", as limits name it, in words.
+std::string quantity_words(const PageSource& from, std::string name);
+
+/// Quantities of a result, wherever its lists have them.
+std::vector<xmlNode*> quantities_of(const PageSource& from, xmlNode* result);
+
+/// A table of quantities with U and k; every result is a group of rows.
+DocumentTable value_table(const PageSource& from);
+void add_rows(DocumentTable& table, const PageSource& from, xmlNode* result, bool own, bool in_words);
+
+/// "nu(s_u)" and its degrees of freedom, of those that are few.
+std::map<std::string, std::string> degrees_of_freedom_of(const PageSource& from, xmlNode* quantity);
+
+/// Coefficients, differences and curves of a series over temperature; and for the annex, its polynomials and
+/// runs. @param series  its dcc:measurementResult
+std::vector<Section> temperature_sections(const PageSource& from, xmlNode* series);
+std::vector<Section> temperature_annex(const PageSource& from, xmlNode* series);
+
+/// The sections of the annex.
+/// @param shown  refTypes of the results that stand on the customer's pages already
+std::vector<Section> annex_sections(const PageSource& from, xmlNode* measurement,
+                                    const std::vector<std::string>& shown);
+
+}  // namespace abcal

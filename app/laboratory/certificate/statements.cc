@@ -1,0 +1,235 @@
+#include "app/laboratory/certificate/statements.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <set>
+
+#include "app/ground/units/dsi_unit.h"
+#include "app/ground/xml/xml_tree.h"
+#include "app/laboratory/certificate/traceability.h"
+
+namespace abcal {
+namespace {
+
+Statement plain(std::string ref_type, Wording title, Wording text) {
+  Statement statement;
+  statement.ref_type = std::move(ref_type);
+  statement.title = std::move(title);
+  statement.text = std::move(text);
+  return statement;
+}
+
+/// Sentences behind a first one, in its language.
+Wording with_reasons(Wording head, const std::vector<std::string>& reasons) {
+  for (const std::string& reason : reasons) head.text += " " + reason + ".";
+  return head;
+}
+
+Statement traceability(const Certificate& certificate) {
+  const Words& words = certificate.words;
+  const Wording title = words("Metrological traceability");
+  if (!certificate.not_traceable.empty())
+    return plain("abc_traceability", title,
+                 with_reasons(words("Metrological traceability is not claimed:"), certificate.not_traceable));
+  Wording text = words("The results are traceable to the International System of Units (SI):");
+  for (const Equipment& one : certificate.laboratory.equipment) {
+    if (one.quantity == "other") continue;
+    text.text += " " + words("{} by {} {}, certificate {} of {};", words.known(one.quantity), one.name,
+                             one.serial_number, one.certificate, one.certificate_issuer)
+                           .text;
+  }
+  const std::string& stated = certificate.run.data.result().g_loc_source;
+  const std::string source = stated.empty() ? words("a source that is not stated").text : stated;
+  const std::string& site = certificate.laboratory.laboratory.gravity_site;
+  text.text += " " + (site.empty() ? words("local gravity by {}.", source)
+                                   : words("local gravity by {}, at {}.", source, site))
+                         .text;
+  if (is_serial_number_stated(certificate.run.data, "stage"))
+    text.text +=
+        " " +
+        words("The serial number of the stage is stated by the bench file: the stage reports none.").text;
+  if (is_serial_number_stated(certificate.run.data, "accelerometer"))
+    text.text +=
+        " " + words("The serial number of the voltmeter is stated by the bench file: it reports none.").text;
+  text.text +=
+      " " +
+      words("That this thermometer measured the room is stated by the laboratory, not by the run.").text;
+  Statement statement = plain("abc_traceability", title, text);
+  statement.traceable = true;
+  return statement;
+}
+
+/// Meaning of the stated uncertainties, with the coverage factor, and the sources that they exclude.
+void add_uncertainty(std::vector<Statement>& statements, const Certificate& certificate) {
+  const Words& words = certificate.words;
+  Statement uncertainty = plain(
+      "abc_uncertainty", words("Uncertainty of measurement"),
+      words(
+          "The expanded uncertainty U is the standard uncertainty of measurement multiplied by the coverage "
+          "factor k. It was evaluated following JCGM 100 and EA-4/02 M: 2022. The value of the measurand "
+          "lies "
+          "within the stated interval with a probability of approximately 95 %."));
+  uncertainty.norms = {"JCGM 100:2008", "JCGM 102:2011", "EA-4/02 M: 2022"};
+  statements.push_back(uncertainty);
+  const ReportData& data = certificate.run.data;
+  if (!data.budget || !certificate.run.has_numbers()) return;
+  std::string left_out;
+  for (const std::string& source : data.budget->not_covered)
+    left_out += (left_out.empty() ? "" : "; ") + words.known(source);
+  statements.push_back(plain("abc_notCovered", words("What the uncertainties leave out"),
+                             words("Not part of the stated uncertainties: {}.", left_out)));
+}
+
+/// Every unit of the certificate that is not of the SI, and every output that is a count.
+void add_units(std::vector<Statement>& statements, const Certificate& certificate) {
+  const Words& words = certificate.words;
+  std::set<std::string> units{certificate.run.data.record.response_unit};
+  for (const CertifiedRun* run :
+       {certificate.as_found ? &*certificate.as_found : nullptr, &certificate.run}) {
+    if (run == nullptr) continue;
+    for (const DerivedGroup& group : run->derived)
+      for (const DerivedQuantity& quantity : group.quantities) units.insert(quantity.value.unit);
+    for (const Decision& decision : run->decisions) units.insert(decision.limit.unit);
+  }
+  if (certificate.series && certificate.series->result)
+    for (const TemperatureCoefficient& one : certificate.series->result->coefficients) units.insert(one.unit);
+  std::set<std::string> said;
+  for (const std::string& unit : units) {
+    const UnitInDsi in = unit_in_dsi(unit);
+    if (in.own && said.insert(in.own->text()).second && !in.definition.empty()) {
+      Statement statement = plain("abc_unit", words("Unit {}", unit),
+                                  words("Definition: {}", words.composed(in.definition).text));
+      statement.non_si_definition = words.composed(in.definition).text;
+      statement.non_si_unit = in.own->text();
+      statements.push_back(statement);
+    }
+    if (!in.note.empty() && said.insert(in.note).second)
+      statements.push_back(plain("abc_outputUnit", words("Unit of the output"),
+                                 words("1 stands for one digit of the output ({}).", unit)));
+  }
+}
+
+void add_optional(std::vector<Statement>& statements, const Certificate& certificate) {
+  const Words& words = certificate.words;
+  const Job& job = certificate.laboratory.job;
+  const auto add = [&](const char* ref_type, const Wording& title, const std::string& text) {
+    if (!one_line(text).empty()) statements.push_back(plain(ref_type, title, words.as_given(text)));
+  };
+  add("abc_sampling", words("Sampling"), job.sampling);
+  statements.push_back(
+      plain("abc_deviations", words("Additions to, deviations and exclusions from the method"),
+            one_line(job.deviations).empty() ? words("None.") : words.as_given(job.deviations)));
+  add("abc_externalResults", words("Results from external providers"), job.external_results);
+  add("abc_opinions", words("Opinions and interpretations"), job.opinions);
+  if (certificate.as_found) add("basic_adjustment", words("Adjustment"), job.adjustment);
+  if (!job.customer_supplied.empty()) {
+    statements.push_back(plain(
+        "abc_customerSupplied", words("Data supplied by the customer"),
+        words("Supplied by the customer and not checked by the laboratory, which is not responsible for what "
+              "follows from them: {}.",
+              fmt::format("{}", fmt::join(job.customer_supplied, ", ")))));
+  }
+  if (job.recalibration) {
+    Statement statement =
+        plain("basic_recalibration", words("Recalibration"),
+              words("Date of the next calibration, stated at the request of the customer."));
+    statement.date = job.recalibration;
+    statement.of_customer = true;
+    statements.push_back(statement);
+  }
+}
+
+void add_decision_rule(std::vector<Statement>& statements, const Certificate& certificate) {
+  const Words& words = certificate.words;
+  const auto& rule = certificate.laboratory.decision;
+  if (!rule || certificate.laboratory.limits.empty()) return;
+  Statement statement = plain("abc_decisionRule", words("Decision rule"), describe(*rule, words));
+  statement.norms = {"JCGM 106:2012"};
+  statement.references = {words("Agreed in {}", rule->agreement).text};
+  std::set<std::string> specifications;
+  for (const SpecificationLimit& limit : certificate.laboratory.limits)
+    if (specifications.insert(limit.source).second)
+      statement.references.push_back(words("Specification {}", limit.source).text);
+  statements.push_back(statement);
+}
+
+/// For several items of one run: the effect of the others on the results of this one.
+void add_items_together(std::vector<Statement>& statements, const Certificate& certificate) {
+  const ReportData& data = certificate.run.data;
+  if (!data.is_one_of_several()) return;
+  const Words& words = certificate.words;
+  const std::vector<TrayItemResult>& items = data.all->joint.items;
+  const bool together = data.result().estimator == "joint" && data.all->joint.stage &&
+                        items.at(static_cast<std::size_t>(data.item) - 1).in_common_fit;
+  statements.push_back(plain(
+      "abc_itemsTogether", words("Items measured together"),
+      together
+          ? words("Item {} of {} that were measured together on one stage. The errors of the stage were "
+                  "estimated once, from the readings of {} items; the sensitivity matrix and the offsets "
+                  "are those of this item.",
+                  data.item, items.size(), data.all->joint.stage->items)
+          : words("Item {} of {} that were measured together on one stage. Its results are from its own "
+                  "readings alone.",
+                  data.item, items.size())));
+}
+
+/// Warnings that must be seen first: draft, training, simulation, recording.
+void add_warnings(std::vector<Statement>& statements, const Certificate& certificate) {
+  const Words& words = certificate.words;
+  const ReportData& data = certificate.run.data;
+  if (certificate.draft())
+    statements.push_back(
+        plain("abc_draft", words("DRAFT"),
+              with_reasons(words("DRAFT: this certificate is not issued and may not be used as one."),
+                           certificate.reservations)));
+  if (certificate.training())
+    statements.push_back(plain(
+        "abc_training", words("TRAINING"),
+        words(
+            "TRAINING: this certificate certifies nothing. It is of a training register and may not be used "
+            "as a certificate.")));
+  if (!data.simulated.empty()) {
+    std::string of;
+    for (const std::string& instrument : data.simulated)
+      of += (of.empty() ? "" : ", ") + words.known(instrument);
+    statements.push_back(
+        plain("abc_simulated", words("SIMULATED"),
+              words("SIMULATED: these instruments were not real: {}. Nothing was calibrated.", of)));
+  }
+  if (const std::string of = data.label("replay.of"); !of.empty())
+    statements.push_back(
+        plain("abc_replayed", words("REPLAYED"),
+              words("REPLAYED: repeated from the recording in {}, not measured again.", of)));
+}
+
+}  // namespace
+
+std::vector<Statement> statements_of(const Certificate& certificate) {
+  const Words& words = certificate.words;
+  std::vector<Statement> statements;
+  add_warnings(statements, certificate);
+  statements.push_back(plain(
+      "abc_scope", words("Scope"),
+      words("The results relate only to the item calibrated, in the state in which it was and under the "
+            "conditions that are stated.")));
+  statements.push_back(
+      plain("abc_reproduction", words("Reproduction"),
+            words("This certificate may not be reproduced except in full, unless the laboratory "
+                  "agrees in writing.")));
+  statements.push_back(traceability(certificate));
+  add_items_together(statements, certificate);
+  add_uncertainty(statements, certificate);
+  add_decision_rule(statements, certificate);
+  add_optional(statements, certificate);
+  if (certificate.issue && certificate.issue->replaces) {
+    const Replacement& replaced = *certificate.issue->replaces;
+    statements.push_back(
+        plain("abc_amendment", words("Amendment"),
+              words("Replaces certificate {}. Reason: {}", replaced.number, replaced.reason)));
+  }
+  add_units(statements, certificate);
+  return statements;
+}
+
+}  // namespace abcal

@@ -1,0 +1,291 @@
+#include "app/laboratory/certificate/traceability.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+
+#include "app/ground/bench_file/not_real.h"
+#include "app/results/estimates/effect_words.h"
+#include "protocol/record/run_operator.h"
+
+namespace abcal {
+namespace {
+
+/// Whether a calibration of equipment holds on a day.
+bool holds_on(const Equipment& equipment, Date day) {
+  return equipment.performed && *equipment.performed <= day && equipment.due && day <= *equipment.due;
+}
+
+std::string words_for(const Equipment& equipment) {
+  return fmt::format("{} {}, certificate {}, performed {}, due {}", equipment.name, equipment.serial_number,
+                     equipment.certificate,
+                     equipment.performed ? format_date(*equipment.performed) : "not stated",
+                     equipment.due ? format_date(*equipment.due) : "not stated");
+}
+
+/// A quantity that needs a calibration that holds on the day of the run.
+struct Chain {
+  std::string quantity;
+  /// Serial numbers of the instruments that must be calibrated; empty: any equipment will do.
+  std::string serial_numbers = {};
+};
+
+void look_for(const Chain& chain, const LaboratoryFile& laboratory, Date day, const std::string& which,
+              std::vector<Problem>& problems) {
+  std::vector<Equipment> calibrated;
+  std::string found;
+  for (const Equipment& one : laboratory.equipment) {
+    if (one.quantity != chain.quantity) continue;
+    if (holds_on(one, day)) calibrated.push_back(one);
+    found += (found.empty() ? "" : "; ") + words_for(one);
+  }
+  const std::string missing =
+      serial_number_without_equipment(calibrated, chain.quantity, chain.serial_numbers);
+  if (!calibrated.empty() && missing.empty()) return;
+  const std::string date = format_date(day);
+  problems.push_back(
+      {which + ", " + chain.quantity, found.empty() ? "no calibrated equipment" : found,
+       missing.empty()
+           ? fmt::format("equipment for {} with a calibration that was performed before and holds on {}",
+                         chain.quantity, date)
+           : fmt::format("equipment for {} with serial number {} and a calibration that was performed before "
+                         "and holds on {}",
+                         chain.quantity, missing, date)});
+}
+
+/// Serial numbers that the instrument of a role reported; empty if it reported none.
+std::string reported_serial_numbers(const StoredRun& run, const std::string& role) {
+  for (const InstrumentIdentity& instrument : run.header.instruments)
+    if (instrument.role == role && is_serial_number_reported(instrument.serial_number))
+      return instrument.serial_number;
+  return {};
+}
+
+/// Serial number from the bench file, for an instrument that reports none.
+std::string stated_serial_number(const ReportData& data, const std::string& role) {
+  // With several items, the header of the whole run contains the number of each.
+  return data.label(stated_serial_number_label(
+      role == "accelerometer" && data.is_one_of_several() ? fmt::format("item-{}", data.item) : role));
+}
+
+/// An instrument whose calibration is part of the traceability must say which one it is.
+/// @param section  of the bench file, where its serial number can be stated
+void require_serial_number(const ReportData& data, const std::string& role, const std::string& section,
+                           const std::string& where, std::vector<Problem>& problems) {
+  if (!serial_numbers_of(data, role).empty()) return;
+  problems.push_back({where, "no serial number, neither reported by the instrument nor stated",
+                      fmt::format("[{}] serial_number in the bench file before the run", section)});
+}
+
+/// Angle and voltage were measured by instruments that say who they are.
+std::vector<Chain> chains_of(const ReportData& data, const std::string& which,
+                             std::vector<Problem>& problems) {
+  std::vector<Chain> chains{{"angle", serial_numbers_of(data, "stage")}, {"gravity"}, {"temperature"}};
+  require_serial_number(data, "stage", "stage", which + ", stage", problems);
+  if (!measured_by_voltmeter(data)) return chains;
+  chains.push_back({"voltage", serial_numbers_of(data, "accelerometer")});
+  require_serial_number(data, "accelerometer",
+                        data.is_one_of_several() ? "item.accelerometer" : "accelerometer",
+                        which + ", voltmeter", problems);
+  return chains;
+}
+
+/// Whether a text has a number as a word of its own: "EX-7" is in "certificate EX-7.", not in "EX-71",
+/// "EX-7/2".
+bool names_number(std::string_view text, std::string_view number) {
+  if (number.find_first_not_of(' ') == std::string_view::npos) return false;
+  constexpr std::string_view kJoins = "-/._";
+  const auto is_word = [&](std::size_t at) {
+    return at < text.size() && (std::isalnum(static_cast<unsigned char>(text[at])) != 0);
+  };
+  const auto goes_on = [&](std::size_t at, std::size_t next) {
+    return is_word(at) ||
+           (at < text.size() && kJoins.find(text[at]) != std::string_view::npos && is_word(next));
+  };
+  for (std::size_t at = text.find(number); at != std::string_view::npos; at = text.find(number, at + 1)) {
+    // Before the beginning at - 1 is beyond the end: nothing is there.
+    if (!goes_on(at - 1, at - 2) && !goes_on(at + number.size(), at + number.size() + 1)) return true;
+  }
+  return false;
+}
+
+/// A value that a calibration of the register states, U = k u.
+struct CalibrationValue {
+  std::string unit;
+  double value = 0.0, expanded_uncertainty = 0.0, coverage_factor = 2.0;
+};
+
+/// A calibration that a run kept from the register when it began.
+struct StoredCalibration {
+  Equipment equipment;
+  std::vector<CalibrationValue> values;
+};
+
+/// @throws std::runtime_error if the stored text cannot be read
+std::vector<StoredCalibration> stored_calibrations(const ReportData& data) {
+  std::vector<StoredCalibration> calibrations;
+  const std::string stored = data.label(kCalibrationsLabel);
+  if (stored.empty()) return calibrations;
+  try {
+    for (const auto& json : nlohmann::json::parse(stored)) {
+      StoredCalibration calibration;
+      Equipment& one = calibration.equipment;
+      one.name = json.at("name");
+      one.maker = json.at("maker");
+      one.model = json.at("model");
+      one.serial_number = json.at("serial_number");
+      one.quantity = json.at("quantity");
+      one.certificate = json.at("certificate");
+      one.certificate_issuer = json.at("issuer");
+      one.certificate_sha256 = json.at("sha256");
+      one.performed = parse_date(json.at("performed").get<std::string>());
+      one.due = parse_date(json.at("due").get<std::string>());
+      for (const auto& value : json.value("values", nlohmann::json::array()))
+        calibration.values.push_back({value.at("unit"), value.at("value"), value.at("expanded_uncertainty"),
+                                      value.at("coverage_factor")});
+      calibrations.push_back(std::move(calibration));
+    }
+  } catch (const nlohmann::json::exception& error) {
+    throw std::runtime_error(fmt::format("{}: what it keeps of the register cannot be read: {}",
+                                         data.path.string(), error.what()));
+  }
+  return calibrations;
+}
+
+/// Whether g_loc of a run is a value of a calibration, with an uncertainty that is not smaller.
+bool agrees(const LocalGravity& g_loc, const CalibrationValue& value) {
+  constexpr double kRounding = 1e-9;  // Both numbers went through decimal text.
+  const double u = g_loc.expanded_uncertainty_mps2 / g_loc.coverage_factor;
+  const double u_of_value = value.expanded_uncertainty / value.coverage_factor;
+  return std::abs(g_loc.value_mps2 - value.value) <= kRounding * value.value &&
+         u >= u_of_value * (1.0 - kRounding);
+}
+
+/// Values stated by the calibration of a piece of equipment, as the run stored them; a laboratory file states
+/// no values.
+std::vector<CalibrationValue> values_of(const ReportData& data, const Equipment& equipment) {
+  for (StoredCalibration& stored : stored_calibrations(data))
+    if (stored.equipment.certificate == equipment.certificate &&
+        stored.equipment.serial_number == equipment.serial_number)
+      return std::move(stored.values);
+  return {};
+}
+
+/// Local gravity is that of the equipment for gravity: its source names it, and the value is the
+/// calibration's.
+void check_gravity(const LaboratoryFile& laboratory, const ReportData& data, Date day,
+                   const std::string& where, std::vector<Problem>& problems) {
+  const LocalGravity& g_loc = data.record.g_loc;
+  if (g_loc.source.starts_with("formula")) {
+    problems.push_back({where, "by " + g_loc.source, "a survey: a formula has no calibration"});
+    return;
+  }
+  const auto holds = [&](const Equipment& one) { return one.quantity == "gravity" && holds_on(one, day); };
+  // Where none holds, which is said already, it is still to be one of them.
+  const bool one_holds = std::any_of(laboratory.equipment.begin(), laboratory.equipment.end(), holds);
+  std::vector<std::string> known, stated;
+  for (const Equipment& one : laboratory.equipment) {
+    if (one.quantity != "gravity" || (one_holds && !holds(one))) continue;
+    known.push_back(one.certificate);
+    if (!names_number(g_loc.source, one.certificate) && !names_number(g_loc.source, one.serial_number))
+      continue;
+    const std::size_t before = stated.size();
+    for (const CalibrationValue& value : values_of(data, one)) {
+      if (value.unit != "m/s2") continue;
+      if (agrees(g_loc, value)) return;
+      stated.push_back(fmt::format("g_loc = {} m/s2, U = {:g} m/s2, k = {:g}", value.value,
+                                   value.expanded_uncertainty, value.coverage_factor));
+    }
+    if (stated.size() == before) return;  // It states no value: the source names it.
+  }
+  if (known.empty()) return;  // The missing calibration has been reported already.
+  if (!stated.empty()) {
+    problems.push_back({where,
+                        fmt::format("g_loc = {} m/s2, U = {:g} m/s2, k = {:g}", g_loc.value_mps2,
+                                    g_loc.expanded_uncertainty_mps2, g_loc.coverage_factor),
+                        fmt::format("as its source states it: {}", fmt::join(stated, " / "))});
+    return;
+  }
+  problems.push_back(
+      {where, g_loc.source.empty() ? "no source" : fmt::format("source \"{}\"", g_loc.source),
+       fmt::format("[bench] g_loc_mps2 from a record of the register, or a g_loc_source that names the "
+                   "certificate of the equipment for gravity: {}",
+                   fmt::join(known, " / "))});
+}
+
+}  // namespace
+
+std::string serial_number_without_equipment(const std::vector<Equipment>& equipment,
+                                            const std::string& quantity, const std::string& serial_numbers) {
+  const auto is_listed = [&](const std::string& serial_number) {
+    return std::any_of(equipment.begin(), equipment.end(), [&](const Equipment& one) {
+      return one.quantity == quantity && one.serial_number == serial_number;
+    });
+  };
+  if (serial_numbers.empty() || is_listed(serial_numbers)) return {};
+  for (const std::string& part : single_serial_numbers(serial_numbers))
+    if (!is_listed(part)) return part;
+  return {};
+}
+
+std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
+                                          const std::string& which) {
+  std::vector<Problem> problems;
+  if (!data.run) return problems;
+  if (!data.simulated.empty())
+    problems.push_back({which + ", instruments",
+                        fmt::format("simulated: {}", fmt::join(data.simulated, ", ")),
+                        "real ones, no [simulation] in the bench file, no serial number of the emulator: "
+                        "nothing was calibrated"});
+  if (!data.label("replay.of").empty())
+    problems.push_back(
+        {which, "repeated from the recording of " + data.label("replay.of"), "a measured run"});
+  if (const auto day = parse_date(data.ended_utc())) {
+    for (const Chain& chain : chains_of(data, which, problems))
+      look_for(chain, laboratory, *day, which, problems);
+    check_gravity(laboratory, data, *day, which + ", local gravity", problems);
+  } else {
+    problems.push_back({which, "no date", "a run that says when it was made"});
+  }
+  if (const std::string words = default_effects_words(data.record.tolerances); !words.empty())
+    problems.push_back({which + ", effects", words, "a source for each"});
+  if (const std::vector<std::string> bare = effects_without_source(data.record.tolerances); !bare.empty())
+    problems.push_back({which + ", effects",
+                        fmt::format("stated without a source: {}", fmt::join(bare, "; ")),
+                        "a source for each: a table with value and source in place of the number"});
+  if (const std::vector<std::string> unstated = unstated_voltmeter(data); !unstated.empty())
+    problems.push_back(
+        {which + ", voltmeter", fmt::format("not stated: {}", fmt::join(unstated, ", ")),
+         "[item_uncertainty] voltmeter_gain and voltmeter_offset, each with its source (0 where "
+         "the other covers it)"});
+  return problems;
+}
+
+std::string serial_numbers_of(const ReportData& data, const std::string& role) {
+  if (!data.run) return {};
+  const std::string reported = reported_serial_numbers(*data.run, role);
+  return reported.empty() ? stated_serial_number(data, role) : reported;
+}
+
+bool is_serial_number_stated(const ReportData& data, const std::string& role) {
+  return data.run && reported_serial_numbers(*data.run, role).empty() &&
+         !stated_serial_number(data, role).empty();
+}
+
+std::vector<Equipment> equipment_of_run(const ReportData& data) {
+  std::vector<Equipment> equipment;
+  for (StoredCalibration& stored : stored_calibrations(data))
+    equipment.push_back(std::move(stored.equipment));
+  return equipment;
+}
+
+bool is_environment_stated(const ReportData& data) {
+  return !data.bench || data.bench->environment.driver.empty();
+}
+
+}  // namespace abcal

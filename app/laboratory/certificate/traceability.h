@@ -1,0 +1,41 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "app/laboratory/certificate/laboratory_file.h"
+#include "app/results/estimates/report_data.h"
+#include "protocol/plan/run_config.h"
+
+namespace abcal {
+
+/// All reasons against calling the results of a run traceable. Instruments that are not real, a run that was
+/// replayed, a quantity (angle, gravity, temperature, and voltage for an output in volts or measured by a
+/// voltmeter) without a calibration that holds on the day of the run, which for stage and voltmeter is that
+/// of exactly this instrument, local gravity by formula or from another source than the equipment for
+/// gravity, an effect whose size is a default or has no source.
+/// @param which  name of the run in the reasons: "run", "as-found run"
+std::vector<Problem> against_traceability(const LaboratoryFile& laboratory, const ReportData& data,
+                                          const std::string& which);
+
+/// The first of an instrument's serial numbers ("123/456", or "123 + 456" if it names several) that no
+/// equipment of a quantity has exactly; empty: each has one, or one piece of equipment has all of them
+/// together.
+std::string serial_number_without_equipment(const std::vector<Equipment>& equipment,
+                                            const std::string& quantity, const std::string& serial_numbers);
+
+/// The serial numbers of an instrument of a run by its role ("stage", "accelerometer"): as it reported them,
+/// or as the bench file stated them for one that reports none. Empty: neither.
+std::string serial_numbers_of(const ReportData& data, const std::string& role);
+
+/// Whether they are those that the bench file stated.
+bool is_serial_number_stated(const ReportData& data, const std::string& role);
+
+/// The equipment that a run stored from the register when it began; empty for runs without a register.
+/// @throws std::runtime_error if the stored text cannot be read
+std::vector<Equipment> equipment_of_run(const ReportData& data);
+
+/// Whether the values of the room were typed in: stated by the operator, not observed.
+bool is_environment_stated(const ReportData& data);
+
+}  // namespace abcal

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <fmt/format.h>
+
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+namespace abcal {
+
+/// A text of a certificate, and in which language it is (ISO 639-1); empty: in none, a name or a number.
+struct Wording {
+  std::string text;
+  std::string language;
+};
+
+/// The program's own sentences in the language of a certificate. The code has them in English; a further
+/// language is one file, app/laboratory/certificate/languages/CODE.json, with all of them.
+class Words {
+ public:
+  /// @throws std::invalid_argument  for a language without a file, listing the available ones
+  explicit Words(std::string_view language = "en");
+
+  const std::string& language() const { return language_; }
+
+  /// A sentence of the program, with values for its {}.
+  template <class... Values>
+  Wording operator()(std::string_view english, const Values&... values) const {
+    if constexpr (sizeof...(values) == 0) return {known(english), language_};
+    return {fmt::format(fmt::runtime(known(english)), values...), language_};
+  }
+  /// A text of the laboratory, which writes in the language of its certificate.
+  Wording as_given(std::string_view text) const { return {std::string(text), language_}; }
+  /// A text that another part of the program composed in English: a verdict, a note, a problem. Sentences of
+  /// the table are found with their values in them, also several joined by "; "; a part that the table lacks
+  /// stays unchanged, and then the text is marked as being in no language.
+  Wording composed(std::string_view english) const;
+
+  /// The sentence in the language; itself where the file does not have it.
+  std::string known(std::string_view english) const;
+
+  /// Codes of the available languages: "en" and those with a file.
+  static std::vector<std::string> languages();
+
+ private:
+  struct Translation {
+    std::string text;
+    bool is_complete = false;  ///< Every part was found.
+  };
+  Translation translated(std::string_view english) const;
+
+  std::string language_;
+  const std::unordered_map<std::string, std::string>* table_ = nullptr;  ///< Null: English.
+};
+
+/// Sentences that a language's file lacks, or has with another number of {}.
+std::vector<std::string> missing_in_language(const std::string& language,
+                                             const std::vector<std::string>& sentences);
+
+}  // namespace abcal

@@ -1,0 +1,90 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "app/results/estimates/analyses.h"
+#include "protocol/estimators/checks/comparison.h"
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/plan/response_unit.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// A result that can be compared with others: from a run, a CSV of averaged readings, or a certificate.
+struct ComparedResult {
+  std::string file;  ///< Name as given.
+  std::string kind;  ///< "run", "CSV", "certificate"
+  std::string what;  ///< "abc estimator"; number of a certificate
+  std::string date;  ///< ISO 8601, of the measurement; empty: not known.
+  std::string item;  ///< Maker, model and serial number in words; empty: not known.
+  std::string item_serial_number;
+  std::string stage;                          ///< Model and serial number; empty: not known.
+  std::map<std::string, std::string> labels;  ///< Labels of a run: "operator.name", ...; to group by.
+
+  std::string unit_name;  ///< Name of the unit of the response R.
+  UnitMeaning unit;       ///< Meaning of that unit.
+  /// Sensitivities are R/g_loc (true) or R/(m/s2).
+  bool per_g_loc = true;
+  std::optional<Quantity> g_loc;  ///< m/s2
+  std::string g_loc_source;
+
+  IntrinsicValues values;  ///< NaN: not given.
+  Covariance9 covariance;  ///< NaN where not given.
+  /// Standard uncertainties from the scatter of the readings alone; absent for a certificate.
+  std::optional<IntrinsicValues> type_a;
+  bool with_correlations = true;          ///< False: only the diagonal of the covariance is known.
+  std::optional<Eigen::Matrix3d> matrix;  ///< Absent for the norm estimator.
+  Covariance12 output_covariance;         ///< For matrix and offset; read only if there is a matrix.
+  std::optional<RunRecord> record;        ///< Record that it was computed from; absent for a certificate.
+  /// The run that it comes from, and the number of its item, from 1; null for a certificate. Two results of
+  /// one run have the same run.
+  std::shared_ptr<const AnalysedRun> run;
+  int item_of_run = 1;
+  std::vector<std::string> notes;
+
+  std::string sha256;  ///< SHA-256 of the bytes of the file.
+  /// Last link of the chain of a run's dwells: a copy of the run has it too, however its bytes lie. Empty: no
+  /// run, or one of version 2.
+  std::string chain;
+
+  /// Whether its numbers are those of the common fit of its run's items.
+  bool of_common_fit() const;
+  /// What the joint fit of its run says of it. Only of the joint estimator.
+  const TrayItemResult& joint() const;
+};
+
+/// Results that cannot be compared: usage (exit code 2).
+class CompareError : public std::invalid_argument {
+ public:
+  using std::invalid_argument::invalid_argument;
+};
+
+/// The results that a person names: certificates, run files and CSVs, which their content decides; FILE#K is
+/// item K of a run with several (a file of that very name comes first); one such run alone is all its items.
+/// Each run is analysed once.
+/// @param estimator  for runs and CSVs; empty: the one that each of them declares
+/// @param item  of each run that is named without #K, from 1; 0: the only one
+/// @throws as load_items() and read_certificate(); std::runtime_error for a record that gives no usable
+///         result, with the reason; CompareError for a run of several items without #K if it is not alone,
+///         and for an item that it does not have
+std::vector<ComparedResult> load_compared(const std::vector<std::string>& names, const std::string& estimator,
+                                          int item = 0);
+
+/// Brings all into the response unit of the first, and sensitivities per m/s2 where they were measured at
+/// different or by certificates; per g_loc where all were measured at the same one. The notes of a result
+/// describe its conversion.
+/// @return notes that concern all
+/// @throws CompareError units that cannot be converted into one another
+std::vector<std::string> convert_to_common_units(std::vector<ComparedResult>& results);
+
+/// "V/g_loc", "degree", "V", ... in the order of Covariance9, after convert_to_common_units().
+std::array<std::string, 9> units_of_properties(const ComparedResult& result);
+
+}  // namespace abcal

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/laboratory/certificate/issue.h"
+#include "app/laboratory/certificate/report_certificate.h"
+#include "app/laboratory/register/register.h"
+#include "drivers/instrument/clock.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// Request to issue a certificate. The meaning of an empty entry is given for each.
+struct IssueAsked {
+  std::string run;                   ///< Path of the run file.
+  int item = 0;                      ///< With several items: the item, from 1; 0: the run has one.
+  std::string number;                ///< Without a register; with one: none.
+  std::string measured_by;           ///< Empty: the operators according to the events of the run.
+  std::string approved_by;           ///< Without a register.
+  std::string date;                  ///< "2026-03-01"; today, UTC.
+  std::string replaces, reason;      ///< The certificate that this one amends, and why.
+  std::string key, key_certificate;  ///< PEM files of the approver; not signed.
+  CertificateFiles certificate;
+};
+
+/// The register that gives the number, and who approves.
+struct Registered {
+  lab::Register opened;
+  lab::LoggedIn approver;
+};
+
+struct IssueOutcome {
+  /// Nothing was issued now: the certificate was kept with the run, and the register knows it now.
+  std::string known_now;  ///< Its number; empty: one was issued.
+  IssuedCertificate issued;
+  bool training = false, is_signed = false, verified = false;
+  std::string operators;  ///< Operators in words.
+  std::vector<std::string> warnings;
+};
+
+/// Issues the certificate of a complete run: checks it, takes its number from the register, keeps it with the
+/// run, and registers it. Every issue, from the command line or the console, uses this function.
+/// @param registered  null: there is no register
+/// @throws as make_certificate(), issue_certificate(); lab::RegisterError; std::invalid_argument
+IssueOutcome issue_run(const IssueAsked& asked, Registered* registered, Clock::UtcTime now);
+
+/// A certificate that has its number, and waits for the signature of its approver, which is made elsewhere.
+struct AwaitedSignature {
+  PreparedCertificate prepared;
+  CertificateFiles files;
+  bool training = false;
+  std::vector<std::string> warnings;
+};
+
+/// The first half of issue_run(): all that comes before the signature, so that the approver's private key
+/// need not be on this computer. If nothing follows, the next certificate of the run has the same number.
+/// @throws as issue_run()
+AwaitedSignature prepare_to_sign(const IssueAsked& asked, Registered& registered, Clock::UtcTime now);
+
+/// The second half. @param signed_xml  the XML that was prepared, with its signature by a valid key of the
+/// approver that the register knows
+/// @throws as issue_run(); std::invalid_argument for another signature: nothing is issued then
+IssueOutcome issue_signed(const AwaitedSignature& awaited, const std::string& signed_xml,
+                          Registered& registered, Clock::UtcTime now);
+
+/// Whether the approver may approve: has the right, and is not one of those who measured.
+/// @return the reason why not, in words; absent: may approve
+std::optional<std::string> why_not_approve(const lab::Person& approver, const StoredRun& run);
+
+}  // namespace abcal

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <string>
+#include <string_view>
+
+namespace abcal::lab {
+
+/// Cost of checking a password, and of guessing it.
+enum class PasswordCost {
+  kUsual,     ///< Argon2id with 64 MiB and two passes (libsodium's "interactive").
+  kForTests,  ///< The least that the library permits.
+};
+
+/// The Argon2id hash of a password with its salt and cost, as text.
+/// @throws std::runtime_error if there is not enough memory
+std::string hash_password(std::string_view password, PasswordCost cost = PasswordCost::kUsual);
+
+/// Whether a password is the one of a hash.
+bool is_password(std::string_view password, const std::string& hash);
+
+/// 256 random bits in hexadecimal.
+std::string random_token();
+
+/// Why a password is refused; empty: it is not.
+std::string weakness_of(std::string_view password);
+
+}  // namespace abcal::lab

@@ -1,0 +1,180 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+
+#include "app/laboratory/register/register.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/sha256.h"
+
+namespace abcal::lab {
+namespace {
+
+constexpr const char* kColumns =
+    "number, state, run_sha256, xml_sha256, item, measured_by, approved_by, issue_date, replaces, reason, "
+    "utc, approval";
+constexpr std::size_t kColumnCount = 12;
+
+CertificateRecord record_of(const Database::Row& row) {
+  return {row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11]};
+}
+
+}  // namespace
+
+std::vector<CertificateRecord> Register::certificates() {
+  std::vector<CertificateRecord> list;
+  for (const auto& row :
+       database_.query(kColumnCount, fmt::format("select {} from certificate order by number", kColumns)))
+    list.push_back(record_of(row));
+  return list;
+}
+
+std::vector<CertificateRecord> Register::certificates_of(const std::string& run_sha256) {
+  std::vector<CertificateRecord> list;
+  for (const auto& row : database_.query(
+           kColumnCount,
+           fmt::format("select {} from certificate where run_sha256 = :run order by number", kColumns),
+           {{"run", run_sha256}}))
+    list.push_back(record_of(row));
+  return list;
+}
+
+std::string Register::reserve_number(const LoggedIn& by, const NumberRequest& request, Clock::UtcTime now) {
+  require(by, Right::kApprove);
+  if (by.name() == request.measured_by)
+    throw RegisterError(fmt::format(
+        "{} measured the run and cannot approve its certificate; required: another person", by.name()));
+  DatabaseTransaction transaction(database_);
+  lock_audit();
+  require_not_blocked(request);
+  for (const CertificateRecord& one : certificates_of(request.run_sha256)) {
+    if (one.item != request.item) continue;  // It belongs to another item of the same run.
+    if (one.state == "reserved" && one.replaces == request.replaces)
+      return one.number;  // Its program ended too early.
+    if (one.state == "issued" && one.number != request.replaces)
+      throw RegisterError(
+          fmt::format("this run has certificate {} already; amend it with --replaces {} --reason TEXT",
+                      one.number, one.number));
+  }
+  if (!request.replaces.empty()) {
+    const auto replaced =
+        database_.query(3, "select state, run_sha256, item from certificate where number = :number",
+                        {{"number", request.replaces}});
+    if (replaced.empty() || replaced[0][0] != "issued")
+      throw RegisterError(fmt::format("certificate {}: is {}; required: an issued one to replace",
+                                      request.replaces,
+                                      replaced.empty() ? "not in the register" : replaced[0][0]));
+    if (replaced[0][1] == request.run_sha256 && replaced[0][2] != request.item)
+      throw RegisterError(
+          fmt::format("certificate {}: is of {}, another item of this run; required: one of {}",
+                      request.replaces, replaced[0][2], request.item));
+  }
+  const auto last =
+      database_.query(1, "update counter set last = last + 1 where name = 'certificate' returning last");
+  if (last.size() != 1)
+    throw RegisterError(
+        fmt::format("register {}: has no counter of certificates", without_password(location())));
+  const std::string utc = format_utc(now);
+  const std::string number =
+      fmt::format("{}{}-{:04}", facts_.number_prefix, utc.substr(0, 4), std::stoul(last[0][0]));
+  // A person with write access to the database could set back the counter alone.
+  if (!database_
+           .query(1, "select entry from audit where subject = :subject",
+                  {{"subject", "certificate/" + number}})
+           .empty())
+    throw RegisterError(
+        fmt::format("register {}: certificate {} was given before, though its counter says otherwise: it was "
+                    "changed; required: `abcal lab verify`, and a backup that is whole",
+                    without_password(location()), number));
+  change({by.name(), "number given", "certificate", number, {}}, now, [&] {
+    database_.execute(
+        fmt::format(
+            "insert into certificate({}) values(:number, 'reserved', :run, '', :item, :measured, '', '', "
+            ":replaces, :reason, :utc, '')",
+            kColumns),
+        {{"number", number},
+         {"run", request.run_sha256},
+         {"item", request.item},
+         {"measured", request.measured_by},
+         {"replaces", request.replaces},
+         {"reason", request.reason},
+         {"utc", utc}});
+  });
+  transaction.commit();
+  return number;
+}
+
+void Register::record_issued(const LoggedIn& by, const std::string& number, const std::string& xml_sha256,
+                             const std::string& issue_date, Clock::UtcTime now) {
+  require(by, Right::kApprove);
+  DatabaseTransaction transaction(database_);
+  lock_audit();
+  const auto rows = database_.query(
+      kColumnCount, fmt::format("select {} from certificate where number = :number", kColumns),
+      {{"number", number}});
+  if (rows.empty()) throw RegisterError(fmt::format("certificate {}: its number was not given here", number));
+  const CertificateRecord record = record_of(rows[0]);
+  if (record.state != "reserved")
+    throw RegisterError(fmt::format("certificate {}: is {} already", number, record.state));
+  if (record.measured_by == by.name())
+    throw RegisterError(
+        fmt::format("{} measured the run of certificate {} and cannot approve it", by.name(), number));
+  const std::string utc = format_utc(now);
+  // Hash of the approved data, bound to the approver and the time.
+  const std::string approval =
+      sha256_of(fmt::format("{}\n{}\n{}\n{}\n{}", number, record.run_sha256, xml_sha256, by.name(), utc));
+  change({by.name(), "certificate approved and issued", "certificate", number, {}}, now, [&] {
+    database_.execute(
+        "update certificate set state = 'issued', xml_sha256 = :xml, approved_by = :by, issue_date = :date,"
+        " utc = :utc, approval = :approval where number = :number",
+        {{"xml", xml_sha256},
+         {"by", by.name()},
+         {"date", issue_date},
+         {"utc", utc},
+         {"approval", approval},
+         {"number", number}});
+  });
+  if (!record.replaces.empty()) {
+    change({by.name(), "certificate replaced", "certificate", record.replaces, record.reason}, now, [&] {
+      database_.execute("update certificate set state = 'replaced', utc = :utc where number = :number",
+                        {{"utc", utc}, {"number", record.replaces}});
+    });
+  }
+  transaction.commit();
+}
+
+std::vector<RegisterFinding> compare_with_run(const std::vector<CertificateRecord>& registered,
+                                              const std::vector<KeptCertificate>& kept) {
+  std::vector<RegisterFinding> findings;
+  const auto kept_as = [&](const std::string& number) {
+    return std::find_if(kept.begin(), kept.end(),
+                        [&](const KeptCertificate& one) { return one.number == number; });
+  };
+  for (const CertificateRecord& one : registered) {
+    const std::string what = "certificate " + one.number;
+    if (one.state == "reserved") {
+      findings.push_back({what, true, "its number is given, but it is not issued yet"});
+      continue;
+    }
+    const auto found = kept_as(one.number);
+    if (found == kept.end()) {
+      findings.push_back(
+          {what, false, "the register knows it as " + one.state + ", but the run does not have it"});
+    } else if (found->xml_sha256 != one.xml_sha256) {
+      findings.push_back({what, false, "its XML is not what was approved"});
+    } else {
+      findings.push_back(
+          {what, true, fmt::format("{}, approved by {}, its XML as approved", one.state, one.approved_by)});
+    }
+  }
+  for (const KeptCertificate& one : kept) {
+    const bool known =
+        std::any_of(registered.begin(), registered.end(),
+                    [&](const CertificateRecord& record) { return record.number == one.number; });
+    if (!known)
+      findings.push_back(
+          {"certificate " + one.number, false, "the register did not give this number to this run"});
+  }
+  return findings;
+}
+
+}  // namespace abcal::lab

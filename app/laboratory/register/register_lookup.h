@@ -1,0 +1,12 @@
+#pragma once
+
+#include "app/ground/toml/record_lookup.h"
+
+namespace abcal {
+
+/// Finds what a bench file takes from records of the register (ABCAL_REGISTER): calibrations of equipment in
+/// use that hold today. The register is opened when the first record is asked for, and not kept open. Without
+/// a register each record is a problem that says so.
+RecordLookup register_records();
+
+}  // namespace abcal

@@ -1,0 +1,21 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "app/ground/bench_file/fault_config.h"
+#include "drivers/instrument/clock.h"
+#include "sim/faults.h"
+
+namespace abcal {
+
+/// The fault of the wire that this is, with times counted from `start`; nothing for one of the world.
+std::optional<sim::WireFault> wire_fault(const FaultConfig& fault, Clock::Instant start);
+std::optional<sim::WorldFault> world_fault(const FaultConfig& fault, Clock::Instant start);
+
+/// The faults of the wire of one instrument.
+std::vector<sim::WireFault> wire_faults(const std::vector<FaultConfig>& faults, const std::string& instrument,
+                                        Clock::Instant start);
+
+}  // namespace abcal

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "app/operate/emulate/wire_log.h"
+#include "sim/firmware/firmware.h"
+
+namespace abcal {
+
+/// How the simulated instrument's answer agrees with the real one's.
+enum class Likeness {
+  kEqual,          ///< To the byte; also: both are silent.
+  kNumbersDiffer,  ///< Text whose numbers only differ: other positions, readings, serial numbers.
+  kSameLength,     ///< Binary of the same length.
+  kDifferent,
+  kOnlyReal,       ///< The simulated one is silent.
+  kOnlySimulated,  ///< The real one was silent.
+};
+
+/// "equal", "numbers differ", ...
+std::string_view to_string(Likeness likeness);
+
+/// Output of a host, and the bytes that came back before its next output.
+struct ComparedExchange {
+  double t_s = 0.0;
+  std::string asked;  ///< Empty: before the host's first bytes.
+  std::string real;
+  std::string simulated;
+  Likeness likeness = Likeness::kEqual;
+};
+
+/// Gives a simulated instrument the bytes of a logged host at their times, and compares its answers with
+/// those of the real one. Writes of the host that follow each other within 5 ms without an answer are one.
+/// @param start  the time of the simulated instrument at which the log begins
+std::vector<ComparedExchange> compare_firmware(const WireLog& log, sim::Firmware& firmware,
+                                               Clock::Instant start);
+
+}  // namespace abcal

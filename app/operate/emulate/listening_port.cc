@@ -1,0 +1,28 @@
+#include "app/operate/emulate/listening_port.h"
+
+#include <fmt/format.h>
+
+#include <charconv>
+#include <stdexcept>
+
+namespace abcal {
+
+sim::TcpPort listening_port(const std::string& port) {
+  const std::size_t colon = port.rfind(':');  // at least that of "tcp:"
+  std::string host = colon < 4 ? "" : port.substr(4, colon - 4);
+  if (host.size() >= 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
+  sim::TcpPort where;
+  if (!host.empty()) where.host = host;
+  const char* const end = port.data() + port.size();
+  const auto [stopped, error] = std::from_chars(port.data() + colon + 1, end, where.port);
+  if (error != std::errc() || stopped != end) {
+    throw std::invalid_argument(fmt::format(
+        "port \"{}\": \"{}\" is not a port number; required for emulate: tcp:HOST:PORT or tcp:PORT "
+        "(listens on the "
+        "loopback), PORT from 0 (any free one) to 65535",
+        port, port.substr(colon + 1)));
+  }
+  return where;
+}
+
+}  // namespace abcal

@@ -1,0 +1,216 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include "app/ground/evidence/laboratory_link.h"
+#include "app/operate/bench/make_bench.h"
+#include "app/operate/bench/transcript.h"
+#include "app/operate/session/notifier.h"
+#include "app/operate/session/run_bench.h"
+#include "app/operate/session/session_events.h"
+#include "protocol/record/results_file.h"
+#include "protocol/record/run_file.h"
+#include "protocol/record/run_operator.h"
+
+namespace abcal {
+
+/// Begins a new run.
+struct StartRequest {
+  BenchConfig bench;
+  std::string run_file;                         ///< Path of the file to create.
+  bool record = false;                          ///< Keep every byte to and from the instruments.
+  std::map<std::string, std::string> labels{};  ///< Added to those of the bench file.
+  bool without_missing_items = false;           ///< Items that do not answer are left out.
+};
+
+/// Continues an interrupted run; closes and analyses one whose angles are all measured.
+struct ResumeRequest {
+  std::string run_file;
+  bool without_missing_items = false;  ///< As in StartRequest.
+};
+
+/// Drives a recorded run again from its own bytes.
+struct ReplayRequest {
+  std::string recorded_file;
+  std::string run_file;  ///< Path of the file to create; empty: RUN-replay.run in the same folder.
+};
+
+/// A person's note, for the events of the run.
+struct NoteRequest {
+  std::string text, by;
+};
+
+/// A complete run: each item as it was measured.
+struct MeasuredRun {
+  std::vector<StoredRun> items;
+  std::filesystem::path path;
+  std::string sha256;  ///< Of the closed file; empty: readers keep the file open, it is closed later.
+  bool measured_before = false;  ///< Nothing was measured now: only closed and analysed.
+
+  bool is_levelling() const;
+  /// What is the same for all items (state, plan, timing, events), and the first item's own.
+  const StoredRun& stored() const { return items.front(); }
+};
+
+/// The analysis of complete runs, which a session knows by this interface only. Not asked for a levelling.
+class RunAnalyst {
+ public:
+  /// The worst verdict of the items, and its reason.
+  struct Conclusion {
+    std::string verdict, reason;
+  };
+
+  RunAnalyst() = default;
+  virtual ~RunAnalyst() = default;
+  RunAnalyst(const RunAnalyst&) = delete;
+  RunAnalyst& operator=(const RunAnalyst&) = delete;
+
+  /// Analyses a run. The calls below are about the run that was analysed last.
+  virtual Conclusion analyse(const MeasuredRun& run) = 0;
+  /// Called once for each run, levellings included: when the file is closed, or before waiting for programs
+  /// that read it.
+  virtual void announce(const MeasuredRun& run) = 0;
+  /// Adds the analyses to the results file of the closed run.
+  virtual void keep(ResultsFile& results, const MeasuredRun& run, const std::string& utc) const = 0;
+  /// How many analyses a run has at least once keep() was called.
+  virtual std::size_t least_analyses() const = 0;
+};
+
+/// What a person did during a run, for its event log.
+struct PersonEvent {
+  std::string kind;      ///< "stop asked for", "control taken", ...
+  std::string text;      ///< Who, and from where.
+  RunOperator operates;  ///< Who operates from then on; no name: nobody else than before.
+};
+
+/// Owns the life of a run: opens the bench, identifies, plans, begins or resumes, measures, closes, and has
+/// the run analysed. Passes events to a listener and prints nothing. Every way to run (`run`, `resume`,
+/// `replay`, a campaign, the console) is a listener of the same events.
+///
+/// One thread carries out start(), resume() and replay(); hold(), continue_run(), add_note(),
+/// add_person_event() and request_stop() may be called from any thread. The instruments stay open as long as
+/// the session lives: start() with the same bench file uses them again.
+class MeasuringSession {
+ public:
+  struct Options {
+    /// Opens the instruments of a bench file; empty: make_bench().
+    std::function<Bench(const BenchConfig& config, BenchStreams streams)> open_bench;
+    SessionListener listener;  ///< Empty: nobody listens.
+    std::stop_token stop;      ///< As request_stop().
+    std::string login;  ///< Login of the operator at a console, as LaboratoryLink::find_operator takes it.
+    /// Questions to the laboratory's register. Empty: refused where ABCAL_REGISTER names a register.
+    LaboratoryLink laboratory;
+    std::shared_ptr<RunAnalyst> analyst;  ///< Null: runs are closed without an analysis.
+    /// Free space for a file, in bytes; nothing: not known. Empty: as the file system says.
+    std::function<std::optional<std::uintmax_t>(const std::filesystem::path&)> free_disk_space;
+  };
+
+  explicit MeasuringSession(Options options);
+  ~MeasuringSession();
+  MeasuringSession(const MeasuringSession&) = delete;
+  MeasuringSession& operator=(const MeasuringSession&) = delete;
+
+  /// Opens the instruments and asks who they are; nothing moves. start() and level() with the same bench file
+  /// use them as they are.
+  /// @throws as start()
+  Identities identify_instruments(const StartRequest& request);
+
+  /// Asks the accelerometers again for the corrections that they apply, since they were changed. Nothing else
+  /// is asked: the bench is open, and the next run with it has them.
+  void ask_corrections_again();
+
+  /// Measures a new run to its end. Everything that can be known to fail is refused before the first move: a
+  /// existing file or results, too little disk space, an instrument of another serial number.
+  /// @throws BenchError, PlanError, InstrumentError, RunFileError, RunInterrupted, std::invalid_argument,
+  /// std::runtime_error (disk space). Once there is a run file, FinishedEvent has the reason too.
+  MeasuredRun start(const StartRequest& request);
+
+  /// Measures the angles of a levelling (level_plan()) to a closed run file, as start() does. No estimator of
+  /// a calibration analyses it.
+  /// @throws as start()
+  MeasuredRun level(const StartRequest& request);
+
+  /// Continues an interrupted run to its end. A run whose angles are all measured is closed and analysed.
+  /// @throws as start()
+  MeasuredRun resume(const ResumeRequest& request);
+
+  /// Drives a recorded run again from its own bytes, and compares (ReplayComparedEvent).
+  /// @throws as start()
+  MeasuredRun replay(const ReplayRequest& request);
+
+  /// Requests that the stage stands still after the current angle.
+  void hold();
+  void continue_run();
+  bool is_hold_wanted() const;
+  /// A note for the event log of the run; stored by the measuring thread soon.
+  /// @return false: too many wait to be stored.
+  bool add_note(NoteRequest note);
+  /// What a person does now; stored soon, at the latest when the run ends.
+  /// @return false: too many wait to be stored.
+  bool add_person_event(PersonEvent event);
+  /// Halts the stage at once and ends the run. Waits for the answer to the halt.
+  void request_stop();
+
+  /// The instruments that are open, or null.
+  Bench* bench();
+
+ private:
+  struct OpenedBench;
+  /// How the angles follow from the bench file and the travel of the stage.
+  using Planner = std::vector<PlannedAngle> (*)(const ProtocolConfig&, const std::array<AxisTravel, 2>&);
+  OpenedBench& open(const BenchConfig& config, BenchStreams streams);
+  MeasuredRun run_plan(const StartRequest& request, Planner planner);
+  void open_and_identify(const StartRequest& request);
+  Identities identify_or_keep_recording(const StartRequest& request, const OpenedBench& opened);
+  RunFile create_file(const OpenedBench& opened, const StartRequest& request);
+  void require_disk_space(const OpenedBench& opened, const StartRequest& request);
+  void require_same_instruments(const Identities& now, const StoredRun& stored) const;
+  void drop_missing_items(RunFile& file, std::size_t position) const;
+  void notify_begun(const OpenedBench& opened, const std::filesystem::path& path, const StoredRun* resumed);
+  MeasuredRun measure_and_finish(RunFile file, const RunProgress& so_far);
+  void close_and_keep(RunFile file, MeasuredRun& run, const std::string& utc) const;
+  RegisteredStart find_operator(const std::string& stated) const;
+  void notify_charts(const MeasuredRun& run) const;
+  MeasuredRun replay_to_the_end(const StoredRun& recorded, const ReplayRequest& request);
+  void notify_comparison(const StoredRun& recorded, const std::filesystem::path& replayed);
+  void close_ended_replay(const StoredRun& recorded, const std::filesystem::path& path);
+  void notify(const SessionEvent& event) const;
+  void warn(const std::string& kind, const std::string& text) const;
+  void store_notes(RunFile& file, const Clock& clock);
+  void store_last_notes(RunFile& file, const Clock& clock) noexcept;
+
+  Options options_;
+  std::stop_source stop_;
+  std::unique_ptr<Notifier> notifier_;  ///< Of a run or levelling; a replay has none.
+  mutable std::mutex mutex_;
+  bool hold_wanted_ = false;
+  std::vector<NoteRequest> notes_;          ///< To be stored.
+  std::vector<PersonEvent> person_events_;  ///< To be stored.
+  // Destroyed from the last to the first: the objects that the byte streams of a bench use outlive it.
+  std::unique_ptr<Transcript> transcript_;
+  std::unique_ptr<RecordedWire> recorded_wire_;
+  std::unique_ptr<OpenedBench> opened_;
+  std::optional<std::stop_callback<std::function<void()>>> stop_link_;
+};
+
+/// A run whose angles are all measured, but whose program ended before the file was closed and analysed.
+struct FinishedRun {
+  MeasuredRun run;
+  RunAnalyst::Conclusion conclusion;
+};
+
+/// Closes and analyses a run whose angles are all measured, where the program ended before it had done so.
+/// @param analyst  null: only closed
+/// @return nothing if nothing of this is left to do
+std::optional<FinishedRun> finish_measured_run(const std::filesystem::path& path, RunAnalyst* analyst);
+
+}  // namespace abcal

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <filesystem>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "app/ground/bench_file/bench_config.h"
+#include "app/results/estimates/estimators.h"
+#include "protocol/estimators/joint/analyse_tray.h"
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// What estimators find in the items of one run. One item is a list of length 1.
+struct RunAnalysis {
+  /// The joint fit of all items together; not analysed where no estimator was asked that needs it.
+  TrayResult joint;
+  /// Of each item: one an estimator, in the order in which they were asked for. The joint one is that of the
+  /// common fit; each other one knows the readings of this item alone.
+  std::vector<std::vector<CalibrationResult>> results;
+};
+
+/// Several estimators on the items of one run. A record that an estimator refuses gives Verdict::kNotUsable
+/// with the reason; any other exception is a bug of the program and is not caught.
+RunAnalysis analyse_items(std::span<const RunRecord> records,
+                          const std::vector<const Estimator*>& estimators);
+
+/// The same for one item.
+std::vector<CalibrationResult> analyse(const RunRecord& record,
+                                       const std::vector<const Estimator*>& estimators);
+CalibrationResult analyse(const RunRecord& record, const Estimator& estimator);
+CalibrationResult analyse(const RunRecord& record, const std::string& estimator);
+
+/// Every estimator of the list, the declared one first: the others are the independent check of every run.
+std::vector<const Estimator*> all_estimators(const RunRecord& record);
+std::vector<CalibrationResult> analyse_all(const RunRecord& record);
+
+/// One item of a run, as it was loaded, and what was found of it.
+struct AnalysedItem {
+  StoredRun stored;
+  std::vector<CalibrationResult> results;  ///< As in RunAnalysis.
+
+  /// Of the estimator that was chosen before the first angle.
+  const CalibrationResult& result() const;
+};
+
+/// All items of a run, or the one of a CSV, analysed together.
+struct AnalysedRun {
+  std::vector<AnalysedItem> items;
+  TrayResult joint;  ///< As in RunAnalysis.
+
+  const AnalysedItem& item(int k) const { return items.at(static_cast<std::size_t>(k) - 1); }
+  AnalysedItem& item(int k) { return items.at(static_cast<std::size_t>(k) - 1); }
+};
+
+/// @param estimator  whose results are wanted; empty: all of them, the declared one first
+AnalysedRun analyse_run(std::vector<StoredRun> items, const std::string& estimator = {});
+
+/// Every output compared with the truth of a simulated bench: the difference in standard uncertainties.
+struct TruthComparison {
+  std::string text;
+  double largest = 0.0;  ///< Largest difference, in standard uncertainties.
+  double allowed = 4.0;  ///< 4 standard uncertainties: 1 in 16 000 for each output by chance.
+  bool agrees() const { return largest <= allowed; }
+};
+TruthComparison compare_with_truth(const CalibrationResult& result, const BenchConfig& bench, int item = 1);
+
+}  // namespace abcal

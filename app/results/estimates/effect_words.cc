@@ -1,0 +1,46 @@
+#include "app/results/estimates/effect_words.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <string_view>
+
+namespace abcal {
+
+std::string default_effects_words(const EffectSizes& sizes) {
+  const std::vector<std::string> effects = unstated_effects(sizes);
+  if (effects.empty()) return {};
+  return fmt::format(
+      "not stated, so default sizes are used: {}; state them in [stage_uncertainty] and [item_uncertainty] "
+      "of the bench file (docs/effects.md)",
+      fmt::join(effects, "; "));
+}
+
+std::vector<std::string> uncovered_effects_words(const EffectSizes& sizes) {
+  std::vector<std::string> words;
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    if (key.uncovered.empty() || sizes.sources.contains(key.key) || key.get(sizes) > 0.0) continue;
+    words.push_back(
+        fmt::format("not stated, so not covered: {}; state its size, or 0, as [{}] {} (docs/effects.md)",
+                    key.uncovered, key.section, key.key));
+  }
+  return words;
+}
+
+std::vector<std::string> effects_without_source(const EffectSizes& sizes) {
+  // What read_effect_sizes() and the reader of bench files put in place of a source; behind the second, how
+  // the number was stated: "stated (rectangular, half-width 0.014)".
+  const auto is_none = [](std::string_view source) {
+    return source == "stated" || source.starts_with("stated (") || source == "tolerances" ||
+           source.find_first_not_of(" \t\r\n") == std::string_view::npos;
+  };
+  std::vector<std::string> words;
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    const auto source = sizes.sources.find(key.key);
+    if (key.get(sizes) > 0.0 && source != sizes.sources.end() && is_none(source->second))
+      words.emplace_back(key.words);
+  }
+  return words;
+}
+
+}  // namespace abcal

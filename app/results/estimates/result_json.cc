@@ -1,0 +1,211 @@
+#include "app/results/estimates/result_json.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+namespace abcal {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json quantity(const Quantity& q) {
+  return {{"value", json_number(q.value)},
+          {"standard_uncertainty", json_number(q.standard_uncertainty)},
+          {"type_a", json_number(q.type_a)},
+          {"type_b", json_number(q.type_b)},
+          {"unit", q.unit}};
+}
+
+/// An output of the result: with its degrees of freedom (null: infinite) and the factor k of U = k u.
+Json output_quantity(const Quantity& q) {
+  Json json = quantity(q);
+  json["degrees_of_freedom"] = json_number(q.degrees_of_freedom);
+  json["coverage_factor"] =
+      std::isfinite(q.standard_uncertainty) ? json_number(coverage_factor(q)) : Json(nullptr);
+  return json;
+}
+
+template <class Range>
+Json quantities(const Range& range) {
+  Json list = Json::array();
+  for (const Quantity& q : range) list.push_back(quantity(q));
+  return list;
+}
+
+template <class Range>
+Json output_quantities(const Range& range) {
+  Json list = Json::array();
+  for (const Quantity& q : range) list.push_back(output_quantity(q));
+  return list;
+}
+
+template <class Matrix>
+Json matrix(const std::optional<Matrix>& m) {
+  if (!m) return nullptr;
+  Json rows = Json::array();
+  for (Eigen::Index i = 0; i < m->rows(); ++i) {
+    Json row = Json::array();
+    for (Eigen::Index j = 0; j < m->cols(); ++j) row.push_back(json_number((*m)(i, j)));
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+constexpr const char* kOutputLetters[] = {"u", "v", "w"};
+
+Json diagnostics(const Diagnostics& d) {
+  Json fits = Json::array();
+  for (const FitDiagnostic& fit : d.fits) {
+    Json harmonics = Json::array();
+    for (const Harmonic& harmonic : fit.harmonics) {
+      harmonics.push_back({{"order", harmonic.order},
+                           {"sin", quantity(harmonic.sin_amplitude)},
+                           {"cos", quantity(harmonic.cos_amplitude)}});
+    }
+    fits.push_back({{"experiment", fit.experiment},
+                    {"accelerometer", kOutputLetters[fit.accelerometer]},
+                    {"sine", quantity(fit.sine)},
+                    {"cosine", quantity(fit.cosine)},
+                    {"constant", quantity(fit.constant)},
+                    {"angles", fit.angles},
+                    {"degrees_of_freedom", fit.degrees_of_freedom},
+                    {"residual_rms", json_number(fit.residual_rms)},
+                    {"chi2", json_number(fit.chi2)},
+                    {"harmonics", std::move(harmonics)},
+                    {"harmonics_residual_rms", json_number(fit.harmonics_residual_rms)}});
+  }
+  Json closures = Json::array();
+  for (const Closure& closure : d.closures) {
+    closures.push_back({{"name", closure.name},
+                        {"accelerometer", kOutputLetters[closure.accelerometer]},
+                        {"value", quantity(closure.value)}});
+  }
+  Json closing = Json::array();
+  for (const ClosingDifference& difference : d.closing_differences) {
+    closing.push_back({{"experiment", difference.experiment},
+                       {"accelerometer", kOutputLetters[difference.accelerometer]},
+                       {"value", quantity(difference.value)}});
+  }
+  Json flags = Json::array();
+  Json checks = Json::array();
+  for (const Check& check : d.checks) {
+    checks.push_back({{"check", check.name},
+                      {"passed", check.passed},
+                      {"found", json_number(check.found)},
+                      {"limit", json_number(check.limit)},
+                      {"unit", check.unit},
+                      {"words", check.words}});
+  }
+  for (const FlagCount& flag : d.flags) flags.push_back({{"flag", flag.flag}, {"dwells", flag.dwells}});
+  return {{"fits", std::move(fits)},
+          {"closures", std::move(closures)},
+          {"closing_differences", std::move(closing)},
+          {"chi2", json_number(d.chi2)},
+          {"degrees_of_freedom", d.degrees_of_freedom},
+          {"chi2_probability", json_number(d.chi2_probability)},
+          {"reciprocal_condition", json_number(d.reciprocal_condition)},
+          {"rank", d.rank},
+          {"angles_used", d.angles_used},
+          {"angles_flagged", d.angles_flagged},
+          {"flags", std::move(flags)},
+          {"checks", std::move(checks)},
+          {"notes", d.notes}};
+}
+
+/// K0 to K3 at zero along each output's own axis. It is not the measurand.
+Json model_equation_json(const ModelEquation& equation) {
+  Json list = Json::array();
+  for (std::size_t j = 0; j < 3; ++j) {
+    list.push_back({{"output", kOutputLetters[j]},
+                    {"k", quantities(equation.k[j])},
+                    {"covariance", matrix(std::optional(equation.covariance[j]))}});
+  }
+  return list;
+}
+
+Json effects_json(const std::vector<EffectTest>& effects) {
+  Json list = Json::array();
+  for (const EffectTest& effect : effects) {
+    list.push_back({{"name", effect.name},
+                    {"key", effect.key},
+                    {"times_stated", effect.stated_zero ? Json(nullptr) : json_number(effect.times_stated)},
+                    {"degrees_of_freedom", effect.degrees_of_freedom},
+                    {"probability", json_number(effect.probability)},
+                    {"passed", effect.passed}});
+  }
+  return list;
+}
+
+}  // namespace
+
+nlohmann::ordered_json json_number(const std::optional<double>& value) {
+  return value && std::isfinite(*value) ? Json(*value) : Json(nullptr);
+}
+
+Json result_json(const CalibrationResult& result) {
+  Json json;
+  json["schema"] = "abcal.result/1";
+  json["estimator"] = result.estimator;
+  json["verdict"] = to_string(result.verdict);
+  json["why"] = result.why;
+  json["source"] = result.source;
+  json["response_unit"] = result.response_unit;
+  json["g_loc"] = quantity(result.g_loc);
+  json["g_loc"]["source"] = result.g_loc_source;
+  if (result.sensitivity_matrix) {
+    Json rows = Json::array();
+    for (const auto& row : *result.sensitivity_matrix) rows.push_back(output_quantities(row));
+    json["sensitivity_matrix"] = std::move(rows);
+  } else {
+    json["sensitivity_matrix"] = nullptr;
+  }
+  json["offset"] = output_quantities(result.offset);
+  json["intrinsic_sensitivity"] = output_quantities(result.intrinsic_sensitivity);
+  json["intrinsic_angle"] = output_quantities(result.intrinsic_angle);
+  json["covariance"] = matrix(result.covariance);
+  json["covariance_intrinsic"] = matrix(result.covariance_intrinsic);
+  json["diagnostics"] = diagnostics(result.diagnostics);
+  json["default_effects"] = result.unstated_effects;
+  if (result.model_equation) json["model_equation"] = model_equation_json(*result.model_equation);
+  if (result.joint) {
+    const JointResult& joint = *result.joint;
+    json["alignment"] = quantities(joint.alignment);
+    json["initial_turn_error"] = quantities(joint.initial_turn_error);
+    json["mean_step_error"] = quantities(joint.mean_step_error);
+    json["step_error"] = Json::array();
+    for (const auto& experiment : joint.step_error) json["step_error"].push_back(quantities(experiment));
+    json["drift"] = quantities(joint.drift);
+    json["nonlinearity"] = {
+        {"k2", quantities(joint.k2)}, {"k3", quantities(joint.k3)}, {"fitted", joint.nonlinearity_fitted}};
+    json["drift_at_end"] = quantities(joint.drift_at_end);
+    const NormAgreement& test = joint.norm_against_joint;
+    json["norm_against_joint"] = {{"statistic", test.done ? json_number(test.statistic) : Json(nullptr)},
+                                  {"degrees_of_freedom", test.degrees_of_freedom},
+                                  {"probability", test.done ? json_number(test.probability) : Json(nullptr)}};
+    json["effects"] = effects_json(joint.effects);
+    json["iterations"] = joint.iterations;
+  }
+  if (result.norm) {
+    const NormResult& norm = *result.norm;
+    json["poses"] = norm.poses;
+    json["poses_left_out"] = norm.poses_left_out;
+    json["left_out"] = Json::array();
+    for (const auto& [pose, residual] : norm.left_out)
+      json["left_out"].push_back({{"pose", pose}, {"residual", json_number(residual)}});
+    json["norm_rms"] = json_number(norm.norm_rms);
+    json["sphere_coverage"] = json_number(norm.sphere_coverage);
+    json["coverage_words"] = norm.coverage_words;
+  }
+  return json;
+}
+
+Json json_of_items(std::vector<Json> items) {
+  if (items.size() == 1) return std::move(items.front());
+  Json json;
+  json["schema"] = items.front().at("schema");
+  json["items"] = std::move(items);
+  return json;
+}
+
+}  // namespace abcal

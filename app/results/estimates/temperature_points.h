@@ -1,0 +1,46 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "protocol/record/run_file.h"
+#include "protocol/record/run_label.h"
+#include "protocol/temperature/temperature_fit.h"
+
+namespace abcal {
+
+/// Where the run of a point stands in its series, as its labels say.
+struct PlaceInSeries {
+  int number = 0, of = 0;  ///< "3 of 15"
+  SeriesLeg leg = SeriesLeg::kUp;
+  double set_degc = 0.0;
+};
+
+/// @return nothing for a run that is none of a series
+std::optional<PlaceInSeries> place_in_series(const RunHeader& header);
+
+/// The run of one point, analysed. @throws std::invalid_argument as temperature_point()
+TemperaturePoint point_of_series(const PlaceInSeries& place, const RunRecord& record,
+                                 const CalibrationResult& result);
+
+/// The points of a series from their run files, in order, for fit_temperature(): those of each item of the
+/// runs.
+/// @throws std::invalid_argument for a file that is none of a series, or not complete
+std::vector<std::vector<TemperaturePoint>> points_of_series(const std::vector<std::filesystem::path>& paths);
+
+/// A measured series of one item and its fit.
+struct AnalysedSeries {
+  TemperatureResult result;
+  std::string item;  ///< Maker, model, serial number of the first run; empty: not known.
+  std::string response_unit;
+  std::string performed;  ///< UTC, of the first run.
+  double g_loc_mps2 = 0.0;
+};
+
+/// points_of_series() of each item and their fit, about the reference that the runs' bench file names.
+/// @throws std::invalid_argument as these
+std::vector<AnalysedSeries> analyse_series(const std::vector<std::filesystem::path>& paths);
+
+}  // namespace abcal

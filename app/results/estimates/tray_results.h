@@ -1,0 +1,30 @@
+#pragma once
+
+#include <cstdio>
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+
+#include "app/results/estimates/analyses.h"
+#include "protocol/record/run_file.h"
+
+namespace abcal {
+
+/// "2: Analog Devices ADXL355, serial number 17".
+std::string item_words(const RunItem& item);
+
+/// All items as one JSON object, schema abcal.tray/1 (docs/several_items_results.md).
+nlohmann::ordered_json tray_json(const AnalysedRun& run);
+
+/// Verdict, a line for each item, the stage, and the differences between the items. Colours as `stream`
+/// allows.
+std::string tray_text(const AnalysedRun& run, std::FILE* stream);
+
+/// What a command prints of a run: abcal.result/1 of its only item, by the estimator that the run declares;
+/// abcal.tray/1 of several.
+nlohmann::ordered_json analysis_json(const AnalysedRun& run);
+/// The same as text; of an only item with all estimators side by side.
+std::string analysis_text(const AnalysedRun& run, std::FILE* stream);
+/// One item in full: its result, and where there are several, all estimators side by side.
+std::string item_text(const AnalysedItem& item, std::FILE* stream);
+
+}  // namespace abcal

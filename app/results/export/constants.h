@@ -1,0 +1,65 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <string>
+
+#include "protocol/estimators/shared/calibration_result.h"
+
+namespace abcal {
+
+/// Axes of corrected readings.
+enum class ExportFrame {
+  /// The item's own: x along the axis of u, y in the plane of u and v. Free of how it was mounted.
+  kItem,
+  kPlatter,  ///< The platter's at the default orientation: how the item was mounted is corrected too.
+};
+
+/// The white noise of the readings of a run.
+struct ReadingNoise {
+  double density = 0.0;  ///< Worst output, in units of the response over root hertz.
+  double rate_hz = 0.0;
+  double tau_s = 0.0;  ///< Averaging time of the Allan deviation that it comes from.
+};
+
+/// Constants that turn readings into accelerations: a = M (r - b).
+struct CorrectionConstants {
+  Eigen::Matrix3d M = Eigen::Matrix3d::Identity();  ///< m/s2 per response unit
+  Eigen::Vector3d b = Eigen::Vector3d::Zero();      ///< Response unit
+  Eigen::Matrix3d u_M = Eigen::Matrix3d::Zero();    ///< Standard uncertainties of the elements of M.
+  Eigen::Vector3d u_b = Eigen::Vector3d::Zero();
+  std::string response_unit;
+  /// One response unit of the instrument in m/s2; absent: its output is no acceleration (V, LSB).
+  std::optional<double> unit_mps2;
+  double g_loc_mps2 = 9.80665;
+  ExportFrame frame = ExportFrame::kItem;
+  std::optional<ReadingNoise> noise;
+  std::optional<double> full_scale;  ///< Largest magnitude of a reading; response unit.
+
+  // For the heading of a file.
+  std::string item;       ///< Maker, model, serial number.
+  std::string source;     ///< Run file and estimator.
+  std::string performed;  ///< UTC; empty: not known.
+  std::string verdict;    ///< "usable"
+
+  /// M and b for a reader of m/s2: dimensionless and m/s2.
+  /// @throws std::invalid_argument where the output is no acceleration
+  Eigen::Matrix3d matrix_si() const;
+  Eigen::Vector3d bias_si() const;
+  /// Largest error at 1 g in any direction that remains after correcting scales and offsets only: the norm of
+  /// the largest row of off-diagonal elements, m/s2.
+  double diagonal_remainder_mps2() const;
+};
+
+/// Sensitivity in the item's own axes (x along the axis of u, y in the plane of u and v): lower triangular,
+/// with the norms and angles of the rows.
+/// @param sensitivity  u, v, w; R/g_loc  @param angle_deg  uv, vw, wu
+/// @throws std::invalid_argument  axes in one plane
+Eigen::Matrix3d sensitivity_in_own_axes(const Eigen::Vector3d& sensitivity, const Eigen::Vector3d& angle_deg);
+
+/// The constants of a result with numbers.
+/// @throws std::invalid_argument a result that is not usable, one without g_loc, a frame that it does not
+/// have (norm has no platter)
+CorrectionConstants constants_of(const CalibrationResult& result, ExportFrame frame);
+
+}  // namespace abcal

@@ -1,0 +1,52 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <string>
+
+#include "app/ground/bench_file/bench_config.h"
+#include "app/results/planner/wanted.h"
+#include "protocol/plan/rotation_plan.h"
+
+namespace abcal {
+
+/// The item as far as it is known before the run; by default one that stands straight and has no offset. All
+/// values are relative to the sensitivity of each output (1, that is g_loc).
+struct KnownItem {
+  double noise = 0.0;  ///< Standard deviation of one reading, white.
+  Eigen::Matrix3d sensitivity_matrix =
+      Eigen::Matrix3d::Identity();  ///< Rows of length 1: angles and mounting.
+  Eigen::Vector3d offset = Eigen::Vector3d::Zero();
+};
+
+/// Knowledge before the first angle.
+struct PlanningBench {
+  BenchConfig config;
+  std::array<AxisTravel, 2> travel;
+  std::array<AxisSpeed, 2> speed;
+  KnownItem item;
+};
+
+/// The largest contribution to an uncertainty.
+struct LargestPart {
+  std::string name;    ///< Name in the budget: "noise of the readings", "wobble of X".
+  double share = 0.0;  ///< Share of the variance, 0 to 1.
+};
+
+/// A plan, how long it takes, and the standard uncertainties that its result will state.
+struct PlanPrediction {
+  ProtocolConfig protocol;
+  PlanDuration duration;
+  PlannedValues u{};                                ///< The worst output of each group.
+  std::array<LargestPart, kPlannedOutputs> limits;  ///< Largest contribution to that output.
+};
+
+/// The uncertainties follow from the estimator itself: it analyses simulated runs of the item, as far as it
+/// is known, on an ideal stage, whose means state the uncertainty that its noise gives them, with the bench's
+/// sizes of all effects. The uncertainties include differences that a bench's real errors would cause, but
+/// not noise that is not white.
+/// @throws PlanError if the stage cannot reach an angle; std::invalid_argument if the estimator refuses the
+/// plan
+PlanPrediction predict_plan(const PlanningBench& bench, const ProtocolConfig& protocol);
+
+}  // namespace abcal

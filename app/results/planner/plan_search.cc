@@ -1,0 +1,106 @@
+#include "app/results/planner/plan_search.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace abcal {
+
+PlanSearch::PlanSearch(PlanningBench bench, std::function<void(std::size_t)> progress)
+    : bench_(std::move(bench)), progress_(std::move(progress)) {}
+
+ProtocolConfig PlanSearch::protocol(int steps, int readings) const {
+  ProtocolConfig protocol = bench_.config.protocol;
+  protocol.steps = steps;
+  protocol.step = Angle::degrees(360.0 / steps);
+  protocol.dwell_readings = readings;
+  return protocol;
+}
+
+PlanDuration PlanSearch::duration(int steps, int readings) const {
+  const ProtocolConfig planned = protocol(steps, readings);
+  return estimate_duration(make_rotation_plan(planned, bench_.travel), planned, bench_.speed,
+                           bench_.config.items.front().accelerometer.settings.rate_hz);
+}
+
+const PlanPrediction& PlanSearch::predicted(int steps, int readings) {
+  const auto [place, is_new] = predicted_.try_emplace({steps, readings});
+  if (is_new) {
+    place->second = predict_plan(bench_, protocol(steps, readings));
+    if (progress_) progress_(predicted_.size());
+  }
+  return place->second;
+}
+
+std::optional<int> PlanSearch::least_readings(int steps, const WantedValues& wanted) {
+  const auto reaches = [&](int readings) { return worst_ratio(predicted(steps, readings).u, wanted) <= 1.0; };
+  if (!reaches(kMostReadings)) return std::nullopt;
+  int too_few = kLeastReadings - 1, enough = kMostReadings;
+  // To 1 % of the dwell: the uncertainty is not known better.
+  while (enough - too_few > 1 + enough / 100) {
+    const int middle = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(too_few) * enough)),
+                                  too_few + 1, enough - 1);
+    (reaches(middle) ? enough : too_few) = middle;
+  }
+  return enough;
+}
+
+std::optional<int> PlanSearch::most_readings(int steps, double duration_s) const {
+  // Settling and whole periods of the mains depend on the readings too: not solved for, but searched.
+  const auto lasts = [&](int readings) { return duration(steps, readings).total_s() <= duration_s; };
+  if (!lasts(kLeastReadings)) return std::nullopt;
+  int few_enough = kLeastReadings, too_many = kMostReadings + 1;
+  while (too_many - few_enough > 1) {
+    const int middle = few_enough + (too_many - few_enough) / 2;
+    (lasts(middle) ? few_enough : too_many) = middle;
+  }
+  return few_enough;
+}
+
+FoundPlan PlanSearch::shortest(const WantedValues& wanted) {
+  FoundPlan found;
+  for (const int steps : kTriedSteps) {
+    // Longer than the best one even with the fewest readings: not worth a prediction.
+    if (found.plan && duration(steps, kLeastReadings).total_s() >= found.plan->duration.total_s()) continue;
+    const auto readings = least_readings(steps, wanted);
+    if (!readings) continue;
+    const PlanPrediction& plan = predicted(steps, *readings);
+    if (!found.plan || plan.duration.total_s() < found.plan->duration.total_s()) found.plan = plan;
+  }
+  if (found.plan) return found;
+  const PlanPrediction& longest = predicted(kTriedSteps.back(), kMostReadings);
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    if (!wanted[group] || longest.u[group] <= *wanted[group]) continue;
+    const auto output = static_cast<PlannedOutput>(group);
+    const LargestPart& limit = longest.limits[group];
+    found.out_of_reach.push_back(fmt::format(
+        "{}: {:.2g} {}is wanted, 3 x {} angles with {} readings each would give {:.2g}, {:.3g} times as "
+        "much; {:.0f} % of its variance is {}",
+        symbol_of(output), *wanted[group], unit_of(output).empty() ? "" : std::string(unit_of(output)) + " ",
+        kTriedSteps.back(), kMostReadings, longest.u[group], longest.u[group] / *wanted[group],
+        100.0 * limit.share, limit.name));
+  }
+  return found;
+}
+
+std::optional<PlanPrediction> PlanSearch::best_within(double duration_s, const WantedValues& wanted) {
+  std::optional<PlanPrediction> best;
+  for (const int steps : kTriedSteps) {
+    const auto readings = most_readings(steps, duration_s);
+    if (!readings) continue;
+    const PlanPrediction& plan = predicted(steps, *readings);
+    if (!best || worst_ratio(plan.u, wanted) < worst_ratio(best->u, wanted)) best = plan;
+  }
+  return best;
+}
+
+double worst_ratio(const PlannedValues& u, const WantedValues& wanted) {
+  double worst = 0.0;
+  for (std::size_t group = 0; group < kPlannedOutputs; ++group) {
+    if (wanted[group]) worst = std::max(worst, u[group] / *wanted[group]);
+  }
+  return worst;
+}
+
+}  // namespace abcal

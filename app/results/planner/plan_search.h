@@ -1,0 +1,61 @@
+#pragma once
+
+#include <functional>
+#include <map>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "app/results/planner/plan_prediction.h"
+
+namespace abcal {
+
+/// The angles of a circle that are tried. 12 is the least with which smooth step errors up to 6/rev leave no
+/// floor under the uncertainties (docs/planning.md).
+inline constexpr std::array<int, 11> kTriedSteps{12, 14, 16, 18, 20, 24, 30, 36, 45, 60, 72};
+/// Fewer readings do not show their own correlation and spread.
+inline constexpr int kLeastReadings = 20;
+inline constexpr int kMostReadings = 1'000'000;
+
+/// The plan of least duration, or why there is none.
+struct FoundPlan {
+  std::optional<PlanPrediction> plan;
+  /// Without a plan: the group, the uncertainty with the longest dwells, and its largest contribution.
+  std::vector<std::string> out_of_reach;
+};
+
+/// Looks for plans of one bench. Predictions are kept, so that further questions cost little.
+class PlanSearch {
+ public:
+  /// @param progress  called after each prediction; may be empty
+  explicit PlanSearch(PlanningBench bench, std::function<void(std::size_t predictions)> progress = {});
+
+  /// The shortest plan of kTriedSteps and any dwell whose predicted uncertainties are at most those wanted.
+  FoundPlan shortest(const WantedValues& wanted);
+
+  /// The best plan that takes at most this time: the one whose largest u over wanted is least.
+  /// @return nothing if moves and settlings alone take longer for every plan
+  std::optional<PlanPrediction> best_within(double duration_s, const WantedValues& wanted);
+
+ private:
+  const PlanPrediction& predicted(int steps, int readings);
+  ProtocolConfig protocol(int steps, int readings) const;
+  PlanDuration duration(int steps, int readings) const;
+  /// The least number of readings with which this number of angles reaches the wanted uncertainties; absent:
+  /// not even with kMostReadings.
+  std::optional<int> least_readings(int steps, const WantedValues& wanted);
+  /// The largest number of readings with which this number of angles takes at most this time; absent: too
+  /// long even with kLeastReadings.
+  std::optional<int> most_readings(int steps, double duration_s) const;
+
+  PlanningBench bench_;
+  std::function<void(std::size_t)> progress_;
+  std::map<std::pair<int, int>, PlanPrediction> predicted_;
+};
+
+/// Largest predicted over wanted of the groups for which something is wanted.
+double worst_ratio(const PlannedValues& u, const WantedValues& wanted);
+
+}  // namespace abcal

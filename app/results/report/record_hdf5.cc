@@ -1,0 +1,506 @@
+#include "app/results/report/record_hdf5.h"
+
+#include <H5Cpp.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "app/ground/document/valid_text.h"
+#include "app/results/estimates/result_json.h"
+#include "app/results/estimates/result_text.h"
+#include "app/results/estimates/tray_results.h"
+#include "protocol/estimators/checks/check_poses.h"
+
+namespace abcal {
+namespace {
+
+constexpr hsize_t kChunk = 4096;  // readings
+constexpr unsigned kCompression = 4;
+constexpr const char* kNoUnit = "1";
+
+H5::StrType utf8() {
+  H5::StrType type(H5::PredType::C_S1, H5T_VARIABLE);
+  type.setCset(H5T_CSET_UTF8);
+  return type;
+}
+
+void set_attribute(const H5::H5Object& object, const std::string& name, const std::string& value) {
+  object.createAttribute(name, utf8(), H5::DataSpace(H5S_SCALAR)).write(utf8(), valid_text(value));
+}
+
+void set_attribute(const H5::H5Object& object, const std::string& name,
+                   const std::vector<std::string>& values) {
+  const hsize_t size = values.size();
+  std::vector<const char*> pointers;
+  for (const std::string& value : values) pointers.push_back(value.c_str());
+  object.createAttribute(name, utf8(), H5::DataSpace(1, &size)).write(utf8(), pointers.data());
+}
+
+H5::Group group(const H5::Group& parent, const std::string& name, const std::string& nexus_class) {
+  H5::Group made = parent.createGroup(name);
+  set_attribute(made, "NX_class", nexus_class);
+  return made;
+}
+
+/// A text; nothing where there is none.
+void put(const H5::Group& parent, const std::string& name, const std::string& text) {
+  if (text.empty()) return;
+  parent.createDataSet(name, utf8(), H5::DataSpace(H5S_SCALAR)).write(valid_text(text), utf8());
+}
+
+/// Unit and description of the numbers of a dataset.
+struct Meaning {
+  std::string unit;
+  std::string long_name = {};
+};
+
+/// A unit of abcal in the spelling of UDUNITS, where "g" is the gram and standard gravity is "gravity". Units
+/// per g_loc are written without it: local gravity is no unit (conditions/g_loc has its value).
+std::string udunits(std::string unit) {
+  constexpr std::string_view kPerLocalGravity = "/g_loc";
+  if (const std::size_t at = unit.find(kPerLocalGravity); at != std::string::npos)
+    unit.erase(at, kPerLocalGravity.size());
+  if (unit.size() > 2 && unit.front() == '(' && unit.back() == ')') unit = unit.substr(1, unit.size() - 2);
+  static const std::map<std::string, std::string> kNames{{"g", "gravity"},       {"mg", "milligravity"},
+                                                         {"ug", "microgravity"}, {"m/s2", "m s-2"},
+                                                         {"m/s^2", "m s-2"},     {"LSB", "count"}};
+  const auto known = kNames.find(unit);
+  return known == kNames.end() ? unit : known->second;
+}
+
+/// `units` for other programs, `unit` as abcal writes it everywhere else.
+void describe(const H5::DataSet& dataset, const Meaning& meaning) {
+  const std::string units = udunits(meaning.unit);
+  set_attribute(dataset, "units", units);
+  if (units != meaning.unit) set_attribute(dataset, "unit", meaning.unit);
+  if (!meaning.long_name.empty()) set_attribute(dataset, "long_name", meaning.long_name);
+}
+
+void put(const H5::Group& parent, const std::string& name, double value, const Meaning& meaning) {
+  const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::IEEE_F64LE, H5::DataSpace(H5S_SCALAR));
+  dataset.write(&value, H5::PredType::NATIVE_DOUBLE);
+  describe(dataset, meaning);
+}
+
+/// Values row by row.
+void put(const H5::Group& parent, const std::string& name, const std::vector<double>& values,
+         const std::vector<hsize_t>& shape, const Meaning& meaning) {
+  const H5::DataSpace space(static_cast<int>(shape.size()), shape.data());
+  const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::IEEE_F64LE, space);
+  if (!values.empty()) dataset.write(values.data(), H5::PredType::NATIVE_DOUBLE);
+  describe(dataset, meaning);
+}
+
+void put(const H5::Group& parent, const std::string& name, const std::vector<std::int64_t>& values,
+         const std::string& long_name = {}) {
+  const hsize_t size = values.size();
+  const H5::DataSet dataset = parent.createDataSet(name, H5::PredType::STD_I64LE, H5::DataSpace(1, &size));
+  if (!values.empty()) dataset.write(values.data(), H5::PredType::NATIVE_INT64);
+  describe(dataset, {kNoUnit, long_name});
+}
+
+/// A dataset that grows by rows: a long run need not fit into memory.
+class Column {
+ public:
+  Column(const H5::Group& parent, const std::string& name, hsize_t width, const H5::DataType& type,
+         const Meaning& meaning)
+      : width_(width) {
+    const int rank = width > 1 ? 2 : 1;
+    const hsize_t none[] = {0, width}, unlimited[] = {H5S_UNLIMITED, width}, chunk[] = {kChunk, width};
+    H5::DSetCreatPropList properties;
+    properties.setChunk(rank, chunk);
+    properties.setShuffle();
+    properties.setDeflate(kCompression);
+    dataset_ = parent.createDataSet(name, type, H5::DataSpace(rank, none, unlimited), properties);
+    describe(dataset_, meaning);
+  }
+
+  template <class T>
+  void append(const std::vector<T>& values, const H5::PredType& type) {
+    if (values.empty()) return;
+    const hsize_t rows = values.size() / width_;
+    const hsize_t begin[] = {rows_, 0}, count[] = {rows, width_};
+    rows_ += rows;
+    const hsize_t size[] = {rows_, width_};
+    dataset_.extend(size);
+    H5::DataSpace where = dataset_.getSpace();
+    where.selectHyperslab(H5S_SELECT_SET, count, begin);
+    dataset_.write(values.data(), type, H5::DataSpace(width_ > 1 ? 2 : 1, count), where);
+  }
+
+ private:
+  hsize_t width_ = 1;
+  hsize_t rows_ = 0;
+  H5::DataSet dataset_;
+};
+
+double or_nan(const std::optional<double>& value) {
+  return value.value_or(std::numeric_limits<double>::quiet_NaN());
+}
+
+void plot_as(const H5::Group& data, const std::string& signal, const std::vector<std::string>& axes) {
+  set_attribute(data, "signal", signal);
+  set_attribute(data, "axes", axes);
+  const std::int64_t first_dimension = 0;
+  data.createAttribute(axes.front() + "_indices", H5::PredType::STD_I64LE, H5::DataSpace(H5S_SCALAR))
+      .write(H5::PredType::NATIVE_INT64, &first_dimension);
+}
+
+// --- Groups ------------------------------------------------------------------------------------------------
+
+void put_averaged(const H5::Group& entry, const RunRecord& record) {
+  const H5::Group data = group(entry, "averaged", "NXdata");
+  std::vector<double> alpha, response, errors, spread, time, settle, temperature, encoder;
+  std::vector<std::int64_t> experiment, n, closing, count, lost, flags;
+  const auto degrees = [](const std::optional<Angle>& angle) {
+    return angle ? angle->deg() : std::numeric_limits<double>::quiet_NaN();
+  };
+  for (const DwellRecord& dwell : record.dwells) {
+    experiment.push_back(dwell.experiment);
+    n.push_back(dwell.n);
+    closing.push_back(dwell.closing ? 1 : 0);
+    count.push_back(dwell.count);
+    lost.push_back(dwell.lost);
+    flags.push_back(dwell.flags);
+    alpha.push_back(dwell.alpha.deg());
+    time.push_back(or_nan(dwell.time_s));
+    settle.push_back(dwell.settle_time_s);
+    temperature.push_back(or_nan(dwell.temperature_degc));
+    encoder.push_back(degrees(dwell.encoder_x));
+    encoder.push_back(degrees(dwell.encoder_z));
+    for (int j = 0; j < 3; ++j) {
+      response.push_back(dwell.mean[j]);
+      errors.push_back(dwell.u_mean ? (*dwell.u_mean)[j] : std::numeric_limits<double>::quiet_NaN());
+      spread.push_back(dwell.spread[j]);
+    }
+  }
+  const hsize_t size = record.dwells.size();
+  const std::string& unit = record.response_unit;
+  put(data, "alpha", alpha, {size}, {"degree", "desired rotation angle"});
+  put(data, "response", response, {size, 3}, {unit, "averaged readings of U, V, W"});
+  put(data, "response_errors", errors, {size, 3}, {unit, "standard uncertainty of the averaged readings"});
+  put(data, "spread", spread, {size, 3}, {unit, "standard deviation of single readings"});
+  put(data, "encoder", encoder, {size, 2}, {"degree", "encoders of X and Z"});
+  put(data, "time", time, {size}, {"s", "middle of the dwell from the start of the run"});
+  put(data, "settle_time", settle, {size}, {"s", "from stopped to the first reading used"});
+  put(data, "temperature", temperature, {size}, {"degree_Celsius", "temperature of the sensor"});
+  put(data, "experiment", experiment, "rotation experiment 1, 2, 3");
+  put(data, "n", n, "index of the angle from 1");
+  put(data, "closing", closing, "1: the first angle measured again, not part of the fits");
+  put(data, "count", count, "readings averaged");
+  put(data, "lost", lost, "readings lost");
+  put(data, "flags", flags, "bits, docs/report.md");
+  plot_as(data, "response", {"alpha", "."});
+}
+
+/// The dwells at the check poses, and their evaluation.
+void put_check_poses(const H5::Group& entry, const RunRecord& record) {
+  if (record.check_poses.empty()) return;
+  const H5::Group made = group(entry, "check_poses", "NXdata");
+  const std::string& unit = record.response_unit;
+  std::vector<double> response, errors, time;
+  std::vector<std::int64_t> pose, after, flags;
+  for (const CheckDwell& check : record.check_poses) {
+    const DwellRecord& dwell = check.dwell;
+    pose.push_back(dwell.n);
+    after.push_back(static_cast<std::int64_t>(check.after));
+    flags.push_back(dwell.flags);
+    time.push_back(or_nan(dwell.time_s));
+    for (int j = 0; j < 3; ++j) {
+      response.push_back(dwell.mean[j]);
+      errors.push_back(dwell.u_mean ? (*dwell.u_mean)[j] : std::numeric_limits<double>::quiet_NaN());
+    }
+  }
+  const hsize_t size = record.check_poses.size();
+  put(made, "response", response, {size, 3}, {unit, "averaged readings of U, V, W"});
+  put(made, "response_errors", errors, {size, 3}, {unit, "standard uncertainty of the averaged readings"});
+  put(made, "time", time, {size}, {"s", "middle of the dwell from the start of the run"});
+  put(made, "pose", pose, "1: gravity along (1, 1, 1), 2: against it");
+  put(made, "after", after, "angles of the experiments measured before");
+  put(made, "flags", flags, "bits, docs/report.md");
+  plot_as(made, "response", {"time", "."});
+  const std::optional<CheckPoseStudy> study = compared_check_poses(record);
+  if (!study) return;
+  std::vector<double> difference, difference_errors;
+  std::vector<std::int64_t> difference_pose, difference_visit;
+  for (const PoseDifference& each : study->differences) {
+    difference_pose.push_back(each.pose);
+    difference_visit.push_back(static_cast<std::int64_t>(each.visit) + 1);
+    difference.insert(difference.end(), each.value.begin(), each.value.end());
+    difference_errors.insert(difference_errors.end(), each.standard_uncertainty.begin(),
+                             each.standard_uncertainty.end());
+  }
+  const hsize_t differences = study->differences.size();
+  put(made, "difference", difference, {differences, 3}, {unit, "reading minus that of the first visit"});
+  put(made, "difference_errors", difference_errors, {differences, 3},
+      {unit, "standard uncertainty (k = 1) of difference, of the two readings alone"});
+  put(made, "difference_pose", difference_pose, "pose of each difference");
+  put(made, "difference_visit", difference_visit, "visit of each difference, from 2");
+  const auto trends = [&](const std::string& name, const std::array<PoseTrend, 3>& of_outputs) {
+    std::vector<double> change, change_errors, smallest;
+    for (const PoseTrend& trend : of_outputs) {
+      change.push_back(trend.change);
+      change_errors.push_back(trend.standard_uncertainty);
+      smallest.push_back(trend.smallest_found);
+    }
+    put(made, name, change, {3},
+        {kNoUnit, "of the sensitivity of U, V, W, from the first visit to the last"});
+    put(made, name + "_errors", change_errors, {3}, {kNoUnit, "standard uncertainty (k = 1) of " + name});
+    put(made, name + "_smallest_found", smallest, {3},
+        {kNoUnit, "a change of this size between two visits would have been found"});
+  };
+  trends("change_of_gain", study->gain);
+  trends("change_of_offset", study->offset);
+}
+
+void put_readings(const H5::Group& entry, const ReportData& data) {
+  const H5::Group group_of_readings = group(entry, "readings", "NXdata");
+  const H5::PredType& real = H5::PredType::IEEE_F64LE;
+  const H5::PredType& whole = H5::PredType::STD_I64LE;
+  const auto column = [&](const char* name, hsize_t width, const H5::PredType& type, const Meaning& meaning) {
+    return Column(group_of_readings, name, width, type, meaning);
+  };
+  Column response = column("response", 3, real, {data.record.response_unit, "single readings of U, V, W"});
+  Column time = column("time", 1, real, {"s", "arrival, from the start of the run"});
+  Column temperature = column("temperature", 1, real, {"degree_Celsius", "temperature of the sensor"});
+  Column sequence = column("sequence", 1, whole, {kNoUnit, "count of the accelerometer; a gap is a loss"});
+  Column experiment = column("experiment", 1, whole, {kNoUnit, "rotation experiment 1, 2, 3"});
+  Column n = column("n", 1, whole, {kNoUnit, "index of the angle from 1"});
+  Column closing = column("closing", 1, whole, {kNoUnit, "1: the first angle measured again"});
+  Column repeat = column("repeat", 1, whole, {kNoUnit, "1: measured again for comparison; the first counts"});
+  RunFile::read_dwells(
+      data.path,
+      [&](const StoredDwell& dwell) {
+        std::vector<double> outputs, times, temperatures;
+        std::vector<std::int64_t> sequences;
+        for (const StoredReading& reading : dwell.readings) {
+          outputs.insert(outputs.end(), reading.output.begin(), reading.output.end());
+          times.push_back(reading.time_s);
+          temperatures.push_back(or_nan(reading.temperature_degc));
+          sequences.push_back(static_cast<std::int64_t>(reading.sequence));
+        }
+        const auto same = [&](std::int64_t value) {
+          return std::vector<std::int64_t>(dwell.readings.size(), value);
+        };
+        response.append(outputs, H5::PredType::NATIVE_DOUBLE);
+        time.append(times, H5::PredType::NATIVE_DOUBLE);
+        temperature.append(temperatures, H5::PredType::NATIVE_DOUBLE);
+        sequence.append(sequences, H5::PredType::NATIVE_INT64);
+        experiment.append(same(dwell.experiment), H5::PredType::NATIVE_INT64);
+        n.append(same(dwell.n), H5::PredType::NATIVE_INT64);
+        closing.append(same(dwell.closing ? 1 : 0), H5::PredType::NATIVE_INT64);
+        repeat.append(same(dwell.repeat ? 1 : 0), H5::PredType::NATIVE_INT64);
+      },
+      data.item);
+  plot_as(group_of_readings, "response", {"time", "."});
+}
+
+/// Values, and their standard uncertainties as NAME_errors.
+void put_quantities(const H5::Group& parent, const std::string& name, const std::vector<Quantity>& quantities,
+                    const std::vector<hsize_t>& shape, const std::string& long_name) {
+  std::vector<double> values, errors;
+  std::string unit;
+  for (const Quantity& q : quantities) {
+    values.push_back(q.value);
+    errors.push_back(q.standard_uncertainty);
+    if (unit.empty()) unit = q.unit;
+  }
+  if (unit.empty()) unit = kNoUnit;
+  put(parent, name, values, shape, {unit, long_name});
+  put(parent, name + "_errors", errors, shape, {unit, "standard uncertainty (k = 1) of " + name});
+}
+
+template <class Matrix>
+void put_covariance(const H5::Group& parent, const std::string& name, const std::optional<Matrix>& matrix,
+                    const std::string& long_name) {
+  if (!matrix) return;
+  std::vector<double> values;
+  for (Eigen::Index i = 0; i < matrix->rows(); ++i) {
+    for (Eigen::Index j = 0; j < matrix->cols(); ++j) values.push_back((*matrix)(i, j));
+  }
+  const auto size = static_cast<hsize_t>(matrix->rows());
+  // Rows and columns have units of their own; the long name says which.
+  put(parent, name, values, {size, size}, {"product of the units of row and column", long_name});
+}
+
+void put_result(const H5::Group& entry, const CalibrationResult& result) {
+  const H5::Group made = group(entry, "result_" + result.estimator, "NXcollection");
+  put(made, "verdict", std::string(to_string(result.verdict)));
+  put(made, "why", result.why);
+  // The complete abcal.result/1, so that nothing is left out.
+  put(made, "json", result_json(result).dump());
+  if (result.verdict == Verdict::kNotUsable) return;
+  if (result.sensitivity_matrix) {
+    std::vector<Quantity> all;
+    for (const auto& row : *result.sensitivity_matrix) all.insert(all.end(), row.begin(), row.end());
+    put_quantities(made, "sensitivity_matrix", all, {3, 3}, "rows U, V, W; columns x, y, z");
+  }
+  const auto triple = [](const std::array<Quantity, 3>& q) {
+    return std::vector<Quantity>(q.begin(), q.end());
+  };
+  put_quantities(made, "intrinsic_sensitivity", triple(result.intrinsic_sensitivity), {3}, "of U, V, W");
+  put_quantities(made, "intrinsic_angle", triple(result.intrinsic_angle), {3}, "between UV, VW, WU");
+  put_quantities(made, "offset", triple(result.offset), {3}, "zero-acceleration offset of U, V, W");
+  put_covariance(made, "covariance", result.covariance, "s_ux s_uy s_uz s_vx ... s_wz O_u O_v O_w");
+  put_covariance(made, "covariance_intrinsic", result.covariance_intrinsic,
+                 "s_u s_v s_w phi_uv phi_vw phi_wu O_u O_v O_w");
+}
+
+void put_instruments(const H5::Group& entry, const ReportData& data) {
+  const H5::Group made = group(entry, "instrument", "NXinstrument");
+  put(made, "name", data.label("bench.name"));
+  for (const InstrumentIdentity& identity : data.run->header.instruments) {
+    const H5::Group one = group(made, identity.role, identity.role == "stage" ? "NXpositioner" : "NXsensor");
+    put(one, "maker", identity.maker);
+    put(one, "model", identity.model);
+    put(one, "serial_number", identity.serial_number);
+    put(one, "firmware", identity.firmware);
+    put(one, "description", identity.details);
+  }
+}
+
+void put_environment(const H5::Group& entry, const std::vector<StoredEnvironment>& rows) {
+  if (rows.empty()) return;
+  const H5::Group made = group(entry, "environment", "NXenvironment");
+  std::vector<double> temperature, humidity, pressure;
+  std::string moments, times;
+  for (const StoredEnvironment& row : rows) {
+    temperature.push_back(or_nan(row.temperature_degc));
+    humidity.push_back(or_nan(row.humidity_percent));
+    pressure.push_back(or_nan(row.pressure_hpa));
+    moments += (moments.empty() ? "" : " ") + row.moment;
+    times += (times.empty() ? "" : " ") + row.utc;
+  }
+  put(made, "moment", moments);
+  put(made, "time_utc", times);
+  const std::vector<hsize_t> shape{rows.size()};
+  put(made, "temperature", temperature, shape, {"degree_Celsius", "of the room"});
+  put(made, "relative_humidity", humidity, shape, {"percent"});
+  put(made, "pressure", pressure, shape, {"hPa"});
+}
+
+void put_conditions(const H5::Group& entry, const RunRecord& record) {
+  const H5::Group made = group(entry, "conditions", "NXcollection");
+  if (record.g_loc_known) {
+    put(made, "g_loc", record.g_loc.value_mps2, {"m s-2", "local gravity"});
+    put(made, "g_loc_errors", record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor,
+        {"m s-2", "standard uncertainty (k = 1) of g_loc"});
+    put(made, "g_loc_source", record.g_loc.source);
+  }
+  const Tolerances& t = record.tolerances;
+  put(made, "tolerance_alignment", t.alignment.deg(), {"degree", "standard uncertainty of Zx, Zy, Xz"});
+  put(made, "tolerance_step", t.step.deg(), {"degree", "standard uncertainty of each rotation step"});
+  put(made, "tolerance_initial_turn", t.initial_turn.deg(), {"degree"});
+  put(made, "tolerance_zero", t.zero.deg(), {"degree"});
+  put(made, "tolerance_drift", t.drift, {kNoUnit, "over the run, of the sensitivity"});
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    const std::string name(key.key);
+    put(made, name, key.get(t),
+        {std::string(key.unit), "stated standard uncertainty: " + std::string(key.words)});
+    const auto source = t.sources.find(name);
+    put(made, name + "_source", source == t.sources.end() ? "default" : source->second);
+  }
+}
+
+void put_process(const H5::Group& entry, const std::string& name, const std::string& version,
+                 const std::string& date, const std::string& what) {
+  const H5::Group made = group(entry, name, "NXprocess");
+  put(made, "program", "abcal");
+  put(made, "version", version);
+  put(made, "date", date);
+  put(made, "description", what);
+}
+
+void put_note(const H5::Group& entry, const std::string& name, const std::string& type,
+              const std::string& data) {
+  const H5::Group made = group(entry, name, "NXnote");
+  put(made, "type", type);
+  put(made, "data", data);
+}
+
+void write_root(const ReportData& data, const H5::Group& root, const std::string& first_entry,
+                const std::string& file_name) {
+  set_attribute(root, "NX_class", "NXroot");
+  set_attribute(root, "default", first_entry);
+  set_attribute(root, "file_name", file_name);
+  set_attribute(root, "file_time", data.created_utc);
+  set_attribute(root, "creator", "abcal");
+  set_attribute(root, "creator_version", data.program_version);
+}
+
+void write_entry(const ReportData& data, const H5::Group& entry) {
+  set_attribute(entry, "default", "averaged");
+  put(entry, "definition", "NXabc_calibration");  // docs/NXabc_calibration.nxdl.xml
+  put(entry, "title", "calibration of a triaxial accelerometer by gravity (ABC protocol)");
+  put(entry, "entry_identifier", data.path.filename().string());
+  put(entry, "source_sha256", data.sha256.value_or(""));
+  put(entry, "start_time", data.started_utc());
+  put(entry, "end_time", data.ended_utc());
+  std::string warnings;
+  for (const std::string& caution : cautions(data)) warnings += caution + "\n";
+  put(entry, "cautions", warnings);
+  put_averaged(entry, data.record);
+  put_check_poses(entry, data.record);
+  put_conditions(entry, data.record);
+  for (const CalibrationResult& result : data.results) put_result(entry, result);
+  put_process(entry, "analysis", data.program_version, data.created_utc,
+              "abc, joint and norm estimators; this file");
+  if (!data.run) return;
+  put_process(entry, "measurement", data.run->header.program_version, data.started_utc(), "the run");
+  const H5::Group sample = group(entry, "sample", "NXsample");
+  put(sample, "name", data.label("item.model"));
+  for (const char* key : {"maker", "model", "serial_number", "range", "filter", "firmware", "supply"})
+    put(sample, key, data.label(std::string("item.") + key));
+  put(group(entry, "user", "NXuser"), "name", data.label("operator.name"));
+  put_instruments(entry, data);
+  put_environment(entry, data.run->environment);
+  put_note(entry, "bench_file", "application/toml", data.run->header.bench_toml);
+  put_readings(entry, data);
+}
+
+}  // namespace
+
+namespace {
+
+void write_file(const std::filesystem::path& path, const std::function<void(const H5::Group& root)>& write) {
+  H5::Exception::dontPrint();  // The exception contains the error.
+  try {
+    H5::H5File file(path.string(), H5F_ACC_TRUNC);
+    write(file.openGroup("/"));
+    // Asked for here, as a destructor keeps to itself that the disk was full.
+    file.flush(H5F_SCOPE_GLOBAL);
+    file.close();
+  } catch (const H5::Exception& error) {
+    throw std::runtime_error(fmt::format("{}: HDF5: {}: {} (is the disk full?)", path.string(),
+                                         error.getFuncName(), error.getDetailMsg()));
+  }
+}
+
+}  // namespace
+
+void write_hdf5(std::span<const ReportData> items, const std::filesystem::path& path,
+                const std::string& file_name) {
+  const bool several = items.size() > 1;
+  const auto name = [several](const ReportData& data) {
+    return several ? fmt::format("item_{}", data.item) : std::string("entry");
+  };
+  write_file(path, [&](const H5::Group& root) {
+    write_root(items.front(), root, name(items.front()), file_name);
+    for (const ReportData& data : items) write_entry(data, group(root, name(data), "NXentry"));
+    if (several)
+      put_note(root.openGroup(name(items.front())), "tray", "application/json",
+               tray_json(*items.front().all).dump());
+  });
+}
+
+}  // namespace abcal

@@ -1,0 +1,173 @@
+#include "app/results/report/run_figures.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "app/ground/document/gnuplot.h"
+
+namespace abcal {
+namespace {
+
+/// Distinguished by shape as well, and without full colour vision (the palette of Okabe and Ito).
+struct Style {
+  const char* name;
+  const char* colour;
+  int point;
+};
+constexpr std::array<Style, 3> kStyles{{{"u", "#D55E00", 7}, {"v", "#009E73", 13}, {"w", "#0072B2", 9}}};
+
+constexpr const char* kFrame =
+    "set grid lc rgb '#d0d0d0'\nset border lc rgb '#404040'\nset tics textcolor rgb '#202020'\n"
+    "set key off\n";
+
+std::string experiment_title(int experiment) {
+  constexpr std::array<const char*, 3> kTurns{"about X", "about X, Z turned by -90 degrees",
+                                              "about Z, X turned by -90 degrees"};
+  return fmt::format("Experiment {}: {}", experiment, kTurns[static_cast<std::size_t>(experiment - 1)]);
+}
+
+/// A plot of the bars y - u to y + u, u in the column behind y; more plots follow.
+std::string bars(const std::string& data, std::size_t x, std::size_t y, const std::string& colour) {
+  return fmt::format("{0} using {1}:(${2}-${3}):(0):(2*${3}) with vectors nohead lc rgb '{4}' notitle, ",
+                     data, x, y, y + 1, colour);
+}
+
+const FitDiagnostic* find_fit(const CalibrationResult& result, int experiment, int accelerometer) {
+  for (const FitDiagnostic& fit : result.diagnostics.fits) {
+    if (fit.experiment == experiment && fit.accelerometer == accelerometer) return &fit;
+  }
+  return nullptr;
+}
+
+}  // namespace
+
+Figure response_figure(const ReportData& data, int experiment) {
+  const CalibrationResult& result = result_of(data.results, kPublishedEstimator);
+  std::string readings, residuals;
+  bool with_u = false;
+  for (const DwellRecord& dwell : data.record.dwells) {
+    if (dwell.experiment != experiment || dwell.closing || !dwell.mean.allFinite()) continue;
+    readings += fmt::format("{:.17g} {:.17g} {:.17g} {:.17g}\n", dwell.alpha.deg(), dwell.mean[0],
+                            dwell.mean[1], dwell.mean[2]);
+    residuals += fmt::format("{:.17g}", dwell.alpha.deg());
+    for (int j = 0; j < 3; ++j) {
+      const FitDiagnostic* fit = find_fit(result, experiment, j);
+      if (fit == nullptr) return {experiment_title(experiment) + ": no fit", "", 10};
+      const SinCos at = sincos(dwell.alpha);
+      const double left =
+          dwell.mean[j] - (fit->sine.value * at.sin + fit->cosine.value * at.cos + fit->constant.value);
+      residuals +=
+          fmt::format(" {:.17g} {:.17g}", left, dwell.u_mean ? kCoverageFactor * (*dwell.u_mean)[j] : 0.0);
+    }
+    residuals += "\n";
+    with_u = with_u || dwell.u_mean;
+  }
+  std::string script = fmt::format("$r << EOD\n{}EOD\n$d << EOD\n{}EOD\n", readings, residuals);
+  script += "set angles degrees\n";
+  script += kFrame;
+  script += "set multiplot layout 1,2\nset xtics 90\nset mxtics 3\nset xlabel 'rotation angle (degree)'\n";
+  script += fmt::format(
+      "set key on outside top center horizontal samplen 2\nset ylabel {}\nset samples 91\n"
+      "set xrange [0:360]\nplot ",
+      gnuplot_quoted(fmt::format("response ({})", result.response_unit)));
+  for (std::size_t j = 0; j < 3; ++j) {
+    const FitDiagnostic& fit = *find_fit(result, experiment, static_cast<int>(j));
+    const Style& style = kStyles[j];
+    script += fmt::format(
+        "({:.17g})*sin(x)+({:.17g})*cos(x)+({:.17g}) with lines lw 1 lc rgb '{}' notitle, $r using 1:{} with "
+        "points pt {} ps 0.4 lc rgb '{}' title '{}'{}",
+        fit.sine.value, fit.cosine.value, fit.constant.value, style.colour, j + 2, style.point, style.colour,
+        style.name, j < 2 ? ", " : "\n");
+  }
+  script += fmt::format("set format y '%.1e'\nset ylabel {}\nplot 0 with lines lc rgb '#808080' notitle, ",
+                        gnuplot_quoted(fmt::format("reading - fit ({})", result.response_unit)));
+  for (std::size_t j = 0; j < 3; ++j) {
+    const Style& style = kStyles[j];
+    // Bars and marks apart: gnuplot draws the bars as one path then.
+    if (with_u) script += bars("$d", 1, 2 * j + 2, style.colour);
+    script += fmt::format("$d using 1:{} with points pt {} ps 0.35 lc rgb '{}' title '{}'{}", 2 * j + 2,
+                          style.point, style.colour, style.name, j < 2 ? ", " : "\n");
+  }
+  script += "unset multiplot\n";
+  return {fmt::format("{}. Left: averaged readings and fitted curves; right: readings minus fit{}.",
+                      experiment_title(experiment),
+                      with_u ? fmt::format(", bars: k = {:g} times the standard uncertainty of the mean",
+                                           kCoverageFactor)
+                             : std::string()),
+          script, 270};
+}
+
+Figure harmonics_figure(const CalibrationResult& result) {
+  std::string data, plots;
+  double highest = std::numeric_limits<double>::min();
+  constexpr double kRoomAbove = 1.05;
+  for (int experiment = 1; experiment <= 3; ++experiment) {
+    for (int j = 0; j < 3; ++j) {
+      data += fmt::format("$h{}{} << EOD\n", experiment, j);
+      const FitDiagnostic* fit = find_fit(result, experiment, j);
+      for (const Harmonic& harmonic : fit != nullptr ? fit->harmonics : std::vector<Harmonic>()) {
+        if (harmonic.order < 2) continue;
+        const double u = std::fmax(harmonic.sin_amplitude.standard_uncertainty,
+                                   harmonic.cos_amplitude.standard_uncertainty);
+        const double amplitude = std::hypot(harmonic.sin_amplitude.value, harmonic.cos_amplitude.value);
+        const double bar = std::isfinite(u) ? kCoverageFactor * u : 0.0;
+        highest = std::max(highest, amplitude + bar);
+        data += fmt::format("{:.17g} {:.17g} {:.17g}\n", harmonic.order + 0.2 * (j - 1), amplitude, bar);
+      }
+      data += "EOD\n";
+    }
+    plots += fmt::format("set title 'Experiment {}' offset 0,-0.5\nplot ", experiment);
+    for (std::size_t j = 0; j < 3; ++j) {
+      const std::string data_name = fmt::format("$h{}{}", experiment, j);
+      plots += bars(data_name, 1, 2, kStyles[j].colour);
+      plots += fmt::format("{} using 1:2 with points pt {} ps 0.6 lc rgb '{}' title '{}'{}", data_name,
+                           kStyles[j].point, kStyles[j].colour, kStyles[j].name, j < 2 ? ", " : "\n");
+    }
+  }
+  std::string script = data + kFrame;
+  script += fmt::format(
+      "set multiplot layout 1,3\nset xrange [1.5:5.5]\nset xtics 1\nset xlabel 'harmonic'\nset format y "
+      "'%.1e'\n"
+      "set key on outside bottom center horizontal samplen 1\nset yrange [0:{:.6g}]\nset ylabel {}\n",
+      kRoomAbove * highest, gnuplot_quoted(fmt::format("amplitude ({})", result.response_unit)));
+  return {fmt::format("Amplitudes of harmonics 2 to 5; bars: k = {:g} times their standard uncertainty.",
+                      kCoverageFactor),
+          script + plots + "unset multiplot\n", 270};
+}
+
+Figure step_error_figure(const RunRecord& record, const JointResult& joint) {
+  std::string data, plots;
+  for (std::size_t i = 0; i < 3; ++i) {
+    data += fmt::format("$f{} << EOD\n", i + 1);
+    for (std::size_t n = 0; n < joint.step_error[i].size(); ++n) {
+      const Quantity& f = joint.step_error[i][n];
+      if (!std::isfinite(f.value)) continue;
+      constexpr double kMilli = 1e3;
+      data += fmt::format(
+          "{:.17g} {:.17g} {:.17g}\n", record.step.deg() * static_cast<double>(n), kMilli * f.value,
+          std::isfinite(f.standard_uncertainty) ? kMilli * kCoverageFactor * f.standard_uncertainty : 0.0);
+    }
+    data += "EOD\n";
+    plots += fmt::format(
+        "set title 'Experiment {0}'\nplot 0 with lines lc rgb '#808080', {1}$f{0} using 1:2 with points pt 6 "
+        "ps 0.3 "
+        "lc rgb '#0072B2'\n",
+        i + 1, bars(fmt::format("$f{}", i + 1), 1, 2, "#0072B2"));
+  }
+  std::string script = data + kFrame;
+  script +=
+      "set multiplot layout 1,3\nset xrange [0:360]\nset xtics 90\nset xlabel 'rotation angle (degree)'\n"
+      "set ylabel 'step error (0.001 degree)'\n";
+  return {
+      fmt::format("Rotation-step errors that the joint estimator finds; bars: k = {:g} times their standard "
+                  "uncertainty.",
+                  kCoverageFactor),
+      script + plots + "unset multiplot\n", 240};
+}
+
+}  // namespace abcal

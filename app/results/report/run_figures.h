@@ -1,0 +1,17 @@
+#pragma once
+
+#include "app/ground/document/document.h"
+#include "app/results/estimates/report_data.h"
+
+namespace abcal {
+
+/// Readings with the fitted curve, and the residuals; of one experiment (1, 2, 3).
+Figure response_figure(const ReportData& data, int experiment);
+
+/// Amplitudes of harmonics 2 to 5 of the three experiments.
+Figure harmonics_figure(const CalibrationResult& result);
+
+/// Rotation-step errors of the three experiments, as the joint estimator finds them.
+Figure step_error_figure(const RunRecord& record, const JointResult& joint);
+
+}  // namespace abcal

@@ -1,0 +1,212 @@
+#include "app/studies/study/study_json.h"
+
+#include <nlohmann/json.hpp>
+
+#include "app/results/estimates/result_json.h"
+
+namespace abcal {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// The four groups, each element made by `element(k)`.
+template <class Element>
+Json groups(const Element& element) {
+  Json json;
+  Json rows = Json::array();
+  for (int j = 0; j < 3; ++j) rows.push_back({element(3 * j), element(3 * j + 1), element(3 * j + 2)});
+  json["sensitivity_matrix"] = std::move(rows);
+  const auto triple = [&](int first) {
+    return Json::array({element(first), element(first + 1), element(first + 2)});
+  };
+  json["offset"] = triple(kFirstOffset);
+  json["intrinsic_sensitivity"] = triple(kFirstIntrinsicSensitivity);
+  json["intrinsic_angle"] = triple(kFirstIntrinsicAngle);
+  return json;
+}
+
+Json groups(const OutputVector& values) {
+  return groups([&](int k) { return json_number(values(k)); });
+}
+
+Json groups(const StudyOutput& output) {
+  return groups(to_vector(output));
+}
+
+template <class Matrix>
+Json matrix(const Matrix& m) {
+  Json rows = Json::array();
+  for (Eigen::Index i = 0; i < m.rows(); ++i) {
+    Json row = Json::array();
+    for (Eigen::Index j = 0; j < m.cols(); ++j) row.push_back(json_number(m(i, j)));
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+const char* method(IntervalMethod interval) {
+  switch (interval) {
+    case IntervalMethod::kNone:
+      return "none";
+    case IntervalMethod::kExact:
+      return "exact";
+    case IntervalMethod::kHistogram:
+      return "histogram";
+  }
+  return "none";
+}
+
+void add_monte_carlo(Json& json, const MonteCarloResult& result) {
+  json["trials"] = result.trials;
+  json["interrupted"] = result.interrupted;
+  json["adaptive"] = result.adaptive;
+  json["converged"] = result.converged;
+  json["mean"] = groups(OutputVector(result.mean));
+  json["standard_deviation"] = groups(OutputVector(result.standard_deviation));
+  json["coverage_probability"] = result.coverage_probability;
+  json["interval_method"] = method(result.interval_method);
+  if (result.coverage.empty()) {
+    json["coverage_interval"] = nullptr;
+    json["shortest_coverage_interval"] = nullptr;
+  } else {
+    const auto pair = [](const CoverageInterval& interval) {
+      return Json::array({json_number(interval.low), json_number(interval.high)});
+    };
+    json["coverage_interval"] =
+        groups([&](int k) { return pair(result.coverage[static_cast<std::size_t>(k)].symmetric); });
+    json["shortest_coverage_interval"] =
+        groups([&](int k) { return pair(result.coverage[static_cast<std::size_t>(k)].shortest); });
+  }
+  json["covariance"] = matrix(result.covariance);
+}
+
+std::string join(const std::string& a, const std::string& b) {
+  return a.empty() || b.empty() ? a + b : a + " " + b;
+}
+
+Json output_order() {
+  Json order = Json::array();
+  for (int k = 0; k < kStudyOutputs; ++k) order.push_back(output_symbol(k));
+  return order;
+}
+
+}  // namespace
+
+nlohmann::ordered_json study_json(const StudyResult& study) {
+  Json json;
+  json["schema"] = "abcal.study/1";
+  json["set"] = study.set;
+  json["title"] = study.title;
+  json["trials"] = study.trials;
+  json["seed"] = study.seed;
+  json["generator"] = "Philox4x32-10";
+  json["interrupted"] = study.interrupted;
+  json["order"] = output_order();
+  json["cases"] = Json::array();
+  for (const StudyCase& one : study.cases) {
+    Json item;
+    item["name"] = one.name;
+    std::string note = one.note;
+    if (one.error) {
+      item["error"] = groups(*one.error);
+      if (one.truth) item["truth"] = groups(*one.truth);
+    }
+    if (one.monte_carlo) {
+      item["quantity"] = "error";
+      add_monte_carlo(item, *one.monte_carlo);
+      note = join(note, one.monte_carlo->note);
+      if (one.means_not_zero) {
+        item["means_not_zero"] = {{"sensitivity_matrix", (*one.means_not_zero)[0]},
+                                  {"intrinsic_properties", (*one.means_not_zero)[1]}};
+      }
+    }
+    if (one.largest_higher_harmonic)
+      item["largest_higher_harmonic"] = json_number(*one.largest_higher_harmonic);
+    if (!one.table.empty()) item["table"] = one.table;
+    if (one.published_truth) {
+      item["paper"] = {{"truth", groups(*one.published_truth)}};
+    } else if (one.published && one.published_standard_deviation) {
+      item["paper"] = {{"mean", groups(*one.published)},
+                       {"standard_deviation", groups(*one.published_standard_deviation)}};
+    } else if (one.published) {
+      item["paper"] = groups(*one.published);
+    }
+    if (!note.empty()) item["note"] = note;
+    json["cases"].push_back(std::move(item));
+  }
+  return json;
+}
+
+nlohmann::ordered_json study_json(const RunUncertainty& study) {
+  Json json;
+  json["schema"] = "abcal.study/1";
+  json["set"] = "uncertainty";
+  json["source"] = study.source;
+  json["trials"] = study.type_b.trials;
+  json["seed"] = study.seed;
+  json["generator"] = "Philox4x32-10";
+  json["interrupted"] = study.interrupted;
+  json["response_unit"] = study.response_unit;
+  json["tolerances"] = {{"alignment_deg", study.tolerances.alignment.deg()},
+                        {"step_deg", study.tolerances.step.deg()},
+                        {"initial_turn_deg", study.tolerances.initial_turn.deg()},
+                        {"zero_deg", study.tolerances.zero.deg()},
+                        {"drift", study.tolerances.drift}};
+  json["order"] = output_order();
+  json["value"] = groups(study.value);
+  json["standard_uncertainty"] = groups(study.standard_uncertainty);
+
+  const auto add_case = [&](const char* name, const char* quantity, const MonteCarloResult& result,
+                            const std::string& note) {
+    Json item;
+    item["name"] = name;
+    item["quantity"] = quantity;
+    add_monte_carlo(item, result);
+    const std::string whole = join(note, result.note);
+    if (!whole.empty()) item["note"] = whole;
+    json["cases"].push_back(std::move(item));
+  };
+  json["cases"] = Json::array();
+  add_case("type B: calibration system", "error", study.type_b, "");
+  add_case("type A: paper, section 6", "value", study.type_a,
+           study.acs_measured ? "Measured errors of the calibration system."
+                              : "Nothing measured: means of zero, the tolerances as standard errors.");
+  add_case("combined: whole budget", "error", study.combined, "");
+
+  Json lines = Json::array();
+  for (const BudgetLine& line : study.budget.lines) {
+    lines.push_back({{"input", line.input},
+                     {"value", line.value},
+                     {"unit", line.unit},
+                     {"distribution", line.distribution},
+                     {"type", line.type_a ? "A" : "B"},
+                     {"standard_uncertainty", json_number(line.standard_uncertainty)},
+                     {"sensitivity", groups(line.sensitivity)},
+                     {"contribution", groups(line.contribution)},
+                     {"share", groups([&](int k) { return json_number(study.budget.share(line, k)); })}});
+  }
+  json["budget"] = {{"lines", std::move(lines)},
+                    {"combined", groups(study.budget.combined)},
+                    {"not_covered", study.budget.not_covered},
+                    {"notes", study.budget.notes}};
+  if (study.validation.empty()) {
+    json["gum_validation"] = nullptr;
+  } else {
+    const auto of = [&](auto member) {
+      return groups([&](int k) { return Json(study.validation[static_cast<std::size_t>(k)].*member); });
+    };
+    json["gum_validation"] = {{"validated", of(&GumValidation::validated)},
+                              {"decided", of(&GumValidation::decided)},
+                              {"expanded_uncertainty", of(&GumValidation::expanded_uncertainty)},
+                              {"d_low", of(&GumValidation::d_low)},
+                              {"d_high", of(&GumValidation::d_high)},
+                              {"tolerance", of(&GumValidation::tolerance)}};
+  }
+  if (study.paper_preset) {
+    json["preset"] = {
+        {"name", "paper"}, {"standard_uncertainty", groups(study.bounds)}, {"warnings", study.warnings}};
+  }
+  return json;
+}
+
+}  // namespace abcal

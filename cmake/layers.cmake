@@ -1,0 +1,52 @@
+# What each folder of app, drivers, protocol and sim may include: layers point one way (docs/architecture.md).
+# layer(FOLDER [TOP] MAY folders and headers of the project... FOREIGN headers of libraries...)
+# Every folder may include itself and drivers/text/. TOP: only the files that stand directly in the folder.
+# Two programs read this list: cmake/AbcalDoors.cmake makes the include roots of the targets, so that a forbidden include
+# does not compile; tests/layering_check.cmake reads the files, and covers also libraries and folders that nobody listed.
+
+# --- drivers -------------------------------------------------------------------------------------------------------------
+layer(drivers/text)
+layer(drivers/instrument FOREIGN Eigen/)
+layer(drivers/wire MAY drivers/instrument/ FOREIGN boost/ libserialport.h fmt/ Eigen/)
+# A folder with a driver.cc is a driver; all drivers have the same rule.
+file(GLOB registrations RELATIVE "${SOURCE_DIR}" "${SOURCE_DIR}/drivers/*/driver.cc")
+foreach(registration IN LISTS registrations)
+  get_filename_component(driver ${registration} DIRECTORY)
+  layer(${driver} MAY drivers/instrument/ drivers/wire/ drivers/registry.h FOREIGN boost/ fmt/ Eigen/ libxml/)
+endforeach()
+layer(drivers TOP MAY drivers/ FOREIGN fmt/)
+
+# --- protocol ------------------------------------------------------------------------------------------------------------
+set(angle drivers/instrument/angle.h)
+# Estimators and uncertainty cannot even name an instrument.
+set(numbers ${angle} protocol/linear/ protocol/statistics/ protocol/plan/ protocol/record/run_record.h protocol/model/)
+layer(protocol/plan MAY ${angle} FOREIGN Eigen/ fmt/)
+layer(protocol/linear FOREIGN Eigen/)
+layer(protocol/model MAY ${angle} protocol/plan/effect_sizes.h protocol/plan/tolerances.h FOREIGN Eigen/)
+layer(protocol/statistics FOREIGN boost/math/)
+layer(protocol/gravity MAY ${angle} FOREIGN fmt/)
+layer(protocol/record MAY ${angle} drivers/instrument/clock.h protocol/plan/ FOREIGN Eigen/ unsupported/Eigen/ fmt/ sqlite3.h openssl/)
+layer(protocol/run MAY drivers/instrument/ protocol/plan/ protocol/record/ protocol/statistics/ FOREIGN Eigen/ fmt/)
+layer(protocol/estimators MAY ${numbers} FOREIGN Eigen/ fmt/ Random123/ hwy/)
+layer(protocol/uncertainty MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fmt/ boost/math/ boost/sort/ Random123/ hwy/)
+layer(protocol/temperature MAY ${numbers} protocol/estimators/ FOREIGN Eigen/ fmt/)
+
+# --- sim -----------------------------------------------------------------------------------------------------------------
+# Written apart from what it checks: it includes neither protocol nor a driver's codec.
+layer(sim MAY drivers/instrument/ drivers/wire/ FOREIGN Eigen/ boost/ fmt/ Random123/)
+
+# --- app: six wings ------------------------------------------------------------------------------------------------------
+# The true values of a simulated bench, without its instruments.
+set(truth sim/bench_truth.h sim/emulated_serial_numbers.h sim/fault_kinds.h)
+layer(app/ground MAY drivers/instrument/ protocol/plan/ protocol/gravity/ protocol/record/ ${truth}
+  FOREIGN CLI/ toml++/ Eigen/ nlohmann/ fmt/ lcms2.h libxml/ qpdf/ hwy/ spdlog/)
+layer(app/operate MAY app/ground/ drivers/ protocol/plan/ protocol/gravity/ protocol/record/ protocol/run/ protocol/estimators/ protocol/linear/
+  protocol/model/ protocol/statistics/ sim/ FOREIGN Eigen/ nlohmann/ fmt/ boost/)
+layer(app/results MAY app/ground/ drivers/instrument/ protocol/ sim/
+  FOREIGN toml++/ Eigen/ H5Cpp.h nlohmann/ fmt/)
+layer(app/laboratory MAY app/ground/ app/results/ drivers/instrument/ protocol/ ${truth}
+  FOREIGN soci/ sodium.h Eigen/ unsupported/Eigen/ libxml/ nlohmann/ openssl/ unicode/ xmlsec/ fmt/)
+layer(app/studies MAY app/ground/ app/results/ drivers/instrument/ protocol/ sim/ FOREIGN Eigen/ mpi.h nlohmann/ fmt/)
+layer(app/faces MAY app/ drivers/ protocol/ sim/ abcal/
+  FOREIGN CLI/ Eigen/ boost/ libxml/ nlohmann/ openssl/ pybind11/ sqlite3.h unicode/ fmt/)
+layer(app TOP MAY app/ drivers/ protocol/ sim/ FOREIGN CLI/ boost/ curl/ matio.h nlohmann/ fmt/ hwy/)

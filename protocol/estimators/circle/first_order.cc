@@ -1,0 +1,133 @@
+#include "protocol/estimators/circle/first_order.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <numbers>
+#include <stdexcept>
+#include <utility>
+
+namespace abcal {
+
+namespace {
+
+constexpr double kRadianPerDegree = std::numbers::pi / 180.0;
+
+/// The record's readings as the effects see them.
+struct EffectPlaces {
+  std::vector<StagePose> poses;
+  std::vector<GravityAt> gravity;
+  std::vector<ItemPoint> points;
+};
+
+EffectPlaces places_of(std::span<const DwellRecord* const> dwells, std::span<const double> time_fractions,
+                       const Eigen::Matrix3d& s) {
+  EffectPlaces out;
+  const Eigen::Matrix3d rows = s.rowwise().normalized();
+  for (std::size_t i = 0; i < dwells.size(); ++i) {
+    const SinCos alpha = sincos(dwells[i]->alpha);
+    out.poses.push_back(StagePose::of(dwells[i]->experiment, alpha.sin, alpha.cos));
+    out.gravity.push_back(gravity_at(out.poses.back(), StageInputs::Zero()));
+    ItemPoint point{time_fractions[i], rows * out.gravity.back().g, Eigen::Vector3d::Zero()};
+    if (i > 0) point.came_from = signs_of_change(out.points.back().y, point.y);
+    out.points.push_back(point);
+  }
+  return out;
+}
+
+/// What a budget shows an unknown in, and how large that is in the table's unit.
+std::pair<std::string, double> shown_unit(const StageEffect& effect) {
+  if (effect.unit == "1") return {"1", 1.0};
+  if (effect.key == "wobble_urad") return {"urad", 1e-6};
+  return {"degree", kRadianPerDegree};
+}
+
+void add_stage_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, const EffectSizes& sizes,
+                       std::vector<InputEffect>& effects) {
+  for (const StageEffect& entry : stage_effects()) {
+    const auto [unit, size] = shown_unit(entry);
+    for (int i = 0; i < entry.count; ++i) {
+      const std::string which = entry.unknown_name(i);
+      InputEffect effect;
+      effect.name = fmt::format("{}{}{}", entry.name, which.empty() ? "" : ", ", which);
+      effect.group = entry.name;
+      effect.key = entry.key;
+      effect.unit = unit;
+      effect.standard_uncertainty = entry.prior(sizes) / size;
+      effect.effect.reserve(places.poses.size());
+      for (std::size_t n = 0; n < places.poses.size(); ++n) {
+        const StageShare share = entry.share(places.poses[n], i);
+        const auto& by = places.gravity[n].by_input;
+        effect.effect.push_back(
+            size * s * (by.col(share.input) * share.value + by.col(share.second_input) * share.second_value));
+      }
+      effects.push_back(std::move(effect));
+    }
+  }
+}
+
+void add_item_effects(const EffectPlaces& places, const Eigen::Matrix3d& s, const EffectSizes& sizes,
+                      const std::string& response_unit, std::vector<InputEffect>& effects) {
+  const Eigen::Matrix3d rows = s.rowwise().normalized();
+  for (const ItemEffect& entry : item_effects()) {
+    for (int i = 0; i < entry.count; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        const std::string which = entry.unknown_name(i);
+        InputEffect effect;
+        effect.name = fmt::format("{} {}{}{}", entry.name, "uvw"[j], which.empty() ? "" : ", ", which);
+        effect.group = entry.name;
+        effect.key = entry.key;
+        effect.unit = response_unit;
+        effect.standard_uncertainty = entry.prior(sizes) * s.row(j).norm();
+        effect.item = &entry;
+        effect.item_unknown = i;
+        effect.output = j;
+        effect.effect.reserve(places.points.size());
+        for (const ItemPoint& point : places.points)
+          effect.effect.push_back(entry.share(point, j, i).value * Eigen::Vector3d::Unit(j));
+        const LineShare line = entry.line(rows, j, i);
+        effect.line.segment<3>(3 * j) = line.scale * rows.row(j).transpose();
+        effect.line(9 + j) = line.offset;
+        effects.push_back(std::move(effect));
+      }
+    }
+  }
+}
+
+}  // namespace
+
+std::vector<InputEffect> first_order_effects(std::span<const DwellRecord* const> dwells,
+                                             std::span<const double> time_fractions,
+                                             const AccelerometerModel& accelerometer,
+                                             const EffectSizes& sizes, const std::string& response_unit) {
+  if (dwells.size() != time_fractions.size()) {
+    throw std::invalid_argument(
+        fmt::format("first-order effects: {} dwells, {} times; one of each is required", dwells.size(),
+                    time_fractions.size()));
+  }
+  const Eigen::Matrix3d& s = accelerometer.sensitivity_matrix;
+  const EffectPlaces places = places_of(dwells, time_fractions, s);
+  std::vector<InputEffect> effects;
+  effects.reserve(150 + dwells.size());
+  add_stage_effects(places, s, sizes, effects);
+  add_item_effects(places, s, sizes, response_unit, effects);
+  std::erase_if(effects, [](const InputEffect& effect) { return effect.standard_uncertainty == 0.0; });
+  const double step = step_prior(sizes) / kRadianPerDegree;
+  for (std::size_t k = 0; step > 0.0 && k < dwells.size(); ++k) {
+    InputEffect effect;
+    effect.name = fmt::format("f_{}({})", dwells[k]->experiment, dwells[k]->n);
+    effect.group = fmt::format("f_{}", dwells[k]->experiment);
+    effect.key = "step_deg";
+    effect.unit = "degree";
+    effect.standard_uncertainty = step;
+    effect.first_reading = k;
+    effect.effect.push_back(kRadianPerDegree * s *
+                            places.gravity[k].by_input.col(moving_angle_input(dwells[k]->experiment)));
+    effects.push_back(std::move(effect));
+  }
+  return effects;
+}
+
+}  // namespace abcal

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <vector>
+
+#include "protocol/estimators/joint/effect_fit.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// The readings of a record that the joint fit uses, in the order of the record. Angles that are clipped,
+/// stuck or not finite are left out.
+struct CollectedReadings {
+  std::vector<EffectReading> readings;
+  std::vector<const DwellRecord*> dwells;  ///< The dwell of each reading; they live in the record.
+  int clipped = 0;
+  int stuck = 0;
+  int not_finite = 0;
+  /// Every reading in use states an uncertainty above zero. If not, `u` is a first guess, the same for all.
+  bool u_known = false;
+};
+
+/// @param one_map_per_axis  readings of one axis at one angle share a step error
+/// @throws UnusableData an experiment that is not 1, 2 or 3; a number that is not finite
+CollectedReadings collect_readings(const RunRecord& record, bool one_map_per_axis = false);
+
+}  // namespace abcal

@@ -1,0 +1,388 @@
+#include "protocol/estimators/joint/effect_model.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <stdexcept>
+#include <utility>
+
+#include "protocol/estimators/shared/known_acs_fit.h"
+#include "protocol/estimators/shared/unusable_data.h"
+
+namespace abcal {
+namespace {
+
+/// Noise is at least this times S_j, or a noise-free record would leave nothing but round-off.
+constexpr double kSmallestRelativeNoise = 1e-9;
+/// No stage stands askew by more (radian): a solution beyond it is none.
+constexpr double kMostAskew = 0.7;
+
+void effect_require(bool holds, const std::string& message) {
+  if (!holds) throw std::invalid_argument("joint fit: " + message);
+}
+void data_require(bool holds, const std::string& message) {
+  if (!holds) throw UnusableData("joint fit: " + message);
+}
+
+std::string full_name(std::string_view effect, const std::string& which) {
+  return fmt::format("{}{}{}", effect, which.empty() ? "" : ", ", which);
+}
+
+double median_of(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+}  // namespace
+
+EffectModel::EffectModel(std::span<const EffectReading> readings, const EffectFitOptions& options)
+    : readings_(readings), options_(options) {
+  check_readings();
+  choose_unknowns();
+  list_unknowns();
+  start_from_linear_fit();
+  find_directions();
+  evaluate();
+}
+
+void EffectModel::check_readings() const {
+  effect_require(!readings_.empty(), "no readings");
+  for (const EffectReading& at : readings_) {
+    effect_require(at.experiment >= 1 && at.experiment <= 3,
+                   fmt::format("experiment {}; 1, 2 or 3 is required", at.experiment));
+    effect_require(at.value.allFinite() && std::isfinite(at.sin_alpha) && std::isfinite(at.cos_alpha) &&
+                       std::isfinite(at.t),
+                   "a reading, its angle or its time is not a finite number");
+    effect_require(at.u.allFinite() && at.u.minCoeff() > 0.0,
+                   "the standard uncertainty of a reading is not a finite number greater than zero");
+  }
+  for (const EffectSizeKey& key : effect_size_keys()) {
+    const double size = key.get(options_.sizes);
+    data_require(std::isfinite(size) && size >= 0.0,
+                 fmt::format("{} is {}; a finite number not below zero is required", key.key, size));
+  }
+}
+
+/// Alignment that was measured otherwise: data, whatever is stated of it.
+const std::optional<MeasuredValue>* EffectModel::measured(std::string_view effect) const {
+  const MeasuredAlignment& alignment = options_.measured_alignment;
+  if (effect == "Zx") return &alignment.zx;
+  if (effect == "Zy") return &alignment.zy;
+  if (effect == "Xz") return &alignment.xz;
+  return nullptr;
+}
+
+/// What is stated as zero is known exactly, and left out.
+void EffectModel::choose_unknowns() {
+  const EffectSizes& sizes = options_.sizes;
+  for (const ItemEffect& effect : item_effects()) {
+    if (!is_fitted(effect, sizes, options_.drift, options_.nonlinearity)) continue;
+    for (int i = 0; i < effect.count; ++i) layout_.own.push_back({&effect, i});
+  }
+  for (const StageEffect& effect : stage_effects()) {
+    const auto* of_effect = measured(effect.name);
+    const bool known = !(effect.prior(sizes) > 0.0) && !(of_effect != nullptr && *of_effect);
+    if (known || (effect.key == "zero_deg" && !options_.mean_step)) continue;
+    for (int i = 0; i < effect.count; ++i) layout_.stage.push_back({&effect, i});
+  }
+  const double step = step_prior(sizes);
+  if (step > 0.0) {
+    for (const EffectReading& at : readings_) layout_.maps = std::max(layout_.maps, at.map + 1);
+  }
+  step_sd_ = layout_.maps > 0 ? 0.0 : step;
+}
+
+EffectUnknown EffectModel::stage_unknown(const StageEffect& effect, int index) const {
+  EffectUnknown unknown{std::string(effect.name),
+                        full_name(effect.name, effect.unknown_name(index)),
+                        std::string(effect.key),
+                        -1,
+                        0.0,
+                        effect.prior(options_.sizes)};
+  const auto* of_effect = measured(effect.name);
+  if (of_effect == nullptr || !*of_effect) return unknown;
+  const MeasuredValue& value = **of_effect;
+  data_require(std::isfinite(value.value) && std::isfinite(value.standard_uncertainty) &&
+                   value.standard_uncertainty > 0.0,
+               fmt::format("measured {} = {} with standard uncertainty {}; a finite value and an uncertainty "
+                           "greater than zero are required",
+                           effect.name, value.value, value.standard_uncertainty));
+  unknown.prior_mean = value.value;
+  unknown.prior_sd = value.standard_uncertainty;
+  return unknown;
+}
+
+void EffectModel::list_unknowns() {
+  constexpr double kNoPrior = std::numeric_limits<double>::infinity();
+  for (int j = 0; j < 3; ++j) {
+    const char output = "uvw"[j];
+    for (const char axis : {'x', 'y', 'z'})
+      unknowns_.push_back({"s", fmt::format("s_{}{}", output, axis), "", j, 0.0, kNoPrior});
+    unknowns_.push_back({"O", fmt::format("O_{}", output), "", j, 0.0, kNoPrior});
+    for (const EffectLayout::OwnUnknown& own : layout_.own) {
+      unknowns_.push_back(
+          {std::string(own.effect->name),
+           full_name(fmt::format("{} of {}", own.effect->name, output), own.effect->unknown_name(own.index)),
+           std::string(own.effect->key), j, 0.0, own.effect->prior(options_.sizes)});
+    }
+  }
+  for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
+    unknowns_.push_back(stage_unknown(*of_stage.effect, of_stage.index));
+  for (int i = 0; i < layout_.maps; ++i) {
+    unknowns_.push_back({"step errors", fmt::format("step error of pose {}", i + 1), "step_deg", -1, 0.0,
+                         step_prior(options_.sizes)});
+  }
+  prior_weight_ = Eigen::VectorXd::Zero(layout_.count());
+  prior_mean_ = Eigen::VectorXd::Zero(layout_.count());
+  for (std::size_t i = 0; i < unknowns_.size(); ++i) {
+    const auto at = static_cast<Eigen::Index>(i);
+    prior_mean_(at) = unknowns_[i].prior_mean;
+    if (std::isfinite(unknowns_[i].prior_sd))
+      prior_weight_(at) = 1.0 / (unknowns_[i].prior_sd * unknowns_[i].prior_sd);
+  }
+}
+
+void EffectModel::start_from_linear_fit() {
+  std::vector<Eigen::Vector3d> gravity;
+  std::vector<Eigen::Vector3d> values;
+  const StageInputs perfect = StageInputs::Zero();
+  poses_.reserve(readings_.size());
+  shares_.reserve(readings_.size() * layout_.stage.size());
+  for (const EffectReading& at : readings_) {
+    poses_.push_back(StagePose::of(at.experiment, at.sin_alpha, at.cos_alpha));
+    gravity.push_back(gravity_alone(poses_.back(), perfect));
+    values.push_back(at.value);
+    for (const EffectLayout::StageUnknown& of_stage : layout_.stage)
+      shares_.push_back(of_stage.effect->share(poses_.back(), of_stage.index));
+  }
+  const KnownAcsFit start = linear_fit_given_acs(gravity, values);
+  unit_ = start.sensitivity_matrix.rowwise().norm();
+  for (int j = 0; j < 3; ++j) {
+    // An output that never changes leaves a row of round-off: some ulp of what it reads.
+    data_require(unit_(j) > 1e-12 * std::abs(start.offset(j)),
+                 fmt::format("accelerometer {} does not respond to gravity at all", "uvw"[j]));
+    std::vector<double> u;
+    for (const EffectReading& at : readings_) u.push_back(at.u(j) / unit_(j));
+    usual_u_(j) = median_of(std::move(u));
+  }
+  value_ = prior_mean_;
+  for (int j = 0; j < 3; ++j) {
+    value_.segment<3>(layout_.own_count() * j) = start.sensitivity_matrix.row(j).transpose() / unit_(j);
+    value_(layout_.own_count() * j + 3) = start.offset(j) / unit_(j);
+  }
+  step_.assign(readings_.size(), 0.0);
+  by_step_.resize(readings_.size());
+  residual_.resize(3 * static_cast<Eigen::Index>(readings_.size()));
+  jacobian_.resize(residual_.size(), layout_.count());
+}
+
+/// Signs for the hysteresis, once, from the linear solution.
+void EffectModel::find_directions() {
+  came_from_.assign(readings_.size(), Eigen::Vector3d::Zero());
+  const Eigen::Matrix3d start = rows();
+  const StageInputs perfect = StageInputs::Zero();
+  Eigen::Vector3d before = Eigen::Vector3d::Zero();
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    const Eigen::Vector3d y = start * gravity_alone(poses_[n], perfect);
+    if (n > 0) came_from_[n] = signs_of_change(before, y);
+    before = y;
+  }
+}
+
+Eigen::Matrix3d EffectModel::rows() const {
+  Eigen::Matrix3d out;
+  for (int j = 0; j < 3; ++j) out.row(j) = value_.segment<3>(layout_.own_count() * j).transpose();
+  return out;
+}
+
+StageInputs EffectModel::inputs_at(std::size_t n) const {
+  StageInputs inputs = StageInputs::Zero();
+  const StageShare* shares = shares_.data() + n * layout_.stage.size();
+  for (std::size_t k = 0; k < layout_.stage.size(); ++k) {
+    const double p = value_(layout_.first_stage() + static_cast<int>(k));
+    inputs(shares[k].input) += shares[k].value * p;
+    inputs(shares[k].second_input) += shares[k].second_value * p;
+  }
+  const int map = map_of(n);
+  inputs(moving_angle_input(readings_[n].experiment)) +=
+      map >= 0 ? value_(layout_.first_map() + map) : step_[n];
+  return inputs;
+}
+
+EffectModel::At EffectModel::evaluate_at(std::size_t n, const Eigen::Matrix3d& rows) {
+  const auto stage_count = static_cast<int>(layout_.stage.size());
+  const StageShare* shares = shares_.data() + n * layout_.stage.size();
+  const int moving = moving_angle_input(readings_[n].experiment);
+  const GravityAt gravity = gravity_at(poses_[n], inputs_at(n));
+  const ItemPoint point{readings_[n].t, rows * gravity.g, came_from_[n]};
+  const Eigen::Matrix<double, 3, kStageInputs> by_input = rows * gravity.by_input;
+
+  At out;
+  for (int j = 0; j < 3; ++j) {
+    double* row = jacobian_.row(static_cast<Eigen::Index>(3 * n) + j).data();
+    std::fill_n(row, layout_.count(), 0.0);
+    const int first = layout_.own_count() * j;
+    double reading = point.y(j) + value_(first + 3);
+    Eigen::Vector3d slope = Eigen::Vector3d::Unit(j);  // by the linear responses of u, v, w
+    for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+      const ItemShare share = layout_.own[i].effect->share(point, j, layout_.own[i].index);
+      const int column = first + EffectLayout::kOwnFixed + static_cast<int>(i);
+      reading += share.value * value_(column);
+      slope(j) += share.by_y * value_(column);
+      slope((j + 1) % 3) += share.by_next * value_(column);
+      slope((j + 2) % 3) += share.by_last * value_(column);
+      row[column] = share.value;
+    }
+    const Eigen::Matrix<double, 1, kStageInputs> by = slope.transpose() * by_input;
+    out.reading(j) = reading;
+    out.by_step(j) = by(moving);
+    for (int m = 0; m < 3; ++m) {
+      for (int k = 0; k < 3; ++k) row[layout_.own_count() * m + k] = slope(m) * gravity.g(k);
+    }
+    row[first + 3] = 1.0;
+    double* of_stage = row + layout_.first_stage();
+    for (int k = 0; k < stage_count; ++k) {
+      of_stage[k] =
+          by(shares[k].input) * shares[k].value + by(shares[k].second_input) * shares[k].second_value;
+    }
+    if (const int map = map_of(n); map >= 0) row[layout_.first_map() + map] = out.by_step(j);
+  }
+  return out;
+}
+
+void EffectModel::evaluate() {
+  const Eigen::Matrix3d at_value = rows();
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    const At model = evaluate_at(n, at_value);
+    by_step_[n] = model.by_step;
+    residual_.segment<3>(3 * static_cast<Eigen::Index>(n)) =
+        readings_[n].value.cwiseQuotient(unit_) - model.reading + by_step_[n] * step_[n];
+  }
+}
+
+void EffectModel::move_to(const Eigen::VectorXd& value, std::vector<double> steps) {
+  value_ = value;
+  step_ = std::move(steps);
+  evaluate();
+}
+
+void EffectModel::move_to(const EffectModel& other, std::vector<double> steps) {
+  usual_u_ = usual_u_.cwiseProduct(unit_).cwiseQuotient(other.unit_);
+  unit_ = other.unit_;
+  Eigen::VectorXd value = Eigen::VectorXd::Zero(layout_.count());
+  // Both list what they have of the table in its order.
+  for (std::size_t i = 0, k = 0; i < unknowns_.size() && k < other.unknowns_.size(); ++i) {
+    if (unknowns_[i].name == other.unknowns_[k].name)
+      value(static_cast<Eigen::Index>(i)) = other.value_(static_cast<Eigen::Index>(k++));
+  }
+  move_to(value, std::move(steps));
+}
+
+bool EffectModel::is_plausible() const {
+  const Eigen::Index axes = std::min<Eigen::Index>(3, static_cast<Eigen::Index>(layout_.stage.size()));
+  return value_.allFinite() &&
+         (axes == 0 || value_.segment(layout_.first_stage(), axes).cwiseAbs().maxCoeff() < kMostAskew);
+}
+
+Eigen::VectorXd EffectModel::misfit() const {
+  Eigen::VectorXd out = residual_;
+  for (std::size_t n = 0; n < readings_.size(); ++n)
+    out.segment<3>(3 * static_cast<Eigen::Index>(n)) -= by_step_[n] * step_[n];
+  return out;
+}
+
+std::vector<NoiseAtAngle> EffectModel::noise_at_angles(const Eigen::Vector3d& white) const {
+  std::vector<NoiseAtAngle> out(readings_.size());
+  const double intervals = static_cast<double>(std::max<std::size_t>(readings_.size(), 2) - 1);
+  for (std::size_t n = 0; n < readings_.size(); ++n) {
+    out[n].white = readings_[n].u.cwiseQuotient(unit_).cwiseProduct(white).cwiseAbs2();
+    out[n].by_step = layout_.maps > 0 ? Eigen::Vector3d::Zero() : by_step_[n];
+    if (n > 0) out[n].distance = std::max(0.0, (readings_[n].t - readings_[n - 1].t) * intervals);
+  }
+  return out;
+}
+
+NoiseProcess EffectModel::process_of(double tau, double rho) const {
+  return {tau * usual_u_, rho};
+}
+
+Eigen::Vector3d EffectModel::least_white() const {
+  return kSmallestRelativeNoise * unit_.cwiseQuotient(readings_.front().u);
+}
+
+Rows12 EffectModel::line_rows() const {
+  Rows12 out = Rows12::Zero(12, layout_.count());
+  const Eigen::Matrix3d at_value = rows();
+  for (int j = 0; j < 3; ++j) {
+    const int first = layout_.own_count() * j;
+    double scale = 1.0;
+    for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+      const LineShare share = layout_.own[i].effect->line(at_value, j, layout_.own[i].index);
+      const int column = first + EffectLayout::kOwnFixed + static_cast<int>(i);
+      scale += share.scale * value_(column);
+      for (int k = 0; k < 3; ++k) out(3 * j + k, column) = share.scale * value_(first + k);
+      out(9 + j, column) = share.offset;
+    }
+    for (int k = 0; k < 3; ++k) out(3 * j + k, first + k) = scale;
+    out(9 + j, first + 3) = 1.0;
+  }
+  return out;
+}
+
+Vector12 EffectModel::line_values() const {
+  Vector12 out;
+  const Eigen::Matrix3d at_value = rows();
+  for (int j = 0; j < 3; ++j) {
+    const int first = layout_.own_count() * j;
+    double scale = 1.0;
+    double offset = value_(first + 3);
+    for (std::size_t i = 0; i < layout_.own.size(); ++i) {
+      const LineShare share = layout_.own[i].effect->line(at_value, j, layout_.own[i].index);
+      const double p = value_(first + EffectLayout::kOwnFixed + static_cast<int>(i));
+      scale += share.scale * p;
+      offset += share.offset * p;
+    }
+    out.segment<3>(3 * j) = scale * value_.segment<3>(first);
+    out(9 + j) = offset;
+  }
+  return out;
+}
+
+ReadingRows EffectModel::left_out_columns(std::vector<EffectUnknown>& unknowns) const {
+  std::vector<EffectColumn> columns;
+  for (const ItemEffect& effect : item_effects()) {
+    if (effect.prior(options_.sizes) > 0.0) continue;
+    for (int j = 0; j < 3; ++j) {
+      for (int i = 0; i < effect.count; ++i) {
+        columns.push_back({nullptr, &effect, i, j});
+        unknowns.push_back({std::string(effect.name), "", std::string(effect.key), j, 0.0, 0.0});
+      }
+    }
+  }
+  for (const StageEffect& effect : stage_effects()) {
+    const auto* of_effect = measured(effect.name);
+    if (effect.prior(options_.sizes) > 0.0 || (of_effect != nullptr && *of_effect)) continue;
+    for (int i = 0; i < effect.count; ++i) {
+      columns.push_back({&effect, nullptr, i, -1});
+      unknowns.push_back({std::string(effect.name), "", std::string(effect.key), -1, 0.0, 0.0});
+    }
+  }
+  ReadingRows out = ReadingRows::Zero(residual_.size(), static_cast<Eigen::Index>(columns.size()));
+  const Eigen::Matrix3d at_value = rows();
+  for (std::size_t n = 0; n < readings_.size() && !columns.empty(); ++n) {
+    const GravityAt gravity = gravity_at(poses_[n], inputs_at(n));
+    const Eigen::Matrix<double, 3, kStageInputs> by_input = at_value * gravity.by_input;
+    const ItemPoint point{readings_[n].t, at_value * gravity.g, came_from_[n]};
+    auto three = out.middleRows<3>(3 * static_cast<Eigen::Index>(n));
+    for (std::size_t c = 0; c < columns.size(); ++c)
+      three.col(static_cast<Eigen::Index>(c)) =
+          columns[c].at(poses_[n], point, by_input, Eigen::Vector3d::Ones());
+  }
+  return out;
+}
+
+}  // namespace abcal

@@ -1,0 +1,131 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "protocol/estimators/joint/effect_fit.h"
+
+namespace abcal {
+
+using Vector12 = Eigen::Matrix<double, 12, 1>;
+using Rows12 = Eigen::Matrix<double, 12, Eigen::Dynamic>;
+
+/// Columns of the unknowns of an effect_fit(): output u (s, O, its effects), v, w, then the stage, then step
+/// errors that several readings share.
+struct EffectLayout {
+  struct StageUnknown {
+    const StageEffect* effect;
+    int index;
+  };
+  struct OwnUnknown {
+    const ItemEffect* effect;
+    int index;
+  };
+  static constexpr int kOwnFixed = 4;  ///< s_jx, s_jy, s_jz, O_j come first among an output's own unknowns.
+
+  std::vector<OwnUnknown> own;
+  std::vector<StageUnknown> stage;
+  int maps = 0;
+  int own_count() const { return kOwnFixed + static_cast<int>(own.size()); }
+  int first_stage() const { return 3 * own_count(); }
+  int first_map() const { return first_stage() + static_cast<int>(stage.size()); }
+  int count() const { return first_map() + maps; }
+};
+
+/// The model of an effect_fit(): what the readings and their derivatives are at one point. Relative units:
+/// everything of an output is divided by its S_j.
+class EffectModel {
+ public:
+  /// The model at the linear solution on a perfect stage.
+  /// @throws as effect_fit()
+  EffectModel(std::span<const EffectReading> readings, const EffectFitOptions& options);
+
+  std::size_t angles() const { return readings_.size(); }
+  const EffectFitOptions& options() const { return options_; }
+  const EffectLayout& layout() const { return layout_; }
+  const std::vector<EffectUnknown>& unknowns() const { return unknowns_; }
+  const Eigen::Vector3d& unit() const { return unit_; }  ///< S_j (R).
+  const Eigen::VectorXd& value() const { return value_; }
+  const Eigen::VectorXd& prior_weight() const { return prior_weight_; }
+  Eigen::VectorXd from_prior() const { return value_ - prior_mean_; }
+  double step_sd() const { return step_sd_; }  ///< Of the step errors that are eliminated; 0: none.
+  const std::vector<double>& steps() const {
+    return step_;
+  }  ///< Those step errors, of each reading (radian).
+  /// Goes to another point.
+  /// @param steps  step errors that are eliminated, of each reading (radian)
+  void move_to(const Eigen::VectorXd& value, std::vector<double> steps);
+  /// Goes to the point of a model of the same item, of other readings or with fewer effects: those that it
+  /// lacks are zero.
+  void move_to(const EffectModel& other, std::vector<double> steps);
+  /// False: an axis stands askew as no stage does, so that the point is no solution.
+  bool is_plausible() const;
+  const ReadingRows& jacobian() const { return jacobian_; }
+  /// 3 N: reading - model, with the eliminated step errors not in the model.
+  const Eigen::VectorXd& residual() const { return residual_; }
+  /// 3 N: reading - model, with the eliminated step errors in the model.
+  Eigen::VectorXd misfit() const;
+  /// Gravity at an angle on the stage as it is at this point.
+  GravityAt gravity(std::size_t n) const { return gravity_at(poses_[n], inputs_at(n)); }
+  /// Relative rows of s, for u, v, w.
+  Eigen::Matrix3d rows() const;
+  /// Number of the shared step error of a reading; -1: none.
+  int map_of(std::size_t n) const { return layout_.maps > 0 ? readings_[n].map : -1; }
+  int experiment_of(std::size_t n) const { return readings_[n].experiment; }
+
+  /// @param white  standard deviations of the outputs' white noise, over the u given
+  std::vector<NoiseAtAngle> noise_at_angles(const Eigen::Vector3d& white) const;
+  /// @param tau  in units of each output's usual u
+  NoiseProcess process_of(double tau, double rho) const;
+  /// Least white noise over the u given that is not round-off.
+  Eigen::Vector3d least_white() const;
+
+  /// Rows of the line response by the unknowns, and its value.
+  Rows12 line_rows() const;
+  Vector12 line_values() const;
+
+  /// What the effects that are stated as zero would add to the readings: one column for each of their
+  /// unknowns, which are listed.
+  ReadingRows left_out_columns(std::vector<EffectUnknown>& unknowns) const;
+
+ private:
+  /// The model at one angle.
+  struct At {
+    Eigen::Vector3d reading;
+    Eigen::Vector3d by_step;
+  };
+  void check_readings() const;
+  void choose_unknowns();
+  void list_unknowns();
+  EffectUnknown stage_unknown(const StageEffect& effect, int index) const;
+  const std::optional<MeasuredValue>* measured(std::string_view effect) const;
+  void start_from_linear_fit();
+  void find_directions();
+  StageInputs inputs_at(std::size_t n) const;
+  /// The model at all angles, and the Jacobian (3 N x unknowns).
+  void evaluate();
+  At evaluate_at(std::size_t n, const Eigen::Matrix3d& rows);
+
+  std::span<const EffectReading> readings_;
+  EffectFitOptions options_;
+  EffectLayout layout_;
+  std::vector<EffectUnknown> unknowns_;
+  std::vector<StagePose> poses_;
+  std::vector<StageShare> shares_;  ///< Stage unknowns of reading 0, of reading 1, ...
+  Eigen::Vector3d unit_;
+  Eigen::Vector3d usual_u_;  ///< Median of the readings' u, relative.
+  std::vector<Eigen::Vector3d> came_from_;
+  Eigen::VectorXd prior_weight_, prior_mean_;
+  double step_sd_ = 0.0;
+
+  Eigen::VectorXd value_;
+  std::vector<double> step_;  ///< f of each reading.
+  ReadingRows jacobian_;
+  Eigen::VectorXd residual_;
+  std::vector<Eigen::Vector3d> by_step_;
+};
+
+}  // namespace abcal

@@ -1,0 +1,104 @@
+#include "protocol/estimators/joint/item_fit.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <span>
+#include <utility>
+
+#include "protocol/estimators/shared/unusable_data.h"
+
+namespace abcal {
+namespace {
+
+/// 15 readings for 12 unknowns without a prior, and something to test them by.
+constexpr std::size_t kFewestAngles = 5;
+
+/// A dead output has no sensitivity, and readings without scatter have no uncertainty.
+std::vector<std::string> outputs_that_never_change(const std::vector<EffectReading>& readings) {
+  std::vector<std::string> names;
+  for (const auto& [j, name] : {std::pair{0, "u"}, {1, "v"}, {2, "w"}})
+    if (std::all_of(readings.begin(), readings.end(),
+                    [&, k = j](const EffectReading& at) { return at.value[k] == readings.front().value[k]; }))
+      names.emplace_back(name);
+  return names;
+}
+
+/// The solution, or why there is none.
+std::optional<EffectSolution> solve_or_reason(std::span<const EffectReading> readings,
+                                              const EffectFitOptions& options, std::string& why) {
+  try {
+    EffectSolution solution = solve_effects(readings, options);
+    if (solution.fit.converged) return solution;
+    why = fmt::format(
+        "the joint fit did not converge ({} iterations): the readings are not those of the three "
+        "experiments, or their angles are wrong",
+        solution.fit.iterations);
+  } catch (const UnusableData& error) {
+    why = error.what();
+  }
+  return std::nullopt;
+}
+
+/// Noise from angle to angle of which the norm of the readings shows nothing is none of the outputs: it turns
+/// them alike, as errors of the stage do that are larger than stated. The fit without that noise says which.
+std::vector<std::string> hidden_by_process(std::span<const EffectReading> readings, const EffectFit& fit,
+                                           const EffectFitOptions& options, const JointTests& tests,
+                                           const std::string& response_unit) {
+  constexpr double kNormIsSound = 1e-3;
+  constexpr double kNormWanders = 3.0;  // standard deviations
+  const NormAgreement& norm = tests.norm_against_joint;
+  if (!options.white_known || !wanders(fit) || !norm.done || !(norm.norm_probability >= kNormIsSound) ||
+      norm.norm_autocorrelation > kNormWanders)
+    return {};
+  EffectFitOptions white = options;
+  white.noise_process = false;
+  std::string why;
+  const std::optional<EffectSolution> solution = solve_or_reason(readings, white, why);
+  if (!solution) return {};
+  const EffectFit& without = solution->fit;
+  const JointTests again = test_joint_fit(readings, without, white);
+  std::vector<std::string> found = contradictions_of(again, response_unit);
+  if (!(again.chi2_probability >= again.level))
+    found.push_back(
+        fmt::format("chi2 {:.4g} for {} degrees of freedom", without.chi2, without.chi2_degrees_of_freedom));
+  if (found.empty()) return {};
+  return {fmt::format(
+      "the readings wander from angle to angle, but their norm does not: the stage does more than "
+      "is stated (without that noise: {})",
+      fmt::join(found, "; "))};
+}
+
+}  // namespace
+
+ItemFit fit_item(const RunRecord& record, const JointOptions& options) {
+  ItemFit own;
+  own.data = collect_readings(record, options.one_map_per_axis);
+  own.options = {.sizes = record.tolerances,
+                 .measured_alignment = options.measured_alignment,
+                 .nonlinearity = options.nonlinearity == Nonlinearity::kFitted,
+                 .drift = options.drift,
+                 .mean_step = options.mean_step,
+                 .noise_process = options.noise_process,
+                 .white_known = own.data.u_known};
+  if (own.data.readings.size() < kFewestAngles) {
+    own.why = fmt::format("{} usable angles; the joint estimator needs {} or more", own.data.readings.size(),
+                          kFewestAngles);
+    return own;
+  }
+  if (const auto still = outputs_that_never_change(own.data.readings); !still.empty()) {
+    own.why = fmt::format("accelerometer {} does not respond: the same value at every angle",
+                          fmt::join(still, ", "));
+    return own;
+  }
+  own.solution = solve_or_reason(own.data.readings, own.options, own.why);
+  if (!own.solution) return own;
+  const EffectFit& fit = own.solution->fit;
+  own.tests = test_joint_fit(own.data.readings, fit, own.options);
+  own.hidden = hidden_by_process(own.data.readings, fit, own.options, own.tests, record.response_unit);
+  return own;
+}
+
+}  // namespace abcal

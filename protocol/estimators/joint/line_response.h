@@ -1,0 +1,47 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <span>
+#include <vector>
+
+#include "protocol/estimators/joint/effect_fit.h"
+#include "protocol/estimators/joint/effect_model.h"
+#include "protocol/estimators/joint/noise_search.h"
+
+namespace abcal {
+
+/// What one noise says of the line response; relative units.
+struct LineAtNoise {
+  Vector12 change = Vector12::Zero();  ///< Of the model's line_values(), with the mean of the process.
+  Covariance12 covariance = Covariance12::Zero();
+  std::vector<Covariance12> shares;  ///< Of the priors, group by group.
+  ReadingRows gain;                  ///< 3 N x 12
+};
+
+/// The unknowns that make one line of a budget.
+struct ShareGroups {
+  std::vector<EffectShare> groups;
+  std::vector<int> of_unknown;  ///< -1: no prior.
+  int first_step = -1;          ///< f_1, f_2, f_3; -1: no step errors are eliminated.
+};
+
+ShareGroups share_groups(const EffectModel& model);
+
+/// The line response averaged over the noises, with its degrees of freedom and the shares of the priors, into
+/// `fit`; relative units.
+/// @param weights  of the lines; their sum is 1
+void average_line(const EffectModel& model, ShareGroups groups, std::span<const LineAtNoise> lines,
+                  std::span<const double> weights, EffectFit& fit);
+
+/// The variance of an output's estimated white noise is known to 2/nu (relative, squared).
+/// @param gain  derivative of the line response by the output's own readings, relative units
+void add_degrees_of_estimated_noise(const EffectModel& model, const WhiteFound& found,
+                                    const ReadingRows& gain, EffectFit& fit);
+
+/// R of each of the twelve outputs for one relative unit.
+Vector12 units_of_line(const Eigen::Vector3d& unit);
+
+/// From relative units to those of the readings: the line response, its covariances and its gain.
+void restore_units(EffectFit& fit);
+
+}  // namespace abcal

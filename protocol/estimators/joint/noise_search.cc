@@ -1,0 +1,196 @@
+#include "protocol/estimators/joint/noise_search.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <span>
+#include <utility>
+
+#include "protocol/estimators/shared/reading_kernels.h"
+#include "protocol/estimators/shared/unusable_data.h"
+
+namespace abcal {
+namespace {
+
+/// The grid of the noise process: rho in angles with its prior probability, tau in units of u. Effects of the
+/// stage and drifts take most of what is slow in the readings, so that a run tells little of rho; the longer
+/// it is the larger are the uncertainties. Slow processes stand closer: what differs is their change from
+/// angle to angle, tau sqrt(2/rho), and one that changes as the readings do must be there for each rho.
+struct CorrelationLength {
+  double rho, prior;
+  std::span<const double> tau;
+};
+constexpr std::array<double, 5> kTauOfFast{0.3, 0.8, 2.0, 5.0, 12.0};
+constexpr std::array<double, 7> kTauOfSlow{0.3, 0.8, 2.0, 3.5, 5.5, 8.0, 12.0};
+constexpr std::array<CorrelationLength, 4> kGrid{CorrelationLength{2.0, 0.1, kTauOfFast},
+                                                 {10.0, 0.15, kTauOfFast},
+                                                 {50.0, 0.25, kTauOfSlow},
+                                                 {400.0, 0.5, kTauOfSlow}};
+/// Readings that scatter less than stated (chi2 below this share of its degrees of freedom): the stated noise
+/// may itself be the process, with little white noise, or the white noise is small. The uncertainties then
+/// stay those of the stated white noise; it only competes as what it is.
+constexpr double kScattersLess = 0.8;
+constexpr double kLittleWhite = 0.2;
+constexpr std::array<double, 3> kTauOfStatedNoise{0.5, 1.0, 2.0};
+constexpr std::array<double, 3> kRhoOfStatedNoise{2.0, 10.0, 50.0};
+constexpr std::array<double, 5> kSmallerWhite{0.7, 0.5, 0.35, 0.25, 0.1};
+/// A process whose whole neighbourhood is less probable than this is not worth a fit.
+constexpr double kNegligibleWeight = 1e-6;
+/// White noise is looked for until no output's moves by more (relative); at most so often.
+constexpr double kWhiteFound = 1e-3;
+constexpr int kWhitePasses = 60;
+
+/// The search on its way: log_weights are relative to white noise alone until they are normalised.
+class Search {
+ public:
+  explicit Search(const EffectModel& model) : model_(model) {
+    if (!model.options().white_known) out_.white = estimate_white(model);
+    out_.points.push_back(solve_at(model, noise_of(0.0, 1.0, 1.0)));
+    out_.log_weights.push_back(model.options().noise_process ? std::log(0.5) : 0.0);
+  }
+
+  void try_processes() {
+    const auto readings = static_cast<double>(out_.points.front().whitened_residual.size());
+    const bool of_stated_noise =
+        model_.options().white_known && out_.points.front().chi2 < kScattersLess * (readings - 12.0);
+    if (of_stated_noise) try_smaller_white();
+    // Of a process, the probability that it has the stated white noise beside it.
+    const double beside = of_stated_noise ? 0.5 : 1.0;
+    for (const CorrelationLength& length : kGrid) {
+      const double prior = 0.5 * beside * length.prior / static_cast<double>(length.tau.size());
+      for (const double tau : length.tau) {
+        const double gain = try_one(noise_of(tau, length.rho, 1.0), prior);
+        // Larger processes are less likely still.
+        if (tau > 0.5 && gain < *std::max_element(out_.log_weights.begin(), out_.log_weights.end()) - 20.0)
+          break;
+      }
+    }
+    if (!of_stated_noise) return;
+    constexpr double kPrior = 0.25 / static_cast<double>(kTauOfStatedNoise.size() * kRhoOfStatedNoise.size());
+    for (const double tau : kTauOfStatedNoise) {
+      for (const double rho : kRhoOfStatedNoise) try_one(noise_of(tau, rho, kLittleWhite), kPrior);
+    }
+  }
+
+  NoiseSearch normalised() && {
+    const double total = log_of_sum(out_.log_weights);
+    for (double& weight : out_.log_weights) weight -= total;
+    out_.log_evidence = out_.points.front().log_likelihood + total;
+    return std::move(out_);
+  }
+
+ private:
+  AssumedNoise noise_of(double tau, double rho, double white) const {
+    return {tau, rho, white * out_.white.white, model_.step_sd()};
+  }
+
+  /// White noise alone is as probable as it is with the standard deviation that suits the readings best.
+  void try_smaller_white() {
+    const double stated = out_.points.front().log_likelihood;
+    double gain = 0.0;
+    for (const double white : kSmallerWhite)
+      gain = std::max(gain, solve_at(model_, noise_of(0.0, 1.0, white)).log_likelihood - stated);
+    out_.log_weights.front() += gain;
+  }
+
+  double try_one(const AssumedNoise& noise, double prior) {
+    AtNoise point = solve_at(model_, noise);
+    const double gain = point.log_likelihood - out_.points.front().log_likelihood + std::log(prior);
+    if (gain < std::log(kNegligibleWeight) || !std::isfinite(gain)) return gain;
+    out_.points.push_back(std::move(point));
+    out_.log_weights.push_back(gain);
+    return gain;
+  }
+
+  const EffectModel& model_;
+  NoiseSearch out_;
+};
+
+}  // namespace
+
+AtNoise solve_at(const EffectModel& model, const AssumedNoise& noise) {
+  AtNoise out;
+  out.noise = noise;
+  const NoiseWhitener& whitener = out.whitener.emplace(model.noise_at_angles(noise.white), noise.step_sd,
+                                                       model.process_of(noise.tau, noise.rho));
+  out.whitened_jacobian = model.jacobian();
+  whitener.whiten(out.whitened_jacobian);
+  ReadingRows residual = model.residual();
+  whitener.whiten(residual);
+  const Eigen::VectorXd& prior_weight = model.prior_weight();
+  Eigen::MatrixXd normal = products_of_columns(out.whitened_jacobian);
+  normal.diagonal() += prior_weight;
+  out.normal.compute(std::move(normal));
+  const Eigen::VectorXd from_prior = model.from_prior();
+  Eigen::VectorXd right = out.whitened_jacobian.transpose() * residual;
+  right -= prior_weight.cwiseProduct(from_prior);
+  out.change = out.normal.solve(right);
+  out.whitened_residual = residual - out.whitened_jacobian * out.change;
+  out.chi2 = out.whitened_residual.squaredNorm() + prior_weight.dot((from_prior + out.change).cwiseAbs2());
+  out.log_likelihood = -0.5 * (whitener.log_determinant() + out.normal.log_determinant() + out.chi2);
+  return out;
+}
+
+WhiteFound estimate_white(const EffectModel& model) {
+  WhiteFound found;
+  Eigen::Vector3d& white = found.white;
+  for (int pass = 0; pass < kWhitePasses; ++pass) {
+    const AtNoise at = solve_at(model, {.white = white, .step_sd = model.step_sd()});
+    // P = V^-1 - V^-1 J C J' V^-1: sums of its squared products with the noise of each output.
+    ReadingRows product = at.whitened_residual;
+    at.whitener->whiten_transposed(product);
+    ReadingRows spread = times_upper(at.whitened_jacobian, at.normal.covariance_root());
+    at.whitener->whiten_transposed(spread);
+    const std::vector<NoiseAtAngle> angles = model.noise_at_angles(white);
+    Eigen::Vector3d squares = Eigen::Vector3d::Zero();
+    Eigen::Vector3d& redundancy = found.redundancy;
+    redundancy.setZero();
+    for (std::size_t n = 0; n < angles.size(); ++n) {
+      Eigen::Matrix3d v =
+          model.step_sd() * model.step_sd() * angles[n].by_step * angles[n].by_step.transpose();
+      v.diagonal() += angles[n].white;
+      const Eigen::Matrix3d inverse = v.llt().solve(Eigen::Matrix3d::Identity());
+      for (int j = 0; j < 3; ++j) {
+        const auto row = static_cast<Eigen::Index>(3 * n) + j;
+        squares(j) += angles[n].white(j) * product(row, 0) * product(row, 0);
+        redundancy(j) += angles[n].white(j) * (inverse(j, j) - spread.row(row).squaredNorm());
+      }
+    }
+    if (!(redundancy.minCoeff() >= 0.5)) {
+      throw UnusableData(
+          fmt::format("{} angles leave nothing to estimate the noise from; more angles or the uncertainties "
+                      "of the readings are required",
+                      angles.size()));
+    }
+    const Eigen::Vector3d before = white;
+    white = white.cwiseProduct(squares.cwiseQuotient(redundancy).cwiseSqrt()).cwiseMax(model.least_white());
+    if ((white.cwiseQuotient(before).array() - 1.0).abs().maxCoeff() < kWhiteFound) break;
+  }
+  return found;
+}
+
+double log_of_sum(std::span<const double> logs) {
+  const double largest = *std::max_element(logs.begin(), logs.end());
+  double sum = 0.0;
+  for (const double one : logs) sum += std::exp(one - largest);
+  return largest + std::log(sum);
+}
+
+double NoiseSearch::weight(std::size_t i) const {
+  return std::exp(log_weights[i]);
+}
+
+std::size_t NoiseSearch::best() const {
+  return static_cast<std::size_t>(std::max_element(log_weights.begin(), log_weights.end()) -
+                                  log_weights.begin());
+}
+
+NoiseSearch search_noise(const EffectModel& model) {
+  Search search(model);
+  if (model.options().noise_process) search.try_processes();
+  return std::move(search).normalised();
+}
+
+}  // namespace abcal

@@ -1,0 +1,467 @@
+#include "protocol/estimators/norm/norm_fit.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "protocol/estimators/norm/norm_model.h"
+#include "protocol/estimators/shared/flagged_angles.h"
+#include "protocol/estimators/shared/run_time.h"
+#include "protocol/estimators/shared/unusable_data.h"
+#include "protocol/estimators/shared/voltmeter.h"
+#include "protocol/linear/products.h"
+#include "protocol/linear/symmetric_eigen.h"
+#include "protocol/plan/limits.h"
+#include "protocol/statistics/distributions.h"
+
+namespace abcal {
+namespace {
+
+constexpr int kUnknowns = 9;
+constexpr int kAngles = 3;
+/// Six poses and three angles make nine equations.
+constexpr std::size_t kFewestPoses = 6;
+/// Below this probability chi2 contradicts the model, as for the joint estimator.
+constexpr double kChi2Level = kFalseAlarm;
+/// A cap without poses of this radius (degrees) is named, and of the second makes the result doubtful: six
+/// poses, one a face, leave 54.7 degrees.
+constexpr double kNamedCap = 60.0;
+constexpr double kDoubtfulCap = 75.0;
+/// Fewer free residuals than this do not say again what the scatter is once the effects are estimated.
+constexpr double kFewestFree = 10.0;
+/// Estimated scatter of the norm beside effects with priors: a noise-free record would leave round-off.
+constexpr double kSmallestNormScatter = 1e-9;
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Radius (degrees) and centre of the largest cap without a pose, on a grid of some 1.5 degrees.
+std::pair<double, Eigen::Vector3d> largest_empty_cap(const std::vector<Eigen::Vector3d>& directions) {
+  constexpr int kGrid = 4000;  // Fibonacci sphere
+  const double golden = std::numbers::pi * (3.0 - std::sqrt(5.0));
+  std::pair<double, Eigen::Vector3d> largest{2.0, Eigen::Vector3d::UnitZ()};  // cosine
+  for (int i = 0; i < kGrid; ++i) {
+    const double z = 1.0 - (2.0 * i + 1.0) / kGrid;
+    const double r = std::sqrt(1.0 - z * z);
+    const Eigen::Vector3d centre(r * std::cos(golden * i), r * std::sin(golden * i), z);
+    double nearest = -1.0;
+    for (const Eigen::Vector3d& direction : directions) nearest = std::max(nearest, centre.dot(direction));
+    if (nearest < largest.first) largest = {nearest, centre};
+  }
+  // A grid search: acos loses nothing that matters here.
+  largest.first = std::acos(std::clamp(largest.first, -1.0, 1.0)) * 180.0 / std::numbers::pi;
+  return largest;
+}
+
+bool has_item_effects(const EffectSizes& sizes) {
+  return std::any_of(item_effects().begin(), item_effects().end(),
+                     [&](const ItemEffect& effect) { return effect.prior(sizes) > 0.0; });
+}
+
+/// The poses shifted and scaled to readings of about 1: the columns of the design are then alike in LSB and
+/// in volts.
+struct ScaledPoses {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  double size = 0.0;
+  bool u_known = false;
+  std::vector<NormPose> poses;
+};
+
+ScaledPoses scaled(std::span<const Pose> poses) {
+  ScaledPoses out;
+  for (const Pose& pose : poses) out.centre += pose.reading / static_cast<double>(poses.size());
+  for (const Pose& pose : poses) out.size += (pose.reading - out.centre).squaredNorm();
+  out.size = std::sqrt(out.size / static_cast<double>(poses.size()));
+  if (!(out.size > 1e-12 * out.centre.norm())) throw UnusableData("norm fit: all poses read the same");
+  out.u_known = std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.u.has_value(); });
+  const bool timed =
+      std::all_of(poses.begin(), poses.end(), [](const Pose& pose) { return pose.t.has_value(); });
+  const auto intervals = static_cast<double>(std::max<std::size_t>(poses.size(), 2) - 1);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    NormPose pose;
+    pose.reading = (poses[i].reading - out.centre) / out.size;
+    if (out.u_known) pose.u = *poses[i].u / out.size;
+    pose.t = timed ? *poses[i].t : static_cast<double>(i) / intervals - 0.5;
+    out.poses.push_back(pose);
+  }
+  find_directions(out.poses);
+  return out;
+}
+
+/// The estimate as it grows.
+struct Estimate {
+  std::vector<NormPose> used;
+  std::vector<std::size_t> place;  ///< Of those used, among the poses given.
+  NormModel model;
+  bool u_known = false;
+  NormSolution solution;
+  std::vector<std::pair<std::size_t, double>> left_out;     ///< Place and residual.
+  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Of |residual|, where one was found beyond.
+  bool too_many = false;
+
+  /// Equations less unknowns without prior.
+  int degrees_of_freedom() const {
+    return static_cast<int>(used.size()) - kUnknowns + (model.orthogonality > 0.0 ? kAngles : 0);
+  }
+};
+
+/// A solution whose weights are right: with stated uncertainties at once, else with the scatter that the norm
+/// shows. The first look is without effects, which cannot make the scatter smaller than it is.
+void solve(Estimate& at) {
+  const Eigen::VectorXd from = at.solution.unknowns;
+  if (at.u_known) {
+    at.solution = solve_norm(at.used, at.model, from);
+    return;
+  }
+  NormModel plain = at.model;
+  plain.sizes = linear_item(plain.sizes);
+  plain.common_variance = at.model.orthogonality > 0.0 ? 1e-24 : 0.0;  // Readings far better than the angles.
+  NormSolution first = solve_norm(at.used, plain, from);
+  const auto free = static_cast<double>(at.used.size()) - kUnknowns;
+  const bool effects = has_item_effects(at.model.sizes);
+  if (free < 1.0 || !effects) {
+    if (free >= 1.0 && at.model.orthogonality == 0.0) {
+      plain.common_variance = std::max(1e-300, first.residual.squaredNorm() / free);
+      first = solve_norm(at.used, plain, first.unknowns);
+    }
+    at.model.common_variance = plain.common_variance;
+    at.solution = std::move(first);
+    return;
+  }
+  const double least = kSmallestNormScatter * kSmallestNormScatter;
+  at.model.common_variance = std::max(least, first.residual.squaredNorm() / free);
+  at.solution = solve_norm(at.used, at.model, first.unknowns);
+  for (int pass = 0; pass < 20 && at.solution.redundancy >= kFewestFree; ++pass) {
+    const double next = std::max(least, at.solution.residual.squaredNorm() / at.solution.redundancy);
+    const bool settled = std::abs(next / at.model.common_variance - 1.0) < 0.01;
+    at.model.common_variance = next;
+    at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
+    if (settled) break;
+  }
+}
+
+/// Leaves out the poses that are far from the others, once more after each solution.
+void leave_out_disturbed(Estimate& at) {
+  const auto most = at.used.size() / 4;
+  for (int round = 0; round < 10; ++round) {
+    const NormSolution& fit = at.solution;
+    std::vector<double> deviations;
+    for (Eigen::Index i = 0; i < fit.residual.size(); ++i)
+      deviations.push_back(std::abs(fit.residual(i)) / std::sqrt(fit.variance(i)));
+    const double free = static_cast<double>(deviations.size()) - kUnknowns;
+    if (free < 1.0) return;
+    // 1.4826: from the median of |x| to the standard deviation of a normal distribution. The residuals of
+    // nine unknowns are smaller than the scatter by the root of the degrees of freedom.
+    double scale = 1.4826 * median(deviations) * std::sqrt(static_cast<double>(deviations.size()) / free);
+    if (at.u_known) scale = std::max(scale, 1.0);
+    // Residuals at the level of rounding (noise-free poses) are no outliers.
+    const double limit = std::max(kNormOutlier * scale, 1e-13 / std::sqrt(fit.variance.minCoeff()));
+    Estimate kept = at;
+    kept.used.clear();
+    kept.place.clear();
+    for (std::size_t i = 0; i < at.used.size(); ++i) {
+      if (deviations[i] > limit) {
+        kept.left_out.emplace_back(at.place[i], fit.residual(static_cast<Eigen::Index>(i)));
+        continue;
+      }
+      kept.used.push_back(at.used[i]);
+      kept.place.push_back(at.place[i]);
+    }
+    if (kept.used.size() == at.used.size()) return;
+    kept.limit = limit * std::sqrt(median({fit.variance.data(), fit.variance.data() + fit.variance.size()}));
+    if (kept.left_out.size() > most || kept.used.size() < kUnknowns) {
+      at.too_many = true;
+      return;
+    }
+    at = std::move(kept);
+    solve(at);
+  }
+}
+
+/// Sentences that make the verdict.
+struct Judgement {
+  std::vector<std::string> contradictions;
+  std::string about_scatter;
+};
+
+/// chi2 of stated uncertainties, or what the scatter says. Adds a common scatter where chi2 fails.
+void judge_scatter(Estimate& at, Diagnostics& diagnostics, Judgement& judgement) {
+  const int dof = at.degrees_of_freedom();
+  if (!at.u_known) {
+    judgement.about_scatter =
+        static_cast<int>(at.used.size()) > kUnknowns
+            ? fmt::format("uncertainties from the scatter of the norm, {:.2g} g_loc",
+                          std::sqrt(at.model.common_variance))
+            : "no uncertainty is given: the poses state none, and none are left over to show their scatter";
+    return;
+  }
+  diagnostics.chi2 = at.solution.weighted_squares;
+  if (dof <= 0) {
+    judgement.about_scatter = "as many equations as unknowns: nothing tests the result";
+    return;
+  }
+  const double probability = chi2_tail(*diagnostics.chi2, dof);
+  diagnostics.chi2_probability = probability;
+  judgement.about_scatter = fmt::format("chi2 {:.4g} for {} degrees of freedom (probability {:.2g})",
+                                        *diagnostics.chi2, dof, probability);
+  if (probability >= kChi2Level) return;
+  // A variance common to all poses that makes chi2 equal its expectation (Paule and Mandel).
+  double low = 0.0;
+  double high = std::max(1e-30, at.solution.residual.squaredNorm());
+  for (int i = 0; i < 60 && high - low > 1e-6 * high; ++i) {
+    at.model.common_variance = 0.5 * (low + high);
+    at.solution = solve_norm(at.used, at.model, at.solution.unknowns);
+    (at.solution.weighted_squares > dof ? low : high) = at.model.common_variance;
+  }
+  judgement.contradictions.push_back(
+      judgement.about_scatter +
+      fmt::format(
+          ": the norm is not constant within the readings' uncertainties and the effects of the item; a "
+          "scatter of {:.2g} g_loc was added to them",
+          std::sqrt(high)));
+}
+
+void fill_values(const Estimate& at, const ScaledPoses& scale, CalibrationResult& result) {
+  const NormSolution& fit = at.solution;
+  Eigen::Matrix<double, 9, 1> units = Eigen::Matrix<double, 9, 1>::Constant(scale.size);
+  units.segment<3>(3).setOnes();  // angles
+  Covariance9 total = scaled_on_both_sides(fit.covariance, units);
+  Covariance9 of_poses = scaled_on_both_sides(fit.covariance_of_poses, units);
+  // Nine poses without uncertainties determine the values, and nothing says how well.
+  if (!at.u_known && static_cast<int>(at.used.size()) <= kUnknowns) {
+    total.setConstant(std::numeric_limits<double>::quiet_NaN());
+    of_poses = total;
+  }
+  const auto quantity = [&](Eigen::Index i, double value, const std::string& unit) {
+    Quantity out;
+    out.value = value;
+    out.standard_uncertainty = std::sqrt(total(i, i));
+    out.type_a = std::sqrt(of_poses(i, i));
+    out.type_b = std::sqrt(std::max(0.0, total(i, i) - of_poses(i, i)));
+    out.unit = unit;
+    return out;
+  };
+  for (Eigen::Index j = 0; j < 3; ++j) {
+    const auto place = static_cast<std::size_t>(j);
+    result.intrinsic_sensitivity[place] =
+        quantity(j, scale.size * fit.intrinsic(j), result.response_unit + "/g_loc");
+    result.intrinsic_angle[place] = quantity(3 + j, fit.intrinsic(3 + j), "degree");
+    result.offset[place] =
+        quantity(6 + j, scale.centre(j) + scale.size * fit.intrinsic(6 + j), result.response_unit);
+  }
+  result.covariance_intrinsic = total;
+  result.covariance_intrinsic_type_a = of_poses;
+  result.covariance_intrinsic_type_b = total - of_poses;
+}
+
+/// How well the poses cover the sphere.
+void judge_coverage(const Estimate& at, CalibrationResult& result, Judgement& judgement) {
+  NormResult& norm = *result.norm;
+  const std::vector<Eigen::Vector3d>& directions = at.solution.direction;
+  Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+  for (const Eigen::Vector3d& direction : directions)
+    scatter += direction * direction.transpose() / static_cast<double>(directions.size());
+  norm.sphere_coverage = std::clamp(3.0 * symmetric_eigen(scatter).values(0), 0.0, 1.0);
+  const auto [radius, cap] = largest_empty_cap(directions);
+  if (radius > kNamedCap) {
+    norm.coverage_words =
+        fmt::format("no pose within {:.0f} degrees of the direction (u, v, w) = ({:.1f}, {:.1f}, {:.1f})",
+                    radius, cap.x(), cap.y(), cap.z());
+    result.diagnostics.notes.push_back(norm.coverage_words);
+  }
+  if (radius > kDoubtfulCap) judgement.contradictions.push_back(norm.coverage_words);
+}
+
+/// What was left out, with the rule.
+void list_left_out(std::span<const Pose> poses, const Estimate& at, CalibrationResult& result,
+                   Judgement& judgement) {
+  NormResult& norm = *result.norm;
+  norm.poses_left_out = static_cast<int>(at.left_out.size());
+  std::vector<std::string> words;
+  for (const auto& [place, residual] : at.left_out) {
+    norm.left_out.emplace_back(static_cast<int>(place) + 1, residual);
+    const std::string& name = poses[place].name;
+    words.push_back(fmt::format("{} ({:+.2g} %)", name.empty() ? fmt::format("pose {}", place + 1) : name,
+                                100.0 * residual));
+  }
+  const std::string rule = fmt::format(
+      "{:g} robust standard deviations of the others{}", kNormOutlier,
+      at.u_known ? fmt::format(" and more than {:g} of its own uncertainties", kNormOutlier) : "");
+  if (!words.empty()) {
+    result.diagnostics.notes.push_back(fmt::format(
+        "{} of {} poses left out, whose norm is off by more than {}{}: {}", words.size(), poses.size(), rule,
+        std::isfinite(at.limit) ? fmt::format(" ({:.2g} %)", 100.0 * at.limit) : "", fmt::join(words, ", ")));
+  }
+  if (at.too_many) {
+    judgement.contradictions.push_back(
+        fmt::format("more than a quarter of the poses are off by more than {}", rule));
+  }
+}
+
+/// The estimate from checked poses; everything of the result but where the poses came from.
+void estimate(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
+  const ScaledPoses scale = scaled(poses);
+  Estimate at;
+  at.u_known = scale.u_known;
+  at.model.sizes = sizes;
+  if (poses.size() < kUnknowns) at.model.orthogonality = sizes.orthogonality.rad();
+  at.used = scale.poses;
+  for (std::size_t i = 0; i < poses.size(); ++i) at.place.push_back(i);
+  solve(at);
+  leave_out_disturbed(at);
+  const double rms = std::sqrt(at.solution.residual.squaredNorm() / static_cast<double>(at.used.size()));
+
+  Judgement judgement;
+  judge_scatter(at, result.diagnostics, judgement);
+  fill_values(at, scale, result);
+  Diagnostics& diagnostics = result.diagnostics;
+  diagnostics.degrees_of_freedom = at.degrees_of_freedom();
+  diagnostics.reciprocal_condition = at.solution.reciprocal_condition;
+  diagnostics.rank = kUnknowns;
+  diagnostics.angles_used = static_cast<int>(at.used.size());
+  NormResult& norm = result.norm.emplace();
+  norm.poses = static_cast<int>(at.used.size());
+  norm.norm_rms = rms;
+  judge_coverage(at, result, judgement);
+  list_left_out(poses, at, result, judgement);
+  if (at.model.orthogonality > 0.0) {
+    diagnostics.notes.push_back(
+        fmt::format("{} poses are fewer than the nine unknowns: the angles between the axes are taken as 90 "
+                    "degrees with the stated standard uncertainty of {:g} degree ([item_uncertainty] "
+                    "orthogonality_deg)",
+                    poses.size(), sizes.orthogonality.deg()));
+  }
+  if (judgement.contradictions.empty()) {
+    result.verdict = Verdict::kUsable;
+    result.why =
+        fmt::format("{} poses, norm constant to {:.2g} (rms); {}", norm.poses, rms, judgement.about_scatter);
+  } else {
+    result.verdict = Verdict::kDoubtful;
+    result.why = fmt::format("{}", fmt::join(judgement.contradictions, "; "));
+  }
+}
+
+void require_enough(std::size_t poses, const EffectSizes& sizes) {
+  if (poses >= kUnknowns) return;
+  if (poses >= kFewestPoses && sizes.orthogonality.rad() > 0.0) return;
+  throw UnusableData(fmt::format(
+      "norm fit: {} poses; nine or more are required, or six or more with the angles between the axes stated "
+      "([item_uncertainty] orthogonality_deg)",
+      poses));
+}
+
+void analyse_into(std::span<const Pose> poses, const EffectSizes& sizes, CalibrationResult& result) {
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const Pose& pose = poses[i];
+    if (!pose.reading.allFinite()) {
+      throw UnusableData(fmt::format("norm fit: pose {}: the reading is not a finite number", i + 1));
+    }
+    if (pose.u && (!pose.u->allFinite() || !(pose.u->minCoeff() > 0.0))) {
+      throw UnusableData(
+          fmt::format("norm fit: pose {}: the uncertainty is not a finite number greater than zero", i + 1));
+    }
+  }
+  try {
+    require_enough(poses.size(), sizes);
+    estimate(poses, sizes, result);
+  } catch (const UnusableData& error) {
+    result.verdict = Verdict::kNotUsable;
+    result.why = error.what();
+  }
+}
+
+/// The poses of a record in the order of time, and what was left out of them at once.
+struct RecordPoses {
+  std::vector<Pose> poses;
+  int clipped = 0, stuck = 0, not_finite = 0;
+
+  void add(const DwellRecord& dwell, double t) {
+    if ((dwell.flags & kFlagNotFinite) != 0U && !dwell.mean.allFinite()) {
+      ++not_finite;
+      return;
+    }
+    if ((dwell.flags & kFlagClipped) != 0U) {
+      ++clipped;
+      return;
+    }
+    if ((dwell.flags & kFlagStuck) != 0U) {
+      ++stuck;
+      return;
+    }
+    Pose pose{dwell.mean, {}, t, {}};
+    // An uncertainty of zero says that it is not known (a dwell without any scatter).
+    if (dwell.u_mean && !(dwell.u_mean->minCoeff() <= 0.0)) pose.u = dwell.u_mean;
+    if (dwell.experiment > 0) {
+      pose.name = fmt::format("experiment {}, alpha = {:g} degrees", dwell.experiment, dwell.alpha.deg());
+    } else if (dwell.role == DwellRole::kCheck) {
+      pose.name = fmt::format("check pose {}", dwell.n);
+    }
+    poses.push_back(std::move(pose));
+  }
+};
+
+}  // namespace
+
+EffectSizes linear_item(EffectSizes sizes) {
+  for (const EffectSizeKey& size : effect_size_keys())
+    if (std::ranges::any_of(item_effects(), [&](const ItemEffect& effect) { return effect.key == size.key; }))
+      size.set(sizes, 0.0);
+  return sizes;
+}
+
+CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes) {
+  CalibrationResult result;
+  result.estimator = "norm";
+  result.g_loc.unit = "m/s2";
+  analyse_into(poses, sizes, result);
+  add_voltmeter(sizes, result);
+  return result;
+}
+
+CalibrationResult analyse_norm(const RunRecord& record) {
+  CalibrationResult result;
+  result.estimator = "norm";
+  result.source = record.source;
+  result.response_unit = record.response_unit;
+  result.g_loc.unit = "m/s2";
+  if (record.g_loc_known) {
+    result.g_loc.value = record.g_loc.value_mps2;
+    result.g_loc.standard_uncertainty = record.g_loc.expanded_uncertainty_mps2 / record.g_loc.coverage_factor;
+    result.g_loc.type_b = result.g_loc.standard_uncertainty;
+    result.g_loc_source = record.g_loc.source;
+  }
+  RecordPoses all;
+  const std::vector<double> t = run_time_fractions(record);
+  const std::vector<double> t_of_checks = check_time_fractions(record);
+  std::size_t check = 0;
+  for (std::size_t i = 0; i <= record.dwells.size(); ++i) {
+    for (; check < record.check_poses.size() && record.check_poses[check].after <= i; ++check)
+      all.add(record.check_poses[check].dwell, t_of_checks[check]);
+    if (i < record.dwells.size()) all.add(record.dwells[i], t[i]);
+  }
+  count_flags(record, result.diagnostics);
+  if (all.clipped > 0)
+    result.diagnostics.notes.push_back(fmt::format("{} clipped poses left out", all.clipped));
+  if (all.stuck > 0)
+    result.diagnostics.notes.push_back(fmt::format("{} poses with a stuck output left out", all.stuck));
+  if (all.not_finite > 0) {
+    result.diagnostics.notes.push_back(
+        fmt::format("{} poses without finite readings left out", all.not_finite));
+  }
+  analyse_into(all.poses, record.tolerances, result);
+  object_to_flags(record, kSuspectFlags & ~kLeftOutFlags, result);
+  add_voltmeter(record.tolerances, result);
+  return result;
+}
+
+}  // namespace abcal

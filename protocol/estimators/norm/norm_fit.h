@@ -1,0 +1,52 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <span>
+#include <string>
+
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/record/run_record.h"
+
+namespace abcal {
+
+/// One static pose: what the accelerometer read, at an orientation that need not be known.
+struct Pose {
+  Eigen::Vector3d reading = Eigen::Vector3d::Zero();  ///< r_u, r_v, r_w (R)
+  std::optional<Eigen::Vector3d> u;                   ///< Standard uncertainties (R), greater than 0.
+  std::optional<double> t;  ///< Time, -1/2 to 1/2 over the run; absent: evenly in the order given.
+  std::string name;         ///< "experiment 1, alpha = 5 degrees"; empty: its place in the order.
+};
+
+/// Poses this many robust standard deviations from the unit sphere are left out, at most a quarter of all.
+inline constexpr double kNormOutlier = 5.0;
+
+/// `sizes` of an item that is linear and does not drift: no effect is estimated.
+EffectSizes linear_item(EffectSizes sizes = {});
+
+/// The norm estimator: the specific force has the magnitude g_loc at every pose, so poses alone determine the
+/// intrinsic properties (no angles needed, no orientation found): |B (l - O)| = 1 with B the inverse of s up
+/// to a rotation, in the gauge where s is upper triangular, and l the readings free of the effects of the
+/// item (drift, non-linearity, hysteresis) whose sizes are not zero. The result is the line response. Nine
+/// unknowns without a prior.
+///
+/// With uncertainties on every pose: weights from them, chi2 as the test; where it fails, a common scatter is
+/// added until it agrees, and the verdict is doubtful. Without: equal weights, uncertainties from the
+/// residuals. A pose is left out where its norm is off by more than kNormOutlier robust standard deviations
+/// (1.4826 times the median of |residual|, corrected for the degrees of freedom) and, where uncertainties are
+/// stated, by more than kNormOutlier of its own; at most a quarter of the poses. NormResult::left_out lists
+/// them with their residuals.
+///
+/// Fewer than nine poses need `sizes.orthogonality`: three equations more, of the angles between the axes.
+/// Results are in R/g_loc. sphere_coverage is three times the smallest eigenvalue of the directions' scatter
+/// matrix (1: even); coverage_words names the largest cap without a pose where it is wider than 60 degrees in
+/// radius.
+/// @throws UnusableData a reading or uncertainty that is not finite
+/// Too few poses, or poses that do not determine the unknowns, give Verdict::kNotUsable and the reason.
+CalibrationResult analyse_norm(std::span<const Pose> poses, const EffectSizes& sizes = linear_item());
+
+/// Every dwell of a record as a pose (closing angles and check poses too: they are poses like any other),
+/// with the effects of the item at the sizes of the record.
+CalibrationResult analyse_norm(const RunRecord& record);
+
+}  // namespace abcal

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "protocol/estimators/shared/calibration_result.h"
+#include "protocol/model/effects.h"
+
+namespace abcal {
+
+/// One pose of the norm fit. Readings of about 1: scaled as the caller likes, all alike.
+struct NormPose {
+  Eigen::Vector3d reading = Eigen::Vector3d::Zero();
+  /// Standard uncertainties; absent: `NormModel::common_variance` is that of the norm, all poses alike.
+  std::optional<Eigen::Vector3d> u;
+  double t = 0.0;                                       ///< -1/2 to 1/2 over the run.
+  Eigen::Vector3d came_from = Eigen::Vector3d::Zero();  ///< As in ItemPoint.
+};
+
+/// What the norm fit assumes.
+struct NormModel {
+  EffectSizes sizes;         ///< Effects of the item that are estimated; zero: left out.
+  bool drift = true;         ///< false: no drift of offset and sensitivity.
+  bool nonlinearity = true;  ///< false: k2 and k3 are zero exactly.
+  /// Of the angles between the item's axes about 90 degrees, radian; 0: not known.
+  double orthogonality = 0.0;
+  double common_variance = 0.0;  ///< Added to the variance of every pose's norm.
+};
+
+/// The poses' own readings' share of the nine intrinsic outputs.
+using NormGain = Eigen::Matrix<double, 9, Eigen::Dynamic>;
+
+struct NormSolution {
+  Eigen::VectorXd unknowns;  ///< Upper triangle of B (6), offset (3), then the effects of u, v, w, over S_j.
+  Eigen::MatrixXd cofactor;  ///< Covariance of the unknowns, as far as the variances are right.
+  Eigen::VectorXd residual;  ///< |a| - 1 of each pose.
+  Eigen::VectorXd variance;  ///< Of the residual.
+  double weighted_squares = 0.0;  ///< Priors included.
+  double redundancy = 0.0;        ///< Expectation of the poses' part of weighted_squares.
+  /// Expectation of the sum of the products of successive residuals over their standard deviations, if the
+  /// readings have white noise: the fit itself makes it negative.
+  double successive_products = 0.0;
+  double reciprocal_condition = 0.0;
+  std::vector<Eigen::Vector3d> direction;
+
+  /// The line response in the gauge of the fit: s (upper triangular inverse of B, scaled) and offset.
+  Eigen::Matrix3d line_sensitivity;
+  Eigen::Vector3d line_offset;
+  /// s_u, s_v, s_w, phi_uv, phi_vw, phi_wu (degree), O_u, O_v, O_w of the line response.
+  Eigen::Matrix<double, 9, 1> intrinsic;
+  Covariance9 covariance;
+  Covariance9 covariance_of_poses;  ///< The part of it that comes from the variances of the poses.
+  NormGain gain;  ///< Derivative of `intrinsic` by the readings: 9 x 3 n, u, v, w of each pose.
+};
+
+/// Weighted least squares of |B (l - O)| = 1, with l the readings free of the effects of the item
+/// (protocol/model/effects.h), by Gauss-Newton. Derivatives are exact but for products of two effects (a
+/// hundredth of a hundredth at k2 = k3 = 1e-2), the model is exact.
+/// @param from  unknowns of an earlier solution of the same poses or a part of them; empty: none
+/// @throws UnusableData the poses do not determine the unknowns, or the fit does not converge
+NormSolution solve_norm(std::span<const NormPose> poses, const NormModel& model,
+                        const Eigen::VectorXd& from = {});
+
+/// Where each pose came from, in the order given: the sign of the change of each reading, 0 where the change
+/// is below five times its uncertainty.
+void find_directions(std::vector<NormPose>& poses);
+
+}  // namespace abcal

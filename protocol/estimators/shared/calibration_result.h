@@ -1,0 +1,236 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <limits>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace abcal {
+
+/// A value with its uncertainty and unit. NaN: not determined; a report prints no number for it. An absent
+/// part of the uncertainty was not evaluated, which is not the same as zero.
+struct Quantity {
+  double value = std::numeric_limits<double>::quiet_NaN();
+  /// type_a and type_b (those that are present) combined. NaN: none was evaluated.
+  double standard_uncertainty = std::numeric_limits<double>::quiet_NaN();
+  std::optional<double> type_a;  ///< From the scatter of the readings.
+  std::optional<double> type_b;  ///< From what is known of the stage and the instrument, to first order.
+  std::string unit;
+  /// Effective degrees of freedom of standard_uncertainty; infinite where it rests on what is stated.
+  double degrees_of_freedom = std::numeric_limits<double>::infinity();
+};
+
+/// k of a coverage probability: Student's t for the quantity's degrees of freedom; for 95.45 % it is 2 where
+/// they are infinite. NaN below one degree of freedom.
+double coverage_factor(const Quantity& quantity, double probability = 0.9544997361036416);
+
+/// Whether the numbers may be used. Starts pessimistic.
+enum class Verdict {
+  kNotUsable,  ///< No result: nothing may be read from the numbers.
+  kDoubtful,   ///< Solved, but something contradicts the model or the stated uncertainty.
+  kUsable,
+};
+
+/// "not_usable", "doubtful", "usable".
+std::string_view to_string(Verdict verdict);
+
+/// Order of the twelve outputs: s row by row (s_ux, s_uy, s_uz, s_vx, ... s_wz), then O_u, O_v, O_w.
+using Covariance12 = Eigen::Matrix<double, 12, 12>;
+/// Order of the nine outputs that do not depend on mounting: s_u, s_v, s_w, phi_uv, phi_vw, phi_wu, O_u, O_v,
+/// O_w.
+using Covariance9 = Eigen::Matrix<double, 9, 9>;
+
+/// One harmonic of the five-harmonic fit: sin_amplitude sin(order alpha) + cos_amplitude cos(order alpha).
+/// Order 0 has only cos_amplitude (the constant).
+struct Harmonic {
+  int order = 0;
+  Quantity sin_amplitude;
+  Quantity cos_amplitude;
+};
+
+/// One experiment seen by one accelerometer.
+struct FitDiagnostic {
+  int experiment = 0;               ///< 1, 2, 3
+  int accelerometer = 0;            ///< 0, 1, 2 = u, v, w
+  Quantity sine, cosine, constant;  ///< A, B, C of the one-harmonic fit (R).
+  int angles = 0;                   ///< Readings in the fit.
+  int degrees_of_freedom = 0;
+  double residual_rms = std::numeric_limits<double>::quiet_NaN();  ///< sqrt(sum of squares / angles), R.
+  std::optional<double> chi2;       ///< Absent where the readings carry no uncertainty.
+  std::vector<Harmonic> harmonics;  ///< Orders 0..5; empty where the angles cannot determine them.
+  double harmonics_residual_rms = std::numeric_limits<double>::quiet_NaN();  ///< R, of the five-harmonic fit.
+};
+
+/// One of the 15 combinations that vanish for a perfect stage (A1+B3, A2-A3, B1-B2, C1-C2, C2-C3).
+struct Closure {
+  std::string name;
+  int accelerometer = 0;  ///< 0, 1, 2 = u, v, w
+  Quantity value;         ///< R; its uncertainty covers readings (A) and tolerances (B).
+};
+
+/// Reading at the closing angle (360 degrees) minus reading at 0 degrees.
+struct ClosingDifference {
+  int experiment = 0;
+  int accelerometer = 0;
+  Quantity value;  ///< R
+};
+
+/// Dwells that carry one flag.
+struct FlagCount {
+  std::string flag;  ///< In words, as describe_flags says it.
+  int dwells = 0;
+};
+
+/// One question asked of a run, so that a wrong number does not look right (docs/measurement.md, "Checks").
+struct Check {
+  std::string name;  ///< "mounting slip", "full scale", ...
+  double found = std::numeric_limits<double>::quiet_NaN();
+  double limit = std::numeric_limits<double>::quiet_NaN();  ///< Of |found|.
+  std::string unit;
+  bool passed = true;
+  std::string words;  ///< What is wrong, where, and what it may come from; empty where it passed.
+};
+
+struct Diagnostics {
+  std::vector<FitDiagnostic> fits;  ///< 9: experiment by experiment, u v w in each. (norm: empty)
+  std::vector<Closure> closures;    ///< 15: u v w for each of the five names. (norm: empty)
+  std::vector<ClosingDifference> closing_differences;  ///< Empty where no closing angle was measured.
+  std::optional<double> chi2;  ///< Of the estimator's own fit; absent without readings' uncertainty.
+  int degrees_of_freedom = 0;
+  std::optional<double> chi2_probability;  ///< P(chi2 >= found) if the model is right.
+  double reciprocal_condition = 0.0;       ///< Of the (column-scaled) design, 0..1; worst of its fits.
+  int rank = 0;                            ///< Smallest rank of its fits (abc: 3 is full).
+  int angles_used = 0;                     ///< Dwells in the fit.
+  int angles_flagged = 0;
+  std::vector<FlagCount> flags;
+  std::vector<Check> checks;
+  std::vector<std::string> notes;  ///< Sentences that a reader should see beside the verdict.
+};
+
+/// The model equation at zero (IEEE 1293): output j at a specific force a (g_loc) along its own axis is
+/// K0 + K1 a + K2 a^2 + K3 a^3. It is not the measurand of the result, which is the line response.
+struct ModelEquation {
+  std::array<std::array<Quantity, 4>, 3> k;   ///< [output][order]: R, R/g_loc, R/g_loc^2, R/g_loc^3
+  std::array<Eigen::Matrix4d, 3> covariance;  ///< Of K0 to K3 of each output.
+};
+
+/// An effect that was estimated, and whether its size agrees with what is stated.
+struct EffectTest {
+  std::string name;            ///< "wobble of X", "hysteresis of u"
+  std::string key;             ///< Of its size in the bench file.
+  double times_stated = 0.0;   ///< Root mean square of its unknowns over their stated standard uncertainty.
+  double chi2 = 0.0;           ///< Against what the statement predicts for the estimate.
+  int degrees_of_freedom = 0;  ///< 0: the run says nothing of this effect.
+  double probability = 1.0;
+  bool passed = true;
+  bool stated_zero = false;  ///< Left out of the fit: the test is of what its residuals show.
+  /// The test is whether the readings, in which a wandering noise was found, are more probable with a size
+  /// `times_stated` as large and less noise. `probability` is then a bound, and there is no chi2.
+  bool instead_of_noise = false;
+};
+
+/// What the priors of one effect contribute to the uncertainty of the line response.
+struct EffectShare {
+  std::string effect;  ///< "wobble of X", "drift", "f_1" (step errors without memory of experiment 1)
+  std::string key;     ///< Of its size.
+  int unknowns = 0;
+  double prior_sd = 0.0;  ///< Of one unknown: radian, 1, or relative to S_j.
+  Covariance12 covariance = Covariance12::Zero();
+};
+
+/// The joint fit against the norm fit of the same readings. The norm fit is untouched by every error of the
+/// stage; what the two have in common (nine intrinsic outputs) therefore differs by no more than the effects
+/// of the model make it differ, unless the stage has errors that the model does not have (Hausman's test).
+struct NormAgreement {
+  bool done = false;  ///< False: the readings alone do not determine the nine outputs (`why_not`).
+  std::string why_not;
+  double statistic = 0.0;  ///< chi2, or F times its degrees of freedom where the noise was estimated.
+  int degrees_of_freedom = 0;
+  double probability = 1.0;
+  double norm_probability = 1.0;  ///< Of the norm fit's own chi2: its readings have white noise only.
+  /// Of the products of successive residuals of the norm fit, beyond what the fit itself makes of them, in
+  /// standard deviations of white noise.
+  double norm_autocorrelation = 0.0;
+  /// Norm minus joint, and its standard uncertainty if the model is right: s_u, s_v, s_w (R/g_loc), phi_uv,
+  /// phi_vw, phi_wu (degree), O_u, O_v, O_w (R).
+  Eigen::Matrix<double, 9, 1> difference = Eigen::Matrix<double, 9, 1>::Zero();
+  Eigen::Matrix<double, 9, 1> standard_uncertainty = Eigen::Matrix<double, 9, 1>::Zero();
+};
+
+/// What only the joint estimator gives (docs/joint_estimator.md).
+struct JointResult {
+  std::array<Quantity, 3> alignment;           ///< Zx, Zy, Xz (1)
+  std::array<Quantity, 2> initial_turn_error;  ///< d2, d3 (degree)
+  std::array<Quantity, 2> mean_step_error;     ///< F_X, F_Z (degree)
+  std::array<std::vector<Quantity>, 3>
+      step_error;                    ///< f_i(n) (degree): [i - 1][n - 1]; NaN where not measured.
+  std::array<Quantity, 3> drift;     ///< b_j (R over the run)
+  std::array<Quantity, 3> k2;        ///< 1/R; unit empty and value NaN where left out of the fit
+  std::array<Quantity, 3> k3;        ///< 1/R^2
+  bool nonlinearity_fitted = false;  ///< k2 and k3 were unknowns of the fit.
+  int iterations = 0;
+  std::vector<EffectTest> effects;  ///< Every effect that was an unknown, and those stated as zero.
+  /// The stated sizes that the run contradicts, in words. Every result that rests on them is doubtful.
+  std::vector<std::string> contradicted_sizes;
+  std::vector<EffectShare> shares;  ///< What covariance_type_b is made of.
+  /// Noise from angle to angle: probability of a process beside the white part (1/2 beforehand), its standard
+  /// deviation in units of the readings' u, its correlation length in angles.
+  double process_probability = 0.0;
+  double process_tau = 0.0;
+  double process_rho = 0.0;
+  NormAgreement norm_against_joint;
+  std::array<Quantity, 3> drift_at_end;  ///< Offset at the end of the run minus its mean over the run (R).
+};
+
+/// What only the norm estimator gives.
+struct NormResult {
+  int poses = 0;  ///< Poses used.
+  int poses_left_out = 0;
+  /// The poses left out: their place among the poses given (from 1), and |a|/g_loc - 1.
+  std::vector<std::pair<int, double>> left_out;
+  double norm_rms = std::numeric_limits<double>::quiet_NaN();  ///< rms of |a|/g_loc - 1.
+  double sphere_coverage = 0.0;                                ///< 0..1: how well the poses cover the sphere.
+  std::string coverage_words;  ///< What is badly covered, in words; empty if nothing.
+};
+
+/// The result of one estimator on one run. Nothing is good by default.
+struct CalibrationResult {
+  std::string estimator;  ///< "abc", "joint", "norm"
+  Verdict verdict = Verdict::kNotUsable;
+  std::string why = "not analysed";  ///< One sentence: the reason for the verdict.
+  std::string source;                ///< The record it came from.
+  std::string response_unit = "R";
+  Quantity g_loc;  ///< m/s2; NaN: not known, sensitivities are per g_loc.
+  std::string g_loc_source;
+
+  /// R/g_loc, rows u v w, columns x y z of the LGCS at the default orientation. Absent for norm: no
+  /// orientation.
+  std::optional<std::array<std::array<Quantity, 3>, 3>> sensitivity_matrix;
+  std::array<Quantity, 3> offset;                 ///< R
+  std::array<Quantity, 3> intrinsic_sensitivity;  ///< R/g_loc
+  std::array<Quantity, 3> intrinsic_angle;        ///< uv, vw, wu (degree)
+
+  std::optional<Covariance12> covariance;  ///< Combined (A and B), R^2 (s in R/g_loc).
+  std::optional<Covariance12> covariance_type_a;
+  std::optional<Covariance12> covariance_type_b;
+  std::optional<Covariance9> covariance_intrinsic;  ///< Combined; phi in degrees.
+  std::optional<Covariance9> covariance_intrinsic_type_a;
+  std::optional<Covariance9> covariance_intrinsic_type_b;
+
+  /// Effects in the uncertainties whose size is a default that nobody stated ("not yours").
+  std::vector<std::string> unstated_effects;
+  Diagnostics diagnostics;
+  std::optional<ModelEquation> model_equation;
+  std::optional<JointResult> joint;
+  std::optional<NormResult> norm;
+
+  /// The values of sensitivity_matrix as numbers; NaN where there is none.
+  Eigen::Matrix3d sensitivity_values() const;
+  Eigen::Vector3d offset_values() const;
+};
+
+}  // namespace abcal

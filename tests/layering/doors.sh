@@ -1,0 +1,42 @@
+#!/usr/bin/env bash
+# A forbidden include does not compile: tries one in each wing and some layers, with the include root that its target has,
+# and beside it one that is permitted.
+#   doors.sh COMPILER DOORS
+set -euo pipefail
+compiler=$1
+doors=$(realpath "$2")
+failed=0
+# The compiler looks beside the source first, here in the current folder.
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+cd "$folder"
+
+# try LAYER HEADER: the compiler's messages for an include of the header, in a source of the layer.
+try() { printf '#include "%s"\n' "$2" | "$compiler" -std=c++20 -fsyntax-only -x c++ -I "$doors/${1//\//_}" - 2>&1 || true; }
+
+check() {
+  local layer=$1 permitted=$2 forbidden=$3
+  if ! try "$layer" "$forbidden" | grep -q "$forbidden: No such file"; then
+    echo "$layer: $forbidden is forbidden and compiles"
+    failed=1
+  fi
+  if try "$layer" "$permitted" | grep -q "$permitted: No such file"; then
+    echo "$layer: $permitted is permitted and is not found"
+    failed=1
+  fi
+}
+
+check drivers/instrument drivers/instrument/clock.h drivers/wire/byte_stream.h
+check drivers/pi_gcs drivers/wire/byte_stream.h drivers/zaber_ascii/codec.h
+check protocol/estimators protocol/plan/limits.h drivers/instrument/rotation_stage.h
+check protocol/run drivers/instrument/clock.h protocol/estimators/circle/analyse.h
+check sim drivers/instrument/clock.h protocol/plan/limits.h
+check app/ground app/ground/system/exit_code.h app/operate/session/measuring_session.h
+check app/operate app/ground/system/exit_code.h app/results/estimates/analyses.h
+check app/operate app/ground/system/exit_code.h app/laboratory/register/login.h
+check app/results app/ground/system/exit_code.h app/operate/session/measuring_session.h
+check app/results app/ground/system/exit_code.h app/laboratory/certificate/certificate.h
+check app/laboratory app/results/estimates/analyses.h app/operate/session/measuring_session.h
+check app/studies app/results/estimates/analyses.h app/laboratory/certificate/certificate.h
+check app/faces app/operate/session/measuring_session.h tests/support/error_of.h
+exit "$failed"
